@@ -1,1 +1,35 @@
-"""Placeholder replaced by the floor's owner."""
+"""Scenarios: what a mission is made of, read from TOML and validated."""
+
+from pyomo_quad.scenario.baseline import Reference
+from pyomo_quad.scenario.errors import FeasibilityError, PyomoQuadError, ScenarioError
+from pyomo_quad.scenario.library import (
+    LIBRARY_KINDS,
+    LibraryEntry,
+    library_entry,
+    library_names,
+)
+from pyomo_quad.scenario.loader import load_scenario, scenario_from_mapping
+from pyomo_quad.scenario.power import PowerModel
+from pyomo_quad.scenario.schema import Scenario
+from pyomo_quad.scenario.vehicle import Vehicle
+from pyomo_quad.scenario.wind import FrequencyUnit, Wind, WindAxis, WindCoupling
+
+__all__ = [
+    "LIBRARY_KINDS",
+    "FeasibilityError",
+    "FrequencyUnit",
+    "LibraryEntry",
+    "PowerModel",
+    "PyomoQuadError",
+    "Reference",
+    "Scenario",
+    "ScenarioError",
+    "Vehicle",
+    "Wind",
+    "WindAxis",
+    "WindCoupling",
+    "library_entry",
+    "library_names",
+    "load_scenario",
+    "scenario_from_mapping",
+]

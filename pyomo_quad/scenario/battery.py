@@ -1,0 +1,23 @@
+"""The battery pack: equal cells in series and parallel, eq. (4)-(5)."""
+
+from pyomo_quad.scenario.fields import Number, Part, Text, WholeNumber, quantity
+
+__all__ = ["Battery"]
+
+
+class Battery(Part):
+    """Cell constants of the Tremblay-Dessaint model and the number of cells."""
+
+    use: Text = quantity("", "name of the battery in the library")
+    title: Text = quantity("", "name for people", max_length=200)
+    cells_series: WholeNumber = quantity("1", "cells in series", ge=1, le=1000)
+    cells_parallel: WholeNumber = quantity("1", "cells in parallel", ge=1, le=1000)
+    E0: Number = quantity("V", "constant voltage of one cell (e0)", gt=0)
+    K: Number = quantity("V", "polarisation voltage of one cell (k)", ge=0)
+    A: Number = quantity("V", "exponential voltage of one cell (c1)", ge=0)
+    B: Number = quantity("1/A/hr", "inverse exponential capacity of one cell (c2)", ge=0)
+    capacity: Number = quantity("A*hr", "capacity of one cell (Qbat)", gt=0)
+    cell_resistance: Number = quantity("ohm", "resistance of one cell (Rbat)", gt=0)
+    initial_state_of_charge: Number = quantity(
+        "percent", "state of charge at the start", 100.0, gt=0, le=100
+    )

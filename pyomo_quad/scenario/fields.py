@@ -1,0 +1,68 @@
+"""How a scenario field is declared: frozen, closed to unknown keys, with its unit beside it."""
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, Strict
+
+__all__ = ["Flag", "Number", "Part", "Text", "Triple", "WholeNumber", "quantity", "unit_of"]
+
+# Strict, so that "10" and true are refused where a number is meant; an integer still serves as one.
+Number = Annotated[float, Strict()]
+WholeNumber = Annotated[int, Strict()]
+Text = Annotated[str, Strict()]
+Flag = Annotated[bool, Strict()]
+Triple = tuple[Number, Number, Number]
+
+
+class Part(BaseModel):
+    """Base of all tables of a scenario: immutable, finite numbers, no unknown keys."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        use_attribute_docstrings=False,
+        protected_namespaces=(),
+    )
+
+
+def quantity(unit: str, description: str, default: Any = ..., **limits: Any) -> Any:  # noqa: ANN401
+    """Declare a field with its unit.
+
+    Parameters
+    ----------
+    unit : str
+        SI unit as a Pyomo unit string, ``"1"`` for a plain number, ``""`` for text.
+    description : str
+        One line for the documentation and for ``pyomo-quad check``.
+    default : object, optional
+        Value when neither the scenario nor the library gives one; none by default.
+    **limits
+        Bounds as pydantic names them: ``gt``, ``ge``, ``lt``, ``le``, ``min_length``, ...
+
+    Returns
+    -------
+    FieldInfo
+        To stand on the right of an annotated attribute.
+    """
+    return Field(default, description=description, json_schema_extra={"unit": unit}, **limits)
+
+
+def unit_of(model: type[BaseModel], name: str) -> str:
+    """Return the unit declared for a field, empty for text and for tables.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        The table that holds the field.
+    name : str
+        The field's name in that table.
+
+    Returns
+    -------
+    str
+        Unit string, empty when the field has none or does not exist.
+    """
+    field = model.model_fields.get(name)
+    extra = field.json_schema_extra if field is not None else None
+    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""

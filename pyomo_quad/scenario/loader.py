@@ -1,0 +1,158 @@
+"""Read a scenario file: data only, bounded in size and depth."""
+
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path as FilePath
+from typing import Any
+
+from pyomo_quad.scenario.complaint import shown
+from pyomo_quad.scenario.errors import ScenarioError
+from pyomo_quad.scenario.resolution import Origin
+from pyomo_quad.scenario.schema import Scenario
+from pyomo_quad.scenario.tree import Path, depth, parse_path
+
+__all__ = ["load_scenario", "read_toml", "scenario_from_mapping"]
+
+LARGEST_FILE_BYTES = 1_000_000
+DEEPEST_NESTING = 8
+# A key of so many parts, or so many open brackets, is an attack on the parser and not a scenario.
+_MOST_BRACKETS = re.compile(r"\[[\s\[]{64,}|(?:[\w\"'-]+\s*\.\s*){32,}")
+_BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+
+
+def load_scenario(path: str | FilePath, overrides: Sequence[str] = ()) -> Scenario:
+    """Read, complete and validate a scenario.
+
+    Later layers win: default, library, scenario file, overrides.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file.
+    overrides : sequence of str, optional
+        ``PATH=VALUE`` with a TOML value, as `--set` takes them.
+
+    Returns
+    -------
+    Scenario
+        Complete and immutable.
+
+    Raises
+    ------
+    ScenarioError
+        If the file or a field is not allowed; one line, naming the field.
+    FeasibilityError
+        If the rotors cannot carry the vehicle.
+    """
+    file = FilePath(path)
+    document = read_toml(file)
+    assignments = dict(_parse_override(text) for text in overrides)
+    return Scenario.from_origin(
+        Origin(source=str(path), folder=file.parent, document=document, assignments=assignments)
+    )
+
+
+def scenario_from_mapping(
+    tables: Mapping[str, Any], source: str = "scenario", folder: FilePath | None = None
+) -> Scenario:
+    """Complete and validate a scenario given as nested mappings.
+
+    Parameters
+    ----------
+    tables : mapping
+        What a TOML file would hold.
+    source : str, optional
+        What messages call it.
+    folder : Path, optional
+        Where relative file names start, the working folder by default.
+
+    Returns
+    -------
+    Scenario
+        Complete and immutable.
+
+    Raises
+    ------
+    ScenarioError
+        If a field is not allowed.
+    FeasibilityError
+        If the rotors cannot carry the vehicle.
+    """
+    _refuse_deep(tables, source)
+    return Scenario.from_origin(Origin(source=source, folder=folder or FilePath(), document=tables))
+
+
+def read_toml(file: FilePath) -> dict[str, Any]:
+    """Read a TOML file that may come from a stranger.
+
+    Parameters
+    ----------
+    file : Path
+        The file.
+
+    Returns
+    -------
+    dict
+        Its tables.
+
+    Raises
+    ------
+    ScenarioError
+        If it is missing, too large, nested too deep or not TOML.
+    """
+    try:
+        with file.open("rb") as stream:
+            content = stream.read(LARGEST_FILE_BYTES + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ScenarioError(
+            f"{_named(file)}: cannot be read ({reason}); give an existing TOML file."
+        ) from None
+    if len(content) > LARGEST_FILE_BYTES:
+        raise ScenarioError(
+            f"{_named(file)}: larger than {LARGEST_FILE_BYTES} bytes; a scenario is a short file."
+        )
+    try:
+        tables = _parse_toml(content.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise ScenarioError(f"{_named(file)}: not valid TOML ({reason}); correct it.") from None
+    _refuse_deep(tables, _named(file))
+    return tables
+
+
+def _parse_toml(text: str) -> dict[str, Any]:
+    if _MOST_BRACKETS.search(text):
+        raise ValueError("nested too deep")
+    return tomllib.loads(text)
+
+
+def _parse_override(text: str) -> tuple[Path, Any]:
+    left, equals, right = text.partition("=")
+    path = parse_path(left)
+    if not equals or path is None:
+        raise ScenarioError(
+            f"--set: {shown(text)} is not PATH=VALUE; write for example mission.duration=12.0."
+        )
+    try:
+        parsed = _parse_toml(f"value = {right}")
+    except (ValueError, RecursionError):
+        parsed = {"value": right.strip()} if _BARE_WORD.fullmatch(right.strip()) else {}
+    if parsed.keys() != {"value"} or depth(parsed, DEEPEST_NESTING) > DEEPEST_NESTING:
+        raise ScenarioError(
+            f"--set: {left.strip()} = {shown(right.strip())[1:-1]}; must be a TOML value, "
+            f'such as 12.0, [1.0, 2.0, 3.0] or "text".'
+        )
+    return path, parsed["value"]
+
+
+def _refuse_deep(tables: Mapping[str, Any], source: str) -> None:
+    if depth(tables, DEEPEST_NESTING) > DEEPEST_NESTING:
+        raise ScenarioError(
+            f"{source}: nested deeper than {DEEPEST_NESTING} levels; a scenario is a shallow file."
+        )
+
+
+def _named(file: FilePath) -> str:
+    return shown(str(file))[1:-1]

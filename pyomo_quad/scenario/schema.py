@@ -1,0 +1,172 @@
+"""The scenario: everything that one mission needs, validated, immutable and in SI units."""
+
+from collections.abc import Mapping
+from pathlib import Path as FilePath
+from types import MappingProxyType
+from typing import Any, Self
+
+from pydantic import PrivateAttr, ValidationError
+
+from pyomo_quad.scenario.baseline import Baseline
+from pyomo_quad.scenario.battery import Battery
+from pyomo_quad.scenario.complaint import complaint
+from pyomo_quad.scenario.errors import FeasibilityError, ScenarioError
+from pyomo_quad.scenario.fields import Number, Part, Text, quantity
+from pyomo_quad.scenario.limits import Limits
+from pyomo_quad.scenario.mission import Mission
+from pyomo_quad.scenario.power import Power
+from pyomo_quad.scenario.resolution import Origin, resolve, whose
+from pyomo_quad.scenario.solver import Solver
+from pyomo_quad.scenario.tree import leaves, parse_path, spell
+from pyomo_quad.scenario.vehicle import Vehicle
+from pyomo_quad.scenario.wind import Wind
+
+__all__ = ["Scenario"]
+
+# Names become folder names: no separator, no leading dot, nothing that leaves the output folder.
+_NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
+_MODEL_PATTERN = r"^[^:\x00]+\.py:[A-Za-z_][A-Za-z0-9_]*$"
+
+
+class Scenario(Part):
+    """One mission: vehicle, battery, wind, power model, limits, solver and baseline."""
+
+    name: Text = quantity("", "short name, also of the output folder", pattern=_NAME_PATTERN)
+    title: Text = quantity("", "title of the report", "", max_length=200)
+    gravity: Number = quantity("m/s^2", "acceleration of gravity", 9.81, gt=0)
+    model: Text | None = quantity(
+        "",
+        "own model builder as file.py:function, needs --allow-code",
+        None,
+        pattern=_MODEL_PATTERN,
+    )
+    vehicle: Vehicle = quantity("", "the vehicle")
+    limits: Limits = quantity("", "limits of the flight")
+    battery: Battery = quantity("", "the battery pack")
+    wind: Wind = quantity("", "the wind")
+    power: Power = quantity("", "the power model", Power())
+    mission: Mission = quantity("", "the mission")
+    solver: Solver = quantity("", "solver settings", Solver())
+    baseline: Baseline = quantity("", "the controller to compare with", Baseline())
+
+    _origin: Origin | None = PrivateAttr(None)
+    _provenance: Mapping[str, str] = PrivateAttr(default_factory=dict)
+
+    @classmethod
+    def from_origin(cls, origin: Origin) -> Self:
+        """Resolve, validate and check a scenario as written.
+
+        Parameters
+        ----------
+        origin : Origin
+            The scenario's own tables and overrides.
+
+        Returns
+        -------
+        Scenario
+            The complete scenario.
+
+        Raises
+        ------
+        ScenarioError
+            If a field is not allowed; the message is one line.
+        FeasibilityError
+            If the rotors cannot carry the vehicle.
+        """
+        resolution = resolve(origin)
+        try:
+            scenario = cls.model_validate(resolution.tables)
+        except ValidationError as error:
+            path, line = complaint(error, cls)
+            raise ScenarioError(f"{whose(origin, resolution.provenance, path)}: {line}") from None
+        scenario._origin = origin  # noqa: SLF001
+        scenario._provenance = resolution.provenance  # noqa: SLF001
+        scenario._check_hover(origin.source)  # noqa: SLF001
+        return scenario
+
+    def __eq__(self, other: object) -> bool:
+        # Two scenarios with the same values are the same mission, wherever the values came from.
+        return isinstance(other, Scenario) and self.__dict__ == other.__dict__
+
+    def __hash__(self) -> int:
+        return hash(tuple(self.__dict__.values()))
+
+    @property
+    def provenance(self) -> Mapping[str, str]:
+        """Dotted field -> ``default``, ``library NAME``, ``scenario``, ``--set``, ``file NAME``."""
+        everywhere = {spell(path): "default" for path, _ in leaves(self.model_dump())}
+        return MappingProxyType(everywhere | dict(self._provenance))
+
+    @property
+    def folder(self) -> FilePath:
+        """Folder in which relative file names of the scenario start."""
+        return self._origin.folder if self._origin is not None else FilePath()
+
+    def with_values(self, values: Mapping[str, Any]) -> Self:
+        """Return a revalidated copy with some fields changed.
+
+        Parameters
+        ----------
+        values : mapping
+            Dotted field -> new value; ``mission.goal.position[2]`` sets one number of a list.
+            Everything derived from a changed field follows it.
+
+        Returns
+        -------
+        Scenario
+            The changed scenario.
+
+        Raises
+        ------
+        ScenarioError
+            If a path is unknown or a value is not allowed.
+        FeasibilityError
+            If the rotors cannot carry the changed vehicle.
+        """
+        origin = self._origin or Origin(
+            source=self.name, folder=self.folder, document=self.model_dump(mode="json")
+        )
+        assignments = dict(origin.assignments)
+        for text, value in values.items():
+            path = parse_path(text)
+            if path is None:
+                raise ScenarioError(f"{origin.source}: {text[:60]!r} is not the path of a field.")
+            assignments.pop(path, None)
+            assignments[path] = value
+        return self.from_origin(
+            Origin(
+                source=origin.source,
+                folder=origin.folder,
+                document=origin.document,
+                assignments=assignments,
+                label=origin.label,
+            )
+        )
+
+    def as_forecast(self) -> Self:
+        """Return the scenario as the optimiser is told it.
+
+        Returns
+        -------
+        Scenario
+            With the forecast in place of the wind; itself when there is no forecast.
+        """
+        if self.wind.forecast is None:
+            return self
+        return self.model_copy(update={"wind": self.wind.forecast})
+
+    def _check_hover(self, source: str) -> None:
+        if self.model is not None:
+            return  # the user's own model need not hover
+        needed = self.vehicle.hover_speed(self.gravity)
+        if needed > self.limits.rotor_speed_max:
+            raise FeasibilityError(
+                f"{source}: hover needs {needed:.4g} rad/s per rotor, limits.rotor_speed_max is "
+                f"{self.limits.rotor_speed_max:.4g} rad/s; raise the limit or lower the mass."
+            )
+        weight = self.vehicle.total_mass * self.gravity
+        if weight > self.limits.thrust_max:
+            raise FeasibilityError(
+                f"{source}: hover needs {weight:.4g} N of thrust, limits.thrust_max is "
+                f"{self.limits.thrust_max:.4g} N; raise the limit or lower the mass."
+            )

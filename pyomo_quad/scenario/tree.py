@@ -1,0 +1,157 @@
+"""Nested tables as TOML gives them: dotted paths, layers, depth."""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+__all__ = ["Path", "depth", "leaves", "merge", "parse_path", "set_value", "spell"]
+
+Path = tuple[str | int, ...]
+
+_STEP = re.compile(r"([A-Za-z0-9_-]+)((?:\[\d{1,3}\])*)")
+
+
+def parse_path(text: str) -> Path | None:
+    """Split `mission.goal.position[2]` into its steps.
+
+    Parameters
+    ----------
+    text : str
+        Dotted path; an index in brackets picks one number of a list.
+
+    Returns
+    -------
+    tuple of str and int, or None
+        The steps, None when the text is no path.
+    """
+    steps: list[str | int] = []
+    for part in text.strip().split("."):
+        match = _STEP.fullmatch(part)
+        if match is None:
+            return None
+        steps.append(match[1])
+        steps.extend(int(index) for index in re.findall(r"\d+", match[2]))
+    return tuple(steps)
+
+
+def spell(path: Path) -> str:
+    """Write steps as `mission.goal.position[2]`.
+
+    Parameters
+    ----------
+    path : tuple of str and int
+        The steps.
+
+    Returns
+    -------
+    str
+        Dotted path.
+    """
+    text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path)
+    return text.removeprefix(".")
+
+
+def depth(value: object, allowed: int) -> int:
+    """Measure how deep tables and lists are nested, stopping past what is allowed.
+
+    Parameters
+    ----------
+    value : object
+        A value as TOML gives it.
+    allowed : int
+        Depth past which there is no need to look further.
+
+    Returns
+    -------
+    int
+        Depth, at most ``allowed + 1``; a plain value has depth 0.
+    """
+    level, layer = 0, [value]
+    while level <= allowed:
+        nested: list[object] = []
+        for item in layer:
+            if isinstance(item, Mapping):
+                nested.extend(item.values())
+            elif isinstance(item, list | tuple):
+                nested.extend(item)
+        if not any(isinstance(item, Mapping | list | tuple) for item in layer):
+            break
+        level, layer = level + 1, nested
+    return level
+
+
+def leaves(tree: Mapping[str, Any], prefix: Path = ()) -> Iterator[tuple[Path, Any]]:
+    """Walk over all values that are not tables.
+
+    Parameters
+    ----------
+    tree : mapping
+        Nested tables.
+    prefix : tuple, optional
+        Path of `tree` itself.
+
+    Yields
+    ------
+    tuple
+        Path and value.
+    """
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from leaves(value, (*prefix, key))
+        else:
+            yield (*prefix, key), value
+
+
+def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
+    """Lay one nested table over another.
+
+    Parameters
+    ----------
+    lower, upper : mapping
+        Where both have a value, `upper` wins.
+
+    Returns
+    -------
+    dict
+        A new nested table; neither argument is changed.
+    """
+    merged = dict(lower)
+    for key, value in upper.items():
+        below = merged.get(key)
+        both_tables = isinstance(below, Mapping) and isinstance(value, Mapping)
+        merged[key] = merge(below, value) if both_tables else value  # type: ignore[arg-type]
+    return merged
+
+
+def set_value(tree: object, path: Path, value: object) -> Any:  # noqa: ANN401
+    """Return a copy of nested tables and lists with one value set.
+
+    Parameters
+    ----------
+    tree : mapping, list or tuple
+        Nested tables; they are not changed.
+    path : tuple of str and int
+        Where to set it; missing tables are made, missing list items are not.
+    value : object
+        The new value.
+
+    Returns
+    -------
+    dict or list
+        The copy.
+
+    Raises
+    ------
+    LookupError
+        If the path goes through a plain value or past the end of a list.
+    """
+    if not path:
+        return value
+    head, rest = path[0], path[1:]
+    if isinstance(tree, Mapping) and isinstance(head, str):
+        return {**tree, head: set_value(tree.get(head, {}), rest, value)}
+    if isinstance(tree, list | tuple) and isinstance(head, int) and head < len(tree):
+        items = list(tree)
+        items[head] = set_value(items[head], rest, value)
+        return items
+    raise LookupError(spell(path))

@@ -1,0 +1,76 @@
+"""The wind, eq. (11)-(12), its coupling to the vehicle, and what the optimiser is told of it."""
+
+from enum import StrEnum
+from typing import Self
+
+from pydantic import model_validator
+
+from pyomo_quad.scenario.fields import Number, Part, Text, Triple, quantity
+
+__all__ = ["FrequencyUnit", "Wind", "WindAxis", "WindCoupling", "WindSeries"]
+
+
+class WindCoupling(StrEnum):
+    """How the wind enters the momentum balance."""
+
+    ACCELERATION = "acceleration"
+    DRAG = "drag"
+
+
+class FrequencyUnit(StrEnum):
+    """How the harmonic frequencies of Table 2 are read."""
+
+    RADIAN_PER_SECOND = "rad/s"
+    HERTZ = "hz"
+
+
+class WindAxis(Part):
+    """One axis of eq. (11)-(12): mean, three harmonics, gust."""
+
+    mean: Number = quantity("m/s", "mean value (v0)")
+    amplitudes: Triple = quantity("m/s", "amplitudes of the harmonics (A_k)")
+    frequencies: Triple = quantity("rad/s", "frequencies of the harmonics, see frequency_unit")
+    gust_amplitude: Number = quantity("m/s", "gust amplitude (v_gmax)")
+    gust_period: Number = quantity("s", "gust period (T_g)", gt=0)
+
+
+class WindSeries(Part):
+    """A measured wind, read and validated from `wind.file`."""
+
+    times: tuple[Number, ...] = quantity("s", "times from the start of the mission")
+    wind_x: tuple[Number, ...] = quantity("m/s", "wind toward +x")
+    wind_y: tuple[Number, ...] = quantity("m/s", "wind toward +y")
+
+
+class Wind(Part):
+    """The horizontal wind in world axes."""
+
+    use: Text = quantity("", "name of the wind in the library")
+    title: Text = quantity("", "name for people", max_length=200)
+    coupling: WindCoupling = quantity(
+        "", "acceleration (eq. 9 as printed) or drag", WindCoupling.ACCELERATION
+    )
+    acceleration_coefficient: Number = quantity(
+        "1/s", "turns wind velocity into acceleration, eq. (9)", 1.0, ge=0
+    )
+    frequency_unit: FrequencyUnit = quantity(
+        "", "unit of the frequencies: rad/s (as eq. 11) or hz", FrequencyUnit.RADIAN_PER_SECOND
+    )
+    speed: Number = quantity("m/s", "steady wind added to the means", 0.0, ge=0)
+    direction: Number = quantity("rad", "where the steady wind blows to, 0 is +x", 0.0)
+    time_offset: Number = quantity("s", "wind time at the start of the mission", 0.0)
+    file: Text | None = quantity(
+        "", "CSV file time_s,wind_x_m_per_s,wind_y_m_per_s in place of eq. (11)-(12)", None
+    )
+    series: WindSeries | None = quantity("", "the wind read from file", None)
+    x: WindAxis = quantity("", "wind toward +x")
+    y: WindAxis = quantity("", "wind toward +y")
+    forecast: Self | None = quantity(
+        "", "the wind that the optimiser is told, the true one when absent", None
+    )
+
+    @model_validator(mode="after")
+    def _forecast_has_no_forecast(self) -> Self:
+        if self.forecast is not None and self.forecast.forecast is not None:
+            raise ValueError("a forecast has no forecast of its own; remove forecast.forecast")
+        return self
