@@ -1,7 +1,7 @@
 """Scenarios: what a mission is made of, read from TOML and validated."""
 
 from pyomo_quad.scenario.baseline import Reference
-from pyomo_quad.scenario.errors import FeasibilityError, PyomoQuadError, ScenarioError
+from pyomo_quad.scenario.errors import FeasibilityError, OutputError, PyomoQuadError, ScenarioError
 from pyomo_quad.scenario.library import (
     LIBRARY_KINDS,
     LibraryEntry,
@@ -19,6 +19,7 @@ __all__ = [
     "FeasibilityError",
     "FrequencyUnit",
     "LibraryEntry",
+    "OutputError",
     "PowerModel",
     "PyomoQuadError",
     "Reference",

@@ -1,6 +1,6 @@
 """Errors that a user's input can cause: one line each, naming the field and what is allowed."""
 
-__all__ = ["FeasibilityError", "PyomoQuadError", "ScenarioError"]
+__all__ = ["FeasibilityError", "OutputError", "PyomoQuadError", "ScenarioError"]
 
 
 class PyomoQuadError(Exception):
@@ -13,3 +13,7 @@ class ScenarioError(PyomoQuadError, ValueError):
 
 class FeasibilityError(PyomoQuadError, ValueError):
     """A valid scenario asks for something that the vehicle cannot physically do."""
+
+
+class OutputError(PyomoQuadError, RuntimeError):
+    """The results cannot be written where they were asked for."""
