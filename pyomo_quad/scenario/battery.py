@@ -1,6 +1,6 @@
 """The battery pack: equal cells in series and parallel, eq. (4)-(5)."""
 
-from pyomo_quad.scenario.fields import Number, Part, Text, WholeNumber, quantity
+from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Text, WholeNumber, quantity
 
 __all__ = ["Battery"]
 
@@ -9,7 +9,9 @@ class Battery(Part):
     """Cell constants of the Tremblay-Dessaint model and the number of cells."""
 
     use: Text = quantity("", "name of the battery in the library")
-    title: Text = quantity("", "name for people", max_length=200)
+    title: Text = quantity(
+        "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
+    )
     cells_series: WholeNumber = quantity("1", "cells in series", ge=1, le=1000)
     cells_parallel: WholeNumber = quantity("1", "cells in parallel", ge=1, le=1000)
     E0: Number = quantity("V", "constant voltage of one cell (e0)", gt=0)

@@ -8,7 +8,7 @@ from typing import Any, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from pyomo_quad.scenario.fields import unit_of
+from pyomo_quad.scenario.fields import allowed_text, unit_of
 from pyomo_quad.scenario.tree import Path, spell
 
 __all__ = ["complaint", "field_paths", "shown"]
@@ -123,23 +123,25 @@ def _line(details: ErrorDetails, model: type[BaseModel], path: Path) -> str:
     where = spell(path)
     if details["type"] == "extra_forbidden":
         return _unknown_key(model, table, path, details["loc"])
+    if details["type"] == "missing" and isinstance(path[-1], int):
+        return f"{spell(path[:-1])} is too short; give {where} too{f', in {unit}' if unit else ''}."
     if details["type"] == "missing":
         return f"{where} is missing; give it{f' in {unit}' if unit else ''}."
+    if details["type"] == "value_error":
+        return f"{where}: {details['ctx']['error']}."
     found = shown(details["input"])
     is_number = isinstance(details["input"], int | float) and not isinstance(details["input"], bool)
     suffix = f" {unit}" if unit not in {"", "1"} else ""
-    allowed = _allowed(details)
+    allowed = _allowed(details, allowed_text(table, str(path[-1])))
     if not is_number and details["type"] in {"float_type", "float_parsing"} and suffix:
         allowed += f" in{suffix}"
     return f"{where} = {found}{suffix if is_number else ''}; {allowed}."
 
 
-def _allowed(details: ErrorDetails) -> str:
+def _allowed(details: ErrorDetails, in_words: str) -> str:
     context = details.get("ctx", {})
-    if details["type"] == "value_error":
-        return str(context["error"])
     if details["type"] == "string_pattern_mismatch":
-        return f"must match {context['pattern']}"
+        return f"must be {in_words or context['pattern']}"
     allowed = _ALLOWED.get(details["type"])
     if allowed is None:
         return details["msg"][:1].lower() + details["msg"][1:]

@@ -4,7 +4,18 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, Strict
 
-__all__ = ["Flag", "Number", "Part", "Text", "Triple", "WholeNumber", "quantity", "unit_of"]
+__all__ = [
+    "ONE_LINE",
+    "Flag",
+    "Number",
+    "Part",
+    "Text",
+    "Triple",
+    "WholeNumber",
+    "allowed_text",
+    "quantity",
+    "unit_of",
+]
 
 # Strict, so that "10" and true are refused where a number is meant; an integer still serves as one.
 Number = Annotated[float, Strict()]
@@ -12,6 +23,9 @@ WholeNumber = Annotated[int, Strict()]
 Text = Annotated[str, Strict()]
 Flag = Annotated[bool, Strict()]
 Triple = tuple[Number, Number, Number]
+
+# Pattern of a title: no line break and no other control character.
+ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
 
 
 class Part(BaseModel):
@@ -26,7 +40,14 @@ class Part(BaseModel):
     )
 
 
-def quantity(unit: str, description: str, default: Any = ..., **limits: Any) -> Any:  # noqa: ANN401
+def quantity(
+    unit: str,
+    description: str,
+    default: object = ...,
+    *,
+    allowed: str = "",
+    **limits: Any,  # noqa: ANN401
+) -> Any:  # noqa: ANN401
     """Declare a field with its unit.
 
     Parameters
@@ -37,6 +58,8 @@ def quantity(unit: str, description: str, default: Any = ..., **limits: Any) -> 
         One line for the documentation and for ``pyomo-quad check``.
     default : object, optional
         Value when neither the scenario nor the library gives one; none by default.
+    allowed : str, optional
+        What a text must be, in words, where a pattern would be hard to read.
     **limits
         Bounds as pydantic names them: ``gt``, ``ge``, ``lt``, ``le``, ``min_length``, ...
 
@@ -45,7 +68,12 @@ def quantity(unit: str, description: str, default: Any = ..., **limits: Any) -> 
     FieldInfo
         To stand on the right of an annotated attribute.
     """
-    return Field(default, description=description, json_schema_extra={"unit": unit}, **limits)
+    return Field(
+        default,
+        description=description,
+        json_schema_extra={"unit": unit, "allowed": allowed},
+        **limits,
+    )
 
 
 def unit_of(model: type[BaseModel], name: str) -> str:
@@ -63,6 +91,28 @@ def unit_of(model: type[BaseModel], name: str) -> str:
     str
         Unit string, empty when the field has none or does not exist.
     """
+    return _declared_with(model, name, "unit")
+
+
+def allowed_text(model: type[BaseModel], name: str) -> str:
+    """Return what a text field must be, in words.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        The table that holds the field.
+    name : str
+        The field's name in that table.
+
+    Returns
+    -------
+    str
+        What follows "must be", empty when the field says nothing.
+    """
+    return _declared_with(model, name, "allowed")
+
+
+def _declared_with(model: type[BaseModel], name: str, item: str) -> str:
     field = model.model_fields.get(name)
     extra = field.json_schema_extra if field is not None else None
-    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+    return str(extra.get(item, "")) if isinstance(extra, dict) else ""

@@ -14,7 +14,7 @@ class Limits(Part):
     roll_max: Number = quantity("rad", "largest roll angle, eq. (10)", gt=0, le=pi / 2)
     pitch_max: Number = quantity("rad", "largest pitch angle, eq. (10)", gt=0, le=pi / 2)
     rotor_speed_min: Number = quantity("rad/s", "smallest rotor speed, eq. (10)", ge=0)
-    rotor_speed_max: Number = quantity("rad/s", "largest rotor speed, eq. (10)", gt=0)
+    rotor_speed_max: Number = quantity("rad/s", "largest rotor speed, eq. (10)", gt=0, le=1e5)
     rotor_acceleration_max: Number = quantity("rad/s^2", "largest rotor acceleration", gt=0)
     thrust_max: Number = quantity("N", "largest total thrust, default of four rotors", gt=0)
     roll_moment_max: Number = quantity("N*m", "largest roll moment, default of one rotor", gt=0)

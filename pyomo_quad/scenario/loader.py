@@ -10,7 +10,7 @@ from pyomo_quad.scenario.complaint import shown
 from pyomo_quad.scenario.errors import ScenarioError
 from pyomo_quad.scenario.resolution import Origin
 from pyomo_quad.scenario.schema import Scenario
-from pyomo_quad.scenario.tree import Path, depth, parse_path
+from pyomo_quad.scenario.tree import Path, depth, leaves, parse_path, spell
 
 __all__ = ["load_scenario", "read_toml", "scenario_from_mapping"]
 
@@ -48,8 +48,8 @@ def load_scenario(path: str | FilePath, overrides: Sequence[str] = ()) -> Scenar
     file = FilePath(path)
     document = read_toml(file)
     assignments = dict(_parse_override(text) for text in overrides)
-    return Scenario.from_origin(
-        Origin(source=str(path), folder=file.parent, document=document, assignments=assignments)
+    return _from_written(
+        Origin(source=_named(file), folder=file.parent, document=document, assignments=assignments)
     )
 
 
@@ -80,7 +80,7 @@ def scenario_from_mapping(
         If the rotors cannot carry the vehicle.
     """
     _refuse_deep(tables, source)
-    return Scenario.from_origin(Origin(source=source, folder=folder or FilePath(), document=tables))
+    return _from_written(Origin(source=source, folder=folder or FilePath(), document=tables))
 
 
 def read_toml(file: FilePath) -> dict[str, Any]:
@@ -120,6 +120,17 @@ def read_toml(file: FilePath) -> dict[str, Any]:
         raise ScenarioError(f"{_named(file)}: not valid TOML ({reason}); correct it.") from None
     _refuse_deep(tables, _named(file))
     return tables
+
+
+def _from_written(origin: Origin) -> Scenario:
+    written = (*(path for path, _ in leaves(origin.document)), *origin.assignments)
+    for path in written:
+        if path[0] == "wind" and "series" in path:
+            where = origin.label if path in origin.assignments else origin.source
+            raise ScenarioError(
+                f"{where}: {spell(path)} is not set by hand; name a CSV file in wind.file."
+            )
+    return Scenario.from_origin(origin)
 
 
 def _parse_toml(text: str) -> dict[str, Any]:

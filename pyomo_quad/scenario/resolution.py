@@ -131,8 +131,8 @@ def _with_assignments(
             changed = set_value(changed, path, value)
         except LookupError:
             raise ScenarioError(
-                f"{origin.label}: {spell(path)} = {shown(value)}; there is no such place; "
-                f"run `pyomo-quad check` to see the fields."
+                f"{origin.label}: {spell(path)} = {shown(value)}; there is no such place "
+                f"to set; give the whole list or table, or see the fields with `pyomo-quad check`."
             ) from None
     return changed
 

@@ -11,7 +11,7 @@ from pyomo_quad.scenario.baseline import Baseline
 from pyomo_quad.scenario.battery import Battery
 from pyomo_quad.scenario.complaint import complaint
 from pyomo_quad.scenario.errors import FeasibilityError, ScenarioError
-from pyomo_quad.scenario.fields import Number, Part, Text, quantity
+from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Text, quantity
 from pyomo_quad.scenario.limits import Limits
 from pyomo_quad.scenario.mission import Mission
 from pyomo_quad.scenario.power import Power
@@ -31,14 +31,22 @@ _MODEL_PATTERN = r"^[^:\x00]+\.py:[A-Za-z_][A-Za-z0-9_]*$"
 class Scenario(Part):
     """One mission: vehicle, battery, wind, power model, limits, solver and baseline."""
 
-    name: Text = quantity("", "short name, also of the output folder", pattern=_NAME_PATTERN)
-    title: Text = quantity("", "title of the report", "", max_length=200)
+    name: Text = quantity(
+        "",
+        "short name, also of the output folder",
+        pattern=_NAME_PATTERN,
+        allowed="1 to 64 letters, digits, '_', '-' or '.', starting with a letter or digit",
+    )
+    title: Text = quantity(
+        "", "title of the report", "", pattern=ONE_LINE, allowed="one line", max_length=200
+    )
     gravity: Number = quantity("m/s^2", "acceleration of gravity", 9.81, gt=0)
     model: Text | None = quantity(
         "",
         "own model builder as file.py:function, needs --allow-code",
         None,
         pattern=_MODEL_PATTERN,
+        allowed="file.py:function",
     )
     vehicle: Vehicle = quantity("", "the vehicle")
     limits: Limits = quantity("", "limits of the flight")

@@ -2,7 +2,7 @@
 
 from math import sqrt
 
-from pyomo_quad.scenario.fields import Number, Part, Text, Triple, quantity
+from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Text, Triple, quantity
 
 __all__ = ["ROTOR_COUNT", "EfficiencyMap", "Vehicle"]
 
@@ -22,7 +22,9 @@ class Vehicle(Part):
     """A quadrotor: four equal rotors on arms along body x and y, numbered as in the paper."""
 
     use: Text = quantity("", "name of the vehicle in the library")
-    title: Text = quantity("", "name for people", max_length=200)
+    title: Text = quantity(
+        "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
+    )
     mass: Number = quantity("kg", "mass without payload", gt=0)
     payload: Number = quantity("kg", "mass carried, at the centre of mass", 0.0, ge=0)
     arm_length: Number = quantity("m", "centre of mass to rotor shaft (l)", gt=0)

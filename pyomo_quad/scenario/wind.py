@@ -1,11 +1,12 @@
 """The wind, eq. (11)-(12), its coupling to the vehicle, and what the optimiser is told of it."""
 
+from collections.abc import Mapping
 from enum import StrEnum
 from typing import Self
 
 from pydantic import model_validator
 
-from pyomo_quad.scenario.fields import Number, Part, Text, Triple, quantity
+from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Text, Triple, quantity
 
 __all__ = ["FrequencyUnit", "Wind", "WindAxis", "WindCoupling", "WindSeries"]
 
@@ -46,7 +47,9 @@ class Wind(Part):
     """The horizontal wind in world axes."""
 
     use: Text = quantity("", "name of the wind in the library")
-    title: Text = quantity("", "name for people", max_length=200)
+    title: Text = quantity(
+        "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
+    )
     coupling: WindCoupling = quantity(
         "", "acceleration (eq. 9 as printed) or drag", WindCoupling.ACCELERATION
     )
@@ -69,8 +72,10 @@ class Wind(Part):
         "", "the wind that the optimiser is told, the true one when absent", None
     )
 
-    @model_validator(mode="after")
-    def _forecast_has_no_forecast(self) -> Self:
-        if self.forecast is not None and self.forecast.forecast is not None:
-            raise ValueError("a forecast has no forecast of its own; remove forecast.forecast")
-        return self
+    @model_validator(mode="before")
+    @classmethod
+    def _forecast_has_no_forecast(cls, tables: object) -> object:
+        forecast = tables.get("forecast") if isinstance(tables, Mapping) else None
+        if isinstance(forecast, Mapping) and forecast.get("forecast") is not None:
+            raise ValueError("forecast.forecast is not allowed; remove it")
+        return tables

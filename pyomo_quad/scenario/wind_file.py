@@ -6,6 +6,7 @@ from math import isfinite
 from pathlib import Path
 from typing import NoReturn
 
+from pyomo_quad.scenario.complaint import shown
 from pyomo_quad.scenario.errors import ScenarioError
 
 __all__ = ["WIND_COLUMNS", "read_wind_file"]
@@ -45,8 +46,8 @@ def read_wind_file(
         If the file cannot be read, or has gaps, unsorted times, missing or non-finite numbers, or
         does not cover the mission.
     """
-    rows = _read_rows(file, f'{where} = "{file.name}"')
-    place = f'{where} = "{file.name}"'
+    place = f"{where} = {shown(file.name)}"
+    rows = _read_rows(file, place)
     times, wind_x, wind_y = zip(*rows, strict=True)
     steps = [later - earlier for earlier, later in pairwise(times)]
     usual = sorted(steps)[len(steps) // 2]
@@ -102,4 +103,4 @@ def _read_row(cells: list[str], line: int, place: str) -> tuple[float, float, fl
 
 
 def _refuse(place: str, reason: str) -> NoReturn:
-    raise ScenarioError(f"{place}: {reason}.") from None
+    raise ScenarioError(f"{place}; {reason}.") from None
