@@ -11,7 +11,7 @@ from pydantic_core import ErrorDetails
 from pyomo_quad.scenario.fields import allowed_text, unit_of
 from pyomo_quad.scenario.tree import Path, spell
 
-__all__ = ["complaint", "field_paths", "shown"]
+__all__ = ["complaint", "field_paths", "printable", "shown"]
 
 _LONGEST_VALUE = 60
 
@@ -85,8 +85,24 @@ def shown(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     text = f'"{value}"' if isinstance(value, str) else _number_text(value)
-    text = "".join(letter if letter.isprintable() else "?" for letter in text)
+    text = printable(text)
     return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
+
+
+def printable(text: str) -> str:
+    """Replace line breaks and control characters, so that a message stays one line.
+
+    Parameters
+    ----------
+    text : str
+        Any text.
+
+    Returns
+    -------
+    str
+        Of the same length.
+    """
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def field_paths(model: type[BaseModel], prefix: Path = ()) -> Iterator[Path]:

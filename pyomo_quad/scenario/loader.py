@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
-from pyomo_quad.scenario.complaint import shown
+from pyomo_quad.scenario.complaint import printable, shown
 from pyomo_quad.scenario.errors import ScenarioError
 from pyomo_quad.scenario.resolution import Origin
 from pyomo_quad.scenario.schema import Scenario
@@ -49,7 +49,12 @@ def load_scenario(path: str | FilePath, overrides: Sequence[str] = ()) -> Scenar
     document = read_toml(file)
     assignments = dict(_parse_override(text) for text in overrides)
     return _from_written(
-        Origin(source=_named(file), folder=file.parent, document=document, assignments=assignments)
+        Origin(
+            source=printable(str(file)),
+            folder=file.parent,
+            document=document,
+            assignments=assignments,
+        )
     )
 
 
@@ -101,24 +106,25 @@ def read_toml(file: FilePath) -> dict[str, Any]:
     ScenarioError
         If it is missing, too large, nested too deep or not TOML.
     """
+    source = printable(str(file))
     try:
         with file.open("rb") as stream:
             content = stream.read(LARGEST_FILE_BYTES + 1)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ScenarioError(
-            f"{_named(file)}: cannot be read ({reason}); give an existing TOML file."
+            f"{source}: cannot be read ({reason}); give an existing TOML file."
         ) from None
     if len(content) > LARGEST_FILE_BYTES:
         raise ScenarioError(
-            f"{_named(file)}: larger than {LARGEST_FILE_BYTES} bytes; a scenario is a short file."
+            f"{source}: larger than {LARGEST_FILE_BYTES} bytes; a scenario is a short file."
         )
     try:
         tables = _parse_toml(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise ScenarioError(f"{_named(file)}: not valid TOML ({reason}); correct it.") from None
-    _refuse_deep(tables, _named(file))
+        reason = printable(" ".join(str(error).split())[:120])
+        raise ScenarioError(f"{source}: not valid TOML ({reason}); correct it.") from None
+    _refuse_deep(tables, source)
     return tables
 
 
@@ -163,7 +169,3 @@ def _refuse_deep(tables: Mapping[str, Any], source: str) -> None:
         raise ScenarioError(
             f"{source}: nested deeper than {DEEPEST_NESTING} levels; a scenario is a shallow file."
         )
-
-
-def _named(file: FilePath) -> str:
-    return shown(str(file))[1:-1]

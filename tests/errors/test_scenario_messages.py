@@ -1,0 +1,231 @@
+"""Every message about a scenario, through the file and through --set."""
+
+import re
+
+import pytest
+
+from pyomo_quad.scenario import FeasibilityError, PyomoQuadError, ScenarioError, load_scenario
+from pyomo_quad.scenario.loader import LARGEST_FILE_BYTES
+from tests.scenario_files import write_scenario, write_wind
+
+# Line of the scenario -> message after the source.
+REFUSED = {
+    "mission.duration = -10": "mission.duration = -10 s; must be > 0.",
+    "mission.duration = 0": "mission.duration = 0 s; must be > 0.",
+    "mission.duration = nan": "mission.duration = nan s; must be finite.",
+    'mission.duration = "ten"': 'mission.duration = "ten"; must be a number in s.',
+    "mission.duration = true": "mission.duration = true; must be a number in s.",
+    "mission.duration = 1979-05-27": "mission.duration = 1979-05-27; must be a number in s.",
+    "mission.goal.position = [1.0, inf, 2.0]": (
+        "mission.goal.position[1] = inf m; must be finite."
+    ),
+    "mission.goal.position = [1.0, 2.0]": (
+        "mission.goal.position is too short; give mission.goal.position[2] too, in m."
+    ),
+    "mission.goal.position = [1.0, 2.0, 3.0, 4.0]": (
+        "mission.goal.position = [1.0, 2.0, 3.0, 4.0]; must be a list of at most 3 values."
+    ),
+    "mission.goal.position = 5.0": "mission.goal.position = 5 m; must be a list in brackets.",
+    "vehicle.mas = 1.0": "unknown key vehicle.mas; did you mean vehicle.mass?",
+    "mision.goal.yaw = 1.0": "unknown key mision; did you mean mission?",
+    "duration = 4.0": "unknown key duration; did you mean mission.duration?",
+    "power.zzz = 1": (
+        "unknown key power.zzz; known keys here: model, efficiency, torque_floor, "
+        "efficiency_floor, regeneration, smoothing."
+    ),
+    "vehicle.mass = -1.3": "vehicle.mass = -1.3 kg; must be > 0.",
+    "vehicle.payload = -0.1": "vehicle.payload = -0.1 kg; must be >= 0.",
+    "vehicle = 3": "vehicle = 3; must be a table.",
+    "vehicle.use = 7": "vehicle.use = 7; must be text in quotes.",
+    'vehicle.use = "dji_phantom"': (
+        "vehicle.use = \"dji_phantom\"; no vehicle named 'dji_phantom'; "
+        "there are dji_phantom_2; did you mean dji_phantom_2?"
+    ),
+    'battery.use = "lead"': (
+        "battery.use = \"lead\"; no battery named 'lead'; "
+        "there are paper_cell, phantom_2_pack; choose one of these."
+    ),
+    'wind.forecast.use = "paper_table"': (
+        "wind.forecast.use = \"paper_table\"; no wind named 'paper_table'; "
+        "there are calm, constant, paper_table_2; did you mean paper_table_2?"
+    ),
+    'wind.forecast.forecast.use = "calm"': "wind: forecast.forecast is not allowed; remove it.",
+    "wind.series.times = [0.0]": (
+        "wind.series.times is not set by hand; name a CSV file in wind.file."
+    ),
+    'power.model = "motr"': (
+        "power.model = \"motr\"; must be one of 'motor', 'efficiency', 'shaft', "
+        "'constant_efficiency' or 'motor_with_friction'."
+    ),
+    "power.regeneration = 1": "power.regeneration = 1; must be true or false.",
+    "power.efficiency = 1.2": "power.efficiency = 1.2; must be <= 1.",
+    "solver.elements = 4.5": "solver.elements = 4.5; must be a whole number.",
+    "solver.elements = 0": "solver.elements = 0; must be >= 1.",
+    "limits.state_of_charge_min = 100.0": (
+        "limits.state_of_charge_min = 100 percent; must be < 100."
+    ),
+    "limits.rotor_speed_max = -1.0": "limits.rotor_speed_max = -1 rad/s; must be > 0.",
+    'baseline.references = ["step", "spline"]': (
+        "baseline.references[1] = \"spline\"; must be one of 'step', 'quintic', "
+        "'minimum_snap' or 'plan'."
+    ),
+    'name = "../../etc"': (
+        "name = \"../../etc\"; must be 1 to 64 letters, digits, '_', '-' or '.', "
+        "starting with a letter or digit."
+    ),
+    'title = "two\\nlines"': 'title = "two?lines"; must be one line.',
+    'model = "builder"': 'model = "builder"; must be file.py:function.',
+    'wind.file = "missing.csv"': (
+        'wind.file = "missing.csv"; cannot be read (No such file or directory); '
+        "give an existing CSV file."
+    ),
+}
+
+INFEASIBLE = {
+    "limits.rotor_speed_max = 800.0": (
+        "hover needs 912.3 rad/s per rotor, limits.rotor_speed_max is 800 rad/s; "
+        "raise the limit or lower the mass."
+    ),
+    "limits.thrust_max = 5.0": (
+        "hover needs 12.75 N of thrust, limits.thrust_max is 5 N; "
+        "raise the limit or lower the mass."
+    ),
+}
+
+
+def one_line(caught):
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1
+    return message
+
+
+@pytest.mark.parametrize(("line", "message"), REFUSED.items())
+def test_message_through_the_file(tmp_path, line, message):
+    file = write_scenario(tmp_path, line)
+    with pytest.raises(ScenarioError, match=re.escape(message)) as caught:
+        load_scenario(file)
+    assert one_line(caught) == f"{file}: {message}"
+
+
+@pytest.mark.parametrize(("line", "message"), REFUSED.items())
+def test_message_through_set(tmp_path, line, message):
+    with pytest.raises(ScenarioError, match=re.escape(message)) as caught:
+        load_scenario(write_scenario(tmp_path), [line])
+    assert one_line(caught) == f"--set: {message}"
+
+
+@pytest.mark.parametrize(("line", "message"), INFEASIBLE.items())
+@pytest.mark.parametrize("through_set", [False, True])
+def test_infeasible_hover(tmp_path, line, message, through_set):
+    file = write_scenario(tmp_path, *([] if through_set else [line]))
+    with pytest.raises(FeasibilityError, match=re.escape(message)) as caught:
+        load_scenario(file, [line] if through_set else [])
+    assert one_line(caught) == f"{file}: {message}"
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("mission.duration", '"mission.duration" is not PATH=VALUE; write for example'),
+        ("a b = 1", '"a b = 1" is not PATH=VALUE; write for example'),
+        ("mission.duration=", "mission.duration = ; must be a TOML value, such as 12.0"),
+        ("gravity=1\nname=2", "gravity = 1?name=2; must be a TOML value, such as 12.0"),
+        ("gravity=" + "[" * 10_000, "must be a TOML value, such as 12.0"),
+        ("mission.goal.position[3]=1.0", "mission.goal.position[3] = 1; there is no such place"),
+        ("mission.duration.unit=1.0", "mission.duration.unit = 1; there is no such place"),
+    ],
+)
+def test_override_that_is_none(tmp_path, override, message):
+    with pytest.raises(ScenarioError, match=re.escape(message)) as caught:
+        load_scenario(write_scenario(tmp_path), [override])
+    assert one_line(caught).startswith("--set: ")
+
+
+def test_missing_field(tmp_path):
+    file = tmp_path / "short.toml"
+    file.write_text('name = "short"\nmission.goal.position = [1.0, 2.0, 3.0]\n')
+    with pytest.raises(ScenarioError, match=r"mission\.duration is missing; give it in s\."):
+        load_scenario(file)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"mission = [", r"not valid TOML \(.*\); correct it\."),
+        (b"name = '\xff'", r"not valid TOML \(.*\); correct it\."),
+        (b"a = " + b"[" * 100_000, r"not valid TOML \(nested too deep\); correct it\."),
+        (b"a" + b".a" * 50_000 + b" = 1", r"not valid TOML \(nested too deep\); correct it\."),
+        (b"a = [[[[[[[[[[1]]]]]]]]]]", r"nested deeper than 8 levels; a scenario is a shallow"),
+        (b"#" * (LARGEST_FILE_BYTES + 1), r"larger than 1000000 bytes; a scenario is a short"),
+    ],
+)
+def test_broken_file(tmp_path, content, message):
+    file = tmp_path / "broken.toml"
+    file.write_bytes(content)
+    with pytest.raises(ScenarioError, match=message) as caught:
+        load_scenario(file)
+    assert one_line(caught).startswith(f"{file}: ")
+
+
+@pytest.mark.parametrize("name", ["missing.toml", ".", "nul\0byte.toml"])
+def test_file_that_cannot_be_read(tmp_path, name):
+    with pytest.raises(ScenarioError, match=r"cannot be read \(.*\); give an existing TOML file"):
+        load_scenario(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("times", "wind", "message"),
+    [
+        ([0, 1, 3, 2, 4, 5, 6], None, "time 2 s follows 3 s; times must rise"),
+        ([0, 1, 2, 2, 4, 5, 6], None, "time 2 s follows 2 s; times must rise"),
+        ([0, 1, 2, 3, 4, 10], None, "gap of 6 s after 4 s; steps must be <= 5 s, fill the gap"),
+        (
+            [0, 1, 2, 3, 4],
+            None,
+            (
+                "wind from 0 to 4 s does not cover the mission from 0 to 5 s; "
+                "give a longer file or shorten mission.duration"
+            ),
+        ),
+        ([1, 2, 3, 4, 5, 6], None, "wind from 1 to 6 s does not cover the mission"),
+        ([0, 2, 6], None, "3 rows; must have 4 to 200000"),
+        ([0, 1, 2, 6], [0, 1, "nan", 0], "line 4 holds a number that is not finite"),
+        ([0, 1, 2, 6], [0, 1, "", 0], "line 4 must hold 3 numbers"),
+        ([0, 1, 2, 6], [0, 1, "=1+1", 0], "line 4 must hold 3 numbers"),
+    ],
+)
+def test_wind_file(tmp_path, times, wind, message):
+    write_wind(tmp_path, times, wind)
+    file = write_scenario(tmp_path, 'wind.file = "wind.csv"')
+    with pytest.raises(ScenarioError, match=re.escape(message)) as caught:
+        load_scenario(file)
+    assert one_line(caught).startswith(f'{file}: wind.file = "wind.csv"; ')
+
+
+def test_wind_file_with_other_columns(tmp_path):
+    (tmp_path / "wind.csv").write_text("t,x,y\n0,1,2\n")
+    file = write_scenario(tmp_path, 'wind.file = "wind.csv"')
+    with pytest.raises(ScenarioError, match="first line must be time_s,wind_x_m_per_s,wind_y_m"):
+        load_scenario(file)
+
+
+def test_wind_file_that_is_no_text(tmp_path):
+    (tmp_path / "wind.csv").write_bytes(b"\x89PNG\xff\x00")
+    file = write_scenario(tmp_path, 'wind.file = "wind.csv"')
+    with pytest.raises(ScenarioError, match="is not a CSV text file; save it as comma-separated"):
+        load_scenario(file)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"mission.duration": -1.0}, r"mission\.duration = -1 s; must be > 0"),
+        ({"vehicle.mas": 1.0}, r"unknown key vehicle\.mas; did you mean vehicle\.mass\?"),
+        ({"no path": 1.0}, r"'no path' is not the path of a field"),
+        ({"vehicle.payload": 5.0}, r"hover needs .* rad/s per rotor"),
+    ],
+)
+def test_with_values(tmp_path, values, message):
+    scenario = load_scenario(write_scenario(tmp_path))
+    with pytest.raises(PyomoQuadError, match=message):
+        scenario.with_values(values)

@@ -1,0 +1,112 @@
+"""A scenario is completed from default, library, file and overrides, in this order."""
+
+import pickle
+
+import pytest
+
+from pyomo_quad.scenario import Scenario, load_scenario, scenario_from_mapping
+from tests.scenario_files import write_scenario, write_wind
+
+
+def test_layers_in_order(tmp_path):
+    file = write_scenario(tmp_path, "vehicle.payload = 0.1", "vehicle.mass = 1.2")
+    scenario = load_scenario(file, ["vehicle.payload=0.2"])
+    assert scenario.vehicle.total_mass == pytest.approx(1.4)
+    said = scenario.provenance
+    assert said["vehicle.payload"] == "--set"
+    assert said["vehicle.mass"] == "scenario"
+    assert said["vehicle.Ix"] == "library dji_phantom_2"
+    assert said["battery.use"] == "default"
+    assert said["solver.degree"] == "default"
+
+
+def test_last_override_wins(tmp_path):
+    scenario = load_scenario(write_scenario(tmp_path), ["gravity=1.0", "gravity=2"])
+    assert scenario.gravity == 2.0
+
+
+def test_override_of_one_number_of_a_list(tmp_path):
+    scenario = load_scenario(write_scenario(tmp_path), ["mission.goal.position[2]=9"])
+    assert scenario.mission.goal.position == (1.0, 2.0, 9.0)
+
+
+def test_override_takes_bare_words_as_text(tmp_path):
+    assert load_scenario(write_scenario(tmp_path), ["wind.use=paper_table_2"]).wind.x.mean == 1.0
+
+
+def test_thrust_limits_follow_the_rotor_speed_limit(tmp_path):
+    scenario = load_scenario(write_scenario(tmp_path), ["limits.rotor_speed_max=1000.0"])
+    kb, kappa, arm = 3.8305e-6, 2.2518e-8, 0.175
+    assert scenario.limits.thrust_max == pytest.approx(4 * kb * 1e6)
+    assert scenario.limits.roll_moment_max == pytest.approx(arm * kb * 1e6)
+    assert scenario.limits.pitch_moment_max == pytest.approx(arm * kb * 1e6)
+    assert scenario.limits.yaw_moment_max == pytest.approx(2 * kappa * 1e6)
+
+
+def test_derived_limits_follow_changed_values(tmp_path):
+    scenario = load_scenario(write_scenario(tmp_path))
+    changed = scenario.with_values({"vehicle.thrust_coefficient": 2 * 3.8305e-6})
+    assert changed.limits.thrust_max == pytest.approx(2 * scenario.limits.thrust_max)
+
+
+def test_with_values_keeps_earlier_overrides(tmp_path):
+    scenario = load_scenario(write_scenario(tmp_path), ["gravity=3.7"])
+    changed = scenario.with_values({"mission.goal.position[0]": 4.0, "wind.use": "constant"})
+    assert changed.gravity == 3.7
+    assert changed.mission.goal.position == (4.0, 2.0, 3.0)
+    assert changed.wind.speed == 1.0
+    assert scenario.wind.speed == 0.0
+
+
+def test_forecast_is_a_wind_of_its_own(tmp_path):
+    lines = ["wind.use=paper_table_2", "wind.coupling=drag", "wind.forecast.use=calm"]
+    scenario = load_scenario(write_scenario(tmp_path), lines)
+    told = scenario.as_forecast()
+    assert scenario.wind.x.mean == 1.0
+    assert told.wind.x.mean == 0.0
+    assert told.wind.coupling == scenario.wind.coupling
+    assert told.as_forecast() is told
+
+
+def test_wind_file_is_read_beside_the_scenario(tmp_path):
+    write_wind(tmp_path, [0, 1, 2, 3, 4, 5], [0, 1, 2, 3, 4, 5])
+    scenario = load_scenario(write_scenario(tmp_path, 'wind.file = "wind.csv"'))
+    assert scenario.wind.series.times == (0, 1, 2, 3, 4, 5)
+    assert scenario.wind.series.wind_y == (0, 1, 2, 3, 4, 5)
+    assert scenario.provenance["wind.series.times"] == "file wind.csv"
+
+
+def test_wind_time_offset_moves_the_mission_along_the_file(tmp_path):
+    write_wind(tmp_path, list(range(10, 17)))
+    lines = ('wind.file = "wind.csv"', "wind.time_offset = 11.0")
+    assert load_scenario(write_scenario(tmp_path, *lines)).wind.series.times[0] == 10
+
+
+def test_resolved_scenario_survives_json_and_pickle(tmp_path):
+    scenario = load_scenario(write_scenario(tmp_path), ["wind.use=paper_table_2"])
+    again = Scenario.model_validate(scenario.model_dump(mode="json"))
+    assert again == scenario
+    assert hash(again) == hash(scenario)
+    assert pickle.loads(pickle.dumps(scenario)) == scenario
+    assert again.with_values({"vehicle.mass": 1.2}).vehicle.mass == 1.2
+
+
+def test_own_model_need_not_hover(tmp_path):
+    lines = ('model = "drop.py:build"', "limits.rotor_speed_max = 1.0")
+    assert load_scenario(write_scenario(tmp_path, *lines)).model == "drop.py:build"
+
+
+def test_mapping_serves_as_a_file():
+    tables = {
+        "name": "hop",
+        "mission": {"duration": 5, "goal": {"position": [1, 2, 3]}},
+    }
+    scenario = scenario_from_mapping(tables)
+    assert scenario.mission.goal.position == (1.0, 2.0, 3.0)
+    assert isinstance(scenario.mission.duration, float)
+
+
+def test_scenario_cannot_be_changed(tmp_path):
+    scenario = load_scenario(write_scenario(tmp_path))
+    with pytest.raises(ValueError, match="frozen"):
+        scenario.gravity = 1.0
