@@ -1,0 +1,143 @@
+"""The battery pack, eq. (4)-(5): equal cells in series and parallel.
+
+symbol | name | unit | meaning
+int i_bat | charge_drawn | A h | charge drawn from the full pack, a state
+i_bat | current | A | pack current, from the power balance V i = P
+V_bat | voltage | V | terminal voltage, eq. (4)
+e_m | open_circuit_voltage | V | eq. (5), cells in series added
+SoC | state_of_charge | percent | eq. (4)
+e_0, k, c_1, c_2 | E0, K, A, B | V, V, V, 1/(A h) | constants of one cell
+Q_bat, R_bat | capacity, cell_resistance | A h, ohm | of one cell
+
+The power P is that of the chosen power model, so the energy of the flight is the energy that
+leaves the pack.  The ampere-seconds of eq. (4) become ampere-hours by declared units.
+
+Assumptions: no self-discharge, no temperature, no recovery.  Two guards keep the equations
+finite where the paper's have no value: eq. (5) has a pole at an empty cell, and no current
+balances more power than the pack can deliver, U^2/4R.  Above a fifth of the charge and below
+nine tenths of that power both guards are exact to rounding; `power_reserve` turning negative
+or the state of charge running below zero says that the pack cannot fly the mission.
+"""
+
+from pyomo.core.expr import NumericExpression, RelationalExpression
+from pyomo.dae import DerivativeVar
+from pyomo.environ import Block, ConcreteModel, Expression, Var, exp, sqrt, units
+
+from pyomo_quad.model.parameters import Parameter, declare_parameters
+from pyomo_quad.model.smoothing import saturated
+from pyomo_quad.scenario import Scenario
+
+__all__ = ["PARAMETERS", "declare_battery"]
+
+_CHARGE = units.A * units.hr
+# Shares of the charge and of the greatest power at which the guards act, and how softly.
+GUARD_FLOOR = 0.01
+GUARD_WIDTH = 0.005
+# The share of the capacity that a flight of some seconds may draw, for scaling.
+_NOMINAL_SHARE = 0.01
+
+PARAMETERS = (
+    Parameter(
+        name="cells_series",
+        units=units.dimensionless,
+        value=lambda s: s.battery.cells_series,
+        doc="cells in series",
+    ),
+    Parameter(
+        name="cells_parallel",
+        units=units.dimensionless,
+        value=lambda s: s.battery.cells_parallel,
+        doc="cells in parallel",
+    ),
+    Parameter(name="E0", units=units.V, value=lambda s: s.battery.E0, doc="e_0 of one cell"),
+    Parameter(name="K", units=units.V, value=lambda s: s.battery.K, doc="k of one cell"),
+    Parameter(name="A", units=units.V, value=lambda s: s.battery.A, doc="c_1 of one cell"),
+    Parameter(name="B", units=1 / _CHARGE, value=lambda s: s.battery.B, doc="c_2 of one cell"),
+    Parameter(
+        name="capacity",
+        units=_CHARGE,
+        value=lambda s: s.battery.capacity,
+        doc="Q_bat of one cell",
+    ),
+    Parameter(
+        name="cell_resistance",
+        units=units.ohm,
+        value=lambda s: s.battery.cell_resistance,
+        doc="R_bat of one cell",
+    ),
+    Parameter(
+        name="initial_state_of_charge",
+        units=units.percent,
+        value=lambda s: s.battery.initial_state_of_charge,
+        doc="state of charge at the start",
+    ),
+)
+
+
+def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare the pack's charge, voltage and current in block `battery`.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With `time`, `power` and `scaling_factor`.
+    scenario : Scenario
+        Gives the values.
+    """
+    b = m.battery = Block(doc="battery pack, eq. (4)-(5)")
+    declare_parameters(b, PARAMETERS, scenario)
+    b.pack_capacity = Expression(expr=b.capacity * b.cells_parallel)
+    b.pack_resistance = Expression(expr=b.cell_resistance * b.cells_series / b.cells_parallel)
+    b.charge_drawn = Var(m.time, units=_CHARGE, initialize=0.0, doc="charge drawn from full")
+    b.dcharge_drawn_dt = DerivativeVar(
+        b.charge_drawn, wrt=m.time, units=_CHARGE / units.s, initialize=0.0
+    )
+    pack_capacity = scenario.battery.capacity * scenario.battery.cells_parallel
+    m.scaling_factor[b.charge_drawn] = 1.0 / (_NOMINAL_SHARE * pack_capacity)
+    _declare_voltage(b, m)
+    _declare_charge(b, m)
+
+
+def _declare_charge(b: Block, m: ConcreteModel) -> None:
+    @b.Expression(m.time, doc="eq. (4) row 1: state of charge [percent]")
+    def state_of_charge(b: Block, t: float) -> NumericExpression:
+        return 100 * units.percent * (1 - b.charge_drawn[t] / b.pack_capacity)
+
+    @b.Constraint(m.time, doc="eq. (4) row 1: the charge drawn is the integral of the current [A]")
+    def charge_balance(b: Block, t: float) -> RelationalExpression:
+        return units.convert(b.dcharge_drawn_dt[t], to_units=units.A) == b.current[t]
+
+    @b.Constraint(doc="charge missing from the pack at the start [A h]")
+    def initial_charge(b: Block) -> RelationalExpression:
+        missing_share = 1 - b.initial_state_of_charge / (100 * units.percent)
+        start = b.parent_block().time.first()
+        return b.charge_drawn[start] == b.pack_capacity * missing_share
+
+
+def _declare_voltage(b: Block, m: ConcreteModel) -> None:
+    @b.Expression(m.time, doc="eq. (5): open-circuit voltage of the pack [V]")
+    def open_circuit_voltage(b: Block, t: float) -> NumericExpression:
+        remaining_share = saturated(
+            1 - b.charge_drawn[t] / b.pack_capacity, GUARD_FLOOR, GUARD_WIDTH
+        )
+        polarisation = b.K / remaining_share
+        exponential_zone = b.A * exp(-b.B * b.charge_drawn[t] / b.cells_parallel)
+        return b.cells_series * (b.E0 - polarisation + exponential_zone)
+
+    @b.Expression(m.time, doc="greatest power the pack can deliver, at half its voltage [W]")
+    def greatest_power(b: Block, t: float) -> NumericExpression:
+        return b.open_circuit_voltage[t] ** 2 / (4 * b.pack_resistance)
+
+    @b.Expression(m.time, doc="greatest power less the power drawn [W]")
+    def power_reserve(b: Block, t: float) -> NumericExpression:
+        return b.greatest_power[t] - b.parent_block().power.total[t]
+
+    @b.Expression(m.time, doc="eq. (4) row 2 with V i = P, solved for the pack current [A]")
+    def current(b: Block, t: float) -> NumericExpression:
+        power = b.parent_block().power.total[t]
+        reserve_share = saturated(1 - power / b.greatest_power[t], GUARD_FLOOR, GUARD_WIDTH)
+        return 2 * power / (b.open_circuit_voltage[t] * (1 + sqrt(reserve_share)))
+
+    @b.Expression(m.time, doc="eq. (4) row 2: terminal voltage of the pack [V]")
+    def voltage(b: Block, t: float) -> NumericExpression:
+        return b.open_circuit_voltage[t] - b.pack_resistance * b.current[t]

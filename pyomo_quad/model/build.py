@@ -1,0 +1,126 @@
+"""The whole continuous model of a mission, put together from its declared parts."""
+
+from collections.abc import Hashable, Iterator
+
+from pyomo.dae import ContinuousSet, Integral
+from pyomo.environ import ConcreteModel, Objective, Param, Suffix, minimize, units
+
+from pyomo_quad.model import aerodynamics, battery, limits, mission, power, vehicle, wind
+from pyomo_quad.model.motor import declare_motors
+from pyomo_quad.model.parameters import parameter_items
+from pyomo_quad.model.rigid_body import declare_balances, declare_motion
+from pyomo_quad.model.rotors import declare_rotors
+from pyomo_quad.scenario import Scenario, WindCoupling
+
+__all__ = ["build_model", "parameter_values", "structure_key"]
+
+
+def build_model(scenario: Scenario) -> ConcreteModel:
+    """Declare the mission as a continuous-time Pyomo model.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission; ``scenario.as_forecast()`` declares the wind that the optimiser is told.
+
+    Returns
+    -------
+    ConcreteModel
+        With ``time`` (start, one interior point, end; not discretised), ``clock`` and the
+        blocks ``vehicle, rigid_body, rotors, wind, aerodynamics, power, battery, limits,
+        mission``, the integral ``energy`` and the ``objective``.  Suffix ``scaling_factor``
+        holds one over the usual magnitude of each variable.
+
+    Examples
+    --------
+    Constraints over ``time`` added to the model take part in its solve:
+
+    >>> model = build_model(scenario)  # doctest: +SKIP
+    >>> model.ceiling = Constraint(
+    ...     model.time, rule=lambda m, t: m.rigid_body.z[t] <= 8.5 * units.m
+    ... )  # doctest: +SKIP
+    """
+    m = ConcreteModel(name=scenario.name)
+    duration = scenario.mission.duration
+    m.time = ContinuousSet(initialize=(0.0, duration / 2, duration), doc="time [s]")
+    m.clock = Param(
+        m.time,
+        initialize=lambda _m, t: t,
+        mutable=True,
+        units=units.s,
+        doc="time as a term of an equation",
+    )
+    m.scaling_factor = Suffix(direction=Suffix.EXPORT)
+    vehicle.declare_vehicle(m, scenario)
+    wind.declare_wind(m, scenario)
+    declare_rotors(m, scenario)
+    declare_motors(m)
+    declare_motion(m, scenario)
+    aerodynamics.declare_aerodynamics(m, scenario)
+    declare_balances(m)
+    power.declare_power(m, scenario)
+    battery.declare_battery(m, scenario)
+    limits.declare_limits(m, scenario)
+    mission.declare_mission(m, scenario)
+    # A lambda: Integral writes its rule's signature anew and cannot spell annotations.
+    m.energy = Integral(m.time, wrt=m.time, rule=lambda m, t: m.power.total[t], doc="eq. (8) [J]")
+    m.objective = Objective(expr=m.energy, sense=minimize, doc="eq. (8): energy of the flight [J]")
+    return m
+
+
+def _tables(scenario: Scenario) -> Iterator[tuple[str, tuple]]:
+    yield "vehicle", vehicle.PARAMETERS
+    if scenario.wind.series is None:
+        yield "wind", wind.PARAMETERS
+        for axis, table in wind.AXIS_PARAMETERS.items():
+            yield f"wind.{axis}", table
+    if scenario.wind.coupling is WindCoupling.ACCELERATION:
+        yield "aerodynamics", aerodynamics.PARAMETERS
+    yield "power", power.parameters_of(scenario)
+    yield "battery", battery.PARAMETERS
+    yield "limits", limits.parameters_of(scenario)
+    yield "mission", mission.PARAMETERS
+
+
+def parameter_values(scenario: Scenario) -> dict[str, float]:
+    """Return every number of the model, for a re-solve without a rebuild.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        With the same `structure_key` as the one the model was built from.
+
+    Returns
+    -------
+    dict of str to float
+        Full component name, as ``"wind.x.amplitudes[1]"``, to value in the declared unit.
+    """
+    return {
+        name: float(value)
+        for block, table in _tables(scenario)
+        for name, value in parameter_items(block, table, scenario)
+    }
+
+
+def structure_key(scenario: Scenario) -> Hashable:
+    """Return what two scenarios must share to share one compiled model.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Any scenario.
+
+    Returns
+    -------
+    hashable
+        Equal for scenarios whose models differ in parameter values and duration alone.
+    """
+    series = scenario.wind.series
+    return (
+        scenario.model,
+        scenario.power.model,
+        scenario.power.regeneration,
+        scenario.wind.coupling,
+        None if series is None else (series, scenario.wind.time_offset),
+        tuple(row.name for row in limits.parameters_of(scenario)),
+    )

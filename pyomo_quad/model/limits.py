@@ -1,0 +1,139 @@
+"""Limits of the flight, eq. (10), and of the battery where the scenario sets them.
+
+The paper writes |u_k| <= u_max for k = 1, 2, 3; u_1 has its own limit, so the moments are
+k = 2, 3, 4.  The limit on the rotor accelerations is not in the paper, whose problem has no
+minimum without it under its own efficiency function.
+"""
+
+from collections.abc import Callable
+
+from pyomo.core.expr import RelationalExpression
+from pyomo.environ import Block, ConcreteModel, inequality, units
+
+from pyomo_quad.model.parameters import Parameter, declare_parameters
+from pyomo_quad.scenario import Scenario
+
+__all__ = ["declare_limits", "parameters_of"]
+
+_UNITS = {
+    "roll_max": units.rad,
+    "pitch_max": units.rad,
+    "rotor_speed_min": units.rad / units.s,
+    "rotor_speed_max": units.rad / units.s,
+    "rotor_acceleration_max": units.rad / units.s**2,
+    "thrust_max": units.N,
+    "roll_moment_max": units.N * units.m,
+    "pitch_moment_max": units.N * units.m,
+    "yaw_moment_max": units.N * units.m,
+    "state_of_charge_min": units.percent,
+    "battery_current_max": units.A,
+    "battery_voltage_min": units.V,
+}
+
+
+def _reader(name: str) -> Callable[[Scenario], float]:
+    return lambda scenario: getattr(scenario.limits, name)
+
+
+def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
+    """Return the limits that the scenario sets, as parameters of block `limits`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        A limit of None is not declared.
+
+    Returns
+    -------
+    tuple of Parameter
+        Named as in the scenario.
+    """
+    fields = type(scenario.limits).model_fields
+    return tuple(
+        Parameter(
+            name=name, units=unit, value=_reader(name), doc=fields[name].description or name
+        )
+        for name, unit in _UNITS.items()
+        if getattr(scenario.limits, name) is not None
+    )
+
+
+def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare every limit as a path constraint in block `limits`.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With `time`, `rigid_body`, `rotors` and `battery`.
+    scenario : Scenario
+        Gives the values and says which battery limits there are.
+    """
+    b = m.limits = Block(doc="limits, eq. (10)")
+    declare_parameters(b, parameters_of(scenario), scenario)
+    _declare_attitude_limits(b, m)
+    _declare_rotor_limits(b, m)
+    _declare_thrust_limits(b, m)
+    _declare_battery_limits(b, m, scenario)
+
+
+def _declare_attitude_limits(b: Block, m: ConcreteModel) -> None:
+    @b.Constraint(m.time, doc="eq. (10) row 1: roll angle [rad]")
+    def roll_limit(b: Block, t: float) -> RelationalExpression:
+        return inequality(-b.roll_max, b.parent_block().rigid_body.phi[t], b.roll_max)
+
+    @b.Constraint(m.time, doc="eq. (10) row 1: pitch angle [rad]")
+    def pitch_limit(b: Block, t: float) -> RelationalExpression:
+        return inequality(-b.pitch_max, b.parent_block().rigid_body.theta[t], b.pitch_max)
+
+
+def _declare_rotor_limits(b: Block, m: ConcreteModel) -> None:
+    @b.Constraint(m.rotors.rotor, m.time, doc="eq. (10) row 2: rotor speed [rad/s]")
+    def rotor_speed_limit(b: Block, j: int, t: float) -> RelationalExpression:
+        speed = b.parent_block().rotors.omega[j, t]
+        return inequality(b.rotor_speed_min, speed, b.rotor_speed_max)
+
+    @b.Constraint(m.rotors.rotor, m.time, doc="rotor acceleration [rad/s^2]")
+    def rotor_acceleration_limit(b: Block, j: int, t: float) -> RelationalExpression:
+        acceleration = b.parent_block().rotors.alpha[j, t]
+        return inequality(-b.rotor_acceleration_max, acceleration, b.rotor_acceleration_max)
+
+
+def _declare_thrust_limits(b: Block, m: ConcreteModel) -> None:
+    @b.Constraint(m.time, doc="eq. (10) row 3: total thrust [N]")
+    def thrust_limit(b: Block, t: float) -> RelationalExpression:
+        return inequality(0 * units.N, b.parent_block().rotors.total_thrust[t], b.thrust_max)
+
+    @b.Constraint(m.time, doc="eq. (10) row 3, k = 2: roll moment [N m]")
+    def roll_moment_limit(b: Block, t: float) -> RelationalExpression:
+        moment = b.parent_block().rotors.roll_moment[t]
+        return inequality(-b.roll_moment_max, moment, b.roll_moment_max)
+
+    @b.Constraint(m.time, doc="eq. (10) row 3, k = 3: pitch moment [N m]")
+    def pitch_moment_limit(b: Block, t: float) -> RelationalExpression:
+        moment = b.parent_block().rotors.pitch_moment[t]
+        return inequality(-b.pitch_moment_max, moment, b.pitch_moment_max)
+
+    @b.Constraint(m.time, doc="eq. (10) row 3, k = 4: yaw moment [N m]")
+    def yaw_moment_limit(b: Block, t: float) -> RelationalExpression:
+        moment = b.parent_block().rotors.yaw_moment[t]
+        return inequality(-b.yaw_moment_max, moment, b.yaw_moment_max)
+
+
+def _declare_battery_limits(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
+    if scenario.limits.state_of_charge_min is not None:
+
+        @b.Constraint(m.time, doc="lowest state of charge [percent]")
+        def state_of_charge_limit(b: Block, t: float) -> RelationalExpression:
+            return b.parent_block().battery.state_of_charge[t] >= b.state_of_charge_min
+
+    if scenario.limits.battery_current_max is not None:
+
+        @b.Constraint(m.time, doc="largest pack current [A]")
+        def battery_current_limit(b: Block, t: float) -> RelationalExpression:
+            return b.parent_block().battery.current[t] <= b.battery_current_max
+
+    if scenario.limits.battery_voltage_min is not None:
+
+        @b.Constraint(m.time, doc="lowest pack voltage [V]")
+        def battery_voltage_limit(b: Block, t: float) -> RelationalExpression:
+            return b.parent_block().battery.voltage[t] >= b.battery_voltage_min

@@ -1,0 +1,245 @@
+"""The electrical power of the rotors, by five models of which a scenario chooses one.
+
+Each is a function that declares the power of every rotor.  The energy of the flight is the
+integral of their sum, eq. (8); the paper's second sum, over every speed for every rotor, is
+read as one sum over the four rotors.
+
+name | power of one rotor | convex in alpha | convex in thrust in steady flight
+motor | v i | yes | yes
+motor_with_friction | v i with friction in the torque | yes | no
+shaft | tau omega | yes, linear | yes
+constant_efficiency | tau omega / eta, floored at zero | yes | yes
+efficiency | tau omega / f_r(tau, omega), floored at zero | no | no
+"""
+
+from collections.abc import Callable
+
+from pyomo.core.expr import NumericExpression
+from pyomo.environ import Block, ConcreteModel, units
+
+from pyomo_quad.model.parameters import Parameter, declare_parameters
+from pyomo_quad.model.smoothing import floored, positive_part
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.power import PowerModel
+
+__all__ = ["CONVEX_IN_THRUST", "declare_power", "parameters_of"]
+
+_TORQUE = units.N * units.m
+_SPEED = units.rad / units.s
+_TORQUE_POWERS = {"cubic": 3, "quadratic": 2, "linear": 1, "constant": 0}
+_SPEED_POWERS = {"a": 2, "b": 1, "c": 0}
+# Half widths over which the floors of f_r are rounded: far below hover's 0.0187 N m and 0.14.
+TORQUE_FLOOR_WIDTH = 1e-4 * _TORQUE
+EFFICIENCY_FLOOR_WIDTH = 1e-3
+
+# Models for which a certificate of global optimality exists.
+CONVEX_IN_THRUST = frozenset(
+    {PowerModel.MOTOR, PowerModel.SHAFT, PowerModel.CONSTANT_EFFICIENCY}
+)
+
+_SMOOTHING = Parameter(
+    name="smoothing",
+    units=units.W,
+    value=lambda s: s.power.smoothing,
+    doc="width of the smooth floor at zero power",
+)
+_CONSTANT_EFFICIENCY = Parameter(
+    name="efficiency",
+    units=units.dimensionless,
+    value=lambda s: s.power.efficiency,
+    doc="shaft power over electrical power",
+)
+
+
+def _efficiency_map(scenario: Scenario) -> dict[tuple[str, str], float]:
+    rows = scenario.vehicle.efficiency_map
+    return {
+        (row, column): number
+        for row in _TORQUE_POWERS
+        for column, number in zip(_SPEED_POWERS, getattr(rows, row), strict=True)
+    }
+
+
+_EFFICIENCY_FUNCTION = (
+    Parameter(
+        name="efficiency_map",
+        units=units.dimensionless,
+        value=_efficiency_map,
+        doc="f_r: rows are powers of the torque in N m, columns of the speed in rad/s",
+        index=tuple((row, column) for row in _TORQUE_POWERS for column in _SPEED_POWERS),
+    ),
+    Parameter(
+        name="torque_floor",
+        units=_TORQUE,
+        value=lambda s: s.power.torque_floor,
+        doc="smallest torque at which f_r is used",
+    ),
+    Parameter(
+        name="efficiency_floor",
+        units=units.dimensionless,
+        value=lambda s: s.power.efficiency_floor,
+        doc="smallest f_r used",
+    ),
+)
+
+
+def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
+    """Return the parameters that the scenario's power model declares in block `power`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Chooses the power model.
+
+    Returns
+    -------
+    tuple of Parameter
+        Empty for the models that use the vehicle's numbers alone.
+    """
+    guard = () if scenario.power.regeneration else (_SMOOTHING,)
+    match scenario.power.model:
+        case PowerModel.EFFICIENCY:
+            return _EFFICIENCY_FUNCTION + guard
+        case PowerModel.CONSTANT_EFFICIENCY:
+            return (_CONSTANT_EFFICIENCY, *guard)
+    return ()
+
+
+def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare the power of each rotor and of all four in block `power`.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With `time`, `vehicle` and `rotors`.
+    scenario : Scenario
+        Chooses the power model.
+    """
+    b = m.power = Block(doc="power, eq. (8)")
+    declare_parameters(b, parameters_of(scenario), scenario)
+    _MODELS[scenario.power.model](m)
+    if scenario.power.model in (PowerModel.EFFICIENCY, PowerModel.CONSTANT_EFFICIENCY):
+        _declare_credit(m, has_regeneration=scenario.power.regeneration)
+
+    @b.Expression(m.time, doc="eq. (8): power of the four rotors [W]")
+    def total(b: Block, t: float) -> NumericExpression:
+        return sum(b.rotor_power[j, t] for j in b.parent_block().rotors.rotor)
+
+
+def declare_motor_power(m: ConcreteModel) -> None:
+    """Declare `motor`: terminal voltage times current, eq. (2)-(3).
+
+    Sound wherever the motor runs: copper loss grows with the square of the torque, so the
+    power is convex in alpha and in thrust.  Braking returns what the winding does not take.
+    The rotor loses nothing to profile drag, so hover comes out at half a real aircraft's.
+    """
+    b = m.power
+
+    @b.Expression(m.rotors.rotor, m.time, doc="eq. (2)-(3): electrical power v i [W]")
+    def rotor_power(b: Block, j: int, t: float) -> NumericExpression:
+        rotors = b.parent_block().rotors
+        return rotors.motor_voltage[j, t] * rotors.motor_current[j, t]
+
+
+def declare_shaft_power(m: ConcreteModel) -> None:
+    """Declare `shaft`: mechanical power, torque times speed.
+
+    Sound as a floor under every other model: it knows no loss in motor or converter, and
+    braking returns all it takes.  Linear in alpha, so alpha needs its bound; convex in
+    thrust (power 3/2).
+    """
+    b = m.power
+
+    @b.Expression(m.rotors.rotor, m.time, doc="eq. (8) with f_r = 1: shaft power [W]")
+    def rotor_power(b: Block, j: int, t: float) -> NumericExpression:
+        rotors = b.parent_block().rotors
+        return rotors.motor_torque[j, t] * rotors.omega[j, t]
+
+
+def declare_constant_efficiency_power(m: ConcreteModel) -> None:
+    """Declare `constant_efficiency`: shaft power over a stated number.
+
+    Sound near the operating point where the number was measured.  Convex in alpha and in
+    thrust.  Non-negative unless regeneration is asked for.
+    """
+    b = m.power
+
+    @b.Expression(m.rotors.rotor, m.time, doc="eq. (8) with constant f_r [W]")
+    def uncredited_power(b: Block, j: int, t: float) -> NumericExpression:
+        rotors = b.parent_block().rotors
+        return rotors.motor_torque[j, t] * rotors.omega[j, t] / b.efficiency
+
+
+def declare_efficiency_power(m: ConcreteModel) -> None:
+    """Declare `efficiency`: shaft power over the recovered polynomial f_r(tau, omega), eq. (8).
+
+    Sound only with its regularisation: f_r has zeros at moderate braking torque below some
+    780 rad/s, so it is read at no less than `torque_floor`, floored at `efficiency_floor`,
+    and braking earns nothing unless regeneration is asked for.  Not convex in alpha: below
+    858 rad/s accelerating and coasting in turn is cheaper than steady flight, so an optimum
+    depends on the bound on alpha and on the mesh.  Non-negative without regeneration.
+    """
+    b = m.power
+
+    @b.Expression(m.rotors.rotor, m.time, doc="eq. (8): efficiency function f_r as recovered")
+    def efficiency_polynomial(b: Block, j: int, t: float) -> NumericExpression:
+        rotors = b.parent_block().rotors
+        torque = floored(rotors.motor_torque[j, t], b.torque_floor, TORQUE_FLOOR_WIDTH) / _TORQUE
+        speed = rotors.omega[j, t] / _SPEED
+        return sum(
+            b.efficiency_map[row, column] * speed**speed_power * torque**torque_power
+            for row, torque_power in _TORQUE_POWERS.items()
+            for column, speed_power in _SPEED_POWERS.items()
+        )
+
+    @b.Expression(m.rotors.rotor, m.time, doc="eq. (8): f_r with its floor")
+    def drive_efficiency(b: Block, j: int, t: float) -> NumericExpression:
+        return floored(b.efficiency_polynomial[j, t], b.efficiency_floor, EFFICIENCY_FLOOR_WIDTH)
+
+    @b.Expression(m.rotors.rotor, m.time, doc="eq. (8): shaft power over f_r [W]")
+    def uncredited_power(b: Block, j: int, t: float) -> NumericExpression:
+        rotors = b.parent_block().rotors
+        return rotors.motor_torque[j, t] * rotors.omega[j, t] / b.drive_efficiency[j, t]
+
+
+def declare_motor_power_with_friction(m: ConcreteModel) -> None:
+    """Declare `motor_with_friction`: v i with dry and viscous friction (Morbidi et al. 2016).
+
+    Sound in form, and convex in alpha; the published friction constants look ten times too
+    high (hover at 1.3 kW).  In thrust it is not convex: the viscous and dry parts make the
+    first watt per newton the dearest.
+    """
+    b = m.power
+
+    @b.Expression(m.rotors.rotor, m.time, doc="motor torque with friction [N m]")
+    def torque_with_friction(b: Block, j: int, t: float) -> NumericExpression:
+        m = b.parent_block()
+        friction = m.vehicle.friction_torque + m.vehicle.viscous_damping * m.rotors.omega[j, t]
+        return m.rotors.motor_torque[j, t] + friction
+
+    @b.Expression(m.rotors.rotor, m.time, doc="electrical power with friction [W]")
+    def rotor_power(b: Block, j: int, t: float) -> NumericExpression:
+        m = b.parent_block()
+        current = b.torque_with_friction[j, t] / m.vehicle.torque_constant
+        resistive_drop = m.vehicle.motor_resistance * current
+        electromotive_force = m.rotors.omega[j, t] / m.vehicle.voltage_constant
+        return (resistive_drop + electromotive_force) * current
+
+
+def _declare_credit(m: ConcreteModel, *, has_regeneration: bool) -> None:
+    """Declare what braking earns: all of it, or nothing through a smooth floor at zero."""
+    b = m.power
+
+    @b.Expression(m.rotors.rotor, m.time, doc="eq. (8): power of one rotor [W]")
+    def rotor_power(b: Block, j: int, t: float) -> NumericExpression:
+        power = b.uncredited_power[j, t]
+        return power if has_regeneration else positive_part(power, b.smoothing)
+
+
+_MODELS: dict[PowerModel, Callable[[ConcreteModel], None]] = {
+    PowerModel.MOTOR: declare_motor_power,
+    PowerModel.SHAFT: declare_shaft_power,
+    PowerModel.CONSTANT_EFFICIENCY: declare_constant_efficiency_power,
+    PowerModel.EFFICIENCY: declare_efficiency_power,
+    PowerModel.MOTOR_WITH_FRICTION: declare_motor_power_with_friction,
+}

@@ -1,0 +1,165 @@
+"""The rigid body: translation and rotation, eq. (6) and its state form, eq. (9).
+
+symbol | name | unit | meaning
+x, y, z | x, y, z | m | position in world axes, z up
+x', y', z' | vx, vy, vz | m/s | velocity in world axes
+phi, theta, psi | phi, theta, psi | rad | roll, pitch, yaw; yaw-pitch-roll order
+phi', theta', psi' | p, q, r | rad/s | body rates
+
+Assumptions: the Euler rates equal the body rates, as the paper writes them (true to first
+order in the tilt).  The gyroscopic terms of the rotors are those of eq. (6), which eq. (9)
+contradicts in sign and in order of derivative.  Balances are undivided, as printed.
+"""
+
+from collections.abc import Callable
+
+from pyomo.core.expr import RelationalExpression
+from pyomo.dae import DerivativeVar
+from pyomo.environ import Block, ConcreteModel, Var, cos, sin, units
+
+from pyomo_quad.scenario import Scenario
+
+__all__ = ["STATES", "declare_balances", "declare_motion"]
+
+_SPEED = units.m / units.s
+_RATE = units.rad / units.s
+
+STATES = {
+    "x": (units.m, "position along world x"),
+    "y": (units.m, "position along world y"),
+    "z": (units.m, "height"),
+    "vx": (_SPEED, "velocity along world x"),
+    "vy": (_SPEED, "velocity along world y"),
+    "vz": (_SPEED, "vertical velocity"),
+    "phi": (units.rad, "roll angle"),
+    "theta": (units.rad, "pitch angle"),
+    "psi": (units.rad, "yaw angle"),
+    "p": (_RATE, "roll rate"),
+    "q": (_RATE, "pitch rate"),
+    "r": (_RATE, "yaw rate"),
+}
+_NOMINAL_ANGLE = 0.1
+_NOMINAL_RATE = 0.1
+
+
+def declare_motion(m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare the states of the rigid body and their kinematics in block `rigid_body`.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With `time` and `scaling_factor`.
+    scenario : Scenario
+        Its mission gives initial values and magnitudes for scaling.
+    """
+    m.rigid_body = Block(doc="rigid body, eq. (6) and (9)")
+    _declare_states(m, scenario)
+    _declare_kinematics(m.rigid_body, m)
+
+
+def declare_balances(m: ConcreteModel) -> None:
+    """Declare the force and moment balances in block `rigid_body`.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With `vehicle`, `rotors`, `aerodynamics` and the states of `rigid_body`.
+    """
+    _declare_force_balances(m.rigid_body, m)
+    _declare_moment_balances(m.rigid_body, m)
+
+
+def _straight_line(start: float, goal: float, duration: float) -> Callable[[Block, float], float]:
+    """Return an initial value that moves from start to goal with time."""
+    return lambda _b, t: start + (goal - start) * t / duration
+
+
+def _declare_states(m: ConcreteModel, scenario: Scenario) -> None:
+    b, mission = m.rigid_body, scenario.mission
+    ends = dict(zip("xyz", zip(mission.start.position, mission.goal.position, strict=True)))
+    ends["psi"] = (mission.start.yaw, mission.goal.yaw)
+    distance = max(1.0, *(abs(goal - start) for start, goal in ends.values()))
+    nominal = dict.fromkeys(("x", "y", "z"), distance)
+    nominal |= dict.fromkeys(("vx", "vy", "vz"), distance / mission.duration)
+    nominal |= dict.fromkeys(("phi", "theta", "psi"), _NOMINAL_ANGLE)
+    nominal |= dict.fromkeys(("p", "q", "r"), _NOMINAL_RATE)
+    for name, (unit, doc) in STATES.items():
+        guess = _straight_line(*ends.get(name, (0.0, 0.0)), mission.duration)
+        state = Var(m.time, units=unit, initialize=guess, doc=doc)
+        b.add_component(name, state)
+        rate = DerivativeVar(state, wrt=m.time, units=unit / units.s, initialize=0.0)
+        b.add_component(f"d{name}_dt", rate)
+        m.scaling_factor[state] = 1.0 / nominal[name]
+
+
+def _declare_kinematics(b: Block, m: ConcreteModel) -> None:
+    @b.Constraint(m.time, doc="eq. (9) row 1: velocity along world x [m/s]")
+    def x_kinematics(b: Block, t: float) -> RelationalExpression:
+        return b.dx_dt[t] == b.vx[t]
+
+    @b.Constraint(m.time, doc="eq. (9) row 1: velocity along world y [m/s]")
+    def y_kinematics(b: Block, t: float) -> RelationalExpression:
+        return b.dy_dt[t] == b.vy[t]
+
+    @b.Constraint(m.time, doc="eq. (9) row 1: vertical velocity [m/s]")
+    def z_kinematics(b: Block, t: float) -> RelationalExpression:
+        return b.dz_dt[t] == b.vz[t]
+
+    @b.Constraint(m.time, doc="eq. (9) row 3: roll rate [rad/s]")
+    def roll_kinematics(b: Block, t: float) -> RelationalExpression:
+        return b.dphi_dt[t] == b.p[t]
+
+    @b.Constraint(m.time, doc="eq. (9) row 3: pitch rate [rad/s]")
+    def pitch_kinematics(b: Block, t: float) -> RelationalExpression:
+        return b.dtheta_dt[t] == b.q[t]
+
+    @b.Constraint(m.time, doc="eq. (9) row 3: yaw rate [rad/s]")
+    def yaw_kinematics(b: Block, t: float) -> RelationalExpression:
+        return b.dpsi_dt[t] == b.r[t]
+
+
+def _declare_force_balances(b: Block, m: ConcreteModel) -> None:
+    @b.Constraint(m.time, doc="eq. (6) row 1: force balance along world x [N]")
+    def x_momentum_balance(b: Block, t: float) -> RelationalExpression:
+        m = b.parent_block()
+        phi, theta, psi = b.phi[t], b.theta[t], b.psi[t]
+        thrust = (cos(phi) * sin(theta) * cos(psi) + sin(phi) * sin(psi)) * m.rotors.total_thrust[t]
+        return m.vehicle.mass * b.dvx_dt[t] == thrust + m.aerodynamics.force_x[t]
+
+    @b.Constraint(m.time, doc="eq. (6) row 2: force balance along world y [N]")
+    def y_momentum_balance(b: Block, t: float) -> RelationalExpression:
+        m = b.parent_block()
+        phi, theta, psi = b.phi[t], b.theta[t], b.psi[t]
+        thrust = (cos(phi) * sin(theta) * sin(psi) - sin(phi) * cos(psi)) * m.rotors.total_thrust[t]
+        return m.vehicle.mass * b.dvy_dt[t] == thrust + m.aerodynamics.force_y[t]
+
+    @b.Constraint(m.time, doc="eq. (6) row 3: vertical force balance [N]")
+    def z_momentum_balance(b: Block, t: float) -> RelationalExpression:
+        m = b.parent_block()
+        thrust = cos(b.phi[t]) * cos(b.theta[t]) * m.rotors.total_thrust[t]
+        weight = m.vehicle.mass * m.vehicle.gravity
+        return m.vehicle.mass * b.dvz_dt[t] == thrust - weight + m.aerodynamics.force_z[t]
+
+
+def _declare_moment_balances(b: Block, m: ConcreteModel) -> None:
+    @b.Constraint(m.time, doc="eq. (6) row 4: moment balance about body x [N m]")
+    def roll_balance(b: Block, t: float) -> RelationalExpression:
+        m = b.parent_block()
+        airframe_coupling = (m.vehicle.Iy - m.vehicle.Iz) * b.q[t] * b.r[t]
+        rotor_drum = m.vehicle.rotor_inertia * b.q[t] * m.rotors.speed_imbalance[t]
+        return m.vehicle.Ix * b.dp_dt[t] == airframe_coupling + rotor_drum + m.rotors.roll_moment[t]
+
+    @b.Constraint(m.time, doc="eq. (6) row 5: moment balance about body y [N m]")
+    def pitch_balance(b: Block, t: float) -> RelationalExpression:
+        m = b.parent_block()
+        airframe_coupling = (m.vehicle.Iz - m.vehicle.Ix) * b.p[t] * b.r[t]
+        rotor_drum = m.vehicle.rotor_inertia * b.p[t] * m.rotors.speed_imbalance[t]
+        return (
+            m.vehicle.Iy * b.dq_dt[t] == airframe_coupling - rotor_drum + m.rotors.pitch_moment[t]
+        )
+
+    @b.Constraint(m.time, doc="eq. (6) row 6: moment balance about body z [N m]")
+    def yaw_balance(b: Block, t: float) -> RelationalExpression:
+        m = b.parent_block()
+        airframe_coupling = (m.vehicle.Ix - m.vehicle.Iy) * b.p[t] * b.q[t]
+        return m.vehicle.Iz * b.dr_dt[t] == airframe_coupling + m.rotors.yaw_moment[t]

@@ -1,0 +1,129 @@
+"""Numbers of the vehicle: airframe, rotors and motors.
+
+symbol | name | unit | meaning
+m | mass | kg | vehicle and payload
+g | gravity | m/s2 | the paper's 9.81
+l | arm_length | m | centre of mass to rotor shaft
+I_x, I_y, I_z | Ix, Iy, Iz | kg m2 | moments of inertia about the body axes
+kappa_b | thrust_coefficient | N s2 | thrust over rotor speed squared
+kappa | drag_torque_coefficient | N m s2 | drag torque over rotor speed squared
+I_r | rotor_inertia | kg m2 | motor and propeller
+k_t | torque_constant | N m/A | torque over current
+k_v | voltage_constant | rad/s/V | speed over voltage
+R | motor_resistance | ohm | winding
+T_f, D_f | friction_torque, viscous_damping | N m, N m s | only in the power model with friction
+"""
+
+from pyomo.environ import Block, ConcreteModel, units
+
+from pyomo_quad.model.parameters import Parameter, declare_parameters
+from pyomo_quad.scenario import Scenario
+
+__all__ = ["PARAMETERS", "declare_vehicle"]
+
+_INERTIA = units.kg * units.m**2
+_TORQUE = units.N * units.m
+
+PARAMETERS = (
+    Parameter(
+        name="mass",
+        units=units.kg,
+        value=lambda s: s.vehicle.total_mass,
+        doc="m: vehicle and payload",
+    ),
+    Parameter(
+        name="gravity",
+        units=units.m / units.s**2,
+        value=lambda s: s.gravity,
+        doc="g: acceleration of gravity",
+    ),
+    Parameter(
+        name="arm_length",
+        units=units.m,
+        value=lambda s: s.vehicle.arm_length,
+        doc="l: centre of mass to rotor shaft",
+    ),
+    Parameter(
+        name="Ix", units=_INERTIA, value=lambda s: s.vehicle.Ix, doc="inertia about body x"
+    ),
+    Parameter(
+        name="Iy", units=_INERTIA, value=lambda s: s.vehicle.Iy, doc="inertia about body y"
+    ),
+    Parameter(
+        name="Iz", units=_INERTIA, value=lambda s: s.vehicle.Iz, doc="inertia about body z"
+    ),
+    Parameter(
+        name="thrust_coefficient",
+        units=units.N * units.s**2,
+        value=lambda s: s.vehicle.thrust_coefficient,
+        doc="kappa_b: thrust over rotor speed squared",
+    ),
+    Parameter(
+        name="drag_torque_coefficient",
+        units=_TORQUE * units.s**2,
+        value=lambda s: s.vehicle.drag_torque_coefficient,
+        doc="kappa: drag torque over rotor speed squared",
+    ),
+    Parameter(
+        name="rotor_inertia",
+        units=_INERTIA,
+        value=lambda s: s.vehicle.rotor_inertia,
+        doc="I_r: motor and propeller",
+    ),
+    Parameter(
+        name="torque_constant",
+        units=_TORQUE / units.A,
+        value=lambda s: s.vehicle.torque_constant,
+        doc="k_t: motor torque over current",
+    ),
+    Parameter(
+        name="voltage_constant",
+        units=units.rad / units.s / units.V,
+        value=lambda s: s.vehicle.voltage_constant,
+        doc="k_v: motor speed over voltage",
+    ),
+    Parameter(
+        name="motor_resistance",
+        units=units.ohm,
+        value=lambda s: s.vehicle.motor_resistance,
+        doc="R: winding resistance",
+    ),
+    Parameter(
+        name="friction_torque",
+        units=_TORQUE,
+        value=lambda s: s.vehicle.friction_torque,
+        doc="T_f: dry friction of one motor",
+    ),
+    Parameter(
+        name="viscous_damping",
+        units=_TORQUE * units.s,
+        value=lambda s: s.vehicle.viscous_damping,
+        doc="D_f: viscous friction of one motor",
+    ),
+    Parameter(
+        name="drag_linear",
+        units=units.kg / units.s,
+        value=lambda s: s.vehicle.drag_linear,
+        doc="drag force over airspeed",
+    ),
+    Parameter(
+        name="drag_quadratic",
+        units=units.kg / units.m,
+        value=lambda s: s.vehicle.drag_quadratic,
+        doc="drag force over airspeed squared",
+    ),
+)
+
+
+def declare_vehicle(m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare the vehicle's numbers as mutable parameters in block `vehicle`.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        Receives the block.
+    scenario : Scenario
+        Gives the values.
+    """
+    m.vehicle = Block(doc="numbers of the vehicle")
+    declare_parameters(m.vehicle, PARAMETERS, scenario)
