@@ -1,1 +1,43 @@
-"""Collocation engine."""
+"""Flipped-Radau collocation of any Pyomo.DAE model, solved with Ipopt.
+
+The front door is `solve`; `compile` returns a problem that can be solved again with other
+parameters, horizons and meshes without being built again.
+"""
+
+from typing import Any
+
+from pyomo_quad.collocation.errors import EngineError, SolveFailure, TranscriptionError
+from pyomo_quad.collocation.ipopt import Iteration, SolverOptions, Status
+from pyomo_quad.collocation.mesh import Mesh
+from pyomo_quad.collocation.problem import Problem
+from pyomo_quad.collocation.refinement import RefinementOptions
+from pyomo_quad.collocation.solution import MeshRecord, Solution
+
+__all__ = [
+    "EngineError",
+    "Iteration",
+    "Mesh",
+    "MeshRecord",
+    "Problem",
+    "RefinementOptions",
+    "Solution",
+    "SolveFailure",
+    "SolverOptions",
+    "Status",
+    "TranscriptionError",
+    "compile",
+    "solve",
+]
+
+
+def compile(model: Any, *, final_time: Any = None) -> Problem:  # noqa: A001  as casadi, re and builtins do
+    """Compile a Pyomo.DAE model; see `Problem`."""
+    return Problem(model, final_time)
+
+
+def solve(model: Any, *, final_time: Any = None, **arguments: Any) -> Solution:
+    """Compile and solve a Pyomo.DAE model; the arguments are those of `Problem.solve`.
+
+    The solution's values are also loaded into the model, at the times it declares.
+    """
+    return Problem(model, final_time).solve(**arguments)

@@ -1,0 +1,231 @@
+"""The continuous model as CasADi functions of one collocation point.
+
+Compiled once per model.  The variables of a point are, in this order, the rates of the
+states (with respect to the fraction of the horizon), the states, the algebraic variables
+and the static variables.  The rows of a point are its path equations followed by the
+integrands of the integrals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from pyomo_quad.collocation.declarations import Declarations, Slot
+from pyomo_quad.collocation.expressions import symbol_names
+from pyomo_quad.collocation.output_states import set_outputs_aside
+from pyomo_quad.collocation.simple_bounds import SimpleBound, split_simple_bounds
+
+__all__ = ["CompiledModel", "DerivedFunctions", "compile_declarations"]
+
+IndexArray = NDArray[np.intp]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DerivedFunctions:
+    """A vector function with its exact sparse Jacobian and the Hessian of a weighted sum.
+
+    `values`, `jacobian` take (variables, data); `hessian` takes (variables, data, weights).
+    `jacobian` and `hessian` return nonzeros only, for the rows and columns listed; the
+    Hessian's are those of its lower triangle.
+    """
+
+    values: Any
+    jacobian: Any
+    hessian: Any
+    jacobian_rows: IndexArray
+    jacobian_columns: IndexArray
+    hessian_rows: IndexArray
+    hessian_columns: IndexArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompiledModel:
+    """Functions of one point, functions of the conditions, and what their entries mean."""
+
+    declared: Declarations
+    path: DerivedFunctions
+    points: DerivedFunctions
+    path_bounds: Any
+    variable_limits: Any
+    simple_path_bounds: tuple[SimpleBound, ...]
+    simple_point_bounds: tuple[SimpleBound, ...]
+    simple_point_limits: Any
+    condition_limits: Any
+    static_limits: Any
+    row_integrals: tuple[int, ...]
+    symbols: tuple[Any, Any]
+    static_of_integral: dict[int, int] = field(default_factory=dict)
+
+    @property
+    def n_equations(self) -> int:
+        """Number of path equations at each point."""
+        return len(self.declared.equations)
+
+    @property
+    def n_path_variables(self) -> int:
+        """Number of variables of a point: rates, states, algebraics, statics."""
+        d = self.declared
+        return 2 * len(d.states) + len(d.algebraics) + len(d.statics)
+
+
+def compile_declarations(declared: Declarations) -> CompiledModel:
+    """Compile declarations to CasADi functions."""
+    declared = _with_integral_variables(set_outputs_aside(declared))
+    path_variables = _path_symbols(declared)
+    point_variables = _point_symbols(declared)
+    equations, path_simple = split_simple_bounds(
+        declared.equations,
+        path_variables,
+        frozenset(s.name for s in (*declared.states, *declared.algebraics)),
+    )
+    conditions, point_simple = split_simple_bounds(
+        declared.conditions, point_variables, _boundable_at_points(declared)
+    )
+    declared = replace(declared, equations=equations, conditions=conditions)
+    path_data = casadi.vertcat(_signals(declared), _symbols(declared.parameters))
+    parameters = _symbols(declared.parameters)
+    direct = tuple(
+        i for i, integral in enumerate(declared.integrals) if not _is_static(declared, integral.name)
+    )
+    rows = [e.expression for e in equations] + [i.integrand for i in declared.integrals]
+    point_rows = [c.expression for c in conditions] + [declared.objective]
+    slots = (*declared.states, *declared.algebraics)
+    return CompiledModel(
+        declared=declared,
+        path=_derive("path", _stack(rows), _stack(path_variables.values()), path_data),
+        points=_derive("points", _stack(point_rows), _stack(point_variables.values()), parameters),
+        path_bounds=casadi.Function(
+            "path_bounds",
+            [path_data],
+            [_stack([e.lower for e in equations]), _stack([e.upper for e in equations])],
+        ),
+        variable_limits=casadi.Function(
+            "variable_limits",
+            [path_data],
+            [
+                _stack([s.lower for s in slots]),
+                _stack([s.upper for s in slots]),
+                _stack([b.first for b in path_simple]),
+                _stack([b.second for b in path_simple]),
+            ],
+        ),
+        simple_path_bounds=path_simple,
+        simple_point_bounds=point_simple,
+        simple_point_limits=_limits("point_limits", parameters, point_simple, "first", "second"),
+        condition_limits=_limits("condition_limits", parameters, conditions, "lower", "upper"),
+        static_limits=_limits("static_limits", parameters, declared.statics, "lower", "upper"),
+        row_integrals=direct,
+        symbols=(_stack(path_variables.values()), path_data),
+        static_of_integral={
+            i: [s.name for s in declared.statics].index(integral.name)
+            for i, integral in enumerate(declared.integrals)
+            if i not in direct
+        },
+    )
+
+
+def _limits(name: str, parameters: Any, items: tuple[Any, ...], lower: str, upper: str) -> Any:
+    outputs = [
+        _stack([getattr(i, lower) for i in items]),
+        _stack([getattr(i, upper) for i in items]),
+    ]
+    return casadi.Function(name, [parameters], outputs)
+
+
+def _stack(expressions: Any) -> Any:
+    return casadi.vertcat(casadi.SX(0, 1), *[casadi.SX(e) for e in expressions])
+
+
+def _symbols(slots: tuple[Slot, ...]) -> Any:
+    return _stack([s.symbol for s in slots])
+
+
+def _signals(declared: Declarations) -> Any:
+    return casadi.vertcat(declared.fraction, _symbols(declared.signals))
+
+
+def _path_symbols(declared: Declarations) -> dict[str, Any]:
+    """Return the variables of a point by name, in the order of the point's vector."""
+    symbols = {s.rate.name(): s.rate for s in declared.states}
+    for slots in (declared.states, declared.algebraics, declared.statics):
+        symbols |= {s.symbol.name(): s.symbol for s in slots}
+    return symbols
+
+
+def _point_symbols(declared: Declarations) -> dict[str, Any]:
+    """Return the variables of the conditions and the objective by name, in order."""
+    symbols = {p.symbol.name(): p.symbol for p in declared.point_symbols}
+    symbols |= {s.symbol.name(): s.symbol for s in declared.statics}
+    return symbols | {
+        i.symbol.name(): i.symbol
+        for i in declared.integrals
+        if not _is_static(declared, i.name)
+    }
+
+
+def _boundable_at_points(declared: Declarations) -> frozenset[str]:
+    states = {s.name for s in declared.states}
+    at_points = {
+        p.symbol.name() for p in declared.point_symbols if p.slot in states and not p.is_rate
+    }
+    return frozenset(at_points | {s.symbol.name() for s in declared.statics})
+
+
+def _is_static(declared: Declarations, name: str) -> bool:
+    return any(s.name == name for s in declared.statics)
+
+
+def _with_integral_variables(declared: Declarations) -> Declarations:
+    """Give a static variable to each integral that does not enter the objective linearly.
+
+    Its defining equation is one dense row; a plain integral objective needs none.
+    """
+    in_conditions = symbol_names(_stack([c.expression for c in declared.conditions]))
+    variables = symbol_names(
+        _stack([p.symbol for p in declared.point_symbols] + [s.symbol for s in declared.statics])
+    ) | {i.symbol.name() for i in declared.integrals}
+    statics = list(declared.statics)
+    for integral in declared.integrals:
+        slope = casadi.jacobian(casadi.SX(declared.objective), integral.symbol)
+        if integral.symbol.name() in in_conditions or symbol_names(slope) & variables:
+            statics.append(
+                Slot(
+                    name=integral.name,
+                    component=integral.name,
+                    index=(),
+                    symbol=integral.symbol,
+                    lower=casadi.SX(-casadi.inf),
+                    upper=casadi.SX(casadi.inf),
+                )
+            )
+    return replace(declared, statics=tuple(statics))
+
+
+def _derive(name: str, rows: Any, variables: Any, data: Any) -> DerivedFunctions:
+    jacobian = casadi.jacobian(rows, variables)
+    weights = casadi.SX.sym("weights", rows.shape[0])
+    hessian = casadi.tril(casadi.hessian(casadi.dot(weights, rows), variables)[0])
+    j_rows, j_columns = jacobian.sparsity().get_triplet()
+    h_rows, h_columns = hessian.sparsity().get_triplet()
+    return DerivedFunctions(
+        values=casadi.Function(name, [variables, data], [casadi.densify(rows)]),
+        jacobian=casadi.Function(
+            f"{name}_jacobian", [variables, data], [_nonzeros(jacobian)]
+        ),
+        hessian=casadi.Function(
+            f"{name}_hessian", [variables, data, weights], [_nonzeros(hessian)]
+        ),
+        jacobian_rows=np.asarray(j_rows, dtype=np.intp),
+        jacobian_columns=np.asarray(j_columns, dtype=np.intp),
+        hessian_rows=np.asarray(h_rows, dtype=np.intp),
+        hessian_columns=np.asarray(h_columns, dtype=np.intp),
+    )
+
+
+def _nonzeros(matrix: Any) -> Any:
+    return casadi.vertcat(casadi.SX(0, 1), *matrix.nonzeros())

@@ -1,0 +1,15 @@
+"""What the engine refuses, and how it says so."""
+
+__all__ = ["EngineError", "SolveFailure", "TranscriptionError"]
+
+
+class EngineError(Exception):
+    """Root of everything the engine raises on purpose."""
+
+
+class TranscriptionError(EngineError, ValueError):
+    """The declarations cannot be turned into a nonlinear program: the message names the culprit."""
+
+
+class SolveFailure(EngineError, RuntimeError):
+    """A solve that the caller asked to be complete did not end in an optimum."""

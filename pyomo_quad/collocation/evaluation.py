@@ -1,0 +1,93 @@
+"""Any variable or expression over time as a function of a trajectory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi
+import numpy as np
+
+from pyomo_quad.collocation.compiled import CompiledModel
+from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.expressions import symbol_names
+from pyomo_quad.collocation.nodes import FloatArray
+from pyomo_quad.collocation.reading import ModelReader
+
+__all__ = ["Evaluator", "index_tuple"]
+
+
+def index_tuple(index: Any) -> tuple[Any, ...]:
+    """Return a component's index without time as a tuple."""
+    if index is None:
+        return ()
+    return index if isinstance(index, tuple) else (index,)
+
+
+class Evaluator:
+    """Writes components of the model as CasADi functions of a point, once each.
+
+    The inputs of a function are the rates, states and algebraic variables (outputs after the
+    states of the program), the static variables, and the data: fraction, signals, parameters.
+    """
+
+    def __init__(self, compiled: CompiledModel, reader: ModelReader) -> None:
+        self._reader = reader
+        d = compiled.declared
+        states = (*d.states, *d.outputs)
+        self.inputs = [
+            _column([s.rate for s in states]),
+            _column([s.symbol for s in states]),
+            _column([s.symbol for s in d.algebraics]),
+            _column([s.symbol for s in d.statics]),
+            casadi.vertcat(d.fraction, *[s.symbol for s in (*d.signals, *d.parameters)]),
+        ]
+        self._known = symbol_names(casadi.vertcat(*self.inputs))
+        self._functions: dict[tuple[str, tuple[Any, ...]], Any] = {}
+
+    def expression(self, component: Any, index: Any = None) -> Any:
+        """Return a component over time as a CasADi expression of the inputs.
+
+        Raises
+        ------
+        TranscriptionError
+            If the component is not a variable or expression over time of this model.
+        """
+        name = component if isinstance(component, str) else component.name
+        found = self._reader.copy.model.find_component(name)
+        if found is None or self._reader.addresses.time_position(found) is None:
+            raise TranscriptionError(
+                f"{name}: is not a variable or expression over time of the compiled model."
+            )
+        try:
+            written = self._reader.write_at_template(found, index_tuple(index))
+        except KeyError:
+            raise TranscriptionError(
+                f"{name}: has no index {index!r} beside time; give index= one of its set."
+            ) from None
+        unknown = symbol_names(written) - self._known
+        if unknown:
+            raise TranscriptionError(
+                f"{name}: holds {', '.join(sorted(unknown))}, which takes no part in the problem."
+            )
+        return written
+
+    def function(self, component: Any, index: Any = None) -> Any:
+        """Return the CasADi function of a component, compiled when first asked for."""
+        name = component if isinstance(component, str) else component.name
+        key = (name, index_tuple(index))
+        if key not in self._functions:
+            self._functions[key] = casadi.Function(
+                "component", self.inputs, [casadi.densify(self.expression(component, index))]
+            )
+        return self._functions[key]
+
+    def __call__(self, component: Any, index: Any, *inputs: FloatArray) -> FloatArray:
+        """Evaluate a component at n points; each input has shape (n, k); returns (n,)."""
+        columns = [casadi.DM(array.T) for array in inputs]
+        values = self.function(component, index)(*columns)
+        n = inputs[0].shape[0]
+        return np.broadcast_to(np.asarray(values, dtype=float).ravel(), (n,)).copy()
+
+
+def _column(symbols: list[Any]) -> Any:
+    return casadi.vertcat(casadi.SX(0, 1), *symbols)

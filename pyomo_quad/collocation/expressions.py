@@ -1,0 +1,147 @@
+"""Pyomo expressions rewritten as CasADi expressions, leaf by leaf."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from functools import reduce
+from typing import Any
+
+import casadi
+from pyomo.core.base.units_container import _PyomoUnit
+from pyomo.core.expr import numeric_expr
+from pyomo.core.expr.numvalue import native_types
+from pyomo.core.expr.visitor import StreamBasedExpressionVisitor
+
+from pyomo_quad.collocation.errors import TranscriptionError
+
+__all__ = ["ExpressionWriter", "same_expression", "symbol_names"]
+
+_UNARY: dict[str, Callable[[Any], Any]] = {
+    "sin": casadi.sin,
+    "cos": casadi.cos,
+    "tan": casadi.tan,
+    "asin": casadi.asin,
+    "acos": casadi.acos,
+    "atan": casadi.atan,
+    "sinh": casadi.sinh,
+    "cosh": casadi.cosh,
+    "tanh": casadi.tanh,
+    "asinh": casadi.asinh,
+    "acosh": casadi.acosh,
+    "atanh": casadi.atanh,
+    "exp": casadi.exp,
+    "log": casadi.log,
+    "log10": casadi.log10,
+    "sqrt": casadi.sqrt,
+}
+
+
+def _product(arguments: list[Any]) -> Any:
+    return arguments[0] * arguments[1]
+
+
+def _sum(arguments: list[Any]) -> Any:
+    return reduce(operator.add, arguments)
+
+
+class ExpressionWriter:
+    """Rewrite Pyomo expressions in CasADi symbols that a leaf function chooses.
+
+    Parameters
+    ----------
+    leaf : callable
+        Takes a Pyomo variable or mutable parameter (data object) and returns its symbol.
+    named : callable, optional
+        Takes a named expression and returns what to write instead of its own expression: a
+        CasADi symbol, another Pyomo expression, or None to keep it.
+
+    Notes
+    -----
+    A named expression is written once and shared afterwards, so the work grows with the
+    text of the model and not with how often an expression is used.
+    """
+
+    def __init__(
+        self, leaf: Callable[[Any], Any], named: Callable[[Any], Any] | None = None
+    ) -> None:
+        self._leaf = leaf
+        self._replace = named or (lambda _expression: None)
+        self._named: dict[int, Any] = {}
+        self._owner = ""
+        self._visitor = StreamBasedExpressionVisitor(
+            beforeChild=self._before_child,
+            exitNode=self._exit_node,
+            initializeWalker=self._initialize,
+        )
+
+    def write(self, expression: Any, owner: str) -> Any:
+        """Return the CasADi expression of a Pyomo expression (or number).
+
+        Raises
+        ------
+        TranscriptionError
+            If the expression holds something that has no smooth CasADi counterpart.
+        """
+        self._owner = owner
+        return self._visitor.walk_expression(expression)
+
+    def _initialize(self, expression: Any) -> tuple[bool, Any]:
+        go_on, value = self._before_child(None, expression, 0)
+        return go_on, expression if go_on else value
+
+    def _before_child(self, _parent: Any, child: Any, _index: int) -> tuple[bool, Any]:
+        if child.__class__ in native_types:
+            return False, child
+        if not child.is_expression_type():
+            if isinstance(child, _PyomoUnit):
+                return False, 1.0
+            return False, self._leaf(child)
+        if not child.is_named_expression_type():
+            return True, None
+        if id(child) not in self._named:
+            replacement = self._replace(child)
+            if replacement is None:
+                return True, None
+            if not isinstance(replacement, casadi.SX):
+                replacement = self._visitor.walk_expression(replacement)
+            self._named[id(child)] = replacement
+        return False, self._named[id(child)]
+
+    def _exit_node(self, node: Any, arguments: list[Any]) -> Any:
+        if node.is_named_expression_type():
+            self._named[id(node)] = arguments[0]
+            return arguments[0]
+        return self._apply(node, arguments)
+
+    def _apply(self, node: Any, arguments: list[Any]) -> Any:
+        if isinstance(node, numeric_expr.ProductExpression):
+            return _product(arguments)
+        if isinstance(node, numeric_expr.SumExpression | numeric_expr.LinearExpression):
+            return _sum(arguments)
+        if isinstance(node, numeric_expr.PowExpression):
+            return arguments[0] ** arguments[1]
+        if isinstance(node, numeric_expr.NegationExpression):
+            return -arguments[0]
+        if isinstance(node, numeric_expr.DivisionExpression):
+            return arguments[0] / arguments[1]
+        if isinstance(node, numeric_expr.AbsExpression):
+            return casadi.fabs(arguments[0])
+        if isinstance(node, numeric_expr.UnaryFunctionExpression) and node.name in _UNARY:
+            return _UNARY[node.name](arguments[0])
+        name = getattr(node, "name", None) or type(node).__name__
+        raise TranscriptionError(
+            f"{self._owner}: {type(node).__name__} ({name}) is not supported; write it with "
+            "smooth functions (for a switch: a tanh or sqrt smoothing)."
+        )
+
+
+def same_expression(first: Any, second: Any) -> bool:
+    """Say whether two CasADi expressions are the same tree, constants included."""
+    first, second = casadi.SX(first), casadi.SX(second)
+    return bool(casadi.is_equal(first, second, 1_000_000))
+
+
+def symbol_names(expression: Any) -> frozenset[str]:
+    """Return the names of the symbols in a CasADi expression."""
+    return frozenset(s.name() for s in casadi.symvar(casadi.SX(expression)))

@@ -1,0 +1,252 @@
+"""A compiled problem, solved as often as wanted without being built again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi
+import numpy as np
+
+from pyomo_quad.collocation.bounds import bounds_of
+from pyomo_quad.collocation.compiled import CompiledModel, compile_declarations
+from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.evaluation import Evaluator
+from pyomo_quad.collocation.guess import Guess, initial_point
+from pyomo_quad.collocation.ipopt import Progress, SolverOptions, run
+from pyomo_quad.collocation.mesh import Mesh
+from pyomo_quad.collocation.nodes import FloatArray
+from pyomo_quad.collocation.outputs import OutputStates
+from pyomo_quad.collocation.reading import read_declarations
+from pyomo_quad.collocation.refinement import RefinementOptions, refine
+from pyomo_quad.collocation.scaling import scaling_of
+from pyomo_quad.collocation.screening import refuse_unsolvable
+from pyomo_quad.collocation.solution import Solution, solution_from
+from pyomo_quad.collocation.transcription import Data, Transcription
+from pyomo_quad.collocation.values import ModelValues, Overrides
+from pyomo_quad.collocation.warm_start import transfer
+
+__all__ = ["DEFAULT_TOLERANCE", "Instance", "Problem"]
+
+#: Largest relative error of a solution that is refined without a tolerance being asked for.
+DEFAULT_TOLERANCE = 1e-6
+
+_CACHED_MESHES = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Instance:
+    """The numbers of one solve: parameters, horizon, fixed values and signals."""
+
+    parameters: FloatArray
+    horizon: tuple[float, float]
+    fixed: dict[tuple[str, float], float]
+    overrides: Overrides | None
+
+
+class Problem:
+    """A Pyomo.DAE model compiled for collocation.
+
+    Parameters
+    ----------
+    model : ConcreteModel
+        With one ContinuousSet that is not discretised, or none.
+    final_time : Var, optional
+        A static variable of the model that is to be the end of the horizon; the continuous
+        set's own end then only fixes where boundary conditions are declared.
+
+    Raises
+    ------
+    TranscriptionError
+        If the declarations are incomplete or unsupported; the message names the component.
+    """
+
+    def __init__(self, model: Any, final_time: Any = None) -> None:
+        declared, self.reader = read_declarations(model, final_time)
+        self.compiled: CompiledModel = compile_declarations(declared)
+        self.model = model
+        time = self.reader.copy.time
+        own_time = None if time is None else model.find_component(time.name)
+        self.values = ModelValues(model, self.compiled.declared, own_time)
+        self.evaluator = Evaluator(self.compiled, self.reader)
+        self.outputs = OutputStates(self.compiled)
+        declared = self.compiled.declared
+        statics = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in declared.statics])
+        parameters = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in declared.parameters])
+        self._horizon = casadi.Function(
+            "horizon", [statics, parameters], [declared.start, declared.start + declared.span]
+        )
+        self._programs: dict[Mesh | None, Transcription] = {}
+
+    @property
+    def has_horizon(self) -> bool:
+        """Whether the model has a continuous set at all."""
+        return self.compiled.declared.has_horizon
+
+    @property
+    def required_breakpoints(self) -> tuple[float, ...]:
+        """Fractions of the horizon where conditions need an element boundary."""
+        declared = self.compiled.declared
+        fractions = {p.fraction for p in declared.point_symbols} | {f for _, f in declared.fixed}
+        return tuple(sorted(f for f in fractions if 0.0 < f < 1.0))
+
+    def solve(
+        self,
+        *,
+        mesh: Mesh | None = None,
+        tolerance: float | None = None,
+        parameters: Overrides | None = None,
+        horizon: tuple[float, float] | None = None,
+        guess: Guess | None = None,
+        warm_start: Solution | None = None,
+        options: SolverOptions | None = None,
+        refinement: RefinementOptions | None = None,
+        progress: Progress | None = None,
+    ) -> Solution:
+        """Solve on a given mesh, or refine the mesh until the error meets a tolerance.
+
+        Parameters
+        ----------
+        mesh : Mesh, optional
+            Solved on as it is when no `tolerance` is given; else the mesh to start from.
+        tolerance : float, optional
+            Largest relative error of the states wanted; default 1e-6 when no mesh is given.
+        parameters : mapping, optional
+            New values of mutable parameters, by component or full name; a function of time
+            for a parameter over time.
+        horizon : (float, float), optional
+            Start and end of the horizon, in place of the continuous set's.
+        guess : mapping, optional
+            First values by slot name: functions of time, constants, or samples beside
+            "time"; a frame from `Solution.to_frame` is one.
+        warm_start : Solution, optional
+            A solution on any mesh: its trajectory and multipliers are the first point.
+        options : SolverOptions, optional
+        refinement : RefinementOptions, optional
+        progress : callable, optional
+            Called at each iteration; returning False stops the solve.
+
+        Returns
+        -------
+        Solution
+            With its status; a failure of the numerics is a result, not an exception.
+
+        Raises
+        ------
+        TranscriptionError
+            If bounds cross, a value is missing, or an equation is not finite at the guess.
+        """
+        instance = self.instance(parameters, horizon)
+        options = options or SolverOptions()
+        if tolerance is None and mesh is None:
+            tolerance = DEFAULT_TOLERANCE
+        if not self.has_horizon or tolerance is None:
+            return self.solve_on_mesh(mesh, instance, options, guess, warm_start, progress)
+        return refine(
+            self,
+            instance,
+            mesh=mesh or (warm_start.mesh if warm_start is not None else None),
+            tolerance=tolerance,
+            options=options,
+            refinement=refinement or RefinementOptions(),
+            guess=guess,
+            warm_start=warm_start,
+            progress=progress,
+        )
+
+    def instance(
+        self, parameters: Overrides | None = None, horizon: tuple[float, float] | None = None
+    ) -> Instance:
+        """Read the numbers of one solve from the model and the caller."""
+        if horizon is not None and not horizon[1] > horizon[0]:
+            raise TranscriptionError(
+                f"horizon: end {horizon[1]:g} is not after start {horizon[0]:g}."
+            )
+        return Instance(
+            parameters=self.values.parameters(parameters, horizon),
+            horizon=horizon or self.values.declared_horizon,
+            fixed=self.values.fixed(),
+            overrides=parameters,
+        )
+
+    def signals(self, instance: Instance, fractions: FloatArray) -> FloatArray:
+        """Return fraction and signals, one row per fraction."""
+        start, end = instance.horizon
+        times = start + (end - start) * fractions
+        return np.column_stack([fractions, self.values.signals(times, instance.overrides)])
+
+    def program(self, mesh: Mesh | None, instance: Instance) -> Transcription:
+        """Return the nonlinear program on a mesh, reused when the mesh was solved on before."""
+        fractions = mesh.point_fractions if mesh else np.zeros(0)
+        data = Data(parameters=instance.parameters, signals=self.signals(instance, fractions))
+        if mesh in self._programs:
+            self._programs[mesh].set_data(data)
+            return self._programs[mesh]
+        if len(self._programs) >= _CACHED_MESHES:
+            self._programs.pop(next(iter(self._programs)))
+        self._programs[mesh] = Transcription(self.compiled, mesh, data)
+        return self._programs[mesh]
+
+    def solve_on_mesh(
+        self,
+        mesh: Mesh | None,
+        instance: Instance,
+        options: SolverOptions,
+        guess: Guess | None = None,
+        warm_start: Solution | None = None,
+        progress: Progress | None = None,
+    ) -> Solution:
+        """Solve once on one mesh; `solve` says what the arguments mean."""
+        if mesh is not None:
+            mesh = mesh.with_breakpoints(self.required_breakpoints)
+        program = self.program(mesh, instance)
+        at_start = np.hstack([self.signals(instance, np.zeros(1)), instance.parameters[None, :]])
+        bounds = bounds_of(program, at_start, instance.fixed)
+        multipliers = None
+        if warm_start is None:
+            z = initial_point(program, bounds, self.values, guess)
+        else:
+            z, multipliers = transfer(warm_start, program)
+            z = np.clip(z, bounds.lower, bounds.upper)
+        refuse_unsolvable(program, bounds, z)
+        scaling = scaling_of(program, bounds, z)
+        result = run(
+            program,
+            bounds,
+            scaling,
+            z,
+            options=options,
+            multipliers=multipliers,
+            progress=progress,
+        )
+        return solution_from(self, program, instance, result)
+
+    def horizon_of(self, statics: FloatArray, instance: Instance) -> tuple[float, float]:
+        """Return start and end of the horizon, the end from the statics where it is free."""
+        start, end = self._horizon(statics, instance.parameters)
+        return float(start), float(end)
+
+    def algebraic_limits(self, instance: Instance) -> tuple[FloatArray, FloatArray]:
+        """Return the bounds of the algebraic variables at the start, shape (n_algebraics,)."""
+        declared = self.compiled.declared
+        data = np.append(self.signals(instance, np.zeros(1))[0], instance.parameters)
+        limits = [np.array(side).ravel() for side in self.compiled.variable_limits(data)]
+        lower, upper = (side[len(declared.states) :] for side in limits[:2])
+        names = [s.name for s in declared.algebraics]
+        for k, bound in enumerate(self.compiled.simple_path_bounds):
+            if bound.variable in names:
+                at = names.index(bound.variable)
+                lower[at] = max(lower[at], min(limits[2][k], limits[3][k]))
+                upper[at] = min(upper[at], max(limits[2][k], limits[3][k]))
+        return lower, upper
+
+    def load(self, solution: Solution) -> None:
+        """Put a solution's values into the Pyomo model, at the times it declares."""
+        declared = self.compiled.declared
+        for slot, number in zip(declared.statics, solution.trajectory.statics, strict=True):
+            self.values.load(slot, None, float(number))
+        start, end = solution.horizon
+        for fraction in self.values.declared_fractions():
+            frame = solution.to_frame([start + (end - start) * fraction]).iloc[0]
+            for slot in (*declared.states, *declared.outputs, *declared.algebraics):
+                self.values.load(slot, fraction, float(frame[slot.name]))

@@ -1,0 +1,204 @@
+"""What becomes of each element: more degree, a split, less degree, or a merger.
+
+An element whose state polynomials have quickly decaying Legendre coefficients is smooth
+and gets the degree that the decay promises to be enough; any other is split (Liu, Hager
+and Rao (2018), Journal of Guidance, Control, and Dynamics 41, 1-12).  A control that jumps
+between its bounds inside an element gives away where: its mean over the element is that of
+a single switch, and there the element is split.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from pyomo_quad.collocation.error_estimate import ErrorEstimate
+from pyomo_quad.collocation.mesh import Mesh
+from pyomo_quad.collocation.nodes import FloatArray, radau_rule
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.solution import Solution
+
+__all__ = ["RefinementOptions", "refined_mesh"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefinementOptions:
+    """Limits and thresholds of the refinement.
+
+    Attributes
+    ----------
+    first_elements, first_degree : int
+        The first mesh.
+    max_meshes : int
+        Solves before the refinement gives up.
+    min_degree, max_degree : int
+        Degrees it may choose.
+    smooth_decay : float
+        Decades by which Legendre coefficients must fall per degree in a smooth element.
+    smallest_width : float
+        Fraction of the horizon below which no element is split.
+    max_points : int
+        Collocation points above which no finer mesh is tried.
+    """
+
+    first_elements: int = 10
+    first_degree: int = 4
+    max_meshes: int = 25
+    min_degree: int = 3
+    max_degree: int = 12
+    smooth_decay: float = 0.35
+    smallest_width: float = 1e-9
+    max_points: int = 60_000
+
+
+# Errors are predicted from a fit, so the aim lies below the tolerance; elements are merged
+# or lowered only where a wide margin says that they will still meet it.
+_AIM = 0.3
+_MARGIN = 1e-2
+_SWITCH_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A new element: where it ends, its degree, the error left, and if it was changed."""
+
+    end: float
+    degree: int
+    error: float
+    is_changed: bool
+
+
+def refined_mesh(
+    solution: Solution, error: ErrorEstimate, tolerance: float, options: RefinementOptions
+) -> Mesh:
+    """Return the next mesh for a solution whose errors are known.
+
+    Returns the same mesh when nothing may be changed any further.
+    """
+    pieces: list[_Piece] = []
+    for e, size in enumerate(error.per_element):
+        if size <= tolerance:
+            pieces.append(_lowered(solution, e, float(size), tolerance, options))
+        else:
+            pieces.extend(_finer(solution, e, error, tolerance, options))
+    pieces = _merged(pieces, solution, tolerance, options)
+    mesh = Mesh(
+        breakpoints=(0.0, *(p.end for p in pieces[:-1]), 1.0),
+        degrees=tuple(p.degree for p in pieces),
+    )
+    return solution.mesh if mesh.points > options.max_points else mesh
+
+
+def _lowered(
+    solution: Solution, e: int, error: float, tolerance: float, options: RefinementOptions
+) -> _Piece:
+    """Keep an element that is good enough, at a lower degree where its tail is negligible."""
+    mesh = solution.mesh
+    degree = mesh.degrees[e]
+    if error < _MARGIN * tolerance:
+        sizes = _legendre_sizes(solution, e)
+        while degree > options.min_degree and sizes[degree - 1 :].sum() < _MARGIN * tolerance:
+            degree -= 1
+    return _Piece(mesh.breakpoints[e + 1], degree, error, is_changed=False)
+
+
+def _finer(
+    solution: Solution,
+    e: int,
+    error: ErrorEstimate,
+    tolerance: float,
+    options: RefinementOptions,
+) -> list[_Piece]:
+    mesh = solution.mesh
+    start, end, degree = mesh.breakpoints[e], mesh.breakpoints[e + 1], mesh.degrees[e]
+    size = float(error.per_element[e])
+    switch = _switch(solution, e)
+    if end - start < 2.0 * options.smallest_width:
+        return [_Piece(end, degree, size, is_changed=True)]
+    if switch is not None:
+        return [
+            _Piece(start + switch * (end - start), degree, size, is_changed=True),
+            _Piece(end, degree, size, is_changed=True),
+        ]
+    decades = math.log10(size / (_AIM * tolerance))
+    decay = _decay(_legendre_sizes(solution, e))
+    is_smooth = decay >= options.smooth_decay and error.violation[e] <= tolerance
+    wanted = degree + max(1, math.ceil(decades / max(decay, 1e-3)))
+    if is_smooth and wanted <= options.max_degree:
+        return [_Piece(end, wanted, size, is_changed=True)]
+    parts = min(4, max(2, math.ceil(10.0 ** (decades / (degree + 1.0)))))
+    inner = np.linspace(start, end, parts + 1)[1:]
+    return [_Piece(float(b), degree, size, is_changed=True) for b in inner[:-1]] + [
+        _Piece(end, degree, size, is_changed=True)
+    ]
+
+
+def _merged(
+    pieces: list[_Piece], solution: Solution, tolerance: float, options: RefinementOptions
+) -> list[_Piece]:
+    """Merge neighbours whose merger, by the order of the scheme, is still far below."""
+    required = solution.problem.required_breakpoints
+    merged: list[_Piece] = []
+    starts: list[float] = []
+    for piece in pieces:
+        start = merged[-1].end if merged else 0.0
+        if merged and not (piece.is_changed or merged[-1].is_changed):
+            last = merged[-1]
+            degree = max(last.degree, piece.degree)
+            ratio = (piece.end - starts[-1]) / min(piece.end - start, start - starts[-1])
+            predicted = max(last.error, piece.error) * ratio ** (degree + 1)
+            needed = any(abs(start - b) < 1e-12 for b in required)
+            if predicted < _MARGIN * tolerance and not needed:
+                merged[-1] = _Piece(piece.end, degree, predicted, is_changed=False)
+                continue
+        merged.append(piece)
+        starts.append(start)
+    return merged
+
+
+def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
+    """Return the relative sizes of the states' Legendre coefficients, worst state each."""
+    mesh, states = solution.mesh, solution.trajectory.states
+    first, last = mesh.first_node[e], mesh.first_node[e + 1]
+    nodes = 2.0 * radau_rule(mesh.degrees[e]).nodes - 1.0
+    matrix = legendre.legvander(nodes, mesh.degrees[e])
+    coefficients = np.linalg.solve(matrix, states[first : last + 1])
+    nominal = np.array([s.nominal or 1.0 for s in solution.problem.compiled.declared.states])
+    size = np.maximum(np.abs(states).max(axis=0, initial=0.0), nominal)
+    return np.asarray(np.abs(coefficients / size).max(axis=1), dtype=float)
+
+
+def _decay(sizes: FloatArray) -> float:
+    """Return by how many decades the coefficients fall per degree, by least squares.
+
+    The constant says nothing of smoothness, and rounding levels off the tail.
+    """
+    order = np.arange(1, sizes.size)
+    kept = sizes[1:] > 1e-14
+    if kept.sum() < 2:
+        return 2.0
+    return float(-np.polyfit(order[kept], np.log10(sizes[1:][kept]), 1)[0])
+
+
+def _switch(solution: Solution, e: int) -> float | None:
+    """Return where in the element a bounded control jumps, as a fraction of it, or None."""
+    mesh = solution.mesh
+    if e in (0, mesh.elements - 1):
+        return None
+    controls = solution.trajectory.algebraics
+    lower, upper = solution.algebraic_limits
+    first, last = mesh.first_node[e], mesh.first_node[e + 1]
+    means = radau_rule(mesh.degrees[e]).weights @ controls[first:last]
+    for k in range(controls.shape[1]):
+        width = upper[k] - lower[k]
+        before, after = controls[first - 1, k], controls[last, k]
+        if np.isfinite(width) and abs(before - after) > _SWITCH_SHARE * width:
+            share = (means[k] - after) / (before - after)
+            if 0.0 < share < 1.0:
+                return float(np.clip(share, 0.02, 0.98))
+    return None

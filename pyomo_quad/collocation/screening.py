@@ -1,0 +1,60 @@
+"""What can be told to be unsolvable before Ipopt starts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pyomo_quad.collocation.bounds import Bounds
+from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.naming import row_place, unknown_place
+from pyomo_quad.collocation.nodes import FloatArray
+from pyomo_quad.collocation.transcription import Transcription
+
+__all__ = ["refuse_unsolvable"]
+
+
+def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> None:
+    """Check that the program is finite at the first point and not over-determined.
+
+    Raises
+    ------
+    TranscriptionError
+        Naming the equation, element and time that is not finite, or the counts.
+    """
+    _refuse_not_finite(program, z)
+    equalities = int(np.sum(bounds.row_lower == bounds.row_upper))
+    free = int(np.sum(bounds.lower < bounds.upper))
+    if equalities > free:
+        held = np.flatnonzero(bounds.lower == bounds.upper)
+        names = sorted({str(unknown_place(program, int(c)).name) for c in held})
+        raise TranscriptionError(
+            f"model: {equalities} equations for {free} free unknowns; it is over-determined. "
+            f"Release a fixed value or boundary condition of {', '.join(names[:8]) or 'the model'}"
+            ", or add a control."
+        )
+
+
+def _refuse_not_finite(program: Transcription, z: FloatArray) -> None:
+    rows = program.constraints(z)
+    bad = np.flatnonzero(~np.isfinite(rows))
+    if bad.size:
+        place = row_place(program, int(bad[0]))
+        raise TranscriptionError(
+            f"{place}: is {rows[bad[0]]} at the initial guess; give the variables in it initial "
+            "values or bounds where it is defined."
+        )
+    if not np.isfinite(program.objective(z)):
+        raise TranscriptionError(
+            f"{program.compiled.declared.objective_name}: is {program.objective(z)} at the "
+            "initial guess; give the variables in it initial values or bounds where it is defined."
+        )
+    entries = program.jacobian(z)
+    bad = np.flatnonzero(~np.isfinite(entries))
+    if bad.size:
+        structure = program.jacobianstructure()
+        place = row_place(program, int(structure[0][bad[0]]))
+        variable = unknown_place(program, int(structure[1][bad[0]]))
+        raise TranscriptionError(
+            f"{place}: its derivative by {variable.name} is {entries[bad[0]]} at the initial "
+            "guess; start or bound that variable away from the point."
+        )

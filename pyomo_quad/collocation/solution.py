@@ -1,0 +1,258 @@
+"""What a solve returns: values, costates, errors and history, at any time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from pyomo_quad.collocation.costates import Costates, costates_of
+from pyomo_quad.collocation.errors import EngineError, TranscriptionError
+from pyomo_quad.collocation.evaluation import index_tuple
+from pyomo_quad.collocation.guess import TIME_COLUMN
+from pyomo_quad.collocation.ipopt import IpoptResult, Iteration, Multipliers, Status
+from pyomo_quad.collocation.mesh import Mesh
+from pyomo_quad.collocation.nodes import FloatArray, interpolation_matrix, radau_rule
+from pyomo_quad.collocation.trajectory import Trajectory, interpolate, interpolate_rates
+from pyomo_quad.collocation.transcription import Transcription
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.problem import Instance, Problem
+
+__all__ = ["MeshRecord", "Solution", "solution_from"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshRecord:
+    """One mesh of a refinement: its size, its solve and its error."""
+
+    elements: int
+    points: int
+    iterations: int
+    objective: float
+    error: float
+    wall_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """A solved (or failed) transcription.
+
+    Attributes
+    ----------
+    status : Status
+    message : str
+        Why the solve ended, in one sentence.
+    objective : float
+        As declared, by the scheme's own quadrature.
+    trajectory : Trajectory
+        Unknowns on the mesh.
+    error_estimate : float
+        Relative, largest over elements and states; infinite when it was not estimated.
+    history : tuple of MeshRecord
+        One entry per mesh solved on.
+    """
+
+    problem: Problem
+    instance: Instance
+    status: Status
+    message: str
+    objective: float
+    trajectory: Trajectory
+    output_states: FloatArray
+    multipliers: Multipliers
+    unknowns: FloatArray
+    iterations: tuple[Iteration, ...]
+    wall_s: float
+    error_estimate: float = np.inf
+    history: tuple[MeshRecord, ...] = field(default=())
+
+    @property
+    def mesh(self) -> Mesh:
+        """The last mesh."""
+        return self.trajectory.mesh
+
+    @property
+    def is_converged(self) -> bool:
+        """Whether the solve, and the refinement if one was asked for, converged."""
+        return self.status is Status.CONVERGED
+
+    @cached_property
+    def horizon(self) -> tuple[float, float]:
+        """Start and end in physical time, the solved end where it was free."""
+        return self.problem.horizon_of(self.trajectory.statics, self.instance)
+
+    @property
+    def program(self) -> Transcription:
+        """The nonlinear program of the last mesh, with this solution's data."""
+        return self.problem.program(self.mesh, self.instance)
+
+    @cached_property
+    def times(self) -> FloatArray:
+        """Physical times of the nodes, shape (n_points + 1,)."""
+        start, end = self.horizon
+        return start + (end - start) * self.mesh.node_fractions
+
+    def fractions(self, times: Any) -> FloatArray:
+        """Return times as fractions of the horizon.
+
+        Raises
+        ------
+        TranscriptionError
+            If a time lies outside the horizon.
+        """
+        start, end = self.horizon
+        fractions = (np.atleast_1d(np.asarray(times, dtype=float)) - start) / (end - start)
+        slack = 1e-9
+        if np.any(fractions < -slack) or np.any(fractions > 1.0 + slack) or np.any(np.isnan(fractions)):
+            raise TranscriptionError(
+                f"time: {np.asarray(times)} is outside the horizon [{start:g}, {end:g}]."
+            )
+        return np.clip(fractions, 0.0, 1.0)
+
+    def value(self, component: Any, t: Any = None, index: Any = None) -> Any:
+        """Return a variable's or expression's value.
+
+        Parameters
+        ----------
+        component : Var, DerivativeVar, Expression or str
+            A component of the model or its full name.
+        t : float or array, optional
+            Times; left out for a static variable or an integral.
+        index : optional
+            The component's index beside time.
+
+        Returns
+        -------
+        float or ndarray
+            Of the shape of `t`.
+        """
+        name = component if isinstance(component, str) else component.name
+        if t is None:
+            return self._static(name, index_tuple(index))
+        fractions = self.fractions(t)
+        values = self.problem.evaluator(name, index, *self._inputs(fractions))
+        return float(values[0]) if np.ndim(t) == 0 else values.reshape(np.shape(t))
+
+    def _static(self, name: str, index: tuple[Any, ...]) -> float:
+        declared = self.problem.compiled.declared
+        for slot, number in zip(declared.statics, self.trajectory.statics, strict=True):
+            if (slot.component, slot.index) == (name, index) or slot.name == name:
+                return float(number)
+        for k, integral in enumerate(declared.integrals):
+            if integral.name == name:
+                return float(self.program.integrals(self.unknowns)[k])
+        raise TranscriptionError(f"{name}: is not a static variable or integral; give a time t.")
+
+    def _inputs(self, fractions: FloatArray) -> list[FloatArray]:
+        """Return what an evaluated function reads, at fractions of the horizon."""
+        path, n = self.trajectory, len(fractions)
+        states, rates = path.states_at(fractions), path.rates_at(fractions)
+        if self.output_states.shape[1]:
+            outputs = interpolate(self.mesh, self.output_states, fractions, with_start=True)
+            states = np.hstack([states, outputs])
+            rates = np.hstack([rates, interpolate_rates(self.mesh, self.output_states, fractions)])
+        statics = np.broadcast_to(path.statics, (n, path.statics.size))
+        parameters = self.instance.parameters
+        data = np.hstack(
+            [
+                self.problem.signals(self.instance, fractions),
+                np.broadcast_to(parameters, (n, parameters.size)),
+            ]
+        )
+        return [rates, states, path.algebraics_at(fractions), statics, data]
+
+    @cached_property
+    def costates(self) -> Costates:
+        """Costates per element and Hamiltonian at the points; see `collocation.costates`."""
+        if self.problem.compiled.declared.states == () or not self.problem.has_horizon:
+            raise TranscriptionError("costate: the model has no states over time.")
+        start, end = self.horizon
+        return costates_of(self.program, self.unknowns, self.multipliers.rows, end - start)
+
+    def costate(self, state: Any, t: Any, index: Any = None) -> Any:
+        """Return the costate of a state at times; p is the slope of the optimum in the state."""
+        name = state if isinstance(state, str) else state.name
+        slots = self.problem.compiled.declared.states
+        wanted = (name, index_tuple(index))
+        found = [k for k, s in enumerate(slots) if (s.component, s.index) == wanted]
+        if not found:
+            raise TranscriptionError(f"{name}: is not a state of the optimised model.")
+        inner = np.vstack([block[1:] for block in self.costates.values])[:, found]
+        values = interpolate(self.mesh, inner, self.fractions(t), with_start=False)[:, 0]
+        return float(values[0]) if np.ndim(t) == 0 else values.reshape(np.shape(t))
+
+    def hamiltonian(self, t: Any) -> Any:
+        """Return the Hamiltonian H = L + p . dx/dt at times."""
+        held = self.costates.hamiltonian[:, None]
+        values = interpolate(self.mesh, held, self.fractions(t), with_start=False)[:, 0]
+        return float(values[0]) if np.ndim(t) == 0 else values.reshape(np.shape(t))
+
+    def split(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Split a vector shaped like the unknowns into states, algebraics and statics."""
+        layout = self.program.layout
+        return (
+            unknowns[layout.state_columns],
+            unknowns[layout.algebraic_columns],
+            unknowns[layout.static_columns],
+        )
+
+    @property
+    def algebraic_limits(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds of the algebraic variables at the start of the horizon."""
+        return self.problem.algebraic_limits(self.instance)
+
+    def to_frame(self, times: Any = None) -> pd.DataFrame:
+        """Return states, outputs and algebraic variables as columns over the nodes' times.
+
+        Column "time" first, then one column per slot, named as ``rotors.omega[1]``.
+        """
+        at = self.times if times is None else np.atleast_1d(np.asarray(times, dtype=float))
+        _, states, algebraics, _, _ = self._inputs(self.fractions(at))
+        declared = self.problem.compiled.declared
+        names = [s.name for s in (*declared.states, *declared.outputs, *declared.algebraics)]
+        columns = np.hstack([states, algebraics])
+        frame = pd.DataFrame(columns, columns=names)
+        frame.insert(0, TIME_COLUMN, at)
+        return frame
+
+
+def solution_from(
+    problem: Problem,
+    program: Transcription,
+    instance: Instance,
+    result: IpoptResult,
+) -> Solution:
+    """Return the solution that Ipopt's result stands for, outputs included."""
+    z, layout = result.z, program.layout
+    mesh = program.mesh or Mesh.uniform(1, 1)
+    trajectory = Trajectory(
+        mesh=mesh,
+        states=z[layout.state_columns],
+        algebraics=z[layout.algebraic_columns],
+        statics=z[layout.static_columns],
+    )
+    outputs = np.zeros((layout.points + 1, len(problem.outputs)))
+    if len(problem.outputs) and program.mesh is not None:
+        start = problem.outputs.start(instance.parameters, instance.fixed)
+        outputs = problem.outputs.solve(
+            layout, start, program.path_variables(z), program.data.at_points()
+        )
+    solution = Solution(
+        problem=problem,
+        instance=instance,
+        status=result.status,
+        message=result.message,
+        objective=program.user_objective(z),
+        trajectory=trajectory,
+        output_states=outputs,
+        multipliers=result.multipliers,
+        unknowns=z,
+        iterations=result.history,
+        wall_s=result.wall_s,
+    )
+    problem.load(solution)
+    return solution

@@ -1,0 +1,93 @@
+"""Values on a mesh, and the collocation polynomials through them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pyomo_quad.collocation.mesh import Mesh
+from pyomo_quad.collocation.nodes import FloatArray, interpolation_matrix, radau_rule
+
+__all__ = ["Trajectory", "interpolate", "interpolate_rates"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trajectory:
+    """States at the nodes, algebraic variables at the points, static variables.
+
+    Shapes: states (n_points + 1, n_states), algebraics (n_points, n_algebraics),
+    statics (n_statics,).
+    """
+
+    mesh: Mesh
+    states: FloatArray
+    algebraics: FloatArray
+    statics: FloatArray
+
+    def states_at(self, fractions: FloatArray) -> FloatArray:
+        """Return the state polynomials at fractions of the horizon."""
+        return interpolate(self.mesh, self.states, fractions, with_start=True)
+
+    def rates_at(self, fractions: FloatArray) -> FloatArray:
+        """Return d state / d fraction of the state polynomials."""
+        return interpolate_rates(self.mesh, self.states, fractions)
+
+    def algebraics_at(self, fractions: FloatArray) -> FloatArray:
+        """Return the polynomials through the algebraic variables."""
+        return interpolate(self.mesh, self.algebraics, fractions, with_start=False)
+
+
+def _by_element(mesh: Mesh, fractions: FloatArray) -> list[tuple[int, np.ndarray, FloatArray]]:
+    """Return (element, positions, local coordinates) for each element that is asked for."""
+    elements = mesh.locate(fractions)
+    starts = np.asarray(mesh.breakpoints)
+    groups = []
+    order = np.argsort(elements, kind="stable")
+    boundaries = np.flatnonzero(np.diff(elements[order])) + 1
+    for positions in np.split(order, boundaries):
+        if positions.size:
+            e = int(elements[positions[0]])
+            local = (fractions[positions] - starts[e]) / mesh.widths[e]
+            groups.append((e, positions, local))
+    return groups
+
+
+def interpolate(
+    mesh: Mesh, values: FloatArray, fractions: FloatArray, *, with_start: bool
+) -> FloatArray:
+    """Evaluate element polynomials.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    values : ndarray, shape (n_points + 1, k) or (n_points, k)
+        At nodes if `with_start`, else at collocation points.
+    fractions : ndarray, shape (n,)
+    with_start : bool
+        Whether each element's polynomial also passes through its left end.
+
+    Returns
+    -------
+    ndarray, shape (n, k)
+    """
+    result = np.empty((len(fractions), values.shape[1]))
+    for e, positions, local in _by_element(mesh, fractions):
+        rule = radau_rule(mesh.degrees[e])
+        first, last = mesh.first_node[e], mesh.first_node[e + 1]
+        nodes = rule.nodes if with_start else rule.points
+        held = values[first : last + 1] if with_start else values[first:last]
+        result[positions] = interpolation_matrix(nodes, local) @ held
+    return result
+
+
+def interpolate_rates(mesh: Mesh, states: FloatArray, fractions: FloatArray) -> FloatArray:
+    """Evaluate the slopes of the state polynomials, shape (n, n_states)."""
+    result = np.empty((len(fractions), states.shape[1]))
+    for e, positions, local in _by_element(mesh, fractions):
+        rule = radau_rule(mesh.degrees[e])
+        first, last = mesh.first_node[e], mesh.first_node[e + 1]
+        slopes = np.vstack([rule.slope_at_start, rule.differentiation]) / mesh.widths[e]
+        held = slopes @ states[first : last + 1]
+        result[positions] = interpolation_matrix(rule.nodes, local) @ held
+    return result

@@ -1,0 +1,209 @@
+"""The nonlinear program of a compiled model on one mesh.
+
+Rows are the path equations point by point, then the conditions, then one row for each
+integral that is a variable.  Every derivative is exact: the compiled Jacobian and Hessian
+of one point, mapped over all points, are scattered into the sparse matrices of the program
+by index arrays that depend on the mesh alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pyomo_quad.collocation.compiled import CompiledModel
+from pyomo_quad.collocation.layout import Layout
+from pyomo_quad.collocation.mapped import MappedFunction
+from pyomo_quad.collocation.mesh import Mesh
+from pyomo_quad.collocation.nodes import FloatArray
+from pyomo_quad.collocation.patterns import hessian_scatter, jacobian_scatter, path_columns
+
+__all__ = ["Data", "Transcription"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Data:
+    """Numbers that the equations read: parameters, shape (n,), and signals at the points.
+
+    `signals` has shape (n_points, 1 + n_signals); its first column is the fraction.
+    """
+
+    parameters: FloatArray
+    signals: FloatArray
+
+    def at_points(self) -> FloatArray:
+        """Return signals and parameters side by side, one row per point."""
+        n = self.signals.shape[0]
+        return np.hstack([self.signals, np.broadcast_to(self.parameters, (n, self.parameters.size))])
+
+
+class Transcription:
+    """Objective, constraints and their derivatives, in the form Ipopt asks for."""
+
+    def __init__(self, compiled: CompiledModel, mesh: Mesh | None, data: Data) -> None:
+        self.compiled = compiled
+        self.mesh = mesh
+        self.layout = Layout(compiled.declared, mesh)
+        self._sign = -1.0 if compiled.declared.maximise else 1.0
+        self._columns = path_columns(self.layout)
+        self._jacobian = jacobian_scatter(compiled, self.layout)
+        self._hessian = hessian_scatter(compiled, self.layout)
+        self._map()
+        self._rows = np.zeros((0, 0))
+        self.set_data(data)
+
+    def set_data(self, data: Data) -> None:
+        """Change the numbers that the equations read; everything else is kept."""
+        self.data = data
+        self._path_data = data.at_points()
+        self._point_data = data.parameters[None, :]
+        self._seen: FloatArray | None = None
+
+    def _map(self) -> None:
+        n = max(self.layout.points, 1)
+        path, points = self.compiled.path, self.compiled.points
+        self._path = [MappedFunction(f, n) for f in (path.values, path.jacobian, path.hessian)]
+        self._point = [
+            MappedFunction(f, 1) for f in (points.values, points.jacobian, points.hessian)
+        ]
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows of the program."""
+        return self.first_integral_row + len(self.compiled.static_of_integral)
+
+    @property
+    def first_condition_row(self) -> int:
+        """Row of the first condition."""
+        return self.layout.points * self.compiled.n_equations
+
+    @property
+    def first_integral_row(self) -> int:
+        """Row of the first integral's definition."""
+        return self.first_condition_row + len(self.compiled.declared.conditions)
+
+    @property
+    def horizon(self) -> tuple[float, float] | None:
+        """Start and end given by parameters; None where the end is a variable."""
+        names = [p.name for p in self.compiled.declared.parameters]
+        if "horizon.end" not in names:
+            return None
+        start, end = (names.index(f"horizon.{side}") for side in ("start", "end"))
+        return float(self.data.parameters[start]), float(self.data.parameters[end])
+
+    def time_of(self, fraction: float) -> float:
+        """Return physical time, or the fraction itself where the end is a variable."""
+        start, end = self.horizon or (0.0, 1.0)
+        return start + (end - start) * fraction
+
+    def path_variables(self, z: FloatArray) -> FloatArray:
+        """Return rates, states, algebraics and statics at the points, one row per point."""
+        layout = self.layout
+        states = z[layout.state_columns]
+        statics = np.broadcast_to(z[layout.static_columns], (layout.points, layout.n_statics))
+        return np.hstack(
+            [layout.slope_matrix @ states, states[1:], z[layout.algebraic_columns], statics]
+        )
+
+    def rows_at_points(self, z: FloatArray) -> FloatArray:
+        """Return path equations and integrands at the points, shape (n_points, n_rows)."""
+        if self._seen is None or not np.array_equal(self._seen, z):
+            if self.layout.points:
+                self._rows = self._path[0](self.path_variables(z), self._path_data)[0]
+            else:
+                self._rows = np.zeros((0, self.compiled.path.values.numel_out(0)))
+            self._seen = np.array(z)
+        return self._rows
+
+    def integrals(self, z: FloatArray) -> FloatArray:
+        """Return the value of every integral by the scheme's own quadrature."""
+        densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
+        return self._weights() @ densities
+
+    def objective_density(self, z: FloatArray) -> FloatArray:
+        """Return the integrand of what Ipopt minimises at the points, shape (n_points,)."""
+        densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
+        direct = densities[:, list(self.compiled.row_integrals)]
+        return self._sign * direct @ self._objective_slopes(z)
+
+    def _objective_slopes(self, z: FloatArray) -> FloatArray:
+        sources = self._point[1](self._point_variables(z), self._point_data)[0].ravel()
+        return self._jacobian.objective_slopes(sources)
+
+    def _weights(self) -> FloatArray:
+        return self.mesh.quadrature_weights if self.mesh else np.zeros(0)
+
+    def _point_variables(self, z: FloatArray) -> FloatArray:
+        layout = self.layout
+        direct = self.integrals(z)[list(self.compiled.row_integrals)]
+        values = layout.point_values @ z
+        return np.concatenate([values, z[layout.static_columns], direct])[None, :]
+
+    def user_objective(self, z: FloatArray) -> float:
+        """Return the objective as declared, not negated for a maximum."""
+        return float(self._point[0](self._point_variables(z), self._point_data)[0][0, -1])
+
+    def objective(self, z: FloatArray) -> float:
+        """Return what Ipopt minimises."""
+        return self._sign * self.user_objective(z)
+
+    def constraints(self, z: FloatArray) -> FloatArray:
+        """Return the value of every row."""
+        n = self.compiled.n_equations
+        conditions = self._point[0](self._point_variables(z), self._point_data)[0][0, :-1]
+        integrals = self.integrals(z)
+        definitions = [
+            z[self.layout.static_columns[s]] - integrals[i]
+            for i, s in self.compiled.static_of_integral.items()
+        ]
+        return np.concatenate([self.rows_at_points(z)[:, :n].ravel(), conditions, definitions])
+
+    def _derivative_sources(self, z: FloatArray) -> FloatArray:
+        path = np.zeros(0)
+        if self.layout.points:
+            path = self._path[1](self.path_variables(z), self._path_data)[0].ravel()
+        point = self._point[1](self._point_variables(z), self._point_data)[0].ravel()
+        return np.concatenate([path, point, [1.0]])
+
+    def gradient(self, z: FloatArray) -> FloatArray:
+        """Return the gradient of what Ipopt minimises."""
+        sources = self._derivative_sources(z)
+        slopes = self._jacobian.integral_slopes(sources)
+        return self._sign * self._jacobian.gradient(sources, slopes)
+
+    def jacobianstructure(self) -> tuple[Any, Any]:
+        """Return rows and columns of the Jacobian's nonzeros."""
+        return self._jacobian.rows.rows, self._jacobian.rows.columns
+
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        """Return the Jacobian's nonzeros."""
+        return self._jacobian.rows.values(self._derivative_sources(z))
+
+    def hessianstructure(self) -> tuple[Any, Any]:
+        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
+        return self._hessian.rows, self._hessian.columns
+
+    def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
+        """Return the nonzeros of the Hessian of factor * objective + multipliers . rows."""
+        factor = self._sign * factor
+        path = np.zeros(0)
+        if self.layout.points:
+            weights = self._path_weights(z, multipliers, factor)
+            path = self._path[2](self.path_variables(z), self._path_data, weights)[0].ravel()
+        conditions = multipliers[self.first_condition_row : self.first_integral_row]
+        point_weights = np.append(conditions, factor)[None, :]
+        point = self._point[2](self._point_variables(z), self._point_data, point_weights)[0]
+        return self._hessian.values(np.concatenate([path, point.ravel()]))
+
+    def _path_weights(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
+        """Return the multiplier of each path equation and each integrand at each point."""
+        n, points = self.compiled.n_equations, self.layout.points
+        on_integral = np.zeros(len(self.compiled.declared.integrals))
+        on_integral[list(self.compiled.row_integrals)] = factor * self._objective_slopes(z)
+        for row, integral in enumerate(self.compiled.static_of_integral):
+            on_integral[integral] = -multipliers[self.first_integral_row + row]
+        densities = self._weights()[:, None] * on_integral[None, :]
+        equations = multipliers[: points * n].reshape(points, n)
+        return np.hstack([equations, densities])

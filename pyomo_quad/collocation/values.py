@@ -1,0 +1,176 @@
+"""Numbers for the compiled equations: read from the Pyomo model, or given by the caller."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from pyomo.core.base.component import Component
+from pyomo.environ import Var, value
+
+from pyomo_quad.collocation.addresses import AddressBook
+from pyomo_quad.collocation.declarations import Declarations, Slot
+from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.nodes import FloatArray
+
+__all__ = ["ModelValues", "Overrides"]
+
+Overrides = Mapping[Any, float | Callable[[float], float]]
+
+
+class ModelValues:
+    """Reads the current values of a Pyomo model in the order of its declarations.
+
+    Parameters
+    ----------
+    model : ConcreteModel
+        The user's model; values are read anew at every call.
+    declared : Declarations
+    time : ContinuousSet or None
+        The model's continuous set.
+    """
+
+    def __init__(self, model: Any, declared: Declarations, time: Any) -> None:
+        self._model = model
+        self._declared = declared
+        self._time = time
+        self._addresses = AddressBook(time)
+
+    @property
+    def declared_horizon(self) -> tuple[float, float]:
+        """Start and end of the continuous set."""
+        if self._time is None:
+            return 0.0, 1.0
+        times = sorted(self._time)
+        return float(times[0]), float(times[-1])
+
+    def parameters(
+        self, overrides: Overrides | None, horizon: tuple[float, float] | None
+    ) -> FloatArray:
+        """Return parameter values, shape (n_parameters,).
+
+        Raises
+        ------
+        TranscriptionError
+            If an override names no mutable parameter of the model, or a value is missing.
+        """
+        named = self._by_name(overrides)
+        start, end = horizon or self.declared_horizon
+        ends = {"horizon.start": start, "horizon.end": end}
+        return np.array([self._parameter(slot, named, ends) for slot in self._declared.parameters])
+
+    def _by_name(self, overrides: Overrides | None) -> dict[str, Any]:
+        named = {
+            key.name if isinstance(key, Component) or hasattr(key, "parent_component") else str(key): v
+            for key, v in (overrides or {}).items()
+        }
+        for name in named:
+            found = self._model.find_component(name)
+            if found is None:
+                raise TranscriptionError(
+                    f"parameters: {name!r} is not a component of the model; give the full name of "
+                    "a mutable Param."
+                )
+        return named
+
+    def _parameter(self, slot: Slot, named: dict[str, Any], ends: dict[str, float]) -> float:
+        if slot.name in ends:
+            return ends[slot.name]
+        if slot.name in named:
+            return float(value(named[slot.name]))
+        found = value(self._data(slot), exception=False)
+        if found is None:
+            raise TranscriptionError(f"{slot.name}: has no value; give it one before the solve.")
+        return float(found)
+
+    def _data(self, slot: Slot, time: float | None = None) -> Any:
+        component = self._model.find_component(slot.component)
+        if time is not None:
+            return component[self._addresses.join(component, slot.index, time)]
+        if not slot.index:
+            return component
+        return component[slot.index if len(slot.index) > 1 else slot.index[0]]
+
+    def signals(self, times: FloatArray, overrides: Overrides | None) -> FloatArray:
+        """Return time-varying parameters at given times, shape (n_times, n_signals).
+
+        Raises
+        ------
+        TranscriptionError
+            If such a parameter has no rule and no override to evaluate it at any time.
+        """
+        named = self._by_name(overrides)
+        columns = [self._signal(slot, times, named) for slot in self._declared.signals]
+        return np.column_stack(columns) if columns else np.zeros((len(times), 0))
+
+    def _signal(self, slot: Slot, times: FloatArray, named: dict[str, Any]) -> FloatArray:
+        if callable(named.get(slot.name)):
+            return np.array([float(named[slot.name](float(t))) for t in times])
+        component = self._model.find_component(slot.component)
+        rule = component._rule  # noqa: SLF001
+        if rule is None:
+            raise TranscriptionError(
+                f"{slot.name}: a parameter over time needs a value at any time; declare it with "
+                "initialize= a function of time."
+            )
+        block = component.parent_block()
+        join = self._addresses.join
+        return np.array(
+            [float(value(rule(block, join(component, slot.index, float(t))))) for t in times]
+        )
+
+    def fixed(self) -> dict[tuple[str, float], float]:
+        """Return the values a user fixed at declared times, by slot name and fraction."""
+        first, last = self.declared_horizon
+        slots = {s.name: s for s in self._every_slot()}
+        return {
+            (name, fraction): float(
+                value(self._data(slots[name], self._declared_time(first, last, fraction)))
+            )
+            for name, fraction in self._declared.fixed
+        }
+
+    def _declared_time(self, first: float, last: float, fraction: float) -> float:
+        wanted = first + (last - first) * fraction
+        return float(min(self._time, key=lambda t: abs(t - wanted)))
+
+    def _every_slot(self) -> tuple[Slot, ...]:
+        d = self._declared
+        return (*d.states, *d.algebraics, *d.outputs)
+
+    def initial_values(self, slot: Slot) -> list[tuple[float, float]]:
+        """Return the (fraction, value) pairs that the model's variable holds."""
+        first, last = self.declared_horizon
+        pairs = []
+        for time in sorted(self._time):
+            held = self._data(slot, time).value
+            if held is not None:
+                pairs.append(((time - first) / (last - first), float(held)))
+        return pairs
+
+    def static_value(self, slot: Slot) -> float | None:
+        """Return the value a static variable holds, None if it has none."""
+        component = self._model.find_component(slot.component)
+        if component.ctype is not Var:
+            return None
+        held = self._data(slot).value
+        return None if held is None else float(held)
+
+    def declared_fractions(self) -> list[float]:
+        """Return the declared times as fractions of the horizon."""
+        if self._time is None:
+            return []
+        first, last = self.declared_horizon
+        return [(float(t) - first) / (last - first) for t in sorted(self._time)]
+
+    def load(self, slot: Slot, fraction: float | None, number: float) -> None:
+        """Put a solved value into the model's variable, unless a user fixed it there."""
+        if self._model.find_component(slot.component).ctype is not Var:
+            return
+        if fraction is None:
+            data = self._data(slot)
+        else:
+            data = self._data(slot, self._declared_time(*self.declared_horizon, fraction))
+        if not data.fixed:
+            data.set_value(number, skip_validation=True)
