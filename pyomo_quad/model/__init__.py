@@ -1,5 +1,20 @@
 """The declared equations of the mission, each written once in Pyomo."""
 
 from pyomo_quad.model.build import build_model, parameter_values, structure_key
+from pyomo_quad.model.custom import load_builder, model_builder
+from pyomo_quad.model.hover import Hover, battery_shortfalls, hover, hover_power
+from pyomo_quad.model.inspection import ModelInspection, inspect_model
 
-__all__ = ["build_model", "parameter_values", "structure_key"]
+__all__ = [
+    "Hover",
+    "ModelInspection",
+    "battery_shortfalls",
+    "build_model",
+    "hover",
+    "hover_power",
+    "inspect_model",
+    "load_builder",
+    "model_builder",
+    "parameter_values",
+    "structure_key",
+]

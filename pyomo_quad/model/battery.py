@@ -27,9 +27,9 @@ from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.model.smoothing import saturated
 from pyomo_quad.scenario import Scenario
 
-__all__ = ["PARAMETERS", "declare_battery"]
+__all__ = ["CHARGE", "PARAMETERS", "declare_battery"]
 
-_CHARGE = units.A * units.hr
+CHARGE = units.A * units.hr
 # Shares of the charge and of the greatest power at which the guards act, and how softly.
 GUARD_FLOOR = 0.01
 GUARD_WIDTH = 0.005
@@ -52,10 +52,10 @@ PARAMETERS = (
     Parameter(name="E0", units=units.V, value=lambda s: s.battery.E0, doc="e_0 of one cell"),
     Parameter(name="K", units=units.V, value=lambda s: s.battery.K, doc="k of one cell"),
     Parameter(name="A", units=units.V, value=lambda s: s.battery.A, doc="c_1 of one cell"),
-    Parameter(name="B", units=1 / _CHARGE, value=lambda s: s.battery.B, doc="c_2 of one cell"),
+    Parameter(name="B", units=1 / CHARGE, value=lambda s: s.battery.B, doc="c_2 of one cell"),
     Parameter(
         name="capacity",
-        units=_CHARGE,
+        units=CHARGE,
         value=lambda s: s.battery.capacity,
         doc="Q_bat of one cell",
     ),
@@ -88,9 +88,9 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
     declare_parameters(b, PARAMETERS, scenario)
     b.pack_capacity = Expression(expr=b.capacity * b.cells_parallel)
     b.pack_resistance = Expression(expr=b.cell_resistance * b.cells_series / b.cells_parallel)
-    b.charge_drawn = Var(m.time, units=_CHARGE, initialize=0.0, doc="charge drawn from full")
+    b.charge_drawn = Var(m.time, units=CHARGE, initialize=0.0, doc="charge drawn from full")
     b.dcharge_drawn_dt = DerivativeVar(
-        b.charge_drawn, wrt=m.time, units=_CHARGE / units.s, initialize=0.0
+        b.charge_drawn, wrt=m.time, units=CHARGE / units.s, initialize=0.0
     )
     pack_capacity = scenario.battery.capacity * scenario.battery.cells_parallel
     m.scaling_factor[b.charge_drawn] = 1.0 / (_NOMINAL_SHARE * pack_capacity)
@@ -136,7 +136,8 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
     def current(b: Block, t: float) -> NumericExpression:
         power = b.parent_block().power.total[t]
         reserve_share = saturated(1 - power / b.greatest_power[t], GUARD_FLOOR, GUARD_WIDTH)
-        return 2 * power / (b.open_circuit_voltage[t] * (1 + sqrt(reserve_share)))
+        current_at_greatest_power = b.open_circuit_voltage[t] / (2 * b.pack_resistance)
+        return current_at_greatest_power * (1 - sqrt(reserve_share))
 
     @b.Expression(m.time, doc="eq. (4) row 2: terminal voltage of the pack [V]")
     def voltage(b: Block, t: float) -> NumericExpression:

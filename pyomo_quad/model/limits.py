@@ -50,9 +50,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """
     fields = type(scenario.limits).model_fields
     return tuple(
-        Parameter(
-            name=name, units=unit, value=_reader(name), doc=fields[name].description or name
-        )
+        Parameter(name=name, units=unit, value=_reader(name), doc=fields[name].description or name)
         for name, unit in _UNITS.items()
         if getattr(scenario.limits, name) is not None
     )

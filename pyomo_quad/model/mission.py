@@ -4,17 +4,18 @@ The paper gives every rotor 912 rad/s at both ends, 0.07 % short of balancing th
 it is the exact speed at which 4 kappa_b omega^2 = m g.
 """
 
+from collections.abc import Callable
+
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.environ import Block, ConcreteModel, sqrt, units
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
-from pyomo_quad.model.rigid_body import STATES
+from pyomo_quad.model.rigid_body import PLACE, STATES
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.mission import Hover
 
 __all__ = ["PARAMETERS", "declare_mission"]
 
-PLACE = ("x", "y", "z", "psi")
 AT_REST = tuple(name for name in STATES if name not in PLACE)
 
 
@@ -22,12 +23,16 @@ def _place(hover: Hover) -> dict[str, float]:
     return dict(zip(PLACE, (*hover.position, hover.yaw), strict=True))
 
 
+def _reader(end: str, state: str) -> Callable[[Scenario], float]:
+    return lambda scenario: _place(getattr(scenario.mission, end))[state]
+
+
 def _end_parameters(end: str) -> tuple[Parameter, ...]:
     return tuple(
         Parameter(
             name=f"{end}_{state}",
             units=STATES[state][0],
-            value=lambda s, state=state: _place(getattr(s.mission, end))[state],
+            value=_reader(end, state),
             doc=f"{STATES[state][1]} at the {end}",
         )
         for state in PLACE

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from pyomo.environ import Block, Param
 
@@ -9,7 +10,7 @@ from pyomo_quad.scenario import Scenario
 
 __all__ = ["Parameter", "declare_parameters", "parameter_items"]
 
-Value = float | Mapping[Hashable, float]
+Value = float | Mapping[Any, float]
 
 
 @dataclass(frozen=True, kw_only=True)

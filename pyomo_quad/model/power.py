@@ -33,9 +33,7 @@ TORQUE_FLOOR_WIDTH = 1e-4 * _TORQUE
 EFFICIENCY_FLOOR_WIDTH = 1e-3
 
 # Models for which a certificate of global optimality exists.
-CONVEX_IN_THRUST = frozenset(
-    {PowerModel.MOTOR, PowerModel.SHAFT, PowerModel.CONSTANT_EFFICIENCY}
-)
+CONVEX_IN_THRUST = frozenset({PowerModel.MOTOR, PowerModel.SHAFT, PowerModel.CONSTANT_EFFICIENCY})
 
 _SMOOTHING = Parameter(
     name="smoothing",

@@ -19,7 +19,7 @@ from pyomo.environ import Block, ConcreteModel, Var, cos, sin, units
 
 from pyomo_quad.scenario import Scenario
 
-__all__ = ["STATES", "declare_balances", "declare_motion"]
+__all__ = ["PLACE", "STATES", "declare_balances", "declare_motion"]
 
 _SPEED = units.m / units.s
 _RATE = units.rad / units.s
@@ -38,6 +38,8 @@ STATES = {
     "q": (_RATE, "pitch rate"),
     "r": (_RATE, "yaw rate"),
 }
+# What a mission gives at both ends; the other states rest there.
+PLACE = ("x", "y", "z", "psi")
 _NOMINAL_ANGLE = 0.1
 _NOMINAL_RATE = 0.1
 
@@ -76,9 +78,10 @@ def _straight_line(start: float, goal: float, duration: float) -> Callable[[Bloc
 
 def _declare_states(m: ConcreteModel, scenario: Scenario) -> None:
     b, mission = m.rigid_body, scenario.mission
-    ends = dict(zip("xyz", zip(mission.start.position, mission.goal.position, strict=True)))
-    ends["psi"] = (mission.start.yaw, mission.goal.yaw)
-    distance = max(1.0, *(abs(goal - start) for start, goal in ends.values()))
+    start = (*mission.start.position, mission.start.yaw)
+    goal = (*mission.goal.position, mission.goal.yaw)
+    ends = dict(zip(PLACE, zip(start, goal, strict=True), strict=True))
+    distance = max(1.0, *(abs(there - here) for here, there in ends.values()))
     nominal = dict.fromkeys(("x", "y", "z"), distance)
     nominal |= dict.fromkeys(("vx", "vy", "vz"), distance / mission.duration)
     nominal |= dict.fromkeys(("phi", "theta", "psi"), _NOMINAL_ANGLE)

@@ -43,15 +43,9 @@ PARAMETERS = (
         value=lambda s: s.vehicle.arm_length,
         doc="l: centre of mass to rotor shaft",
     ),
-    Parameter(
-        name="Ix", units=_INERTIA, value=lambda s: s.vehicle.Ix, doc="inertia about body x"
-    ),
-    Parameter(
-        name="Iy", units=_INERTIA, value=lambda s: s.vehicle.Iy, doc="inertia about body y"
-    ),
-    Parameter(
-        name="Iz", units=_INERTIA, value=lambda s: s.vehicle.Iz, doc="inertia about body z"
-    ),
+    Parameter(name="Ix", units=_INERTIA, value=lambda s: s.vehicle.Ix, doc="inertia about body x"),
+    Parameter(name="Iy", units=_INERTIA, value=lambda s: s.vehicle.Iy, doc="inertia about body y"),
+    Parameter(name="Iz", units=_INERTIA, value=lambda s: s.vehicle.Iz, doc="inertia about body z"),
     Parameter(
         name="thrust_coefficient",
         units=units.N * units.s**2,

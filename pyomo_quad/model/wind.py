@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.wind import FrequencyUnit, WindAxis
+from pyomo_quad.scenario.wind import FrequencyUnit, WindAxis, WindSeries
 
 __all__ = ["AXIS_PARAMETERS", "PARAMETERS", "declare_wind"]
 
@@ -54,9 +54,7 @@ def _angular_frequencies(scenario: Scenario, name: str) -> dict[int, float]:
 
 def _axis_parameters(name: str) -> tuple[Parameter, ...]:
     return (
-        Parameter(
-            name="mean", units=_SPEED, value=lambda s: _mean(s, name), doc="v_0: mean value"
-        ),
+        Parameter(name="mean", units=_SPEED, value=lambda s: _mean(s, name), doc="v_0: mean value"),
         Parameter(
             name="amplitudes",
             units=_SPEED,
@@ -100,10 +98,11 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
         Its wind is the one declared.
     """
     m.wind = Block(doc="wind, eq. (11)-(12)")
-    if scenario.wind.series is None:
+    series = scenario.wind.series
+    if series is None:
         _declare_formula(m, scenario)
     else:
-        _declare_series(m, scenario)
+        _declare_series(m, series, scenario.wind.time_offset)
 
 
 def _declare_formula(m: ConcreteModel, scenario: Scenario) -> None:
@@ -132,9 +131,7 @@ def _declare_formula(m: ConcreteModel, scenario: Scenario) -> None:
 def _velocity(axis: Block, t: float) -> NumericExpression:
     """Return eq. (11): mean, harmonics and gust."""
     wind_time = axis.parent_block().wind_time[t]
-    harmonics = sum(
-        axis.amplitudes[k] * sin(axis.frequencies[k] * wind_time) for k in HARMONICS
-    )
+    harmonics = sum(axis.amplitudes[k] * sin(axis.frequencies[k] * wind_time) for k in HARMONICS)
     return axis.mean + harmonics + axis.gust[t]
 
 
@@ -145,9 +142,8 @@ def _declare_gust(axis: Block, m: ConcreteModel) -> None:
         return 2 * axis.gust_amplitude / (1 + exp(-4 * (sin(phase) - 1)))
 
 
-def _declare_series(m: ConcreteModel, scenario: Scenario) -> None:
+def _declare_series(m: ConcreteModel, series: WindSeries, offset: float) -> None:
     b = m.wind
-    series, offset = scenario.wind.series, scenario.wind.time_offset
     for name, samples in (("x", series.wind_x), ("y", series.wind_y)):
         spline = CubicSpline(series.times, samples)
 
