@@ -1,6 +1,7 @@
 """Scenarios: what a mission is made of, read from TOML and validated."""
 
 from pyomo_quad.scenario.baseline import Reference
+from pyomo_quad.scenario.description import FieldDescription, describe_fields, field_unit
 from pyomo_quad.scenario.errors import FeasibilityError, OutputError, PyomoQuadError, ScenarioError
 from pyomo_quad.scenario.library import (
     LIBRARY_KINDS,
@@ -17,6 +18,7 @@ from pyomo_quad.scenario.wind import FrequencyUnit, Wind, WindAxis, WindCoupling
 __all__ = [
     "LIBRARY_KINDS",
     "FeasibilityError",
+    "FieldDescription",
     "FrequencyUnit",
     "LibraryEntry",
     "OutputError",
@@ -29,6 +31,8 @@ __all__ = [
     "Wind",
     "WindAxis",
     "WindCoupling",
+    "describe_fields",
+    "field_unit",
     "library_entry",
     "library_names",
     "load_scenario",

@@ -11,7 +11,7 @@ from pydantic_core import ErrorDetails
 from pyomo_quad.scenario.fields import allowed_text, unit_of
 from pyomo_quad.scenario.tree import Path, spell
 
-__all__ = ["complaint", "field_paths", "printable", "shown"]
+__all__ = ["complaint", "declared_place", "field_paths", "printable", "shown"]
 
 _LONGEST_VALUE = 60
 
@@ -127,6 +127,35 @@ def field_paths(model: type[BaseModel], prefix: Path = ()) -> Iterator[Path]:
             yield from field_paths(nested, (*prefix, name))
 
 
+def declared_place(
+    model: type[BaseModel], place: Sequence[str | int]
+) -> tuple[type[BaseModel], str]:
+    """Find the table that holds a place, and the unit of the field there.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        The outermost table.
+    place : sequence of str and int
+        Steps from there; the last may be an unknown key.
+
+    Returns
+    -------
+    tuple
+        The innermost table reached, and the unit string.
+    """
+    table, unit = model, ""
+    for step in place:
+        if not isinstance(step, str):
+            continue
+        unit = unit_of(table, step)
+        nested = _table_of(table, step)
+        if nested is None:
+            break
+        table = nested
+    return table, unit
+
+
 def _number_text(value: object) -> str:
     try:
         return f"{value:g}" if isinstance(value, float) else str(value)
@@ -135,7 +164,7 @@ def _number_text(value: object) -> str:
 
 
 def _line(details: ErrorDetails, model: type[BaseModel], path: Path) -> str:
-    table, unit = _declared(model, details["loc"])
+    table, unit = declared_place(model, details["loc"])
     where = spell(path)
     if details["type"] == "extra_forbidden":
         return _unknown_key(model, table, path, details["loc"])
@@ -182,20 +211,6 @@ def _unknown_key(
     if near:
         return f"unknown key {where}; did you mean {near[0]}?"
     return f"unknown key {where}; known keys here: {', '.join(table.model_fields)}."
-
-
-def _declared(model: type[BaseModel], place: Sequence[str | int]) -> tuple[type[BaseModel], str]:
-    """Find the table that holds a place, and the unit of the field there."""
-    table, unit = model, ""
-    for step in place:
-        if not isinstance(step, str):
-            continue
-        unit = unit_of(table, step)
-        nested = _table_of(table, step)
-        if nested is None:
-            break
-        table = nested
-    return table, unit
 
 
 def _table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:

@@ -39,6 +39,17 @@ class LibraryEntry:
     tables: Mapping[str, Mapping[str, Any]]
     sources: Mapping[str, str]
 
+    def values(self) -> dict[str, Any]:
+        """Return the numbers that have a source.
+
+        Returns
+        -------
+        dict
+            Dotted scenario field -> value.
+        """
+        everything = {spell(path): value for path, value in leaves(self.tables)}
+        return {field: everything[field] for field in self.sources}
+
 
 def library_names(kind: str) -> tuple[str, ...]:
     """List the names of one kind.

@@ -1,0 +1,91 @@
+"""The `pyomo-quad` command: its subcommands, and the one place where errors become exit codes."""
+
+import traceback
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from pyomo_quad.cli.check import check
+from pyomo_quad.cli.consoles import complain
+from pyomo_quad.cli.exit_codes import ExitCode
+from pyomo_quad.cli.library import library
+from pyomo_quad.scenario.errors import FeasibilityError, OutputError, PyomoQuadError, ScenarioError
+from pyomo_quad.version import __version__
+
+__all__ = ["app", "main"]
+
+# Base of all complaints about the command line: click's, or the copy that newer typer carries.
+_UsageError: type[Exception] = typer.BadParameter.__mro__[1]
+
+app = typer.Typer(
+    name="pyomo-quad",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Minimum-energy quadrotor flight in wind: solve, verify, compare, report.",
+)
+app.command()(check)
+app.command()(library)
+
+
+def _print_version(is_wanted: bool) -> None:
+    if is_wanted:
+        print(f"pyomo-quad {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _before_any_command(
+    *,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Version.")
+    ] = False,
+) -> None:
+    """Take the options that stand before the command."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The command line without the program's name, that of the process by default.
+
+    Returns
+    -------
+    int
+        Exit status, see `ExitCode`.
+    """
+    try:
+        status = app(
+            args=None if arguments is None else list(arguments),
+            prog_name="pyomo-quad",
+            standalone_mode=False,
+        )
+    except (ScenarioError, FeasibilityError) as error:
+        complain(str(error))
+        return ExitCode.BAD_INPUT
+    except _UsageError as error:
+        message = error.format_message()  # type: ignore[attr-defined]
+        complain(f"pyomo-quad: {message} See pyomo-quad --help.")
+        return ExitCode.BAD_INPUT
+    except (KeyboardInterrupt, typer.Abort):
+        complain("pyomo-quad: interrupted; nothing was written.")
+        return ExitCode.INTERRUPTED
+    except (OutputError, OSError, PyomoQuadError) as error:
+        complain(str(error))
+        return ExitCode.FAULT
+    except Exception as error:  # noqa: BLE001  the last line of defence: one line and a status
+        return _report_bug(error)
+    return int(status or 0)
+
+
+def _report_bug(error: Exception) -> ExitCode:
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    complain(
+        f"pyomo-quad: unexpected {type(error).__name__}: {error} "
+        f"(at {place.filename}:{place.lineno}); this is a bug, please report it with this line."
+    )
+    return ExitCode.FAULT
