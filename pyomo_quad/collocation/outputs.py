@@ -59,7 +59,7 @@ class OutputStates:
         parameters = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in declared.parameters])
         values = []
         for slot in declared.outputs:
-            found = casadi.SX(casadi.nan)
+            found = casadi.SX(np.nan)
             for condition in declared.output_starts:
                 for symbol in casadi.symvar(condition.expression):
                     if symbol.name().startswith(f"{slot.component}["):

@@ -10,6 +10,7 @@ import numpy as np
 
 from pyomo_quad.collocation.bounds import bounds_of
 from pyomo_quad.collocation.compiled import CompiledModel, compile_declarations
+from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.evaluation import Evaluator
 from pyomo_quad.collocation.guess import Guess, initial_point
@@ -239,6 +240,23 @@ class Problem:
                 lower[at] = max(lower[at], min(limits[2][k], limits[3][k]))
                 upper[at] = min(upper[at], max(limits[2][k], limits[3][k]))
         return lower, upper
+
+    def dynamics(
+        self,
+        *,
+        parameters: Overrides | None = None,
+        horizon: tuple[float, float] | None = None,
+        statics: FloatArray | None = None,
+    ) -> Dynamics:
+        """Return the explicit right-hand side of the model for a simulation.
+
+        Static variables take the values they hold in the model unless given.
+        """
+        declared = self.compiled.declared
+        if statics is None:
+            held = [self.values.static_value(s) for s in declared.statics]
+            statics = np.array([np.nan if v is None else v for v in held])
+        return Dynamics(self, self.instance(parameters, horizon), statics)
 
     def load(self, solution: Solution) -> None:
         """Put a solution's values into the Pyomo model, at the times it declares."""

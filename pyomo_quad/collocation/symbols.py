@@ -6,6 +6,7 @@ from typing import Any
 
 import casadi
 from pyomo.dae import DerivativeVar
+from pyomo.environ import value
 
 from pyomo_quad.collocation.addresses import AddressBook, indexed_name
 from pyomo_quad.collocation.declarations import PointSymbol, Slot
@@ -89,11 +90,11 @@ class SymbolTable:
         return self._scalar(self.statics, data, data.name, lower=data.lower, upper=data.upper)
 
     def _is_clock(self, data: Any) -> bool:
-        component = data.parent_component()
+        """Say whether a parameter over time is time itself."""
+        component, index = data.parent_component(), self._addresses.of(data).index
         return all(
-            float(component[self._addresses.join(component, self._addresses.of(data).index, t)]
-                  .value) == t
-            for t in (*self._copy.declared_times, self._copy.template_time)
+            value(component[self._addresses.join(component, index, t)], exception=False) == t
+            for t in self._copy.declared_times
         )
 
     def _signal(self, data: Any, address: Any) -> Any:

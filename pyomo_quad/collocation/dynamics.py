@@ -1,0 +1,280 @@
+"""The declared equations solved for their slopes: what a simulator needs.
+
+dx/dt = f(t, x, u) is obtained from the compiled equality equations, so a simulation reads
+the very equations that the optimiser read, output states included.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import casadi
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import maximum_bipartite_matching
+
+from pyomo_quad.collocation.declarations import Slot
+from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.expressions import symbol_names
+from pyomo_quad.collocation.mapped import MappedFunction
+from pyomo_quad.collocation.nodes import FloatArray
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.problem import Instance, Problem
+
+__all__ = ["Dynamics", "Violation"]
+
+
+class Violation:
+    """The worst breach of one limit: its name, size in its own unit, bound and time."""
+
+    def __init__(self, name: str, size: float, bound: float, time: float) -> None:
+        self.name = name
+        self.size = size
+        self.bound = bound
+        self.time = time
+
+    @property
+    def relative(self) -> float:
+        """Size relative to the larger of 1 and the bound."""
+        return self.size / max(1.0, abs(self.bound))
+
+
+class Dynamics:
+    """Explicit right-hand side and outputs of a compiled problem, for given numbers.
+
+    Attributes
+    ----------
+    state_names : tuple of str
+        States of the program, then output states.
+    control_names : tuple of str
+        Algebraic variables that no equation determines: what a simulation is given.
+    """
+
+    def __init__(self, problem: Problem, instance: Instance, statics: FloatArray) -> None:
+        self._problem = problem
+        self._instance = instance
+        self._statics = np.asarray(statics, dtype=float)
+        declared = problem.compiled.declared
+        states = (*declared.states, *declared.outputs)
+        self.controls, self._determined = _controls(problem)
+        self.state_names = tuple(s.name for s in states)
+        self.control_names = tuple(s.name for s in self.controls)
+        self.start, end = problem.horizon_of(self._statics, instance)
+        self._span = end - self.start
+        self._right_hand_side = self._compile(states)
+        self._at_one = MappedFunction(self._right_hand_side, 1)
+        self._has_signals = bool(declared.signals)
+        self._data = np.concatenate([np.zeros(1 + len(declared.signals)), instance.parameters])
+
+    def _compile(self, states: tuple[Slot, ...]) -> Any:
+        """Return the function (x, u, statics, data) -> slopes, algebraics, integrand."""
+        declared = self._problem.compiled.declared
+        equations = [e for e in declared.equations if e.is_equality]
+        rows = casadi.vertcat(*[e.expression for e in (*equations, *declared.output_equations)])
+        unknowns = casadi.vertcat(
+            *[s.rate for s in states], *[s.symbol for s in self._determined]
+        )
+        if rows.shape[0] != unknowns.shape[0]:
+            raise TranscriptionError(
+                f"dynamics: {rows.shape[0]} equations determine {unknowns.shape[0]} slopes and "
+                "algebraic variables; a simulation needs as many equations as unknowns."
+            )
+        inputs = [
+            _column([s.symbol for s in states]),
+            _column([s.symbol for s in self.controls]),
+            _column([s.symbol for s in declared.statics]),
+            casadi.vertcat(
+                declared.fraction, *[s.symbol for s in (*declared.signals, *declared.parameters)]
+            ),
+        ]
+        density = _objective_density(self._problem)
+        jacobian = casadi.jacobian(rows, unknowns)
+        if not symbol_names(jacobian) & symbol_names(unknowns):
+            zero = casadi.DM.zeros(unknowns.shape[0])
+            offset = casadi.substitute(rows, unknowns, zero)
+            solved = _solve_linear(jacobian, -offset)
+            outputs = casadi.substitute([unknowns, density], [unknowns], [solved])
+            return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
+        return _implicit(rows, unknowns, inputs, density)
+
+    def _row(self, t: float) -> FloatArray:
+        self._data[0] = (t - self.start) / self._span
+        if self._has_signals:
+            times = np.array([t])
+            held = self._problem.values.signals(times, self._instance.overrides)
+            self._data[1 : 1 + held.shape[1]] = held[0]
+        return self._data
+
+    def _solve(self, t: float, x: FloatArray, u: FloatArray) -> list[FloatArray]:
+        row = self._row(t)
+        return self._at_one(x[None, :], u[None, :], self._statics[None, :], row[None, :])
+
+    def rates(self, t: float, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return dx/dt, shape (n_states,)."""
+        return self._solve(t, x, u)[0][0, : x.size] / self._span
+
+    def rates_and_integrand(
+        self, t: float, x: FloatArray, u: FloatArray
+    ) -> tuple[FloatArray, float]:
+        """Return dx/dt and the objective's integrand in one evaluation."""
+        unknowns, density = self._solve(t, x, u)
+        return unknowns[0, : x.size] / self._span, float(density[0, 0]) / self._span
+
+    def integrand(self, t: float, x: FloatArray, u: FloatArray) -> float:
+        """Return the objective's integrand per unit of physical time."""
+        return float(self._solve(t, x, u)[1][0, 0]) / self._span
+
+    def _inputs(self, t: FloatArray, states: FloatArray, controls: FloatArray) -> list[FloatArray]:
+        """Return what an `Evaluator` reads, for n times at once."""
+        n = len(t)
+        fractions = (np.asarray(t, dtype=float) - self.start) / self._span
+        signals = self._problem.values.signals(np.asarray(t), self._instance.overrides)
+        parameters = np.broadcast_to(self._instance.parameters, (n, self._instance.parameters.size))
+        data = np.hstack([fractions[:, None], signals, parameters])
+        statics = np.broadcast_to(self._statics, (n, self._statics.size))
+        mapped = MappedFunction(self._right_hand_side, n)
+        unknowns = mapped(states, controls, statics, data)[0]
+        algebraics = self._algebraics(unknowns[:, states.shape[1] :], controls)
+        return [unknowns[:, : states.shape[1]], states, algebraics, statics, data]
+
+    def _algebraics(self, determined: FloatArray, controls: FloatArray) -> FloatArray:
+        """Return all algebraic variables in their declared order."""
+        names = [s.name for s in self._determined]
+        columns = [
+            determined[:, names.index(s.name)]
+            if s.name in names
+            else controls[:, self.control_names.index(s.name)]
+            for s in self._problem.compiled.declared.algebraics
+        ]
+        return np.column_stack(columns) if columns else np.zeros((determined.shape[0], 0))
+
+    def evaluate(
+        self,
+        component: Any,
+        t: FloatArray,
+        states: FloatArray,
+        controls: FloatArray,
+        index: Any = None,
+    ) -> FloatArray:
+        """Return a variable or expression over time along a flown trajectory.
+
+        Parameters
+        ----------
+        component : Var, DerivativeVar, Expression or str
+            A component over time of the model, or its full name.
+        t : ndarray, shape (n,)
+        states : ndarray, shape (n, n_states)
+        controls : ndarray, shape (n, n_controls)
+        index : optional
+            The component's index beside time.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+        """
+        return self._problem.evaluator(component, index, *self._inputs(t, states, controls))
+
+    def violations(
+        self, t: FloatArray, states: FloatArray, controls: FloatArray
+    ) -> tuple[Violation, ...]:
+        """Return the worst breach of every limit over time, the worst first.
+
+        Limits are path inequalities and bounds; a limit that is kept counts with size 0.
+        """
+        compiled = self._problem.compiled
+        declared, n_states = compiled.declared, len(compiled.declared.states)
+        rates, all_states, algebraics, statics, data = self._inputs(t, states, controls)
+        inner = all_states[:, :n_states]
+        variables = np.hstack([rates[:, :n_states], inner, algebraics, statics])
+        rows = MappedFunction(compiled.path.values, len(t))(variables, data)[0]
+        lower, upper = MappedFunction(compiled.path_bounds, len(t))(data)
+        low, high, first, second = MappedFunction(compiled.variable_limits, len(t))(data)
+        values = np.hstack([inner, algebraics])
+        names = [s.name for s in (*declared.states, *declared.algebraics)]
+        found = [
+            _worst(e.name, rows[:, k], lower[:, k], upper[:, k], t)
+            for k, e in enumerate(declared.equations)
+            if not e.is_equality
+        ]
+        found += [_worst(n, values[:, k], low[:, k], high[:, k], t) for k, n in enumerate(names)]
+        for k, bound in enumerate(compiled.simple_path_bounds):
+            held = values[:, names.index(bound.variable)]
+            sides = np.minimum(first[:, k], second[:, k]), np.maximum(first[:, k], second[:, k])
+            found.append(_worst(bound.name, held, *sides, t))
+        return tuple(sorted(found, key=lambda v: -v.relative))
+
+
+def _worst(
+    name: str, values: FloatArray, lower: FloatArray, upper: FloatArray, t: FloatArray
+) -> Violation:
+    below, above = lower - values, values - upper
+    size = np.maximum(below, above)
+    at = int(np.argmax(size))
+    bound = lower[at] if below[at] > above[at] else upper[at]
+    bound = float(bound) if np.isfinite(bound) else 0.0
+    return Violation(name, max(float(size[at]), 0.0), bound, float(t[at]))
+
+
+def _column(symbols: list[Any]) -> Any:
+    return casadi.vertcat(casadi.SX(0, 1), *symbols)
+
+
+def _controls(problem: Problem) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
+    """Split the algebraic variables into controls and those that equations determine.
+
+    Equality equations without rates determine algebraic variables; which ones follows from a
+    maximum matching of equations and variables, later declared variables first.
+    """
+    declared = problem.compiled.declared
+    rates = {s.rate.name() for s in declared.states}
+    rows = [
+        names
+        for e in declared.equations
+        if e.is_equality and not (names := symbol_names(e.expression)) & rates
+    ]
+    slots = list(reversed(declared.algebraics))
+    if not rows or not slots:
+        return declared.algebraics, ()
+    incidence = csr_matrix([[int(s.name in names) for s in slots] for names in rows])
+    matched = {int(k) for k in maximum_bipartite_matching(incidence, perm_type="column") if k >= 0}
+    determined = {s.name for k, s in enumerate(slots) if k in matched}
+    return (
+        tuple(s for s in declared.algebraics if s.name not in determined),
+        tuple(s for s in declared.algebraics if s.name in determined),
+    )
+
+
+def _objective_density(problem: Problem) -> Any:
+    """Return the integrand of the objective, as declared, over the unit horizon."""
+    declared = problem.compiled.declared
+    density = casadi.SX(0)
+    for k in problem.compiled.row_integrals:
+        integral = declared.integrals[k]
+        slope = casadi.jacobian(casadi.SX(declared.objective), integral.symbol)
+        density += slope * integral.integrand
+    return density
+
+
+def _solve_linear(matrix: Any, right: Any) -> Any:
+    """Solve a linear system symbolically; one unknown per row needs only a division."""
+    rows, columns = matrix.sparsity().get_triplet()
+    n = matrix.shape[0]
+    if sorted(rows) == list(range(n)) and sorted(columns) == list(range(n)):
+        solved = [casadi.SX(0)] * n
+        for row, column in zip(rows, columns, strict=True):
+            solved[column] = right[row] / matrix[row, column]
+        return casadi.vertcat(*solved)
+    return casadi.solve(matrix, right)
+
+
+def _implicit(rows: Any, unknowns: Any, inputs: list[Any], density: Any) -> Any:
+    """Return the right-hand side of equations that are nonlinear in the slopes."""
+    parameters = casadi.vertcat(*inputs)
+    residual = casadi.Function("residual", [unknowns, parameters], [rows])
+    newton = casadi.rootfinder("slopes", "newton", residual, {"abstol": 1e-13})
+    integrand = casadi.Function("integrand", [unknowns, parameters], [density])
+    symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
+    stacked = casadi.vertcat(*symbols)
+    solved = newton(casadi.MX.zeros(unknowns.shape[0]), stacked)
+    return casadi.Function("right_hand_side", symbols, [solved, integrand(solved, stacked)])
