@@ -6,14 +6,17 @@ parameters, horizons and meshes without being built again.
 
 from typing import Any
 
+from pyomo_quad.collocation.dynamics import Dynamics, Violation
 from pyomo_quad.collocation.errors import EngineError, SolveFailure, TranscriptionError
 from pyomo_quad.collocation.ipopt import Iteration, SolverOptions, Status
 from pyomo_quad.collocation.mesh import Mesh
 from pyomo_quad.collocation.problem import Problem
 from pyomo_quad.collocation.refinement import RefinementOptions
 from pyomo_quad.collocation.solution import MeshRecord, Solution
+from pyomo_quad.collocation.trajectory import control_polynomial, interpolate
 
 __all__ = [
+    "Dynamics",
     "EngineError",
     "Iteration",
     "Mesh",
@@ -25,7 +28,10 @@ __all__ = [
     "SolverOptions",
     "Status",
     "TranscriptionError",
+    "Violation",
     "compile",
+    "control_polynomial",
+    "interpolate",
     "solve",
 ]
 

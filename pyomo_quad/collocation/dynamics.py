@@ -173,7 +173,22 @@ class Dynamics:
         -------
         ndarray, shape (n,)
         """
-        return self._problem.evaluator(component, index, *self._inputs(t, states, controls))
+        name = component if isinstance(component, str) else component.name
+        return self.table(((name, index),), t, states, controls)[:, 0]
+
+    def table(
+        self,
+        keys: tuple[tuple[str, Any], ...],
+        t: FloatArray,
+        states: FloatArray,
+        controls: FloatArray,
+    ) -> FloatArray:
+        """Return several components, as (full name, index) pairs, at once: shape (n, n_keys)."""
+        return self._problem.evaluator(keys, *self._inputs(t, states, controls))
+
+    def has(self, name: str) -> bool:
+        """Say whether the model has a component of this name."""
+        return self._problem.model.find_component(name) is not None
 
     def violations(
         self, t: FloatArray, states: FloatArray, controls: FloatArray

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import casadi
-import numpy as np
 
 from pyomo_quad.collocation.compiled import CompiledModel
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.expressions import symbol_names
+from pyomo_quad.collocation.mapped import MappedFunction
 from pyomo_quad.collocation.nodes import FloatArray
 from pyomo_quad.collocation.reading import ModelReader
 
@@ -42,7 +42,7 @@ class Evaluator:
             casadi.vertcat(d.fraction, *[s.symbol for s in (*d.signals, *d.parameters)]),
         ]
         self._known = symbol_names(casadi.vertcat(*self.inputs))
-        self._functions: dict[tuple[str, tuple[Any, ...]], Any] = {}
+        self._functions: dict[tuple[tuple[str, Any], ...], Any] = {}
 
     def expression(self, component: Any, index: Any = None) -> Any:
         """Return a component over time as a CasADi expression of the inputs.
@@ -71,22 +71,30 @@ class Evaluator:
             )
         return written
 
-    def function(self, component: Any, index: Any = None) -> Any:
-        """Return the CasADi function of a component, compiled when first asked for."""
-        name = component if isinstance(component, str) else component.name
-        key = (name, index_tuple(index))
-        if key not in self._functions:
-            self._functions[key] = casadi.Function(
-                "component", self.inputs, [casadi.densify(self.expression(component, index))]
+    def function(self, keys: tuple[tuple[str, Any], ...]) -> Any:
+        """Return the CasADi function of some (name, index) pairs, compiled when first asked."""
+        if keys not in self._functions:
+            rows = casadi.vertcat(*[self.expression(name, index) for name, index in keys])
+            self._functions[keys] = casadi.Function(
+                "components", self.inputs, [casadi.densify(rows)]
             )
-        return self._functions[key]
+        return self._functions[keys]
 
-    def __call__(self, component: Any, index: Any, *inputs: FloatArray) -> FloatArray:
-        """Evaluate a component at n points; each input has shape (n, k); returns (n,)."""
-        columns = [casadi.DM(array.T) for array in inputs]
-        values = self.function(component, index)(*columns)
-        n = inputs[0].shape[0]
-        return np.broadcast_to(np.asarray(values, dtype=float).ravel(), (n,)).copy()
+    def __call__(self, keys: tuple[tuple[str, Any], ...], *inputs: FloatArray) -> FloatArray:
+        """Evaluate components at n points.
+
+        Parameters
+        ----------
+        keys : tuple of (str, index)
+            Full names and indices beside time (None for none).
+        inputs : ndarray, shape (n, k)
+            Rates, states, algebraics, statics and data, one row per point.
+
+        Returns
+        -------
+        ndarray, shape (n, n_keys)
+        """
+        return MappedFunction(self.function(keys), inputs[0].shape[0])(*inputs)[0]
 
 
 def _column(symbols: list[Any]) -> Any:

@@ -134,7 +134,7 @@ class Solution:
         if t is None:
             return self._static(name, index_tuple(index))
         fractions = self.fractions(t)
-        values = self.problem.evaluator(name, index, *self._inputs(fractions))
+        values = self.problem.evaluator(((name, index),), *self._inputs(fractions))[:, 0]
         return float(values[0]) if np.ndim(t) == 0 else values.reshape(np.shape(t))
 
     def _static(self, name: str, index: tuple[Any, ...]) -> float:

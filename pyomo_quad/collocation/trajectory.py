@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from pyomo_quad.collocation.mesh import Mesh
-from pyomo_quad.collocation.nodes import FloatArray, interpolation_matrix, radau_rule
+from pyomo_quad.collocation.nodes import (
+    FloatArray,
+    barycentric_weights,
+    interpolation_matrix,
+    radau_rule,
+)
 
-__all__ = ["Trajectory", "interpolate", "interpolate_rates"]
+__all__ = ["Trajectory", "control_polynomial", "interpolate", "interpolate_rates"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,3 +97,37 @@ def interpolate_rates(mesh: Mesh, states: FloatArray, fractions: FloatArray) -> 
         held = slopes @ states[first : last + 1]
         result[positions] = interpolation_matrix(rule.nodes, local) @ held
     return result
+
+
+def control_polynomial(
+    mesh: Mesh, values: FloatArray, element: int, start: float, end: float
+) -> Callable[[float], FloatArray]:
+    """Return one element's polynomial through values at its points, as a function of time.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    values : ndarray, shape (n_points, k)
+    element : int
+    start, end : float
+        Times of the element's ends.
+
+    Returns
+    -------
+    callable
+        t -> ndarray, shape (k,).
+    """
+    points = radau_rule(mesh.degrees[element]).points
+    weights = barycentric_weights(points)
+    held = values[mesh.first_node[element] : mesh.first_node[element + 1]]
+    width = end - start
+
+    def polynomial(t: float) -> FloatArray:
+        difference = (t - start) / width - points
+        nearest = int(np.argmin(np.abs(difference)))
+        if difference[nearest] == 0.0:
+            return np.asarray(held[nearest], dtype=float)
+        terms = weights / difference
+        return np.asarray(terms @ held / terms.sum(), dtype=float)
+
+    return polynomial
