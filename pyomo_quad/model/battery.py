@@ -115,13 +115,16 @@ def _declare_charge(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_voltage(b: Block, m: ConcreteModel) -> None:
+    @b.Expression(m.time, doc="share of the charge that remains, guarded")
+    def remaining_share(b: Block, t: float) -> NumericExpression:
+        share = 1 - b.charge_drawn[t] / b.pack_capacity
+        return saturated(share, GUARD_FLOOR, GUARD_WIDTH)
+
     @b.Expression(m.time, doc="eq. (5): open-circuit voltage of the pack [V]")
     def open_circuit_voltage(b: Block, t: float) -> NumericExpression:
-        remaining_share = saturated(
-            1 - b.charge_drawn[t] / b.pack_capacity, GUARD_FLOOR, GUARD_WIDTH
-        )
-        polarisation = b.K / remaining_share
-        exponential_zone = b.A * exp(-b.B * b.charge_drawn[t] / b.cells_parallel)
+        polarisation = b.K / b.remaining_share[t]
+        cell_charge = b.charge_drawn[t] / b.cells_parallel
+        exponential_zone = b.A * exp(-b.B * cell_charge)
         return b.cells_series * (b.E0 - polarisation + exponential_zone)
 
     @b.Expression(m.time, doc="greatest power the pack can deliver, at half its voltage [W]")
@@ -132,12 +135,15 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
     def power_reserve(b: Block, t: float) -> NumericExpression:
         return b.greatest_power[t] - b.parent_block().power.total[t]
 
+    @b.Expression(m.time, doc="share of the greatest power that is left, guarded")
+    def reserve_share(b: Block, t: float) -> NumericExpression:
+        share = b.power_reserve[t] / b.greatest_power[t]
+        return saturated(share, GUARD_FLOOR, GUARD_WIDTH)
+
     @b.Expression(m.time, doc="eq. (4) row 2 with V i = P, solved for the pack current [A]")
     def current(b: Block, t: float) -> NumericExpression:
-        power = b.parent_block().power.total[t]
-        reserve_share = saturated(1 - power / b.greatest_power[t], GUARD_FLOOR, GUARD_WIDTH)
         current_at_greatest_power = b.open_circuit_voltage[t] / (2 * b.pack_resistance)
-        return current_at_greatest_power * (1 - sqrt(reserve_share))
+        return current_at_greatest_power * (1 - sqrt(b.reserve_share[t]))
 
     @b.Expression(m.time, doc="eq. (4) row 2: terminal voltage of the pack [V]")
     def voltage(b: Block, t: float) -> NumericExpression:

@@ -1,10 +1,12 @@
 """What a declared model consists of, and whether its units are consistent."""
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 from io import StringIO
-from typing import Any
 
 from pyomo.common.log import LoggingIntercept
+from pyomo.core.base.component import Component, ComponentData
+from pyomo.core.base.indexed_component import IndexedComponent
 from pyomo.core.base.units_container import InconsistentUnitsError, UnitsError
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.environ import ConcreteModel, Constraint, Expression, Param, Var
@@ -110,24 +112,24 @@ def unit_errors(model: ConcreteModel) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _is_over(component: Any, time: ContinuousSet) -> bool:  # noqa: ANN401
+def _is_over(component: Component, time: ContinuousSet) -> bool:
     return component.is_indexed() and any(s is time for s in component.index_set().subsets())
 
 
-def _over_time(model: ConcreteModel, kind: type, time: ContinuousSet) -> list:
+def _over_time(model: ConcreteModel, kind: type, time: ContinuousSet) -> list[IndexedComponent]:
     components = model.component_objects(kind, active=True, descend_into=True)
     return [c for c in components if _is_over(c, time)]
 
 
-def _instances(component: Any, instant: float) -> list:  # noqa: ANN401
+def _instances(component: IndexedComponent, instant: float) -> list[ComponentData]:
     return [d for index, d in component.items() if instant in _as_tuple(index)[-1:]]
 
 
-def _as_tuple(index: Any) -> tuple:  # noqa: ANN401
+def _as_tuple(index: Hashable) -> tuple[Hashable, ...]:
     return index if isinstance(index, tuple) else (index,)
 
 
-def _without_time(data: Any) -> str:  # noqa: ANN401
+def _without_time(data: ComponentData) -> str:
     rest = _as_tuple(data.index())[:-1]
     name = data.parent_component().name
     return f"{name}[{','.join(map(str, rest))}]" if rest else name

@@ -26,8 +26,8 @@ __all__ = ["CONVEX_IN_THRUST", "declare_power", "parameters_of"]
 
 _TORQUE = units.N * units.m
 _SPEED = units.rad / units.s
-_TORQUE_POWERS = {"cubic": 3, "quadratic": 2, "linear": 1, "constant": 0}
-_SPEED_POWERS = {"a": 2, "b": 1, "c": 0}
+_ROWS = ("cubic", "quadratic", "linear", "constant")
+_COLUMNS = ("a", "b", "c")
 # Half widths over which the floors of f_r are rounded: far below hover's 0.0187 N m and 0.14.
 TORQUE_FLOOR_WIDTH = 1e-4 * _TORQUE
 EFFICIENCY_FLOOR_WIDTH = 1e-3
@@ -53,8 +53,8 @@ def _efficiency_map(scenario: Scenario) -> dict[tuple[str, str], float]:
     rows = scenario.vehicle.efficiency_map
     return {
         (row, column): number
-        for row in _TORQUE_POWERS
-        for column, number in zip(_SPEED_POWERS, getattr(rows, row), strict=True)
+        for row in _ROWS
+        for column, number in zip(_COLUMNS, getattr(rows, row), strict=True)
     }
 
 
@@ -64,7 +64,7 @@ _EFFICIENCY_FUNCTION = (
         units=units.dimensionless,
         value=_efficiency_map,
         doc="f_r: rows are powers of the torque in N m, columns of the speed in rad/s",
-        index=tuple((row, column) for row in _TORQUE_POWERS for column in _SPEED_POWERS),
+        index=tuple((row, column) for row in _ROWS for column in _COLUMNS),
     ),
     Parameter(
         name="torque_floor",
@@ -179,16 +179,22 @@ def declare_efficiency_power(m: ConcreteModel) -> None:
     """
     b = m.power
 
+    @b.Expression(m.rotors.rotor, m.time, doc="torque at which f_r is read [N m]")
+    def map_torque(b: Block, j: int, t: float) -> NumericExpression:
+        torque = b.parent_block().rotors.motor_torque[j, t]
+        return floored(torque, b.torque_floor, TORQUE_FLOOR_WIDTH)
+
     @b.Expression(m.rotors.rotor, m.time, doc="eq. (8): efficiency function f_r as recovered")
     def efficiency_polynomial(b: Block, j: int, t: float) -> NumericExpression:
-        rotors = b.parent_block().rotors
-        torque = floored(rotors.motor_torque[j, t], b.torque_floor, TORQUE_FLOOR_WIDTH) / _TORQUE
-        speed = rotors.omega[j, t] / _SPEED
-        return sum(
-            b.efficiency_map[row, column] * speed**speed_power * torque**torque_power
-            for row, torque_power in _TORQUE_POWERS.items()
-            for column, speed_power in _SPEED_POWERS.items()
+        torque = b.map_torque[j, t] / _TORQUE
+        speed = b.parent_block().rotors.omega[j, t] / _SPEED
+        cubic, quadratic, linear, constant = (
+            b.efficiency_map[row, "a"] * speed**2
+            + b.efficiency_map[row, "b"] * speed
+            + b.efficiency_map[row, "c"]
+            for row in _ROWS
         )
+        return cubic * torque**3 + quadratic * torque**2 + linear * torque + constant
 
     @b.Expression(m.rotors.rotor, m.time, doc="eq. (8): f_r with its floor")
     def drive_efficiency(b: Block, j: int, t: float) -> NumericExpression:

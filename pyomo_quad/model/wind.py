@@ -20,7 +20,7 @@ from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.wind import FrequencyUnit, WindAxis, WindSeries
 
-__all__ = ["AXIS_PARAMETERS", "PARAMETERS", "declare_wind"]
+__all__ = ["AXIS_PARAMETERS", "HARMONICS", "PARAMETERS", "declare_wind"]
 
 HARMONICS = (1, 2, 3)
 _SPEED = units.m / units.s
