@@ -8,7 +8,7 @@ from typing import Any
 
 from pyomo_quad.collocation.dynamics import Dynamics, Violation
 from pyomo_quad.collocation.errors import EngineError, SolveFailure, TranscriptionError
-from pyomo_quad.collocation.ipopt import Iteration, SolverOptions, Status
+from pyomo_quad.collocation.ipopt import Iteration, Progress, SolverOptions, Status
 from pyomo_quad.collocation.mesh import Mesh
 from pyomo_quad.collocation.problem import Problem
 from pyomo_quad.collocation.refinement import RefinementOptions
@@ -22,6 +22,7 @@ __all__ = [
     "Mesh",
     "MeshRecord",
     "Problem",
+    "Progress",
     "RefinementOptions",
     "Solution",
     "SolveFailure",

@@ -200,6 +200,19 @@ class Solution:
             unknowns[layout.static_columns],
         )
 
+    @cached_property
+    def running_objective(self) -> FloatArray:
+        """Integral part of the objective accumulated until each node, shape (n_points + 1,)."""
+        program, mesh = self.program, self.mesh
+        density = program.objective_density(self.unknowns)
+        sign = -1.0 if self.problem.compiled.declared.maximise else 1.0
+        total = [0.0]
+        for e, degree in enumerate(mesh.degrees):
+            local = density[mesh.first_node[e] : mesh.first_node[e + 1]]
+            inside = mesh.widths[e] * radau_rule(degree).integration @ local
+            total.extend(total[-1] + sign * inside)
+        return np.array(total)
+
     @property
     def algebraic_limits(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the algebraic variables at the start of the horizon."""

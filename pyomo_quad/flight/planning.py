@@ -1,0 +1,200 @@
+"""From a scenario to a plan: build, compile, solve, fly."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Hashable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pyomo_quad.collocation import (
+    Dynamics,
+    Mesh,
+    Problem,
+    Progress,
+    RefinementOptions,
+    Solution,
+    SolverOptions,
+    Status,
+    compile,  # noqa: A004  the engine's name for it
+)
+from pyomo_quad.flight.plan import Plan, PlanStatus, Trajectories
+from pyomo_quad.flight.verification import verify_controls
+from pyomo_quad.model import build_model, hover_power, parameter_values, structure_key
+from pyomo_quad.scenario import Scenario
+
+__all__ = ["Builder", "Planner", "solve_scenario"]
+
+Builder = Callable[[Scenario], Any]
+
+_STATUS = {
+    Status.NOT_CONVERGED: PlanStatus.NOT_CONVERGED,
+    Status.INFEASIBLE: PlanStatus.INFEASIBLE,
+    Status.INTERRUPTED: PlanStatus.INTERRUPTED,
+}
+
+
+class Planner:
+    """Keeps a compiled problem, and builds another only for a scenario it does not fit.
+
+    Parameters
+    ----------
+    builder : callable, optional
+        Makes the Pyomo model of a scenario; a builder of the user's own is called anew for
+        every scenario, since only the declared model is known to keep all numbers in
+        parameters.
+    """
+
+    def __init__(self, builder: Builder = build_model) -> None:
+        self._builder = builder
+        self._key: Hashable = None
+        self._problem: Problem | None = None
+
+    def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
+        """Return a compiled problem for a scenario, and the seconds that took."""
+        key = structure_key(scenario) if self._builder is build_model else scenario
+        if self._problem is not None and key == self._key:
+            return self._problem, {"build": 0.0, "compile": 0.0}
+        started = time.perf_counter()
+        model = self._builder(scenario)
+        built = time.perf_counter()
+        self._problem, self._key = compile(model), key
+        return self._problem, {"build": built - started, "compile": time.perf_counter() - built}
+
+    def parameters(self, scenario: Scenario) -> dict[str, float] | None:
+        """Return the numbers a compiled problem is solved with."""
+        return parameter_values(scenario) if self._builder is build_model else None
+
+    def dynamics(self, scenario: Scenario) -> Dynamics:
+        """Return the vehicle of a scenario in the scenario's own wind, ready to fly."""
+        problem, _ = self.problem_for(scenario)
+        return problem.dynamics(
+            parameters=self.parameters(scenario), horizon=(0.0, scenario.mission.duration)
+        )
+
+    def solve(
+        self,
+        scenario: Scenario,
+        *,
+        warm_start: Plan | None = None,
+        progress: Progress | None = None,
+    ) -> Plan:
+        """Solve a scenario and verify the result by flying it.
+
+        Parameters
+        ----------
+        scenario : Scenario
+        warm_start : Plan, optional
+            A plan of a similar scenario: its trajectory, and its multipliers if it was made
+            by this planner, are the first point.
+        progress : callable, optional
+            Called at each Ipopt iteration; returning False stops the solve.
+
+        Returns
+        -------
+        Plan
+            With its status; a failure of the numerics is a result, not an exception.
+        """
+        told = scenario.as_forecast()
+        problem, timings = self.problem_for(told)
+        started = time.perf_counter()
+        solution = self._solve(problem, told, warm_start, progress)
+        timings["solve"] = time.perf_counter() - started
+        plan = self._plan(scenario, told, problem, solution, timings)
+        if solution.status not in (Status.CONVERGED, Status.TOLERANCE_NOT_MET):
+            return plan
+        return _verified(plan, solution)
+
+    def _solve(
+        self, problem: Problem, told: Scenario, warm_start: Plan | None, progress: Progress | None
+    ) -> Solution:
+        settings = told.solver
+        previous = warm_start.solution if warm_start is not None else None
+        is_own = previous is not None and previous.problem is problem
+        mesh = warm_start.mesh if warm_start else Mesh.uniform(settings.elements, settings.degree)
+        return problem.solve(
+            mesh=mesh,
+            tolerance=settings.tolerance,
+            parameters=self.parameters(told),
+            horizon=(0.0, told.mission.duration),
+            guess=warm_start.guess() if warm_start is not None and not is_own else None,
+            warm_start=previous if is_own else None,
+            options=SolverOptions(max_iterations=settings.max_iterations),
+            refinement=RefinementOptions(max_meshes=settings.max_refinements + 1),
+            progress=progress,
+        )
+
+    def _plan(
+        self,
+        scenario: Scenario,
+        told: Scenario,
+        problem: Problem,
+        solution: Solution,
+        timings: dict[str, float],
+    ) -> Plan:
+        parameters = self.parameters(told)
+        return Plan(
+            scenario=scenario,
+            status=_STATUS.get(solution.status, PlanStatus.SOLVED),
+            message=solution.message,
+            energy=solution.objective,
+            hover_energy_J=hover_power(scenario) * scenario.mission.duration,
+            trajectories=_trajectories(solution),
+            verification=None,
+            error_estimate=solution.error_estimate,
+            history=solution.history,
+            iterations=solution.iterations,
+            timings=timings,
+            solution=solution,
+            make_dynamics=lambda: problem.dynamics(
+                parameters=parameters, horizon=solution.horizon
+            ),
+        )
+
+
+def _trajectories(solution: Solution) -> Trajectories:
+    declared = solution.problem.compiled.declared
+    costates = solution.costates
+    return Trajectories(
+        mesh=solution.mesh,
+        horizon=solution.horizon,
+        state_names=tuple(s.name for s in (*declared.states, *declared.outputs)),
+        control_names=tuple(s.name for s in declared.algebraics),
+        costate_names=tuple(s.name for s in declared.states),
+        states=np.hstack([solution.trajectory.states, solution.output_states]),
+        controls=solution.trajectory.algebraics,
+        energy=solution.running_objective,
+        costates=np.vstack([block[1:] for block in costates.values]),
+        hamiltonian=costates.hamiltonian,
+    )
+
+
+def _verified(plan: Plan, solution: Solution) -> Plan:
+    """Return the plan with the verdict of flying its controls."""
+    started = time.perf_counter()
+    held = plan.trajectories
+    verification, flown = verify_controls(
+        plan.dynamics, held.mesh, held.states, held.controls, held.horizon, plan.energy
+    )
+    is_proven = verification.is_verified and solution.status is Status.CONVERGED
+    timings = dict(plan.timings) | {"verify": time.perf_counter() - started}
+    return replace(
+        plan,
+        status=PlanStatus.VERIFIED if is_proven else PlanStatus.SOLVED,
+        verification=verification,
+        flown=flown,
+        timings=timings,
+    )
+
+
+def solve_scenario(
+    scenario: Scenario,
+    *,
+    builder: Builder = build_model,
+    warm_start: Plan | None = None,
+    progress: Progress | None = None,
+) -> Plan:
+    """Solve one scenario with a planner of its own; see `Planner.solve`."""
+    return Planner(builder).solve(scenario, warm_start=warm_start, progress=progress)
