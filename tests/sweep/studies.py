@@ -1,0 +1,30 @@
+"""Study files written by tests."""
+
+from pathlib import Path
+
+SCENARIO = """
+name = "base"
+title = "Base case"
+[mission]
+duration = 10.0
+goal.position = [6.0, 7.0, 8.0]
+"""
+
+DURATION_AXIS = """
+[[axis]]
+path = "mission.duration"
+linear = { first = 4.0, last = 13.0, count = 10 }
+"""
+
+PAYLOAD_AXIS = """
+[[axis]]
+path = "vehicle.payload"
+linear = { first = 0.0, last = 0.2, count = 5 }
+"""
+
+
+def write_study(folder: Path, axes: str = DURATION_AXIS + PAYLOAD_AXIS, head: str = "") -> Path:
+    (folder / "base.toml").write_text(SCENARIO)
+    study = folder / "study.toml"
+    study.write_text(f'name = "study"\ntitle = "A study"\nscenario = "base.toml"\n{head}\n{axes}')
+    return study
