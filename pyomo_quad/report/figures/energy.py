@@ -1,0 +1,66 @@
+"""Power and energy over time, with what hovering for the same time would take."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pyomo_quad.report.figures.panels import (
+    draw_over_time,
+    keep_span,
+    label_time,
+    legend_below,
+    panel_grid,
+)
+from pyomo_quad.report.flights import StyledFlight
+from pyomo_quad.report.signals import ENERGY, POWER, TIME
+from pyomo_quad.report.style import MUTED
+
+if TYPE_CHECKING:
+    import numpy as np
+
+__all__ = ["draw_energy"]
+
+_HOVER_LINE = {"color": MUTED, "linewidth": 1.0, "linestyle": (0, (1, 1))}
+
+
+def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
+    """Draw power, energy, and energy above hovering, over each other.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        The flights, the optimum first.
+    hover_energy_J : float
+        Energy of hovering for as long as the mission lasts, J.
+
+    Returns
+    -------
+    Figure
+        Three panels; in the last the hover line is subtracted.
+    """
+    figure, panels = panel_grid(3, 1, panel_height=1.5, legend_entries=1 + len(flights))
+    duration = flights[0].duration_s
+    hover_power = hover_energy_J / duration
+    power, energy, above = panels[:, 0]
+    power.axhline(hover_power, label="hovering", **_HOVER_LINE)
+    energy.plot([0.0, duration], [0.0, hover_energy_J], **_HOVER_LINE)
+    above.axhline(0.0, **_HOVER_LINE)
+    for flight in flights:
+        draw_over_time(power, flight.frame, POWER, flight.style, flight.name)
+        draw_over_time(energy, flight.frame, ENERGY, flight.style, flight.name)
+        _draw_above(above, flight, hover_power)
+    titles = (POWER.title, ENERGY.title, r"$E - P_\mathrm{hover}\,t$, energy above hovering (J)")
+    for axes, title in zip(panels.flat, titles, strict=True):
+        axes.set_title(title)
+        keep_span([axes], ENERGY.smallest_span)
+    label_time(panels[-1], duration)
+    legend_below(figure, power)
+    return figure
+
+
+def _draw_above(axes: Axes, flight: StyledFlight, hover_power: float) -> None:
+    time, energy = TIME.of(flight.frame), ENERGY.of(flight.frame)
+    line: np.ndarray = energy - hover_power * time
+    axes.plot(time, line, **flight.style.line)

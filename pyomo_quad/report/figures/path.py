@@ -1,0 +1,132 @@
+"""The path in space with its three projections: the paper's figures 4 and 6."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from pyomo_quad.report.figures.panels import legend_below
+from pyomo_quad.report.flights import StyledFlight
+from pyomo_quad.report.signals import POSITION, TIME, Signal
+from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, PALE
+
+__all__ = ["draw_path"]
+
+_PROJECTIONS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
+_BEAT_COUNT = 5  # markers at equal times along each path: wide apart means fast
+_MARGIN = 0.08
+_SMALLEST_SIDE = 0.2  # m
+
+
+def draw_path(flights: Sequence[StyledFlight]) -> Figure:
+    """Draw all paths in space, and seen along each axis.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        The flights, the optimum first.
+
+    Returns
+    -------
+    Figure
+        One view in space and three projections, all on equal scales.
+    """
+    figure = Figure(figsize=(FULL_WIDTH, FULL_WIDTH))
+    limits = _limits(flights)
+    space: Axes3D = figure.add_axes((0.0, 0.53, 0.5, 0.46), projection="3d")
+    _draw_space(space, flights, limits)
+    boxes = ((0.575, 0.595, 0.405, 0.37), (0.075, 0.115, 0.405, 0.37), (0.575, 0.115, 0.405, 0.37))
+    for (across, up, title), box in zip(_PROJECTIONS, boxes, strict=True):
+        _draw_projection(figure.add_axes(box), flights, limits, (across, up), title)
+    legend_below(figure, space)
+    return figure
+
+
+def _limits(flights: Sequence[StyledFlight]) -> np.ndarray:
+    points = np.concatenate([_track(flight) for flight in flights])
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle = (low + high) / 2
+    half = np.maximum(high - low, _SMALLEST_SIDE) / 2 * (1 + 2 * _MARGIN)
+    return np.column_stack([middle - half, middle + half])
+
+
+def _track(flight: StyledFlight) -> np.ndarray:
+    return np.column_stack([signal.of(flight.frame) for signal in POSITION])
+
+
+def _beats(flight: StyledFlight) -> np.ndarray:
+    time = TIME.of(flight.frame)
+    beats = np.linspace(time[0], time[-1], _BEAT_COUNT + 1)[1:-1]
+    return np.column_stack([np.interp(beats, time, axis) for axis in _track(flight).T])
+
+
+def _draw_space(axes: Axes3D, flights: Sequence[StyledFlight], limits: np.ndarray) -> None:
+    floor = limits[2, 0]
+    for flight in flights:
+        track, beats = _track(flight), _beats(flight)
+        shadow = np.full(len(track), floor)
+        axes.plot(track[:, 0], track[:, 1], shadow, color=PALE, linewidth=1.0)
+        axes.plot(*track.T, label=flight.name, **flight.style.line)
+        axes.plot(*beats.T, **_marker(flight))
+    for end, name, shape in _ends(flights[0]):
+        axes.plot([end[0]] * 2, [end[1]] * 2, [floor, end[2]], color=MUTED, linewidth=0.6)
+        axes.plot(*end[:, None], marker=shape, color=INK, markersize=6, linestyle="none")
+        axes.text(*end, f"{name}  ", va="bottom", ha="right")
+    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
+    axes.set_box_aspect(np.ptp(limits, axis=1), zoom=0.88)
+    axes.view_init(elev=22, azim=-58)
+    for axis, signal in zip((axes.xaxis, axes.yaxis, axes.zaxis), POSITION, strict=True):
+        axis.set_pane_color("white")
+        axis.set_label_text(_axis_label(signal))
+        axis.labelpad = -4
+        axis.set_tick_params(pad=-2)
+        axis._axinfo["grid"].update(color="#e4e4e4", linewidth=0.5)  # noqa: SLF001
+
+
+def _draw_projection(
+    axes: Axes,
+    flights: Sequence[StyledFlight],
+    limits: np.ndarray,
+    directions: tuple[int, int],
+    title: str,
+) -> None:
+    chosen = list(directions)
+    for flight in flights:
+        axes.plot(*_track(flight)[:, chosen].T, **flight.style.line)
+        axes.plot(*_beats(flight)[:, chosen].T, **_marker(flight))
+    for end, _, shape in _ends(flights[0]):
+        axes.plot(*end[chosen, None], marker=shape, color=INK, markersize=6, linestyle="none")
+    across, up = (POSITION[direction] for direction in directions)
+    axes.set(xlabel=_axis_label(across), ylabel=_axis_label(up), title=f"Seen {title}")
+    box = axes.get_position()  # the figure is square
+    wide, high = np.ptp(limits[chosen], axis=1)
+    scale = max(wide / box.width, high / box.height) / 2
+    for set_limits, direction, size in (
+        (axes.set_xlim, directions[0], box.width),
+        (axes.set_ylim, directions[1], box.height),
+    ):
+        middle = limits[direction].mean()
+        set_limits(middle - scale * size, middle + scale * size)
+
+
+def _ends(optimum: StyledFlight) -> tuple[tuple[np.ndarray, str, str], ...]:
+    track = _track(optimum)
+    return (track[0], "start", "o"), (track[-1], "goal", "*")
+
+
+def _marker(flight: StyledFlight) -> dict[str, object]:
+    style = flight.style
+    return {
+        "linestyle": "none",
+        "marker": style.marker,
+        "markersize": 4,
+        "markerfacecolor": "white",
+        "markeredgecolor": style.color,
+        "markeredgewidth": 1.0,
+    }
+
+
+def _axis_label(signal: Signal) -> str:
+    return f"${signal.symbol}$ ({signal.unit})"

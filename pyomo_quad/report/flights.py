@@ -1,0 +1,71 @@
+"""The flights of a run in the order and style in which every figure and table shows them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from pyomo_quad.report.style import LineStyle, flight_styles
+
+if TYPE_CHECKING:
+    from pyomo_quad.flight.flight import Flight
+
+__all__ = ["StyledFlight", "fair_pair", "styled_flights"]
+
+FAIR_BASELINE = "adaptive/quintic"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StyledFlight:
+    """A flight with the look that it keeps in every figure."""
+
+    name: str
+    frame: pd.DataFrame
+    duration_s: float
+    energy_J: float
+    style: LineStyle
+
+
+def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
+    """Give each flight its style.
+
+    Parameters
+    ----------
+    flights : sequence of Flight
+        The run's flights, the optimum first.
+
+    Returns
+    -------
+    tuple of StyledFlight
+        In the same order.
+    """
+    styles = flight_styles(tuple(flight.name for flight in flights))
+    return tuple(
+        StyledFlight(
+            name=flight.name,
+            frame=flight.frame,
+            duration_s=flight.duration_s,
+            energy_J=flight.energy_J,
+            style=styles[flight.name],
+        )
+        for flight in flights
+    )
+
+
+def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
+    """Return the optimum and the baseline that flies the same mission smoothly.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        All flights, the optimum first.
+
+    Returns
+    -------
+    tuple of StyledFlight
+        The optimum alone when that baseline was not flown.
+    """
+    return tuple(
+        flight for index, flight in enumerate(flights) if index == 0 or flight.name == FAIR_BASELINE
+    )

@@ -1,0 +1,222 @@
+"""A run with plausible numbers that nothing solved: what the report floor is tested on."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+
+from pyomo_quad.collocation import Mesh, MeshRecord
+from pyomo_quad.flight import PlanStatus
+from pyomo_quad.scenario import load_scenario
+
+HOVER_SPEED = 912.27
+ROTOR_PHASES = (0.0, 0.7, 1.6, 2.4)
+STATES = ("x", "y", "z", "vx", "vy", "vz", "phi", "theta", "psi", "p", "q", "r")
+FLIGHTS = {
+    # name: (energy above hover in J, sharpness of the path, terminal miss in m)
+    "optimal": (2.1, 1.0, 3e-7),
+    "adaptive/quintic": (14.2, 1.15, 0.004),
+    "adaptive/minimum_snap": (19.7, 1.35, 0.003),
+    "adaptive/step": (71.0, 2.6, 0.21),
+    "open_loop/plan": (2.1, 1.0, 2e-6),
+}
+
+
+def synthetic_frame(scenario, *, excess_J=2.1, sharpness=1.0, samples=401):
+    """Fly a smooth polynomial path from start to goal and make up the rest."""
+    duration = scenario.mission.duration
+    start, goal = (
+        np.array(end.position) for end in (scenario.mission.start, scenario.mission.goal)
+    )
+    time = np.linspace(0.0, duration, samples)
+    path, speed, acceleration = _rest_to_rest(time / duration, sharpness)
+    position = start + np.outer(path, goal - start)
+    velocity = np.outer(speed, goal - start) / duration
+    acceleration = np.outer(acceleration, goal - start) / duration**2
+    frame = {"time_s": time}
+    frame |= dict(zip(("x_m", "y_m", "z_m"), position.T, strict=True))
+    names = ("vx_m_per_s", "vy_m_per_s", "vz_m_per_s")
+    frame |= dict(zip(names, velocity.T, strict=True))
+    phi, theta = -acceleration[:, 1] / 9.81, acceleration[:, 0] / 9.81
+    frame |= {"phi_rad": phi, "theta_rad": theta, "psi_rad": 0 * time}
+    frame |= {
+        "p_rad_per_s": np.gradient(phi, time),
+        "q_rad_per_s": np.gradient(theta, time),
+        "r_rad_per_s": 0 * time,
+    }
+    frame |= _rotors(time, acceleration[:, 2])
+    frame |= _energy(time, acceleration[:, 2], excess_J)
+    frame |= _wind(time, scenario)
+    frame |= _electrical(frame)
+    return pd.DataFrame(frame)
+
+
+def _rest_to_rest(phase, sharpness):
+    s = np.clip(phase * sharpness, 0, 1)
+    path = 10 * s**3 - 15 * s**4 + 6 * s**5
+    speed = sharpness * (30 * s**2 - 60 * s**3 + 30 * s**4)
+    acceleration = sharpness**2 * (60 * s - 180 * s**2 + 120 * s**3)
+    return path, speed, acceleration
+
+
+def _rotors(time, lift):
+    frame = {}
+    for rotor, phase in enumerate(ROTOR_PHASES, start=1):
+        omega = HOVER_SPEED * np.sqrt(1 + lift / 9.81) + 6 * np.sin(2 * time + phase) * np.sin(
+            np.pi * time / time[-1]
+        )
+        frame[f"omega_{rotor}_rad_per_s"] = omega
+    for rotor in range(1, 5):
+        omega = frame[f"omega_{rotor}_rad_per_s"]
+        frame[f"alpha_{rotor}_rad_per_s2"] = np.gradient(omega, time)
+    frame["thrust_N"] = 3.8305e-6 * sum(frame[f"omega_{i}_rad_per_s"] ** 2 for i in range(1, 5))
+    return frame
+
+
+def _energy(time, lift, excess_J):
+    power = 70.96 * (1 + lift / 9.81) ** 1.5
+    power += (709.6 + excess_J - np.trapezoid(power, time)) / time[-1]
+    steps = np.diff(time) * (power[1:] + power[:-1]) / 2
+    return {"power_W": power, "energy_J": np.concatenate([[0.0], np.cumsum(steps)])}
+
+
+def _wind(time, scenario):
+    axes = {"x": scenario.wind.x, "y": scenario.wind.y}
+    return {
+        f"wind_{name}_m_per_s": axis.mean
+        + sum(a * np.sin(f * time) for a, f in zip(axis.amplitudes, axis.frequencies, strict=True))
+        + 0 * time
+        for name, axis in axes.items()
+    }
+
+
+def _electrical(frame):
+    current = frame["power_W"] / 12.2
+    charge = np.cumsum(current) * (frame["time_s"][1] - frame["time_s"][0]) / 3600
+    columns = {
+        "battery_current_A": current,
+        "battery_voltage_V": 12.58 - 0.0519 * current - 0.2 * charge,
+        "state_of_charge_percent": 100 * (1 - charge / 5.2),
+    }
+    for rotor in range(1, 5):
+        omega = frame[f"omega_{rotor}_rad_per_s"]
+        torque = 4.1904e-5 * frame[f"alpha_{rotor}_rad_per_s2"] + 2.2518e-8 * omega**2
+        columns[f"motor_{rotor}_current_A"] = torque / 0.01038
+        columns[f"motor_{rotor}_voltage_V"] = 0.2 * torque / 0.01038 + omega / 96.342
+        columns[f"motor_{rotor}_torque_N_m"] = torque
+    return columns
+
+
+def synthetic_flight(scenario, name):
+    excess_J, sharpness, miss_m = FLIGHTS[name]
+    frame = synthetic_frame(scenario, excess_J=excess_J, sharpness=sharpness)
+    return SimpleNamespace(
+        name=name,
+        frame=frame,
+        energy_J=float(frame["energy_J"].iloc[-1]),
+        duration_s=scenario.mission.duration,
+        terminal_miss_m=miss_m,
+        terminal_miss={"rigid_body.x": miss_m},
+        max_violation=0.0,
+        worst_constraint="limits.thrust_limit",
+        is_verified=True,
+        wall_s=1.2345,
+    )
+
+
+def synthetic_comparison(scenario, flights, hover_energy_J=709.6):
+    optimum = flights[0].energy_J
+    rows = []
+    for flight in flights:
+        arrived = flight.terminal_miss_m <= 0.05
+        is_saving = arrived and flight.name != "optimal"
+        above = flight.energy_J - hover_energy_J
+        rows.append(
+            {
+                "scenario": scenario.name,
+                "flight": flight.name,
+                "energy_J": flight.energy_J,
+                "hover_energy_J": hover_energy_J,
+                "excess_energy_J": above,
+                "lower_bound_J": 708.4,
+                "optimality_gap_percent": 100 * (flight.energy_J / 708.4 - 1),
+                "saving_percent": 100 * (1 - optimum / flight.energy_J) if is_saving else None,
+                "saving_of_excess_percent": (
+                    100 * (flight.energy_J - optimum) / above if is_saving else None
+                ),
+                "terminal_miss_m": flight.terminal_miss_m,
+                "arrived": arrived,
+                "verified": flight.is_verified,
+                "peak_power_W": flight.frame["power_W"].max(),
+                "peak_tilt_rad": flight.frame["theta_rad"].abs().max(),
+                "peak_rotor_acceleration_rad_per_s2": 55.0,
+                "time_inside_0p1_m_s": 0.6,
+                "battery_used_percent": 0.4,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def synthetic_history():
+    sizes = ((10, 30, 2.4e-3), (14, 52, 7.7e-5), (19, 88, 3.1e-7))
+    return tuple(
+        MeshRecord(elements=e, points=p, iterations=19, objective=711.7, error=error, wall_s=0.2)
+        for e, p, error in sizes
+    )
+
+
+def synthetic_costates(scenario, samples=90):
+    time = np.linspace(0.0, scenario.mission.duration, samples)
+    columns = {"time_s": time}
+    for index, state in enumerate(STATES):
+        columns[f"rigid_body.{state}"] = np.cos(time / 3 + index) / (1 + index)
+    for rotor in range(1, 5):
+        columns[f"rotors.omega[{rotor}]"] = 1e-3 * np.sin(time + rotor)
+    return pd.DataFrame(columns | {"hamiltonian": 70.96 + 0 * time})
+
+
+def synthetic_run(path="scenarios/paper_wind.toml", overrides=(), flights=tuple(FLIGHTS)):
+    """Return what a run of a scenario file looks like, without solving anything."""
+    scenario = load_scenario(path, overrides)
+    flown = tuple(synthetic_flight(scenario, name) for name in flights)
+    plan = SimpleNamespace(
+        scenario=scenario,
+        energy=flown[0].energy_J,
+        hover_energy_J=709.6,
+        status=PlanStatus.VERIFIED,
+        message="Optimal Solution Found.",
+        error_estimate=3.1e-7,
+        history=synthetic_history(),
+        iteration_count=57,
+        attempts=(),
+        mesh=Mesh(breakpoints=(0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0), degrees=(6, 5, 4, 4, 5, 6)),
+        to_frame=lambda rate_hz=None: flown[0].frame,
+        costate_frame=lambda: synthetic_costates(scenario),
+    )
+    verification = SimpleNamespace(
+        terminal_miss={f"rigid_body.{state}": 1e-7 * (1 + i) for i, state in enumerate(STATES)},
+        terminal_miss_m=3e-7,
+        worst_miss="rigid_body.z",
+        max_violation=0.0,
+        worst_constraint="limits.thrust_limit",
+        energy_difference_J=2e-6,
+        flown_energy_J=flown[0].energy_J + 2e-6,
+        is_verified=True,
+    )
+    certificate = SimpleNamespace(
+        lower_bound_J=708.4,
+        hover_energy_J=709.6,
+        gap_percent=0.465,
+        applies=True,
+        reason="the motor power is convex in thrust",
+    )
+    return SimpleNamespace(
+        scenario=scenario,
+        plan=plan,
+        verification=verification,
+        flights=flown,
+        comparison=synthetic_comparison(scenario, flown),
+        certificate=certificate,
+        timings={"solve": 1.0},
+        warnings=(),
+    )
