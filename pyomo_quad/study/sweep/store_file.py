@@ -28,9 +28,11 @@ _LOCK_NAME = ".sweep.lock"
 
 _TABLES = (
     "sweep (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID",
-    "case_row (case_key TEXT PRIMARY KEY, overrides TEXT NOT NULL, status TEXT NOT NULL, "
-    "reason TEXT NOT NULL, outputs TEXT NOT NULL, seconds REAL NOT NULL, worker TEXT NOT NULL, "
-    "finished_at TEXT NOT NULL)",
+    (
+        "case_row (case_key TEXT PRIMARY KEY, overrides TEXT NOT NULL, status TEXT NOT NULL, "
+        "reason TEXT NOT NULL, outputs TEXT NOT NULL, seconds REAL NOT NULL, worker TEXT NOT NULL, "
+        "finished_at TEXT NOT NULL)"
+    ),
     "warm_start (case_key TEXT PRIMARY KEY, arrays BLOB)",
 )
 

@@ -1,0 +1,198 @@
+"""The adaptive controller that stands in for the one the paper cites.
+
+The paper compares its optimum with "the adaptive controller considered in [Yacef 2016]" (J.
+Intell. Robot. Syst. 84, 2016: adaptive fuzzy backstepping) but prints neither law nor gains nor
+reference.  This is a stand-in by published methods, not that controller: two cascaded loops of
+adaptive backstepping (see `backstepping` for the law, its Lyapunov function and the literature).
+
+1. Position.  m p'' = F - m g e3 + m d, with F the thrust vector and d unknown: the wind, which
+   the controller is not told, and the error of the mass it believes in.  The loop gives the
+   acceleration to ask for; `ThrustEnvelope` shortens it to what thrust and tilt allow.  The mass
+   and the vertical part of d cannot be told apart near hover, so only d is adapted.
+2. Tilt.  Roll and pitch that point the thrust that way, at the present yaw (`thrust_vector`);
+   a filter of second order, whose acceleration the rotors can follow, makes of them a command
+   with two derivatives.
+3. Attitude.  I eta'' = M + I d_eta, Euler rates being body rates as in eq. (6).  The gyroscopic
+   couplings of eq. (6), zero in steady flight, are part of the unknown d_eta.
+4. Allocation.  Rotor speeds by the inverse of eq. (7), attitude before thrust before yaw; each
+   rotor follows with the acceleration k (omega_command - omega), cut off at the same limit as
+   the optimiser's.
+
+What the actuators deliver less, filter, rotors and limits included, enters both loops as the
+difference between the achieved and the demanded acceleration: the estimates of d are not misled
+by it, and V of each loop does not increase whatever it is.
+
+The vehicle is believed to be that of the scenario given, which need not be the one flown.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pyomo_quad.flight.allocation import Allocation
+from pyomo_quad.flight.backstepping import STATES_PER_LOOP, BacksteppingLoop
+from pyomo_quad.flight.references import Setpoint
+from pyomo_quad.flight.saturation import bend, braking_rate
+from pyomo_quad.flight.thrust_vector import ThrustEnvelope, thrust_direction, tilt_toward
+from pyomo_quad.scenario import Scenario
+
+__all__ = ["CONTROLLER_STATES", "MEASURED_STATES", "AdaptiveController"]
+
+FloatArray = NDArray[np.float64]
+
+MEASURED_STATES = tuple(
+    f"rigid_body.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "phi", "theta", "psi")
+) + tuple(f"rigid_body.{name}" for name in ("p", "q", "r"))
+"""What the controller measures, in this order, beside the rotor speeds."""
+
+CONTROLLER_STATES = (
+    *(f"position_lag_{axis}_m" for axis in "xyz"),
+    *(f"velocity_lag_{axis}_m_per_s" for axis in "xyz"),
+    *(f"disturbance_{axis}_m_per_s2" for axis in "xyz"),
+    *(f"attitude_lag_{axis}_rad" for axis in ("phi", "theta", "psi")),
+    *(f"rate_lag_{axis}_rad_per_s" for axis in "pqr"),
+    *(f"disturbance_{axis}_rad_per_s2" for axis in "pqr"),
+    *(f"commanded_{axis}_rad" for axis in ("phi", "theta")),
+    *(f"commanded_{axis}_rad_per_s" for axis in "pq"),
+)
+"""The controller's own states, in order."""
+
+# Share of the angular acceleration available at hover that a tilt command may use; the rest is
+# left for holding the attitude against disturbances.
+_COMMAND_SHARE = 0.6
+# The filter's rate gain over its angle gain: critical damping.
+_CRITICAL = 4.0
+_POSITION = slice(0, STATES_PER_LOOP)
+_ATTITUDE = slice(STATES_PER_LOOP, 2 * STATES_PER_LOOP)
+_COMMAND = slice(2 * STATES_PER_LOOP, len(CONTROLLER_STATES))
+
+
+class AdaptiveController:
+    """Adaptive backstepping of a quadrotor; see the module for the law.
+
+    Parameters
+    ----------
+    believed : Scenario
+        Vehicle, limits, gravity and gains that the controller knows. Its wind is not read.
+    mixer : ndarray, shape (4, 4)
+        Thrust and moments over squared rotor speeds, of `mixer_matrix`.
+    """
+
+    def __init__(self, believed: Scenario, mixer: FloatArray) -> None:
+        vehicle, limits, gains = believed.vehicle, believed.limits, believed.baseline.gains
+        self._mass = vehicle.total_mass
+        self._weight = np.array((0.0, 0.0, believed.gravity))
+        self._inertia = np.array((vehicle.Ix, vehicle.Iy, vehicle.Iz))
+        self._mixer = mixer
+        self._allocation = Allocation(mixer, limits)
+        self._rotor_gain = gains.rotor
+        self._rotor_acceleration_max = limits.rotor_acceleration_max
+        self._tilt_gain = gains.tilt_command
+        hover_thrust = self._mass * believed.gravity
+        available = self._allocation.tilting_moment_at(hover_thrust) / self._inertia[:2]
+        self._tilt_acceleration_max = tuple(float(a) for a in _COMMAND_SHARE * available)
+        spare = limits.thrust_max / self._mass - believed.gravity
+        self._envelope = ThrustEnvelope(
+            gravity=believed.gravity,
+            acceleration_max=believed.gravity + gains.thrust_share * spare,
+            tilt_max=min(gains.tilt_max, limits.roll_max, limits.pitch_max),
+        )
+        self._position_loop, self._attitude_loop = _loops(believed)
+
+
+    def __call__(
+        self, setpoint: Setpoint, body: FloatArray, omega: FloatArray, states: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the rotor accelerations to apply and the rates of the controller's states.
+
+        Parameters
+        ----------
+        setpoint : Setpoint
+            What the reference asks for now.
+        body : ndarray, shape (12,)
+            The `MEASURED_STATES`.
+        omega : ndarray, shape (4,)
+            Rotor speeds, rad/s.
+        states : ndarray, shape (22,)
+            The `CONTROLLER_STATES`.
+
+        Returns
+        -------
+        alpha : ndarray, shape (4,)
+            Rotor accelerations within their limit, rad/s^2.
+        rates : ndarray, shape (22,)
+            Derivatives of the controller's states by time.
+        """
+        rates = np.empty(len(CONTROLLER_STATES))
+        achieved = self._mixer @ (omega * omega)
+        direction = thrust_direction(*body[6:9].tolist())
+        wanted, rates[_POSITION] = self._position_loop(
+            body[0:3] - setpoint.position,
+            body[3:6] - setpoint.velocity,
+            setpoint.acceleration,
+            achieved[0] / self._mass * direction - self._weight,
+            states[_POSITION],
+        )
+        force = self._mass * (self._envelope.limited(wanted) + self._weight)
+        tilt_acceleration, rates[_COMMAND] = self._filtered(force, body[8], states[_COMMAND])
+        moments, rates[_ATTITUDE] = self._moments(
+            setpoint, tilt_acceleration, body, achieved[1:], states
+        )
+        command = self._allocation.rotor_speeds(float(force @ direction), moments)
+        alpha = self._rotor_gain * (command - omega)
+        return np.clip(alpha, -self._rotor_acceleration_max, self._rotor_acceleration_max), rates
+
+    def _filtered(
+        self, force: FloatArray, yaw: float, command: FloatArray
+    ) -> tuple[list[float], FloatArray]:
+        """Return the commanded tilt acceleration and the rates of the filter's states."""
+        angles, angle_rates = command[:2].tolist(), command[2:].tolist()
+        accelerations = []
+        for target, angle, rate, most in zip(
+            tilt_toward(force, yaw), angles, angle_rates, self._tilt_acceleration_max, strict=True
+        ):
+            closing = braking_rate(target - angle, self._tilt_gain, most)
+            accelerations.append(bend(_CRITICAL * self._tilt_gain * (closing - rate), most))
+        return accelerations, np.array((*angle_rates, *accelerations))
+
+    def _moments(
+        self,
+        setpoint: Setpoint,
+        tilt_acceleration: list[float],
+        body: FloatArray,
+        achieved: FloatArray,
+        states: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the moments to ask for and the rates of the attitude loop's states."""
+        command = states[_COMMAND]
+        demand, rates = self._attitude_loop(
+            body[6:9] - (*command[:2], setpoint.yaw),
+            body[9:12] - (*command[2:], setpoint.yaw_rate),
+            np.array((*tilt_acceleration, setpoint.yaw_acceleration)),
+            achieved / self._inertia,
+            states[_ATTITUDE],
+        )
+        return self._inertia * demand, rates
+
+
+def _loops(believed: Scenario) -> tuple[BacksteppingLoop, BacksteppingLoop]:
+    gains = believed.baseline.gains
+    learning = 1.0 if believed.baseline.adaptation else 0.0
+    position = BacksteppingLoop(
+        outer=np.full(3, gains.position),
+        inner=np.full(3, gains.velocity),
+        reach=gains.speed_max / gains.position,
+        identification=gains.force_identification,
+        effort_max=gains.acceleration_max,
+        adaptation=learning * gains.force_adaptation,
+        disturbance_max=gains.force_max,
+    )
+    attitude = BacksteppingLoop(
+        outer=np.array((gains.attitude, gains.attitude, gains.yaw)),
+        inner=np.array((gains.attitude_rate, gains.attitude_rate, gains.yaw_rate)),
+        reach=np.inf,
+        identification=gains.moment_identification,
+        effort_max=np.inf,
+        adaptation=learning * gains.moment_adaptation,
+        disturbance_max=gains.moment_max,
+    )
+    return position, attitude

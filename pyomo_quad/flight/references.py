@@ -1,0 +1,189 @@
+"""References: where the controller should be at each time.
+
+reference | path | meets at both ends
+step | the goal from the first moment on | nothing: the controller makes the path
+quintic | polynomial of degree 5 | position, zero velocity and acceleration
+minimum_snap | polynomial of degree 7 | position, zero velocity, acceleration and jerk
+plan | the optimal plan, between its samples a polynomial of degree 5 | the plan
+
+The quintic minimises the integral of the squared jerk, the polynomial of degree 7 that of the
+squared snap [1]_.  Both go straight from start to goal in the duration of the mission and stay
+there afterwards; yaw follows the same polynomial.
+
+.. [1] Mellinger and Kumar, "Minimum snap trajectory generation and control for quadrotors",
+   ICRA 2011.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import BPoly
+
+from pyomo_quad.scenario.mission import Mission
+
+__all__ = [
+    "ReferencePath",
+    "SampledPath",
+    "Setpoint",
+    "StraightPath",
+    "minimum_snap",
+    "quintic",
+    "step",
+]
+
+FloatArray = NDArray[np.float64]
+
+# Coefficients of rising powers of t/T, from 0 at t = 0 to 1 at t = T.
+_QUINTIC = Polynomial((0, 0, 0, 10, -15, 6))
+_MINIMUM_SNAP = Polynomial((0, 0, 0, 0, 35, -84, 70, -20))
+_STEP = Polynomial((1,))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setpoint:
+    """What the vehicle should do at one moment; arrays are (3,) in world axes, SI units."""
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    yaw: float
+    yaw_rate: float
+    yaw_acceleration: float
+
+    @classmethod
+    def from_rows(cls, value: FloatArray, rate: FloatArray, acceleration: FloatArray) -> Self:
+        """Split rows (x, y, z, yaw) and their first two derivatives.
+
+        Parameters
+        ----------
+        value, rate, acceleration : ndarray, shape (4,)
+            Position in m and yaw in rad, and their derivatives by time in s.
+
+        Returns
+        -------
+        Setpoint
+            The same numbers by name.
+        """
+        return cls(
+            position=value[:3],
+            velocity=rate[:3],
+            acceleration=acceleration[:3],
+            yaw=float(value[3]),
+            yaw_rate=float(rate[3]),
+            yaw_acceleration=float(acceleration[3]),
+        )
+
+
+ReferencePath = Callable[[float], Setpoint]
+
+
+class StraightPath:
+    """A straight line from start to goal, run through as a polynomial of time.
+
+    Parameters
+    ----------
+    mission : Mission
+        Gives both ends and the duration.
+    progress : Polynomial
+        Share of the way done over the share of the duration elapsed.
+    """
+
+    def __init__(self, mission: Mission, progress: Polynomial) -> None:
+        self._start = np.array((*mission.start.position, mission.start.yaw))
+        self._way = np.array((*mission.goal.position, mission.goal.yaw)) - self._start
+        self._duration = mission.duration
+        self._progress = tuple(progress.deriv(order) for order in range(3))
+
+    def __call__(self, t: float) -> Setpoint:
+        """Return the setpoint at time t, s; held before the start and after the end."""
+        elapsed = min(max(t / self._duration, 0.0), 1.0)
+        value, rate, acceleration = (
+            float(derivative(elapsed)) / self._duration**order
+            for order, derivative in enumerate(self._progress)
+        )
+        return Setpoint.from_rows(
+            self._start + value * self._way, rate * self._way, acceleration * self._way
+        )
+
+
+def step(mission: Mission) -> StraightPath:
+    """Ask for the goal at once.
+
+    Parameters
+    ----------
+    mission : Mission
+        Gives the goal.
+
+    Returns
+    -------
+    StraightPath
+        The goal, at rest, at all times.
+    """
+    return StraightPath(mission, _STEP)
+
+
+def quintic(mission: Mission) -> StraightPath:
+    """Go from rest to rest with the least squared jerk.
+
+    Parameters
+    ----------
+    mission : Mission
+        Gives both ends and the duration.
+
+    Returns
+    -------
+    StraightPath
+        A polynomial of degree 5 in time.
+    """
+    return StraightPath(mission, _QUINTIC)
+
+
+def minimum_snap(mission: Mission) -> StraightPath:
+    """Go from rest to rest with the least squared snap.
+
+    Parameters
+    ----------
+    mission : Mission
+        Gives both ends and the duration.
+
+    Returns
+    -------
+    StraightPath
+        A polynomial of degree 7 in time.
+    """
+    return StraightPath(mission, _MINIMUM_SNAP)
+
+
+class SampledPath:
+    """A path known at some times, with the polynomial of degree 5 through each pair of them.
+
+    Position, velocity and acceleration are continuous and exact at the samples.
+
+    Parameters
+    ----------
+    times : array_like, shape (n,)
+        Rising times, s.
+    values, rates, accelerations : array_like, shape (n, 4)
+        Columns x, y, z in m and yaw in rad, and their first two derivatives.
+    """
+
+    def __init__(
+        self, times: ArrayLike, values: ArrayLike, rates: ArrayLike, accelerations: ArrayLike
+    ) -> None:
+        self._times = np.asarray(times, dtype=float)
+        samples = np.stack([np.asarray(rows, float) for rows in (values, rates, accelerations)], 1)
+        self._value = BPoly.from_derivatives(self._times, samples)
+        self._rate = self._value.derivative()
+        self._acceleration = self._rate.derivative()
+
+    def __call__(self, t: float) -> Setpoint:
+        """Return the setpoint at time t, s; beyond the samples it hovers at the nearest end."""
+        first, last = self._times[0], self._times[-1]
+        if first <= t <= last:
+            return Setpoint.from_rows(self._value(t), self._rate(t), self._acceleration(t))
+        end = self._value(min(max(t, first), last))
+        return Setpoint.from_rows(end, np.zeros(4), np.zeros(4))

@@ -1,0 +1,149 @@
+"""Every declared equation against its second, flat writing, at 100 random states."""
+
+import numpy as np
+import pytest
+from pyomo.environ import Constraint
+
+from pyomo_quad.model import build_model
+from tests.agreement import plain_quadrotor as plain
+from tests.declared_model import RIGID_BODY, ROTORS, Instant, scenario
+
+# Both writings are the same arithmetic in another order: rounding alone may part them.
+AGREEMENT = 1e-12
+STATES = 100
+RATE_NAMES = [*(f"d{name}_dt" for name in RIGID_BODY), *(f"domega_dt[{j}]" for j in ROTORS)]
+
+
+def random_states(seed):
+    generator = np.random.default_rng(seed)
+    scale = [10.0] * 3 + [5.0] * 3 + [1.5] * 2 + [3.0] + [4.0] * 3
+    for _ in range(STATES):
+        body = generator.uniform(-1.0, 1.0, 12) * scale
+        omega = generator.uniform(50.0, 1047.0, 4)
+        alpha = generator.uniform(-3000.0, 3000.0, 4)
+        yield body, omega, alpha
+
+
+def largest_difference(instant, drag=None):
+    worst = 0.0
+    for body, omega, alpha in random_states(1):
+        instant.set(body, omega, alpha)
+        declared = instant.rates()
+        expected = plain.rates(body, omega, alpha, plain.wind(instant.t), drag)
+        found = np.array([declared[name] for name in RATE_NAMES])
+        # A rate that nearly cancels is held to the size of its terms, here of the order of g.
+        scale = np.maximum(np.abs(expected), plain.GRAVITY)
+        worst = max(worst, float(np.max(np.abs(found - expected) / scale)))
+    return worst
+
+
+@pytest.mark.parametrize("time", [0.0, 5.0, 10.0])
+def test_state_derivative_as_printed(time):
+    instant = Instant.of(time, wind={"use": "paper_table_2"})
+    assert largest_difference(instant) < AGREEMENT
+
+
+@pytest.mark.parametrize("drag", [(0.43, 0.0), (0.25, 0.02)])
+def test_state_derivative_with_drag(drag):
+    instant = Instant.of(
+        wind={"use": "paper_table_2", "coupling": "drag"},
+        vehicle={"drag_linear": drag[0], "drag_quadratic": drag[1]},
+    )
+    assert largest_difference(instant, drag) < AGREEMENT
+
+
+def test_a_flipped_sign_is_noticed():
+    model = build_model(scenario(wind={"use": "paper_table_2"}))
+    body = model.rigid_body
+    body.del_component("roll_balance")
+
+    def flipped(b, t):
+        m = b.parent_block()
+        airframe_coupling = (m.vehicle.Iy - m.vehicle.Iz) * b.q[t] * b.r[t]
+        rotor_drum = m.vehicle.rotor_inertia * b.q[t] * m.rotors.speed_imbalance[t]
+        return m.vehicle.Ix * b.dp_dt[t] == airframe_coupling - rotor_drum + m.rotors.roll_moment[t]
+
+    body.roll_balance = Constraint(model.time, rule=flipped)
+    assert largest_difference(Instant(model)) > 1e3 * AGREEMENT
+
+
+@pytest.mark.parametrize(
+    ("power", "expected"),
+    [
+        ({"model": "motor"}, lambda w, a: plain.motor(w, a)[2]),
+        ({"model": "shaft"}, lambda w, a: plain.shaft_torque(w, a) * w),
+        (
+            {"model": "constant_efficiency", "efficiency": 0.6, "regeneration": True},
+            lambda w, a: plain.shaft_torque(w, a) * w / 0.6,
+        ),
+        (
+            {"model": "constant_efficiency", "efficiency": 0.6, "smoothing": 0.5},
+            lambda w, a: plain.smooth_maximum(plain.shaft_torque(w, a) * w / 0.6, 0.0, 0.5),
+        ),
+        (
+            {
+                "model": "efficiency",
+                "torque_floor": 0.01,
+                "efficiency_floor": 0.07,
+                "smoothing": 0.3,
+            },
+            lambda w, a: plain.efficiency_power(w, a, 0.01, 0.07, 0.3),
+        ),
+        (
+            {"model": "motor_with_friction"},
+            lambda w, a: plain.motor(w, a, friction=(0.04, 2e-4))[2],
+        ),
+    ],
+)
+def test_power_of_each_rotor(power, expected):
+    instant = Instant.of(power=power)
+    for body, omega, alpha in random_states(2):
+        instant.set(body, omega, alpha)
+        found = instant.rotors("power.rotor_power")
+        # Where power is floored at zero, a difference of large terms remains.
+        size = np.maximum(np.abs(plain.shaft_torque(omega, alpha) * omega), 1.0)
+        assert np.all(np.abs(found - expected(omega, alpha)) <= AGREEMENT * 20 * size)
+        assert instant.read("power.total") == pytest.approx(found.sum(), rel=AGREEMENT)
+
+
+def test_motor_current_and_voltage():
+    instant = Instant.of()
+    for body, omega, alpha in random_states(3):
+        instant.set(body, omega, alpha)
+        current, voltage, _ = plain.motor(omega, alpha)
+        np.testing.assert_allclose(instant.rotors("rotors.motor_current"), current, rtol=AGREEMENT)
+        np.testing.assert_allclose(
+            instant.rotors("rotors.motor_voltage"), voltage, rtol=AGREEMENT, atol=1e-11
+        )
+
+
+@pytest.mark.parametrize(
+    ("use", "cell", "series", "parallel"),
+    [
+        ("phantom_2_pack", (3.7348, 0.00876, 0.468, 0.6787, 5.2, 0.0173), 3, 1),
+        ("paper_cell", (1.24, 2.92e-3, 0.156, 2.35, 1.55, 0.02), 9, 4),
+    ],
+)
+def test_battery(use, cell, series, parallel):
+    pack = {"use": use, "cells_series": series, "cells_parallel": parallel}
+    instant = Instant.of(battery=pack)
+    generator = np.random.default_rng(4)
+    for _ in range(STATES):
+        charge = generator.uniform(0.0, 0.75) * cell[4] * parallel
+        omega = generator.uniform(500.0, 1047.0, 4)
+        instant.set(omega=omega, charge=charge)
+        expected = plain.battery(charge, plain.motor(omega, np.zeros(4))[2].sum(), cell, series, parallel)
+        names = ("state_of_charge", "open_circuit_voltage", "voltage", "current")
+        found = [instant.read(f"battery.{name}") for name in names]
+        # Each writing takes the small root of a quadratic: cancellation costs two digits.
+        np.testing.assert_allclose(found, expected, rtol=100 * AGREEMENT)
+        assert instant.rates()["dcharge_drawn_dt"] == pytest.approx(found[3] / 3600, rel=AGREEMENT)
+
+
+@pytest.mark.parametrize("unit", ["rad/s", "hz"])
+def test_wind(unit):
+    instant = Instant.of(wind={"use": "paper_table_2", "frequency_unit": unit, "time_offset": 1.25})
+    for time in sorted(instant.model.time):
+        at = Instant(instant.model, time)
+        found = [at.read("wind.velocity_x"), at.read("wind.velocity_y"), 0.0]
+        np.testing.assert_allclose(found, plain.wind(time + 1.25, hertz=unit == "hz"), rtol=AGREEMENT)

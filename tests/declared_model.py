@@ -1,0 +1,85 @@
+"""The declared model at one instant: states in, declared values and rates out."""
+
+import numpy as np
+from pyomo.dae import DerivativeVar
+from pyomo.environ import Constraint, value
+
+from pyomo_quad.model import build_model
+from pyomo_quad.scenario import scenario_from_mapping
+
+MISSION = {"goal": {"position": [6.0, 7.0, 8.0]}, "duration": 10.0}
+ROTORS = (1, 2, 3, 4)
+RIGID_BODY = ("x", "y", "z", "vx", "vy", "vz", "phi", "theta", "psi", "p", "q", "r")
+
+
+def scenario(**tables):
+    """A scenario of the paper's vehicle; tables as in a scenario file."""
+    document = {
+        "name": "agreement",
+        "vehicle": {"use": "dji_phantom_2"},
+        "wind": {"use": "calm"},
+        "mission": MISSION,
+    }
+    for name, table in tables.items():
+        document[name] = document.get(name, {}) | table
+    return scenario_from_mapping(document)
+
+
+class Instant:
+    """A model with its variables set at one time, halfway unless told otherwise."""
+
+    def __init__(self, model, time=None):
+        self.model = model
+        self.t = sorted(model.time)[1] if time is None else time
+
+    @classmethod
+    def of(cls, time=None, **tables):
+        return cls(build_model(scenario(**tables)), time)
+
+    def set(self, body=(0.0,) * 12, omega=(0.0,) * 4, alpha=(0.0,) * 4, charge=0.0):
+        for name, number in zip(RIGID_BODY, body, strict=True):
+            self.model.rigid_body.component(name)[self.t].set_value(float(number))
+        for j, speed, acceleration in zip(ROTORS, omega, alpha, strict=True):
+            self.model.rotors.omega[j, self.t].set_value(float(speed))
+            self.model.rotors.alpha[j, self.t].set_value(float(acceleration))
+        self.model.battery.charge_drawn[self.t].set_value(float(charge))
+        return self
+
+    def hover(self, **more):
+        return self.set(omega=(value(self.model.mission.hover_speed),) * 4, **more)
+
+    def read(self, name, *index):
+        return value(self.model.find_component(name)[(*index, self.t) if index else self.t])
+
+    def rotors(self, name):
+        return np.array([self.read(name, j) for j in ROTORS])
+
+    def rates(self):
+        """Solve each balance for its derivative, by derivative name."""
+        found = {}
+        for variable in self.model.component_objects(DerivativeVar, descend_into=True):
+            for index in variable:
+                if (index[-1] if isinstance(index, tuple) else index) == self.t:
+                    variable[index].set_value(0.0)
+        for constraint in self.model.component_objects(Constraint, descend_into=True):
+            for index, data in constraint.items():
+                if (index[-1] if isinstance(index, tuple) else index) == self.t and data.equality:
+                    name, rate = _solved_for_derivative(data)
+                    found[name] = rate
+        return found
+
+
+def _solved_for_derivative(balance):
+    from pyomo.core.expr.visitor import identify_variables
+
+    (derivative,) = (
+        v for v in identify_variables(balance.expr) if isinstance(v.parent_component(), DerivativeVar)
+    )
+    index = derivative.index()
+    name = derivative.parent_component().local_name
+    left, right = balance.expr.args
+    derivative.set_value(1.0)
+    coefficient = value(left)
+    rate = value(right) / coefficient
+    derivative.set_value(0.0)
+    return (f"{name}[{index[0]}]" if isinstance(index, tuple) else name), rate

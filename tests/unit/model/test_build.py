@@ -1,0 +1,119 @@
+"""The model as a whole: parts, numbers, boundary conditions, what forces a rebuild."""
+
+import pytest
+from pyomo.environ import Param, value
+
+from pyomo_quad.model import build_model, inspect_model, parameter_values, structure_key
+from tests.declared_model import ROTORS, Instant, scenario
+
+VARIANTS = [
+    {},
+    {"power": {"model": "efficiency"}},
+    {"power": {"model": "constant_efficiency"}, "wind": {"use": "calm", "coupling": "drag"}},
+    {"limits": {"battery_current_max": 30.0}},
+]
+
+
+@pytest.mark.parametrize("tables", VARIANTS)
+def test_every_number_is_a_mutable_parameter_under_its_full_name(tables):
+    told = scenario(**tables)
+    model = build_model(told)
+    declared = {
+        data.name: value(data)
+        for data in model.component_data_objects(Param)
+        if data.parent_component() is not model.clock
+    }
+    assert declared == parameter_values(told)
+
+
+def test_degrees_of_freedom_are_the_four_controls():
+    found = inspect_model(build_model(scenario()))
+    assert found.degrees_of_freedom == 4
+    assert len(found.states) == 17
+    assert found.other_variables == tuple(f"rotors.alpha[{j}]" for j in ROTORS)
+    # 16 states at both ends and the charge at the start.
+    assert found.boundary_conditions == 33
+    assert found.is_unit_consistent
+
+
+def test_boundary_conditions_hold_at_hover_and_nowhere_else():
+    told = scenario(
+        mission={
+            "start": {"position": [1.0, 2.0, 3.0], "yaw": 0.5},
+            "goal": {"position": [6.0, 7.0, 8.0], "yaw": -0.5},
+        }
+    )
+    model = build_model(told)
+    start = (1.0, 2.0, 3.0, 0, 0, 0, 0, 0, 0.5, 0, 0, 0)
+    goal = (6.0, 7.0, 8.0, 0, 0, 0, 0, 0, -0.5, 0, 0, 0)
+    Instant(model, model.time.first()).hover(body=start)
+    Instant(model, model.time.last()).hover(body=goal)
+    assert largest_boundary_residual(model) < 1e-12
+    model.rigid_body.q[model.time.last()].set_value(0.01)
+    assert largest_boundary_residual(model) == pytest.approx(0.01)
+
+
+def largest_boundary_residual(model):
+    names = [f"{end}_{what}" for end in ("start", "goal") for what in ("place", "rest", "rotor_speed")]
+    balances = [d for name in names for d in model.mission.component(name).values()]
+    return max(abs(value(d.body) - value(d.upper)) for d in balances)
+
+
+def test_a_partly_used_pack_starts_partly_used():
+    model = build_model(scenario(battery={"initial_state_of_charge": 60.0}))
+    missing = model.battery.initial_charge
+    model.battery.charge_drawn[model.time.first()].set_value(0.4 * 5.2)
+    assert value(missing.body) == pytest.approx(value(missing.upper))
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity", "allowed"),
+    [
+        ("roll_limit", "rigid_body.phi", 1.5707963267948966),
+        ("rotor_acceleration_limit", "rotors.alpha", 3000.0),
+        ("rotor_speed_limit", "rotors.omega", 1047.1975511965977),
+    ],
+)
+def test_single_variable_limits(name, quantity, allowed):
+    model = build_model(scenario())
+    limit = model.limits.component(name)
+    (data, *_) = limit.values()
+    assert value(data.upper) == pytest.approx(allowed)
+    assert data.body.parent_component().name == quantity
+
+
+def test_limits_of_eq_10_follow_from_the_rotors():
+    told = scenario()
+    at = Instant(build_model(told)).set(omega=(1000.0, 1047.0, 900.0, 300.0))
+    limits = at.model.limits
+    # One rotor at full speed and its opposite at rest give the largest roll or pitch moment.
+    assert value(limits.roll_moment_max) == pytest.approx(0.175 * 3.8305e-6 * 1047.19755**2)
+    assert value(limits.yaw_moment_max) == pytest.approx(2 * 2.2518e-8 * 1047.19755**2)
+    assert value(limits.thrust_max) == pytest.approx(4 * 3.8305e-6 * 1047.19755**2)
+    body = value(limits.roll_moment_limit[at.t].body)
+    assert body == pytest.approx(0.175 * 3.8305e-6 * (1047.0**2 - 300.0**2))
+
+
+def test_only_structure_forces_a_rebuild():
+    told = scenario()
+    for path, number in {
+        "mission.duration": 12.0,
+        "mission.goal.position": [1.0, 1.0, 1.0],
+        "vehicle.payload": 0.1,
+        "wind.x.mean": 2.0,
+        "battery.cells_parallel": 2,
+    }.items():
+        assert structure_key(told.with_values({path: number})) == structure_key(told)
+    for path, choice in {
+        "power.model": "shaft",
+        "wind.coupling": "drag",
+        "limits.battery_current_max": 20.0,
+    }.items():
+        assert structure_key(told.with_values({path: choice})) != structure_key(told)
+
+
+def test_the_optimiser_can_be_told_another_wind():
+    told = scenario(wind={"use": "constant", "speed": 2.0, "forecast": {"use": "calm"}})
+    truth, forecast = Instant(build_model(told)), Instant(build_model(told.as_forecast()))
+    assert truth.read("wind.velocity_x") == pytest.approx(2.0)
+    assert forecast.read("wind.velocity_x") == 0.0

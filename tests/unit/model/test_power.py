@@ -1,0 +1,67 @@
+"""What each power model claims: non-negative, convex in alpha, convex in thrust."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pyomo_quad.model.hover import SteadyFlight
+from pyomo_quad.model.power import CONVEX_IN_THRUST
+from tests.declared_model import Instant, scenario
+
+SPEED = st.floats(0.0, 1047.0)
+ACCELERATION = st.floats(-3000.0, 3000.0)
+AT = {
+    model: Instant.of(power={"model": model})
+    for model in ("motor", "efficiency", "shaft", "constant_efficiency", "motor_with_friction")
+}
+
+
+def power(model, omega, alpha):
+    at = AT[model].set(omega=(omega,) * 4, alpha=(alpha,) * 4)
+    return at.read("power.rotor_power", 1)
+
+
+@pytest.mark.parametrize("model", ["efficiency", "constant_efficiency"])
+@settings(deadline=None, max_examples=60)
+@given(omega=SPEED, alpha=ACCELERATION)
+def test_braking_earns_nothing(model, omega, alpha):
+    assert power(model, omega, alpha) >= 0.0
+
+
+@pytest.mark.parametrize("model", ["motor", "shaft", "constant_efficiency", "motor_with_friction"])
+@settings(deadline=None, max_examples=60)
+@given(omega=SPEED, first=ACCELERATION, second=ACCELERATION, share=st.floats(0.0, 1.0))
+def test_convex_in_alpha(model, omega, first, second, share):
+    low, high = power(model, omega, first), power(model, omega, second)
+    between = power(model, omega, share * first + (1 - share) * second)
+    chord = share * low + (1 - share) * high
+    assert between <= chord + 1e-9 * (1 + abs(low) + abs(high))
+
+
+def test_the_efficiency_function_is_not_convex_in_alpha():
+    # Between coasting and accelerating, steady flight at 912 rad/s is dearer than the chord.
+    steady, coasting, accelerating = (power("efficiency", 912.0, a) for a in (0.0, -447.0, 3000.0))
+    share = 3000.0 / 3447.0
+    assert steady > share * coasting + (1 - share) * accelerating
+
+
+def test_the_efficiency_keeps_its_floor_where_the_polynomial_has_a_zero():
+    # At 400 rad/s the polynomial vanishes at -0.046 N m, reached by braking at 1.2e3 rad/s^2.
+    at = AT["efficiency"].set(omega=(400.0,) * 4, alpha=(-1200.0,) * 4)
+    assert at.read("power.drive_efficiency", 1) >= 0.05
+    assert at.read("power.map_torque", 1) >= 0.0
+
+
+def test_regeneration_pays_back():
+    regenerating = Instant.of(power={"model": "efficiency", "regeneration": True})
+    regenerating.set(omega=(912.0,) * 4, alpha=(-1000.0,) * 4)
+    assert regenerating.read("power.rotor_power", 1) < 0.0
+
+
+@pytest.mark.parametrize("model", sorted(CONVEX_IN_THRUST))
+def test_convex_and_increasing_in_thrust(model):
+    steady = SteadyFlight(scenario(power={"model": model}))
+    powers = np.array([steady.power_at_thrust(thrust) for thrust in np.linspace(0.0, 16.8, 30)])
+    assert np.all(np.diff(powers) > 0.0)
+    assert np.all(np.diff(powers, 2) > -1e-9)
