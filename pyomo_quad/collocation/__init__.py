@@ -7,7 +7,7 @@ parameters, horizons and meshes without being built again.
 from typing import Any
 
 from pyomo_quad.collocation.dynamics import Dynamics, Violation
-from pyomo_quad.collocation.errors import EngineError, SolveFailure, TranscriptionError
+from pyomo_quad.collocation.errors import EngineError, SolveError, TranscriptionError
 from pyomo_quad.collocation.ipopt import Iteration, Progress, SolverOptions, Status
 from pyomo_quad.collocation.mesh import Mesh
 from pyomo_quad.collocation.problem import Problem
@@ -25,7 +25,7 @@ __all__ = [
     "Progress",
     "RefinementOptions",
     "Solution",
-    "SolveFailure",
+    "SolveError",
     "SolverOptions",
     "Status",
     "TranscriptionError",

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
-
-from pyomo.dae import ContinuousSet
+from typing import TYPE_CHECKING, Any
 
 from pyomo_quad.collocation.errors import TranscriptionError
+
+if TYPE_CHECKING:
+    from pyomo.dae import ContinuousSet
 
 __all__ = ["Address", "AddressBook", "indexed_name"]
 

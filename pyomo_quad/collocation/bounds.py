@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pyomo_quad.collocation.compiled import CompiledModel
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.mapped import MappedFunction
 from pyomo_quad.collocation.naming import unknown_place
-from pyomo_quad.collocation.nodes import FloatArray
-from pyomo_quad.collocation.transcription import Transcription
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.compiled import CompiledModel
+    from pyomo_quad.collocation.nodes import FloatArray
+    from pyomo_quad.collocation.transcription import Transcription
 
 __all__ = ["Bounds", "bounds_of"]
 
@@ -127,9 +130,7 @@ class _Unknowns:
                 columns = layout.static_columns[[names.index(bound.variable)]]
             self._tighten_either(columns, first[0, k], second[0, k])
 
-    def _tighten_either(
-        self, columns: FloatArray, first: FloatArray, second: FloatArray
-    ) -> None:
+    def _tighten_either(self, columns: FloatArray, first: FloatArray, second: FloatArray) -> None:
         self._tighten(columns, np.minimum(first, second), np.maximum(first, second))
 
     def _tighten(self, columns: FloatArray, lower: FloatArray, upper: FloatArray) -> None:

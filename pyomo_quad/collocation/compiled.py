@@ -90,7 +90,9 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
     path_data = casadi.vertcat(_signals(declared), _symbols(declared.parameters))
     parameters = _symbols(declared.parameters)
     direct = tuple(
-        i for i, integral in enumerate(declared.integrals) if not _is_static(declared, integral.name)
+        i
+        for i, integral in enumerate(declared.integrals)
+        if not _is_static(declared, integral.name)
     )
     rows = [e.expression for e in equations] + [i.integrand for i in declared.integrals]
     point_rows = [c.expression for c in conditions] + [declared.objective]
@@ -162,9 +164,7 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
     symbols = {p.symbol.name(): p.symbol for p in declared.point_symbols}
     symbols |= {s.symbol.name(): s.symbol for s in declared.statics}
     return symbols | {
-        i.symbol.name(): i.symbol
-        for i in declared.integrals
-        if not _is_static(declared, i.name)
+        i.symbol.name(): i.symbol for i in declared.integrals if not _is_static(declared, i.name)
     }
 
 
@@ -214,9 +214,7 @@ def _derive(name: str, rows: Any, variables: Any, data: Any) -> DerivedFunctions
     h_rows, h_columns = hessian.sparsity().get_triplet()
     return DerivedFunctions(
         values=casadi.Function(name, [variables, data], [casadi.densify(rows)]),
-        jacobian=casadi.Function(
-            f"{name}_jacobian", [variables, data], [_nonzeros(jacobian)]
-        ),
+        jacobian=casadi.Function(f"{name}_jacobian", [variables, data], [_nonzeros(jacobian)]),
         hessian=casadi.Function(
             f"{name}_hessian", [variables, data, weights], [_nonzeros(hessian)]
         ),

@@ -16,25 +16,33 @@ Radau scheme.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pyomo_quad.collocation.mapped import MappedFunction
 from pyomo_quad.collocation.nodes import FloatArray, radau_rule
-from pyomo_quad.collocation.transcription import Transcription
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.transcription import Transcription
 
 __all__ = ["Costates", "costates_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Costates:
-    """Costates per element: values[e] has shape (degree + 1, n_states), left end first.
+    """Costates per element: per_element[e] has shape (degree + 1, n_states), left end first.
 
     `hamiltonian` holds H at the collocation points, shape (n_points,).
     """
 
-    values: tuple[FloatArray, ...]
+    per_element: tuple[FloatArray, ...]
     hamiltonian: FloatArray
+
+    @property
+    def at_points(self) -> FloatArray:
+        """Costates at the collocation points, shape (n_points, n_states)."""
+        return np.vstack([block[1:] for block in self.per_element])
 
 
 def costates_of(
@@ -54,7 +62,7 @@ def costates_of(
     """
     mesh, compiled = program.mesh, program.compiled
     if mesh is None:
-        return Costates(values=(), hamiltonian=np.zeros(0))
+        return Costates(per_element=(), hamiltonian=np.zeros(0))
     n_states, n = len(compiled.declared.states), compiled.n_equations
     rows = multipliers[: mesh.points * n].reshape(mesh.points, n)
     by_rate = _rate_products(program, z, rows, n_states)
@@ -69,7 +77,7 @@ def costates_of(
     rates = program.layout.slope_matrix @ states
     density = program.objective_density(z)
     hamiltonian = (density + np.sum(inner * rates, axis=1)) / span
-    return Costates(values=tuple(values), hamiltonian=hamiltonian)
+    return Costates(per_element=tuple(values), hamiltonian=hamiltonian)
 
 
 def _rate_products(

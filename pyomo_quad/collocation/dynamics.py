@@ -13,13 +13,13 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from pyomo_quad.collocation.declarations import Slot
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.expressions import symbol_names
 from pyomo_quad.collocation.mapped import MappedFunction
-from pyomo_quad.collocation.nodes import FloatArray
 
 if TYPE_CHECKING:
+    from pyomo_quad.collocation.declarations import Slot
+    from pyomo_quad.collocation.nodes import FloatArray
     from pyomo_quad.collocation.problem import Instance, Problem
 
 __all__ = ["Dynamics", "Violation"]
@@ -72,9 +72,7 @@ class Dynamics:
         declared = self._problem.compiled.declared
         equations = [e for e in declared.equations if e.is_equality]
         rows = casadi.vertcat(*[e.expression for e in (*equations, *declared.output_equations)])
-        unknowns = casadi.vertcat(
-            *[s.rate for s in states], *[s.symbol for s in self._determined]
-        )
+        unknowns = casadi.vertcat(*[s.rate for s in states], *[s.symbol for s in self._determined])
         if rows.shape[0] != unknowns.shape[0]:
             raise TranscriptionError(
                 f"dynamics: {rows.shape[0]} equations determine {unknowns.shape[0]} slopes and "

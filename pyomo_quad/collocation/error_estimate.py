@@ -16,10 +16,10 @@ import numpy as np
 
 from pyomo_quad.collocation.mapped import MappedFunction
 from pyomo_quad.collocation.nodes import FloatArray, radau_rule
-from pyomo_quad.collocation.transcription import Transcription
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.solution import Solution
+    from pyomo_quad.collocation.transcription import Transcription
 
 __all__ = ["ErrorEstimate", "estimate_error"]
 
@@ -62,10 +62,17 @@ def estimate_error(solution: Solution) -> ErrorEstimate:
     path = solution.trajectory
     statics = np.broadcast_to(path.statics, (fractions.size, path.statics.size))
     variables = np.hstack(
-        [path.rates_at(fractions), path.states_at(fractions), path.algebraics_at(fractions), statics]
+        [
+            path.rates_at(fractions),
+            path.states_at(fractions),
+            path.algebraics_at(fractions),
+            statics,
+        ]
     )
     signals = solution.problem.signals(solution.instance, fractions)
-    parameters = np.broadcast_to(program.data.parameters, (fractions.size, program.data.parameters.size))
+    parameters = np.broadcast_to(
+        program.data.parameters, (fractions.size, program.data.parameters.size)
+    )
     data = np.hstack([signals, parameters])
     rows = MappedFunction(program.compiled.path.values, fractions.size)(variables, data)[0]
     slopes = _slope_corrections(program, variables, data, rows)
@@ -131,9 +138,7 @@ def _violations(
     parts.append(_outside(values, low, high))
     names = [s.name for s in (*compiled.declared.states, *compiled.declared.algebraics)]
     chosen = [names.index(b.variable) for b in compiled.simple_path_bounds]
-    parts.append(
-        _outside(values[:, chosen], np.minimum(first, second), np.maximum(first, second))
-    )
+    parts.append(_outside(values[:, chosen], np.minimum(first, second), np.maximum(first, second)))
     worst = np.hstack(parts).max(axis=1, initial=0.0)
     assert program.mesh is not None
     counts = np.asarray(program.mesh.degrees) + 1

@@ -1,6 +1,6 @@
 """What the engine refuses, and how it says so."""
 
-__all__ = ["EngineError", "SolveFailure", "TranscriptionError"]
+__all__ = ["EngineError", "SolveError", "TranscriptionError"]
 
 
 class EngineError(Exception):
@@ -11,5 +11,5 @@ class TranscriptionError(EngineError, ValueError):
     """The declarations cannot be turned into a nonlinear program: the message names the culprit."""
 
 
-class SolveFailure(EngineError, RuntimeError):
+class SolveError(EngineError, RuntimeError):
     """A solve that the caller asked to be complete did not end in an optimum."""

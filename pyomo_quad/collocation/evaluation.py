@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi
 
-from pyomo_quad.collocation.compiled import CompiledModel
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.expressions import symbol_names
 from pyomo_quad.collocation.mapped import MappedFunction
-from pyomo_quad.collocation.nodes import FloatArray
-from pyomo_quad.collocation.reading import ModelReader
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.compiled import CompiledModel
+    from pyomo_quad.collocation.nodes import FloatArray
+    from pyomo_quad.collocation.template_writer import TemplateWriter
 
 __all__ = ["Evaluator", "index_tuple"]
 
@@ -30,8 +32,8 @@ class Evaluator:
     states of the program), the static variables, and the data: fraction, signals, parameters.
     """
 
-    def __init__(self, compiled: CompiledModel, reader: ModelReader) -> None:
-        self._reader = reader
+    def __init__(self, compiled: CompiledModel, writer: TemplateWriter) -> None:
+        self._writer = writer
         d = compiled.declared
         states = (*d.states, *d.outputs)
         self.inputs = [
@@ -53,13 +55,13 @@ class Evaluator:
             If the component is not a variable or expression over time of this model.
         """
         name = component if isinstance(component, str) else component.name
-        found = self._reader.copy.model.find_component(name)
-        if found is None or self._reader.addresses.time_position(found) is None:
+        found = self._writer.copy.model.find_component(name)
+        if found is None or self._writer.addresses.time_position(found) is None:
             raise TranscriptionError(
                 f"{name}: is not a variable or expression over time of the compiled model."
             )
         try:
-            written = self._reader.write_at_template(found, index_tuple(index))
+            written = self._writer.write_at_template(found, index_tuple(index))
         except KeyError:
             raise TranscriptionError(
                 f"{name}: has no index {index!r} beside time; give index= one of its set."

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
 from functools import reduce
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi
 from pyomo.core.base.units_container import _PyomoUnit
@@ -14,6 +13,9 @@ from pyomo.core.expr.numvalue import native_types
 from pyomo.core.expr.visitor import StreamBasedExpressionVisitor
 
 from pyomo_quad.collocation.errors import TranscriptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 __all__ = ["ExpressionWriter", "same_expression", "symbol_names"]
 
@@ -37,12 +39,19 @@ _UNARY: dict[str, Callable[[Any], Any]] = {
 }
 
 
-def _product(arguments: list[Any]) -> Any:
-    return arguments[0] * arguments[1]
+def _sum(*terms: Any) -> Any:
+    return reduce(operator.add, terms)
 
 
-def _sum(arguments: list[Any]) -> Any:
-    return reduce(operator.add, arguments)
+_OPERATIONS: tuple[tuple[Any, Callable[..., Any]], ...] = (
+    (numeric_expr.ProductExpression, operator.mul),
+    (numeric_expr.SumExpression, _sum),
+    (numeric_expr.LinearExpression, _sum),
+    (numeric_expr.PowExpression, operator.pow),
+    (numeric_expr.NegationExpression, operator.neg),
+    (numeric_expr.DivisionExpression, operator.truediv),
+    (numeric_expr.AbsExpression, casadi.fabs),
+)
 
 
 class ExpressionWriter:
@@ -115,18 +124,9 @@ class ExpressionWriter:
         return self._apply(node, arguments)
 
     def _apply(self, node: Any, arguments: list[Any]) -> Any:
-        if isinstance(node, numeric_expr.ProductExpression):
-            return _product(arguments)
-        if isinstance(node, numeric_expr.SumExpression | numeric_expr.LinearExpression):
-            return _sum(arguments)
-        if isinstance(node, numeric_expr.PowExpression):
-            return arguments[0] ** arguments[1]
-        if isinstance(node, numeric_expr.NegationExpression):
-            return -arguments[0]
-        if isinstance(node, numeric_expr.DivisionExpression):
-            return arguments[0] / arguments[1]
-        if isinstance(node, numeric_expr.AbsExpression):
-            return casadi.fabs(arguments[0])
+        for kind, operation in _OPERATIONS:
+            if isinstance(node, kind):
+                return operation(*arguments)
         if isinstance(node, numeric_expr.UnaryFunctionExpression) and node.name in _UNARY:
             return _UNARY[node.name](arguments[0])
         name = getattr(node, "name", None) or type(node).__name__

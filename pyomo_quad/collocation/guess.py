@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pyomo_quad.collocation.bounds import Bounds
-from pyomo_quad.collocation.declarations import Slot
 from pyomo_quad.collocation.nodes import FloatArray
-from pyomo_quad.collocation.trajectory import Trajectory
-from pyomo_quad.collocation.transcription import Transcription
-from pyomo_quad.collocation.values import ModelValues
 
-__all__ = ["Guess", "TIME_COLUMN", "initial_point", "point_from_trajectory"]
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.bounds import Bounds
+    from pyomo_quad.collocation.declarations import Slot
+    from pyomo_quad.collocation.trajectory import Trajectory
+    from pyomo_quad.collocation.transcription import Transcription
+    from pyomo_quad.collocation.values import ModelValues
+
+__all__ = ["TIME_COLUMN", "Guess", "initial_point", "point_from_trajectory"]
 
 TIME_COLUMN = "time"
 

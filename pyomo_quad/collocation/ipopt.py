@@ -6,15 +6,16 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cyipopt
 import numpy as np
 
-from pyomo_quad.collocation.bounds import Bounds
-from pyomo_quad.collocation.nodes import FloatArray
-from pyomo_quad.collocation.scaling import Scaling
-from pyomo_quad.collocation.transcription import Transcription
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.bounds import Bounds
+    from pyomo_quad.collocation.nodes import FloatArray
+    from pyomo_quad.collocation.scaling import Scaling
+    from pyomo_quad.collocation.transcription import Transcription
 
 __all__ = ["IpoptResult", "Iteration", "Multipliers", "Progress", "SolverOptions", "Status", "run"]
 
@@ -121,9 +122,7 @@ class _Callbacks:
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
         size = len(self.program.hessianstructure()[0])
-        return np.asarray(
-            self._guard(lambda: self.program.hessian(z, multipliers, factor), size)
-        )
+        return np.asarray(self._guard(lambda: self.program.hessian(z, multipliers, factor), size))
 
     def intermediate(
         self,

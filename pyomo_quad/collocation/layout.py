@@ -8,14 +8,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from pyomo_quad.collocation.declarations import Declarations, PointSymbol
-from pyomo_quad.collocation.mesh import Mesh
 from pyomo_quad.collocation.nodes import FloatArray, interpolation_matrix, radau_rule
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.declarations import Declarations, PointSymbol
+    from pyomo_quad.collocation.mesh import Mesh
 
 __all__ = ["Layout"]
 

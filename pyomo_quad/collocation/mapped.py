@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pyomo_quad.collocation.nodes import FloatArray
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.nodes import FloatArray
 
 __all__ = ["MappedFunction"]
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.nodes import FloatArray, radau_rule
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
 
 __all__ = ["Mesh"]
 
@@ -101,10 +105,7 @@ class Mesh:
         """Collocation points as fractions of the horizon, shape (n_points,)."""
         starts = np.asarray(self.breakpoints)
         fractions = np.concatenate(
-            [
-                starts[e] + self.widths[e] * radau_rule(d).points
-                for e, d in enumerate(self.degrees)
-            ]
+            [starts[e] + self.widths[e] * radau_rule(d).points for e, d in enumerate(self.degrees)]
         )
         fractions[self.first_node[1:] - 1] = starts[1:]
         return fractions

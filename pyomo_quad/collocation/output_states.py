@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import casadi
 
-from pyomo_quad.collocation.declarations import Declarations, PathEquation, Slot
 from pyomo_quad.collocation.expressions import symbol_names
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.declarations import Declarations, PathEquation, Slot
 
 __all__ = ["set_outputs_aside"]
 
@@ -51,7 +54,9 @@ def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
 def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
     uses = Counter[str]()
     for equation in declared.equations:
-        uses.update(symbol_names(casadi.vertcat(equation.expression, equation.lower, equation.upper)))
+        uses.update(
+            symbol_names(casadi.vertcat(equation.expression, equation.lower, equation.upper))
+        )
     elsewhere = symbol_names(
         casadi.vertcat(declared.objective, *[i.integrand for i in declared.integrals])
     )

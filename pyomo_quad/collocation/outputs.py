@@ -6,19 +6,21 @@ exact sparse Jacobian.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi
 import numpy as np
-from scipy.sparse import block_diag, csr_matrix, kron, identity
+from scipy.sparse import block_diag, csr_matrix, identity, kron
 from scipy.sparse.linalg import splu
 
-from pyomo_quad.collocation.compiled import CompiledModel
-from pyomo_quad.collocation.declarations import Declarations
-from pyomo_quad.collocation.errors import SolveFailure
-from pyomo_quad.collocation.layout import Layout
+from pyomo_quad.collocation.errors import SolveError
 from pyomo_quad.collocation.mapped import MappedFunction
-from pyomo_quad.collocation.nodes import FloatArray
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.compiled import CompiledModel
+    from pyomo_quad.collocation.declarations import Declarations
+    from pyomo_quad.collocation.layout import Layout
+    from pyomo_quad.collocation.nodes import FloatArray
 
 __all__ = ["OutputStates"]
 
@@ -35,9 +37,7 @@ class OutputStates:
         self._slots = declared.outputs
         rates = casadi.vertcat(casadi.SX(0, 1), *[s.rate for s in self._slots])
         states = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in self._slots])
-        rows = casadi.vertcat(
-            casadi.SX(0, 1), *[e.expression for e in declared.output_equations]
-        )
+        rows = casadi.vertcat(casadi.SX(0, 1), *[e.expression for e in declared.output_equations])
         inputs = [rates, states, path_variables, path_data]
         self._residual = casadi.Function(
             "outputs",
@@ -85,7 +85,7 @@ class OutputStates:
 
         Raises
         ------
-        SolveFailure
+        SolveError
             If Newton's method does not converge.
         """
         n, points = len(self._slots), layout.points
@@ -101,7 +101,7 @@ class OutputStates:
             if np.max(np.abs(step)) <= _NEWTON_TOLERANCE * (1.0 + np.max(np.abs(states))):
                 return states
         names = ", ".join(s.name for s in self._slots)
-        raise SolveFailure(
+        raise SolveError(
             f"{names}: Newton's method did not solve the equations of these output states; "
             "check their equations and start values."
         )

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pyomo_quad.collocation.compiled import CompiledModel
-from pyomo_quad.collocation.layout import Layout
-from pyomo_quad.collocation.nodes import FloatArray
 from pyomo_quad.collocation.scatter import Contributions, Scatter
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.compiled import CompiledModel
+    from pyomo_quad.collocation.layout import Layout
+    from pyomo_quad.collocation.nodes import FloatArray
 
 __all__ = ["JacobianScatter", "hessian_scatter", "jacobian_scatter", "path_columns"]
 

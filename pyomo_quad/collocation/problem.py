@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi
 import numpy as np
@@ -15,8 +15,6 @@ from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.evaluation import Evaluator
 from pyomo_quad.collocation.guess import Guess, initial_point
 from pyomo_quad.collocation.ipopt import Progress, SolverOptions, run
-from pyomo_quad.collocation.mesh import Mesh
-from pyomo_quad.collocation.nodes import FloatArray
 from pyomo_quad.collocation.outputs import OutputStates
 from pyomo_quad.collocation.reading import read_declarations
 from pyomo_quad.collocation.refinement import RefinementOptions, refine
@@ -26,6 +24,10 @@ from pyomo_quad.collocation.solution import Solution, solution_from
 from pyomo_quad.collocation.transcription import Data, Transcription
 from pyomo_quad.collocation.values import ModelValues, Overrides
 from pyomo_quad.collocation.warm_start import transfer
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.mesh import Mesh
+    from pyomo_quad.collocation.nodes import FloatArray
 
 __all__ = ["DEFAULT_TOLERANCE", "Instance", "Problem"]
 
@@ -69,7 +71,7 @@ class Problem:
         time = self.reader.copy.time
         own_time = None if time is None else model.find_component(time.name)
         self.values = ModelValues(model, self.compiled.declared, own_time)
-        self.evaluator = Evaluator(self.compiled, self.reader)
+        self.evaluator = Evaluator(self.compiled, self.reader.writer)
         self.outputs = OutputStates(self.compiled)
         declared = self.compiled.declared
         statics = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in declared.statics])

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pyomo_quad.collocation.error_estimate import ErrorEstimate, estimate_error
-from pyomo_quad.collocation.guess import Guess
 from pyomo_quad.collocation.ipopt import Progress, SolverOptions, Status
 from pyomo_quad.collocation.mesh import Mesh
 from pyomo_quad.collocation.remeshing import RefinementOptions, refined_mesh
 from pyomo_quad.collocation.solution import MeshRecord, Solution
 
 if TYPE_CHECKING:
+    from pyomo_quad.collocation.guess import Guess
     from pyomo_quad.collocation.problem import Instance, Problem
 
 __all__ = ["RefinementOptions", "refine"]

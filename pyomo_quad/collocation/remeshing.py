@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.polynomial import legendre
 
-from pyomo_quad.collocation.error_estimate import ErrorEstimate
 from pyomo_quad.collocation.mesh import Mesh
 from pyomo_quad.collocation.nodes import FloatArray, radau_rule
 
 if TYPE_CHECKING:
+    from pyomo_quad.collocation.error_estimate import ErrorEstimate
     from pyomo_quad.collocation.solution import Solution
 
 __all__ = ["RefinementOptions", "refined_mesh"]
@@ -86,7 +86,7 @@ def refined_mesh(
             pieces.append(_lowered(solution, e, float(size), tolerance, options))
         else:
             pieces.extend(_finer(solution, e, error, tolerance, options))
-    pieces = _merged(pieces, solution, tolerance, options)
+    pieces = _merged(pieces, solution, tolerance)
     mesh = Mesh(
         breakpoints=(0.0, *(p.end for p in pieces[:-1]), 1.0),
         degrees=tuple(p.degree for p in pieces),
@@ -138,9 +138,7 @@ def _finer(
     ]
 
 
-def _merged(
-    pieces: list[_Piece], solution: Solution, tolerance: float, options: RefinementOptions
-) -> list[_Piece]:
+def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[_Piece]:
     """Merge neighbours whose merger, by the order of the scheme, is still far below."""
     required = solution.problem.required_breakpoints
     merged: list[_Piece] = []

@@ -9,14 +9,15 @@ beside angles of 1e-2 weigh alike (compare Betts, Practical Methods, section 4.8
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pyomo_quad.collocation.bounds import Bounds
-from pyomo_quad.collocation.declarations import Slot
-from pyomo_quad.collocation.nodes import FloatArray
-from pyomo_quad.collocation.transcription import Transcription
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.bounds import Bounds
+    from pyomo_quad.collocation.declarations import Slot
+    from pyomo_quad.collocation.nodes import FloatArray
+    from pyomo_quad.collocation.transcription import Transcription
 
 __all__ = ["Scaling", "scaling_of"]
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from pyomo_quad.collocation.nodes import FloatArray
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.nodes import FloatArray
 
 __all__ = ["Contributions", "Scatter"]
 
@@ -22,7 +24,11 @@ class Contributions:
         self._parts: list[tuple[IndexArray, IndexArray, IndexArray, FloatArray]] = []
 
     def add(
-        self, rows: IndexArray, columns: IndexArray, sources: IndexArray, weights: FloatArray | float
+        self,
+        rows: IndexArray,
+        columns: IndexArray,
+        sources: IndexArray,
+        weights: FloatArray | float,
     ) -> None:
         """Add entries; the arrays broadcast against each other."""
         rows, columns, sources, weights = np.broadcast_arrays(rows, columns, sources, weights)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from pyomo_quad.collocation.bounds import Bounds
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.naming import row_place, unknown_place
-from pyomo_quad.collocation.nodes import FloatArray
-from pyomo_quad.collocation.transcription import Transcription
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.bounds import Bounds
+    from pyomo_quad.collocation.nodes import FloatArray
+    from pyomo_quad.collocation.transcription import Transcription
 
 __all__ = ["refuse_unsolvable"]
 

@@ -10,17 +10,17 @@ import numpy as np
 import pandas as pd
 
 from pyomo_quad.collocation.costates import Costates, costates_of
-from pyomo_quad.collocation.errors import EngineError, TranscriptionError
+from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.evaluation import index_tuple
 from pyomo_quad.collocation.guess import TIME_COLUMN
 from pyomo_quad.collocation.ipopt import IpoptResult, Iteration, Multipliers, Status
 from pyomo_quad.collocation.mesh import Mesh
-from pyomo_quad.collocation.nodes import FloatArray, interpolation_matrix, radau_rule
+from pyomo_quad.collocation.nodes import FloatArray, radau_rule
 from pyomo_quad.collocation.trajectory import Trajectory, interpolate, interpolate_rates
-from pyomo_quad.collocation.transcription import Transcription
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.problem import Instance, Problem
+    from pyomo_quad.collocation.transcription import Transcription
 
 __all__ = ["MeshRecord", "Solution", "solution_from"]
 
@@ -107,7 +107,11 @@ class Solution:
         start, end = self.horizon
         fractions = (np.atleast_1d(np.asarray(times, dtype=float)) - start) / (end - start)
         slack = 1e-9
-        if np.any(fractions < -slack) or np.any(fractions > 1.0 + slack) or np.any(np.isnan(fractions)):
+        if (
+            np.any(fractions < -slack)
+            or np.any(fractions > 1.0 + slack)
+            or np.any(np.isnan(fractions))
+        ):
             raise TranscriptionError(
                 f"time: {np.asarray(times)} is outside the horizon [{start:g}, {end:g}]."
             )
@@ -168,7 +172,7 @@ class Solution:
     @cached_property
     def costates(self) -> Costates:
         """Costates per element and Hamiltonian at the points; see `collocation.costates`."""
-        if self.problem.compiled.declared.states == () or not self.problem.has_horizon:
+        if not self.problem.compiled.declared.states or not self.problem.has_horizon:
             raise TranscriptionError("costate: the model has no states over time.")
         start, end = self.horizon
         return costates_of(self.program, self.unknowns, self.multipliers.rows, end - start)
@@ -181,7 +185,7 @@ class Solution:
         found = [k for k, s in enumerate(slots) if (s.component, s.index) == wanted]
         if not found:
             raise TranscriptionError(f"{name}: is not a state of the optimised model.")
-        inner = np.vstack([block[1:] for block in self.costates.values])[:, found]
+        inner = self.costates.at_points[:, found]
         values = interpolate(self.mesh, inner, self.fractions(t), with_start=False)[:, 0]
         return float(values[0]) if np.ndim(t) == 0 else values.reshape(np.shape(t))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi
 from pyomo.dae import DerivativeVar
@@ -11,7 +11,9 @@ from pyomo.environ import value
 from pyomo_quad.collocation.addresses import AddressBook, indexed_name
 from pyomo_quad.collocation.declarations import PointSymbol, Slot
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.working_copy import WorkingCopy
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.working_copy import WorkingCopy
 
 __all__ = ["SymbolTable"]
 
@@ -43,7 +45,9 @@ class SymbolTable:
     def _horizon(self, name: str, position: int) -> Any:
         symbol = casadi.SX.sym(name)
         if self._copy.time is not None:
-            self.parameters[name] = Slot(name=name, component=name, index=(position,), symbol=symbol)
+            self.parameters[name] = Slot(
+                name=name, component=name, index=(position,), symbol=symbol
+            )
         return symbol
 
     def _final_span(self, final_time: Any) -> Any:

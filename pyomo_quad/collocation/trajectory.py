@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pyomo_quad.collocation.mesh import Mesh
 from pyomo_quad.collocation.nodes import (
     FloatArray,
     barycentric_weights,
     interpolation_matrix,
     radau_rule,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pyomo_quad.collocation.mesh import Mesh
 
 __all__ = ["Trajectory", "control_polynomial", "interpolate", "interpolate_rates"]
 

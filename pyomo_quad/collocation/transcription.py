@@ -9,16 +9,18 @@ by index arrays that depend on the mesh alone.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pyomo_quad.collocation.compiled import CompiledModel
 from pyomo_quad.collocation.layout import Layout
 from pyomo_quad.collocation.mapped import MappedFunction
-from pyomo_quad.collocation.mesh import Mesh
-from pyomo_quad.collocation.nodes import FloatArray
 from pyomo_quad.collocation.patterns import hessian_scatter, jacobian_scatter, path_columns
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.compiled import CompiledModel
+    from pyomo_quad.collocation.mesh import Mesh
+    from pyomo_quad.collocation.nodes import FloatArray
 
 __all__ = ["Data", "Transcription"]
 
@@ -36,7 +38,9 @@ class Data:
     def at_points(self) -> FloatArray:
         """Return signals and parameters side by side, one row per point."""
         n = self.signals.shape[0]
-        return np.hstack([self.signals, np.broadcast_to(self.parameters, (n, self.parameters.size))])
+        return np.hstack(
+            [self.signals, np.broadcast_to(self.parameters, (n, self.parameters.size))]
+        )
 
 
 class Transcription:

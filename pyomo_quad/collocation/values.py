@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pyomo.core.base.component import Component
 from pyomo.environ import Var, value
 
 from pyomo_quad.collocation.addresses import AddressBook
-from pyomo_quad.collocation.declarations import Declarations, Slot
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.nodes import FloatArray
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.declarations import Declarations, Slot
+    from pyomo_quad.collocation.nodes import FloatArray
 
 __all__ = ["ModelValues", "Overrides"]
 
@@ -62,7 +64,9 @@ class ModelValues:
 
     def _by_name(self, overrides: Overrides | None) -> dict[str, Any]:
         named = {
-            key.name if isinstance(key, Component) or hasattr(key, "parent_component") else str(key): v
+            key.name
+            if isinstance(key, Component) or hasattr(key, "parent_component")
+            else str(key): v
             for key, v in (overrides or {}).items()
         }
         for name in named:

@@ -8,13 +8,13 @@ import numpy as np
 
 from pyomo_quad.collocation.guess import point_from_trajectory
 from pyomo_quad.collocation.ipopt import Multipliers
-from pyomo_quad.collocation.mesh import Mesh
-from pyomo_quad.collocation.nodes import FloatArray
 from pyomo_quad.collocation.trajectory import interpolate
-from pyomo_quad.collocation.transcription import Transcription
 
 if TYPE_CHECKING:
+    from pyomo_quad.collocation.mesh import Mesh
+    from pyomo_quad.collocation.nodes import FloatArray
     from pyomo_quad.collocation.solution import Solution
+    from pyomo_quad.collocation.transcription import Transcription
 
 __all__ = ["transfer"]
 

@@ -148,9 +148,7 @@ class Planner:
             iterations=solution.iterations,
             timings=timings,
             solution=solution,
-            make_dynamics=lambda: problem.dynamics(
-                parameters=parameters, horizon=solution.horizon
-            ),
+            make_dynamics=lambda: problem.dynamics(parameters=parameters, horizon=solution.horizon),
         )
 
 
@@ -166,7 +164,7 @@ def _trajectories(solution: Solution) -> Trajectories:
         states=np.hstack([solution.trajectory.states, solution.output_states]),
         controls=solution.trajectory.algebraics,
         energy=solution.running_objective,
-        costates=np.vstack([block[1:] for block in costates.values]),
+        costates=costates.at_points,
         hamiltonian=costates.hamiltonian,
     )
 

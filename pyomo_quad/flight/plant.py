@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from pyomo_quad.collocation import Dynamics, Mesh, SolveFailure, control_polynomial
+from pyomo_quad.collocation import Dynamics, Mesh, SolveError, control_polynomial
 from pyomo_quad.flight.flight import Flown
 
 __all__ = ["ABSOLUTE_TOLERANCE", "RELATIVE_TOLERANCE", "fly_controls"]
@@ -53,7 +53,7 @@ def fly_controls(
 
     Raises
     ------
-    SolveFailure
+    SolveError
         If the integrator gives up.
     """
     times = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
@@ -78,7 +78,7 @@ def fly_controls(
             atol=ABSOLUTE_TOLERANCE,
         )
         if not flown.success:
-            raise SolveFailure(
+            raise SolveError(
                 f"flight: the integration stopped at {flown.t[-1] if flown.t.size else first:.4g} "
                 f"s: {flown.message} Look at the plan's controls there."
             )
