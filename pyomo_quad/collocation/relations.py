@@ -1,0 +1,164 @@
+"""Constraints sorted into equations over time and conditions at points."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import casadi
+from pyomo.environ import Constraint
+
+from pyomo_quad.collocation.addresses import indexed_name
+from pyomo_quad.collocation.declarations import PathEquation, PointCondition
+from pyomo_quad.collocation.expressions import same_expression, symbol_names
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.declarations import Slot
+    from pyomo_quad.collocation.template_writer import TemplateWriter
+
+__all__ = ["RelationReader"]
+
+
+class RelationReader:
+    """Reads the constraints of a working copy, and what variables are held to at instants."""
+
+    def __init__(self, writer: TemplateWriter) -> None:
+        self._writer = writer
+        self.copy = writer.copy
+        self.addresses = writer.addresses
+        self.symbols = writer.symbols
+
+    def constraints(self) -> tuple[list[PathEquation], list[PointCondition]]:
+        """Return equations over time and conditions at points, in declared order."""
+        equations: list[PathEquation] = []
+        conditions: list[PointCondition] = []
+        for component in self.copy.model.component_objects(
+            Constraint, active=True, descend_into=True
+        ):
+            groups: dict[tuple[Any, ...], dict[Any, Any]] = {}
+            for index, data in component.items():
+                if data.active:
+                    address = self.addresses.split(component, index)
+                    groups.setdefault(address.index, {})[address.time] = data
+            for index, instances in groups.items():
+                self._group(component, index, instances, equations, conditions)
+        return equations, conditions
+
+    def _group(
+        self,
+        component: Any,
+        index: tuple[Any, ...],
+        instances: dict[Any, Any],
+        equations: list[PathEquation],
+        conditions: list[PointCondition],
+    ) -> None:
+        """Sort one constraint's instances into a path equation and point conditions."""
+        template = instances.pop(self.copy.template_time, None) if self.copy.time else None
+        if template is None:
+            conditions.extend(self._condition(data) for data in instances.values())
+            return
+        equation = self._path(component, index, template)
+        equations.append(equation)
+        conditions.extend(self._start_and_end(equation, instances))
+
+    def _path(self, component: Any, index: tuple[Any, ...], template: Any) -> PathEquation:
+        data = self._writer.template_of(component, index, template)
+        name = indexed_name(component.name, index)
+        expression, lower, upper = self._relation(data, name, over_time=True)
+        return PathEquation(
+            name=name,
+            expression=expression,
+            lower=lower,
+            upper=upper,
+            is_equality=bool(template.equality),
+        )
+
+    def _relation(self, data: Any, name: str, *, over_time: bool = False) -> tuple[Any, Any, Any]:
+        def write(part: Any, owner: str) -> Any:
+            return self._writer.write(part, owner, over_time=over_time)
+
+        lower, body, upper = data.to_bounded_expression()
+        expression = casadi.SX(write(body, name))
+        if data.equality:
+            return expression - write(upper, name), casadi.SX(0), casadi.SX(0)
+        return (
+            expression,
+            casadi.SX(-casadi.inf if lower is None else write(lower, name)),
+            casadi.SX(casadi.inf if upper is None else write(upper, name)),
+        )
+
+    def _condition(self, data: Any) -> PointCondition:
+        expression, lower, upper = self._relation(data, data.name)
+        return PointCondition(name=data.name, expression=expression, lower=lower, upper=upper)
+
+    def _start_and_end(
+        self, equation: PathEquation, instances: dict[Any, Any]
+    ) -> list[PointCondition]:
+        """Return what the end instances of a path equation add to it.
+
+        The collocation points include the end but not the start.  At the start an equation
+        among states only is imposed as a condition; one with rates or algebraic variables
+        has no meaning there.  An end instance that reads otherwise is a condition of its own.
+        """
+        added = []
+        first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
+        if first in instances and self._states_only(equation):
+            added.append(self._condition(instances[first]))
+        if last in instances:
+            condition = self._condition(instances[last])
+            if not self._same_at(condition.expression, equation.expression, last):
+                added.append(condition)
+        return added
+
+    def _states_only(self, equation: PathEquation) -> bool:
+        names = symbol_names(equation.expression)
+        table = self.symbols
+        rates = {s.rate.name() for s in table.states.values()}
+        return bool(names & set(table.states)) and not names & (rates | set(table.algebraics))
+
+    def _same_at(self, condition: Any, equation: Any, time: float) -> bool:
+        """Say whether a condition is the path equation with its time put in."""
+        table = self.symbols
+        fraction = table.fraction_of(time)
+        old, new = [table.fraction], [casadi.SX(fraction)]
+        for (name, at, is_rate), point in table.points.items():
+            if at == fraction:
+                slot = table.states.get(name) or table.algebraics[name]
+                old.append(slot.rate if is_rate else slot.symbol)
+                new.append(point.symbol)
+        moved = casadi.substitute([casadi.SX(equation)], old, new)[0]
+        return same_expression(moved, condition)
+
+    def values_at_points(self, conditions: list[PointCondition]) -> list[tuple[str, float]]:
+        """Return what is fixed at declared times; add bounds that hold only there."""
+        fixed = []
+        table = self.symbols
+        for slot in (*table.states.values(), *table.algebraics.values()):
+            variable = self.copy.model.find_component(slot.component)
+            for time in self.copy.declared_times:
+                data = variable[self.addresses.join(variable, slot.index, time)]
+                if data.fixed and slot.rate is not None:
+                    fixed.append((slot.name, table.fraction_of(time)))
+                elif data.fixed:
+                    conditions.append(self._held(data))
+                elif data.bounds != self._template_bounds(variable, slot):
+                    conditions.append(
+                        PointCondition(
+                            name=data.name,
+                            expression=casadi.SX(self._writer.write(data, data.name)),
+                            lower=self._writer.bound(data.lower, -casadi.inf, data.name),
+                            upper=self._writer.bound(data.upper, casadi.inf, data.name),
+                        )
+                    )
+        return fixed
+
+    def _held(self, data: Any) -> PointCondition:
+        """Return the condition that an algebraic variable keeps its fixed value at a time."""
+        number = self.symbols.fixed_value(data)
+        expression = casadi.SX(self._writer.write(data, data.name)) - number
+        return PointCondition(
+            name=data.name, expression=expression, lower=casadi.SX(0), upper=casadi.SX(0)
+        )
+
+    def _template_bounds(self, variable: Any, slot: Slot) -> tuple[Any, Any]:
+        data = variable[self.addresses.join(variable, slot.index, self.copy.template_time)]
+        return tuple(data.bounds)
