@@ -73,7 +73,9 @@ def _solved_for_derivative(balance):
     from pyomo.core.expr.visitor import identify_variables
 
     (derivative,) = (
-        v for v in identify_variables(balance.expr) if isinstance(v.parent_component(), DerivativeVar)
+        v
+        for v in identify_variables(balance.expr)
+        if isinstance(v.parent_component(), DerivativeVar)
     )
     index = derivative.index()
     name = derivative.parent_component().local_name

@@ -7,12 +7,12 @@ from pyomo.environ import ConcreteModel, Objective, Param, Suffix, minimize, uni
 
 from pyomo_quad.model import aerodynamics, battery, limits, mission, power, vehicle, wind
 from pyomo_quad.model.motor import declare_motors
-from pyomo_quad.model.parameters import parameter_items
+from pyomo_quad.model.parameters import Parameter, parameter_items
 from pyomo_quad.model.rigid_body import declare_balances, declare_motion
 from pyomo_quad.model.rotors import declare_rotors
 from pyomo_quad.scenario import Scenario, WindCoupling
 
-__all__ = ["build_model", "parameter_values", "structure_key"]
+__all__ = ["build_model", "parameter_tables", "parameter_values", "structure_key"]
 
 
 def build_model(scenario: Scenario) -> ConcreteModel:
@@ -68,7 +68,19 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     return m
 
 
-def _tables(scenario: Scenario) -> Iterator[tuple[str, tuple]]:
+def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
+    """Yield every table of numbers that the scenario's model declares.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Any scenario.
+
+    Yields
+    ------
+    tuple of str and tuple of Parameter
+        Name of the block that holds the numbers, and its rows.
+    """
     yield "vehicle", vehicle.PARAMETERS
     if scenario.wind.series is None:
         yield "wind", wind.PARAMETERS
@@ -97,7 +109,7 @@ def parameter_values(scenario: Scenario) -> dict[str, float]:
     """
     return {
         name: float(value)
-        for block, table in _tables(scenario)
+        for block, table in parameter_tables(scenario)
         for name, value in parameter_items(block, table, scenario)
     }
 

@@ -96,7 +96,10 @@ def motor(omega, alpha, friction=(0.0, 0.0)):
 def f_r(torque, omega):
     """The efficiency function of (8), as recovered."""
     return np.sum(
-        [np.polyval(row, omega) * torque**power for row, power in zip(F_R, (3, 2, 1, 0), strict=True)],
+        [
+            np.polyval(row, omega) * torque**power
+            for row, power in zip(F_R, (3, 2, 1, 0), strict=True)
+        ],
         axis=0,
     )
 

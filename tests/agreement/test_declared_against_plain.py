@@ -132,7 +132,9 @@ def test_battery(use, cell, series, parallel):
         charge = generator.uniform(0.0, 0.75) * cell[4] * parallel
         omega = generator.uniform(500.0, 1047.0, 4)
         instant.set(omega=omega, charge=charge)
-        expected = plain.battery(charge, plain.motor(omega, np.zeros(4))[2].sum(), cell, series, parallel)
+        expected = plain.battery(
+            charge, plain.motor(omega, np.zeros(4))[2].sum(), cell, series, parallel
+        )
         names = ("state_of_charge", "open_circuit_voltage", "voltage", "current")
         found = [instant.read(f"battery.{name}") for name in names]
         # Each writing takes the small root of a quadratic: cancellation costs two digits.
@@ -146,4 +148,6 @@ def test_wind(unit):
     for time in sorted(instant.model.time):
         at = Instant(instant.model, time)
         found = [at.read("wind.velocity_x"), at.read("wind.velocity_y"), 0.0]
-        np.testing.assert_allclose(found, plain.wind(time + 1.25, hertz=unit == "hz"), rtol=AGREEMENT)
+        np.testing.assert_allclose(
+            found, plain.wind(time + 1.25, hertz=unit == "hz"), rtol=AGREEMENT
+        )

@@ -4,7 +4,7 @@ from math import cos, exp, pi, sin, sqrt
 
 import pytest
 from pyomo.dae import ContinuousSet
-from pyomo.environ import Block, ConcreteModel, Expression, Param, Suffix, units, value
+from pyomo.environ import Block, ConcreteModel, Expression, Param, Suffix, units
 
 from pyomo_quad.model.battery import declare_battery
 from pyomo_quad.model.hover import SteadyFlight, battery_shortfalls, hover, hover_power
@@ -20,17 +20,15 @@ class Bench:
         m = self.model = ConcreteModel()
         m.time = ContinuousSet(initialize=(0.0, 1.0, 2.0))
         m.scaling_factor = Suffix()
-        m.load = Param(initialize=0.0, mutable=True, units=units.W)
+        m.demand = Param(initialize=0.0, mutable=True, units=units.W)
         m.power = Block()
-        m.power.total = Expression(m.time, rule=lambda b, _t: b.parent_block().load)
+        m.power.total = Expression(m.time, rule=lambda b, _t: b.parent_block().demand)
         declare_battery(m, scenario(battery=battery))
 
-    def under(self, load, charge):
-        self.model.load.set_value(load)
-        return Instant(self.model), self._set(charge)
-
-    def _set(self, charge):
+    def under(self, demand, charge):
+        self.model.demand.set_value(demand)
         self.model.battery.charge_drawn[1.0].set_value(charge)
+        return Instant(self.model)
 
 
 def test_constant_current_discharge():
@@ -40,7 +38,7 @@ def test_constant_current_discharge():
         charge = current * minutes / 60
         cell = 3.7348 - 0.00876 * 5.2 / (5.2 - charge) + 0.468 * exp(-0.6787 * charge)
         voltage = 3 * cell - resistance * current
-        at, _ = bench.under(voltage * current, charge)
+        at = bench.under(voltage * current, charge)
         assert at.read("battery.current") == pytest.approx(current, rel=1e-12)
         assert at.read("battery.voltage") == pytest.approx(voltage, rel=1e-12)
         assert at.read("battery.state_of_charge") == pytest.approx(100 - 100 * charge / 5.2)
@@ -50,8 +48,8 @@ def test_constant_current_discharge():
 def test_cells_share_voltage_and_current():
     one = Bench(use="phantom_2_pack", cells_series=1, cells_parallel=1)
     six = Bench(use="phantom_2_pack", cells_series=3, cells_parallel=2)
-    single, _ = one.under(20.0, 1.0)
-    pack, _ = six.under(6 * 20.0, 2.0)
+    single = one.under(20.0, 1.0)
+    pack = six.under(6 * 20.0, 2.0)
     assert pack.read("battery.voltage") == pytest.approx(3 * single.read("battery.voltage"))
     assert pack.read("battery.current") == pytest.approx(2 * single.read("battery.current"))
 
@@ -59,10 +57,10 @@ def test_cells_share_voltage_and_current():
 def test_an_overloaded_or_empty_pack_stays_finite_and_says_so():
     bench = Bench(use="paper_cell", cells_series=1)
     # One cell: U = 1.24 - 0.00292 + 0.156 = 1.39308 V, R = 0.02 ohm, at most U^2/4R = 24.258 W.
-    at, _ = bench.under(70.0, 0.0)
+    at = bench.under(70.0, 0.0)
     assert at.read("battery.power_reserve") == pytest.approx(1.39308**2 / 0.08 - 70.0)
     assert 0.0 < at.read("battery.voltage") < 1.39308
-    at, _ = bench.under(5.0, 2.0)
+    at = bench.under(5.0, 2.0)
     assert at.read("battery.state_of_charge") < 0.0
     assert 0.0 < at.read("battery.voltage") < 1.24
 

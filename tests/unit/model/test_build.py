@@ -54,7 +54,9 @@ def test_boundary_conditions_hold_at_hover_and_nowhere_else():
 
 
 def largest_boundary_residual(model):
-    names = [f"{end}_{what}" for end in ("start", "goal") for what in ("place", "rest", "rotor_speed")]
+    names = [
+        f"{end}_{what}" for end in ("start", "goal") for what in ("place", "rest", "rotor_speed")
+    ]
     balances = [d for name in names for d in model.mission.component(name).values()]
     return max(abs(value(d.body) - value(d.upper)) for d in balances)
 
