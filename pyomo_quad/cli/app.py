@@ -10,6 +10,7 @@ from pyomo_quad.cli.check import check
 from pyomo_quad.cli.consoles import complain
 from pyomo_quad.cli.exit_codes import ExitCode
 from pyomo_quad.cli.library import library
+from pyomo_quad.cli.solve import solve
 from pyomo_quad.scenario.errors import FeasibilityError, OutputError, PyomoQuadError, ScenarioError
 from pyomo_quad.version import __version__
 
@@ -25,6 +26,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Minimum-energy quadrotor flight in wind: solve, verify, compare, report.",
 )
+app.command()(solve)
 app.command()(check)
 app.command()(library)
 

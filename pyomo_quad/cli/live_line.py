@@ -3,29 +3,23 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import perf_counter
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from rich.live import Live
 from rich.text import Text
 
 from pyomo_quad.cli.consoles import error_console
 
-__all__ = ["SolverIteration", "live_line"]
+if TYPE_CHECKING:
+    from pyomo_quad.collocation import Iteration
+
+__all__ = ["live_line"]
 
 _REFRESHES_PER_SECOND = 8
 
 
-class SolverIteration(Protocol):
-    """What the engine reports at each iteration."""
-
-    iteration: int
-    objective: float
-    infeasibility: float
-    mesh_points: int
-
-
 @contextmanager
-def live_line(*, is_quiet: bool) -> Iterator[Callable[[SolverIteration], None] | None]:
+def live_line(*, is_quiet: bool) -> Iterator[Callable[["Iteration"], None] | None]:
     """Show a line on the terminal that follows the solver.
 
     Parameters
@@ -45,7 +39,7 @@ def live_line(*, is_quiet: bool) -> Iterator[Callable[[SolverIteration], None] |
     started = perf_counter()
     with Live(console=console, refresh_per_second=_REFRESHES_PER_SECOND, transient=True) as live:
 
-        def follow(now: SolverIteration) -> None:
+        def follow(now: "Iteration") -> None:
             live.update(
                 Text(
                     f"iteration {now.iteration:4d}   energy {now.objective:10.3f} J   "

@@ -1,0 +1,77 @@
+"""`pyomo-quad solve`: the minimum-energy flight of a scenario, verified and written down."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pyomo_quad.cli.options import AllowCode, AsJson, Output, Overrides, Quiet, ScenarioFile
+from pyomo_quad.cli.solving import (
+    complain_of_failure,
+    default_folder,
+    exit_code_of,
+    follow_solve,
+    load_planner,
+)
+from pyomo_quad.cli.stopwatch import Stopwatch
+from pyomo_quad.report.folder import output_folder
+from pyomo_quad.report.summary import plan_summary, summary_text, write_summary
+from pyomo_quad.scenario import load_scenario
+
+if TYPE_CHECKING:
+    from pyomo_quad.flight import Plan
+
+__all__ = ["Rate", "solve"]
+
+Rate = Annotated[
+    float | None,
+    typer.Option("--rate", metavar="HZ", help="Rows per second of plan.csv; one per node without."),
+]
+
+
+def solve(
+    scenario: ScenarioFile,
+    *,
+    out: Output = None,
+    rate: Rate = None,
+    overrides: Overrides = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Solve a scenario, verify the plan by flying it, and write the report."""
+    watch = Stopwatch()
+    resolved = load_scenario(scenario, overrides or ())
+    with watch.phase("import"):
+        planner = load_planner(resolved, is_code_allowed=allow_code)
+    folder = out or default_folder(resolved)
+    with output_folder(folder) as aside:
+        with follow_solve(is_quiet=quiet or as_json) as (progress, interruption):
+            plan = planner.solve(resolved, progress=progress)
+        with watch.phase("report"):
+            _write_plan(aside, plan, rate)
+        summary = plan_summary(plan, wall_s=watch.seconds)
+        write_summary(aside, summary)
+    if as_json:
+        print(summary_text(summary), end="")
+    elif not quiet and plan.is_verified:
+        print(_verdict(plan))
+        print(f"Written to {folder}.")
+    complain_of_failure(plan, folder)
+    return exit_code_of(plan, interruption)
+
+
+def _write_plan(folder: Path, plan: "Plan", rate: float | None) -> None:
+    frame = plan.to_frame(rate)
+    if plan.verification is None:
+        frame["status"] = plan.status.value
+    frame.to_csv(folder / "plan.csv", index=False)
+
+
+def _verdict(plan: "Plan") -> str:
+    excess = plan.energy - plan.hover_energy_J
+    return (
+        f"{plan.scenario.name}: {plan.status.value}, {plan.energy:.3f} J, {excess:.3f} J above "
+        f"hovering for the same {plan.scenario.mission.duration:g} s; "
+        f"{plan.iteration_count} iterations, {plan.timings['solve']:.2f} s."
+    )
