@@ -5,7 +5,9 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["AllowCode", "AsJson", "Output", "Overrides", "Quiet", "ScenarioFile"]
+from pyomo_quad.scenario import Scenario
+
+__all__ = ["AllowCode", "AsJson", "Output", "Overrides", "Quiet", "ScenarioFile", "folder_of"]
 
 ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file (TOML).")]
 Output = Annotated[
@@ -21,3 +23,21 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON."
 AllowCode = Annotated[
     bool, typer.Option("--allow-code", help="Let the scenario run its own model builder.")
 ]
+
+
+def folder_of(scenario: Scenario, output: Path | None) -> Path:
+    """Return where the report of a scenario goes.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its name is safe as a folder's name.
+    output : Path or None
+        The folder asked for.
+
+    Returns
+    -------
+    Path
+        ``reports/NAME`` unless told otherwise.
+    """
+    return output or Path("reports") / scenario.name

@@ -5,13 +5,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pyomo_quad.cli.options import AllowCode, AsJson, Output, Overrides, Quiet, ScenarioFile
-from pyomo_quad.cli.solving import (
-    complain_of_failure,
-    default_folder,
-    exit_code_of,
-    follow_solve,
-    load_planner,
+from pyomo_quad.cli.options import (
+    AllowCode,
+    AsJson,
+    Output,
+    Overrides,
+    Quiet,
+    ScenarioFile,
+    folder_of,
 )
 from pyomo_quad.cli.stopwatch import Stopwatch
 from pyomo_quad.report.folder import output_folder
@@ -43,22 +44,25 @@ def solve(
     watch = Stopwatch()
     resolved = load_scenario(scenario, overrides or ())
     with watch.phase("import"):
-        planner = load_planner(resolved, is_code_allowed=allow_code)
-    folder = out or default_folder(resolved)
+        from pyomo_quad.cli import solving  # noqa: PLC0415  takes a second, see there
+        from pyomo_quad.study.cautions import plan_cautions  # noqa: PLC0415
+    planner = solving.planner_for(resolved, is_code_allowed=allow_code)
+    folder = folder_of(resolved, out)
     with output_folder(folder) as aside:
-        with follow_solve(is_quiet=quiet or as_json) as (progress, interruption):
+        with solving.follow_solve(is_quiet=quiet or as_json) as (progress, interruption):
             plan = planner.solve(resolved, progress=progress)
+        cautions = plan_cautions(plan)
         with watch.phase("report"):
             _write_plan(aside, plan, rate)
-        summary = plan_summary(plan, wall_s=watch.seconds)
+        summary = plan_summary(plan, wall_s=watch.seconds, warnings=cautions)
         write_summary(aside, summary)
     if as_json:
         print(summary_text(summary), end="")
     elif not quiet and plan.is_verified:
         print(_verdict(plan))
         print(f"Written to {folder}.")
-    complain_of_failure(plan, folder)
-    return exit_code_of(plan, interruption)
+    solving.complain_about(plan, folder, cautions)
+    return solving.exit_code_of(plan, interruption)
 
 
 def _write_plan(folder: Path, plan: "Plan", rate: float | None) -> None:

@@ -1,49 +1,41 @@
-"""What the commands that solve have in common: the engine, the live line, Ctrl-C, the outcome."""
+"""What the commands that solve have in common: the engine, the live line, Ctrl-C, the outcome.
 
-from collections.abc import Callable, Iterator
+Importing this module imports Pyomo, CasADi and SciPy, which takes over a second: commands do so
+only once the scenario has been read, so that a refused one need not wait.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pyomo_quad.cli.consoles import complain
 from pyomo_quad.cli.exit_codes import ExitCode
 from pyomo_quad.cli.interruption import Interruption, stop_on_interrupt
 from pyomo_quad.cli.live_line import live_line
+from pyomo_quad.collocation import Iteration, TranscriptionError
+from pyomo_quad.flight import Plan, Planner, PlanStatus
+from pyomo_quad.model import model_builder
 from pyomo_quad.scenario import Scenario, ScenarioError
 
-if TYPE_CHECKING:
-    from pyomo_quad.collocation import Iteration
-    from pyomo_quad.flight import Plan, Planner
-
-__all__ = ["complain_of_failure", "default_folder", "exit_code_of", "follow_solve", "load_planner"]
+__all__ = ["complain_about", "exit_code_of", "follow_solve", "planner_for"]
 
 _EXIT_CODES = {
-    "verified": ExitCode.VERIFIED,
-    "solved": ExitCode.NOT_VERIFIED,
-    "not_converged": ExitCode.NOT_SOLVED,
-    "infeasible": ExitCode.NOT_SOLVED,
-    "interrupted": ExitCode.INTERRUPTED,
+    PlanStatus.VERIFIED: ExitCode.VERIFIED,
+    PlanStatus.SOLVED: ExitCode.NOT_VERIFIED,
+    PlanStatus.NOT_CONVERGED: ExitCode.NOT_SOLVED,
+    PlanStatus.INFEASIBLE: ExitCode.NOT_SOLVED,
+    PlanStatus.INTERRUPTED: ExitCode.INTERRUPTED,
+}
+_OUTCOMES = {
+    PlanStatus.SOLVED: "solved but not verified",
+    PlanStatus.NOT_CONVERGED: "not converged",
+    PlanStatus.INFEASIBLE: "infeasible",
+    PlanStatus.INTERRUPTED: "interrupted",
 }
 
 
-def default_folder(scenario: Scenario) -> Path:
-    """Return where the report of a scenario goes unless told otherwise.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Its name is safe as a folder's name.
-
-    Returns
-    -------
-    Path
-        Relative to the working folder.
-    """
-    return Path("reports") / scenario.name
-
-
-def load_planner(scenario: Scenario, *, is_code_allowed: bool) -> "Planner":
-    """Import the engine and return a planner for the scenario's model.
+def planner_for(scenario: Scenario, *, is_code_allowed: bool) -> Planner:
+    """Return a planner for the scenario's model.
 
     Parameters
     ----------
@@ -62,15 +54,11 @@ def load_planner(scenario: Scenario, *, is_code_allowed: bool) -> "Planner":
     ScenarioError
         If the scenario's own builder is not allowed or cannot be loaded.
     """
-    # Pyomo, CasADi and SciPy take over a second to import: a refused scenario need not wait.
-    from pyomo_quad.flight.planning import Planner  # noqa: PLC0415
-    from pyomo_quad.model.custom import model_builder  # noqa: PLC0415
-
     return Planner(model_builder(scenario, is_code_allowed=is_code_allowed))
 
 
 @contextmanager
-def follow_solve(*, is_quiet: bool) -> Iterator[tuple[Callable[["Iteration"], bool], Interruption]]:
+def follow_solve(*, is_quiet: bool) -> Iterator[tuple[Callable[[Iteration], bool], Interruption]]:
     """Show the solver's progress and let Ctrl-C stop it while the block runs.
 
     Parameters
@@ -88,11 +76,9 @@ def follow_solve(*, is_quiet: bool) -> Iterator[tuple[Callable[["Iteration"], bo
     ScenarioError
         If the declared model cannot be solved at all: the message names the declaration.
     """
-    from pyomo_quad.collocation import TranscriptionError  # noqa: PLC0415
-
     with live_line(is_quiet=is_quiet) as show, stop_on_interrupt() as interruption:
 
-        def follow(now: "Iteration") -> bool:
+        def follow(now: Iteration) -> bool:
             if show is not None:
                 show(now)
             return not interruption.is_requested
@@ -103,7 +89,7 @@ def follow_solve(*, is_quiet: bool) -> Iterator[tuple[Callable[["Iteration"], bo
             raise ScenarioError(str(error)) from error
 
 
-def exit_code_of(plan: "Plan", interruption: Interruption) -> ExitCode:
+def exit_code_of(plan: Plan, interruption: Interruption) -> ExitCode:
     """Return the exit status that tells how a solve ended.
 
     Parameters
@@ -121,8 +107,8 @@ def exit_code_of(plan: "Plan", interruption: Interruption) -> ExitCode:
     return ExitCode.INTERRUPTED if interruption.is_requested else _EXIT_CODES[plan.status]
 
 
-def complain_of_failure(plan: "Plan", folder: Path) -> None:
-    """Write one line on standard error if the plan is not verified.
+def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
+    """Write on standard error what is wrong with a plan, one line for each matter.
 
     Parameters
     ----------
@@ -130,7 +116,11 @@ def complain_of_failure(plan: "Plan", folder: Path) -> None:
         Failed or not.
     folder : Path
         Where its report is.
+    cautions : sequence of str
+        What a reader should know beside the numbers.
     """
+    name = plan.scenario.name
     if not plan.is_verified:
-        status = plan.status.replace("_", " ")
-        complain(f"{plan.scenario.name}: {status}: {plan.message} See {folder}.")
+        complain(f"{name}: {_OUTCOMES[plan.status]}: {plan.message} See {folder}.")
+    for caution in cautions:
+        complain(f"{name}: warning: {caution}")

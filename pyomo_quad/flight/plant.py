@@ -6,6 +6,8 @@ slopes, steps adaptively with DOP853 and integrates the power alongside the stat
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
@@ -63,7 +65,9 @@ def fly_controls(
         first, last = times[element], times[element + 1]
         polynomial = control_polynomial(mesh, controls, element, first, last)
 
-        def slope(t: float, y: FloatArray, control=polynomial) -> FloatArray:  # noqa: ANN001
+        def slope(
+            t: float, y: FloatArray, control: Callable[[float], FloatArray] = polynomial
+        ) -> FloatArray:
             rates, power = dynamics.rates_and_integrand(t, y[:-1], control(t))
             return np.append(rates, power)
 

@@ -1,0 +1,107 @@
+"""`pyomo-quad solve` through the real command: status, files and what they hold."""
+
+import json
+
+import pandas as pd
+import pytest
+
+from pyomo_quad.cli import main
+from pyomo_quad.cli.exit_codes import ExitCode
+from pyomo_quad.flight.columns import COLUMNS, TIME
+from tests.command import PAPER_CALM, QUICK, solve
+
+SUMMARY_KEYS = [
+    "scenario",
+    "status",
+    "verified",
+    "energy_J",
+    "hover_energy_J",
+    "terminal_miss_m",
+    "max_violation",
+    "solver",
+    "mesh",
+    "wall_s",
+    "versions",
+    "scenario_resolved",
+]
+# By hand: four motors at 912.32 rad/s with 1.802160 A at 9.830057 V, for 10 s.
+HOVER_ENERGY_J = 4 * 1.8021601 * 9.8300573 * 10.0
+
+
+def test_paper_calm_is_verified(calm):
+    assert (calm.status, calm.err) == (ExitCode.VERIFIED, "")
+    summary = calm.summary
+    assert set(SUMMARY_KEYS) <= set(summary)
+    assert (summary["status"], summary["verified"]) == ("verified", True)
+    assert summary["terminal_miss_m"] < 1e-4
+    assert summary["hover_energy_J"] == pytest.approx(HOVER_ENERGY_J, rel=1e-6)
+    assert summary["energy_J"] > summary["hover_energy_J"]
+    assert f"{summary['energy_J']:.3f} J" in calm.out
+
+
+def test_summary_tells_the_effort_and_the_input(calm):
+    summary = calm.summary
+    assert set(summary["wall_s"]) == {"import", "build", "compile", "solve", "verify", "report"}
+    assert all(seconds > 0 for seconds in summary["wall_s"].values())
+    assert summary["solver"]["iterations"] > 0
+    assert summary["solver"]["status"] == "converged"
+    mesh = summary["mesh"]
+    assert (len(mesh["degrees"]), sum(mesh["degrees"])) == (mesh["elements"], mesh["points"])
+    assert {"pyomo_quad", "python", "pyomo", "casadi", "cyipopt"} <= set(summary["versions"])
+    assert "unknown" not in summary["versions"].values()
+    assert summary["scenario_resolved"]["mission"]["duration"] == 10.0
+
+
+def test_plan_has_one_row_per_node_and_the_promised_columns(calm):
+    frame = pd.read_csv(calm.folder / "plan.csv")
+    assert list(frame.columns) == [TIME, *(column.name for column in COLUMNS)]
+    assert len(frame) == calm.summary["mesh"]["points"] + 1
+    assert frame["energy_J"].iloc[-1] == pytest.approx(calm.summary["energy_J"], rel=1e-12)
+    assert frame[["x_m", "y_m", "z_m"]].iloc[-1].tolist() == pytest.approx([6, 7, 8], abs=1e-9)
+
+
+def test_rate_gives_even_rows_and_json_is_the_summary(tmp_path, capsys):
+    out = tmp_path / "report"
+    arguments = ["solve", PAPER_CALM, *QUICK, "--rate", "50", "--json", "--out", str(out)]
+    assert main(arguments) == ExitCode.VERIFIED
+    assert json.loads(capsys.readouterr().out) == json.loads((out / "summary.json").read_text())
+    times = pd.read_csv(out / "plan.csv")[TIME]
+    assert len(times) == 4 * 50 + 1
+    assert times.diff().dropna().to_numpy() == pytest.approx(1 / 50)
+
+
+def test_quiet_says_nothing_and_writes_to_the_default_folder(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["solve", PAPER_CALM, *QUICK, "--quiet"]) == ExitCode.VERIFIED
+    said = capsys.readouterr()
+    assert (said.out, said.err) == ("", "")
+    assert (tmp_path / "reports" / "paper_calm" / "plan.csv").exists()
+
+
+def test_impossible_mission_is_infeasible(impossible):
+    assert impossible.status == ExitCode.NOT_SOLVED
+    assert impossible.summary["status"] == "infeasible"
+    assert impossible.summary["verified"] is False
+    assert impossible.summary["terminal_miss_m"] is None
+    assert impossible.err.startswith("paper_calm: infeasible: ")
+    assert len(impossible.err.splitlines()) == 1
+    assert impossible.out == ""
+
+
+def test_best_iterate_of_a_failure_is_marked(impossible):
+    frame = pd.read_csv(impossible.folder / "plan.csv")
+    assert set(frame["status"]) == {"infeasible"}
+
+
+def test_refinement_that_gives_up_says_so(tmp_path):
+    done = solve(
+        tmp_path / "report",
+        *QUICK,
+        "--set=solver.elements=3",
+        "--set=solver.degree=3",
+        "--set=solver.max_refinements=0",
+    )
+    assert done.status == ExitCode.NOT_VERIFIED
+    assert (done.summary["status"], done.summary["verified"]) == ("solved", False)
+    assert done.summary["solver"]["status"] == "tolerance_not_met"
+    assert done.err.startswith("paper_calm: solved but not verified: refinement stopped")
