@@ -6,10 +6,12 @@ import numpy as np
 import pandas as pd
 
 from pyomo_quad.collocation import Mesh, MeshRecord
-from pyomo_quad.flight import PlanStatus
+from pyomo_quad.flight import PlanStatus, Verification
 from pyomo_quad.scenario import load_scenario
 
 HOVER_SPEED = 912.27
+HOVER_ENERGY_J = 709.6
+LOWER_BOUND_J = 708.4
 ROTOR_PHASES = (0.0, 0.7, 1.6, 2.4)
 STATES = ("x", "y", "z", "vx", "vy", "vz", "phi", "theta", "psi", "p", "q", "r")
 FLIGHTS = {
@@ -75,7 +77,7 @@ def _rotors(time, lift):
 
 def _energy(time, lift, excess_J):
     power = 70.96 * (1 + lift / 9.81) ** 1.5
-    power += (709.6 + excess_J - np.trapezoid(power, time)) / time[-1]
+    power += (HOVER_ENERGY_J + excess_J - np.trapezoid(power, time)) / time[-1]
     steps = np.diff(time) * (power[1:] + power[:-1]) / 2
     return {"power_W": power, "energy_J": np.concatenate([[0.0], np.cumsum(steps)])}
 
@@ -124,7 +126,7 @@ def synthetic_flight(scenario, name):
     )
 
 
-def synthetic_comparison(scenario, flights, hover_energy_J=709.6):
+def synthetic_comparison(scenario, flights, hover_energy_J=HOVER_ENERGY_J):
     optimum = flights[0].energy_J
     rows = []
     for flight in flights:
@@ -138,8 +140,8 @@ def synthetic_comparison(scenario, flights, hover_energy_J=709.6):
                 "energy_J": flight.energy_J,
                 "hover_energy_J": hover_energy_J,
                 "excess_energy_J": above,
-                "lower_bound_J": 708.4,
-                "optimality_gap_percent": 100 * (flight.energy_J / 708.4 - 1),
+                "lower_bound_J": LOWER_BOUND_J,
+                "optimality_gap_percent": 100 * (flight.energy_J / LOWER_BOUND_J - 1),
                 "saving_percent": 100 * (1 - optimum / flight.energy_J) if is_saving else None,
                 "saving_of_excess_percent": (
                     100 * (flight.energy_J - optimum) / above if is_saving else None
@@ -175,48 +177,60 @@ def synthetic_costates(scenario, samples=90):
     return pd.DataFrame(columns | {"hamiltonian": 70.96 + 0 * time})
 
 
-def synthetic_run(path="scenarios/paper_wind.toml", overrides=(), flights=tuple(FLIGHTS)):
-    """Return what a run of a scenario file looks like, without solving anything."""
-    scenario = load_scenario(path, overrides)
-    flown = tuple(synthetic_flight(scenario, name) for name in flights)
-    plan = SimpleNamespace(
+def synthetic_verification(flight):
+    return Verification(
+        terminal_miss={f"rigid_body.{state}": 1e-7 * (1 + i) for i, state in enumerate(STATES)},
+        terminal_miss_m=3e-7,
+        worst_miss="rigid_body.r",
+        max_violation=0.0,
+        worst_constraint="limits.thrust_limit",
+        energy_difference_J=2e-6,
+        flown_energy_J=flight.energy_J + 2e-6,
+        is_verified=True,
+    )
+
+
+def synthetic_plan(scenario, flight, status=PlanStatus.VERIFIED, message="Optimal Solution Found."):
+    is_flown = status in (PlanStatus.VERIFIED, PlanStatus.SOLVED)
+    return SimpleNamespace(
         scenario=scenario,
-        energy=flown[0].energy_J,
-        hover_energy_J=709.6,
-        status=PlanStatus.VERIFIED,
-        message="Optimal Solution Found.",
+        energy=flight.energy_J,
+        hover_energy_J=HOVER_ENERGY_J,
+        status=status,
+        message=message,
+        is_verified=status is PlanStatus.VERIFIED,
+        verification=synthetic_verification(flight) if is_flown else None,
         error_estimate=3.1e-7,
         history=synthetic_history(),
         iteration_count=57,
         attempts=(),
         mesh=Mesh(breakpoints=(0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0), degrees=(6, 5, 4, 4, 5, 6)),
-        to_frame=lambda rate_hz=None: flown[0].frame,
+        flight=lambda name="optimal": SimpleNamespace(**(vars(flight) | {"name": name})),
+        to_frame=lambda rate_hz=None: flight.frame.iloc[::10].reset_index(drop=True),
         costate_frame=lambda: synthetic_costates(scenario),
     )
-    verification = SimpleNamespace(
-        terminal_miss={f"rigid_body.{state}": 1e-7 * (1 + i) for i, state in enumerate(STATES)},
-        terminal_miss_m=3e-7,
-        worst_miss="rigid_body.z",
-        max_violation=0.0,
-        worst_constraint="limits.thrust_limit",
-        energy_difference_J=2e-6,
-        flown_energy_J=flown[0].energy_J + 2e-6,
-        is_verified=True,
-    )
-    certificate = SimpleNamespace(
-        lower_bound_J=708.4,
-        hover_energy_J=709.6,
-        gap_percent=0.465,
+
+
+def synthetic_certificate():
+    return SimpleNamespace(
+        lower_bound_J=LOWER_BOUND_J,
+        hover_energy_J=HOVER_ENERGY_J,
         applies=True,
         reason="the motor power is convex in thrust",
+        gap_percent=lambda energy_J: 100 * (energy_J / LOWER_BOUND_J - 1),
     )
+
+
+def synthetic_run(path="scenarios/paper_wind.toml", overrides=(), flights=tuple(FLIGHTS)):
+    """Return what a run of a scenario file looks like, without solving anything."""
+    scenario = load_scenario(path, overrides)
+    flown = tuple(synthetic_flight(scenario, name) for name in flights)
     return SimpleNamespace(
         scenario=scenario,
-        plan=plan,
-        verification=verification,
+        plan=synthetic_plan(scenario, flown[0]),
         flights=flown,
         comparison=synthetic_comparison(scenario, flown),
-        certificate=certificate,
+        certificate=synthetic_certificate(),
         timings={"solve": 1.0},
         warnings=(),
     )

@@ -1,1 +1,1 @@
-"""Placeholder replaced by the floor's owner."""
+"""Tables, figures and documents of a plan or a run; the only floor that draws."""

@@ -9,11 +9,12 @@ import pandas as pd
 from pyomo_quad.report.style import LineStyle, flight_styles
 
 if TYPE_CHECKING:
-    from pyomo_quad.flight.flight import Flight
+    from pyomo_quad.flight import Flight, Plan
 
-__all__ = ["StyledFlight", "fair_pair", "styled_flights"]
+__all__ = ["StyledFlight", "fair_pair", "plan_flight", "styled_flights"]
 
 FAIR_BASELINE = "adaptive/quintic"
+_FAILED_PLAN = "best iterate"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +26,22 @@ class StyledFlight:
     duration_s: float
     energy_J: float
     style: LineStyle
+
+
+def plan_flight(plan: "Plan") -> "Flight":
+    """Return a plan as a flight whose name says when it is none.
+
+    Parameters
+    ----------
+    plan : Plan
+        Of any status.
+
+    Returns
+    -------
+    Flight
+        Named "best iterate" if the solve failed.
+    """
+    return plan.flight() if plan.verification is not None else plan.flight(_FAILED_PLAN)
 
 
 def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:

@@ -18,7 +18,7 @@ from pyomo_quad.report.signals import (
 )
 from pyomo_quad.report.style import ROTOR_STYLES
 
-__all__ = ["HAMILTONIAN", "costate_name", "draw_costates"]
+__all__ = ["COSTATES", "HAMILTONIAN", "costate_name", "draw_costates"]
 
 HAMILTONIAN = "hamiltonian"
 
@@ -57,6 +57,13 @@ def costate_name(state: Signal) -> str:
         As the declared model names the state.
     """
     return state.component if state.index is None else f"{state.component}[{state.index}]"
+
+
+#: Columns of the plan's table of costates that the figure shows.
+COSTATES = (
+    *(costate_name(state) for group in _GROUPS for state in group[0]),
+    HAMILTONIAN,
+)
 
 
 def draw_costates(costates: pd.DataFrame, duration: float) -> Figure:

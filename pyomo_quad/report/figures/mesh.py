@@ -1,5 +1,6 @@
 """How the mesh was refined, and the mesh that was good enough."""
 
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,13 +53,14 @@ def draw_mesh(
 
 
 def _draw_errors(axes: Axes, history: "Sequence[MeshRecord]", tolerance: float) -> None:
-    points = [record.points for record in history]
-    sizes = [max(record.error, _ERROR_FLOOR) for record in history]
+    estimated = [record for record in history if isfinite(record.error)]
+    meshes = range(len(estimated))
+    sizes = [max(record.error, _ERROR_FLOOR) for record in estimated]
     style = FLIGHT_STYLES[0]
-    axes.plot(points, sizes, marker=style.marker, markersize=4.5, **style.line)
+    axes.plot(meshes, sizes, marker=style.marker, markersize=4.5, **style.line)
     axes.axhline(tolerance, color=MUTED, linewidth=1.0, linestyle=(0, (4, 2)))
     axes.annotate(
-        f"tolerance {tolerance:.0e}",
+        f"tolerance {tolerance:.3g}",
         (0.02, tolerance),
         xycoords=("axes fraction", "data"),
         xytext=(0, 3),
@@ -66,10 +68,11 @@ def _draw_errors(axes: Axes, history: "Sequence[MeshRecord]", tolerance: float) 
         color=INK,
     )
     axes.set_yscale("log")
-    axes.set_ylim(min(*sizes, tolerance) / 5, max(*sizes, tolerance) * 5)
-    axes.margins(x=0.12)
-    axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
-    axes.set(title="Error estimate (relative)", xlabel="Collocation points of the mesh")
+    axes.set_ylim(min([*sizes, tolerance]) / 5, max([*sizes, tolerance]) * 5)
+    axes.set_xticks(meshes, [str(record.points) for record in estimated])
+    axes.set_xlim(-0.6, len(estimated) - 0.4)
+    axes.tick_params(axis="y", which="minor", length=0)
+    axes.set(title="Error estimate (relative)", xlabel="Collocation points of each mesh")
 
 
 def _draw_elements(axes: Axes, mesh: "Mesh", duration: float) -> None:

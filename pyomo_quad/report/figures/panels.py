@@ -52,7 +52,7 @@ def panel_grid(
     gap, left : float
         Inches between columns and left of the first, room for tick labels.
     legend_entries : int, default 1
-        Number of entries of the legend below, 0 for none.
+        Number of entries of the legend below; a single one needs no legend.
     share_time : bool, default True
         Whether panels above each other have one horizontal axis.
 
@@ -65,7 +65,8 @@ def panel_grid(
     """
     right, top = 0.12, 0.28
     gap_y = 0.36 if share_time else 0.72
-    bottom = 0.5 + _LEGEND_LINE * ceil(legend_entries / LEGEND_COLUMNS)
+    legend_lines = ceil(legend_entries / LEGEND_COLUMNS) if legend_entries > 1 else 0
+    bottom = 0.5 + _LEGEND_LINE * legend_lines
     height = top + rows * panel_height + (rows - 1) * gap_y + bottom
     panel_width = (FULL_WIDTH - left - right - (columns - 1) * gap) / columns
     figure = Figure(figsize=(FULL_WIDTH, height))
@@ -138,7 +139,7 @@ def label_time(panels: Iterable[Axes], duration: float) -> None:
 
 
 def legend_below(figure: Figure, axes: Axes) -> None:
-    """Put one legend for the whole figure under its panels.
+    """Put one legend for the whole figure under its panels, if there is anything to tell apart.
 
     Parameters
     ----------
@@ -148,4 +149,5 @@ def legend_below(figure: Figure, axes: Axes) -> None:
         A panel that holds every line to be named.
     """
     handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=min(LEGEND_COLUMNS, len(labels)))
+    if len(labels) > 1:
+        figure.legend(handles, labels, loc="lower center", ncols=min(LEGEND_COLUMNS, len(labels)))

@@ -1,21 +1,22 @@
 """The path in space with its three projections: the paper's figures 4 and 6."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d.axes3d import Axes3D
+from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 
 from pyomo_quad.report.figures.panels import legend_below
 from pyomo_quad.report.flights import StyledFlight
 from pyomo_quad.report.signals import POSITION, TIME, Signal
 from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, PALE
 
-__all__ = ["draw_path"]
+__all__ = ["BEAT_COUNT", "draw_path"]
 
 _PROJECTIONS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
-_BEAT_COUNT = 5  # markers at equal times along each path: wide apart means fast
+BEAT_COUNT = 5  # markers at equal times along each path: wide apart means fast
 _MARGIN = 0.08
 _SMALLEST_SIDE = 0.2  # m
 
@@ -58,7 +59,7 @@ def _track(flight: StyledFlight) -> np.ndarray:
 
 def _beats(flight: StyledFlight) -> np.ndarray:
     time = TIME.of(flight.frame)
-    beats = np.linspace(time[0], time[-1], _BEAT_COUNT + 1)[1:-1]
+    beats = np.linspace(time[0], time[-1], BEAT_COUNT + 1)[1:-1]
     return np.column_stack([np.interp(beats, time, axis) for axis in _track(flight).T])
 
 
@@ -116,7 +117,7 @@ def _ends(optimum: StyledFlight) -> tuple[tuple[np.ndarray, str, str], ...]:
     return (track[0], "start", "o"), (track[-1], "goal", "*")
 
 
-def _marker(flight: StyledFlight) -> dict[str, object]:
+def _marker(flight: StyledFlight) -> dict[str, Any]:
     style = flight.style
     return {
         "linestyle": "none",

@@ -1,0 +1,219 @@
+"""Which figures a report holds, in which order, and what stands under them."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pyomo_quad.report.document import FIGURE_FOLDER, Picture
+from pyomo_quad.report.figures.battery import draw_battery
+from pyomo_quad.report.figures.controls import draw_controls
+from pyomo_quad.report.figures.costates import COSTATES, draw_costates
+from pyomo_quad.report.figures.energy import draw_energy
+from pyomo_quad.report.figures.energy_split import draw_energy_split
+from pyomo_quad.report.figures.mesh import draw_mesh
+from pyomo_quad.report.figures.path import BEAT_COUNT, draw_path
+from pyomo_quad.report.figures.rotors import draw_rotors
+from pyomo_quad.report.figures.states import draw_states
+from pyomo_quad.report.figures.wind import draw_wind
+from pyomo_quad.report.flights import StyledFlight, fair_pair
+from pyomo_quad.report.signals import (
+    BATTERY,
+    ENERGY,
+    MOTOR,
+    POSITION,
+    POWER,
+    ROTOR_ACCELERATION,
+    STATE_GRID,
+    TIME,
+    WIND,
+    Signal,
+)
+from pyomo_quad.report.style import save_figure
+
+if TYPE_CHECKING:
+    from pyomo_quad.flight import Plan
+
+__all__ = ["Drawing", "energy_split_drawing", "plan_drawings", "save_drawings"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawing:
+    """A figure that can be drawn, and how the report presents it.
+
+    ``needs`` names the columns that it shows.
+    """
+
+    name: str
+    title: str
+    caption: str
+    needs: tuple[str, ...] = ()
+    draw: Callable[[], Figure]
+
+    @property
+    def picture(self) -> Picture:
+        """The figure in a document."""
+        return Picture(name=self.name, title=self.title, caption=self.caption)
+
+
+def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
+    """List the figures of a plan, with what else was flown beside it.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan, also of a solve that failed.
+    flights : sequence of StyledFlight
+        The plan's flight first.
+
+    Returns
+    -------
+    tuple of Drawing
+        Without those that show what a model of the user's own does not declare, or what a
+        failed solve left without a number.
+    """
+    has_forecast = plan.scenario.wind.forecast is not None
+    blowing = flights[1] if has_forecast and len(flights) > 1 else None
+    costates = plan.costate_frame()
+    drawings = (
+        *_motion(flights),
+        *_supply(flights, plan.hover_energy_J, blowing),
+        Drawing(
+            name="costates",
+            title="Costates and Hamiltonian",
+            caption="Costates: what a small change of each state would cost from there on. The "
+            "Hamiltonian varies only as the wind does; in calm air it is constant.",
+            needs=tuple(COSTATES),
+            draw=lambda: draw_costates(costates, flights[0].duration_s),
+        ),
+        Drawing(
+            name="mesh",
+            title="Mesh",
+            caption="Left: the error estimate on each mesh. Right: the last mesh.",
+            draw=lambda: draw_mesh(
+                plan.history, plan.mesh, plan.scenario.solver.tolerance, flights[0].duration_s
+            ),
+        ),
+    )
+    shown = [flights[0].frame, costates.drop(columns=TIME.column)]
+    finite = {name for frame in shown for name in frame if np.isfinite(frame[name]).all()}
+    return tuple(drawing for drawing in drawings if finite.issuperset(drawing.needs))
+
+
+def energy_split_drawing(
+    flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
+) -> Drawing:
+    """Return the figure that splits each flight's energy at the hover floor.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        All flights, the optimum first.
+    hover_energy_J : float
+        Energy of hovering for as long as the mission lasts, J.
+    absent : frozenset of str
+        Names of the flights that did not arrive.
+
+    Returns
+    -------
+    Drawing
+        Bars, one per flight.
+    """
+    return Drawing(
+        name="energy_split",
+        title="Energy of each flight",
+        caption="Energy of each flight, split at what hovering for the same time takes.",
+        draw=lambda: draw_energy_split(flights, hover_energy_J, absent),
+    )
+
+
+def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
+    """Draw figures and write each as PNG and SVG.
+
+    Parameters
+    ----------
+    drawings : iterable of Drawing
+        What to draw.
+    folder : Path
+        The report's folder; the figures get one of their own in it.
+    """
+    figures = folder / FIGURE_FOLDER
+    figures.mkdir(exist_ok=True)
+    for drawing in drawings:
+        save_figure(drawing.draw, figures, drawing.name)
+
+
+def _motion(flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
+    pair = fair_pair(flights)
+    names = _listed(pair)
+    beat = flights[0].duration_s / BEAT_COUNT
+    return (
+        Drawing(
+            name="path",
+            title="Path",
+            caption=f"Paths from start (dot) to goal (star), with a mark every {beat:.3g} s.",
+            needs=_columns(POSITION),
+            draw=lambda: draw_path(flights),
+        ),
+        Drawing(
+            name="states",
+            title="States",
+            caption=f"The sixteen states: {names}.",
+            needs=_columns(*STATE_GRID),
+            draw=lambda: draw_states(pair),
+        ),
+        Drawing(
+            name="controls",
+            title="Controls",
+            caption=f"The four controls, accelerations of the rotors: {names}.",
+            needs=_columns(ROTOR_ACCELERATION),
+            draw=lambda: draw_controls(pair),
+        ),
+    )
+
+
+def _supply(
+    flights: Sequence[StyledFlight], hover_energy_J: float, blowing: StyledFlight | None
+) -> tuple[Drawing, ...]:
+    optimum, pair = flights[0], fair_pair(flights)
+    return (
+        Drawing(
+            name="energy",
+            title="Power and energy",
+            caption="Power, energy, and energy above what hovering until then would have taken.",
+            needs=_columns((POWER, ENERGY)),
+            draw=lambda: draw_energy(flights, hover_energy_J),
+        ),
+        Drawing(
+            name="motors",
+            title="Motors",
+            caption=f"The four motors: {optimum.name}.",
+            needs=_columns(*MOTOR),
+            draw=lambda: draw_rotors(optimum),
+        ),
+        Drawing(
+            name="battery",
+            title="Battery",
+            caption=f"The battery: {_listed(pair)}.",
+            needs=_columns(BATTERY),
+            draw=lambda: draw_battery(pair),
+        ),
+        Drawing(
+            name="wind",
+            title="Wind",
+            caption="The wind over the flight, in world axes.",
+            needs=_columns(WIND),
+            draw=lambda: draw_wind(optimum, blowing),
+        ),
+    )
+
+
+def _columns(*groups: Iterable[Signal]) -> tuple[str, ...]:
+    return tuple(signal.column for group in groups for signal in group)
+
+
+def _listed(flights: Sequence[StyledFlight]) -> str:
+    return " and ".join(flight.name for flight in flights)

@@ -1,0 +1,111 @@
+"""The report of a solve says what the plan says, in the same bytes each time."""
+
+import re
+
+import pandas as pd
+import pytest
+from PIL import Image
+
+from pyomo_quad.flight import PlanStatus
+from pyomo_quad.report.flights import plan_flight, styled_flights
+from pyomo_quad.report.gallery import plan_drawings, save_drawings
+from pyomo_quad.report.solve_report import write_solve_report
+from tests.synthetic_run import synthetic_plan, synthetic_run
+
+FIGURES = {
+    "path", "states", "controls", "energy", "motors", "battery", "wind", "costates", "mesh",
+}  # fmt: skip
+HOSTILE = 'title="<script>*x*</script> [a](b)"'
+
+
+@pytest.fixture(scope="module")
+def run():
+    return synthetic_run(overrides=(HOSTILE,))
+
+
+@pytest.fixture(scope="module")
+def report(run, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    write_solve_report(folder, run.plan, ("the wind is strong",))
+    return folder
+
+
+@pytest.fixture
+def _no_figures(monkeypatch):
+    monkeypatch.setattr("pyomo_quad.report.solve_report.save_drawings", lambda *_: None)
+
+
+def test_every_figure_is_drawn_twice_and_linked(report):
+    text = (report / "report.md").read_text()
+    for name in FIGURES:
+        with Image.open(report / "figures" / f"{name}.png") as picture:
+            assert picture.width > 1000
+        assert "<svg" in (report / "figures" / f"{name}.svg").read_text()[:1000]
+        assert f"](figures/{name}.png)" in text
+    assert {file.stem for file in (report / "figures").iterdir()} == FIGURES
+
+
+def test_report_says_what_the_plan_says(report, run):
+    text = (report / "report.md").read_text()
+    assert f"> **Verified.** The optimal flight spends {run.plan.energy:.2f} J" in text
+    assert "| Miss of the goal (m) |  | 3e-07 | 0.0001 |" in text
+    assert "- the wind is strong" in text
+    assert "| 3 | 19 | 88 | 19 | 711.7000 | 3.1e-07 |" in text
+
+
+def test_title_is_escaped(report):
+    first = (report / "report.md").read_text().splitlines()[0]
+    assert first == r"# &lt;script&gt;\*x\*&lt;/script&gt; \[a\](b)"
+
+
+def test_plan_table_reads_back(report, run):
+    read = pd.read_csv(report / "plan.csv")
+    pd.testing.assert_frame_equal(read, run.plan.to_frame(), rtol=1e-11, check_dtype=False)
+
+
+@pytest.mark.usefixtures("_no_figures")
+@pytest.mark.parametrize(
+    ("status", "heading"),
+    [
+        (PlanStatus.INFEASIBLE, "# Failed, infeasible: "),
+        (PlanStatus.NOT_CONVERGED, "# Failed, not converged: "),
+        (PlanStatus.INTERRUPTED, "# Failed, interrupted: "),
+        (PlanStatus.SOLVED, "# Not verified: "),
+    ],
+)
+def test_failure_is_never_called_a_success(run, tmp_path, status, heading):
+    flight = run.flights[0]
+    plan = synthetic_plan(run.scenario, flight, status, "Point of local infeasibility | see below")
+    write_solve_report(tmp_path, plan)
+    text = (tmp_path / "report.md").read_text()
+    assert text.startswith(heading)
+    assert "## What went wrong\n\nPoint of local infeasibility \\| see below" in text
+    assert "Verified." not in text
+    if status is not PlanStatus.SOLVED:
+        assert "optimal" not in text
+        assert set(pd.read_csv(tmp_path / "plan.csv")["status"]) == {status.value}
+
+
+@pytest.mark.usefixtures("_no_figures")
+def test_tables_and_text_are_the_same_bytes_each_time(report, run, tmp_path):
+    write_solve_report(tmp_path, run.plan, ("the wind is strong",))
+    for name in ("plan.csv", "report.md"):
+        assert (tmp_path / name).read_bytes() == (report / name).read_bytes()
+
+
+def test_figures_are_the_same_bytes_each_time_and_hold_no_date(report, run, tmp_path):
+    flights = styled_flights([plan_flight(run.plan)])
+    chosen = [d for d in plan_drawings(run.plan, flights) if d.name in {"path", "mesh"}]
+    save_drawings(chosen, tmp_path)
+    for file in (tmp_path / "figures").iterdir():
+        assert file.read_bytes() == (report / "figures" / file.name).read_bytes()
+        assert not re.search(rb"dc:date|20\d\d-\d\d-\d\d", file.read_bytes())
+
+
+def test_figures_of_what_a_model_lacks_are_left_out(run):
+    flight = plan_flight(run.plan)
+    flight.frame = flight.frame.drop(columns="wind_x_m_per_s").assign(
+        battery_current_A=float("nan")
+    )
+    names = {d.name for d in plan_drawings(run.plan, styled_flights([flight]))}
+    assert names == FIGURES - {"wind", "battery"}
