@@ -1,5 +1,63 @@
-"""Minimum-energy quadrotor flight in wind, declared, solved, verified and compared."""
+"""Minimum-energy quadrotor flight in wind, declared, solved, verified and compared.
+
+`load_scenario` reads a scenario, `solve` returns its `Plan`, and `build_model` returns the Pyomo
+model that is solved.
+"""
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from pyomo_quad.version import __version__
 
-__all__ = ["__version__"]
+if TYPE_CHECKING:
+    from pyomo_quad.flight import Plan
+    from pyomo_quad.model import build_model
+    from pyomo_quad.scenario import Scenario, load_scenario
+
+__all__ = ["Plan", "Scenario", "__version__", "build_model", "load_scenario", "solve"]
+
+# Pyomo, CasADi and SciPy take over a second to import: only who uses them waits for them.
+_HOMES = {
+    "Plan": "pyomo_quad.flight",
+    "Scenario": "pyomo_quad.scenario",
+    "build_model": "pyomo_quad.model",
+    "load_scenario": "pyomo_quad.scenario",
+}
+
+
+def solve(scenario: "Scenario | str | Path", *, allow_code: bool = False) -> "Plan":
+    """Solve a scenario and verify the plan by flying it.
+
+    Parameters
+    ----------
+    scenario : Scenario, str or Path
+        A scenario, or the TOML file of one.
+    allow_code : bool, default False
+        Whether a model builder that the scenario names may run.
+
+    Returns
+    -------
+    Plan
+        With its status: a solve that fails is a result, not an exception.
+
+    Raises
+    ------
+    ScenarioError
+        If the scenario is not allowed; one line, naming the field.
+    FeasibilityError
+        If the rotors cannot carry the vehicle.
+    """
+    from pyomo_quad.flight.planning import solve_scenario  # noqa: PLC0415
+    from pyomo_quad.model import model_builder  # noqa: PLC0415
+    from pyomo_quad.scenario import load_scenario  # noqa: PLC0415
+
+    resolved = load_scenario(scenario) if isinstance(scenario, str | Path) else scenario
+    builder = model_builder(resolved, is_code_allowed=allow_code)
+    return solve_scenario(resolved, builder=builder)
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401  as wide as the names it serves
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)

@@ -6,7 +6,7 @@ slopes, steps adaptively with DOP853 and integrates the power alongside the stat
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from scipy.integrate import solve_ivp
 
 from pyomo_quad.collocation import Dynamics, Mesh, SolveError, control_polynomial
 from pyomo_quad.flight.flight import Flown
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 __all__ = ["ABSOLUTE_TOLERANCE", "RELATIVE_TOLERANCE", "fly_controls"]
 
