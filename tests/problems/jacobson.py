@@ -11,6 +11,7 @@ continuous at both, because the constraint is of first order.
 """
 
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -124,7 +125,7 @@ def objective():
     points, weights = np.polynomial.legendre.leggauss(30)
     ends = (0.0, *KINKS, 1.0)
     total = 0.0
-    for start, end in zip(ends[:-1], ends[1:], strict=True):
+    for start, end in pairwise(ends):
         times = start + (end - start) * (points + 1) / 2
         x1, x2, _, _ = _extended(times).T
         cost = x1**2 + x2**2 + WEIGHT * control(times)["u"] ** 2
