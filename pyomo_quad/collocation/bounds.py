@@ -12,6 +12,8 @@ from pyomo_quad.collocation.mapped import MappedFunction
 from pyomo_quad.collocation.naming import unknown_place
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from pyomo_quad.collocation.compiled import CompiledModel
     from pyomo_quad.collocation.nodes import FloatArray
     from pyomo_quad.collocation.transcription import Transcription
@@ -130,10 +132,12 @@ class _Unknowns:
                 columns = layout.static_columns[[names.index(bound.variable)]]
             self._tighten_either(columns, first[0, k], second[0, k])
 
-    def _tighten_either(self, columns: FloatArray, first: FloatArray, second: FloatArray) -> None:
+    def _tighten_either(
+        self, columns: NDArray[np.intp], first: FloatArray, second: FloatArray
+    ) -> None:
         self._tighten(columns, np.minimum(first, second), np.maximum(first, second))
 
-    def _tighten(self, columns: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
+    def _tighten(self, columns: NDArray[np.intp], lower: FloatArray, upper: FloatArray) -> None:
         self.lower[columns] = np.maximum(self.lower[columns], lower)
         self.upper[columns] = np.minimum(self.upper[columns], upper)
 

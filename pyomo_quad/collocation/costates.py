@@ -1,9 +1,9 @@
 """Costates and Hamiltonian from the multipliers, by the covector mapping.
 
 Sign convention: for the minimised objective J, the costate p is the derivative of the
-optimal J with respect to the state, and H = L + p . dx/dt with L the integrand of J; a
-maximised objective is mapped as the minimum of its negative, and p and H are given for
-that minimum.
+optimal J with respect to the state, and H = L + p . dx/dt with L the integrand of J, plus
+those of integral constraints times their multipliers; a maximised objective is mapped as
+the minimum of its negative, and p and H are given for that minimum.
 
 The multiplier of an equation F(dx/dt, x, u, t) = 0 at a point of weight w on a horizon of
 length T approximates w T mu with mu the continuous multiplier, and p = -(dF/d(dx/dt))' mu.
@@ -75,7 +75,7 @@ def costates_of(
         values.append(np.vstack([left, inner[points]]))
     states = z[program.layout.state_columns]
     rates = program.layout.slope_matrix @ states
-    density = program.objective_density(z)
+    density = program.lagrangian_density(z, multipliers)
     hamiltonian = (density + np.sum(inner * rates, axis=1)) / span
     return Costates(per_element=tuple(values), hamiltonian=hamiltonian)
 

@@ -18,10 +18,15 @@ from pyomo_quad.collocation.mapped import MappedFunction
 from pyomo_quad.collocation.nodes import FloatArray, radau_rule
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from pyomo_quad.collocation.solution import Solution
     from pyomo_quad.collocation.transcription import Transcription
 
 __all__ = ["ErrorEstimate", "estimate_error"]
+
+# Samples per collocation point at which limits are checked.
+_SAMPLES = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,16 +35,21 @@ class ErrorEstimate:
 
     `states` has shape (n_elements, n_states), relative to the larger of the state's largest
     magnitude and its nominal one (1 unless declared); `violation`, shape (n_elements,), is
-    that of path equations and bounds, relative to the larger of 1 and the bound.
+    that of path equations and bounds, relative to the larger of 1 and the bound; `objective`,
+    shape (n_elements,), is what an element's state errors change in the objective, which the
+    costates tell, times the number of elements and relative to the objective.
     """
 
     states: FloatArray
     violation: FloatArray
+    objective: FloatArray
 
     @property
     def per_element(self) -> FloatArray:
-        """Larger of state error and violation, shape (n_elements,)."""
-        return np.maximum(self.states.max(axis=1, initial=0.0), self.violation)
+        """Largest of the three, shape (n_elements,)."""
+        return np.maximum.reduce(
+            [self.states.max(axis=1, initial=0.0), self.violation, self.objective]
+        )
 
     @property
     def largest(self) -> float:
@@ -49,45 +59,64 @@ class ErrorEstimate:
 
 def estimate_error(solution: Solution) -> ErrorEstimate:
     """Estimate the errors of a solution, element by element."""
-    program, mesh = solution.program, solution.mesh
+    degrees = np.asarray(solution.mesh.degrees)
+    finer = _sampled(solution, [radau_rule(d + 1).points for d in degrees])
+    # A limit is broken at the peaks of the polynomials, which lie anywhere between points.
+    dense = _sampled(solution, [np.linspace(0.0, 1.0, _SAMPLES * (d + 1) + 1)[1:] for d in degrees])
+    moved = _state_corrections(solution, _slope_corrections(solution.program, finer))
+    return ErrorEstimate(
+        states=_relative(solution, moved),
+        objective=_objective_errors(solution, moved),
+        violation=np.maximum.reduceat(_violations(solution.program, dense), dense.first_of_element),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Samples:
+    """The path equations between the points: variables, data and values, one row each."""
+
+    variables: FloatArray
+    data: FloatArray
+    rows: FloatArray
+    first_of_element: NDArray[np.intp]
+
+
+def _sampled(solution: Solution, places: list[FloatArray]) -> _Samples:
+    """Evaluate the path equations at places of each element, the last one its end."""
+    program, mesh, path = solution.program, solution.mesh, solution.trajectory
+    counts = np.array([len(p) for p in places])
     fractions = np.concatenate(
-        [
-            mesh.breakpoints[e] + mesh.widths[e] * radau_rule(degree + 1).points
-            for e, degree in enumerate(mesh.degrees)
-        ]
+        [mesh.breakpoints[e] + mesh.widths[e] * p for e, p in enumerate(places)]
     )
     # A point on a boundary belongs to the element that it ends.
-    ends = np.cumsum(np.asarray(mesh.degrees) + 1) - 1
-    fractions[ends] = mesh.breakpoints[1:]
-    path = solution.trajectory
-    statics = np.broadcast_to(path.statics, (fractions.size, path.statics.size))
+    fractions[np.cumsum(counts) - 1] = mesh.breakpoints[1:]
     variables = np.hstack(
         [
             path.rates_at(fractions),
             path.states_at(fractions),
             path.algebraics_at(fractions),
-            statics,
+            np.broadcast_to(path.statics, (fractions.size, path.statics.size)),
         ]
     )
-    signals = solution.problem.signals(solution.instance, fractions)
-    parameters = np.broadcast_to(
-        program.data.parameters, (fractions.size, program.data.parameters.size)
+    parameters = program.data.parameters
+    data = np.hstack(
+        [
+            solution.problem.signals(solution.instance, fractions),
+            np.broadcast_to(parameters, (fractions.size, parameters.size)),
+        ]
     )
-    data = np.hstack([signals, parameters])
-    rows = MappedFunction(program.compiled.path.values, fractions.size)(variables, data)[0]
-    slopes = _slope_corrections(program, variables, data, rows)
-    return ErrorEstimate(
-        states=_state_errors(solution, slopes),
-        violation=_violations(program, variables, data, rows),
+    return _Samples(
+        variables=variables,
+        data=data,
+        rows=MappedFunction(program.compiled.path.values, fractions.size)(variables, data)[0],
+        first_of_element=np.concatenate(([0], np.cumsum(counts)[:-1])),
     )
 
 
-def _slope_corrections(
-    program: Transcription, variables: FloatArray, data: FloatArray, rows: FloatArray
-) -> FloatArray:
+def _slope_corrections(program: Transcription, samples: _Samples) -> FloatArray:
     """Return what must be added to the rates for the differential equations to hold."""
     compiled, n = program.compiled, program.layout.n_states
-    path = compiled.path
+    path, variables = compiled.path, samples.variables
     is_equality = np.array([e.is_equality for e in compiled.declared.equations], dtype=bool)
     by_rate = path.jacobian_columns < n
     differential = np.unique(
@@ -96,54 +125,60 @@ def _slope_corrections(
     if n == 0 or differential.size == 0:
         return np.zeros((variables.shape[0], n))
     position = {int(r): k for k, r in enumerate(differential)}
-    entries = MappedFunction(path.jacobian, variables.shape[0])(variables, data)[0]
+    entries = MappedFunction(path.jacobian, variables.shape[0])(variables, samples.data)[0]
     matrices = np.zeros((variables.shape[0], differential.size, n))
     for k in np.flatnonzero(by_rate):
         row = int(path.jacobian_rows[k])
         if row in position:
             matrices[:, position[row], path.jacobian_columns[k]] = entries[:, k]
-    residuals = rows[:, differential]
+    residuals = samples.rows[:, differential]
     if differential.size == n:
-        return -np.linalg.solve(matrices, residuals[:, :, None])[:, :, 0]
-    return -np.einsum("kij,kj->ki", np.linalg.pinv(matrices), residuals)
+        return np.asarray(-np.linalg.solve(matrices, residuals[:, :, None])[:, :, 0], dtype=float)
+    return np.asarray(-np.einsum("kij,kj->ki", np.linalg.pinv(matrices), residuals), dtype=float)
 
 
-def _state_errors(solution: Solution, slopes: FloatArray) -> FloatArray:
-    mesh = solution.mesh
+def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArray]:
+    """Integrate slope corrections from each element's left end, shape (degree + 1, n_states)."""
+    mesh, first, moved = solution.mesh, 0, []
+    for e, degree in enumerate(mesh.degrees):
+        local = slopes[first : first + degree + 1]
+        moved.append(mesh.widths[e] * radau_rule(degree + 1).integration @ local)
+        first += degree + 1
+    return moved
+
+
+def _relative(solution: Solution, moved: list[FloatArray]) -> FloatArray:
     slots = solution.problem.compiled.declared.states
     nominal = np.array([s.nominal or 1.0 for s in slots])
     size = np.maximum(np.abs(solution.trajectory.states).max(axis=0, initial=0.0), nominal)
-    errors = np.zeros((mesh.elements, len(slots)))
-    first = 0
-    for e, degree in enumerate(mesh.degrees):
-        local = slopes[first : first + degree + 1]
-        moved = mesh.widths[e] * radau_rule(degree + 1).integration @ local
-        errors[e] = np.abs(moved).max(axis=0) / size
-        first += degree + 1
-    return errors
+    return np.array([np.abs(m).max(axis=0) / size for m in moved])
 
 
-def _violations(
-    program: Transcription, variables: FloatArray, data: FloatArray, rows: FloatArray
-) -> FloatArray:
+def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray:
+    mesh = solution.mesh
+    if not solution.problem.compiled.declared.states:
+        return np.zeros(mesh.elements)
+    ends = solution.costates.at_points[mesh.first_node[1:] - 1]
+    changes = np.abs(np.sum(ends * np.array([m[-1] for m in moved]), axis=1))
+    return np.asarray(changes * mesh.elements / solution.nominal_objective)
+
+
+def _violations(program: Transcription, samples: _Samples) -> FloatArray:
+    """Return the worst relative breach of an algebraic equation or limit at each sample."""
     compiled, n = program.compiled, program.layout.n_states
-    points = variables.shape[0]
-    lower, upper = MappedFunction(compiled.path_bounds, points)(data)
-    held = rows[:, : compiled.n_equations]
+    variables, data = samples.variables, samples.data
+    lower, upper = MappedFunction(compiled.path_bounds, len(variables))(data)
+    held = samples.rows[:, : compiled.n_equations]
     differential = np.unique(compiled.path.jacobian_rows[compiled.path.jacobian_columns < n])
     algebraic = [r for r in range(compiled.n_equations) if r not in set(differential.tolist())]
     parts = [_outside(held[:, algebraic], lower[:, algebraic], upper[:, algebraic])]
-    low, high, first, second = MappedFunction(compiled.variable_limits, points)(data)
+    low, high, first, second = MappedFunction(compiled.variable_limits, len(variables))(data)
     values = variables[:, n : 2 * n + program.layout.n_algebraics]
     parts.append(_outside(values, low, high))
     names = [s.name for s in (*compiled.declared.states, *compiled.declared.algebraics)]
     chosen = [names.index(b.variable) for b in compiled.simple_path_bounds]
     parts.append(_outside(values[:, chosen], np.minimum(first, second), np.maximum(first, second)))
-    worst = np.hstack(parts).max(axis=1, initial=0.0)
-    assert program.mesh is not None
-    counts = np.asarray(program.mesh.degrees) + 1
-    starts = np.concatenate(([0], np.cumsum(counts)[:-1]))
-    return np.maximum.reduceat(worst, starts)
+    return np.asarray(np.hstack(parts).max(axis=1, initial=0.0))
 
 
 def _outside(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-
-from pyomo_quad.collocation.nodes import FloatArray
+import pandas as pd
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.bounds import Bounds
     from pyomo_quad.collocation.declarations import Slot
+    from pyomo_quad.collocation.nodes import FloatArray
     from pyomo_quad.collocation.trajectory import Trajectory
     from pyomo_quad.collocation.transcription import Transcription
     from pyomo_quad.collocation.values import ModelValues
@@ -22,7 +22,7 @@ TIME_COLUMN = "time"
 
 #: A mapping from slot name to a function of time, a constant or samples over `TIME_COLUMN`;
 #: a pandas frame with a time column and one column per slot is such a mapping.
-Guess = Mapping[str, Callable[[FloatArray], FloatArray] | float | Any]
+Guess = Mapping[str, Any] | pd.DataFrame
 
 
 def point_from_trajectory(program: Transcription, trajectory: Trajectory) -> FloatArray:

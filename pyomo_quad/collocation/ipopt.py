@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
@@ -34,12 +34,19 @@ class Status(Enum):
 class SolverOptions:
     """Ipopt's settings that a caller may change.
 
-    `tolerance` is Ipopt's `tol` on the scaled problem; `extra` passes any Ipopt option.
+    `tolerance` is Ipopt's `tol` on the scaled problem, chosen to suit the tolerance of the
+    mesh where it is None; `extra` passes any Ipopt option.
     """
 
-    tolerance: float = 1e-9
+    tolerance: float | None = None
     max_iterations: int = 500
     extra: tuple[tuple[str, Any], ...] = ()
+
+    def suiting(self, tolerance: float) -> SolverOptions:
+        """Return the settings with Ipopt's tolerance, unless given, well below a mesh's."""
+        if self.tolerance is not None:
+            return self
+        return replace(self, tolerance=float(np.clip(1e-3 * tolerance, 1e-11, _TOLERANCE)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,6 +167,8 @@ class _Callbacks:
                 self.best = (infeasibility, np.array(iterate["x"]))
 
 
+_TOLERANCE = 1e-9
+
 # MUMPS' own scalings cost more than they gain on a program that is scaled already; bounds
 # are kept as stated, because relaxed ones would show in objectives good to 1e-8.
 _DEFAULTS: dict[str, Any] = {
@@ -231,7 +240,10 @@ def run(
 
 
 def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None:
-    chosen = _DEFAULTS | {"tol": options.tolerance, "max_iter": options.max_iterations}
+    chosen = _DEFAULTS | {
+        "tol": options.tolerance or _TOLERANCE,
+        "max_iter": options.max_iterations,
+    }
     if is_warm:
         chosen |= _WARM
     for name, value in (chosen | dict(options.extra)).items():

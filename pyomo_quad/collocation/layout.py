@@ -110,7 +110,9 @@ class Layout:
     @cached_property
     def point_values(self) -> csr_matrix:
         """Matrix from the unknowns to the values that conditions and objective mention."""
-        rows, columns, weights = [], [], []
+        rows: list[int] = []
+        columns: list[int] = []
+        weights: list[float] = []
         for row, symbol in enumerate(self.declared.point_symbols):
             found, factor = self._at_point(symbol)
             rows.extend([row] * len(found))

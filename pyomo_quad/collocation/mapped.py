@@ -34,9 +34,9 @@ class MappedFunction:
         held = [np.ascontiguousarray(array, dtype=float) for array in inputs]
         for k, array in enumerate(held):
             if array.size:
-                self._buffer.set_arg(k, memoryview(array))
+                self._buffer.set_arg(k, array.data)
         for k, array in enumerate(outputs):
             if array.size:
-                self._buffer.set_res(k, memoryview(array))
+                self._buffer.set_res(k, array.data)
         self._trigger()
         return outputs

@@ -126,7 +126,7 @@ def radau_rule(degree: int) -> RadauRule:
         nodes=nodes,
         differentiation=square[1:],
         slope_at_start=square[0],
-        integration=np.linalg.inv(square[1:, 1:]),
+        integration=np.asarray(np.linalg.inv(square[1:, 1:]), dtype=float),
     )
     for array in (rule.points, rule.weights, rule.nodes, rule.differentiation):
         array.setflags(write=False)

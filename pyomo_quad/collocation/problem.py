@@ -222,7 +222,7 @@ class Problem:
             multipliers=multipliers,
             progress=progress,
         )
-        return solution_from(self, program, instance, result)
+        return solution_from(self, program, instance, result, bounds=bounds, scaling=scaling)
 
     def horizon_of(self, statics: FloatArray, instance: Instance) -> tuple[float, float]:
         """Return start and end of the horizon, the end from the statics where it is free."""

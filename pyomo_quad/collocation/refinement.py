@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pyomo_quad.collocation.error_estimate import ErrorEstimate, estimate_error
 from pyomo_quad.collocation.ipopt import Progress, SolverOptions, Status
+from pyomo_quad.collocation.junctions import junction_elements
 from pyomo_quad.collocation.mesh import Mesh
-from pyomo_quad.collocation.remeshing import RefinementOptions, refined_mesh
+from pyomo_quad.collocation.remeshing import Marks, RefinementOptions, refined_mesh
 from pyomo_quad.collocation.solution import MeshRecord, Solution
 
 if TYPE_CHECKING:
@@ -16,6 +20,9 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.problem import Instance, Problem
 
 __all__ = ["RefinementOptions", "refine"]
+
+# The objective's last change, as a share of the tolerance, at which it counts as settled.
+_SETTLED = 0.5
 
 
 def refine(
@@ -32,6 +39,9 @@ def refine(
 ) -> Solution:
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
 
+    Where limits begin or cease to hold inside an element, the objective must also have
+    settled to the tolerance between the last two meshes.
+
     Returns
     -------
     Solution
@@ -39,27 +49,56 @@ def refine(
         or the status of the solve that failed.
     """
     mesh = mesh or Mesh.uniform(refinement.first_elements, refinement.first_degree)
+    options = options.suiting(tolerance)
     records: list[MeshRecord] = []
-    solution = warm_start
-    for _ in range(refinement.max_meshes):
-        solved = problem.solve_on_mesh(mesh, instance, options, guess, solution, progress)
-        if solved.status is not Status.CONVERGED and solution is not None:
+    while True:
+        solved = problem.solve_on_mesh(mesh, instance, options, guess, warm_start, progress)
+        if solved.status is Status.NOT_CONVERGED and warm_start is not None:
             solved = problem.solve_on_mesh(mesh, instance, options, guess, None, progress)
         error = estimate_error(solved)
         records.append(_record(solved, error))
         solution = replace(solved, error_estimate=error.largest, history=tuple(records))
-        if solved.status is not Status.CONVERGED or error.largest <= tolerance:
+        if solved.status is not Status.CONVERGED:
             return solution
-        finer = refined_mesh(solution, error, tolerance, refinement)
-        if finer == solution.mesh:
-            break
-        mesh = finer
-    assert solution is not None
+        finer = _next_mesh(solution, error, tolerance, refinement)
+        if finer is None:
+            return solution
+        if finer == solution.mesh or len(records) >= refinement.max_meshes:
+            return _given_up(solution, tolerance)
+        mesh, warm_start = finer, solution
+
+
+def _next_mesh(
+    solution: Solution, error: ErrorEstimate, tolerance: float, refinement: RefinementOptions
+) -> Mesh | None:
+    """Return the mesh to solve on next, None when the tolerance is met."""
+    junctions = junction_elements(solution)
+    is_settled = not junctions or _objective_change(solution) <= _SETTLED * tolerance
+    if error.largest <= tolerance and is_settled:
+        return None
+    marks = Marks(
+        coarse=frozenset(np.flatnonzero(error.per_element > tolerance).tolist())
+        | (frozenset() if is_settled else junctions),
+        kept=junctions,
+    )
+    mesh = refined_mesh(solution, error, marks, tolerance, refinement)
+    return None if mesh == solution.mesh and error.largest <= tolerance else mesh
+
+
+def _objective_change(solution: Solution) -> float:
+    """Return by how much the objective moved from the last mesh but one, relative."""
+    if len(solution.history) < 2:
+        return math.inf
+    before, now = (record.objective for record in solution.history[-2:])
+    return abs(now - before) / solution.nominal_objective
+
+
+def _given_up(solution: Solution, tolerance: float) -> Solution:
     return replace(
         solution,
         status=Status.TOLERANCE_NOT_MET,
         message=(
-            f"refinement stopped after {len(records)} meshes with an estimated error of "
+            f"refinement stopped after {len(solution.history)} meshes with an estimated error of "
             f"{solution.error_estimate:.3g}, above the tolerance {tolerance:.3g}; allow more "
             "meshes, elements or a higher degree, or ask for less."
         ),

@@ -125,8 +125,13 @@ class RelationReader:
                 slot = table.states.get(name) or table.algebraics[name]
                 old.append(slot.rate if is_rate else slot.symbol)
                 new.append(point.symbol)
-        moved = casadi.substitute([casadi.SX(equation)], old, new)[0]
-        return same_expression(moved, condition)
+        # Pyomo has folded the declared times into the condition: compare at just those.
+        old.extend(table.horizon)
+        new.extend(
+            casadi.SX(t) for t in (self.copy.declared_times[0], self.copy.declared_times[-1])
+        )
+        moved, held = casadi.substitute([casadi.SX(equation), casadi.SX(condition)], old, new)
+        return same_expression(moved, held)
 
     def values_at_points(self, conditions: list[PointCondition]) -> list[tuple[str, float]]:
         """Return what is fixed at declared times; add bounds that hold only there."""

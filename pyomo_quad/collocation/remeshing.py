@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.error_estimate import ErrorEstimate
     from pyomo_quad.collocation.solution import Solution
 
-__all__ = ["RefinementOptions", "refined_mesh"]
+__all__ = ["Marks", "RefinementOptions", "refined_mesh"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,13 @@ class RefinementOptions:
 # or lowered only where a wide margin says that they will still meet it.
 _AIM = 0.3
 _MARGIN = 1e-2
-_SWITCH_SHARE = 0.5
+# Corners are approached by small elements; a high degree gains nothing at them.
+_CORNER_PARTS = 3
+_CORNER_DEGREE = 4
+# A control that changes by more than this share of its range jumps.
+_JUMP_SHARE = 0.25
+# Half the width of the sliver around a jump, as a share of the element.
+_SLIVER = 0.02
 
 
 @dataclass(frozen=True)
@@ -73,19 +79,38 @@ class _Piece:
     is_changed: bool
 
 
+@dataclass(frozen=True, kw_only=True)
+class Marks:
+    """Elements that are too coarse, and elements that may not be merged or lowered."""
+
+    coarse: frozenset[int]
+    kept: frozenset[int]
+
+
 def refined_mesh(
-    solution: Solution, error: ErrorEstimate, tolerance: float, options: RefinementOptions
+    solution: Solution,
+    error: ErrorEstimate,
+    marks: Marks,
+    tolerance: float,
+    options: RefinementOptions,
 ) -> Mesh:
     """Return the next mesh for a solution whose errors are known.
 
     Returns the same mesh when nothing may be changed any further.
     """
+    mesh = solution.mesh
     pieces: list[_Piece] = []
     for e, size in enumerate(error.per_element):
-        if size <= tolerance:
-            pieces.append(_lowered(solution, e, float(size), tolerance, options))
-        else:
+        jump = _jump(solution, e) if e in marks.coarse else None
+        if jump is not None:
+            pieces.extend(_isolated(mesh, e, jump, float(size)))
+        elif e in marks.coarse:
             pieces.extend(_finer(solution, e, error, tolerance, options))
+        elif e in marks.kept:
+            piece = _Piece(mesh.breakpoints[e + 1], mesh.degrees[e], float(size), is_changed=True)
+            pieces.append(piece)
+        else:
+            pieces.append(_lowered(solution, e, float(size), tolerance, options))
     pieces = _merged(pieces, solution, tolerance)
     mesh = Mesh(
         breakpoints=(0.0, *(p.end for p in pieces[:-1]), 1.0),
@@ -107,6 +132,25 @@ def _lowered(
     return _Piece(mesh.breakpoints[e + 1], degree, error, is_changed=False)
 
 
+def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
+    """Split an element into what lies before a jump, a sliver that holds it, and the rest.
+
+    In the sliver of degree 1 the control is constant: it cannot swing beyond limits that it
+    keeps at its one point, and the sliver's state error falls with its width squared.
+    """
+    start, end, degree = mesh.breakpoints[e], mesh.breakpoints[e + 1], mesh.degrees[e]
+    half = _SLIVER * (end - start)
+    edges = [(jump - half, max(degree, 2)), (jump + half, 1), (end, max(degree, 2))]
+    inside = [(b, d) for b, d in edges[:-1] if start + 0.5 * half < b < end - 0.5 * half]
+    if len(inside) == 2 or jump - start > end - jump:
+        return [_Piece(b, d, size, is_changed=True) for b, d in inside] + [
+            _Piece(end, edges[2][1] if len(inside) == 2 else 1, size, is_changed=True)
+        ]
+    return [_Piece(b, 1, size, is_changed=True) for b, _ in inside] + [
+        _Piece(end, edges[2][1], size, is_changed=True)
+    ]
+
+
 def _finer(
     solution: Solution,
     e: int,
@@ -115,27 +159,25 @@ def _finer(
     options: RefinementOptions,
 ) -> list[_Piece]:
     mesh = solution.mesh
-    start, end, degree = mesh.breakpoints[e], mesh.breakpoints[e + 1], mesh.degrees[e]
-    size = float(error.per_element[e])
-    switch = _switch(solution, e)
-    if end - start < 2.0 * options.smallest_width:
-        return [_Piece(end, degree, size, is_changed=True)]
-    if switch is not None:
-        return [
-            _Piece(start + switch * (end - start), degree, size, is_changed=True),
-            _Piece(end, degree, size, is_changed=True),
-        ]
+    degree, size = mesh.degrees[e], float(error.per_element[e])
+    if mesh.widths[e] < 2.0 * options.smallest_width:
+        return [_Piece(mesh.breakpoints[e + 1], degree, size, is_changed=True)]
+    if size <= tolerance:
+        return _parts(mesh, e, _CORNER_PARTS, min(degree, _CORNER_DEGREE), size)
     decades = math.log10(size / (_AIM * tolerance))
     decay = _decay(_legendre_sizes(solution, e))
-    is_smooth = decay >= options.smooth_decay and error.violation[e] <= tolerance
     wanted = degree + max(1, math.ceil(decades / max(decay, 1e-3)))
-    if is_smooth and wanted <= options.max_degree:
-        return [_Piece(end, wanted, size, is_changed=True)]
+    if decay >= options.smooth_decay and wanted <= options.max_degree:
+        return [_Piece(mesh.breakpoints[e + 1], wanted, size, is_changed=True)]
     parts = min(4, max(2, math.ceil(10.0 ** (decades / (degree + 1.0)))))
-    inner = np.linspace(start, end, parts + 1)[1:]
-    return [_Piece(float(b), degree, size, is_changed=True) for b in inner[:-1]] + [
-        _Piece(end, degree, size, is_changed=True)
-    ]
+    return _parts(mesh, e, parts, degree, size)
+
+
+def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Piece]:
+    """Split an element evenly."""
+    edges = np.linspace(mesh.breakpoints[e], mesh.breakpoints[e + 1], count + 1)
+    ends = [*(float(b) for b in edges[1:-1]), mesh.breakpoints[e + 1]]
+    return [_Piece(end, degree, size, is_changed=True) for end in ends]
 
 
 def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[_Piece]:
@@ -183,8 +225,8 @@ def _decay(sizes: FloatArray) -> float:
     return float(-np.polyfit(order[kept], np.log10(sizes[1:][kept]), 1)[0])
 
 
-def _switch(solution: Solution, e: int) -> float | None:
-    """Return where in the element a bounded control jumps, as a fraction of it, or None."""
+def _jump(solution: Solution, e: int) -> float | None:
+    """Return where in an element a bounded control jumps, as a fraction of the horizon."""
     mesh = solution.mesh
     if e in (0, mesh.elements - 1):
         return None
@@ -195,8 +237,8 @@ def _switch(solution: Solution, e: int) -> float | None:
     for k in range(controls.shape[1]):
         width = upper[k] - lower[k]
         before, after = controls[first - 1, k], controls[last, k]
-        if np.isfinite(width) and abs(before - after) > _SWITCH_SHARE * width:
+        if np.isfinite(width) and abs(before - after) > _JUMP_SHARE * width:
             share = (means[k] - after) / (before - after)
             if 0.0 < share < 1.0:
-                return float(np.clip(share, 0.02, 0.98))
+                return float(mesh.breakpoints[e] + share * mesh.widths[e])
     return None

@@ -19,7 +19,9 @@ from pyomo_quad.collocation.nodes import FloatArray, radau_rule
 from pyomo_quad.collocation.trajectory import Trajectory, interpolate, interpolate_rates
 
 if TYPE_CHECKING:
+    from pyomo_quad.collocation.bounds import Bounds
     from pyomo_quad.collocation.problem import Instance, Problem
+    from pyomo_quad.collocation.scaling import Scaling
     from pyomo_quad.collocation.transcription import Transcription
 
 __all__ = ["MeshRecord", "Solution", "solution_from"]
@@ -65,6 +67,8 @@ class Solution:
     output_states: FloatArray
     multipliers: Multipliers
     unknowns: FloatArray
+    bounds: Bounds
+    scaling: Scaling
     iterations: tuple[Iteration, ...]
     wall_s: float
     error_estimate: float = np.inf
@@ -74,6 +78,11 @@ class Solution:
     def mesh(self) -> Mesh:
         """The last mesh."""
         return self.trajectory.mesh
+
+    @property
+    def nominal_objective(self) -> float:
+        """What changes of the objective are measured by: its size, or that of its scaling."""
+        return max(abs(self.objective), 1.0 / self.scaling.objective)
 
     @property
     def is_converged(self) -> bool:
@@ -242,6 +251,9 @@ def solution_from(
     program: Transcription,
     instance: Instance,
     result: IpoptResult,
+    *,
+    bounds: Bounds,
+    scaling: Scaling,
 ) -> Solution:
     """Return the solution that Ipopt's result stands for, outputs included."""
     z, layout = result.z, program.layout
@@ -268,6 +280,8 @@ def solution_from(
         output_states=outputs,
         multipliers=result.multipliers,
         unknowns=z,
+        bounds=bounds,
+        scaling=scaling,
         iterations=result.history,
         wall_s=result.wall_s,
     )

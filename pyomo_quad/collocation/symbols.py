@@ -40,7 +40,8 @@ class SymbolTable:
             for d in copy.model.component_objects(DerivativeVar, descend_into=True)
         }
         self.start = self._horizon("horizon.start", 0)
-        self.span = self._final_span(final_time)
+        self.end = self._end(final_time)
+        self.span = self.end - self.start
 
     def _horizon(self, name: str, position: int) -> Any:
         symbol = casadi.SX.sym(name)
@@ -50,11 +51,15 @@ class SymbolTable:
             )
         return symbol
 
-    def _final_span(self, final_time: Any) -> Any:
+    def _end(self, final_time: Any) -> Any:
         if final_time is None:
-            return self._horizon("horizon.end", 1) - self.start
-        variable = self._copy.model.find_component(final_time.name)
-        return self._static(variable) - self.start
+            return self._horizon("horizon.end", 1)
+        return self._static(self._copy.model.find_component(final_time.name))
+
+    @property
+    def horizon(self) -> tuple[Any, Any]:
+        """Symbols of start and end."""
+        return self.start, self.end
 
     @property
     def time(self) -> Any:

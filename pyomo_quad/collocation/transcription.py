@@ -204,10 +204,22 @@ class Transcription:
     def _path_weights(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
         """Return the multiplier of each path equation and each integrand at each point."""
         n, points = self.compiled.n_equations, self.layout.points
-        on_integral = np.zeros(len(self.compiled.declared.integrals))
-        on_integral[list(self.compiled.row_integrals)] = factor * self._objective_slopes(z)
-        for row, integral in enumerate(self.compiled.static_of_integral):
-            on_integral[integral] = -multipliers[self.first_integral_row + row]
+        on_integral = self._integral_weights(z, multipliers, factor)
         densities = self._weights()[:, None] * on_integral[None, :]
         equations = multipliers[: points * n].reshape(points, n)
         return np.hstack([equations, densities])
+
+    def _integral_weights(
+        self, z: FloatArray, multipliers: FloatArray, factor: float
+    ) -> FloatArray:
+        """Return what each integral weighs in the Lagrangian, shape (n_integrals,)."""
+        weights = np.zeros(len(self.compiled.declared.integrals))
+        weights[list(self.compiled.row_integrals)] = factor * self._objective_slopes(z)
+        for row, integral in enumerate(self.compiled.static_of_integral):
+            weights[integral] = -multipliers[self.first_integral_row + row]
+        return weights
+
+    def lagrangian_density(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
+        """Return integrands times what they weigh in the Lagrangian, shape (n_points,)."""
+        densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
+        return np.asarray(densities @ self._integral_weights(z, multipliers, self._sign))
