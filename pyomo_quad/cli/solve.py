@@ -1,6 +1,5 @@
 """`pyomo-quad solve`: the minimum-energy flight of a scenario, verified and written down."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -45,6 +44,7 @@ def solve(
     resolved = load_scenario(scenario, overrides or ())
     with watch.phase("import"):
         from pyomo_quad.cli import solving  # noqa: PLC0415  takes a second, see there
+        from pyomo_quad.report.solve_report import write_solve_report  # noqa: PLC0415
         from pyomo_quad.study.cautions import plan_cautions  # noqa: PLC0415
     planner = solving.planner_for(resolved, is_code_allowed=allow_code)
     folder = folder_of(resolved, out)
@@ -53,7 +53,7 @@ def solve(
             plan = planner.solve(resolved, progress=progress)
         cautions = plan_cautions(plan)
         with watch.phase("report"):
-            _write_plan(aside, plan, rate)
+            write_solve_report(aside, plan, cautions, rate)
         summary = plan_summary(plan, wall_s=watch.seconds, warnings=cautions)
         write_summary(aside, summary)
     if as_json:
@@ -63,13 +63,6 @@ def solve(
         print(f"Written to {folder}.")
     solving.complain_about(plan, folder, cautions)
     return solving.exit_code_of(plan, interruption)
-
-
-def _write_plan(folder: Path, plan: "Plan", rate: float | None) -> None:
-    frame = plan.to_frame(rate)
-    if plan.verification is None:
-        frame["status"] = plan.status.value
-    frame.to_csv(folder / "plan.csv", index=False)
 
 
 def _verdict(plan: "Plan") -> str:

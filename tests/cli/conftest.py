@@ -14,4 +14,4 @@ def calm(tmp_path_factory):
 @pytest.fixture(scope="session")
 def impossible(tmp_path_factory):
     """A mission that cannot be flown: 8 m up in 0.3 s."""
-    return solve(tmp_path_factory.mktemp("impossible") / "report", *IMPOSSIBLE)
+    return solve(tmp_path_factory.mktemp("impossible") / "report", *IMPOSSIBLE, "--json")

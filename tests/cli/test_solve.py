@@ -60,22 +60,14 @@ def test_plan_has_one_row_per_node_and_the_promised_columns(calm):
     assert frame[["x_m", "y_m", "z_m"]].iloc[-1].tolist() == pytest.approx([6, 7, 8], abs=1e-9)
 
 
-def test_rate_gives_even_rows_and_json_is_the_summary(tmp_path, capsys):
-    out = tmp_path / "report"
-    arguments = ["solve", PAPER_CALM, *QUICK, "--rate", "50", "--json", "--out", str(out)]
-    assert main(arguments) == ExitCode.VERIFIED
-    assert json.loads(capsys.readouterr().out) == json.loads((out / "summary.json").read_text())
-    times = pd.read_csv(out / "plan.csv")[TIME]
-    assert len(times) == 4 * 50 + 1
-    assert times.diff().dropna().to_numpy() == pytest.approx(1 / 50)
-
-
-def test_quiet_says_nothing_and_writes_to_the_default_folder(tmp_path, capsys, monkeypatch):
+def test_quiet_run_with_even_rows_in_the_default_folder(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["solve", PAPER_CALM, *QUICK, "--quiet"]) == ExitCode.VERIFIED
+    assert main(["solve", PAPER_CALM, *QUICK, "--quiet", "--rate", "50"]) == ExitCode.VERIFIED
     said = capsys.readouterr()
     assert (said.out, said.err) == ("", "")
-    assert (tmp_path / "reports" / "paper_calm" / "plan.csv").exists()
+    times = pd.read_csv(tmp_path / "reports" / "paper_calm" / "plan.csv")[TIME]
+    assert len(times) == 4 * 50 + 1
+    assert times.diff().dropna().to_numpy() == pytest.approx(1 / 50)
 
 
 def test_impossible_mission_is_infeasible(impossible):
@@ -85,12 +77,29 @@ def test_impossible_mission_is_infeasible(impossible):
     assert impossible.summary["terminal_miss_m"] is None
     assert impossible.err.startswith("paper_calm: infeasible: ")
     assert len(impossible.err.splitlines()) == 1
-    assert impossible.out == ""
+
+
+def test_json_is_the_summary(impossible):
+    assert json.loads(impossible.out) == impossible.summary
 
 
 def test_best_iterate_of_a_failure_is_marked(impossible):
     frame = pd.read_csv(impossible.folder / "plan.csv")
     assert set(frame["status"]) == {"infeasible"}
+
+
+def test_report_shows_the_flight(calm):
+    report = calm.read("report.md")
+    assert report.startswith("# Test 1 of the paper")
+    assert f"{calm.summary['energy_J']:.2f} J" in report
+    for figure in ("states", "controls", "path", "wind", "battery"):
+        assert {f"{figure}.png", f"{figure}.svg"} <= {
+            file.name for file in (calm.folder / "figures").iterdir()
+        }
+
+
+def test_report_of_a_failure_is_headed_as_one(impossible):
+    assert impossible.read("report.md").startswith("# Failed, infeasible: ")
 
 
 def test_refinement_that_gives_up_says_so(tmp_path):
