@@ -11,6 +11,7 @@ from pyomo_quad.collocation.errors import EngineError, SolveError, Transcription
 from pyomo_quad.collocation.ipopt import Iteration, Progress, SolverOptions, Status
 from pyomo_quad.collocation.mesh import Mesh
 from pyomo_quad.collocation.problem import Problem
+from pyomo_quad.collocation.pyomo_solver import PyomoSolver
 from pyomo_quad.collocation.refinement import RefinementOptions
 from pyomo_quad.collocation.solution import MeshRecord, Solution
 from pyomo_quad.collocation.trajectory import control_polynomial, interpolate
@@ -23,6 +24,7 @@ __all__ = [
     "MeshRecord",
     "Problem",
     "Progress",
+    "PyomoSolver",
     "RefinementOptions",
     "Solution",
     "SolveError",
@@ -47,4 +49,7 @@ def solve(model: Any, *, final_time: Any = None, **arguments: Any) -> Solution:
 
     The solution's values are also loaded into the model, at the times it declares.
     """
-    return Problem(model, final_time).solve(**arguments)
+    problem = Problem(model, final_time)
+    solution = problem.solve(**arguments)
+    problem.load(solution)
+    return solution

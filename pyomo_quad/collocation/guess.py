@@ -66,7 +66,7 @@ def initial_point(
                 )
     for column, slot in zip(layout.static_columns, declared.statics, strict=True):
         held = given.get(slot.name, values.static_value(slot))
-        z[column] = _inside(0.0 if held is None else float(held), bounds, int(column))
+        z[column] = _inside(0.0 if held is None else float(np.asarray(held)), bounds, int(column))
     z = np.clip(z, bounds.lower, bounds.upper)
     integrals = program.integrals(z)
     for integral, static in program.compiled.static_of_integral.items():

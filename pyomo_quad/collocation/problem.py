@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import casadi
@@ -267,6 +268,8 @@ class Problem:
             self.values.load(slot, None, float(number))
         start, end = solution.horizon
         for fraction in self.values.declared_fractions():
-            frame = solution.to_frame([start + (end - start) * fraction]).iloc[0]
+            time = start + (end - start) * fraction
+            frame = solution.to_frame([time]).iloc[0]
             for slot in (*declared.states, *declared.outputs, *declared.algebraics):
                 self.values.load(slot, fraction, float(frame[slot.name]))
+            self.values.load_rates(fraction, partial(solution.value, t=time))

@@ -270,7 +270,7 @@ def solution_from(
         outputs = problem.outputs.solve(
             layout, start, program.path_variables(z), program.data.at_points()
         )
-    solution = Solution(
+    return Solution(
         problem=problem,
         instance=instance,
         status=result.status,
@@ -285,5 +285,3 @@ def solution_from(
         iterations=result.history,
         wall_s=result.wall_s,
     )
-    problem.load(solution)
-    return solution

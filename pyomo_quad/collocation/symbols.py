@@ -44,11 +44,10 @@ class SymbolTable:
         self.span = self.end - self.start
 
     def _horizon(self, name: str, position: int) -> Any:
+        if self._copy.time is None:
+            return casadi.SX(position)
         symbol = casadi.SX.sym(name)
-        if self._copy.time is not None:
-            self.parameters[name] = Slot(
-                name=name, component=name, index=(position,), symbol=symbol
-            )
+        self.parameters[name] = Slot(name=name, component=name, index=(position,), symbol=symbol)
         return symbol
 
     def _end(self, final_time: Any) -> Any:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pyomo.core.base.component import Component
+from pyomo.dae import DerivativeVar
 from pyomo.environ import Var, value
 
 from pyomo_quad.collocation.addresses import AddressBook
@@ -178,3 +179,13 @@ class ModelValues:
             data = self._data(slot, self._declared_time(*self.declared_horizon, fraction))
         if not data.fixed:
             data.set_value(number, skip_validation=True)
+
+    def load_rates(self, fraction: float, rate: Callable[..., float]) -> None:
+        """Put solved rates, by component and index, into the model's derivatives at a time."""
+        time = self._declared_time(*self.declared_horizon, fraction)
+        for derivative in self._model.component_objects(DerivativeVar, descend_into=True):
+            for position in derivative:
+                address = self._addresses.split(derivative, position)
+                if address.time == time:
+                    number = rate(derivative.name, index=address.index)
+                    derivative[position].set_value(number, skip_validation=True)
