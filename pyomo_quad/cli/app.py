@@ -1,5 +1,7 @@
 """The `pyomo-quad` command: its subcommands, and the one place where errors become exit codes."""
 
+import os
+import sys
 import traceback
 from collections.abc import Sequence
 from typing import Annotated
@@ -11,7 +13,7 @@ from pyomo_quad.cli.consoles import complain
 from pyomo_quad.cli.exit_codes import ExitCode
 from pyomo_quad.cli.library import library
 from pyomo_quad.cli.solve import solve
-from pyomo_quad.scenario.errors import FeasibilityError, OutputError, PyomoQuadError, ScenarioError
+from pyomo_quad.scenario.errors import FeasibilityError, PyomoQuadError, ScenarioError
 from pyomo_quad.version import __version__
 
 __all__ = ["app", "main"]
@@ -66,28 +68,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
             prog_name="pyomo-quad",
             standalone_mode=False,
         )
-    except (ScenarioError, FeasibilityError) as error:
-        complain(str(error))
-        return ExitCode.BAD_INPUT
-    except _UsageError as error:
-        message = error.format_message()  # type: ignore[attr-defined]
-        complain(f"pyomo-quad: {message} See pyomo-quad --help.")
-        return ExitCode.BAD_INPUT
+        sys.stdout.flush()
     except (KeyboardInterrupt, typer.Abort):
         complain("pyomo-quad: interrupted; nothing was written.")
         return ExitCode.INTERRUPTED
-    except (OutputError, OSError, PyomoQuadError) as error:
+    except BrokenPipeError:
+        return _give_up_output()
+    except (ScenarioError, FeasibilityError) as error:
         complain(str(error))
-        return ExitCode.FAULT
+        return ExitCode.BAD_INPUT
     except Exception as error:  # noqa: BLE001  the last line of defence: one line and a status
-        return _report_bug(error)
+        return _explain(error)
     return int(status or 0)
 
 
-def _report_bug(error: Exception) -> ExitCode:
-    place = traceback.extract_tb(error.__traceback__)[-1]
-    complain(
-        f"pyomo-quad: unexpected {type(error).__name__}: {error} "
-        f"(at {place.filename}:{place.lineno}); this is a bug, please report it with this line."
-    )
+def _explain(error: Exception) -> ExitCode:
+    if isinstance(error, _UsageError):
+        message = error.format_message()  # type: ignore[attr-defined]
+        complain(f"pyomo-quad: {message} See pyomo-quad --help.")
+        return ExitCode.BAD_INPUT
+    if isinstance(error, OSError | PyomoQuadError):
+        complain(str(error))
+    else:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        complain(
+            f"pyomo-quad: unexpected {type(error).__name__}: {error} "
+            f"(at {place.filename}:{place.lineno}); this is a bug, please report it with this line."
+        )
+    return ExitCode.FAULT
+
+
+def _give_up_output() -> ExitCode:
+    # Whoever read the output has closed it; Python would complain when it flushes once more.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return ExitCode.FAULT
