@@ -14,11 +14,16 @@ TOLERANCE = 1e-8
 STATE_TOLERANCE = 1e-6
 # Of controls and costates: the optimum is flat, so an objective good to 1e-8 needs no better.
 SLOPE_TOLERANCE = 1e-4
+# The cost does not hold a singular control, so it is found far less sharply; its costates are
+# cubics and quartics on elements that the states, quadratics there, let stay coarse.
+SINGULAR_STATE_TOLERANCE = 1e-5
+SINGULAR_SLOPE_TOLERANCE = 3e-2
 # Beside a jump or bend the polynomials cannot follow within one element.
 BESIDE_KINK = 1e-2
 
 GATES = (
     "brachistochrone",
+    "bryson_denham",
     "dido",
     "diode_charging",
     "double_integrator",
@@ -52,6 +57,14 @@ def split(component):
     return component if isinstance(component, tuple) else (component, None)
 
 
+def state_tolerance(name):
+    return SINGULAR_STATE_TOLERANCE if name == "singular_arc" else STATE_TOLERANCE
+
+
+def slope_tolerance(name):
+    return SINGULAR_SLOPE_TOLERANCE if name == "singular_arc" else SLOPE_TOLERANCE
+
+
 def offering(kind, names=GATES):
     return [name for name in names if hasattr(textbook(name), kind)]
 
@@ -73,7 +86,9 @@ def test_states(name):
     times = times_away_from_kinks(name)
     for component, expected in textbook(name).state(times).items():
         variable, index = split(component)
-        assert_close(solved(name).value(variable, times, index=index), expected, STATE_TOLERANCE)
+        assert_close(
+            solved(name).value(variable, times, index=index), expected, state_tolerance(name)
+        )
 
 
 @pytest.mark.parametrize("name", offering("control"))
@@ -81,20 +96,23 @@ def test_controls(name):
     times = times_away_from_kinks(name)
     for component, expected in textbook(name).control(times).items():
         variable, index = split(component)
-        assert_close(solved(name).value(variable, times, index=index), expected, SLOPE_TOLERANCE)
+        assert_close(
+            solved(name).value(variable, times, index=index), expected, slope_tolerance(name)
+        )
 
 
-# The stiff problem's costate is known to be wrong at the end of the horizon only.
-@pytest.mark.parametrize("name", [n for n in offering("costate") if n != "stiff_tracking"])
+@pytest.mark.parametrize("name", offering("costate"))
 def test_costates(name):
     times = times_away_from_kinks(name)
     for component, expected in textbook(name).costate(times).items():
         variable, index = split(component)
-        assert_close(solved(name).costate(variable, times, index=index), expected, SLOPE_TOLERANCE)
+        assert_close(
+            solved(name).costate(variable, times, index=index), expected, slope_tolerance(name)
+        )
 
 
 @pytest.mark.parametrize(
-    "name", ["brachistochrone", "double_integrator", "hyper_sensitive", "mass_chain"]
+    "name", ["brachistochrone", "dido", "double_integrator", "hyper_sensitive", "mass_chain"]
 )
 def test_hamiltonian_is_constant_where_time_plays_no_part(name):
     solution = solved(name)
