@@ -12,13 +12,14 @@ from pyomo_quad.collocation.mapped import MappedFunction
 from pyomo_quad.collocation.naming import unknown_place
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
-    from pyomo_quad.collocation.compiled import CompiledModel
     from pyomo_quad.collocation.nodes import FloatArray
     from pyomo_quad.collocation.transcription import Transcription
 
-__all__ = ["Bounds", "bounds_of"]
+__all__ = ["Bounds", "Limit", "bounds_of", "limits_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +30,16 @@ class Bounds:
     upper: FloatArray
     row_lower: FloatArray
     row_upper: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """What one declaration, `name`, demands of unknowns; arrays of one shape."""
+
+    name: str
+    columns: NDArray[np.intp]
+    lower: FloatArray
+    upper: FloatArray
 
 
 def bounds_of(
@@ -49,16 +60,25 @@ def bounds_of(
     TranscriptionError
         If a lower bound exceeds an upper bound; the message names the variable.
     """
-    unknowns = _Unknowns(program)
-    if program.mesh is not None:
-        unknowns.limit_over_time(start_data)
-        unknowns.fix(fixed)
-    unknowns.limit_at_points()
-    unknowns.refuse_crossed()
+    lower = np.full(program.layout.unknowns, -np.inf)
+    upper = np.full(program.layout.unknowns, np.inf)
+    for limit in limits_of(program, start_data, fixed):
+        lower[limit.columns] = np.maximum(lower[limit.columns], limit.lower)
+        upper[limit.columns] = np.minimum(upper[limit.columns], limit.upper)
+    _refuse_crossed(program, lower, upper)
     row_lower, row_upper = _rows(program)
-    return Bounds(
-        lower=unknowns.lower, upper=unknowns.upper, row_lower=row_lower, row_upper=row_upper
-    )
+    return Bounds(lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper)
+
+
+def limits_of(
+    program: Transcription, start_data: FloatArray, fixed: dict[tuple[str, float], float]
+) -> list[Limit]:
+    """Return what each declaration demands of the unknowns by itself; see `bounds_of`."""
+    found = list(_at_points(program))
+    if program.mesh is not None:
+        found.extend(_over_time(program, start_data))
+        found.extend(_fixed(program, fixed))
+    return found
 
 
 def _rows(program: Transcription) -> tuple[FloatArray, FloatArray]:
@@ -75,81 +95,79 @@ def _rows(program: Transcription) -> tuple[FloatArray, FloatArray]:
     return sides[0], sides[1]
 
 
-class _Unknowns:
-    """Tightens the bounds of the unknowns, one source after another."""
+def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit]:
+    """Yield the bounds of variables and the single-variable path limits."""
+    layout, compiled = program.layout, program.compiled
+    declared, n = compiled.declared, program.layout.n_states
+    mapped = MappedFunction(compiled.variable_limits, layout.points + 1)
+    lower, upper, first, second = mapped(np.vstack([start_data, program.data.at_points()]))
+    columns = {s.name: layout.state_columns[:, k] for k, s in enumerate(declared.states)}
+    columns |= {s.name: layout.algebraic_columns[:, k] for k, s in enumerate(declared.algebraics)}
+    for k, slot in enumerate((*declared.states, *declared.algebraics)):
+        rows = slice(0 if k < n else 1, None)
+        yield Limit(
+            name=slot.name, columns=columns[slot.name], lower=lower[rows, k], upper=upper[rows, k]
+        )
+    for k, bound in enumerate(compiled.simple_path_bounds):
+        at = columns[bound.variable]
+        rows = slice(len(first) - len(at), None)
+        yield _either(bound.name, at, first[rows, k], second[rows, k])
 
-    def __init__(self, program: Transcription) -> None:
-        self._program = program
-        self._compiled: CompiledModel = program.compiled
-        self._layout = program.layout
-        self.lower = np.full(self._layout.unknowns, -np.inf)
-        self.upper = np.full(self._layout.unknowns, np.inf)
 
-    def limit_over_time(self, start_data: FloatArray) -> None:
-        """Apply the bounds of variables and of single-variable path limits."""
-        layout, n = self._layout, self._layout.n_states
-        mapped = MappedFunction(self._compiled.variable_limits, layout.points + 1)
-        data = np.vstack([start_data, self._program.data.at_points()])
-        lower, upper, first, second = mapped(data)
-        self._tighten(layout.state_columns, lower[:, :n], upper[:, :n])
-        self._tighten(layout.algebraic_columns, lower[1:, n:], upper[1:, n:])
-        states = [s.name for s in self._compiled.declared.states]
-        algebraics = [s.name for s in self._compiled.declared.algebraics]
-        for k, bound in enumerate(self._compiled.simple_path_bounds):
-            if bound.variable in states:
-                columns = layout.state_columns[:, states.index(bound.variable)]
-                self._tighten_either(columns, first[:, k], second[:, k])
-            else:
-                columns = layout.algebraic_columns[:, algebraics.index(bound.variable)]
-                self._tighten_either(columns, first[1:, k], second[1:, k])
-
-    def fix(self, fixed: dict[tuple[str, float], float]) -> None:
-        """Hold states at declared times; the fractions are element boundaries."""
-        states = [s.name for s in self._compiled.declared.states]
-        nodes = self._program.mesh.node_fractions if self._program.mesh else np.zeros(0)
-        for (name, fraction), number in fixed.items():
-            if name in states:
-                node = int(np.argmin(np.abs(nodes - fraction)))
-                column = self._layout.state_columns[node, states.index(name)]
-                self.lower[column] = self.upper[column] = number
-
-    def limit_at_points(self) -> None:
-        """Apply conditions on one value and the bounds of static variables."""
-        compiled, layout = self._compiled, self._layout
-        parameters = self._program.data.parameters[None, :]
-        names = [s.name for s in compiled.declared.statics]
-        points = {p.symbol.name(): k for k, p in enumerate(compiled.declared.point_symbols)}
-        lower, upper = MappedFunction(compiled.static_limits, 1)(parameters)
-        self._tighten(layout.static_columns, lower[0], upper[0])
-        first, second = MappedFunction(compiled.simple_point_limits, 1)(parameters)
-        for k, bound in enumerate(compiled.simple_point_bounds):
-            if bound.variable in points:
-                row = points[bound.variable]
-                columns = layout.point_values.indices[
-                    layout.point_values.indptr[row] : layout.point_values.indptr[row + 1]
-                ]
-            else:
-                columns = layout.static_columns[[names.index(bound.variable)]]
-            self._tighten_either(columns, first[0, k], second[0, k])
-
-    def _tighten_either(
-        self, columns: NDArray[np.intp], first: FloatArray, second: FloatArray
-    ) -> None:
-        self._tighten(columns, np.minimum(first, second), np.maximum(first, second))
-
-    def _tighten(self, columns: NDArray[np.intp], lower: FloatArray, upper: FloatArray) -> None:
-        self.lower[columns] = np.maximum(self.lower[columns], lower)
-        self.upper[columns] = np.minimum(self.upper[columns], upper)
-
-    def refuse_crossed(self) -> None:
-        """Raise if any bounds cross, naming the worst variable."""
-        gap = self.lower - self.upper
-        scale = 1e-9 * (1.0 + np.minimum(np.abs(self.lower), np.abs(self.upper)))
-        close = (gap > 0.0) & (gap <= scale)
-        self.upper[close] = self.lower[close]
-        worst = int(np.argmax(self.lower - self.upper)) if gap.size else 0
-        if gap.size and self.lower[worst] > self.upper[worst]:
-            raise TranscriptionError(
-                f"{unknown_place(self._program, worst)}: lower bound {self.lower[worst]:g} is "
-                f"above upper bound {self.upper[worst]:g}; relax one of the two."
+def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Iterator[Limit]:
+    """Yield the values held at declared times, whose fractions are element boundaries."""
+    states = [s.name for s in program.compiled.declared.states]
+    nodes = program.mesh.node_fractions if program.mesh else np.zeros(0)
+    for (name, fraction), number in fixed.items():
+        if name in states:
+            node = int(np.argmin(np.abs(nodes - fraction)))
+            column = program.layout.state_columns[[node], states.index(name)]
+            held = np.array([number])
+            yield Limit(
+                name=str(unknown_place(program, int(column[0]))),
+                columns=column,
+                lower=held,
+                upper=held,
             )
+
+
+def _at_points(program: Transcription) -> Iterator[Limit]:
+    """Yield conditions on one value and the bounds of static variables."""
+    compiled, layout = program.compiled, program.layout
+    declared = compiled.declared
+    parameters = program.data.parameters[None, :]
+    lower, upper = MappedFunction(compiled.static_limits, 1)(parameters)
+    for k, slot in enumerate(declared.statics):
+        column = layout.static_columns[[k]]
+        yield Limit(name=slot.name, columns=column, lower=lower[0, [k]], upper=upper[0, [k]])
+    names = [s.name for s in declared.statics]
+    points = {p.symbol.name(): k for k, p in enumerate(declared.point_symbols)}
+    first, second = MappedFunction(compiled.simple_point_limits, 1)(parameters)
+    for k, bound in enumerate(compiled.simple_point_bounds):
+        if bound.variable in points:
+            row = points[bound.variable]
+            values = layout.point_values
+            column = values.indices[values.indptr[row] : values.indptr[row + 1]]
+        else:
+            column = layout.static_columns[[names.index(bound.variable)]]
+        yield _either(bound.name, column, first[0, [k]], second[0, [k]])
+
+
+def _either(name: str, columns: NDArray[np.intp], one: FloatArray, other: FloatArray) -> Limit:
+    return Limit(
+        name=name, columns=columns, lower=np.minimum(one, other), upper=np.maximum(one, other)
+    )
+
+
+def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
+    """Raise if any bounds cross, naming the worst variable; rounding errors are forgiven."""
+    gap = lower - upper
+    scale = 1e-9 * (1.0 + np.minimum(np.abs(lower), np.abs(upper)))
+    close = (gap > 0.0) & (gap <= scale)
+    upper[close] = lower[close]
+    worst = int(np.argmax(lower - upper)) if gap.size else 0
+    if gap.size and lower[worst] > upper[worst]:
+        raise TranscriptionError(
+            f"{unknown_place(program, worst)}: lower bound {lower[worst]:g} is "
+            f"above upper bound {upper[worst]:g}; relax one of the two."
+        )
