@@ -63,14 +63,18 @@ class AfterCases(SilentListener):
 
 
 def sweep(
-    study: Path, folder: Path, workforce: Workforce, listener: SilentListener | None = None
+    study: Path,
+    folder: Path,
+    workforce: Workforce,
+    listener: SilentListener | None = None,
+    solver: str = SOLVER,
 ) -> SweepSummary:
     loaded = load_study(study)
     design = design_sweep(loaded)
     with ResultStore.writing(folder, design) as store:
         adopt_design(store, design)
         listener = listener or SilentListener()
-        return Sweep(design, loaded.base, store, listener, SOLVER).run(workforce)
+        return Sweep(design, loaded.base, store, listener, solver).run(workforce)
 
 
 def rows(folder: Path) -> pd.DataFrame:

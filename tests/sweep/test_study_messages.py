@@ -62,6 +62,11 @@ def test_axes_are_refused_in_one_line(tmp_path, axes, complaint):
     assert "\n" not in str(caught.value)
 
 
+def test_a_model_builder_of_the_scenario_is_refused(tmp_path):
+    with pytest.raises(StudyError, match="model builder of its own, which a sweep does not run"):
+        design_of(tmp_path, DURATION_AXIS, 'fixed.model = "mine.py:build"')
+
+
 def test_message_about_an_axis_names_the_study_and_not_the_command_line(tmp_path):
     with pytest.raises(ScenarioError) as caught:
         design_of(tmp_path, axis("mission.duration", "values = [5.0, -1.0]"))

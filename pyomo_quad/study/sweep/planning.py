@@ -44,6 +44,7 @@ def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> Swee
     """
     study, source = loaded.study, loaded.source
     _check_paths(study, source)
+    _refuse_own_model(loaded)
     _check_size(_case_count(study, source), source, is_large_allowed=is_large_allowed)
     dimensions = tuple(_dimensions(study, loaded.base))
     for dimension in dimensions:
@@ -76,6 +77,14 @@ def _check_paths(study: Study, source: str) -> None:
                     f"keep one of them."
                 )
         seen.append(path)
+
+
+def _refuse_own_model(loaded: LoadedStudy) -> None:
+    if loaded.base.model is not None or any(axis.path == "model" for axis in loaded.study.axis):
+        raise StudyError(
+            f"{loaded.source}: the scenario names a model builder of its own, which a sweep does "
+            f"not run; remove the field model."
+        )
 
 
 def _groups(study: Study) -> dict[str, list[Axis]]:

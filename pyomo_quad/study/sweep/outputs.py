@@ -1,0 +1,103 @@
+"""The columns of a case: what is read off its flights.
+
+This is the one home of their names: task, tables and figures take them from here.
+"""
+
+import math
+
+import numpy as np
+
+from pyomo_quad.flight import Flight, Plan
+from pyomo_quad.scenario import Scenario
+
+__all__ = [
+    "DURATION_FIELD",
+    "ENERGY",
+    "EXCESS_ENERGY",
+    "HOVER_ENERGY",
+    "MEAN_POWER",
+    "plan_outputs",
+]
+
+ENERGY = "energy_J"
+HOVER_ENERGY = "hover_energy_J"
+EXCESS_ENERGY = "excess_energy_J"
+MEAN_POWER = "mean_power_W"
+# The scenario's field that the figures over time look for.
+DURATION_FIELD = "mission.duration"
+
+_EMPTY = 0.0
+_SAMPLES = 501
+# A solve is good to six digits, and rounding differs between machines: what is stored has the
+# digits that mean something, and is the same wherever it was solved.
+_DIGITS = 9
+_SMALLEST_RESIDUAL = 1e-7
+_RESIDUALS = ("max_violation", "terminal_miss_m")
+_ERROR_ESTIMATE = "error_estimate"
+_ERROR_DIGITS = 2
+
+
+def plan_outputs(plan: Plan) -> dict[str, float]:
+    """Return the numbers of a case's plan.
+
+    Parameters
+    ----------
+    plan : Plan
+        Verified or not.
+
+    Returns
+    -------
+    dict of str to float
+        Column -> number; NaN where the plan has none.
+    """
+    flight = plan.flight(samples=_SAMPLES)
+    outputs = {
+        ENERGY: plan.energy,
+        HOVER_ENERGY: plan.hover_energy_J,
+        EXCESS_ENERGY: plan.energy - plan.hover_energy_J,
+        **_flight_outputs(flight, plan.scenario),
+        _ERROR_ESTIMATE: plan.error_estimate,
+        "max_violation": flight.max_violation,
+        "terminal_miss_m": flight.terminal_miss_m,
+    }
+    return {name: _rounded(name, value) for name, value in outputs.items()}
+
+
+def _rounded(name: str, value: float) -> float:
+    if name in _RESIDUALS and math.isfinite(value):
+        return float(f"{round(value / _SMALLEST_RESIDUAL) * _SMALLEST_RESIDUAL:.{_DIGITS}g}")
+    digits = _ERROR_DIGITS if name == _ERROR_ESTIMATE else _DIGITS
+    return float(f"{value:.{digits}g}")
+
+
+def _flight_outputs(flight: Flight, scenario: Scenario) -> dict[str, float]:
+    frame = flight.frame
+    tilt = np.arccos(np.cos(frame["phi_rad"]) * np.cos(frame["theta_rad"]))
+    return {
+        MEAN_POWER: flight.energy_J / flight.duration_s,
+        "peak_power_W": float(frame["power_W"].max()),
+        "peak_tilt_rad": float(tilt.max()),
+        **_battery_outputs(flight, scenario),
+    }
+
+
+def _battery_outputs(flight: Flight, scenario: Scenario) -> dict[str, float]:
+    """Return what the flight takes of the charge, and how far the charge takes the vehicle.
+
+    Range and endurance are those of the mission flown again and again at the voltage of the first
+    time: a battery that sags makes them a little shorter.
+    """
+    frame = flight.frame
+    charge = frame["state_of_charge_percent"]
+    used = float(charge.iloc[0] - charge.iloc[-1])
+    usable = scenario.battery.initial_state_of_charge - (
+        scenario.limits.state_of_charge_min or _EMPTY
+    )
+    repeats = usable / used if used > 0.0 else np.nan
+    mission = scenario.mission
+    return {
+        "battery_used_percent": used,
+        "lowest_voltage_V": float(frame["battery_voltage_V"].min()),
+        "range_m": repeats * math.dist(mission.start.position, mission.goal.position),
+        "endurance_s": repeats * flight.duration_s,
+    }

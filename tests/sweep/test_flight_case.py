@@ -1,0 +1,62 @@
+"""Real cases: pure functions of their task, and as good as independent solves."""
+
+import pytest
+
+from pyomo_quad.flight import solve_scenario
+from pyomo_quad.study.sweep import ProcessWorkforce, design_sweep, load_study
+from pyomo_quad.study.sweep.cases import expand
+from pyomo_quad.study.sweep.runner import FLIGHT_SOLVER
+from tests.sweep.studies import write_study
+from tests.sweep.sweeping import Here, rows, sweep
+
+AXES = """
+[[axis]]
+path = "mission.duration"
+values = [9.0, 10.0, 11.0]
+
+[[axis]]
+path = "wind.speed"
+values = [0.0, 1.5]
+"""
+COARSE = "fixed.solver = { elements = 12, degree = 5, tolerance = 1e-5 }"
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    return write_study(tmp_path_factory.mktemp("study"), AXES, COARSE)
+
+
+@pytest.fixture(scope="module")
+def solved_here(study):
+    folder = study.parent / "here"
+    sweep(study, folder, Here(), solver=FLIGHT_SOLVER)
+    return rows(folder)
+
+
+def test_all_cases_are_verified(solved_here):
+    assert list(solved_here["status"]) == ["finished"] * 6
+    assert (solved_here["excess_energy_J"] > 0.0).all()
+
+
+def test_rows_are_the_same_numbers_from_two_processes(study, solved_here):
+    folder = study.parent / "two"
+    with ProcessWorkforce.of(2) as workforce:
+        sweep(study, folder, workforce, solver=FLIGHT_SOLVER)
+    assert rows(folder).equals(solved_here)
+
+
+def test_a_warm_start_changes_an_optimum_by_no_more_than_the_tolerance(study, solved_here):
+    loaded = load_study(study)
+    for case in expand(design_sweep(loaded))[::3]:
+        alone = solve_scenario(loaded.base.with_values(case.overrides))
+        assert solved_here["energy_J"][case.position] == pytest.approx(alone.energy, rel=1e-5)
+
+
+def test_a_case_that_cannot_be_flown_is_a_failed_row(tmp_path):
+    # 11.8 m in 1.5 s is beyond thrust and rotor limits.
+    hopeless = '[[axis]]\npath = "mission.duration"\nvalues = [1.5]\n'
+    study = write_study(tmp_path, hopeless, COARSE.replace("}", ", max_iterations = 60 }"))
+    sweep(study, tmp_path / "out", Here(), solver=FLIGHT_SOLVER)
+    (row,) = rows(tmp_path / "out").to_dict("records")
+    assert row["status"] == "failed"
+    assert row["reason"].startswith(("infeasible: ", "not_converged: "))
