@@ -1,0 +1,177 @@
+"""What the engine refuses before Ipopt starts: one line each, naming the component."""
+
+import pytest
+from pyomo.dae import ContinuousSet, DerivativeVar, Integral
+from pyomo.environ import (
+    Binary,
+    ConcreteModel,
+    Constraint,
+    Integers,
+    Objective,
+    Param,
+    Var,
+    log,
+)
+
+from pyomo_quad.collocation import Mesh, TranscriptionError, compile, ipopt, solve  # noqa: A004
+
+MESH = Mesh.uniform(5, 3)
+
+
+@pytest.fixture(autouse=True)
+def _ipopt_must_not_start(monkeypatch):
+    def refuse(*_args, **_options):
+        pytest.fail("Ipopt was started")
+
+    monkeypatch.setattr(ipopt.cyipopt, "Problem", refuse)
+
+
+@pytest.fixture
+def m():
+    """A regulator x' = u - x with nothing wrong in it."""
+    m = ConcreteModel()
+    m.t = ContinuousSet(bounds=(0, 1))
+    m.x = Var(m.t, initialize=1.0)
+    m.u = Var(m.t, bounds=(-1, 1))
+    m.dx_dt = DerivativeVar(m.x, wrt=m.t)
+    m.balance = Constraint(m.t, rule=lambda m, t: m.dx_dt[t] == m.u[t] - m.x[t])
+    m.x[0].fix(1)
+    m.cost = Integral(m.t, wrt=m.t, rule=lambda m, t: m.u[t] ** 2 + m.x[t] ** 2)
+    m.objective = Objective(expr=m.cost)
+    return m
+
+
+def refused(model, message, **arguments):
+    with pytest.raises(TranscriptionError, match=message) as caught:
+        solve(model, **({"mesh": MESH} | arguments))
+    assert "\n" not in str(caught.value)
+
+
+def test_no_objective(m):
+    m.objective.deactivate()
+    refused(m, r"objective: 0 active \(none\); exactly one is needed")
+
+
+def test_two_objectives(m):
+    m.other = Objective(expr=m.x[1])
+    refused(m, r"objective: 2 active \(objective, other\)")
+
+
+def test_derivative_without_dynamics(m):
+    m.balance.deactivate()
+    refused(m, "dx_dt: no equation over time holds this derivative; declare its dynamics")
+
+
+def test_derivative_of_an_indexed_state_without_dynamics(m):
+    m.y = Var([1, 2], m.t)
+    m.dy_dt = DerivativeVar(m.y, wrt=m.t)
+    m.motion = Constraint(m.t, rule=lambda m, t: m.dy_dt[1, t] + 0 * m.y[2, t] == m.u[t])
+    m.ends = Constraint([1, 2], rule=lambda m, k: m.y[k, 1] == 0)
+    m.steady = Constraint(m.t, rule=lambda m, t: m.dy_dt[2, t] <= 1)
+    refused(m, r"dy_dt\[2\]: no equation over time holds this derivative")
+
+
+def test_fixed_ends_without_a_control(m):
+    m.x[1].fix(2)
+    m.still = Constraint(m.t, rule=lambda m, t: m.u[t] == 0.5 * m.x[t])
+    refused(m, r"30 equations for 29 free unknowns; it is over-determined.*boundary.* of x")
+
+
+def test_more_equations_than_unknowns(m):
+    m.first = Constraint(m.t, rule=lambda m, t: m.u[t] + m.x[t] == 1)
+    m.second = Constraint(m.t, rule=lambda m, t: m.u[t] - m.x[t] == 0)
+    refused(m, "45 equations for 30 free unknowns")
+
+
+def test_not_finite_at_the_guess(m):
+    m.depth = Constraint(m.t, rule=lambda m, t: log(m.x[t] - 2 * t) >= -5)
+    refused(m, r"depth at time 0\.52899 \(element 3, point 2\): is nan at the initial guess")
+
+
+def test_integrand_not_finite_at_the_guess(m):
+    m.objective.deactivate()
+    m.loss = Integral(m.t, wrt=m.t, rule=lambda m, t: log(m.u[t] - 1))
+    m.total = Objective(expr=m.loss)
+    refused(m, "total: is (nan|-inf) at the initial guess")
+
+
+def test_crossed_bounds_of_a_variable(m):
+    m.w = Var(m.t, bounds=(3, 2))
+    m.use = Constraint(m.t, rule=lambda m, t: m.w[t] + m.u[t] >= 0)
+    refused(m, r"w at time .*: lower bound 3 is above upper bound 2; relax one of the two")
+
+
+def test_bounds_crossed_by_a_path_limit(m):
+    m.limit = Constraint(m.t, rule=lambda m, t: m.u[t] >= 4)
+    refused(m, r"u at time .*: lower bound 4 is above upper bound 1")
+
+
+def test_start_outside_a_limit(m):
+    m.limit = Constraint(m.t, rule=lambda m, t: m.x[t] <= 0.5)
+    refused(m, r"x at time 0: lower bound 1 is above upper bound 0\.5")
+
+
+def test_degree_zero(m):
+    with pytest.raises(TranscriptionError, match="element degree = 0; must be at least 1"):
+        solve(m, mesh=Mesh.uniform(5, 0))
+
+
+def test_partial_differential_equations(m):
+    m.s = ContinuousSet(bounds=(0, 1))
+    m.w = Var(m.t, m.s)
+    m.dw_dt = DerivativeVar(m.w, wrt=m.t)
+    m.dw_ds = DerivativeVar(m.w, wrt=m.s)
+    m.wave = Constraint(m.t, m.s, rule=lambda m, t, s: m.dw_dt[t, s] == m.dw_ds[t, s])
+    refused(m, "continuous sets t, s: partial differential equations are not supported")
+
+
+def test_integer_variable(m):
+    m.count = Var(domain=Integers, initialize=1)
+    m.use = Constraint(expr=m.x[1] <= m.count)
+    refused(m, "count: domain Integers is not continuous")
+
+
+def test_binary_variable_over_time(m):
+    m.switch = Var(m.t, domain=Binary, initialize=1)
+    m.use = Constraint(m.t, rule=lambda m, t: m.x[t] <= 2 * m.switch[t])
+    refused(m, r"switch\[0\]: domain Binary is not continuous")
+
+
+def test_second_derivative(m):
+    m.y = Var(m.t)
+    m.d2y_dt2 = DerivativeVar(m.y, wrt=(m.t, m.t))
+    m.motion = Constraint(m.t, rule=lambda m, t: m.d2y_dt2[t] == m.u[t])
+    refused(m, "d2y_dt2: a derivative of order 2 is not supported; declare the first derivative")
+
+
+def test_value_at_a_fixed_time_inside_an_equation(m):
+    m.limit = Constraint(m.t, rule=lambda m, t: m.x[t] + m.u[t] <= m.x[0])
+    refused(m, r"x\[0\]: a value at a fixed time inside an equation over time is not supported")
+
+
+def test_integral_inside_an_equation(m):
+    m.limit = Constraint(m.t, rule=lambda m, t: m.x[t] <= m.cost)
+    refused(m, "cost: an integral inside an equation over time is not supported")
+
+
+def test_parameter_without_a_value(m):
+    m.ceiling = Param(mutable=True)
+    m.limit = Constraint(expr=m.x[1] <= m.ceiling)
+    refused(m, "ceiling: has no value; give it one before the solve")
+
+
+def test_unknown_parameter(m):
+    refused(m, "parameters: 'ceiling' is not a component of the model", parameters={"ceiling": 1})
+
+
+def test_horizon_that_ends_before_it_starts(m):
+    refused(m, "horizon: end 0 is not after start 1", horizon=(1.0, 0.0))
+
+
+def test_guess_that_is_not_a_number(m):
+    refused(m, "balance at time .* is nan at the initial guess", guess={"x": float("nan")})
+
+
+def test_empty_model():
+    with pytest.raises(TranscriptionError, match="objective: 0 active"):
+        compile(ConcreteModel())
