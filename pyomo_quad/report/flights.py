@@ -11,7 +11,7 @@ from pyomo_quad.report.style import LineStyle, flight_styles
 if TYPE_CHECKING:
     from pyomo_quad.flight import Flight, Plan
 
-__all__ = ["StyledFlight", "fair_pair", "plan_flight", "styled_flights"]
+__all__ = ["FAIR_BASELINE", "StyledFlight", "fair_pair", "plan_flight", "styled_flights"]
 
 FAIR_BASELINE = "adaptive/quintic"
 _FAILED_PLAN = "best iterate"

@@ -37,7 +37,9 @@ from pyomo_quad.report.style import save_figure
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
 
-__all__ = ["Drawing", "energy_split_drawing", "plan_drawings", "save_drawings"]
+__all__ = ["PATH_NAME", "Drawing", "energy_split_drawing", "plan_drawings", "save_drawings"]
+
+PATH_NAME = "path"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,7 +154,7 @@ def _motion(flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
     beat = flights[0].duration_s / BEAT_COUNT
     return (
         Drawing(
-            name="path",
+            name=PATH_NAME,
             title="Path",
             caption=f"Paths from start (dot) to goal (star), with a mark every {beat:.3g} s.",
             needs=_columns(POSITION),
