@@ -48,9 +48,11 @@ def solve(
         from pyomo_quad.study.cautions import plan_cautions  # noqa: PLC0415
     planner = solving.planner_for(resolved, is_code_allowed=allow_code)
     folder = folder_of(resolved, out)
-    with output_folder(folder) as aside:
-        with solving.follow_solve(is_quiet=quiet or as_json) as (progress, interruption):
-            plan = planner.solve(resolved, progress=progress)
+    with (
+        solving.follow_solve(is_quiet=quiet or as_json) as (progress, interruption),
+        output_folder(folder) as aside,
+    ):
+        plan = planner.solve(resolved, progress=progress)
         cautions = plan_cautions(plan)
         with watch.phase("report"):
             write_solve_report(aside, plan, cautions, rate)
