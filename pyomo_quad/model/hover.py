@@ -74,6 +74,22 @@ class SteadyFlight:
         self.set_rotor_speed(speed)
         return float(value(self.model.rotors.total_thrust[self._start]))
 
+    def power(self, speed: float) -> float:
+        """Return the power of steady flight at a rotor speed.
+
+        Parameters
+        ----------
+        speed : float
+            Rotor speed, rad/s.
+
+        Returns
+        -------
+        float
+            Power of all rotors, W.
+        """
+        self.set_rotor_speed(speed)
+        return float(value(self.model.power.total[self._start]))
+
     def power_at_thrust(self, thrust: float) -> float:
         """Return the power of steady flight at a total thrust.
 
@@ -88,14 +104,12 @@ class SteadyFlight:
             Power of all rotors, W.
         """
         if thrust <= 0.0:
-            self.set_rotor_speed(0.0)
-        else:
-            fastest = self.hover_speed
-            while self.thrust(fastest) < thrust:
-                fastest *= 2.0
-            speed = brentq(lambda s: self.thrust(s) - thrust, 0.0, fastest, xtol=1e-12, rtol=1e-15)
-            self.set_rotor_speed(speed)
-        return float(value(self.model.power.total[self._start]))
+            return self.power(0.0)
+        fastest = self.hover_speed
+        while self.thrust(fastest) < thrust:
+            fastest *= 2.0
+        speed = brentq(lambda s: self.thrust(s) - thrust, 0.0, fastest, xtol=1e-12, rtol=1e-15)
+        return self.power(speed)
 
     def hover(self) -> Hover:
         """Return hover with the battery as it is at the start of the mission."""

@@ -9,6 +9,7 @@ t | wind_time | s | wind time: time in flight plus the scenario's offset
 The gust of eq. (12) peaks at v_gmax a quarter of a period after its start.
 """
 
+from collections.abc import Callable
 from math import cos, pi, tau
 from math import sin as sine
 
@@ -20,9 +21,11 @@ from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.wind import FrequencyUnit, WindAxis, WindSeries
 
-__all__ = ["AXIS_PARAMETERS", "HARMONICS", "PARAMETERS", "declare_wind"]
+__all__ = ["AXIS_PARAMETERS", "HARMONICS", "PARAMETERS", "declare_wind", "move_clock"]
 
 HARMONICS = (1, 2, 3)
+# Where a model with a measured wind keeps its splines, as functions of the time in flight.
+_SPLINES = "splines"
 _SPEED = units.m / units.s
 
 PARAMETERS = (
@@ -105,6 +108,23 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
         _declare_series(m, series, scenario.wind.time_offset)
 
 
+def move_clock(m: ConcreteModel, instant: float, time: float) -> None:
+    """Let one declared instant of a model stand for another time of the flight.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With `wind`; its wind at the instant becomes that of the time.
+    instant : float
+        An element of the model's `time`.
+    time : float
+        Time in flight, s.
+    """
+    m.clock[instant].set_value(time)
+    for name, spline in getattr(m.wind, _SPLINES, {}).items():
+        m.wind.component(name)[instant].set_value(spline(time))
+
+
 def _declare_formula(m: ConcreteModel, scenario: Scenario) -> None:
     b = m.wind
     declare_parameters(b, PARAMETERS, scenario)
@@ -144,20 +164,24 @@ def _declare_gust(axis: Block, m: ConcreteModel) -> None:
 
 def _declare_series(m: ConcreteModel, series: WindSeries, offset: float) -> None:
     b = m.wind
-    for name, samples in (("x", series.wind_x), ("y", series.wind_y)):
-        spline = CubicSpline(series.times, samples)
+    splines = {
+        f"measured_{name}": _spline(series.times, speeds, offset)
+        for name, speeds in (("x", series.wind_x), ("y", series.wind_y))
+    }
+    setattr(b, _SPLINES, splines)
+    for name, spline in splines.items():
 
-        def measured(_b: Block, t: float, spline: CubicSpline = spline) -> float:
-            return float(spline(t + offset))
+        def measured(_b: Block, t: float, spline: Callable[[float], float] = spline) -> float:
+            return spline(t)
 
         table = Param(
             m.time,
             initialize=measured,
             mutable=True,
             units=_SPEED,
-            doc=f"measured wind along world {name}, cubic spline [m/s]",
+            doc=f"{name} along its world axis, cubic spline [m/s]",
         )
-        b.add_component(f"measured_{name}", table)
+        b.add_component(name, table)
 
     @b.Expression(m.time, doc="wind along world x [m/s]")
     def velocity_x(b: Block, t: float) -> NumericExpression:
@@ -166,3 +190,11 @@ def _declare_series(m: ConcreteModel, series: WindSeries, offset: float) -> None
     @b.Expression(m.time, doc="wind along world y [m/s]")
     def velocity_y(b: Block, t: float) -> NumericExpression:
         return b.measured_y[t]
+
+
+def _spline(
+    times: tuple[float, ...], speeds: tuple[float, ...], offset: float
+) -> Callable[[float], float]:
+    """Return measured speed as a function of the time in flight."""
+    spline = CubicSpline(times, speeds)
+    return lambda t: float(spline(t + offset))

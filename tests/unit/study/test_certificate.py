@@ -1,0 +1,94 @@
+"""When there is a certificate, what it says when not, and what it rests on in each model."""
+
+import numpy as np
+import pytest
+
+from pyomo_quad.model.momentum import MomentumDemand
+from pyomo_quad.study.certificate import certify
+from tests.declared_model import Instant, scenario
+
+BOUNDED = ("motor", "shaft", "constant_efficiency", "motor_with_friction")
+
+
+def remainder_in_alpha(model, omega):
+    """Fit power at one speed by a quadratic in alpha; return its curvature and what it misses."""
+    at = Instant.of(power={"model": model, "regeneration": True})
+    alphas = np.linspace(-3000.0, 3000.0, 7)
+    powers = np.array(
+        [at.set(omega=(omega,) * 4, alpha=(a,) * 4).read("power.rotor_power", 1) for a in alphas]
+    )
+    fit = np.polynomial.Polynomial.fit(alphas, powers, 2)
+    return fit.convert().coef[2], np.max(np.abs(fit(alphas) - powers)) / np.max(np.abs(powers))
+
+
+@pytest.mark.parametrize("omega", [1.0, 300.0, 912.0, 1047.0])
+@pytest.mark.parametrize("model", BOUNDED)
+def test_alpha_enters_linearly_and_by_a_square_that_costs(model, omega):
+    # What the bound rests on: the linear part integrates to zero, the square is not negative.
+    curvature, missed = remainder_in_alpha(model, omega)
+    assert curvature >= -1e-15
+    assert missed < 1e-12
+
+
+def test_alpha_enters_the_efficiency_function_otherwise():
+    _, missed = remainder_in_alpha("efficiency", 912.0)
+    assert missed > 1e-3
+
+
+def test_momentum_demand_is_read_off_the_declared_balance():
+    wind = {"use": "constant", "speed": 2.0, "coupling": "drag"}
+    demand = MomentumDemand(scenario(wind=wind, vehicle={"payload": 0.2, "drag_linear": 0.3}))
+    assert demand.is_linear
+    np.testing.assert_allclose(demand.mass, 1.5)
+    np.testing.assert_allclose(demand.drag, 0.3)
+    motion = {"velocity": np.array([1.0, 2.0, 3.0]), "acceleration": np.array([0.5, 0.0, -1.0])}
+    needed = 1.5 * np.array([0.5, 0.0, 8.81]) + 0.3 * np.array([1.0 - 2.0, 2.0, 3.0])
+    np.testing.assert_allclose(demand.thrust(4.0, **motion), needed, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("tables", "reason"),
+    [
+        ({"power": {"model": "efficiency"}}, "power.model efficiency has no bound"),
+        (
+            {"wind": {"use": "calm", "coupling": "drag"}, "vehicle": {"drag_quadratic": 0.01}},
+            "vehicle.drag_quadratic = 0.01 kg/m: with quadratic drag",
+        ),
+        ({"model": "own.py:build"}, "a model of one's own"),
+        ({"mission": {"goal": {"position": [0.0, 0.0, 8.0]}, "duration": 0.3}}, "no flight meets"),
+        ({"limits": {"rotor_speed_min": 1047.19, "rotor_speed_max": 1047.0}}, "no flight meets"),
+    ],
+)
+def test_where_there_is_none_the_reason_is_given(tables, reason):
+    found = certify(scenario(**tables) if "model" not in tables else own_model())
+    assert not found.applies
+    assert found.lower_bound_J is None
+    assert found.gap_percent(700.0) is None
+    assert reason in found.reason
+
+
+def own_model():
+    return scenario().with_values({"model": "own.py:build"})
+
+
+def test_the_gap_is_relative_to_the_energy():
+    found = certify(scenario())
+    assert found.gap_percent(2 * found.lower_bound_J) == pytest.approx(50.0)
+    assert "momentum balance" in found.reason
+
+
+def test_the_bound_does_not_depend_on_how_far_the_speed_limit_is():
+    usual = certify(scenario()).lower_bound_J
+    far = certify(scenario(limits={"rotor_speed_max": 2e4})).lower_bound_J
+    assert far == pytest.approx(usual, rel=1e-6)
+
+
+def test_a_measured_wind_is_integrated_too(tmp_path):
+    times = np.linspace(0.0, 10.0, 101)
+    rows = "\n".join(f"{t},{1.0 + 0.1 * np.sin(0.5 * t)},0.5" for t in times)
+    (tmp_path / "wind.csv").write_text(f"time_s,wind_x_m_per_s,wind_y_m_per_s\n{rows}\n")
+    measured = certify(scenario(wind={"use": "calm", "file": str(tmp_path / "wind.csv")}))
+    silent = {"amplitudes": [0.0, 0.0, 0.0], "gust_amplitude": 0.0}
+    harmonic = {"amplitudes": [0.1, 0.0, 0.0], "gust_amplitude": 0.0}
+    formula = certify(scenario(wind={"use": "paper_table_2", "x": harmonic, "y": silent}))
+    assert measured.lower_bound_J == pytest.approx(formula.lower_bound_J, rel=1e-7)
