@@ -1,0 +1,173 @@
+"""Solving a compiled problem again: other numbers, horizons, guesses, warm starts; giving up."""
+
+import numpy as np
+import pytest
+from pyomo.dae import ContinuousSet, DerivativeVar
+from pyomo.environ import ComponentMap, ConcreteModel, Constraint, Objective, Var, cos, sin
+
+from pyomo_quad.collocation import (
+    Mesh,
+    RefinementOptions,
+    SolverOptions,
+    Status,
+    compile,  # noqa: A004
+    solve,
+)
+from tests.problems import brachistochrone, hyper_sensitive, scalar_regulator
+
+MESH = Mesh.uniform(8, 5)
+
+
+@pytest.fixture(scope="module")
+def regulator():
+    return compile(scalar_regulator.build())
+
+
+@pytest.mark.parametrize("changes", [{}, {"a": -1.0}, {"q": 0.1, "r": 3.0}, {"x0": -2.0, "s": 0.0}])
+def test_new_parameters_without_a_rebuild(regulator, changes):
+    solution = regulator.solve(mesh=MESH, parameters=changes)
+    assert solution.objective == pytest.approx(scalar_regulator.objective(**changes), rel=1e-8)
+
+
+def test_parameters_by_component_and_from_the_model():
+    m = scalar_regulator.build()
+    problem = compile(m)
+    by_component = problem.solve(mesh=MESH, parameters=ComponentMap([(m.q, 5.0)])).objective
+    m.q.set_value(5.0)
+    assert problem.solve(mesh=MESH).objective == by_component
+    assert by_component == pytest.approx(scalar_regulator.objective(q=5.0), rel=1e-8)
+
+
+def test_new_fixed_value_without_a_rebuild():
+    m = hyper_sensitive.build()
+    problem = compile(m)
+    m.x[0].fix(-hyper_sensitive.START)
+    m.x[hyper_sensitive.HORIZON].fix(-hyper_sensitive.END)
+    assert problem.solve(tolerance=1e-8).objective == pytest.approx(
+        hyper_sensitive.objective(), rel=1e-8
+    )
+
+
+def test_new_horizon(monkeypatch):
+    problem = compile(hyper_sensitive.build())
+    monkeypatch.setattr(hyper_sensitive, "HORIZON", 5.0)
+    solution = problem.solve(tolerance=1e-8, horizon=(0.0, 5.0))
+    assert solution.objective == pytest.approx(hyper_sensitive.objective(), rel=1e-8)
+    assert solution.horizon == (0.0, 5.0)
+
+
+def test_warm_start_needs_fewer_iterations():
+    problem = compile(brachistochrone.build())
+    cold = problem.solve(mesh=MESH)
+    warm = problem.solve(mesh=MESH, warm_start=cold)
+    assert warm.status is Status.CONVERGED
+    assert warm.iterations[-1].iteration < cold.iterations[-1].iteration / 3
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-9)
+
+
+def test_warm_start_on_another_mesh():
+    problem = compile(brachistochrone.build())
+    coarse = problem.solve(mesh=Mesh.uniform(5, 3))
+    fine = problem.solve(mesh=Mesh.uniform(9, 5), warm_start=coarse)
+    assert fine.status is Status.CONVERGED
+    assert fine.objective == pytest.approx(brachistochrone.objective(), rel=1e-8)
+
+
+def test_guess_from_a_frame_and_from_functions():
+    problem = compile(brachistochrone.build())
+    cold = problem.solve(mesh=MESH)
+    from_frame = problem.solve(mesh=MESH, guess=cold.to_frame())
+    assert from_frame.objective == pytest.approx(cold.objective, rel=1e-8)
+    functions = {"x": lambda t: 10 * t, "y": lambda t: 5 * t, "duration": 1.8}
+    from_functions = problem.solve(mesh=MESH, guess=functions)
+    assert from_functions.objective == pytest.approx(cold.objective, rel=1e-8)
+
+
+def slide(*, scaled):
+    """The brachistochrone in physical time, with its end left to the helper, or scaled by hand."""
+    m = ConcreteModel()
+    m.t = ContinuousSet(bounds=(0, 1))
+    m.duration = Var(bounds=(0.1, 10), initialize=2)
+    m.x, m.y, m.v = Var(m.t), Var(m.t), Var(m.t, bounds=(0, None))
+    m.theta = Var(m.t, bounds=(0, np.pi), initialize=0.8)
+    m.dx, m.dy, m.dv = (DerivativeVar(s, wrt=m.t) for s in (m.x, m.y, m.v))
+    span = m.duration if scaled else 1.0
+    gravity = brachistochrone.GRAVITY
+    m.across = Constraint(m.t, rule=lambda m, t: m.dx[t] == span * m.v[t] * sin(m.theta[t]))
+    m.down = Constraint(m.t, rule=lambda m, t: m.dy[t] == span * m.v[t] * cos(m.theta[t]))
+    m.fall = Constraint(m.t, rule=lambda m, t: m.dv[t] == span * gravity * cos(m.theta[t]))
+    for start in (m.x[0], m.y[0], m.v[0]):
+        start.fix(0)
+    m.x[1].fix(brachistochrone.ACROSS)
+    m.y[1].fix(brachistochrone.DOWN)
+    m.objective = Objective(expr=m.duration)
+    return m
+
+
+def test_free_final_time_by_the_helper():
+    m = slide(scaled=False)
+    solution = solve(m, final_time=m.duration, tolerance=1e-8)
+    assert solution.objective == pytest.approx(brachistochrone.objective(), rel=1e-8)
+    assert solution.horizon == pytest.approx((0.0, brachistochrone.objective()), rel=1e-8)
+    by_hand = solve(slide(scaled=True), mesh=solution.mesh)
+    assert by_hand.value("theta", 0.5) == pytest.approx(
+        solution.value("theta", solution.horizon[1] / 2), abs=1e-6
+    )
+
+
+def test_refinement_that_gives_up_says_so():
+    solution = solve(
+        hyper_sensitive.build(), tolerance=1e-10, refinement=RefinementOptions(max_meshes=2)
+    )
+    assert solution.status is Status.TOLERANCE_NOT_MET
+    assert not solution.is_converged
+    assert len(solution.history) == 2
+    assert solution.error_estimate > 1e-10
+    assert "refinement stopped after 2 meshes with an estimated error" in solution.message
+
+
+def test_refinement_is_recorded():
+    solution = solve(hyper_sensitive.build(), tolerance=1e-6)
+    assert solution.is_converged
+    errors = [record.error for record in solution.history]
+    assert errors[-1] == solution.error_estimate <= 1e-6 < errors[0]
+    assert solution.history[-1].points == solution.mesh.points
+
+
+def test_fixed_mesh_is_not_refined():
+    solution = solve(hyper_sensitive.build(), mesh=MESH)
+    assert solution.mesh == MESH
+    assert solution.history == ()
+
+
+def test_too_few_iterations_are_reported():
+    solution = solve(brachistochrone.build(), mesh=MESH, options=SolverOptions(max_iterations=2))
+    assert solution.status is Status.NOT_CONVERGED
+    assert not solution.is_converged
+
+
+def test_stopped_by_the_caller():
+    seen = []
+
+    def stop_at_third(line):
+        seen.append(line)
+        return line.iteration < 3
+
+    solution = solve(brachistochrone.build(), mesh=MESH, progress=stop_at_third)
+    assert solution.status is Status.INTERRUPTED
+    assert [line.iteration for line in seen] == [0, 1, 2, 3]
+
+
+def test_an_error_of_the_caller_is_not_lost():
+    def fail(_line):
+        raise ZeroDivisionError("mine")
+
+    with pytest.raises(ZeroDivisionError, match="mine"):
+        solve(brachistochrone.build(), mesh=MESH, progress=fail)
+
+
+def test_infeasible_is_told_from_not_converged():
+    m = brachistochrone.build()
+    m.hurry = Constraint(expr=m.duration <= 1.5)
+    solution = solve(m, mesh=MESH)
+    assert solution.status is Status.INFEASIBLE

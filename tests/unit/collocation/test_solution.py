@@ -1,0 +1,123 @@
+"""What a solution offers, and that it is also put into the Pyomo model."""
+
+from functools import cache
+
+import numpy as np
+import pandas as pd
+import pytest
+from pyomo.environ import value
+
+from pyomo_quad.collocation import Mesh, TranscriptionError, compile, solve  # noqa: A004
+from tests.problems import bang_bang, dido, double_integrator, mass_chain, saving, waypoint
+
+MESH = Mesh.uniform(6, 4)
+
+
+@cache
+def solution():
+    return solve(double_integrator.build(), mesh=MESH)
+
+
+def test_value_at_one_time_is_a_number():
+    found = solution().value("x", 0.5)
+    assert isinstance(found, float)
+    assert found == pytest.approx(0.5, abs=1e-9)
+
+
+def test_value_takes_the_shape_of_the_times():
+    times = np.linspace(0, 1, 6)
+    found = solution().value("v", times)
+    np.testing.assert_allclose(found, double_integrator.state(times)["v"], atol=1e-9)
+
+
+def test_value_of_a_component_of_the_model():
+    m = double_integrator.build()
+    found = solve(m, mesh=MESH)
+    assert found.value(m.u, 0.25) == pytest.approx(3.0, abs=1e-8)
+    assert found.value(m.dx_dt, 0.25) == pytest.approx(1.125, abs=1e-8)
+    assert found.value(m.effort) == pytest.approx(6.0, rel=1e-9)
+    assert found.costate(m.x, 0.25) == pytest.approx(-12.0, rel=1e-6)
+
+
+def test_value_with_a_further_index():
+    m = mass_chain.build()
+    found = solve(m, mesh=Mesh.uniform(10, 9))
+    assert found.value(m.x, mass_chain.DURATION, index=2) == pytest.approx(0.4, abs=1e-9)
+    expected = mass_chain.costate(np.array([3.0]))["v", 4]
+    assert found.costate(m.v, np.array([3.0]), index=4) == pytest.approx(expected, rel=1e-4)
+
+
+def test_named_expressions_can_be_read():
+    m = saving.build()
+    found = solve(m)
+    consumption = found.value(m.consumption, 4.0)
+    expected = np.exp(-saving.DISCOUNT * 4.0) * np.log(consumption)
+    assert found.value(m.utility, 4.0) == pytest.approx(expected, rel=1e-12)
+
+
+def test_static_variables():
+    m = bang_bang.build()
+    found = solve(m, mesh=Mesh(breakpoints=(0.0, bang_bang.SWITCH, 1.0), degrees=(3, 3)))
+    assert found.value(m.duration) == pytest.approx(30.0, rel=1e-8)
+
+
+def test_values_are_loaded_into_the_model():
+    m = waypoint.build()
+    found = solve(m)
+    assert value(m.x[0.4]) == pytest.approx(1.0, abs=1e-9)
+    assert value(m.v[0.4]) == pytest.approx(waypoint.SPEED, rel=1e-8)
+    assert value(m.v[0.4]) == pytest.approx(found.value(m.v, 0.4), rel=1e-12)
+
+
+def test_frame_holds_the_nodes():
+    frame = solution().to_frame()
+    assert list(frame.columns) == ["time", "x", "v", "u"]
+    assert len(frame) == MESH.points + 1
+    np.testing.assert_allclose(
+        frame["x"], double_integrator.state(frame["time"].to_numpy())["x"], atol=1e-9
+    )
+
+
+def test_frame_at_chosen_times():
+    frame = solution().to_frame([0.0, 0.5, 1.0])
+    assert isinstance(frame, pd.DataFrame)
+    np.testing.assert_allclose(frame["u"], [6.0, 0.0, -6.0], atol=1e-7)
+
+
+def test_costates_are_the_slopes_of_the_optimum_in_the_start():
+    m = double_integrator.build()
+    problem = compile(m)
+    step = 1e-4
+    optima = []
+    for shift in (step, -step):
+        m.x[0].fix(shift)
+        optima.append(problem.solve(mesh=MESH).objective)
+    slope = (optima[0] - optima[1]) / (2 * step)
+    assert solution().costate("x", 0.0) == pytest.approx(slope, rel=1e-6)
+
+
+def test_running_objective_ends_at_the_objective():
+    running = solution().running_objective
+    assert running[0] == 0.0
+    assert running[-1] == pytest.approx(solution().objective, rel=1e-12)
+    assert np.all(np.diff(running) >= 0.0)
+
+
+def test_integral_constraint_is_met():
+    m = dido.build()
+    assert solve(m).value(m.length) == pytest.approx(dido.ROPE, rel=1e-10)
+
+
+@pytest.mark.parametrize("time", [-0.1, 1.1, np.nan])
+def test_times_outside_the_horizon_are_refused(time):
+    with pytest.raises(TranscriptionError, match=r"is outside the horizon \[0, 1\]"):
+        solution().value("x", time)
+
+
+def test_unknown_names_are_refused():
+    with pytest.raises(TranscriptionError, match="speed: is not a variable or expression"):
+        solution().value("speed", 0.5)
+    with pytest.raises(TranscriptionError, match="u: is not a state of the optimised model"):
+        solution().costate("u", 0.5)
+    with pytest.raises(TranscriptionError, match="speed: is not a static variable or integral"):
+        solution().value("speed")
