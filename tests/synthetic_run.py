@@ -141,7 +141,7 @@ def synthetic_comparison(scenario, flights, hover_energy_J=HOVER_ENERGY_J):
                 "hover_energy_J": hover_energy_J,
                 "excess_energy_J": above,
                 "lower_bound_J": LOWER_BOUND_J,
-                "optimality_gap_percent": 100 * (flight.energy_J / LOWER_BOUND_J - 1),
+                "optimality_gap_percent": 100 * (flight.energy_J - LOWER_BOUND_J) / flight.energy_J,
                 "saving_percent": 100 * (1 - optimum / flight.energy_J) if is_saving else None,
                 "saving_of_excess_percent": (
                     100 * (flight.energy_J - optimum) / above if is_saving else None
@@ -217,7 +217,7 @@ def synthetic_certificate():
         hover_energy_J=HOVER_ENERGY_J,
         applies=True,
         reason="the motor power is convex in thrust",
-        gap_percent=lambda energy_J: 100 * (energy_J / LOWER_BOUND_J - 1),
+        gap_percent=lambda energy_J: 100 * (energy_J - LOWER_BOUND_J) / energy_J,
     )
 
 

@@ -17,7 +17,7 @@ FAIR_BASELINE = "adaptive/quintic"
 _FAILED_PLAN = "best iterate"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class StyledFlight:
     """A flight with the look that it keeps in every figure."""
 

@@ -15,7 +15,7 @@ from pyomo_quad.report.figures.costates import COSTATES, draw_costates
 from pyomo_quad.report.figures.energy import draw_energy
 from pyomo_quad.report.figures.energy_split import draw_energy_split
 from pyomo_quad.report.figures.mesh import draw_mesh
-from pyomo_quad.report.figures.path import BEAT_COUNT, draw_path
+from pyomo_quad.report.figures.path import BEAT_COUNT, distinct_paths, draw_path
 from pyomo_quad.report.figures.rotors import draw_rotors
 from pyomo_quad.report.figures.states import draw_states
 from pyomo_quad.report.figures.wind import draw_wind
@@ -80,7 +80,10 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
     has_forecast = plan.scenario.wind.forecast is not None
     blowing = flights[1] if has_forecast and len(flights) > 1 else None
     costates = plan.costate_frame()
+    shown = [flights[0].frame, costates.drop(columns=TIME.column)]
+    finite = {name for frame in shown for name in frame if np.isfinite(frame[name]).all()}
     drawings = (
+        *(_path(flights) if finite.issuperset(_columns(POSITION)) else ()),
         *_motion(flights),
         *_supply(flights, plan.hover_energy_J, blowing),
         Drawing(
@@ -100,8 +103,6 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
             ),
         ),
     )
-    shown = [flights[0].frame, costates.drop(columns=TIME.column)]
-    finite = {name for frame in shown for name in frame if np.isfinite(frame[name]).all()}
     return tuple(drawing for drawing in drawings if finite.issuperset(drawing.needs))
 
 
@@ -148,31 +149,40 @@ def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
         save_figure(drawing.draw, figures, drawing.name)
 
 
-def _motion(flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
-    pair = fair_pair(flights)
-    names = _listed(pair)
-    beat = flights[0].duration_s / BEAT_COUNT
+def _path(flights: Sequence[StyledFlight]) -> tuple[Drawing]:
+    optimum, distinct = flights[0], distinct_paths(flights)
+    beat = optimum.duration_s / BEAT_COUNT
+    caption = f"Paths from start (dot) to goal (star), with a mark every {beat:.3g} s."
+    hidden = [flight for flight in flights if flight not in distinct]
+    if hidden:
+        caption += f" Too near to {optimum.name} to be drawn apart: {_listed(hidden)}."
     return (
         Drawing(
             name=PATH_NAME,
             title="Path",
-            caption=f"Paths from start (dot) to goal (star), with a mark every {beat:.3g} s.",
-            needs=_columns(POSITION),
-            draw=lambda: draw_path(flights),
+            caption=caption,
+            draw=lambda: draw_path(distinct),
         ),
+    )
+
+
+def _motion(flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
+    pair = fair_pair(flights)
+    optimum = flights[0]
+    return (
         Drawing(
             name="states",
             title="States",
-            caption=f"The sixteen states: {names}.",
+            caption=f"The sixteen states: {_listed(pair)}.",
             needs=_columns(*STATE_GRID),
             draw=lambda: draw_states(pair),
         ),
         Drawing(
             name="controls",
             title="Controls",
-            caption=f"The four controls, accelerations of the rotors: {names}.",
+            caption=f"The four controls, accelerations of the rotors: {optimum.name}.",
             needs=_columns(ROTOR_ACCELERATION),
-            draw=lambda: draw_controls(pair),
+            draw=lambda: draw_controls([optimum]),
         ),
     )
 
@@ -218,4 +228,5 @@ def _columns(*groups: Iterable[Signal]) -> tuple[str, ...]:
 
 
 def _listed(flights: Sequence[StyledFlight]) -> str:
-    return " and ".join(flight.name for flight in flights)
+    *first, last = (flight.name for flight in flights)
+    return f"{', '.join(first)} and {last}" if first else last

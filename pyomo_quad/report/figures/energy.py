@@ -1,8 +1,8 @@
 """Power and energy over time, with what hovering for the same time would take."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -17,11 +17,11 @@ from pyomo_quad.report.flights import StyledFlight
 from pyomo_quad.report.signals import ENERGY, POWER, TIME
 from pyomo_quad.report.style import MUTED
 
-if TYPE_CHECKING:
-    import numpy as np
-
 __all__ = ["draw_energy"]
 
+# Peaks are what a flight spends less than this share of its time in.
+_PEAK_SHARE = 0.05
+_WORTH_CUTTING = 2.0
 _HOVER_LINE = {"color": MUTED, "linewidth": 1.0, "linestyle": (0, (1, 1))}
 
 
@@ -55,9 +55,24 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
     for axes, title in zip(panels.flat, titles, strict=True):
         axes.set_title(title)
         keep_span([axes], ENERGY.smallest_span)
+    _cut_peaks(power, flights)
     label_time(panels[-1], duration)
     legend_below(figure, power)
     return figure
+
+
+def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
+    """Let the short peaks of a baseline leave the panel, where they would flatten all else."""
+    optimum, *others = (POWER.of(flight.frame) for flight in flights)
+    ends = [optimum.min(), optimum.max()]
+    for power in others:
+        ends += list(np.quantile(power, (_PEAK_SHARE, 1.0 - _PEAK_SHARE)))
+    low, high = min(ends), max(ends)
+    bottom, top = axes.get_ylim()
+    if top - bottom > _WORTH_CUTTING * (high - low):
+        margin = 0.1 * (high - low)
+        axes.set_ylim(max(bottom, low - margin), min(top, high + margin))
+        axes.set_title(f"{POWER.title}, short peaks cut off")
 
 
 def _draw_above(axes: Axes, flight: StyledFlight, hover_power: float) -> None:

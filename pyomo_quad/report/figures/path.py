@@ -13,12 +13,32 @@ from pyomo_quad.report.flights import StyledFlight
 from pyomo_quad.report.signals import POSITION, TIME, Signal
 from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, PALE
 
-__all__ = ["BEAT_COUNT", "draw_path"]
+__all__ = ["BEAT_COUNT", "COINCIDENT", "distinct_paths", "draw_path"]
 
 _PROJECTIONS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
 BEAT_COUNT = 5  # markers at equal times along each path: wide apart means fast
+COINCIDENT = 0.02  # of the size of the path: nearer than that, two lines cannot be told apart
 _MARGIN = 0.08
 _SMALLEST_SIDE = 0.2  # m
+
+
+def distinct_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
+    """Leave out the flights that stay on the optimum's path all the time.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        The flights, the optimum first.
+
+    Returns
+    -------
+    tuple of StyledFlight
+        The optimum, and those that are ever further from it than `COINCIDENT`.
+    """
+    optimum, *others = flights
+    time, track = TIME.of(optimum.frame), _track(optimum)
+    allowed = COINCIDENT * np.linalg.norm(np.ptp(track, axis=0))
+    return (optimum, *(f for f in others if _distance(f, time, track) > allowed))
 
 
 def draw_path(flights: Sequence[StyledFlight]) -> Figure:
@@ -55,6 +75,13 @@ def _limits(flights: Sequence[StyledFlight]) -> np.ndarray:
 
 def _track(flight: StyledFlight) -> np.ndarray:
     return np.column_stack([signal.of(flight.frame) for signal in POSITION])
+
+
+def _distance(flight: StyledFlight, time: np.ndarray, track: np.ndarray) -> float:
+    """Return the largest distance of two flights at one time, m."""
+    own_time = TIME.of(flight.frame)
+    own = np.column_stack([np.interp(time, own_time, axis) for axis in _track(flight).T])
+    return float(np.linalg.norm(own - track, axis=1).max())
 
 
 def _beats(flight: StyledFlight) -> np.ndarray:

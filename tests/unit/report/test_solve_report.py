@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from pyomo_quad.flight import PlanStatus
+from pyomo_quad.report.figures.path import distinct_paths
 from pyomo_quad.report.flights import plan_flight, styled_flights
 from pyomo_quad.report.gallery import plan_drawings, save_drawings
 from pyomo_quad.report.solve_report import write_solve_report
@@ -109,3 +110,11 @@ def test_figures_of_what_a_model_lacks_are_left_out(run):
     )
     names = {d.name for d in plan_drawings(run.plan, styled_flights([flight]))}
     assert names == FIGURES - {"wind", "battery"}
+
+
+def test_paths_too_near_to_the_optimum_are_named_and_not_drawn():
+    run = synthetic_run(flights=("optimal", "adaptive/quintic", "open_loop/plan"))
+    flights = styled_flights(run.flights)
+    assert [flight.name for flight in distinct_paths(flights)] == ["optimal", "adaptive/quintic"]
+    path = plan_drawings(run.plan, flights)[0]
+    assert path.caption.endswith("Too near to optimal to be drawn apart: open_loop/plan.")
