@@ -3,6 +3,8 @@
 The mixer itself is not written here: its matrix is read off the declared equations.
 """
 
+from collections.abc import Sequence
+from math import inf, sqrt
 from typing import Protocol
 
 import numpy as np
@@ -23,19 +25,18 @@ _MIXER_ROWS = (
 
 
 class VehicleDynamics(Protocol):
-    """What the flight floor asks of compiled equations."""
+    """What the controlled flight asks of compiled equations."""
 
     state_names: tuple[str, ...]
     control_names: tuple[str, ...]
 
-    def rates(self, t: float, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return dx/dt, shape (n_states,)."""
-
-    def integrand(self, t: float, x: FloatArray, u: FloatArray) -> float:
-        """Return the power, W."""
+    def rates_and_integrand(
+        self, t: float, x: FloatArray, u: FloatArray, /
+    ) -> tuple[FloatArray, float]:
+        """Return dx/dt, shape (n_states,), and the power, W."""
 
     def evaluate(
-        self, component: str, t: FloatArray, X: FloatArray, U: FloatArray
+        self, component: str, t: FloatArray, states: FloatArray, controls: FloatArray, /
     ) -> FloatArray:
         """Return a component at n points, shape (n,)."""
 
@@ -94,41 +95,47 @@ class Allocation:
 
     def __init__(self, mixer: FloatArray, limits: Limits) -> None:
         inverse = np.linalg.inv(mixer)
-        self._thrust_share = inverse[:, 0]
-        self._tilting = inverse[:, 1:3]
-        self._yawing = inverse[:, 3]
-        self._tilting_max = np.array((limits.roll_moment_max, limits.pitch_moment_max))
-        self._yawing_max = limits.yaw_moment_max
+        # Equal on all rotors, since the moments' rows of the mixer each sum to zero.
+        self._share = float(inverse[0, 0])
+        self._roll, self._pitch, self._yaw = (tuple(column) for column in inverse.T[1:].tolist())
+        self._roll_max, self._pitch_max = limits.roll_moment_max, limits.pitch_moment_max
+        self._yaw_max = limits.yaw_moment_max
         self._thrust_max = limits.thrust_max
         self._lowest = limits.rotor_speed_min**2
         self._highest = limits.rotor_speed_max**2
 
-    def rotor_speeds(self, thrust: float, moments: FloatArray) -> FloatArray:
+    def rotor_speeds(self, thrust: float, moments: Sequence[float]) -> list[float]:
         """Return the rotor speeds to command.
 
         Parameters
         ----------
         thrust : float
             Total thrust wanted, N.
-        moments : ndarray, shape (3,)
+        moments : sequence of three floats
             Roll, pitch and yaw moment wanted, N m.
 
         Returns
         -------
-        ndarray, shape (4,)
+        list of four floats
             Speeds within the limits, rad/s.
         """
-        tilting = self._tilting @ np.clip(moments[:2], -self._tilting_max, self._tilting_max)
-        tilting *= min(1.0, (self._highest - self._lowest) / max(np.ptp(tilting), 1e-300))
-        least = ((self._lowest - tilting) / self._thrust_share).max()
-        most = ((self._highest - tilting) / self._thrust_share).min()
-        fitting = max(least, min(most, thrust, self._thrust_max))
-        squares = tilting + self._thrust_share * fitting
-        yawing = self._yawing * min(max(moments[2], -self._yawing_max), self._yawing_max)
-        squares += yawing * self._share_that_fits(squares, yawing)
-        return np.sqrt(np.clip(squares, self._lowest, self._highest))
+        low, high = self._lowest, self._highest
+        roll = min(max(moments[0], -self._roll_max), self._roll_max)
+        pitch = min(max(moments[1], -self._pitch_max), self._pitch_max)
+        yaw = min(max(moments[2], -self._yaw_max), self._yaw_max)
+        tilting = [a * roll + b * pitch for a, b in zip(self._roll, self._pitch, strict=True)]
+        span = max(tilting) - min(tilting)
+        if span > high - low:
+            tilting = [(high - low) / span * change for change in tilting]
+        least, most = (low - min(tilting)) / self._share, (high - max(tilting)) / self._share
+        equal = self._share * max(least, min(most, thrust, self._thrust_max))
+        squares = [change + equal for change in tilting]
+        yawing = [share * yaw for share in self._yaw]
+        fitting = min(1.0, _step_within(squares, yawing, low, high))
+        turned = (square + fitting * change for square, change in zip(squares, yawing, strict=True))
+        return [sqrt(min(max(square, low), high)) for square in turned]
 
-    def tilting_moment_at(self, thrust: float) -> FloatArray:
+    def tilting_moment_at(self, thrust: float) -> tuple[float, float]:
         """Return the largest roll and pitch moment that leave the thrust as it is.
 
         Parameters
@@ -138,20 +145,22 @@ class Allocation:
 
         Returns
         -------
-        ndarray, shape (2,)
+        roll, pitch : float
             Each available on its own, N m.
         """
-        shares = self._thrust_share * thrust
-        room = np.minimum(self._highest - shares, shares - self._lowest)
-        available = np.array([_step_to_bound(room, row) for row in np.abs(self._tilting.T)])
-        return np.minimum(available, self._tilting_max)
-
-    def _share_that_fits(self, squares: FloatArray, change: FloatArray) -> float:
-        room = np.where(change > 0, self._highest - squares, squares - self._lowest)
-        return min(1.0, max(0.0, _step_to_bound(room, np.abs(change))))
+        squares = [self._share * thrust] * len(self._roll)
+        roll = _step_within(squares, self._roll, self._lowest, self._highest)
+        pitch = _step_within(squares, self._pitch, self._lowest, self._highest)
+        return min(roll, self._roll_max), min(pitch, self._pitch_max)
 
 
-def _step_to_bound(room: FloatArray, direction: FloatArray) -> float:
-    """Return how far one may go along a direction before the first room is used up."""
-    moving = direction > 0
-    return float((room[moving] / direction[moving]).min(initial=np.inf))
+def _step_within(
+    values: Sequence[float], direction: Sequence[float], low: float, high: float
+) -> float:
+    """Return how far values may go along a direction before the first meets a bound."""
+    rooms = (
+        ((high - value) if change > 0 else (low - value)) / change
+        for value, change in zip(values, direction, strict=True)
+        if change != 0.0
+    )
+    return max(0.0, min(rooms, default=inf))

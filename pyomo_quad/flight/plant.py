@@ -34,6 +34,7 @@ def fly_controls(
     horizon: tuple[float, float],
     *,
     samples_per_element: int = 8,
+    method: str = "DOP853",
 ) -> Flown:
     """Fly piecewise polynomial controls open loop.
 
@@ -51,6 +52,8 @@ def fly_controls(
         Start and end time [s].
     samples_per_element : int, default 8
         Samples kept of each element besides its start.
+    method : str, default "DOP853"
+        SciPy's name of the integrator.
 
     Returns
     -------
@@ -79,7 +82,7 @@ def fly_controls(
             slope,
             (first, last),
             state,
-            method="DOP853",
+            method=method,
             t_eval=samples,
             rtol=RELATIVE_TOLERANCE,
             atol=ABSOLUTE_TOLERANCE,

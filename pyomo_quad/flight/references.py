@@ -14,14 +14,13 @@ there afterwards; yaw follows the same polynomial.
    ICRA 2011.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Self
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BPoly
+from numpy.typing import ArrayLike
+from scipy.interpolate import BPoly, PPoly
 
 from pyomo_quad.scenario.mission import Mission
 
@@ -35,50 +34,26 @@ __all__ = [
     "step",
 ]
 
-FloatArray = NDArray[np.float64]
-
 # Coefficients of rising powers of t/T, from 0 at t = 0 to 1 at t = T.
 _QUINTIC = Polynomial((0, 0, 0, 10, -15, 6))
 _MINIMUM_SNAP = Polynomial((0, 0, 0, 0, 35, -84, 70, -20))
 _STEP = Polynomial((1,))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Setpoint:
-    """What the vehicle should do at one moment; arrays are (3,) in world axes, SI units."""
+class Setpoint(NamedTuple):
+    """What the vehicle should do at one moment: (x, y, z, yaw) and two derivatives by time."""
 
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    yaw: float
-    yaw_rate: float
-    yaw_acceleration: float
-
-    @classmethod
-    def from_rows(cls, value: FloatArray, rate: FloatArray, acceleration: FloatArray) -> Self:
-        """Split rows (x, y, z, yaw) and their first two derivatives.
-
-        Parameters
-        ----------
-        value, rate, acceleration : ndarray, shape (4,)
-            Position in m and yaw in rad, and their derivatives by time in s.
-
-        Returns
-        -------
-        Setpoint
-            The same numbers by name.
-        """
-        return cls(
-            position=value[:3],
-            velocity=rate[:3],
-            acceleration=acceleration[:3],
-            yaw=float(value[3]),
-            yaw_rate=float(rate[3]),
-            yaw_acceleration=float(acceleration[3]),
-        )
+    place: Sequence[float]
+    """Position in world axes, m, and yaw, rad."""
+    rate: Sequence[float]
+    """m/s and rad/s."""
+    acceleration: Sequence[float]
+    """m/s^2 and rad/s^2."""
 
 
 ReferencePath = Callable[[float], Setpoint]
+
+_AT_REST = (0.0, 0.0, 0.0, 0.0)
 
 
 class StraightPath:
@@ -93,21 +68,33 @@ class StraightPath:
     """
 
     def __init__(self, mission: Mission, progress: Polynomial) -> None:
-        self._start = np.array((*mission.start.position, mission.start.yaw))
-        self._way = np.array((*mission.goal.position, mission.goal.yaw)) - self._start
+        self._start = (*mission.start.position, mission.start.yaw)
+        goal = (*mission.goal.position, mission.goal.yaw)
+        self._way = tuple(there - here for here, there in zip(self._start, goal, strict=True))
         self._duration = mission.duration
-        self._progress = tuple(progress.deriv(order) for order in range(3))
+        self._progress, self._rate, self._acceleration = (
+            tuple(progress.deriv(order).coef[::-1].tolist()) for order in range(3)
+        )
 
     def __call__(self, t: float) -> Setpoint:
         """Return the setpoint at time t, s; held before the start and after the end."""
-        elapsed = min(max(t / self._duration, 0.0), 1.0)
-        value, rate, acceleration = (
-            float(derivative(elapsed)) / self._duration**order
-            for order, derivative in enumerate(self._progress)
+        duration = self._duration
+        elapsed = min(max(t / duration, 0.0), 1.0)
+        done = _horner(self._progress, elapsed)
+        rate = _horner(self._rate, elapsed) / duration
+        acceleration = _horner(self._acceleration, elapsed) / duration**2
+        return Setpoint(
+            [here + done * way for here, way in zip(self._start, self._way, strict=True)],
+            [rate * way for way in self._way],
+            [acceleration * way for way in self._way],
         )
-        return Setpoint.from_rows(
-            self._start + value * self._way, rate * self._way, acceleration * self._way
-        )
+
+
+def _horner(falling_coefficients: Sequence[float], x: float) -> float:
+    value = 0.0
+    for coefficient in falling_coefficients:
+        value = value * x + coefficient
+    return value
 
 
 def step(mission: Mission) -> StraightPath:
@@ -176,7 +163,7 @@ class SampledPath:
     ) -> None:
         self._times = np.asarray(times, dtype=float)
         samples = np.stack([np.asarray(rows, float) for rows in (values, rates, accelerations)], 1)
-        self._value = BPoly.from_derivatives(self._times, samples)
+        self._value = PPoly.from_bernstein_basis(BPoly.from_derivatives(self._times, samples))
         self._rate = self._value.derivative()
         self._acceleration = self._rate.derivative()
 
@@ -184,6 +171,7 @@ class SampledPath:
         """Return the setpoint at time t, s; beyond the samples it hovers at the nearest end."""
         first, last = self._times[0], self._times[-1]
         if first <= t <= last:
-            return Setpoint.from_rows(self._value(t), self._rate(t), self._acceleration(t))
-        end = self._value(min(max(t, first), last))
-        return Setpoint.from_rows(end, np.zeros(4), np.zeros(4))
+            return Setpoint(
+                self._value(t).tolist(), self._rate(t).tolist(), self._acceleration(t).tolist()
+            )
+        return Setpoint(self._value(min(max(t, first), last)).tolist(), _AT_REST, _AT_REST)

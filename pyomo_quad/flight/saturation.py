@@ -1,13 +1,9 @@
 """Smooth limits: what a real actuator or a prudent estimate must not exceed."""
 
+from collections.abc import Sequence
 from math import sqrt, tanh
 
-import numpy as np
-from numpy.typing import NDArray
-
 __all__ = ["bend", "braking_rate", "project"]
-
-FloatArray = NDArray[np.float64]
 
 # Below this share of the limit `bend` changes nothing, so that small signals stay linear.
 _LINEAR_SHARE = 0.8
@@ -66,30 +62,31 @@ def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
     return gain * error / sqrt(1 + gain**2 * abs(error) / acceleration_max)
 
 
-def project(estimate: FloatArray, rate: FloatArray, bound: float) -> FloatArray:
+def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> list[float]:
     """Keep an estimate inside a ball by turning aside the outward part of its rate.
 
     Smooth projection of Krstic, Kanellakopoulos and Kokotovic (1995), appendix E.
 
     Parameters
     ----------
-    estimate : ndarray, shape (n,)
+    estimate : sequence of float
         Present estimate, inside the ball.
-    rate : ndarray, shape (n,)
+    rate : sequence of float
         Rate that the adaptation law asks for.
     bound : float
         Radius of the ball.
 
     Returns
     -------
-    ndarray, shape (n,)
+    list of float
         The rate to apply. Continuous in its arguments; for every true value inside 90 % of the
         ball, (estimate - true) . (result - rate) <= 0, so projecting never raises V.
     """
-    outward = float(estimate @ rate)
+    outward = sum(d * r for d, r in zip(estimate, rate, strict=True))
     inner = bound * (1 - _PROJECTION_LAYER)
-    size_squared = float(estimate @ estimate)
+    size_squared = sum(d * d for d in estimate)
     depth = (size_squared - inner**2) / (bound**2 - inner**2)
     if depth <= 0 or outward <= 0:
-        return rate
-    return rate - min(depth, 1.0) * outward / size_squared * estimate
+        return list(rate)
+    turned = min(depth, 1.0) * outward / size_squared
+    return [r - turned * d for d, r in zip(estimate, rate, strict=True)]

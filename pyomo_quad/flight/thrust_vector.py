@@ -3,22 +3,18 @@
 Yaw-pitch-roll order, world axes z up; thrust acts along the body's z axis.
 """
 
-from math import asin, atan2, cos, inf, sin, sqrt, tan
-
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Sequence
+from math import asin, atan2, cos, hypot, inf, sin, sqrt, tan
 
 from pyomo_quad.flight.saturation import bend
 
 __all__ = ["ThrustEnvelope", "thrust_direction", "tilt_toward"]
 
-FloatArray = NDArray[np.float64]
-
 # Share of the weight that the thrust must keep carrying: a falling quadrotor cannot steer.
 _LEAST_SUPPORT = 0.3
 
 
-def thrust_direction(roll: float, pitch: float, yaw: float) -> FloatArray:
+def thrust_direction(roll: float, pitch: float, yaw: float) -> tuple[float, float, float]:
     """Return the unit vector along the thrust, eq. (6) rows 1 to 3.
 
     Parameters
@@ -28,25 +24,23 @@ def thrust_direction(roll: float, pitch: float, yaw: float) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (3,)
+    tuple of three floats
         In world axes.
     """
     ahead, aside = cos(roll) * sin(pitch), sin(roll)
-    return np.array(
-        (
-            ahead * cos(yaw) + aside * sin(yaw),
-            ahead * sin(yaw) - aside * cos(yaw),
-            cos(roll) * cos(pitch),
-        )
+    return (
+        ahead * cos(yaw) + aside * sin(yaw),
+        ahead * sin(yaw) - aside * cos(yaw),
+        cos(roll) * cos(pitch),
     )
 
 
-def tilt_toward(force: FloatArray, yaw: float) -> tuple[float, float]:
+def tilt_toward(force: Sequence[float], yaw: float) -> tuple[float, float]:
     """Return the roll and pitch that point the thrust along a force.
 
     Parameters
     ----------
-    force : ndarray, shape (3,)
+    force : sequence of three floats
         In world axes, its vertical part positive.
     yaw : float
         Present yaw, rad.
@@ -58,19 +52,16 @@ def tilt_toward(force: FloatArray, yaw: float) -> tuple[float, float]:
     """
     ahead = force[0] * cos(yaw) + force[1] * sin(yaw)
     aside = force[0] * sin(yaw) - force[1] * cos(yaw)
-    return asin(aside / sqrt(float(force @ force))), atan2(ahead, force[2])
+    return asin(aside / hypot(*force)), atan2(ahead, force[2])
 
 
 class ThrustEnvelope:
-    """The accelerations that the position loop may ask for.
-
-    A demand beyond them is shortened along its own direction, so that a far goal is still
-    approached in a straight line.
+    """Accelerations, without gravity, that thrust and tilt can give.
 
     Parameters
     ----------
     gravity : float
-        Acceleration of gravity, m/s^2.
+        m/s^2.
     acceleration_max : float
         Largest thrust over mass, above gravity, m/s^2.
     tilt_max : float
@@ -82,28 +73,28 @@ class ThrustEnvelope:
         self._reserve = acceleration_max**2 - gravity**2
         self._slope = tan(tilt_max)
 
-    def limited(self, acceleration: FloatArray) -> FloatArray:
+    def limited(self, acceleration: Sequence[float]) -> tuple[float, float, float]:
         """Shorten an acceleration, smoothly, to what thrust and tilt allow.
 
         Parameters
         ----------
-        acceleration : ndarray, shape (3,)
+        acceleration : sequence of three floats
             Wanted, without gravity, m/s^2.
 
         Returns
         -------
-        ndarray, shape (3,)
+        tuple of three floats
             Parallel to it and inside the envelope.
         """
-        size = sqrt(float(acceleration @ acceleration))
+        ax, ay, az = acceleration
+        size = hypot(ax, ay, az)
         if size == 0.0:
-            return acceleration
-        return acceleration * (bend(size, self._reach(acceleration / size)) / size)
+            return 0.0, 0.0, 0.0
+        share = bend(size, self._reach(hypot(ax, ay) / size, az / size)) / size
+        return share * ax, share * ay, share * az
 
-    def _reach(self, direction: FloatArray) -> float:
-        """Return the largest acceleration along a unit vector."""
-        upward = float(direction[2])
-        along = sqrt(float(direction[0] ** 2 + direction[1] ** 2))
+    def _reach(self, along: float, upward: float) -> float:
+        """Return the largest acceleration along a unit vector, given by its two parts."""
         rising = self._gravity * upward
         by_thrust = sqrt(rising**2 + self._reserve) - rising
         leaning = along - self._slope * upward
