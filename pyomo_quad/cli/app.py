@@ -13,6 +13,7 @@ from pyomo_quad.cli.consoles import complain
 from pyomo_quad.cli.exit_codes import ExitCode
 from pyomo_quad.cli.library import library
 from pyomo_quad.cli.solve import solve
+from pyomo_quad.cli.sweep import sweep, sweep_report
 from pyomo_quad.scenario.errors import FeasibilityError, PyomoQuadError, ScenarioError
 from pyomo_quad.version import __version__
 
@@ -31,6 +32,8 @@ app = typer.Typer(
 app.command()(solve)
 app.command()(check)
 app.command()(library)
+app.command()(sweep)
+app.command()(sweep_report)
 
 
 def _print_version(is_wanted: bool) -> None:

@@ -1,4 +1,4 @@
-"""How a sweep goes: a bar on a terminal, a line now and then without one, a line per case if asked."""
+"""How a sweep goes: a bar on a terminal, lines without one, and a line per case if asked."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

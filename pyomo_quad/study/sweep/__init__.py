@@ -3,6 +3,7 @@
 from pyomo_quad.study.sweep.cluster import ClusterWorkforce
 from pyomo_quad.study.sweep.design import SweepDesign
 from pyomo_quad.study.sweep.errors import ClusterError, StoreError, StudyError
+from pyomo_quad.study.sweep.estimate import SweepEstimate, estimate_sweep
 from pyomo_quad.study.sweep.planning import design_sweep
 from pyomo_quad.study.sweep.processes import ProcessWorkforce
 from pyomo_quad.study.sweep.results import results_frame
@@ -21,10 +22,12 @@ __all__ = [
     "StudyError",
     "Sweep",
     "SweepDesign",
+    "SweepEstimate",
     "SweepListener",
     "SweepSummary",
     "adopt_design",
     "design_sweep",
+    "estimate_sweep",
     "load_study",
     "results_frame",
 ]

@@ -13,7 +13,7 @@ from pyomo_quad.study.sweep.store import ResultStore
 from pyomo_quad.study.sweep.task import CaseOutcome, CaseStatus, CaseTask
 from pyomo_quad.study.sweep.workforce import Workforce
 
-__all__ = ["FLIGHT_SOLVER", "SilentListener", "Sweep", "SweepListener", "SweepSummary"]
+__all__ = ["FLIGHT_SOLVER", "SilentListener", "Sweep", "SweepListener", "SweepSummary", "case_task"]
 
 FLIGHT_SOLVER = "pyomo_quad.study.sweep.flight_case:solve_case"
 
@@ -99,7 +99,6 @@ class Sweep:
         self._listener = listener
         self._solver = solver
         self._cases = expand(design)
-        self._base_text = base.model_dump_json()
         self._finished = self._store.keys()
         self._children = _children(self._cases)
         self._waiting = {
@@ -177,22 +176,7 @@ class Sweep:
         warm_start = None
         if case.parent is not None:
             warm_start = self._store.warm_start(self._cases[case.parent].key)
-        task = CaseTask(
-            position=case.position,
-            key=case.key,
-            solver=self._solver,
-            scenario="",
-            base=self._base_text,
-            task=self._design.task,
-            baselines=self._design.baselines,
-            warm_start=warm_start,
-        )
-        try:
-            scenario = self._base.with_values(case.overrides)
-        except PyomoQuadError as error:
-            # Each value is allowed by itself; together they may ask for the impossible.
-            return CaseOutcome.failure(task, str(error))
-        return task.for_scenario(scenario.model_dump_json())
+        return case_task(self._design, self._base, case, self._solver, warm_start)
 
     def _commit_all(self, outcomes: list[CaseOutcome]) -> list[Case]:
         return [case for outcome in outcomes for case in self._commit(outcome)]
@@ -215,6 +199,47 @@ class Sweep:
             return ""
         self._waiting[case.parent] -= 1
         return self._cases[case.parent].key if self._waiting[case.parent] == 0 else ""
+
+
+def case_task(
+    design: SweepDesign, base: Scenario, case: Case, solver: str, warm_start: bytes | None
+) -> CaseTask | CaseOutcome:
+    """Spell out a case for a worker.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        What is to be solved.
+    base : Scenario
+        The base scenario of the design.
+    case : Case
+        One of its cases.
+    solver : str
+        Case solver as ``module:function``.
+    warm_start : bytes or None
+        What the parent case left.
+
+    Returns
+    -------
+    CaseTask or CaseOutcome
+        A failed row at once where the case's values, each allowed by itself, ask together for the
+        impossible.
+    """
+    task = CaseTask(
+        position=case.position,
+        key=case.key,
+        solver=solver,
+        scenario="",
+        base=base.model_dump_json(),
+        task=design.task,
+        baselines=design.baselines,
+        warm_start=warm_start,
+    )
+    try:
+        scenario = base.with_values(case.overrides)
+    except PyomoQuadError as error:
+        return CaseOutcome.failure(task, str(error))
+    return task.for_scenario(scenario.model_dump_json())
 
 
 def _children(cases: tuple[Case, ...]) -> Mapping[int, list[int]]:

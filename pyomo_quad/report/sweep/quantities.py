@@ -1,0 +1,126 @@
+"""What the columns of a sweep are called in print, and in which unit they are shown."""
+
+from dataclasses import dataclass
+from math import degrees
+
+import pandas as pd
+
+from pyomo_quad.report.wording import NOTHING
+from pyomo_quad.scenario import field_unit
+
+__all__ = ["Quantity", "field_quantity", "number", "output_quantity", "setting"]
+
+_SUFFIXES = {
+    "_m_per_s": "m/s",
+    "_percent": "%",
+    "_rad": "rad",
+    "_J": "J",
+    "_W": "W",
+    "_V": "V",
+    "_m": "m",
+    "_s": "s",
+}
+_PRINTED = {"kg": "kg", "m/s^2": "m/s²", "percent": "%", "A*hr": "A h", "1/A/hr": "1/(A h)"}
+_LARGE, _SIGNIFICANT = 1e5, 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """One column: its name and unit in print, and what turns its values into that unit."""
+
+    column: str
+    name: str
+    unit: str
+    scale: float = 1.0
+
+    def of(self, frame: pd.DataFrame) -> pd.Series:
+        """Return the column in the printed unit."""
+        return frame[self.column] * self.scale
+
+    @property
+    def label(self) -> str:
+        """Name and unit, as beside an axis."""
+        return f"{self.name[:1].upper()}{self.name[1:]}" + (f" ({self.unit})" if self.unit else "")
+
+
+def field_quantity(path: str) -> Quantity:
+    """Return how a scenario field is printed.
+
+    Parameters
+    ----------
+    path : str
+        Dotted path of the field.
+
+    Returns
+    -------
+    Quantity
+        Named by the last two parts of the path; angles in degrees.
+    """
+    unit = field_unit(path)
+    name = " ".join(path.split(".")[-2:]).replace("_", " ")
+    if unit == "rad":
+        return Quantity(column=path, name=name, unit="°", scale=degrees(1.0))
+    return Quantity(column=path, name=name, unit=_PRINTED.get(unit, unit))
+
+
+def output_quantity(column: str) -> Quantity:
+    """Return how a column of results is printed.
+
+    Parameters
+    ----------
+    column : str
+        Its name ends in its unit, as in ``energy_J``.
+
+    Returns
+    -------
+    Quantity
+        Angles in degrees.
+    """
+    for suffix, unit in _SUFFIXES.items():
+        if column.endswith(suffix):
+            name = column.removesuffix(suffix).replace("_", " ")
+            if unit == "rad":
+                return Quantity(column=column, name=name, unit="°", scale=degrees(1.0))
+            return Quantity(column=column, name=name, unit=unit)
+    return Quantity(column=column, name=column.replace("_", " "), unit="")
+
+
+def number(value: object) -> str:
+    """Return a result as a cell of a table.
+
+    Parameters
+    ----------
+    value : object
+        A number or a text.
+
+    Returns
+    -------
+    str
+        Numbers with four significant digits, without an exponent where it can be avoided.
+    """
+    if not isinstance(value, float):
+        return str(value)
+    if pd.isna(value):
+        return NOTHING
+    if 1.0 <= abs(value) < _LARGE:
+        whole = len(f"{abs(value):.0f}")
+        return f"{value:.{max(0, _SIGNIFICANT - whole)}f}"
+    return f"{value:.{_SIGNIFICANT}g}"
+
+
+def setting(value: object) -> str:
+    """Return the value of a field, without zeros that say nothing.
+
+    Parameters
+    ----------
+    value : object
+        A number or a text.
+
+    Returns
+    -------
+    str
+        As `number` otherwise.
+    """
+    text = number(value)
+    is_padded = isinstance(value, float) and "." in text and "e" not in text
+    return text.rstrip("0").rstrip(".") if is_padded else text

@@ -1,0 +1,82 @@
+import itertools
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pyomo_quad.study.sweep.design import Dimension, SweepDesign
+from pyomo_quad.study.sweep.views import curves_along, pareto_front, plane_of, sensitivities
+
+A = Dimension(paths=("a",), steps=((1.0,), (2.0,), (3.0,)))
+B = Dimension(paths=("b",), steps=((0.0,), (10.0,), (20.0,)))
+NAME = Dimension(paths=("name",), steps=(("calm",), ("windy",)))
+
+
+def design(*dimensions: Dimension) -> SweepDesign:
+    return SweepDesign(
+        name="grid",
+        title="",
+        task="optimise",
+        baselines=(),
+        outputs=(),
+        report_on=("y",),
+        base={},
+        dimensions=dimensions,
+    )
+
+
+def grid() -> pd.DataFrame:
+    frame = pd.DataFrame(
+        itertools.product((1.0, 2.0, 3.0), (0.0, 10.0, 20.0), ("calm", "windy")),
+        columns=["a", "b", "name"],
+    )
+    frame["y"] = 100.0 * frame["a"] + frame["b"] + (frame["name"] == "windy") * 5.0
+    return frame.assign(status="finished")
+
+
+@given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), min_size=1, max_size=30))
+def test_no_row_beats_a_row_of_the_front_and_every_other_row_is_beaten(points):
+    frame = pd.DataFrame(points, columns=["time", "energy"])
+    front = {tuple(row) for row in pareto_front(frame, "time", "energy").to_numpy()}
+
+    def is_beaten(point):
+        return any(
+            other[0] <= point[0] and other[1] <= point[1] and other != point for other in points
+        )
+
+    assert front == {point for point in points if not is_beaten(point)}
+
+
+def test_curves_are_one_for_each_combination_of_the_rest():
+    curves = curves_along(design(A, B, NAME), grid(), "a")
+    assert len(curves) == 6
+    assert curves[1].fixed == {"b": 0.0, "name": "windy"}
+    assert list(curves[1].rows["y"]) == [105.0, 205.0, 305.0]
+
+
+def test_plane_leaves_a_hole_where_a_case_failed():
+    frame = grid()
+    frame.loc[(frame["a"] == 3.0) & (frame["b"] == 20.0), "status"] = "failed"
+    plane = plane_of(design(A, B, NAME), frame, A, B, "y")
+    expected = [[105, 205, 305], [115, 215, 315], [125, 225, np.nan]]
+    np.testing.assert_array_equal(plane.to_numpy(), expected)
+
+
+def test_sensitivities_of_a_grid_are_its_ends_through_the_middle():
+    first, second = sensitivities(design(A, B, NAME), grid(), "y")
+    assert (first.field, first.at_low, first.at_high) == ("a", 115.0, 315.0)
+    assert (second.field, second.low, second.high, second.swing) == ("b", 0.0, 20.0, 20.0)
+
+
+def test_sensitivities_of_random_fields_are_the_slopes_of_a_linear_quantity():
+    generator = np.random.default_rng(1)
+    draws = generator.normal(size=(200, 2))
+    drawn = Dimension(paths=("a", "b"), steps=tuple(map(tuple, draws.tolist())), is_random=True)
+    frame = pd.DataFrame(draws, columns=["a", "b"]).assign(status="finished")
+    frame["y"] = 7.0 + 3.0 * frame["a"] - 0.5 * frame["b"]
+    first, second = sensitivities(design(drawn), frame, "y")
+    assert (first.field, second.field) == ("a", "b")
+    assert (first.at_high - first.at_low) / (first.high - first.low) == pytest.approx(3.0)
+    assert (second.at_high - second.at_low) / (second.high - second.low) == pytest.approx(-0.5)
