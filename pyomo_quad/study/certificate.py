@@ -42,9 +42,7 @@ turn can undercut every steady flight; with quadratic drag (a) and (b) depend on
 model of the user's own has not been looked into.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,15 +52,13 @@ from pyomo_quad.model import hover_power
 from pyomo_quad.model.momentum import MomentumDemand
 from pyomo_quad.scenario import PowerModel, Scenario
 from pyomo_quad.study.steady_power import SteadyPower
+from pyomo_quad.study.thrust_moments import ThrustMoments
 
 __all__ = ["Certificate", "certify"]
 
 FloatArray = NDArray[np.float64]
 
-_GAUSS_NODES = 6
-_FEWEST_PANELS = 16
-_MOST_PANELS = 4096
-_QUADRATURE_ERROR = 1e-10
+_ROUNDING = 1e-10
 _ITERATIONS = 200
 
 _IMPOSSIBLE = "no flight meets the mission within the rotor speed limits, so none is bounded."
@@ -147,8 +143,9 @@ def _bound(scenario: Scenario) -> tuple[float | None, str]:
     mission = scenario.mission
     displacement = np.subtract(mission.goal.position, mission.start.position)
     # A bound above what full power for the whole flight would spend proves that there is none.
-    ceiling = float(np.max(power.power)) * mission.duration * (1 + _QUADRATURE_ERROR)
-    found = _Dual(demand, power, displacement, mission.duration).best(ceiling)
+    ceiling = float(np.max(power.power)) * mission.duration * (1 + _ROUNDING)
+    moments = ThrustMoments(demand, displacement, mission.duration)
+    found = _best_bound(moments, power, ceiling)
     if found > ceiling:
         return None, _IMPOSSIBLE
     return found, (
@@ -171,121 +168,33 @@ def _obstacle(scenario: Scenario) -> str:
     return ""
 
 
-class _Dual:
-    """The concave function of l and n whose every value is a lower bound.
+def _best_bound(moments: ThrustMoments, power: SteadyPower, ceiling: float) -> float:
+    """Return the largest bound found, at least that of Jensen's inequality.
 
-    Parameters
-    ----------
-    demand : MomentumDemand
-    power : SteadyPower
-    displacement : ndarray, shape (3,)
-        From start to goal, m.
-    duration : float
-        Duration of the mission, s.
+    `ceiling` is where the search may stop, since no flight spends so much.
     """
 
-    def __init__(
-        self,
-        demand: MomentumDemand,
-        power: SteadyPower,
-        displacement: FloatArray,
-        duration: float,
-    ) -> None:
-        self._power = power
-        self._duration = duration
-        rate = demand.drag / demand.mass
-        self._times, self._widths = _gauss(duration, _FEWEST_PANELS)
-        plain, lever = _weights(self._times, rate, duration)
-        # Of the span of both weights any basis will do; a centred one lets n change little else.
-        middle = self._widths @ lever / duration
-        self._weights = np.stack([plain, (lever - middle) / duration])
-        mean, moment = _standing_moments(demand, rate, duration)
-        total = demand.drag * displacement + mean
-        levered = demand.mass * displacement + moment
-        self._demanded = np.stack([total, (levered - middle * total) / duration])
-
-    def best(self, ceiling: float) -> float:
-        """Return the largest bound found, at least that of Jensen's inequality.
-
-        Parameters
-        ----------
-        ceiling : float
-            Where the search may stop, since no flight spends so much, J.
-
-        Returns
-        -------
-        float
-            Lower bound on the energy, J.
-        """
-
-        def stop_above(intermediate_result: OptimizeResult) -> None:
-            if -intermediate_result.fun > ceiling:
-                raise StopIteration
-
-        mean_thrust = self._demanded[0] / self._duration
-        thrust = float(np.linalg.norm(mean_thrust))
-        jensen = np.zeros((2, 3))
-        jensen[0] = self._power.slope(thrust) * mean_thrust / thrust
-        found = minimize(
-            self._negative,
-            jensen.ravel(),
-            jac=True,
-            method="L-BFGS-B",
-            callback=stop_above,
-            options={"maxiter": _ITERATIONS},
-        )
-        return float(max(-self._negative(jensen.ravel())[0], -found.fun))
-
-    def _negative(self, multipliers: FloatArray) -> tuple[float, FloatArray]:
-        """Return the bound and its gradient, both with the sign changed."""
+    def negative(multipliers: FloatArray) -> tuple[float, FloatArray]:
         given = multipliers.reshape(2, 3)
-        price = np.einsum("ki,kti->ti", given, self._weights)
-        size = np.linalg.norm(price, axis=1)
-        conjugate, thrust = self._power.conjugate(size)
-        direction = price / np.maximum(size, np.finfo(float).tiny)[:, None]
-        supplied = self._widths[:, None] * thrust[:, None] * direction
-        slope = np.einsum("kti,ti->ki", self._weights, supplied) - self._demanded
-        return float(self._widths @ conjugate - np.sum(given * self._demanded)), slope.ravel()
+        size, direction = moments.price(given)
+        conjugate, thrust = power.conjugate(size)
+        slope = moments.supplied(thrust[:, None] * direction) - moments.demanded
+        bound = np.sum(given * moments.demanded) - moments.widths @ conjugate
+        return -float(bound), slope.ravel()
 
+    def stop_above(intermediate_result: OptimizeResult) -> None:
+        if -intermediate_result.fun > ceiling:
+            raise StopIteration
 
-def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
-    """Return nodes and widths of Gauss-Legendre quadrature on equal panels."""
-    nodes, widths = np.polynomial.legendre.leggauss(_GAUSS_NODES)
-    panel = duration / panels
-    starts = panel * np.arange(panels)
-    times = (starts[:, None] + panel * (nodes + 1) / 2).ravel()
-    return times, np.tile(widths * panel / 2, panels)
-
-
-def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return the weights of (a) and (b) at times, each of shape (n, 3)."""
-    left = (duration - times)[:, None] * np.ones_like(rate)
-    has_drag = rate > 0.0
-    divisor = np.where(has_drag, rate, 1.0)
-    return np.ones_like(left), np.where(has_drag, -np.expm1(-left * rate) / divisor, left)
-
-
-def _standing_moments(
-    demand: MomentumDemand, rate: FloatArray, duration: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the integrals over the flight of the standing force, plain and with the lever."""
-    previous = None
-    for panels in _panel_counts():
-        times, widths = _gauss(duration, panels)
-        standing = np.array([demand.thrust(float(t)) for t in times])
-        moments = [widths @ (weight * standing) for weight in _weights(times, rate, duration)]
-        found = np.stack(moments)
-        if previous is not None:
-            scale = np.max(np.abs(found), axis=1, keepdims=True)
-            if np.all(np.abs(found - previous) <= _QUADRATURE_ERROR * scale):
-                break
-        previous = found
-    return found[0], found[1]
-
-
-def _panel_counts() -> Iterator[int]:
-    for doubling in count():
-        panels = _FEWEST_PANELS * 2**doubling
-        yield panels
-        if panels >= _MOST_PANELS:
-            return
+    thrust = float(np.linalg.norm(moments.mean_thrust))
+    jensen = np.zeros((2, 3))
+    jensen[0] = power.slope(thrust) * moments.mean_thrust / thrust
+    found = minimize(
+        negative,
+        jensen.ravel(),
+        jac=True,
+        method="L-BFGS-B",
+        callback=stop_above,
+        options={"maxiter": _ITERATIONS},
+    )
+    return max(-negative(jensen.ravel())[0], -float(found.fun))
