@@ -12,6 +12,7 @@ from pyomo_quad.collocation.addresses import AddressBook
 from pyomo_quad.collocation.declarations import Integral
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.expressions import ExpressionWriter
+from pyomo_quad.collocation.rules import rule_of
 from pyomo_quad.collocation.symbols import SymbolTable
 from pyomo_quad.collocation.time_symbol import TimeSymbol, integrand, time_parameter
 
@@ -54,9 +55,9 @@ class TemplateWriter:
 
     def template_of(self, component: Any, index: tuple[Any, ...], instance: Any) -> Any:
         """Return a constraint's template: its rule called with time as a symbol, if it has one."""
-        if not self._has_rule(component):
+        rule = rule_of(component)
+        if rule is None:
             return instance
-        rule = component._rule  # noqa: SLF001
         return ConstraintData(
             expr=rule(component.parent_block(), self._template_index(component, index))
         )
@@ -85,15 +86,10 @@ class TemplateWriter:
         if component.ctype is PyomoIntegral:
             return self._integral(component, expression.index())
         address = self.addresses.split(component, expression.index())
-        if address.time != self.copy.template_time or not self._has_rule(component):
+        rule = rule_of(component)
+        if address.time != self.copy.template_time or rule is None:
             return None
-        return component._rule(  # noqa: SLF001
-            component.parent_block(), self._template_index(component, address.index)
-        )
-
-    @staticmethod
-    def _has_rule(component: Any) -> bool:
-        return getattr(component, "_rule", None) is not None and not component._rule.constant()  # noqa: SLF001
+        return rule(component.parent_block(), self._template_index(component, address.index))
 
     def _template_index(self, component: Any, index: tuple[Any, ...]) -> Any:
         return self.addresses.join(component, index, self._template)

@@ -10,6 +10,11 @@ from pyomo.dae.misc import expand_components
 from pyomo.environ import Block, SOSConstraint, Var
 
 from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.rules import (
+    refuse_changed_members,
+    refuse_lost_members,
+    transfer_rules,
+)
 
 __all__ = ["WorkingCopy", "copy_with_template_time"]
 
@@ -76,10 +81,12 @@ def copy_with_template_time(model: Any) -> WorkingCopy:
         If the model declares something outside what the engine transcribes.
     """
     copy = model.clone()
+    transfer_rules(model, copy)
     time = _continuous_set(copy)
     _refuse_unsupported(copy, time)
     if time is None:
         return WorkingCopy(model=copy, time=None, template_time=0.0, declared_times=())
+    refuse_changed_members(copy)
     declared = tuple(float(t) for t in sorted(time))
     template = declared[0] + _TEMPLATE_FRACTION * (declared[-1] - declared[0])
     time.add(template)
@@ -88,4 +95,5 @@ def copy_with_template_time(model: Any) -> WorkingCopy:
         expand_components(copy)
     finally:
         time.set_changed(False)
+    refuse_lost_members(copy, template)
     return WorkingCopy(model=copy, time=time, template_time=template, declared_times=declared)
