@@ -1,10 +1,11 @@
 """A model discretised by Pyomo's own `dae.collocation`, made comparable with the engine.
 
-Three faults of the stock transformation are set right here, none of them in the equations:
+Four faults of the stock transformation are set right here, none of them in the equations:
 
 - it rounds times to 6 decimals, though its matrices are those of the exact points, so a
-  parameter that holds the time is given the exact one (it rounds element boundaries too: only
-  element counts that give round boundaries compare);
+  parameter that holds the time is given the exact one;
+- it rounds element boundaries too, and bisects the widest element where a model declares
+  points inside its horizon, so equal elements are put into the set beforehand;
 - it leaves such parameters without values at the new points;
 - its `Integral` is the trapezoidal rule, so integrals are replaced by Radau quadrature, with
   weights found from the points alone.
@@ -46,11 +47,15 @@ class StockModel:
 
     def __init__(self, model, time, *, elements, degree, integrands):
         self.model, self.time = model, time
+        start, end = time.first(), time.last()
+        time.update(start + (end - start) * e / elements for e in range(1, elements))
+        time.set_changed(True)
+        # What the set's own generation of finite elements would have stored.
+        time._fe = ends = sorted(time)
         TransformationFactory("dae.collocation").apply_to(
             model, wrt=time, nfe=elements, ncp=degree, scheme="LAGRANGE-RADAU"
         )
         self.labels = sorted(time)
-        ends = time.get_finite_elements()
         self.times = [ends[0]]
         self.weights = []
         for start, end in pairwise(ends):

@@ -1,0 +1,129 @@
+"""Speed and memory of the engine beside the two usual ways to solve the same problem.
+
+    python -m tests.benchmarks.engine_speed
+
+prints one Markdown table for test 1 of the paper (motor power, Radau degree 3): this engine,
+the same declared model through stock `dae.collocation`, an .nl file, CasADi's derivatives and
+cyipopt, and the same mission written by hand in CasADi with its own Ipopt.  Every row is a
+process of its own; seconds leave imports out, peak memory holds them.  Fails if the energies
+of one mesh differ by more than a millionth.
+"""
+
+import sys
+import time
+
+from tests.benchmarks.measuring import in_own_process, machine, report, table
+
+DEGREE = 3
+SCENARIO = "scenarios/paper_calm.toml"
+AGREEMENT = 1e-6
+NAMES = {
+    "engine": "this engine",
+    "stock": "stock dae.collocation, .nl, CasADi, cyipopt",
+    "handwritten": "hand-written CasADi, its own Ipopt",
+}
+# The quickest of so many runs, to keep a busy machine out of the small numbers.
+REPEATS = {40: 3, 100: 3, 400: 1, 4000: 1}
+COMPARED, ALONE = (40, 100, 400), 4000
+HEADER = (
+    "elements", "formulation", "build s", "derivatives s", "solve s", "total s", "variables",
+    "iterations", "peak MiB", "energy J",
+)  # fmt: skip
+
+
+def measure_engine(elements):
+    from pyomo_quad.collocation import Mesh, compile  # noqa: A004
+    from pyomo_quad.model import build_model
+    from pyomo_quad.scenario import load_scenario
+
+    scenario = load_scenario(SCENARIO)
+    started = time.perf_counter()
+    model = build_model(scenario)
+    built = time.perf_counter()
+    problem = compile(model)
+    mesh = Mesh.uniform(elements, DEGREE)
+    program = problem.program(mesh, problem.instance())
+    derived = time.perf_counter()
+    solution = problem.solve(mesh=mesh)
+    solved = time.perf_counter()
+    if not solution.is_converged:
+        raise SystemExit(solution.message)
+    report(
+        build_s=built - started,
+        derivatives_s=derived - built,
+        solve_s=solved - derived,
+        total_s=solved - started,
+        variables=program.layout.unknowns,
+        iterations=solution.iterations[-1].iteration,
+        energy_J=solution.objective,
+    )
+
+
+def measure_stock(elements):
+    from pyomo_quad.model import build_model
+    from pyomo_quad.scenario import load_scenario
+    from tests.benchmarks.stock_route import solve_by_stock_route
+
+    scenario = load_scenario(SCENARIO)
+    started = time.perf_counter()
+    model = build_model(scenario)
+    built = time.perf_counter()
+    numbers = solve_by_stock_route(model, elements, DEGREE)
+    report(
+        **numbers,
+        build_s=built - started + numbers["discretise_s"],
+        total_s=time.perf_counter() - started,
+    )
+
+
+def measure_handwritten(elements):
+    from tests.benchmarks.handwritten import solve_by_hand
+
+    result = solve_by_hand(elements, DEGREE)
+    report(
+        build_s=result.build_s,
+        derivatives_s=result.derivatives_s,
+        solve_s=result.solve_s,
+        total_s=result.build_s + result.derivatives_s + result.solve_s,
+        variables=result.variables,
+        iterations=result.iterations,
+        energy_J=result.energy_J,
+    )
+
+
+MEASURES = {
+    "engine": measure_engine,
+    "stock": measure_stock,
+    "handwritten": measure_handwritten,
+}
+
+
+def row(elements, name, numbers):
+    seconds = [f"{numbers[k]:.2f}" for k in ("build_s", "derivatives_s", "solve_s", "total_s")]
+    counts = [numbers["variables"], numbers["iterations"], f"{numbers['peak_MiB']:.0f}"]
+    return [elements, NAMES[name], *seconds, *counts, f"{numbers['energy_J']:.6f}"]
+
+
+def measured(elements, names):
+    found = {
+        name: in_own_process(__spec__.name, name, elements, repeats=REPEATS[elements])
+        for name in names
+    }
+    energies = [numbers["energy_J"] for numbers in found.values()]
+    if max(energies) - min(energies) > AGREEMENT * max(energies):
+        raise SystemExit(f"energies differ at {elements} elements: {energies}")
+    return [row(elements, name, numbers) for name, numbers in found.items()]
+
+
+def main():
+    rows = [line for elements in COMPARED for line in measured(elements, NAMES)]
+    rows += measured(ALONE, ["engine"])
+    print(table(HEADER, rows))
+    print(f"\n{machine()}; energies agree to {AGREEMENT:g} relative.")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--measure"]:
+        MEASURES[sys.argv[2]](int(sys.argv[3]))
+    else:
+        main()
