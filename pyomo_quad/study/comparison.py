@@ -1,0 +1,200 @@
+"""The flights of a mission beside each other, one row each."""
+
+from collections.abc import Sequence
+from enum import StrEnum
+from math import nan
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from pyomo_quad.flight.columns import COLUMNS, ROTORS, TIME
+from pyomo_quad.flight.flight import POSITION_STATES, Flight
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.study.certificate import Certificate
+
+__all__ = [
+    "ARRIVAL_DISTANCE_M",
+    "ARRIVAL_SPEED_M_PER_S",
+    "INSIDE_DISTANCE_M",
+    "OPTIMAL",
+    "ComparisonColumn",
+    "combine",
+    "compare_flights",
+    "has_arrived",
+]
+
+FloatArray = NDArray[np.float64]
+
+OPTIMAL = "optimal"
+ARRIVAL_DISTANCE_M = 0.05
+"""Miss beyond which a flight has not arrived: a seventh of the paper's vehicle from rotor to
+rotor, and so little of a flight of metres that leaving it out saves no energy worth naming."""
+ARRIVAL_SPEED_M_PER_S = 0.1
+"""Final speed beyond which a flight passes the goal rather than arriving: from it, the controller
+with its default gains stops within the distance above."""
+INSIDE_DISTANCE_M = 0.1
+"""Distance from the goal that counts as being there."""
+
+_VELOCITY_STATES = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")
+_COLUMN_OF = {(shown.component, shown.index): shown.name for shown in COLUMNS}
+
+
+class ComparisonColumn(StrEnum):
+    """Columns of a comparison, in order."""
+
+    SCENARIO = "scenario"
+    FLIGHT = "flight"
+    ENERGY = "energy_J"
+    HOVER_ENERGY = "hover_energy_J"
+    EXCESS_ENERGY = "excess_energy_J"
+    LOWER_BOUND = "lower_bound_J"
+    OPTIMALITY_GAP = "optimality_gap_percent"
+    SAVING = "saving_percent"
+    SAVING_OF_EXCESS = "saving_of_excess_percent"
+    TERMINAL_MISS = "terminal_miss_m"
+    ARRIVED = "arrived"
+    VERIFIED = "verified"
+    PEAK_POWER = "peak_power_W"
+    PEAK_TILT = "peak_tilt_rad"
+    PEAK_ROTOR_ACCELERATION = "peak_rotor_acceleration_rad_per_s2"
+    TIME_INSIDE = "time_inside_0p1_m_s"
+    BATTERY_USED = "battery_used_percent"
+
+
+def has_arrived(flight: Flight) -> bool:
+    """Say whether a flight ends at the goal and at rest.
+
+    Parameters
+    ----------
+    flight : Flight
+        With its terminal miss.
+
+    Returns
+    -------
+    bool
+        Within `ARRIVAL_DISTANCE_M` and `ARRIVAL_SPEED_M_PER_S`.
+    """
+    speed = np.linalg.norm([flight.terminal_miss.get(name, 0.0) for name in _VELOCITY_STATES])
+    return bool(flight.terminal_miss_m <= ARRIVAL_DISTANCE_M and speed <= ARRIVAL_SPEED_M_PER_S)
+
+
+def compare_flights(
+    scenario: Scenario,
+    flights: Sequence[Flight],
+    certificate: Certificate,
+    hover_energy_J: float,
+) -> pd.DataFrame:
+    """Compare the flights of one mission.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission flown.
+    flights : sequence of Flight
+        Any number; savings need one named `OPTIMAL`.
+    certificate : Certificate
+        Of the mission in the wind that really blows.
+    hover_energy_J : float
+        Energy of hovering for the same time.
+
+    Returns
+    -------
+    DataFrame
+        One row per flight, columns of `ComparisonColumn`.  Where there is no number there is NaN.
+
+    Notes
+    -----
+    The savings in a row are those of the optimum over that row's flight, in per cent of its
+    energy and of its energy above hover.  A flight that did not arrive has none, and no gap to the
+    bound either, since that bounds only flights that arrive.  A scenario with a forecast has no
+    savings and its optimum no bound: it was made for another wind than the others flew in.
+    """
+    is_told_the_wind = scenario.wind.forecast is None
+    optimum = next((f for f in flights if f.name == OPTIMAL and has_arrived(f)), None)
+    rows = []
+    for flight in flights:
+        is_optimum = flight.name == OPTIMAL
+        arrived = has_arrived(flight)
+        is_bounded = is_told_the_wind or not is_optimum
+        is_rival = arrived and is_told_the_wind and not is_optimum
+        excess = flight.energy_J - hover_energy_J
+        saved = nan if optimum is None or not is_rival else flight.energy_J - optimum.energy_J
+        rows.append(
+            {
+                ComparisonColumn.SCENARIO: scenario.name,
+                ComparisonColumn.FLIGHT: flight.name,
+                ComparisonColumn.ENERGY: flight.energy_J,
+                ComparisonColumn.HOVER_ENERGY: hover_energy_J,
+                ComparisonColumn.EXCESS_ENERGY: excess,
+                ComparisonColumn.LOWER_BOUND: _number(certificate.lower_bound_J, is_bounded),
+                ComparisonColumn.OPTIMALITY_GAP: _number(
+                    certificate.gap_percent(flight.energy_J), is_bounded and arrived
+                ),
+                ComparisonColumn.SAVING: _percent(saved, flight.energy_J),
+                ComparisonColumn.SAVING_OF_EXCESS: _percent(saved, excess),
+                ComparisonColumn.TERMINAL_MISS: flight.terminal_miss_m,
+                ComparisonColumn.ARRIVED: arrived,
+                ComparisonColumn.VERIFIED: flight.is_verified,
+                **_measured(scenario, flight.frame),
+            }
+        )
+    return pd.DataFrame(rows, columns=[column.value for column in ComparisonColumn])
+
+
+def combine(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Put the comparisons of many scenarios under each other.
+
+    Parameters
+    ----------
+    frames : sequence of DataFrame
+        Of `compare_flights`.
+
+    Returns
+    -------
+    DataFrame
+        All rows in the order given; no rows when there are no frames.
+    """
+    if not frames:
+        return pd.DataFrame(columns=[column.value for column in ComparisonColumn])
+    return pd.concat(frames, ignore_index=True)
+
+
+def _number(value: float | None, is_meaningful: bool) -> float:
+    return value if value is not None and is_meaningful else nan
+
+
+def _percent(part: float, whole: float) -> float:
+    """Return a share in per cent, NaN of a whole that is not positive."""
+    return 100.0 * part / whole if whole > 0.0 else nan
+
+
+def _measured(scenario: Scenario, frame: pd.DataFrame) -> dict[ComparisonColumn, float]:
+    """Return what is read off a flight's table; NaN where a user's model lacks the column."""
+    alpha = np.column_stack([_values(frame, "rotors.alpha", rotor) for rotor in ROTORS])
+    tilt = np.cos(_values(frame, "rigid_body.phi")) * np.cos(_values(frame, "rigid_body.theta"))
+    charge = _values(frame, "battery.state_of_charge")
+    return {
+        ComparisonColumn.PEAK_POWER: float(_values(frame, "power.total").max()),
+        ComparisonColumn.PEAK_TILT: float(np.arccos(np.clip(tilt.min(), -1.0, 1.0))),
+        ComparisonColumn.PEAK_ROTOR_ACCELERATION: float(np.abs(alpha).max()),
+        ComparisonColumn.TIME_INSIDE: _time_inside(scenario, frame),
+        ComparisonColumn.BATTERY_USED: float(charge[0] - charge[-1]),
+    }
+
+
+def _time_inside(scenario: Scenario, frame: pd.DataFrame) -> float:
+    """Return the time spent near the goal; half an interval where only one end of it is near."""
+    position = np.column_stack([_values(frame, name) for name in POSITION_STATES])
+    distance = np.linalg.norm(position - scenario.mission.goal.position, axis=1)
+    if np.isnan(distance).any():
+        return nan
+    is_near = (distance <= INSIDE_DISTANCE_M).astype(float)
+    return float(np.trapezoid(is_near, frame[TIME].to_numpy(dtype=float)))
+
+
+def _values(frame: pd.DataFrame, component: str, index: int | None = None) -> FloatArray:
+    name = _COLUMN_OF[component, index]
+    if name not in frame:
+        return np.full(len(frame), nan)
+    return frame[name].to_numpy(dtype=float)
