@@ -6,6 +6,13 @@ parameters, horizons and meshes without being built again.
 
 from typing import Any
 
+from pyomo_quad.collocation.diagnosis import (
+    ActiveLimit,
+    Diagnosis,
+    Relaxation,
+    Residual,
+    diagnose,
+)
 from pyomo_quad.collocation.dynamics import Dynamics, Violation
 from pyomo_quad.collocation.errors import EngineError, SolveError, TranscriptionError
 from pyomo_quad.collocation.ipopt import Iteration, Progress, SolverOptions, Status
@@ -14,9 +21,11 @@ from pyomo_quad.collocation.problem import Problem
 from pyomo_quad.collocation.pyomo_solver import PyomoSolver
 from pyomo_quad.collocation.refinement import RefinementOptions
 from pyomo_quad.collocation.solution import MeshRecord, Solution
-from pyomo_quad.collocation.trajectory import control_polynomial, interpolate
+from pyomo_quad.collocation.trajectory import Trajectory, control_polynomial, interpolate
 
 __all__ = [
+    "ActiveLimit",
+    "Diagnosis",
     "Dynamics",
     "EngineError",
     "Iteration",
@@ -26,14 +35,18 @@ __all__ = [
     "Progress",
     "PyomoSolver",
     "RefinementOptions",
+    "Relaxation",
+    "Residual",
     "Solution",
     "SolveError",
     "SolverOptions",
     "Status",
+    "Trajectory",
     "TranscriptionError",
     "Violation",
     "compile",
     "control_polynomial",
+    "diagnose",
     "interpolate",
     "solve",
 ]

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from pyomo_quad.collocation.trajectory import Trajectory
+
 if TYPE_CHECKING:
     from pyomo_quad.collocation.bounds import Bounds
     from pyomo_quad.collocation.declarations import Slot
     from pyomo_quad.collocation.nodes import FloatArray
-    from pyomo_quad.collocation.trajectory import Trajectory
     from pyomo_quad.collocation.transcription import Transcription
     from pyomo_quad.collocation.values import ModelValues
 
@@ -21,8 +22,9 @@ __all__ = ["TIME_COLUMN", "Guess", "initial_point", "point_from_trajectory"]
 TIME_COLUMN = "time"
 
 #: A mapping from slot name to a function of time, a constant or samples over `TIME_COLUMN`;
-#: a pandas frame with a time column and one column per slot is such a mapping.
-Guess = Mapping[str, Any] | pd.DataFrame
+#: a pandas frame with a time column and one column per slot is such a mapping.  Or a whole
+#: trajectory on any mesh.
+Guess = Mapping[str, Any] | pd.DataFrame | Trajectory
 
 
 def point_from_trajectory(program: Transcription, trajectory: Trajectory) -> FloatArray:
@@ -51,9 +53,11 @@ def initial_point(
     Known are the values a guess gives, those the model's variables hold, and those that
     boundary conditions fix.
     """
+    if isinstance(guess, Trajectory):
+        return np.clip(point_from_trajectory(program, guess), bounds.lower, bounds.upper)
     layout, declared = program.layout, program.compiled.declared
     z = np.zeros(layout.unknowns)
-    given: Guess = {} if guess is None else guess
+    given: Mapping[str, Any] | pd.DataFrame = {} if guess is None else guess
     if program.mesh is not None:
         mesh = program.mesh
         for slots, columns, fractions in (
@@ -78,7 +82,7 @@ def _function_of_time(
     program: Transcription,
     bounds: Bounds,
     values: ModelValues,
-    given: Guess,
+    given: Mapping[str, Any] | pd.DataFrame,
     slot: Slot,
     columns: Any,
     fractions: FloatArray,
@@ -95,7 +99,12 @@ def _function_of_time(
     return np.interp(fractions, at, np.array([known[f] for f in at]))
 
 
-def _given(program: Transcription, given: Guess, name: str, fractions: FloatArray) -> FloatArray:
+def _given(
+    program: Transcription,
+    given: Mapping[str, Any] | pd.DataFrame,
+    name: str,
+    fractions: FloatArray,
+) -> FloatArray:
     times = np.array([program.time_of(float(f)) for f in fractions])
     held = given[name]
     if callable(held):

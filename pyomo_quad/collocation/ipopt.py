@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import cyipopt
 import numpy as np
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.bounds import Bounds
     from pyomo_quad.collocation.nodes import FloatArray
     from pyomo_quad.collocation.scaling import Scaling
-    from pyomo_quad.collocation.transcription import Transcription
 
 __all__ = ["IpoptResult", "Iteration", "Multipliers", "Progress", "SolverOptions", "Status", "run"]
 
@@ -74,6 +73,24 @@ class Multipliers:
     upper: FloatArray
 
 
+class Program(Protocol):
+    """A nonlinear program: what Ipopt asks for, and what its progress shows."""
+
+    @property
+    def n_rows(self) -> int: ...
+    @property
+    def n_points(self) -> int: ...
+    @property
+    def is_negated(self) -> bool: ...
+    def objective(self, z: FloatArray) -> float: ...
+    def gradient(self, z: FloatArray) -> FloatArray: ...
+    def constraints(self, z: FloatArray) -> FloatArray: ...
+    def jacobianstructure(self) -> tuple[Any, Any]: ...
+    def jacobian(self, z: FloatArray) -> FloatArray: ...
+    def hessianstructure(self) -> tuple[Any, Any]: ...
+    def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray: ...
+
+
 @dataclass(frozen=True, kw_only=True)
 class IpoptResult:
     """Point, multipliers and how Ipopt got there."""
@@ -86,12 +103,17 @@ class IpoptResult:
     history: tuple[Iteration, ...]
     wall_s: float
 
+    @property
+    def is_converged(self) -> bool:
+        """Whether Ipopt met its tolerance."""
+        return self.status is Status.CONVERGED
+
 
 @dataclass
 class _Callbacks:
     """What cyipopt calls; an exception is kept and raised again after Ipopt has returned."""
 
-    program: Transcription
+    program: Program
     progress: Progress | None
     sign: float
     started: float = field(default_factory=time.perf_counter)
@@ -150,7 +172,7 @@ class _Callbacks:
             dual_infeasibility=dual_infeasibility,
             barrier=barrier,
             elapsed_s=time.perf_counter() - self.started,
-            mesh_points=self.program.layout.points,
+            mesh_points=self.program.n_points,
         )
         self.history.append(line)
         try:
@@ -198,7 +220,7 @@ _SOLVED, _INFEASIBLE, _STOPPED = 0, 2, 5
 
 
 def run(
-    program: Transcription,
+    program: Program,
     bounds: Bounds,
     scaling: Scaling,
     start: FloatArray,
@@ -214,7 +236,7 @@ def run(
     Exception
         Whatever a callback raised, once Ipopt has been left cleanly.
     """
-    sign = -1.0 if program.compiled.declared.maximise else 1.0
+    sign = -1.0 if program.is_negated else 1.0
     callbacks = _Callbacks(program, progress, sign)
     problem = cyipopt.Problem(
         n=start.size,

@@ -73,10 +73,9 @@ def interpolation_matrix(nodes: FloatArray, targets: FloatArray) -> FloatArray:
     exact = difference == 0.0
     difference[exact] = 1.0
     terms = weights[None, :] / difference
-    matrix = terms / terms.sum(axis=1, keepdims=True)
     hit = exact.any(axis=1)
-    matrix[hit] = exact[hit].astype(float)
-    return np.asarray(matrix, dtype=float)
+    terms[hit] = exact[hit].astype(float)
+    return np.asarray(terms / terms.sum(axis=1, keepdims=True), dtype=float)
 
 
 def _square_differentiation(nodes: FloatArray) -> FloatArray:

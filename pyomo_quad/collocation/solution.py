@@ -204,6 +204,10 @@ class Solution:
         values = interpolate(self.mesh, held, self.fractions(t), with_start=False)[:, 0]
         return float(values[0]) if np.ndim(t) == 0 else values.reshape(np.shape(t))
 
+    def trajectory_of(self, unknowns: FloatArray) -> Trajectory:
+        """Return the trajectory of other unknowns of the same program."""
+        return _trajectory(self.program, unknowns)
+
     def split(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Split a vector shaped like the unknowns into states, algebraics and statics."""
         layout = self.program.layout
@@ -246,6 +250,16 @@ class Solution:
         return frame
 
 
+def _trajectory(program: Transcription, z: FloatArray) -> Trajectory:
+    layout = program.layout
+    return Trajectory(
+        mesh=program.mesh or Mesh.uniform(1, 1),
+        states=z[layout.state_columns],
+        algebraics=z[layout.algebraic_columns],
+        statics=z[layout.static_columns],
+    )
+
+
 def solution_from(
     problem: Problem,
     program: Transcription,
@@ -257,13 +271,6 @@ def solution_from(
 ) -> Solution:
     """Return the solution that Ipopt's result stands for, outputs included."""
     z, layout = result.z, program.layout
-    mesh = program.mesh or Mesh.uniform(1, 1)
-    trajectory = Trajectory(
-        mesh=mesh,
-        states=z[layout.state_columns],
-        algebraics=z[layout.algebraic_columns],
-        statics=z[layout.static_columns],
-    )
     outputs = np.zeros((layout.points + 1, len(problem.outputs)))
     if len(problem.outputs) and program.mesh is not None:
         start = problem.outputs.start(instance.parameters, instance.fixed)
@@ -276,7 +283,7 @@ def solution_from(
         status=result.status,
         message=result.message,
         objective=program.user_objective(z),
-        trajectory=trajectory,
+        trajectory=_trajectory(program, z),
         output_states=outputs,
         multipliers=result.multipliers,
         unknowns=z,

@@ -79,6 +79,16 @@ class Transcription:
         return self.first_integral_row + len(self.compiled.static_of_integral)
 
     @property
+    def n_points(self) -> int:
+        """Number of collocation points."""
+        return self.layout.points
+
+    @property
+    def is_negated(self) -> bool:
+        """Whether the declared objective is maximised, and its negative minimised."""
+        return self._sign < 0.0
+
+    @property
     def first_condition_row(self) -> int:
         """Row of the first condition."""
         return self.layout.points * self.compiled.n_equations

@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
-from zipfile import BadZipFile
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pyomo_quad.collocation import Dynamics, Iteration, Mesh, MeshRecord, Solution, interpolate
+from pyomo_quad.collocation import Dynamics, Iteration, Mesh, MeshRecord, Solution
 from pyomo_quad.flight.columns import TIME, flight_frame
 from pyomo_quad.flight.flight import Flight, Flown
+from pyomo_quad.flight.plan_file import not_a_plan, read_plan_file, write_plan_file
+from pyomo_quad.flight.trajectories import Trajectories
 from pyomo_quad.flight.verification import Verification
 from pyomo_quad.scenario import Scenario, ScenarioError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
-__all__ = ["Plan", "PlanStatus", "Trajectories"]
+    from pyomo_quad.flight.failure import Failure
+
+__all__ = ["Plan", "PlanStatus"]
 
 FloatArray = NDArray[np.float64]
 
-_FORMAT = 1
-_LARGEST_FILE = 256 * 1024 * 1024
+_ARRAYS = ("states", "controls", "energy", "costates", "hamiltonian")
 
 
 class PlanStatus(StrEnum):
@@ -40,50 +40,6 @@ class PlanStatus(StrEnum):
     NOT_CONVERGED = "not_converged"
     INFEASIBLE = "infeasible"
     INTERRUPTED = "interrupted"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Trajectories:
-    """Named values on a mesh.
-
-    Shapes: states (n_points + 1, n_states), controls (n_points, n_controls), energy
-    (n_points + 1,), costates (n_points, n_costates), hamiltonian (n_points,).
-    """
-
-    mesh: Mesh
-    horizon: tuple[float, float]
-    state_names: tuple[str, ...]
-    control_names: tuple[str, ...]
-    costate_names: tuple[str, ...]
-    states: FloatArray
-    controls: FloatArray
-    energy: FloatArray
-    costates: FloatArray
-    hamiltonian: FloatArray
-
-    def fractions(self, t: FloatArray) -> FloatArray:
-        """Return times as fractions of the horizon, clipped to it."""
-        start, end = self.horizon
-        return np.clip((np.asarray(t, dtype=float) - start) / (end - start), 0.0, 1.0)
-
-    def states_at(self, t: FloatArray) -> FloatArray:
-        """Return the state polynomials at times, shape (n, n_states)."""
-        return interpolate(self.mesh, self.states, self.fractions(t), with_start=True)
-
-    def controls_at(self, t: FloatArray) -> FloatArray:
-        """Return the control polynomials at times, shape (n, n_controls)."""
-        return interpolate(self.mesh, self.controls, self.fractions(t), with_start=False)
-
-    def energy_at(self, t: FloatArray) -> FloatArray:
-        """Return the energy spent until times, shape (n,)."""
-        held = interpolate(self.mesh, self.energy[:, None], self.fractions(t), with_start=True)
-        return held[:, 0]
-
-    @property
-    def node_times(self) -> FloatArray:
-        """Times of the nodes [s]."""
-        start, end = self.horizon
-        return start + (end - start) * self.mesh.node_fractions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +67,8 @@ class Plan:
         Ipopt's progress on the last mesh.
     attempts : tuple of str
         What was tried, in order, when the first solve was not enough.
+    failure : Failure or None
+        Why the solve failed, where it did.
     timings : mapping
         Seconds for build, compile, solve and verify.
     """
@@ -126,6 +84,7 @@ class Plan:
     history: tuple[MeshRecord, ...]
     iterations: tuple[Iteration, ...] = ()
     attempts: tuple[str, ...] = ()
+    failure: Failure | None = None
     timings: Mapping[str, float] = field(default_factory=dict)
     solution: Solution | None = field(default=None, compare=False, repr=False)
     flown: Flown | None = field(default=None, compare=False, repr=False)
@@ -243,7 +202,6 @@ class Plan:
         """Write the plan to a file that `load` reads: arrays and JSON, nothing pickled."""
         held = self.trajectories
         about = {
-            "format": _FORMAT,
             "scenario": self.scenario.model_dump(mode="json"),
             "status": self.status.value,
             "message": self.message,
@@ -257,48 +215,30 @@ class Plan:
             "horizon": list(held.horizon),
             "names": [list(held.state_names), list(held.control_names), list(held.costate_names)],
         }
-        with Path(path).open("wb") as file:
-            np.savez_compressed(
-                file,
-                about=np.frombuffer(json.dumps(about).encode(), dtype=np.uint8),
-                breakpoints=np.asarray(held.mesh.breakpoints),
-                degrees=np.asarray(held.mesh.degrees),
-                states=held.states,
-                controls=held.controls,
-                energy=held.energy,
-                costates=held.costates,
-                hamiltonian=held.hamiltonian,
-            )
+        arrays = {
+            "breakpoints": np.asarray(held.mesh.breakpoints),
+            "degrees": np.asarray(held.mesh.degrees),
+            **{name: getattr(held, name) for name in _ARRAYS},
+        }
+        write_plan_file(Path(path), about, arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a plan that `save` wrote.
+        """Read a plan that `save` wrote; it holds no equations, and so cannot be flown again.
 
         Raises
         ------
         ScenarioError
             If the file is missing, too large, or not a plan of this version.
         """
-        file = Path(path)
+        about, held = read_plan_file(Path(path))
         try:
-            if file.stat().st_size > _LARGEST_FILE:
-                raise ScenarioError(f"{path}: is larger than {_LARGEST_FILE} bytes; not a plan.")
-            with np.load(file, allow_pickle=False) as held:
-                return cls._from_arrays({name: held[name] for name in held.files})
-        except OSError as error:
-            raise ScenarioError(f"{path}: cannot be read ({error.strerror or error}).") from None
-        except (BadZipFile, KeyError, ValueError, TypeError, IndexError) as error:
-            if isinstance(error, ScenarioError):
-                raise
-            raise ScenarioError(
-                f"{path}: is not a plan written by Plan.save of this version."
-            ) from None
+            return cls._from_parts(about, held)
+        except (KeyError, ValueError, TypeError) as error:
+            raise not_a_plan(Path(path)) from error
 
     @classmethod
-    def _from_arrays(cls, held: dict[str, NDArray[Any]]) -> Self:
-        about = json.loads(held["about"].tobytes().decode())
-        if about["format"] != _FORMAT:
-            raise ValueError(about["format"])
+    def _from_parts(cls, about: dict[str, Any], held: dict[str, NDArray[Any]]) -> Self:
         mesh = Mesh(
             breakpoints=tuple(float(b) for b in held["breakpoints"]),
             degrees=tuple(int(d) for d in held["degrees"]),
@@ -317,7 +257,7 @@ class Plan:
                 state_names=states,
                 control_names=controls,
                 costate_names=costates,
-                **{k: held[k] for k in ("states", "controls", "energy", "costates", "hamiltonian")},
+                **{name: held[name] for name in _ARRAYS},
             ),
             verification=None if verification is None else Verification(**verification),
             error_estimate=about["error_estimate"],
@@ -325,7 +265,3 @@ class Plan:
             attempts=tuple(about["attempts"]),
             timings=about["timings"],
         )
-
-    def with_attempts(self, attempts: tuple[str, ...]) -> Self:
-        """Return the plan with the log of what was tried before it."""
-        return replace(self, attempts=attempts)

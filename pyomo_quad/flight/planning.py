@@ -18,9 +18,13 @@ from pyomo_quad.collocation import (
     Solution,
     SolverOptions,
     Status,
+    Trajectory,
     compile,  # noqa: A004  the engine's name for it
 )
-from pyomo_quad.flight.plan import Plan, PlanStatus, Trajectories
+from pyomo_quad.flight.plan import Plan, PlanStatus
+from pyomo_quad.flight.rescue import Rescuer
+from pyomo_quad.flight.shortest import shortest_flight
+from pyomo_quad.flight.trajectories import Trajectories
 from pyomo_quad.flight.verification import verify_controls
 from pyomo_quad.model import build_model, hover_power, parameter_values, structure_key
 from pyomo_quad.scenario import Scenario
@@ -100,29 +104,55 @@ class Planner:
         told = scenario.as_forecast()
         problem, timings = self.problem_for(told)
         started = time.perf_counter()
-        solution = self._solve(problem, told, warm_start, progress)
+        solution = self._first_solve(problem, told, warm_start, progress)
+        rescue = None
+        if solution.status in (Status.NOT_CONVERGED, Status.INFEASIBLE):
+            rescue = self._rescuer(problem, told, progress)(solution)
+            solution = rescue.solution
         timings["solve"] = time.perf_counter() - started
         plan = self._plan(scenario, told, problem, solution, timings)
+        if rescue is not None:
+            plan = replace(plan, attempts=rescue.attempts, failure=rescue.failure)
         if solution.status not in (Status.CONVERGED, Status.TOLERANCE_NOT_MET):
             return plan
         return _verified(plan, solution)
 
-    def _solve(
+    def _first_solve(
         self, problem: Problem, told: Scenario, warm_start: Plan | None, progress: Progress | None
     ) -> Solution:
-        settings = told.solver
         previous = warm_start.solution if warm_start is not None else None
         is_own = previous is not None and previous.problem is problem
-        mesh = warm_start.mesh if warm_start else Mesh.uniform(settings.elements, settings.degree)
-        return problem.solve(
-            mesh=mesh,
-            tolerance=settings.tolerance,
-            parameters=self.parameters(told),
-            horizon=(0.0, told.mission.duration),
-            guess=warm_start.guess() if warm_start is not None and not is_own else None,
-            warm_start=previous if is_own else None,
-            options=SolverOptions(max_iterations=settings.max_iterations),
-            refinement=RefinementOptions(max_meshes=settings.max_refinements + 1),
+        arguments = self._arguments(told, progress)
+        if warm_start is not None:
+            arguments["mesh"] = warm_start.mesh
+        if is_own:
+            return problem.solve(**arguments, warm_start=previous)
+        return problem.solve(**arguments, guess=warm_start.guess() if warm_start else None)
+
+    def _arguments(self, told: Scenario, progress: Progress | None) -> dict[str, Any]:
+        settings = told.solver
+        return {
+            "mesh": Mesh.uniform(settings.elements, settings.degree),
+            "tolerance": settings.tolerance,
+            "parameters": self.parameters(told),
+            "horizon": (0.0, told.mission.duration),
+            "options": SolverOptions(max_iterations=settings.max_iterations),
+            "refinement": RefinementOptions(max_meshes=settings.max_refinements + 1),
+            "progress": progress,
+        }
+
+    def _rescuer(self, problem: Problem, told: Scenario, progress: Progress | None) -> Rescuer:
+        arguments = self._arguments(told, progress)
+
+        def slowly(duration: float, guess: Trajectory | None) -> Solution:
+            other = arguments | {"horizon": (0.0, duration), "tolerance": None}
+            return problem.solve(**other, guess=guess)
+
+        return Rescuer(
+            duration=told.mission.duration,
+            solve=lambda trajectory: problem.solve(**arguments, guess=trajectory),
+            solve_slowly=slowly,
+            solve_shortest=lambda: shortest_flight(self._builder(told), told, progress),
             progress=progress,
         )
 

@@ -1,0 +1,63 @@
+"""The file of a plan: NumPy arrays beside one JSON text, with nothing pickled in it."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from pyomo_quad.scenario import ScenarioError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+__all__ = ["not_a_plan", "read_plan_file", "write_plan_file"]
+
+_FORMAT = 1
+_ABOUT = "about"
+_LARGEST_FILE = 256 * 1024 * 1024
+
+
+def write_plan_file(path: Path, about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+    """Write a plan's description and arrays."""
+    text = json.dumps(about | {"format": _FORMAT})
+    with path.open("wb") as file:
+        np.savez_compressed(
+            file, allow_pickle=False, **arrays, about=np.frombuffer(text.encode(), dtype=np.uint8)
+        )
+
+
+def read_plan_file(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return a plan's description and arrays.
+
+    Raises
+    ------
+    ScenarioError
+        If the file is missing, too large, or not a plan of this version.
+    """
+    try:
+        if path.stat().st_size > _LARGEST_FILE:
+            raise ScenarioError(f"{path}: is larger than {_LARGEST_FILE} bytes; not a plan.")
+        with np.load(path, allow_pickle=False) as held:
+            arrays = {name: held[name] for name in held.files}
+        about = json.loads(arrays.pop(_ABOUT).tobytes().decode())
+        if about["format"] != _FORMAT:
+            raise not_a_plan(path)
+    except OSError as error:
+        raise ScenarioError(f"{path}: cannot be read ({error.strerror or error}).") from None
+    except (BadZipFile, KeyError, TypeError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise not_a_plan(path) from error
+    except ValueError as error:
+        if isinstance(error, ScenarioError):
+            raise
+        raise not_a_plan(path) from error
+    return about, arrays
+
+
+def not_a_plan(path: Path) -> ScenarioError:
+    """Return the complaint about a file that holds something else."""
+    return ScenarioError(f"{path}: is not a plan written by Plan.save of this version.")

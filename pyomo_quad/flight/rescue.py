@@ -1,0 +1,146 @@
+"""What is done when the first solve of a mission fails.
+
+In this order: an elastic solve, which either finds a flight that keeps every limit, to start
+again from, or shows that none exists; the shortest flight, which says whether time is what
+lacks; and a slow flight of the same mission, sped up step by step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from pyomo_quad.collocation import (
+    Progress,
+    Relaxation,
+    Solution,
+    Status,
+    Trajectory,
+    TranscriptionError,
+    diagnose,
+)
+from pyomo_quad.flight.failure import Failure
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pyomo_quad.collocation import Diagnosis
+
+__all__ = ["Rescue", "Rescuer"]
+
+_DONE = (Status.CONVERGED, Status.TOLERANCE_NOT_MET)
+# Durations, as multiples of the mission's, through which a slow flight is sped up.
+_SLOWER = (3.0, 2.0, 1.5, 1.2, 1.1)
+_MOST_REMEDIES = 3
+_LIMITS = "limits."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rescue:
+    """What became of it: the last solution, what was tried, and why it failed if it did."""
+
+    solution: Solution
+    attempts: tuple[str, ...]
+    failure: Failure | None
+
+
+class Rescuer:
+    """Tries a failed mission again.
+
+    Parameters
+    ----------
+    duration : float
+        Of the mission [s].
+    solve : callable
+        Solve the mission to its tolerance from a trajectory.
+    solve_slowly : callable
+        Solve the mission on its first mesh with another duration [s], from a trajectory or from
+        nothing.
+    solve_shortest : callable
+        Return the shortest flight of the mission, or None.
+    progress : callable or None
+        Called at each iteration; returning False stops the solve.
+    """
+
+    def __init__(
+        self,
+        *,
+        duration: float,
+        solve: Callable[[Trajectory], Solution],
+        solve_slowly: Callable[[float, Trajectory | None], Solution],
+        solve_shortest: Callable[[], Solution | None],
+        progress: Progress | None,
+    ) -> None:
+        self._duration = duration
+        self._solve = solve
+        self._solve_slowly = solve_slowly
+        self._solve_shortest = solve_shortest
+        self._progress = progress
+        self._attempts: list[str] = []
+
+    def __call__(self, failed: Solution) -> Rescue:
+        """Return the rescue of a solution that did not converge."""
+        self._note("first solve", failed)
+        diagnosis = diagnose(failed, progress=self._progress)
+        solution = failed
+        if diagnosis.feasible_point is not None:
+            solution = self._solve(diagnosis.feasible_point)
+            self._note("elastic restoration", solution)
+        elif not diagnosis.is_infeasible:
+            solution = self._continued() or failed
+        if solution.status in (*_DONE, Status.INTERRUPTED):
+            return self._ended(solution, None)
+        shortest = self._solve_shortest()
+        least = None if shortest is None else shortest.objective
+        self._attempts.append(
+            "shortest flight: none found" if least is None else f"shortest flight: {least:.4g} s"
+        )
+        is_contradicted = least is not None and least <= self._duration
+        if diagnosis.is_infeasible and is_contradicted:
+            solution = self._continued() or failed
+            if solution.status in (*_DONE, Status.INTERRUPTED):
+                return self._ended(solution, None)
+        failure = Failure(
+            duration_s=self._duration,
+            shortest_duration_s=least,
+            diagnosis=diagnosis,
+            remedies=() if not diagnosis.is_infeasible else self._remedies(failed, diagnosis),
+        )
+        is_proven = failure.is_too_short or (diagnosis.is_infeasible and not is_contradicted)
+        status = Status.INFEASIBLE if is_proven else Status.NOT_CONVERGED
+        return self._ended(replace(failed, status=status), failure)
+
+    def _ended(self, solution: Solution, failure: Failure | None) -> Rescue:
+        return Rescue(solution=solution, attempts=tuple(self._attempts), failure=failure)
+
+    def _note(self, what: str, solution: Solution) -> None:
+        self._attempts.append(f"{what}: {solution.status.value}")
+
+    def _continued(self) -> Solution | None:
+        """Speed a slow flight up to the mission's duration; None when a step fails."""
+        trajectory: Trajectory | None = None
+        for factor in _SLOWER:
+            slower = self._solve_slowly(factor * self._duration, trajectory)
+            self._note(f"duration x {factor:g}", slower)
+            if slower.status is Status.INTERRUPTED:
+                return slower
+            if slower.status in _DONE:
+                trajectory = slower.trajectory
+        if trajectory is None:
+            return None
+        solution = self._solve(trajectory)
+        self._note("continuation in duration", solution)
+        return solution
+
+    def _remedies(self, failed: Solution, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
+        """Return single limits that would do alone."""
+        candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
+        limits = [name for name in dict.fromkeys(candidates) if name.startswith(_LIMITS)]
+        found: list[Relaxation] = []
+        for name in limits[:_MOST_REMEDIES]:
+            try:
+                alone = diagnose(failed, families=frozenset({name}), progress=self._progress)
+            except TranscriptionError:
+                continue
+            found.extend(alone.relaxations)
+        return tuple(found)
