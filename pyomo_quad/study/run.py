@@ -1,0 +1,121 @@
+"""One run of a scenario: the optimum, every baseline, the comparison and the certificate."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from time import perf_counter
+
+import pandas as pd
+
+from pyomo_quad.collocation import Dynamics, EngineError, Progress
+from pyomo_quad.flight import Flight, Plan, Planner
+from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name, fly_baseline, fly_open_loop
+from pyomo_quad.scenario import Reference, Scenario, ScenarioError
+from pyomo_quad.study.cautions import plan_cautions
+from pyomo_quad.study.certificate import Certificate, certify
+from pyomo_quad.study.comparison import OPTIMAL, combine, compare_flights
+
+__all__ = ["RunResult", "run_scenario"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunResult:
+    """All there is to report of a scenario.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    plan : Plan
+        Of any status.
+    flights : tuple of Flight
+        The optimum first; empty where the solve failed.
+    comparison : DataFrame
+        One row per flight, see `study.comparison`.
+    certificate : Certificate
+        Of the mission in the wind that the optimiser was told.
+    timings : mapping
+        Seconds of the plan's phases, of the flights and of the certificate.
+    warnings : tuple of str
+        What a reader should know beside the numbers, one line each.
+    """
+
+    scenario: Scenario
+    plan: Plan
+    flights: tuple[Flight, ...]
+    comparison: pd.DataFrame
+    certificate: Certificate
+    timings: Mapping[str, float]
+    warnings: tuple[str, ...]
+
+
+def run_scenario(
+    scenario: Scenario,
+    *,
+    planner: Planner | None = None,
+    baselines: Sequence[Reference] | None = None,
+    progress: Progress | None = None,
+) -> RunResult:
+    """Solve, verify, fly every baseline, compare and certify.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    planner : Planner, optional
+        One that may hold a compiled problem already.
+    baselines : sequence of Reference, optional
+        What the controller follows, those of the scenario by default.
+    progress : callable, optional
+        Called at each Ipopt iteration; returning False stops the solve.
+
+    Returns
+    -------
+    RunResult
+        A solve that fails and a baseline that cannot be flown are results, not exceptions.
+    """
+    planner = planner or Planner()
+    references = scenario.baseline.references if baselines is None else tuple(baselines)
+    plan = planner.solve(scenario, progress=progress)
+    solved = perf_counter()
+    flights, failures = _fly_all(scenario, plan, planner.dynamics(scenario), references)
+    flown = perf_counter()
+    certificate = certify(scenario)
+    comparison = combine([])
+    if flights:
+        comparison = compare_flights(scenario, flights, certificate, plan.hover_energy_J)
+    certified = perf_counter()
+    return RunResult(
+        scenario=scenario,
+        plan=plan,
+        flights=flights,
+        comparison=comparison,
+        certificate=certificate,
+        timings={**plan.timings, "fly": flown - solved, "certify": certified - flown},
+        warnings=(*plan_cautions(plan), *failures),
+    )
+
+
+def _fly_all(
+    scenario: Scenario, plan: Plan, dynamics: Dynamics, references: Sequence[Reference]
+) -> tuple[tuple[Flight, ...], tuple[str, ...]]:
+    """Return the flights that came about, the optimum first, and what became of the others."""
+    if plan.verification is None:
+        return (), ()
+    flights, failures = [plan.flight(OPTIMAL)], []
+    for name, fly in _baselines(scenario, plan, dynamics, references):
+        try:
+            flights.append(fly())
+        except (EngineError, ScenarioError) as error:
+            failures.append(f"{name} could not be flown: {error}")
+    return tuple(flights), tuple(failures)
+
+
+def _baselines(
+    scenario: Scenario, plan: Plan, dynamics: Dynamics, references: Sequence[Reference]
+) -> Iterator[tuple[str, Callable[[], Flight]]]:
+    for reference in references:
+        yield (
+            baseline_name(reference),
+            partial(fly_baseline, scenario, reference, dynamics=dynamics, plan=plan),
+        )
+    yield OPEN_LOOP, partial(fly_open_loop, scenario, plan, dynamics)
