@@ -5,9 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 
-from pyomo_quad.collocation import Mesh, MeshRecord
+from pyomo_quad.collocation import ActiveLimit, Diagnosis, Mesh, MeshRecord, Residual
 from pyomo_quad.flight import PlanStatus, Verification
+from pyomo_quad.flight.failure import Failure
 from pyomo_quad.scenario import load_scenario
+from pyomo_quad.study.comparison import compare_flights
 
 HOVER_SPEED = 912.27
 HOVER_ENERGY_J = 709.6
@@ -126,39 +128,6 @@ def synthetic_flight(scenario, name):
     )
 
 
-def synthetic_comparison(scenario, flights, hover_energy_J=HOVER_ENERGY_J):
-    optimum = flights[0].energy_J
-    rows = []
-    for flight in flights:
-        arrived = flight.terminal_miss_m <= 0.05
-        is_saving = arrived and flight.name != "optimal"
-        above = flight.energy_J - hover_energy_J
-        rows.append(
-            {
-                "scenario": scenario.name,
-                "flight": flight.name,
-                "energy_J": flight.energy_J,
-                "hover_energy_J": hover_energy_J,
-                "excess_energy_J": above,
-                "lower_bound_J": LOWER_BOUND_J,
-                "optimality_gap_percent": 100 * (flight.energy_J - LOWER_BOUND_J) / flight.energy_J,
-                "saving_percent": 100 * (1 - optimum / flight.energy_J) if is_saving else None,
-                "saving_of_excess_percent": (
-                    100 * (flight.energy_J - optimum) / above if is_saving else None
-                ),
-                "terminal_miss_m": flight.terminal_miss_m,
-                "arrived": arrived,
-                "verified": flight.is_verified,
-                "peak_power_W": flight.frame["power_W"].max(),
-                "peak_tilt_rad": flight.frame["theta_rad"].abs().max(),
-                "peak_rotor_acceleration_rad_per_s2": 55.0,
-                "time_inside_0p1_m_s": 0.6,
-                "battery_used_percent": 0.4,
-            }
-        )
-    return pd.DataFrame(rows)
-
-
 def synthetic_history():
     sizes = ((10, 30, 2.4e-3), (14, 52, 7.7e-5), (19, 88, 3.1e-7))
     return tuple(
@@ -190,7 +159,26 @@ def synthetic_verification(flight):
     )
 
 
-def synthetic_plan(scenario, flight, status=PlanStatus.VERIFIED, message="Optimal Solution Found."):
+def synthetic_failure():
+    diagnosis = Diagnosis(
+        residuals=(
+            Residual(name="rigid_body.z_balance", element=4, time=0.8819, violation=3.6, unit="N"),
+        ),
+        active=(ActiveLimit(name="rotors.omega", limit=1047.197, unit="rad/s", share=0.62),),
+        least_violation=0.2,
+        relaxations=(),
+        feasible_point=None,
+    )
+    return Failure(duration_s=2.0, shortest_duration_s=3.4, diagnosis=diagnosis, remedies=())
+
+
+def synthetic_plan(
+    scenario,
+    flight,
+    status=PlanStatus.VERIFIED,
+    message="Optimal Solution Found.",
+    failure=None,
+):
     is_flown = status in (PlanStatus.VERIFIED, PlanStatus.SOLVED)
     return SimpleNamespace(
         scenario=scenario,
@@ -204,6 +192,7 @@ def synthetic_plan(scenario, flight, status=PlanStatus.VERIFIED, message="Optima
         history=synthetic_history(),
         iteration_count=57,
         attempts=(),
+        failure=failure,
         mesh=Mesh(breakpoints=(0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0), degrees=(6, 5, 4, 4, 5, 6)),
         flight=lambda name="optimal": SimpleNamespace(**(vars(flight) | {"name": name})),
         to_frame=lambda rate_hz=None: flight.frame.iloc[::10].reset_index(drop=True),
@@ -225,12 +214,13 @@ def synthetic_run(path="scenarios/paper_wind.toml", overrides=(), flights=tuple(
     """Return what a run of a scenario file looks like, without solving anything."""
     scenario = load_scenario(path, overrides)
     flown = tuple(synthetic_flight(scenario, name) for name in flights)
+    certificate = synthetic_certificate()
     return SimpleNamespace(
         scenario=scenario,
         plan=synthetic_plan(scenario, flown[0]),
         flights=flown,
-        comparison=synthetic_comparison(scenario, flown),
-        certificate=synthetic_certificate(),
+        comparison=compare_flights(scenario, flown, certificate, HOVER_ENERGY_J),
+        certificate=certificate,
         timings={"solve": 1.0},
         warnings=(),
     )

@@ -6,14 +6,16 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from pyomo_quad.flight.baselines import baseline_name
 from pyomo_quad.report.style import LineStyle, flight_styles
+from pyomo_quad.scenario.baseline import Reference
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Flight, Plan
 
 __all__ = ["FAIR_BASELINE", "StyledFlight", "fair_pair", "plan_flight", "styled_flights"]
 
-FAIR_BASELINE = "adaptive/quintic"
+FAIR_BASELINE = baseline_name(Reference.QUINTIC)
 _FAILED_PLAN = "best iterate"
 
 

@@ -15,6 +15,7 @@ from pyomo_quad.report.figures.costates import COSTATES, draw_costates
 from pyomo_quad.report.figures.energy import draw_energy
 from pyomo_quad.report.figures.energy_split import draw_energy_split
 from pyomo_quad.report.figures.mesh import draw_mesh
+from pyomo_quad.report.figures.overview import draw_overview
 from pyomo_quad.report.figures.path import BEAT_COUNT, distinct_paths, draw_path
 from pyomo_quad.report.figures.rotors import draw_rotors
 from pyomo_quad.report.figures.states import draw_states
@@ -37,7 +38,7 @@ from pyomo_quad.report.style import save_figure
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
 
-__all__ = ["PATH_NAME", "Drawing", "energy_split_drawing", "plan_drawings", "save_drawings"]
+__all__ = ["PATH_NAME", "Drawing", "comparison_drawings", "plan_drawings", "save_drawings"]
 
 PATH_NAME = "path"
 
@@ -106,10 +107,10 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
     return tuple(drawing for drawing in drawings if finite.issuperset(drawing.needs))
 
 
-def energy_split_drawing(
+def comparison_drawings(
     flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
-) -> Drawing:
-    """Return the figure that splits each flight's energy at the hover floor.
+) -> tuple[Drawing, ...]:
+    """List the figures that set flights against each other.
 
     Parameters
     ----------
@@ -122,14 +123,26 @@ def energy_split_drawing(
 
     Returns
     -------
-    Drawing
-        Bars, one per flight.
+    tuple of Drawing
+        The run at a glance, and the energy of each flight; nothing for a model of the user's own
+        without positions.
     """
-    return Drawing(
-        name="energy_split",
-        title="Energy of each flight",
-        caption="Energy of each flight, split at what hovering for the same time takes.",
-        draw=lambda: draw_energy_split(flights, hover_energy_J, absent),
+    if not set(_columns(POSITION)) <= set(flights[0].frame):
+        return ()
+    return (
+        Drawing(
+            name="overview",
+            title="The run at a glance",
+            caption="Left: the paths, from start (dot) to goal (star). Right: what each flight "
+            "spends above hovering for the same time.",
+            draw=lambda: draw_overview(flights, hover_energy_J, absent),
+        ),
+        Drawing(
+            name="energy_split",
+            title="Energy of each flight",
+            caption="Energy of each flight, split at what hovering for the same time takes.",
+            draw=lambda: draw_energy_split(flights, hover_energy_J, absent),
+        ),
     )
 
 

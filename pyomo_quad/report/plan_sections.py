@@ -21,6 +21,7 @@ from pyomo_quad.report.document import (
     Table,
     Verdict,
 )
+from pyomo_quad.report.failure_section import attempt_blocks
 from pyomo_quad.report.wording import (
     STATUS_WORDS,
     fixed,
@@ -31,7 +32,6 @@ from pyomo_quad.report.wording import (
 from pyomo_quad.version import __version__
 
 __all__ = [
-    "failure_blocks",
     "figure_blocks",
     "origin_blocks",
     "plan_title",
@@ -82,7 +82,7 @@ def plan_verdict(plan: Plan) -> Verdict:
     if plan.verification is None:
         return Verdict(
             is_good=False,
-            pieces=(status, " No flight was found; what is known of the reason stands below."),
+            pieces=(status, f" No flight was found: {_first_cause(plan)}"),
         )
     excess = fixed(plan.energy - plan.hover_energy_J)
     energy = (
@@ -96,38 +96,9 @@ def plan_verdict(plan: Plan) -> Verdict:
     return Verdict(is_good=False, pieces=(status, doubt, energy))
 
 
-def failure_blocks(plan: Plan) -> tuple[Block, ...]:
-    """Say what kept a plan from being verified.
-
-    Parameters
-    ----------
-    plan : Plan
-        Of any status.
-
-    Returns
-    -------
-    tuple of Block
-        Nothing for a verified plan.
-    """
-    if plan.is_verified:
-        return ()
-    kept: tuple[Block, ...] = ()
-    if plan.verification is None:
-        kept = (
-            Paragraph(
-                (
-                    "The best iterate is kept in ",
-                    Code("plan.csv"),
-                    " and drawn below. It breaks equations or limits and is not a flight.",
-                )
-            ),
-        )
-    return (
-        Heading("What went wrong"),
-        Paragraph((plan.message,)),
-        *kept,
-        *_attempts(plan.attempts),
-    )
+def _first_cause(plan: Plan) -> str:
+    causes = plan.failure.causes() if plan.failure is not None else iter(())
+    return next(causes, plan.message)
 
 
 def verification_blocks(plan: Plan) -> tuple[Block, ...]:
@@ -216,7 +187,7 @@ def solve_blocks(plan: Plan) -> tuple[Block, ...]:
             rows=rows,
             numeric=frozenset(range(len(header))),
         ),
-        *(_attempts(plan.attempts) if plan.is_verified else ()),
+        *(attempt_blocks(plan) if plan.is_verified else ()),
     )
 
 
@@ -271,13 +242,4 @@ def origin_blocks(files: Sequence[tuple[str, str]]) -> tuple[Block, ...]:
         Heading("Files"),
         Bullets(tuple((Code(name), f": {content}") for name, content in files)),
         Paragraph((f"Made by pyomo_quad {__version__}.",)),
-    )
-
-
-def _attempts(attempts: Sequence[str]) -> tuple[Block, ...]:
-    if not attempts:
-        return ()
-    return (
-        Paragraph(("What was tried, in order:",)),
-        Bullets(tuple((attempt,) for attempt in attempts)),
     )

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pyomo_quad.report.document import FIGURE_FOLDER, Document
+from pyomo_quad.report.failure_section import failure_blocks
 from pyomo_quad.report.flights import plan_flight, styled_flights
 from pyomo_quad.report.gallery import plan_drawings, save_drawings
 from pyomo_quad.report.markdown import render_markdown
 from pyomo_quad.report.mission_section import mission_blocks
 from pyomo_quad.report.plan_sections import (
-    failure_blocks,
     figure_blocks,
     origin_blocks,
     plan_title,

@@ -1,6 +1,7 @@
 """Power and energy over time, with what hovering for the same time would take."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,12 +18,13 @@ from pyomo_quad.report.flights import StyledFlight
 from pyomo_quad.report.signals import ENERGY, POWER, TIME
 from pyomo_quad.report.style import MUTED
 
-__all__ = ["draw_energy"]
+__all__ = ["draw_above_hover", "draw_energy"]
 
+_ABOVE_HOVER_TITLE = r"$E - P_\mathrm{hover}\,t$, energy above hovering (J)"
 # Peaks are what a flight spends less than this share of its time in.
 _PEAK_SHARE = 0.05
 _WORTH_CUTTING = 2.0
-_HOVER_LINE = {"color": MUTED, "linewidth": 1.0, "linestyle": (0, (1, 1))}
+_HOVER_LINE: dict[str, Any] = {"color": MUTED, "linewidth": 1.0, "linestyle": (0, (1, 1))}
 
 
 def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
@@ -46,19 +48,37 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
     power, energy, above = panels[:, 0]
     power.axhline(hover_power, label="hovering", **_HOVER_LINE)
     energy.plot([0.0, duration], [0.0, hover_energy_J], **_HOVER_LINE)
-    above.axhline(0.0, **_HOVER_LINE)
     for flight in flights:
         draw_over_time(power, flight.frame, POWER, flight.style, flight.name)
         draw_over_time(energy, flight.frame, ENERGY, flight.style, flight.name)
-        _draw_above(above, flight, hover_power)
-    titles = (POWER.title, ENERGY.title, r"$E - P_\mathrm{hover}\,t$, energy above hovering (J)")
-    for axes, title in zip(panels.flat, titles, strict=True):
-        axes.set_title(title)
-        keep_span([axes], ENERGY.smallest_span)
+    draw_above_hover(above, flights, hover_power)
+    for axes, signal in ((power, POWER), (energy, ENERGY)):
+        axes.set_title(signal.title)
+        keep_span([axes], signal.smallest_span)
     _cut_peaks(power, flights)
     label_time(panels[-1], duration)
     legend_below(figure, power)
     return figure
+
+
+def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W: float) -> None:
+    """Draw the energy spent until each time, less what hovering until then takes.
+
+    Parameters
+    ----------
+    axes : Axes
+        Where to.
+    flights : sequence of StyledFlight
+        The flights, the optimum first.
+    hover_power_W : float
+        Power of hovering, W.
+    """
+    axes.axhline(0.0, **_HOVER_LINE)
+    for flight in flights:
+        time, energy = TIME.of(flight.frame), ENERGY.of(flight.frame)
+        axes.plot(time, energy - hover_power_W * time, label=flight.name, **flight.style.line)
+    axes.set_title(_ABOVE_HOVER_TITLE)
+    keep_span([axes], ENERGY.smallest_span)
 
 
 def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
@@ -73,9 +93,3 @@ def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
         margin = 0.1 * (high - low)
         axes.set_ylim(max(bottom, low - margin), min(top, high + margin))
         axes.set_title(f"{POWER.title}, short peaks cut off")
-
-
-def _draw_above(axes: Axes, flight: StyledFlight, hover_power: float) -> None:
-    time, energy = TIME.of(flight.frame), ENERGY.of(flight.frame)
-    line: np.ndarray = energy - hover_power * time
-    axes.plot(time, line, **flight.style.line)

@@ -13,7 +13,7 @@ from pyomo_quad.report.flights import StyledFlight
 from pyomo_quad.report.signals import POSITION, TIME, Signal
 from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, PALE
 
-__all__ = ["BEAT_COUNT", "COINCIDENT", "distinct_paths", "draw_path"]
+__all__ = ["BEAT_COUNT", "COINCIDENT", "distinct_paths", "draw_path", "draw_space"]
 
 _PROJECTIONS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
 BEAT_COUNT = 5  # markers at equal times along each path: wide apart means fast
@@ -57,12 +57,45 @@ def draw_path(flights: Sequence[StyledFlight]) -> Figure:
     figure = Figure(figsize=(FULL_WIDTH, FULL_WIDTH))
     limits = _limits(flights)
     space: Axes3D = figure.add_axes((0.0, 0.53, 0.5, 0.46), projection="3d")
-    _draw_space(space, flights, limits)
+    draw_space(space, flights)
     boxes = ((0.575, 0.595, 0.405, 0.37), (0.075, 0.115, 0.405, 0.37), (0.575, 0.115, 0.405, 0.37))
     for (across, up, title), box in zip(_PROJECTIONS, boxes, strict=True):
         _draw_projection(figure.add_axes(box), flights, limits, (across, up), title)
     legend_below(figure, space)
     return figure
+
+
+def draw_space(axes: Axes3D, flights: Sequence[StyledFlight]) -> None:
+    """Draw all paths in space.
+
+    Parameters
+    ----------
+    axes : Axes3D
+        Where to.
+    flights : sequence of StyledFlight
+        The flights, the optimum first.
+    """
+    limits = _limits(flights)
+    floor = limits[2, 0]
+    for flight in flights:
+        track, beats = _track(flight), _beats(flight)
+        shadow = np.full(len(track), floor)
+        axes.plot(track[:, 0], track[:, 1], shadow, color=PALE, linewidth=1.0)
+        axes.plot(*track.T, label=flight.name, **flight.style.line)
+        axes.plot(*beats.T, **_marker(flight))
+    for end, name, shape in _ends(flights[0]):
+        axes.plot([end[0]] * 2, [end[1]] * 2, [floor, end[2]], color=MUTED, linewidth=0.6)
+        axes.plot(*end[:, None], marker=shape, color=INK, markersize=6, linestyle="none")
+        axes.text(*end, f"{name}  ", va="bottom", ha="right")
+    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
+    axes.set_box_aspect(np.ptp(limits, axis=1), zoom=0.88)
+    axes.view_init(elev=22, azim=-58)
+    for axis, signal in zip((axes.xaxis, axes.yaxis, axes.zaxis), POSITION, strict=True):
+        axis.set_pane_color("white")
+        axis.set_label_text(_axis_label(signal))
+        axis.labelpad = -4
+        axis.set_tick_params(pad=-2)
+        axis._axinfo["grid"].update(color="#e4e4e4", linewidth=0.5)  # noqa: SLF001
 
 
 def _limits(flights: Sequence[StyledFlight]) -> np.ndarray:
@@ -88,29 +121,6 @@ def _beats(flight: StyledFlight) -> np.ndarray:
     time = TIME.of(flight.frame)
     beats = np.linspace(time[0], time[-1], BEAT_COUNT + 1)[1:-1]
     return np.column_stack([np.interp(beats, time, axis) for axis in _track(flight).T])
-
-
-def _draw_space(axes: Axes3D, flights: Sequence[StyledFlight], limits: np.ndarray) -> None:
-    floor = limits[2, 0]
-    for flight in flights:
-        track, beats = _track(flight), _beats(flight)
-        shadow = np.full(len(track), floor)
-        axes.plot(track[:, 0], track[:, 1], shadow, color=PALE, linewidth=1.0)
-        axes.plot(*track.T, label=flight.name, **flight.style.line)
-        axes.plot(*beats.T, **_marker(flight))
-    for end, name, shape in _ends(flights[0]):
-        axes.plot([end[0]] * 2, [end[1]] * 2, [floor, end[2]], color=MUTED, linewidth=0.6)
-        axes.plot(*end[:, None], marker=shape, color=INK, markersize=6, linestyle="none")
-        axes.text(*end, f"{name}  ", va="bottom", ha="right")
-    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
-    axes.set_box_aspect(np.ptp(limits, axis=1), zoom=0.88)
-    axes.view_init(elev=22, azim=-58)
-    for axis, signal in zip((axes.xaxis, axes.yaxis, axes.zaxis), POSITION, strict=True):
-        axis.set_pane_color("white")
-        axis.set_label_text(_axis_label(signal))
-        axis.labelpad = -4
-        axis.set_tick_params(pad=-2)
-        axis._axinfo["grid"].update(color="#e4e4e4", linewidth=0.5)  # noqa: SLF001
 
 
 def _draw_projection(

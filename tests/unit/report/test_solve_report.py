@@ -11,7 +11,7 @@ from pyomo_quad.report.figures.path import distinct_paths
 from pyomo_quad.report.flights import plan_flight, styled_flights
 from pyomo_quad.report.gallery import plan_drawings, save_drawings
 from pyomo_quad.report.solve_report import write_solve_report
-from tests.synthetic_run import synthetic_plan, synthetic_run
+from tests.synthetic_run import synthetic_failure, synthetic_plan, synthetic_run
 
 FIGURES = {
     "path", "states", "controls", "energy", "motors", "battery", "wind", "costates", "mesh",
@@ -85,6 +85,19 @@ def test_failure_is_never_called_a_success(run, tmp_path, status, heading):
     if status is not PlanStatus.SOLVED:
         assert "optimal" not in text
         assert set(pd.read_csv(tmp_path / "plan.csv")["status"]) == {status.value}
+
+
+@pytest.mark.usefixtures("_no_figures")
+def test_failure_names_cause_equation_and_limit(run, tmp_path):
+    status, failure = PlanStatus.INFEASIBLE, synthetic_failure()
+    write_solve_report(
+        tmp_path, synthetic_plan(run.scenario, run.flights[0], status, "no way", failure)
+    )
+    text = (tmp_path / "report.md").read_text()
+    cause = "mission.duration = 2 s is 1.4 s too short: within rotors.omega"
+    assert f"> **Failed, infeasible.** No flight was found: {cause}" in text
+    assert "| `rigid_body.z_balance` | 5 | 0.8819 | 3.6 | `N` |" in text
+    assert "| `rotors.omega` | 1047.2 | `rad/s` | 62 |" in text
 
 
 @pytest.mark.usefixtures("_no_figures")

@@ -1,0 +1,134 @@
+"""What a report says of a whole run: the answer and the certificate."""
+
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from pyomo_quad.report.document import Block, Code, Heading, Paragraph, Piece, Strong, Verdict
+from pyomo_quad.report.flights import FAIR_BASELINE
+from pyomo_quad.report.plan_sections import plan_verdict
+from pyomo_quad.report.wording import STATUS_WORDS, fixed, rough, seconds
+from pyomo_quad.study.comparison import ComparisonColumn
+
+if TYPE_CHECKING:
+    from pyomo_quad.flight import Plan
+    from pyomo_quad.study.certificate import Certificate
+    from pyomo_quad.study.run import RunResult
+
+__all__ = ["certificate_blocks", "run_verdict"]
+
+_LOCAL_ONLY = (
+    " The optimum is one that no small change improves; a quite different flight may still spend "
+    "less."
+)
+
+
+def run_verdict(result: "RunResult") -> Verdict:
+    """Return the answer of a run: what the optimum spends, and what it saves.
+
+    Parameters
+    ----------
+    result : RunResult
+        Of any status.
+
+    Returns
+    -------
+    Verdict
+        One sentence on the energy, and what it rests on.
+    """
+    plan = result.plan
+    fair = _fair_row(result.comparison)
+    if not plan.is_verified or fair is None:
+        return plan_verdict(plan)
+    return Verdict(
+        is_good=True,
+        pieces=(
+            Strong(f"{STATUS_WORDS[plan.status]}."),
+            f" The optimal flight spends {fixed(plan.energy)} J, ",
+            f"{_less(fair[ComparisonColumn.SAVING])} than ",
+            Code(str(fair[ComparisonColumn.FLIGHT])),
+            f" ({fixed(fair[ComparisonColumn.ENERGY])} J)",
+            _above_hover(plan, fair),
+            *_proof(plan, result.certificate),
+        ),
+    )
+
+
+def certificate_blocks(plan: "Plan", certificate: "Certificate") -> tuple[Block, ...]:
+    """Say how far below the optimum any other flight could lie.
+
+    Parameters
+    ----------
+    plan : Plan
+        The optimum.
+    certificate : Certificate
+        Of the same mission.
+
+    Returns
+    -------
+    tuple of Block
+        A heading and a paragraph.
+    """
+    heading = Heading("Certificate of global optimality")
+    if certificate.lower_bound_J is None:
+        lacking = (Strong("There is none:"), f" {certificate.reason}", _LOCAL_ONLY)
+        return (heading, Paragraph(lacking))
+    bounded = (
+        "No flight of this mission spends less than ",
+        Strong(f"{fixed(certificate.lower_bound_J)} J"),
+    )
+    return (
+        heading,
+        Paragraph((*bounded, _held_against(plan, certificate), f" Reason: {certificate.reason}")),
+    )
+
+
+def _held_against(plan: "Plan", certificate: "Certificate") -> str:
+    gap = certificate.gap_percent(plan.energy)
+    if plan.scenario.wind.forecast is not None or gap is None:
+        return " in the wind that really blows. The optimum was made for the forecast."
+    return (
+        f". The optimum spends {fixed(plan.energy)} J, so no flight whatever can save more than "
+        f"{fixed(gap)} % of it."
+    )
+
+
+def _fair_row(comparison: pd.DataFrame) -> "pd.Series | None":
+    """Return the arrived baseline to measure against: the smooth one, or else the cheapest."""
+    has_saving = comparison[ComparisonColumn.SAVING].notna()
+    rivals = comparison[comparison[ComparisonColumn.ARRIVED].astype(bool) & has_saving]
+    if rivals.empty:
+        return None
+    fair = rivals[rivals[ComparisonColumn.FLIGHT] == FAIR_BASELINE]
+    return (rivals.sort_values(ComparisonColumn.ENERGY) if fair.empty else fair).iloc[0]
+
+
+def _less(percent: float, digits: int = 2) -> str:
+    return f"{fixed(abs(percent), digits)} % {'less' if percent >= 0.0 else 'more'}"
+
+
+def _above_hover(plan: "Plan", fair: "pd.Series") -> str:
+    saving = fair[ComparisonColumn.SAVING_OF_EXCESS]
+    if pd.isna(saving):
+        return "."
+    duration = seconds(plan.scenario.mission.duration)
+    optimum = fixed(plan.energy - plan.hover_energy_J)
+    rival = fixed(fair[ComparisonColumn.EXCESS_ENERGY])
+    return (
+        f"; above the {fixed(plan.hover_energy_J)} J of hovering for the same {duration} it "
+        f"spends {optimum} J against {rival} J, {_less(saving, 1)}."
+    )
+
+
+def _proof(plan: "Plan", certificate: "Certificate") -> tuple[Piece, ...]:
+    said = []
+    if plan.verification is not None:
+        miss = rough(plan.verification.terminal_miss_m)
+        said.append(f" Flown by SciPy, it ends {miss} m from the goal.")
+    bound, gap = certificate.lower_bound_J, certificate.gap_percent(plan.energy)
+    if bound is not None and gap is not None:
+        said.append(
+            f" No flight of this mission can spend less than {fixed(bound)} J, {fixed(gap)} % "
+            "below the optimum."
+        )
+    return tuple(said)

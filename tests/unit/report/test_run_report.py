@@ -1,0 +1,107 @@
+"""The report of a run answers first, and its tables say what the comparison says."""
+
+import re
+
+import pandas as pd
+import pytest
+
+from pyomo_quad.flight import PlanStatus
+from pyomo_quad.report.comparison_section import STAND_IN
+from pyomo_quad.report.run_report import write_run_report
+from tests.synthetic_run import synthetic_plan, synthetic_run
+
+ANSWER = (
+    "> **Verified.** The optimal flight spends 711.70 J, 1.67 % less than `adaptive/quintic` "
+    "(723.80 J); above the 709.60 J of hovering for the same 10 s it spends 2.10 J against "
+    "14.20 J, 85.2 % less. Flown by SciPy, it ends 3e-07 m from the goal. No flight of this "
+    "mission can spend less than 708.40 J, 0.46 % below the optimum."
+)
+
+
+def write(folder, run):
+    write_run_report(folder, run)
+    return (folder / "report.md").read_text()
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    write(folder, synthetic_run())
+    return folder
+
+
+@pytest.fixture
+def _no_figures(monkeypatch):
+    # Drawing is tested once above; here only the text counts.
+    monkeypatch.setattr("pyomo_quad.report.run_report.save_drawings", lambda *_: None)
+    monkeypatch.setattr("pyomo_quad.report.run_report._page", lambda *_: "")
+
+
+def test_answer_comes_first(report):
+    assert (report / "report.md").read_text().split("\n\n")[1] == ANSWER
+
+
+def test_both_reports_hold_the_same_headings_and_numbers(report):
+    text, page = (report / "report.md").read_text(), (report / "report.html").read_text()
+    headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
+    assert re.findall(r"<h2[^>]*>(.*?)</h2>", page) == headings
+    cells = re.findall(r'<td class="number">(.*?)</td>', page)
+    assert all(f"| {cell} " in text for cell in cells)
+
+
+def test_every_number_travels_with_the_hover_floor(report):
+    text = (report / "report.md").read_text()
+    row = "| `adaptive/quintic` | 723.80 | 709.60 | 14.20 | 1.67 | 85.21 | 708.40 | 2.13 |"
+    assert row in text
+    assert "| `adaptive/step` | 780.60 | 709.60 | 71.00 | n/a | n/a |" in text
+    assert "| `adaptive/step` | no |" in text
+
+
+@pytest.mark.parametrize("name", ["report.md", "report.html", "comparison.md"])
+def test_stand_in_is_called_one(report, name):
+    assert STAND_IN.split(";")[0] in (report / name).read_text()
+
+
+def test_comparison_reads_back(report):
+    read = pd.read_csv(report / "comparison.csv")
+    expected = synthetic_run().comparison
+    pd.testing.assert_frame_equal(read, expected, check_dtype=False, rtol=1e-11)
+
+
+def test_page_fits_in_a_mail(report):
+    assert (report / "report.html").stat().st_size < 8e6
+
+
+@pytest.mark.usefixtures("_no_figures")
+def test_no_certificate_is_said(tmp_path):
+    run = synthetic_run(overrides=('power.model="efficiency"',))
+    run.certificate.lower_bound_J = None
+    run.certificate.gap_percent = lambda energy_J: None
+    run.certificate.reason = "power.model efficiency is not convex."
+    text = write(tmp_path, run)
+    assert "**There is none:** power.model efficiency is not convex." in text
+    assert "No flight of this mission" not in text
+
+
+@pytest.mark.usefixtures("_no_figures")
+def test_cheapest_rival_is_named_when_the_fair_one_did_not_arrive(tmp_path):
+    run = synthetic_run(flights=("optimal", "adaptive/minimum_snap", "adaptive/step"))
+    assert "less than `adaptive/minimum_snap` (729.30 J)" in write(tmp_path, run)
+
+
+@pytest.mark.usefixtures("_no_figures")
+def test_without_a_rival_the_optimum_stands_alone(tmp_path):
+    run = synthetic_run(flights=("optimal", "adaptive/step"))
+    text = write(tmp_path, run)
+    assert "> **Verified.** The optimal flight spends 711.70 J: 2.10 J above what" in text
+
+
+@pytest.mark.usefixtures("_no_figures")
+def test_failed_run_is_never_called_a_success(tmp_path):
+    run = synthetic_run()
+    run.plan = synthetic_plan(run.scenario, run.flights[0], PlanStatus.INFEASIBLE, "no way")
+    run.flights, run.comparison = (), run.comparison.iloc[:0]
+    text = write(tmp_path, run)
+    assert text.startswith("# Failed, infeasible: ")
+    assert "Verified." not in text
+    assert "saving" not in text.lower()
