@@ -52,6 +52,29 @@ def test_a_warm_start_changes_an_optimum_by_no_more_than_the_tolerance(study, so
         assert solved_here["energy_J"][case.position] == pytest.approx(alone.energy, rel=1e-5)
 
 
+def test_baselines_of_a_case_are_flown_beside_its_plan(tmp_path):
+    one = '[[axis]]\npath = "mission.duration"\nvalues = [10.0]\n'
+    study = write_study(tmp_path, one, f'baselines = ["quintic"]\n{COARSE}')
+    sweep(study, tmp_path / "out", Here(), solver=FLIGHT_SOLVER)
+    (row,) = rows(tmp_path / "out").to_dict("records")
+    assert row["status"] == "finished"
+    saving = 100.0 * (1.0 - row["energy_J"] / row["quintic_energy_J"])
+    assert row["saving_over_quintic_percent"] == pytest.approx(saving, rel=1e-6)
+    assert 0.0 < saving < 20.0
+
+
+def test_a_plan_flown_in_another_world_than_its_own_misses_and_costs_more(tmp_path):
+    masses = '[[axis]]\npath = "vehicle.mass"\nvalues = [1.3, 1.4]\n'
+    study = write_study(tmp_path, masses, f'task = "fly_plan"\n{COARSE}')
+    sweep(study, tmp_path / "out", Here(), solver=FLIGHT_SOLVER)
+    as_planned, heavier = rows(tmp_path / "out").to_dict("records")
+    assert as_planned["terminal_miss_m"] < heavier["terminal_miss_m"]
+    assert as_planned["energy_J"] == pytest.approx(as_planned["planned_energy_J"], rel=1e-3)
+    # Hover power goes with the weight to the power 3/2.
+    expected = as_planned["energy_J"] * (1.4 / 1.3) ** 1.5
+    assert heavier["energy_J"] == pytest.approx(expected, rel=1e-2)
+
+
 def test_a_case_that_cannot_be_flown_is_a_failed_row(tmp_path):
     # 11.8 m in 1.5 s is beyond thrust and rotor limits.
     hopeless = '[[axis]]\npath = "mission.duration"\nvalues = [1.5]\n'

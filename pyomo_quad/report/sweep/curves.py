@@ -5,10 +5,17 @@ from itertools import cycle
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from pyomo_quad.report.figures.panels import legend_below, panel_grid
 from pyomo_quad.report.style import FLIGHT_STYLES, INK, MUTED, LineStyle
-from pyomo_quad.report.sweep.quantities import Quantity, field_quantity, number, setting
+from pyomo_quad.report.sweep.quantities import (
+    Quantity,
+    field_quantity,
+    number,
+    setting,
+    settings_name,
+)
 from pyomo_quad.study.sweep.outputs import DURATION_FIELD, HOVER_ENERGY
 from pyomo_quad.study.sweep.views import Curve, pareto_front
 
@@ -16,6 +23,7 @@ __all__ = ["draw_curves", "draw_front"]
 
 _PANEL_HEIGHT = 2.7  # inches
 _STAR_SIZE = 11
+_ROOM = 0.08
 
 
 def draw_front(curves: Sequence[Curve], quantity: Quantity) -> Figure:
@@ -34,7 +42,13 @@ def draw_front(curves: Sequence[Curve], quantity: Quantity) -> Figure:
         Left: all durations. Right: the front alone, which ends at the best duration.
     """
     figure, panels = panel_grid(
-        1, 2, panel_height=_PANEL_HEIGHT, left=0.6, gap=0.7, legend_entries=len(curves) + 2
+        1,
+        2,
+        panel_height=_PANEL_HEIGHT,
+        left=0.6,
+        gap=0.7,
+        legend_entries=len(curves) + 2,
+        share_time=False,
     )
     whole, front = panels[0]
     for curve, style in zip(curves, cycle(FLIGHT_STYLES), strict=False):
@@ -79,12 +93,18 @@ def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quanti
     for axes, quantity in zip(panels.flat, quantities, strict=False):
         for curve, style in zip(curves, cycle(FLIGHT_STYLES), strict=False):
             look = style.line | {"marker": style.marker, "markersize": 3.0}
-            axes.plot(along.of(curve.rows), quantity.of(curve.rows), label=_name(curve), **look)
+            axes.plot(
+                along.of(curve.rows),
+                quantity.of(curve.rows),
+                label=settings_name(curve.fixed),
+                **look,
+            )
         axes.set_title(quantity.label)
     for axes in panels.flat[len(quantities) :]:
         axes.set_visible(False)
     for axes in panels[-1]:
         axes.set_xlabel(along.label)
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=6))
     legend_below(figure, panels.flat[0])
     return figure
 
@@ -92,7 +112,7 @@ def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quanti
 def _draw_curve(axes: Axes, curve: Curve, quantity: Quantity, style: LineStyle) -> None:
     duration = field_quantity(DURATION_FIELD).of(curve.rows)
     look = style.line | {"marker": style.marker, "markersize": 3.0}
-    axes.plot(duration, quantity.of(curve.rows), label=_name(curve), **look)
+    axes.plot(duration, quantity.of(curve.rows), label=settings_name(curve.fixed), **look)
 
 
 def _draw_front(axes: Axes, curve: Curve, quantity: Quantity, style: LineStyle) -> None:
@@ -104,12 +124,14 @@ def _draw_front(axes: Axes, curve: Curve, quantity: Quantity, style: LineStyle) 
     axes.annotate(
         f"{setting(best[0])} s, {number(best[1])} {quantity.unit}",
         best,
-        xytext=(-6, 9),
+        xytext=(8, 0),
         textcoords="offset points",
-        ha="right",
+        va="center",
         color=INK,
     )
-    axes.margins(x=0.12, y=0.16)
+    # Room for the words on the right of the stars.
+    low, high = axes.dataLim.intervalx
+    axes.set_xlim(low - _ROOM * (high - low or 1.0), high + 8 * _ROOM * (high - low or 1.0))
 
 
 def _draw_hover_floor(axes: Axes, curve: Curve, quantity: Quantity) -> None:
@@ -122,13 +144,3 @@ def _draw_hover_floor(axes: Axes, curve: Curve, quantity: Quantity) -> None:
             linewidth=1.0,
             label="hovering as long",
         )
-
-
-def _name(curve: Curve) -> str:
-    parts = []
-    for field, value in curve.fixed.items():
-        quantity = field_quantity(field)
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        shown = f"{setting(value * quantity.scale)} {quantity.unit}" if is_number else str(value)
-        parts.append(f"{quantity.name} {shown}".strip() if is_number else shown)
-    return ", ".join(parts) or "all cases"

@@ -9,7 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pyomo_quad.report.style import FLIGHT_STYLES, FULL_WIDTH, INK, MUTED
-from pyomo_quad.report.sweep.quantities import Quantity, field_quantity, number, setting
+from pyomo_quad.report.sweep.quantities import (
+    Quantity,
+    field_quantity,
+    number,
+    setting,
+    settings_name,
+)
 from pyomo_quad.study.sweep.views import Curve
 
 __all__ = ["draw_heat_map", "draw_wind_rose"]
@@ -40,7 +46,7 @@ def draw_heat_map(plane: pd.DataFrame, quantity: Quantity) -> Figure:
     height = min(5.0, _EDGES + _CELL * len(plane.index))
     figure = Figure(figsize=(FULL_WIDTH, height))
     axes = figure.subplots()
-    figure.subplots_adjust(left=0.1, right=1.02, top=1 - 0.3 / height, bottom=0.5 / height)
+    figure.subplots_adjust(left=0.1, right=0.95, top=1 - 0.3 / height, bottom=0.5 / height)
     values = plane.to_numpy(dtype=float) * quantity.scale
     picture = axes.imshow(values, origin="lower", aspect="auto", cmap=_COLORS)
     figure.colorbar(picture, ax=axes, pad=0.02, fraction=0.06)
@@ -87,12 +93,12 @@ def draw_wind_rose(curves: Sequence[Curve], field: str, quantity: Quantity) -> F
         A polar panel, +x to the right and +y up, with a legend beside it.
     """
     figure = Figure(figsize=(FULL_WIDTH, 4.2))
-    axes = figure.add_axes((0.04, 0.08, 0.55, 0.8), projection="polar")
+    axes = figure.add_axes((0.04, 0.07, 0.55, 0.76), projection="polar")
     for curve, style in zip(curves, cycle(FLIGHT_STYLES), strict=False):
         angles, values = _closed(curve.rows[field], quantity.of(curve.rows))
         look = style.line | {"marker": style.marker, "markersize": 3.0}
-        axes.plot(angles, values, label=_speed(curve), **look)
-    axes.set_title(f"{quantity.label} by where the wind blows to", loc="center", pad=14)
+        axes.plot(angles, values, label=settings_name(curve.fixed), **look)
+    axes.set_title(f"{quantity.label} by where the wind blows to", loc="center", pad=22)
     axes.set_rlabel_position(112.5)  # type: ignore[attr-defined]
     axes.set_xticks(np.radians(range(0, 360, 45)))
     axes.set_xticklabels(["0° (+x)", "45°", "90° (+y)", "135°", "180°", "225°", "270°", "315°"])
@@ -107,14 +113,3 @@ def _closed(angles: pd.Series, values: pd.Series) -> tuple[np.ndarray, np.ndarra
     if not steps.size or directions[0] + 2 * np.pi - directions[-1] > 1.5 * steps.max():
         return directions, distances
     return np.append(directions, directions[0] + 2 * np.pi), np.append(distances, distances[0])
-
-
-def _speed(curve: Curve) -> str:
-    parts = []
-    for field, value in curve.fixed.items():
-        shown = field_quantity(field)
-        is_number = isinstance(value, int | float)
-        parts.append(
-            f"{shown.name} {number(value * shown.scale)} {shown.unit}" if is_number else str(value)
-        )
-    return ", ".join(parts) or "all cases"

@@ -1,14 +1,16 @@
 """What the columns of a sweep are called in print, and in which unit they are shown."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import degrees
+from typing import Any
 
 import pandas as pd
 
 from pyomo_quad.report.wording import NOTHING
 from pyomo_quad.scenario import field_unit
 
-__all__ = ["Quantity", "field_quantity", "number", "output_quantity", "setting"]
+__all__ = ["Quantity", "field_quantity", "number", "output_quantity", "setting", "settings_name"]
 
 _SUFFIXES = {
     "_m_per_s": "m/s",
@@ -124,3 +126,28 @@ def setting(value: object) -> str:
     text = number(value)
     is_padded = isinstance(value, float) and "." in text and "e" not in text
     return text.rstrip("0").rstrip(".") if is_padded else text
+
+
+def settings_name(fixed: Mapping[str, Any]) -> str:
+    """Return what a curve is called, by the fields that are the same along it.
+
+    Parameters
+    ----------
+    fixed : mapping
+        Scenario field -> value.
+
+    Returns
+    -------
+    str
+        Numbers with their name and unit, texts by themselves.
+    """
+    parts = []
+    for path, value in fixed.items():
+        if isinstance(value, str):
+            parts.append(value.replace("_", " "))
+            continue
+        shown = field_quantity(path)
+        size = setting(value * shown.scale) if isinstance(value, float) else setting(value)
+        name = path.rsplit(".", maxsplit=1)[-1].replace("_", " ")
+        parts.append(f"{name} {size} {shown.unit}".strip())
+    return ", ".join(parts) or "all cases"

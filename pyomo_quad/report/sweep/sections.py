@@ -137,10 +137,7 @@ def all_cases(design: SweepDesign, frame: pd.DataFrame) -> Table:
     return Table(
         caption="All cases",
         header=columns,
-        rows=[
-            _row(row, len(columns) - len(design.report_on))
-            for row in frame[columns].to_numpy(dtype=object)
-        ],
+        rows=[_row(row, settings) for row in frame[columns].to_numpy(dtype=object)],
         numeric=frozenset(range(len(columns))),
     )
 

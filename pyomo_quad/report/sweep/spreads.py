@@ -5,6 +5,7 @@ from math import ceil
 
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from pyomo_quad.report.figures.panels import panel_grid
 from pyomo_quad.report.style import FLIGHT_STYLES, FULL_WIDTH, INK, MUTED
@@ -133,7 +134,12 @@ def draw_scatter(
         A grid of panels.
     """
     figure, panels = panel_grid(
-        len(quantities), len(fields), panel_height=_PANEL_HEIGHT * 0.8, left=0.62, gap=0.62
+        len(quantities),
+        len(fields),
+        panel_height=_PANEL_HEIGHT * 0.8,
+        left=0.62,
+        gap=0.62,
+        share_time=False,
     )
     style = FLIGHT_STYLES[0]
     for line, quantity in zip(panels, quantities, strict=True):
@@ -142,7 +148,6 @@ def draw_scatter(
             axes.scatter(
                 field.of(rows), quantity.of(rows), s=9, color=style.color, edgecolor=MUTED, lw=0.3
             )
-            axes.set_title(quantity.label)
-    for axes, path in zip(panels[-1], fields, strict=True):
-        axes.set_xlabel(field_quantity(path).label)
+            axes.set(title=quantity.label, xlabel=field.label)
+            axes.xaxis.set_major_locator(MaxNLocator(nbins=6))
     return figure

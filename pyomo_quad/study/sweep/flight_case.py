@@ -7,35 +7,18 @@ pure function of its task, whoever solves it and whatever was solved there befor
 """
 
 import threading
+from dataclasses import dataclass, field
 
 from pyomo_quad.flight import Plan, Planner
+from pyomo_quad.flight.baselines import fly_baseline
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.study.sweep.outputs import plan_outputs
+from pyomo_quad.scenario.baseline import Reference
+from pyomo_quad.study.sweep.outputs import baseline_outputs, flown_outputs, plan_outputs
+from pyomo_quad.study.sweep.study_file import StudyTask
 from pyomo_quad.study.sweep.task import CaseResult, CaseTask
 from pyomo_quad.study.sweep.warm_start import pack, unpack
 
 __all__ = ["solve_case"]
-
-
-class _Bench:
-    """The planner of this process; MUMPS serves one thread at a time."""
-
-    def __init__(self) -> None:
-        self.lock = threading.Lock()
-        self.planner = Planner()
-
-    def solve(self, scenario: Scenario, warm_start: bytes | None) -> Plan:
-        """Solve from a parent's point, and from nothing where that leads nowhere."""
-        parent = unpack(warm_start, self.planner, scenario) if warm_start is not None else None
-        if parent is not None:
-            plan = self.planner.solve(scenario, warm_start=parent)
-            if plan.is_verified:
-                return plan
-        self.planner = Planner()
-        return self.planner.solve(scenario)
-
-
-_BENCH = _Bench()
 
 
 def solve_case(task: CaseTask) -> CaseResult:
@@ -49,17 +32,67 @@ def solve_case(task: CaseTask) -> CaseResult:
     Returns
     -------
     CaseResult
-        Finished when the plan was verified by a flight; else the best iterate's numbers are kept
-        with the reason.
+        Finished when its flights were verified; else the numbers are kept with the reason.
     """
     with _BENCH.lock:
-        return _optimise(task)
+        scenario = Scenario.model_validate_json(task.scenario)
+        if task.task == StudyTask.FLY_PLAN:
+            return _fly_base_plan(task, scenario)
+        return _optimise(task, scenario)
 
 
-def _optimise(task: CaseTask) -> CaseResult:
-    scenario = Scenario.model_validate_json(task.scenario)
-    plan = _BENCH.solve(scenario, task.warm_start)
+def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
+    plan = _BENCH.plan(scenario, task.warm_start)
+    values = plan_outputs(plan)
     if not plan.is_verified:
-        return CaseResult(values=plan_outputs(plan), reason=f"{plan.status}: {plan.message}")
+        return CaseResult(values=values, reason=f"{plan.status}: {plan.message}")
+    reason = ""
+    for name in task.baselines:
+        reference = Reference(name)
+        flight = fly_baseline(scenario, reference, dynamics=plan.dynamics, plan=plan)
+        values |= baseline_outputs(reference, flight, plan)
+        if not flight.is_verified:
+            reason = f"{flight.name}: two integrators disagree on this flight"
     warm_start = pack(plan.solution) if plan.solution is not None else None
-    return CaseResult(values=plan_outputs(plan), warm_start=warm_start)
+    return CaseResult(values=values, warm_start=warm_start, reason=reason)
+
+
+def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
+    """Let the controller, which believes in the base case, fly its plan in the case's world."""
+    base = Scenario.model_validate_json(task.base)
+    plan = _BENCH.base_plan(base, task.base)
+    if not plan.is_verified:
+        return CaseResult(values={}, reason=f"base case: {plan.status}: {plan.message}")
+    flight = fly_baseline(
+        base, Reference.PLAN, dynamics=_BENCH.planner.dynamics(scenario), plan=plan
+    )
+    reason = "" if flight.is_verified else "two integrators disagree on this flight"
+    return CaseResult(values=flown_outputs(flight, plan, scenario), reason=reason)
+
+
+@dataclass
+class _Bench:
+    """What this process keeps; MUMPS serves one thread at a time."""
+
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    planner: Planner = field(default_factory=Planner)
+    _base_plans: dict[str, Plan] = field(default_factory=dict)
+
+    def plan(self, scenario: Scenario, warm_start: bytes | None) -> Plan:
+        """Solve from a parent's point, and from nothing where that leads nowhere."""
+        parent = unpack(warm_start, self.planner, scenario) if warm_start is not None else None
+        if parent is not None:
+            plan = self.planner.solve(scenario, warm_start=parent)
+            if plan.is_verified:
+                return plan
+        self.planner = Planner()
+        return self.planner.solve(scenario)
+
+    def base_plan(self, base: Scenario, text: str) -> Plan:
+        """Return the plan of a study's base case, solved once."""
+        if text not in self._base_plans:
+            self._base_plans = {text: self.plan(base, None)}
+        return self._base_plans[text]
+
+
+_BENCH = _Bench()

@@ -9,6 +9,7 @@ import numpy as np
 
 from pyomo_quad.flight import Flight, Plan
 from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.baseline import Reference
 
 __all__ = [
     "DURATION_FIELD",
@@ -16,6 +17,8 @@ __all__ = [
     "EXCESS_ENERGY",
     "HOVER_ENERGY",
     "MEAN_POWER",
+    "baseline_outputs",
+    "flown_outputs",
     "plan_outputs",
 ]
 
@@ -48,23 +51,80 @@ def plan_outputs(plan: Plan) -> dict[str, float]:
     Returns
     -------
     dict of str to float
-        Column -> number; NaN where the plan has none.
+        Column -> number; not finite where the plan has none.
     """
     flight = plan.flight(samples=_SAMPLES)
-    outputs = {
-        ENERGY: plan.energy,
-        HOVER_ENERGY: plan.hover_energy_J,
-        EXCESS_ENERGY: plan.energy - plan.hover_energy_J,
-        **_flight_outputs(flight, plan.scenario),
-        _ERROR_ESTIMATE: plan.error_estimate,
-        "max_violation": flight.max_violation,
-        "terminal_miss_m": flight.terminal_miss_m,
-    }
-    return {name: _rounded(name, value) for name, value in outputs.items()}
+    return _rounded(
+        {
+            ENERGY: plan.energy,
+            HOVER_ENERGY: plan.hover_energy_J,
+            EXCESS_ENERGY: plan.energy - plan.hover_energy_J,
+            **_flight_outputs(flight, plan.scenario),
+            _ERROR_ESTIMATE: plan.error_estimate,
+        }
+    )
 
 
-def _rounded(name: str, value: float) -> float:
-    if name in _RESIDUALS and math.isfinite(value):
+def baseline_outputs(reference: Reference, flight: Flight, plan: Plan) -> dict[str, float]:
+    """Return the numbers of a controlled flight beside a plan.
+
+    Parameters
+    ----------
+    reference : Reference
+        What the controller followed; it starts the columns' names.
+    flight : Flight
+        The controlled flight.
+    plan : Plan
+        Of the same case.
+
+    Returns
+    -------
+    dict of str to float
+        Column -> number.
+    """
+    name = reference.value
+    return _rounded(
+        {
+            f"{name}_energy_J": flight.energy_J,
+            f"{name}_terminal_miss_m": flight.terminal_miss_m,
+            f"saving_over_{name}_percent": 100.0 * (1.0 - plan.energy / flight.energy_J),
+        }
+    )
+
+
+def flown_outputs(flight: Flight, plan: Plan, scenario: Scenario) -> dict[str, float]:
+    """Return the numbers of a plan flown by the controller in another world than planned.
+
+    Parameters
+    ----------
+    flight : Flight
+        What became of it.
+    plan : Plan
+        What was planned.
+    scenario : Scenario
+        The world flown in.
+
+    Returns
+    -------
+    dict of str to float
+        Column -> number.
+    """
+    return _rounded(
+        {
+            ENERGY: flight.energy_J,
+            "planned_energy_J": plan.energy,
+            "energy_above_plan_J": flight.energy_J - plan.energy,
+            **_flight_outputs(flight, scenario),
+        }
+    )
+
+
+def _rounded(outputs: dict[str, float]) -> dict[str, float]:
+    return {name: _meaningful(name, value) for name, value in outputs.items()}
+
+
+def _meaningful(name: str, value: float) -> float:
+    if name.endswith(_RESIDUALS) and math.isfinite(value):
         return float(f"{round(value / _SMALLEST_RESIDUAL) * _SMALLEST_RESIDUAL:.{_DIGITS}g}")
     digits = _ERROR_DIGITS if name == _ERROR_ESTIMATE else _DIGITS
     return float(f"{value:.{digits}g}")
@@ -78,6 +138,8 @@ def _flight_outputs(flight: Flight, scenario: Scenario) -> dict[str, float]:
         "peak_power_W": float(frame["power_W"].max()),
         "peak_tilt_rad": float(tilt.max()),
         **_battery_outputs(flight, scenario),
+        "max_violation": flight.max_violation,
+        "terminal_miss_m": flight.terminal_miss_m,
     }
 
 
