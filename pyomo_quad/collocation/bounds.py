@@ -9,7 +9,7 @@ import numpy as np
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.mapped import MappedFunction
-from pyomo_quad.collocation.naming import unknown_place
+from pyomo_quad.collocation.naming import row_place, unknown_place
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -67,6 +67,7 @@ def bounds_of(
         upper[limit.columns] = np.minimum(upper[limit.columns], limit.upper)
     _refuse_crossed(program, lower, upper)
     row_lower, row_upper = _rows(program)
+    _refuse_crossed_rows(program, row_lower, row_upper)
     return Bounds(lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper)
 
 
@@ -100,7 +101,7 @@ def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit
     layout, compiled = program.layout, program.compiled
     declared, n = compiled.declared, program.layout.n_states
     mapped = MappedFunction(compiled.variable_limits, layout.points + 1)
-    lower, upper, first, second = mapped(np.vstack([start_data, program.data.at_points()]))
+    lower, upper, low, high = mapped(np.vstack([start_data, program.data.at_points()]))
     columns = {s.name: layout.state_columns[:, k] for k, s in enumerate(declared.states)}
     columns |= {s.name: layout.algebraic_columns[:, k] for k, s in enumerate(declared.algebraics)}
     for k, slot in enumerate((*declared.states, *declared.algebraics)):
@@ -110,8 +111,8 @@ def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit
         )
     for k, bound in enumerate(compiled.simple_path_bounds):
         at = columns[bound.variable]
-        rows = slice(len(first) - len(at), None)
-        yield _either(bound.name, at, first[rows, k], second[rows, k])
+        rows = slice(len(low) - len(at), None)
+        yield Limit(name=bound.name, columns=at, lower=low[rows, k], upper=high[rows, k])
 
 
 def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Iterator[Limit]:
@@ -142,7 +143,7 @@ def _at_points(program: Transcription) -> Iterator[Limit]:
         yield Limit(name=slot.name, columns=column, lower=lower[0, [k]], upper=upper[0, [k]])
     names = [s.name for s in declared.statics]
     points = {p.symbol.name(): k for k, p in enumerate(declared.point_symbols)}
-    first, second = MappedFunction(compiled.simple_point_limits, 1)(parameters)
+    lower, upper = MappedFunction(compiled.simple_point_limits, 1)(parameters)
     for k, bound in enumerate(compiled.simple_point_bounds):
         if bound.variable in points:
             row = points[bound.variable]
@@ -150,13 +151,7 @@ def _at_points(program: Transcription) -> Iterator[Limit]:
             column = values.indices[values.indptr[row] : values.indptr[row + 1]]
         else:
             column = layout.static_columns[[names.index(bound.variable)]]
-        yield _either(bound.name, column, first[0, [k]], second[0, [k]])
-
-
-def _either(name: str, columns: NDArray[np.intp], one: FloatArray, other: FloatArray) -> Limit:
-    return Limit(
-        name=name, columns=columns, lower=np.minimum(one, other), upper=np.maximum(one, other)
-    )
+        yield Limit(name=bound.name, columns=column, lower=lower[0, [k]], upper=upper[0, [k]])
 
 
 def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
@@ -170,4 +165,14 @@ def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray
         raise TranscriptionError(
             f"{unknown_place(program, worst)}: lower bound {lower[worst]:g} is "
             f"above upper bound {upper[worst]:g}; relax one of the two."
+        )
+
+
+def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
+    crossed = np.flatnonzero(lower > upper)
+    if crossed.size:
+        row = int(crossed[0])
+        raise TranscriptionError(
+            f"{row_place(program, row)}: lower bound {lower[row]:g} is above upper bound "
+            f"{upper[row]:g}; relax one of the two."
         )

@@ -202,7 +202,7 @@ class Dynamics:
         variables = np.hstack([rates[:, :n_states], inner, algebraics, statics])
         rows = MappedFunction(compiled.path.values, len(t))(variables, data)[0]
         lower, upper = MappedFunction(compiled.path_bounds, len(t))(data)
-        low, high, first, second = MappedFunction(compiled.variable_limits, len(t))(data)
+        low, high, simple_low, simple_high = MappedFunction(compiled.variable_limits, len(t))(data)
         values = np.hstack([inner, algebraics])
         names = [s.name for s in (*declared.states, *declared.algebraics)]
         found = [
@@ -213,7 +213,7 @@ class Dynamics:
         found += [_worst(n, values[:, k], low[:, k], high[:, k], t) for k, n in enumerate(names)]
         for k, bound in enumerate(compiled.simple_path_bounds):
             held = values[:, names.index(bound.variable)]
-            sides = np.minimum(first[:, k], second[:, k]), np.maximum(first[:, k], second[:, k])
+            sides = simple_low[:, k], simple_high[:, k]
             found.append(_worst(bound.name, held, *sides, t))
         return tuple(sorted(found, key=lambda v: -v.relative))
 

@@ -172,12 +172,14 @@ def _violations(program: Transcription, samples: _Samples) -> FloatArray:
     differential = np.unique(compiled.path.jacobian_rows[compiled.path.jacobian_columns < n])
     algebraic = [r for r in range(compiled.n_equations) if r not in set(differential.tolist())]
     parts = [_outside(held[:, algebraic], lower[:, algebraic], upper[:, algebraic])]
-    low, high, first, second = MappedFunction(compiled.variable_limits, len(variables))(data)
+    low, high, simple_low, simple_high = MappedFunction(compiled.variable_limits, len(variables))(
+        data
+    )
     values = variables[:, n : 2 * n + program.layout.n_algebraics]
     parts.append(_outside(values, low, high))
     names = [s.name for s in (*compiled.declared.states, *compiled.declared.algebraics)]
     chosen = [names.index(b.variable) for b in compiled.simple_path_bounds]
-    parts.append(_outside(values[:, chosen], np.minimum(first, second), np.maximum(first, second)))
+    parts.append(_outside(values[:, chosen], simple_low, simple_high))
     return np.asarray(np.hstack(parts).max(axis=1, initial=0.0))
 
 

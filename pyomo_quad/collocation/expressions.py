@@ -110,6 +110,8 @@ class ExpressionWriter:
             if isinstance(child, _PyomoUnit):
                 return False, 1.0
             return False, self._leaf(child)
+        if isinstance(child, numeric_expr.Expr_ifExpression):
+            raise self._unsupported("Expr_if")
         if not child.is_named_expression_type():
             return True, None
         if id(child) not in self._named:
@@ -133,10 +135,13 @@ class ExpressionWriter:
                 return operation(*arguments)
         if isinstance(node, numeric_expr.UnaryFunctionExpression) and node.name in _UNARY:
             return _UNARY[node.name](arguments[0])
-        name = getattr(node, "name", None) or type(node).__name__
-        raise TranscriptionError(
-            f"{self._owner}: {type(node).__name__} ({name}) is not supported; write it with "
-            "smooth functions (for a switch: a tanh or sqrt smoothing)."
+        is_function = isinstance(node, numeric_expr.UnaryFunctionExpression)
+        raise self._unsupported(node.name if is_function else type(node).__name__)
+
+    def _unsupported(self, what: str) -> TranscriptionError:
+        return TranscriptionError(
+            f"{self._owner}: {what} is not supported; write it with smooth functions (for a "
+            "switch: a tanh or sqrt smoothing)."
         )
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -57,6 +58,8 @@ def initial_point(
         return np.clip(point_from_trajectory(program, guess), bounds.lower, bounds.upper)
     layout, declared = program.layout, program.compiled.declared
     z = np.zeros(layout.unknowns)
+    if guess is not None:
+        _refuse_unknown_names(program, guess)
     given: Mapping[str, Any] | pd.DataFrame = {} if guess is None else guess
     if program.mesh is not None:
         mesh = program.mesh
@@ -123,3 +126,15 @@ def _inside(number: float, bounds: Bounds, column: int) -> float:
     if np.isfinite(lower) and np.isfinite(upper):
         return float(0.5 * (lower + upper))
     return float(lower if np.isfinite(lower) else upper)
+
+
+def _refuse_unknown_names(program: Transcription, guess: Mapping[str, Any] | pd.DataFrame) -> None:
+    declared = program.compiled.declared
+    slots = (*declared.states, *declared.outputs, *declared.algebraics, *declared.statics)
+    known = {TIME_COLUMN, *(slot.name for slot in slots)}
+    for name in guess:
+        if name not in known:
+            raise TranscriptionError(
+                f"guess: {name!r} is none of the model's variables; known are "
+                f"{', '.join(sorted(known))}."
+            )

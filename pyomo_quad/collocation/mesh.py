@@ -50,9 +50,11 @@ class Mesh:
                 f"mesh: breakpoints run from {self.breakpoints[0]} to {self.breakpoints[-1]}; "
                 "they are fractions of the horizon and must run from 0 to 1."
             )
-        if np.any(np.diff(self.breakpoints) <= 0.0):
+        if not np.all(np.diff(self.breakpoints) > 0.0):
             raise TranscriptionError("mesh: breakpoints must increase strictly.")
         for degree in set(self.degrees):
+            if degree != int(degree):
+                raise TranscriptionError(f"mesh: degree {degree}; must be a whole number.")
             radau_rule(degree)
 
     @classmethod

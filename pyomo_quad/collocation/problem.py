@@ -140,6 +140,8 @@ class Problem:
         TranscriptionError
             If bounds cross, a value is missing, or an equation is not finite at the guess.
         """
+        if tolerance is not None and not tolerance > 0.0:
+            raise TranscriptionError(f"tolerance: {tolerance:g}; must be above 0.")
         instance = self.instance(parameters, horizon)
         options = options or SolverOptions()
         if tolerance is None and mesh is None:
@@ -207,6 +209,10 @@ class Problem:
         at_start = np.hstack([self.signals(instance, np.zeros(1)), instance.parameters[None, :]])
         bounds = bounds_of(program, at_start, instance.fixed)
         multipliers = None
+        if warm_start is not None and warm_start.problem.compiled is not self.compiled:
+            raise TranscriptionError(
+                "warm_start: the solution is of another model; give its frame as a guess instead."
+            )
         if warm_start is None:
             z = initial_point(program, bounds, self.values, guess)
         else:
@@ -240,8 +246,8 @@ class Problem:
         for k, bound in enumerate(self.compiled.simple_path_bounds):
             if bound.variable in names:
                 at = names.index(bound.variable)
-                lower[at] = max(lower[at], min(limits[2][k], limits[3][k]))
-                upper[at] = min(upper[at], max(limits[2][k], limits[3][k]))
+                lower[at] = max(lower[at], limits[2][k])
+                upper[at] = min(upper[at], limits[3][k])
         return lower, upper
 
     def dynamics(

@@ -9,6 +9,7 @@ from pyomo.environ import Constraint
 
 from pyomo_quad.collocation.addresses import indexed_name
 from pyomo_quad.collocation.declarations import PathEquation, PointCondition
+from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.expressions import same_expression, symbol_names
 
 if TYPE_CHECKING:
@@ -141,6 +142,8 @@ class RelationReader:
             variable = self.copy.model.find_component(slot.component)
             for time in self.copy.declared_times:
                 data = variable[self.addresses.join(variable, slot.index, time)]
+                if data.fixed and data.value is None:
+                    raise TranscriptionError(f"{data.name}: is fixed without a value; give it one.")
                 if data.fixed and slot.rate is not None:
                     fixed.append((slot.name, table.fraction_of(time)))
                 elif data.fixed:

@@ -19,12 +19,12 @@ __all__ = ["SimpleBound", "split_simple_bounds"]
 
 @dataclass(frozen=True, kw_only=True)
 class SimpleBound:
-    """Two limits of one variable, in either order; `variable` is the symbol's name."""
+    """Limits of one variable; `variable` is the symbol's name."""
 
     name: str
     variable: str
-    first: Any
-    second: Any
+    lower: Any
+    upper: Any
 
 
 def split_simple_bounds(
@@ -64,9 +64,6 @@ def _as_simple_bound(
     if not coefficient.is_constant() or coefficient.is_zero():
         return None
     offset = casadi.substitute(relation.expression, symbol, casadi.SX(0))
-    return SimpleBound(
-        name=relation.name,
-        variable=name,
-        first=(relation.lower - offset) / coefficient,
-        second=(relation.upper - offset) / coefficient,
-    )
+    sides = [(side - offset) / coefficient for side in (relation.lower, relation.upper)]
+    lower, upper = sides if float(coefficient) > 0.0 else reversed(sides)
+    return SimpleBound(name=relation.name, variable=name, lower=lower, upper=upper)

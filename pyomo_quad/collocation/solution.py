@@ -114,7 +114,7 @@ class Solution:
             If a time lies outside the horizon.
         """
         start, end = self.horizon
-        fractions = (np.atleast_1d(np.asarray(times, dtype=float)) - start) / (end - start)
+        fractions = (np.asarray(times, dtype=float).ravel() - start) / (end - start)
         slack = 1e-9
         if (
             np.any(fractions < -slack)

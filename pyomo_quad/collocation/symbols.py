@@ -53,6 +53,10 @@ class SymbolTable:
     def _end(self, final_time: Any) -> Any:
         if final_time is None:
             return self._horizon("horizon.end", 1)
+        if final_time.is_indexed() or not final_time.is_variable_type():
+            raise TranscriptionError(
+                f"{final_time.name}: the final time must be a static variable, a Var without index."
+            )
         return self._static(self._copy.model.find_component(final_time.name))
 
     @property

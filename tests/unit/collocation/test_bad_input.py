@@ -6,6 +6,7 @@ from pyomo.environ import (
     Binary,
     ConcreteModel,
     Constraint,
+    Expr_if,
     Integers,
     Objective,
     Param,
@@ -175,3 +176,43 @@ def test_guess_that_is_not_a_number(m):
 def test_empty_model():
     with pytest.raises(TranscriptionError, match="objective: 0 active"):
         compile(ConcreteModel())
+
+
+def test_expr_if(m):
+    m.limit = Constraint(m.t, rule=lambda m, t: Expr_if(IF=m.x[t] >= 0, THEN=m.x[t], ELSE=0) <= 1)
+    refused(m, "limit: Expr_if is not supported; write it with smooth functions")
+
+
+def test_conditions_that_cross(m):
+    m.x.setlb(3)
+    m.x.setub(2)
+    refused(m, "lower bound 3 is above upper bound 2")
+
+
+def test_final_time_over_time(m):
+    with pytest.raises(TranscriptionError, match="x: the final time must be a static variable"):
+        compile(m, final_time=m.x)
+
+
+@pytest.mark.parametrize("tolerance", [0.0, -1e-6])
+def test_tolerance(m, tolerance):
+    refused(m, "tolerance: .*must be above 0", mesh=None, tolerance=tolerance)
+
+
+def test_fixed_without_a_value(m):
+    m.x[0].fix(None)
+    refused(m, r"x\[0\.?0?\]: is fixed without a value")
+
+
+def test_guess_of_unknown_name(m):
+    refused(m, "guess: 'speed' is none of the model's variables", guess={"speed": 1.0})
+
+
+def test_degree_that_is_not_whole():
+    with pytest.raises(TranscriptionError, match="must be a whole number"):
+        Mesh.uniform(3, 2.5)
+
+
+def test_breakpoint_that_is_no_number():
+    with pytest.raises(TranscriptionError, match="must increase strictly"):
+        Mesh(breakpoints=(0.0, float("nan"), 1.0), degrees=(3, 3))
