@@ -38,7 +38,8 @@ td.number { white-space: nowrap; }
 figure { margin: 1rem 0; }
 figure img { display: block; width: 100%; min-width: 40rem; height: auto; }
 figcaption, .note { color: var(--muted); font-size: .9em; }
-.view { width: 100%; height: min(70vh, 34rem); min-height: 20rem; }
+.view { width: 100%; height: min(70vh, 34rem); min-height: 20rem;
+  overflow: hidden; }
 .skip { position: absolute; left: -999rem; }
 .skip:focus { position: static; }
 footer { margin: 2rem 0 1rem; color: var(--muted); font-size: .9rem; }
