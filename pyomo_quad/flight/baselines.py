@@ -30,7 +30,14 @@ from pyomo_quad.flight.verification import ENERGY_TOLERANCE, MISS_TOLERANCE
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.baseline import Reference
 
-__all__ = ["OPEN_LOOP", "baseline_name", "fly_baseline", "fly_open_loop", "fly_reference"]
+__all__ = [
+    "OPEN_LOOP",
+    "baseline_name",
+    "fly_baseline",
+    "fly_open_loop",
+    "fly_reference",
+    "reference_path",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -140,11 +147,45 @@ def fly_reference(
     return fly(
         dynamics=dynamics,
         controller=AdaptiveController(scenario, mixer_matrix(dynamics)),
-        reference=_path(scenario, reference, plan),
+        reference=reference_path(scenario, reference, plan),
         initial_state=start_state(scenario, dynamics, plan),
         times=_even_times(0.0, duration, _RATE_HZ),
         integrator=integrator,
     )
+
+
+def reference_path(
+    scenario: Scenario, reference: Reference, plan: Plan | None = None
+) -> ReferencePath:
+    """Return where the controller should be at each time.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Gives the mission.
+    reference : Reference
+        What to follow.
+    plan : Plan, optional
+        Needed for `Reference.PLAN`.
+
+    Returns
+    -------
+    callable
+        Time in s -> Setpoint.
+
+    Raises
+    ------
+    ScenarioError
+        If the plan is to be followed and there is none.
+    """
+    if reference in _PATHS:
+        return _PATHS[reference](scenario.mission)
+    if plan is None:
+        raise ScenarioError(
+            f"{scenario.name}: reference {reference.value!r} needs a plan; solve the scenario "
+            "first."
+        )
+    return _planned_path(plan)
 
 
 def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
@@ -199,17 +240,6 @@ def _flight(
         is_verified=is_verified,
         wall_s=wall_s,
     )
-
-
-def _path(scenario: Scenario, reference: Reference, plan: Plan | None) -> ReferencePath:
-    if reference in _PATHS:
-        return _PATHS[reference](scenario.mission)
-    if plan is None:
-        raise ScenarioError(
-            f"{scenario.name}: reference {reference.value!r} needs a plan; solve the scenario "
-            "first."
-        )
-    return _planned_path(plan)
 
 
 def _planned_path(plan: Plan) -> SampledPath:

@@ -1,4 +1,4 @@
-"""The vehicle written flat from the paper, with the interface of the compiled equations."""
+"""The vehicle written flat from the paper, with what a controlled flight asks of it."""
 
 from math import cos, sin
 
@@ -10,14 +10,14 @@ BODY = ("x", "y", "z", "vx", "vy", "vz", "phi", "theta", "psi", "p", "q", "r")
 class FlatDynamics:
     """Eq. (6)-(7) and motor power for one scenario; `disturbance(t)` is an acceleration (3,)."""
 
-    def __init__(self, scenario, disturbance=lambda t: np.zeros(3), moment=(0.0, 0.0, 0.0)):
+    def __init__(self, scenario, disturbance=lambda t: np.zeros(3)):
         self.state_names = (
             *(f"rigid_body.{name}" for name in BODY),
             *(f"rotors.omega[{j}]" for j in range(1, 5)),
         )
         self.control_names = tuple(f"rotors.alpha[{j}]" for j in range(1, 5))
         self.v, self.g = scenario.vehicle, scenario.gravity
-        self.disturbance, self.moment = disturbance, np.array(moment)
+        self.disturbance = disturbance
         kb, k, arm = self.v.thrust_coefficient, self.v.drag_torque_coefficient, self.v.arm_length
         self.mixer = np.array(
             [[kb] * 4, [0, arm * kb, 0, -arm * kb], [-arm * kb, 0, arm * kb, 0], [k, -k, k, -k]]
@@ -25,7 +25,10 @@ class FlatDynamics:
         self.start = np.zeros(16)
         self.start[:3] = scenario.mission.start.position
         self.start[8] = scenario.mission.start.yaw
-        self.start[12:] = self.v.hover_speed(self.g)
+        self.start[12:] = np.sqrt(self.v.total_mass * self.g / (4 * kb))
+
+    def rates_and_integrand(self, t, x, u):
+        return self.rates(t, x, u), self.power(x, u)
 
     def rates(self, t, x, u):
         v = self.v
@@ -49,14 +52,14 @@ class FlatDynamics:
                 (v.Ix - v.Iy) * p * q + yaw,
             ]
         )
-        spin = (moments + self.moment) / (v.Ix, v.Iy, v.Iz)
-        return np.concatenate([x[3:6], acceleration, x[9:12], spin, u])
+        return np.concatenate([x[3:6], acceleration, x[9:12], moments / (v.Ix, v.Iy, v.Iz), u])
 
-    def integrand(self, t, x, u):
+    def power(self, x, u):
         v, w = self.v, x[12:]
         torque = v.rotor_inertia * u + v.drag_torque_coefficient * w**2
         current = torque / v.torque_constant
-        return float(np.sum(v.motor_resistance * current**2 + torque * w))
+        voltage = v.motor_resistance * current + w / v.voltage_constant
+        return float(voltage @ current)
 
     def evaluate(self, component, t, X, U):
         rows = ("total_thrust", "roll_moment", "pitch_moment", "yaw_moment")
@@ -65,7 +68,7 @@ class FlatDynamics:
 
 def table_2_wind(t):
     """Wind of the paper's Table 2 as the acceleration of eq. (9)."""
-    gust = 0.4 / (1 + np.exp(-4 * (sin(2 * np.pi / 10 * t) - 1)))
+    gust = 2 * 0.2 / (1 + np.exp(-4 * (sin(2 * np.pi / 10 * t) - 1)))
     x = 1.0 + 0.10 * sin(0.5 * t) + 0.25 * sin(0.7 * t) + 0.30 * sin(t) + gust
     y = 0.5 - 0.05 * sin(0.6 * t) - 0.10 * sin(t) - 0.30 * sin(1.5 * t) + gust
     return np.array([x, y, 0.0])

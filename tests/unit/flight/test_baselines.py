@@ -1,0 +1,156 @@
+"""Controlled flights of the paper's missions: do they arrive, settle, and keep quiet?"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pyomo_quad.collocation import SolveError
+from pyomo_quad.flight import closed_loop
+from pyomo_quad.flight.allocation import mixer_matrix
+from pyomo_quad.flight.baselines import (
+    baseline_name,
+    fly_baseline,
+    fly_open_loop,
+    fly_reference,
+    reference_path,
+)
+from pyomo_quad.flight.closed_loop import fly
+from pyomo_quad.flight.controller import AdaptiveController
+from pyomo_quad.flight.ends import start_state
+from pyomo_quad.scenario import ScenarioError
+from pyomo_quad.scenario.baseline import Reference
+from tests import flights
+
+MISSIONS = ("paper_calm", "paper_wind")
+UNFORESEEN = "wind.forecast.use='calm'"
+
+
+@pytest.mark.parametrize("reference", list(Reference))
+@pytest.mark.parametrize("name", MISSIONS)
+def test_every_reference_arrives(name, reference):
+    flight = flights.baseline(name, reference)
+    assert flight.name == baseline_name(reference)
+    assert flight.terminal_miss_m < 0.02
+    assert flight.is_verified
+    assert flight.max_violation == 0.0
+    assert flight.frame["energy_J"].iloc[-1] == flight.energy_J
+
+
+@pytest.mark.parametrize("reference", [Reference.QUINTIC, Reference.MINIMUM_SNAP, Reference.PLAN])
+@pytest.mark.parametrize("name", MISSIONS)
+def test_rotors_are_quiet_once_under_way(name, reference):
+    frame = flights.baseline(name, reference).frame
+    limits = flights.scenario(name).limits
+    under_way = frame[(frame["time_s"] >= 1.0) & (frame["time_s"] <= 9.0)]
+    alpha = under_way[[f"alpha_{j}_rad_per_s2" for j in (1, 2, 3, 4)]].to_numpy()
+    omega = under_way[[f"omega_{j}_rad_per_s" for j in (1, 2, 3, 4)]].to_numpy()
+    assert np.abs(alpha).max() < 0.1 * limits.rotor_acceleration_max
+    assert limits.rotor_speed_min < omega.min()
+    assert omega.max() < 0.95 * limits.rotor_speed_max
+    # Chatter would turn the rotors' acceleration around many times a second.
+    turns_per_s = (np.diff(np.sign(alpha), axis=0) != 0).sum(axis=0) / 8.0
+    assert turns_per_s.max() < 2.0
+
+
+def test_a_step_settles_in_two_to_three_seconds_without_overshoot():
+    near = "mission.goal.position=[1.0, 0.0, 0.0]"
+    dynamics = flights.vehicle("paper_calm", near)
+    scenario = flights.scenario("paper_calm", near)
+    flown = fly_reference(scenario, Reference.STEP, dynamics=dynamics).flown
+    position = flights.positions(dynamics, flown.states)
+    outside = np.linalg.norm(position - (1.0, 0.0, 0.0), axis=1) > 0.05
+    assert 2.0 <= flown.t[outside][-1] <= 3.0
+    assert position[:, 0].max() < 1.02
+
+
+def test_limits_hold_even_in_a_step():
+    frame = flights.baseline("paper_calm", Reference.STEP).frame
+    alpha = frame[[f"alpha_{j}_rad_per_s2" for j in (1, 2, 3, 4)]].abs().to_numpy()
+    most = flights.scenario("paper_calm").limits.rotor_acceleration_max
+    assert alpha.max() == most  # a step is what takes them to the limit
+
+
+def test_the_controller_is_not_told_the_wind():
+    name = "paper_wind"
+    dynamics, scenario = flights.vehicle(name), flights.scenario(name)
+    believed = scenario.with_values({"wind.use": "calm"})
+    flight = fly(
+        dynamics=dynamics,
+        controller=AdaptiveController(believed, mixer_matrix(dynamics)),
+        reference=reference_path(scenario, Reference.QUINTIC),
+        initial_state=start_state(scenario, dynamics),
+        times=np.array([0.0, 10.0]),
+    )
+    assert flight.flown.energy[-1] == flights.baseline(name, Reference.QUINTIC).energy_J
+
+
+def test_a_heavier_vehicle_than_believed_is_carried_all_the_same():
+    loaded = flights.scenario("paper_calm", "vehicle.payload=0.1")
+    dynamics = flights.vehicle("paper_calm", "vehicle.payload=0.1")
+    flight = fly(
+        dynamics=dynamics,
+        controller=AdaptiveController(flights.scenario("paper_calm"), mixer_matrix(dynamics)),
+        reference=reference_path(loaded, Reference.QUINTIC),
+        initial_state=start_state(loaded, dynamics),
+        times=np.array([0.0, 10.0]),
+    )
+    goal = loaded.mission.goal.position
+    assert flights.distances(dynamics, flight.flown.states, goal)[-1] < 0.01
+
+
+def test_in_a_wind_not_foreseen_feedback_arrives_and_the_plan_alone_does_not():
+    name = "paper_wind"
+    plan = flights.plan(name, UNFORESEEN)
+    alone = fly_open_loop(flights.scenario(name, UNFORESEEN), plan, flights.vehicle(name))
+    assert alone.is_verified
+    assert alone.terminal_miss_m > 10.0
+    assert flights.baseline(name, Reference.PLAN, UNFORESEEN).terminal_miss_m < 0.02
+
+
+def test_open_loop_in_constant_wind_is_blown_as_far_as_the_double_integral_says():
+    blown = ("wind.use='constant'", "wind.speed=0.02", UNFORESEEN)
+    scenario = flights.scenario("paper_calm", *blown)
+    dynamics = flights.vehicle("paper_calm", *blown)
+    flight = fly_open_loop(scenario, flights.plan("paper_calm"), dynamics)
+    assert flight.terminal_miss["rigid_body.x"] == pytest.approx(0.02 * 10.0**2 / 2, rel=1e-6)
+    assert flight.terminal_miss["rigid_body.y"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_flights_verdict_is_that_of_the_second_integrator(monkeypatch):
+    name = "paper_calm"
+    scenario, dynamics = flights.scenario(name), flights.vehicle(name)
+    honest = closed_loop.fly
+
+    def drifting(*, integrator=closed_loop.Integrator.RUNGE_KUTTA, **arguments):
+        flight = honest(integrator=integrator, **arguments)
+        share = 1.0 if integrator is closed_loop.Integrator.RUNGE_KUTTA else 1.0 + 2e-6
+        return replace(flight, flown=replace(flight.flown, energy=share * flight.flown.energy))
+
+    monkeypatch.setattr("pyomo_quad.flight.baselines.fly", drifting)
+    assert not fly_baseline(scenario, Reference.QUINTIC, dynamics=dynamics).is_verified
+
+
+def test_a_flight_out_of_control_is_given_up(monkeypatch):
+    monkeypatch.setattr(closed_loop, "_MOST_EVALUATIONS_PER_SECOND", 5)
+    with pytest.raises(SolveError, match=r"out of control at .* s, stopped after 50 evaluations"):
+        fly_reference(
+            flights.scenario("paper_calm"),
+            Reference.QUINTIC,
+            dynamics=flights.vehicle("paper_calm"),
+        )
+
+
+def test_the_plan_as_reference_needs_a_plan():
+    with pytest.raises(ScenarioError, match="paper_calm: reference 'plan' needs a plan"):
+        reference_path(flights.scenario("paper_calm"), Reference.PLAN)
+
+
+class OtherVehicle:
+    state_names = ("x", "v")
+    control_names = ("u",)
+
+
+def test_a_model_that_is_no_quadrotor_is_refused():
+    with pytest.raises(ScenarioError, match=r"the model has no state rigid_body\.x; the"):
+        fly_reference(flights.scenario("paper_calm"), Reference.STEP, dynamics=OtherVehicle())

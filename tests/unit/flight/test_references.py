@@ -1,0 +1,64 @@
+"""References: right at both ends, and derivatives that are derivatives."""
+
+import numpy as np
+import pytest
+
+from pyomo_quad.flight.references import SampledPath, minimum_snap, quintic, step
+from tests import flights
+
+MISSION = flights.scenario("paper_calm", "mission.goal.yaw=0.5").mission
+GOAL = [6.0, 7.0, 8.0, 0.5]
+
+
+def slope(path, t, part, h=1e-4):
+    after, before = getattr(path(t + h), part), getattr(path(t - h), part)
+    return (np.array(after) - before) / (2 * h)
+
+
+@pytest.mark.parametrize("make", [quintic, minimum_snap])
+def test_ends_are_at_rest(make):
+    path = make(MISSION)
+    for t, place in ((0.0, [0.0] * 4), (10.0, GOAL), (-1.0, [0.0] * 4), (12.0, GOAL)):
+        assert path(t).place == pytest.approx(place, abs=1e-12)
+        assert path(t).rate == pytest.approx([0.0] * 4, abs=1e-12)
+        assert path(t).acceleration == pytest.approx([0.0] * 4, abs=1e-12)
+
+
+def test_minimum_snap_starts_without_jerk_and_the_quintic_does_not():
+    assert slope(minimum_snap(MISSION), 1e-4, "acceleration") == pytest.approx(0.0, abs=1e-3)
+    # jerk at the start is 60 s / T^3
+    expected = 60 * np.array(GOAL) / 10.0**3
+    assert slope(quintic(MISSION), 1e-4, "acceleration") == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("make", [quintic, minimum_snap])
+@pytest.mark.parametrize("t", [0.7, 5.0, 8.2])
+def test_rates_are_the_derivatives(make, t):
+    path = make(MISSION)
+    assert path(t).rate == pytest.approx(slope(path, t, "place"), rel=1e-6)
+    assert path(t).acceleration == pytest.approx(slope(path, t, "rate"), rel=1e-6, abs=1e-9)
+
+
+def test_a_step_is_the_goal_at_all_times():
+    for t in (0.0, 3.0, 11.0):
+        assert step(MISSION)(t) == (GOAL, [0.0] * 4, [0.0] * 4)
+
+
+def test_halfway_in_time_is_halfway_in_space():
+    assert quintic(MISSION)(5.0).place == pytest.approx(np.array(GOAL) / 2)
+
+
+def test_a_sampled_path_follows_a_quintic_exactly_and_rests_beyond_it():
+    path, times = quintic(MISSION), np.linspace(0.0, 10.0, 6)
+    rows = [path(t) for t in times]
+    sampled = SampledPath(times, *([getattr(row, part) for row in rows] for part in row_parts()))
+    for t in (0.0, 1.3, 4.0, 9.9):
+        for part in row_parts():
+            expected = getattr(path(t), part)
+            assert getattr(sampled(t), part) == pytest.approx(expected, abs=1e-9)
+    assert sampled(11.0).place == pytest.approx(GOAL)
+    assert list(sampled(11.0).rate) == list(sampled(-1.0).acceleration) == [0.0] * 4
+
+
+def row_parts():
+    return ("place", "rate", "acceleration")
