@@ -22,16 +22,19 @@ SINGULAR_SLOPE_TOLERANCE = 3e-2
 BESIDE_KINK = 1e-2
 
 GATES = (
+    "bang_bang",
     "brachistochrone",
     "bryson_denham",
     "dido",
     "diode_charging",
     "double_integrator",
+    "floor_constraint",
     "hyper_sensitive",
     "implicit_dae",
     "mass_chain",
     "saving",
     "scalar_regulator",
+    "singular_arc",
     "stiff_tracking",
     "waypoint",
 )
