@@ -1,6 +1,6 @@
 """`pyomo-quad solve`: the minimum-energy flight of a scenario, verified and written down."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -17,9 +17,6 @@ from pyomo_quad.cli.stopwatch import Stopwatch
 from pyomo_quad.report.folder import output_folder
 from pyomo_quad.report.summary import plan_summary, summary_text, write_summary
 from pyomo_quad.scenario import load_scenario
-
-if TYPE_CHECKING:
-    from pyomo_quad.flight import Plan
 
 __all__ = ["Rate", "solve"]
 
@@ -44,6 +41,7 @@ def solve(
     resolved = load_scenario(scenario, overrides or ())
     with watch.phase("import"):
         from pyomo_quad.cli import solving  # noqa: PLC0415  takes a second, see there
+        from pyomo_quad.cli.verdict import complain_about, verdict_lines  # noqa: PLC0415
         from pyomo_quad.report.solve_report import write_solve_report  # noqa: PLC0415
         from pyomo_quad.study.cautions import plan_cautions  # noqa: PLC0415
     planner = solving.planner_for(resolved, is_code_allowed=allow_code)
@@ -60,17 +58,9 @@ def solve(
         write_summary(aside, summary)
     if as_json:
         print(summary_text(summary), end="")
-    elif not quiet and plan.is_verified:
-        print(_verdict(plan))
+    elif not quiet:
+        for line in verdict_lines(plan):
+            print(line)
         print(f"Written to {folder}.")
-    solving.complain_about(plan, folder, cautions)
+    complain_about(plan, folder, cautions)
     return solving.exit_code_of(plan, interruption)
-
-
-def _verdict(plan: "Plan") -> str:
-    excess = plan.energy - plan.hover_energy_J
-    return (
-        f"{plan.scenario.name}: {plan.status.value}, {plan.energy:.3f} J, {excess:.3f} J above "
-        f"hovering for the same {plan.scenario.mission.duration:g} s; "
-        f"{plan.iteration_count} iterations, {plan.timings['solve']:.2f} s."
-    )

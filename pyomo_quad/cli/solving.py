@@ -4,11 +4,9 @@ Importing this module imports Pyomo, CasADi and SciPy, which takes over a second
 only once the scenario has been read, so that a refused one need not wait.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
-from pyomo_quad.cli.consoles import complain
 from pyomo_quad.cli.exit_codes import ExitCode
 from pyomo_quad.cli.interruption import Interruption, stop_on_interrupt
 from pyomo_quad.cli.live_line import live_line
@@ -17,7 +15,7 @@ from pyomo_quad.flight import Plan, Planner, PlanStatus
 from pyomo_quad.model import model_builder
 from pyomo_quad.scenario import Scenario, ScenarioError
 
-__all__ = ["complain_about", "exit_code_of", "follow_solve", "planner_for"]
+__all__ = ["exit_code_of", "follow_solve", "planner_for"]
 
 _EXIT_CODES = {
     PlanStatus.VERIFIED: ExitCode.VERIFIED,
@@ -25,12 +23,6 @@ _EXIT_CODES = {
     PlanStatus.NOT_CONVERGED: ExitCode.NOT_SOLVED,
     PlanStatus.INFEASIBLE: ExitCode.NOT_SOLVED,
     PlanStatus.INTERRUPTED: ExitCode.INTERRUPTED,
-}
-_OUTCOMES = {
-    PlanStatus.SOLVED: "solved but not verified",
-    PlanStatus.NOT_CONVERGED: "not converged",
-    PlanStatus.INFEASIBLE: "infeasible",
-    PlanStatus.INTERRUPTED: "interrupted",
 }
 
 
@@ -105,22 +97,3 @@ def exit_code_of(plan: Plan, interruption: Interruption) -> ExitCode:
         See there.
     """
     return ExitCode.INTERRUPTED if interruption.is_requested else _EXIT_CODES[plan.status]
-
-
-def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
-    """Write on standard error what is wrong with a plan, one line for each matter.
-
-    Parameters
-    ----------
-    plan : Plan
-        Failed or not.
-    folder : Path
-        Where its report is.
-    cautions : sequence of str
-        What a reader should know beside the numbers.
-    """
-    name = plan.scenario.name
-    if not plan.is_verified:
-        complain(f"{name}: {_OUTCOMES[plan.status]}: {plan.message} See {folder}.")
-    for caution in cautions:
-        complain(f"{name}: warning: {caution}")

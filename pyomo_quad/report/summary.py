@@ -4,6 +4,7 @@ import json
 import math
 import platform
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,9 +12,11 @@ from typing import TYPE_CHECKING, Any
 from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
+    from pyomo_quad.flight.failure import Failure
     from pyomo_quad.flight.plan import Plan
+    from pyomo_quad.study.run import RunResult
 
-__all__ = ["SUMMARY_NAME", "plan_summary", "summary_text", "write_summary"]
+__all__ = ["SUMMARY_NAME", "plan_summary", "run_summary", "summary_text", "write_summary"]
 
 SUMMARY_NAME = "summary.json"
 
@@ -72,8 +75,47 @@ def plan_summary(
         "wall_s": {phase: _number(timings.get(phase)) for phase in _PHASES},
         "versions": _versions(),
         "warnings": list(warnings),
+        "attempts": list(plan.attempts),
+        "failure": None if plan.failure is None else _failure(plan.failure),
         "scenario_resolved": plan.scenario.model_dump(mode="json"),
     }
+
+
+def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str, Any]:
+    """Summarise a run: its plan, and what was flown and proven beside it.
+
+    Parameters
+    ----------
+    result : RunResult
+        Of any status.
+    wall_s : mapping
+        Seconds of the phases that the result's own timings do not hold.
+
+    Returns
+    -------
+    dict
+        As `plan_summary`, with the flights and the certificate.
+    """
+    summary = plan_summary(result.plan, wall_s=wall_s, warnings=result.warnings)
+    summary["wall_s"] |= {phase: _number(result.timings[phase]) for phase in ("fly", "certify")}
+    certificate, energy = result.certificate, result.plan.energy
+    summary["certificate"] = {
+        "applies": certificate.applies,
+        "lower_bound_J": _number(certificate.lower_bound_J),
+        "gap_percent": _number(certificate.gap_percent(energy)) if result.flights else None,
+        "reason": certificate.reason,
+    }
+    summary["flights"] = [
+        {
+            "flight": flight.name,
+            "energy_J": _number(flight.energy_J),
+            "terminal_miss_m": _number(flight.terminal_miss_m),
+            "verified": flight.is_verified,
+            "wall_s": _number(flight.wall_s),
+        }
+        for flight in result.flights
+    ]
+    return summary
 
 
 def summary_text(summary: Mapping[str, Any]) -> str:
@@ -103,6 +145,19 @@ def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
         As `plan_summary` makes it.
     """
     (folder / SUMMARY_NAME).write_text(summary_text(summary), encoding="utf-8")
+
+
+def _failure(failure: "Failure") -> dict[str, Any]:
+    diagnosis = failure.diagnosis
+    return {
+        "causes": list(failure.causes()),
+        "shortest_duration_s": failure.shortest_duration_s,
+        "worst_equations": [asdict(residual) for residual in diagnosis.residuals],
+        "active_limits": [asdict(limit) for limit in diagnosis.active],
+        "least_violation": _number(diagnosis.least_violation),
+        "relaxations": [asdict(relaxation) for relaxation in diagnosis.relaxations],
+        "remedies": [asdict(remedy) for remedy in failure.remedies],
+    }
 
 
 def _number(value: float | None) -> float | None:

@@ -1,6 +1,7 @@
 """`pyomo-quad solve` through the real command: status, files and what they hold."""
 
 import json
+from math import sqrt
 
 import pandas as pd
 import pytest
@@ -24,6 +25,8 @@ SUMMARY_KEYS = [
     "versions",
     "scenario_resolved",
 ]
+# By hand, 8 m up: full thrust, 4 kb w^2 at 10 000 rpm, then free fall, at 9.81 m/s^2.
+SHORTEST_WITH_INSTANT_ROTORS_S = sqrt(2 * 8 / 9.81 * (1 + 1 / ((1047.2 / 912.32) ** 2 - 1)))
 # By hand: four motors at 912.32 rad/s with 1.802160 A at 9.830057 V, for 10 s.
 HOVER_ENERGY_J = 4 * 1.8021601 * 9.8300573 * 10.0
 
@@ -75,8 +78,18 @@ def test_impossible_mission_is_infeasible(impossible):
     assert impossible.summary["status"] == "infeasible"
     assert impossible.summary["verified"] is False
     assert impossible.summary["terminal_miss_m"] is None
-    assert impossible.err.startswith("paper_calm: infeasible: ")
-    assert len(impossible.err.splitlines()) == 1
+    first, *_ = impossible.err.splitlines()
+    assert first.startswith("paper_calm: infeasible: mission.duration = 0.3 s is 2.4")
+    assert first.endswith(f"See {impossible.folder}.")
+
+
+def test_failure_is_explained_in_the_summary(impossible):
+    failure = impossible.summary["failure"]
+    assert failure["shortest_duration_s"] > SHORTEST_WITH_INSTANT_ROTORS_S
+    assert len(failure["worst_equations"]) == 10
+    assert failure["worst_equations"][0]["name"] == "rigid_body.z_kinematics"
+    assert failure["worst_equations"][0]["unit"] == "m/s"
+    assert all(cause in impossible.err for cause in failure["causes"])
 
 
 def test_json_is_the_summary(impossible):
