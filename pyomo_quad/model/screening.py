@@ -1,0 +1,211 @@
+"""What a declared model lacks or contradicts, told before it is compiled.
+
+Works on any continuous model, the user's own included: scaling, bounds of the controls, limits on
+one variable that exclude each other or never bind, and boundary values outside such limits.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import permutations
+from math import inf
+
+from pyomo.core.base.constraint import ConstraintData
+from pyomo.core.base.var import VarData
+from pyomo.dae import DerivativeVar
+from pyomo.environ import ConcreteModel, Constraint, Suffix, Var, value
+from pyomo.repn import generate_standard_repn
+
+from pyomo_quad.model.finding import Finding, Severity
+
+__all__ = ["screen_model"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Interval:
+    """What one declaration allows a variable to be."""
+
+    source: str
+    lower: float
+    upper: float
+
+
+def screen_model(model: ConcreteModel) -> tuple[Finding, ...]:
+    """Look for unscaled, unbounded, redundant and contradictory declarations.
+
+    Parameters
+    ----------
+    model : ConcreteModel
+        Continuous, not discretised.
+
+    Returns
+    -------
+    tuple of Finding
+        One for each variable and kind, in the order of declaration.
+    """
+    intervals = _intervals(model)
+    return (
+        *_unscaled(model),
+        *_unbounded_controls(model, intervals),
+        *_conflicts(intervals),
+        *_boundary_values(model, intervals),
+    )
+
+
+def _variables(model: ConcreteModel) -> Iterator[Var]:
+    # A DerivativeVar answers to its own type, so only states and algebraic variables come.
+    yield from model.component_objects(Var, active=True, descend_into=True)
+
+
+def _scaled_names(model: ConcreteModel) -> set[str]:
+    return {
+        component.name
+        for suffix in model.component_objects(Suffix, active=True, descend_into=True)
+        if suffix.local_name == "scaling_factor"
+        for component in suffix
+    }
+
+
+def _unscaled(model: ConcreteModel) -> Iterator[Finding]:
+    scaled = _scaled_names(model)
+    for variable in _variables(model):
+        some = next(iter(variable.values()), None)
+        if some is None or variable.name in scaled or some.name in scaled:
+            continue
+        yield Finding(
+            severity=Severity.CAUTION,
+            subject=variable.name,
+            message=f"{variable.name}: has no scaling_factor, its magnitude is guessed; add "
+            f"model.scaling_factor[model.{variable.name}] = 1 / usual magnitude.",
+        )
+
+
+def _unbounded_controls(
+    model: ConcreteModel, intervals: dict[str, list[_Interval]]
+) -> Iterator[Finding]:
+    differentiated = {
+        derivative.get_state_var().name
+        for derivative in model.component_objects(DerivativeVar, descend_into=True)
+    }
+    for variable in _variables(model):
+        free = (data for data in variable.values() if not data.fixed)
+        data = next((d for d in free if not _is_enclosed(intervals.get(d.name, []))), None)
+        if data is None or variable.name in differentiated:
+            continue
+        yield Finding(
+            severity=Severity.CAUTION,
+            subject=variable.name,
+            message=f"{variable.name}: a control without a lower and an upper bound; an optimum "
+            "may not exist, give it bounds.",
+        )
+
+
+def _is_enclosed(intervals: list[_Interval]) -> bool:
+    lower = max((i.lower for i in intervals), default=-inf)
+    upper = min((i.upper for i in intervals), default=inf)
+    return lower > -inf and upper < inf
+
+
+def _intervals(model: ConcreteModel) -> dict[str, list[_Interval]]:
+    """Return the bounds and single-variable limits on every variable, by its name."""
+    found = defaultdict[str, list[_Interval]](list)
+    for variable in _variables(model):
+        for data in variable.values():
+            if data.has_lb() or data.has_ub():
+                found[data.name].append(_bounds(data))
+    for constraint in model.component_data_objects(Constraint, active=True, descend_into=True):
+        if not constraint.equality:
+            limited = _single_variable(constraint)
+            if limited is not None:
+                found[limited[0].name].append(limited[1])
+    return found
+
+
+def _bounds(data: VarData) -> _Interval:
+    lower = -inf if data.lb is None else data.lb
+    upper = inf if data.ub is None else data.ub
+    return _Interval(source=f"bounds of {data.name}", lower=lower, upper=upper)
+
+
+def _single_variable(constraint: ConstraintData) -> tuple[VarData, _Interval] | None:
+    """Return the variable of a linear limit on it alone, and what the limit allows it."""
+    body = generate_standard_repn(constraint.body, quadratic=False)
+    if len(body.linear_vars) != 1 or body.nonlinear_expr is not None:
+        return None
+    factor = value(body.linear_coefs[0])
+    if factor == 0.0:
+        return None
+    constant = value(body.constant)
+    lower = -inf if constraint.lb is None else (constraint.lb - constant) / factor
+    upper = inf if constraint.ub is None else (constraint.ub - constant) / factor
+    if factor < 0.0:
+        # An absent end has no sign to change.
+        lower, upper = (
+            -inf if constraint.ub is None else upper,
+            inf if constraint.lb is None else lower,
+        )
+    return body.linear_vars[0], _Interval(source=constraint.name, lower=lower, upper=upper)
+
+
+def _conflicts(intervals: dict[str, list[_Interval]]) -> Iterator[Finding]:
+    reported: set[tuple[str, str]] = set()
+    for name, held in intervals.items():
+        lowest = max(held, key=lambda i: i.lower)
+        highest = min(held, key=lambda i: i.upper)
+        families = (_family(lowest.source), _family(highest.source))
+        if lowest.lower > highest.upper and families not in reported:
+            reported.add(families)
+            yield Finding(
+                severity=Severity.IMPOSSIBLE,
+                subject=lowest.source,
+                message=f"{lowest.source}: keeps {name} at or above {lowest.lower:.6g}, "
+                f"{highest.source} at or below {highest.upper:.6g}; no value is allowed.",
+            )
+        for one, other in permutations(held, 2):
+            families = (_family(one.source), _family(other.source))
+            if _never_binds(one, other) and families not in reported:
+                reported.add(families)
+                yield Finding(
+                    severity=Severity.CAUTION,
+                    subject=one.source,
+                    message=f"{one.source}: never binds, {other.source} is tighter; remove it.",
+                )
+
+
+def _never_binds(one: _Interval, other: _Interval) -> bool:
+    is_within = one.lower <= other.lower <= other.upper <= one.upper
+    return is_within and (one.lower, one.upper) != (other.lower, other.upper)
+
+
+def _family(name: str) -> str:
+    return name.partition("[")[0]
+
+
+def _boundary_values(
+    model: ConcreteModel, intervals: dict[str, list[_Interval]]
+) -> Iterator[Finding]:
+    reported: set[tuple[str, str]] = set()
+    for constraint in model.component_data_objects(Constraint, active=True, descend_into=True):
+        held = _single_variable(constraint) if constraint.equality else None
+        if held is None:
+            continue
+        variable, number = held[0], held[1].lower
+        for limit in intervals.get(variable.name, ()):
+            families = (_family(constraint.name), _family(limit.source))
+            if limit.lower <= number <= limit.upper or families in reported:
+                continue
+            reported.add(families)
+            yield Finding(
+                severity=Severity.IMPOSSIBLE,
+                subject=constraint.name,
+                message=f"{constraint.name}: sets {variable.name} to {number:.6g}, {limit.source} "
+                f"allows {_span(limit)}; change one of them.",
+            )
+
+
+def _span(interval: _Interval) -> str:
+    if interval.lower == -inf:
+        return f"at most {interval.upper:.6g}"
+    if interval.upper == inf:
+        return f"at least {interval.lower:.6g}"
+    return f"{interval.lower:.6g} to {interval.upper:.6g}"

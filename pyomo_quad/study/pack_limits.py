@@ -1,0 +1,94 @@
+"""Whether the pack can feed the flight within the limits that the scenario sets on it.
+
+The mean power of any flight is at least that of the certificate, and the pack is at its fullest at
+the start, so its current, voltage and charge there bound those of every flight.
+"""
+
+from collections.abc import Iterator
+
+from pyomo.environ import units, value
+
+from pyomo_quad.model.battery import CHARGE
+from pyomo_quad.model.finding import Finding, Severity
+from pyomo_quad.model.hover import SteadyFlight, battery_shortfalls
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.study.certificate import certify
+
+__all__ = ["pack_findings"]
+
+
+def pack_findings(scenario: Scenario) -> Iterator[Finding]:
+    """Yield what the battery cannot give, and which of its limits the flight must break.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+
+    Yields
+    ------
+    Finding
+        A caution where the pack is too small, since its equations stay finite beyond empty;
+        impossible where a limit must be broken.
+    """
+    for line in battery_shortfalls(scenario):
+        yield Finding(severity=Severity.CAUTION, subject="battery.use", message=line)
+    yield from _charge_at_start(scenario)
+    limits = scenario.limits
+    is_limited = any(
+        limit is not None
+        for limit in (
+            limits.state_of_charge_min,
+            limits.battery_current_max,
+            limits.battery_voltage_min,
+        )
+    )
+    if is_limited:
+        bound = certify(scenario).lower_bound_J
+        if bound is not None:
+            yield from _limits_broken(scenario, bound)
+
+
+def _impossible(subject: str, message: str) -> Finding:
+    return Finding(severity=Severity.IMPOSSIBLE, subject=subject, message=f"{subject} = {message}")
+
+
+def _charge_at_start(scenario: Scenario) -> Iterator[Finding]:
+    lowest, initial = scenario.limits.state_of_charge_min, scenario.battery.initial_state_of_charge
+    if lowest is not None and initial < lowest:
+        yield _impossible(
+            "limits.state_of_charge_min",
+            f"{lowest:.4g} percent; must be at most battery.initial_state_of_charge, "
+            f"{initial:.4g} percent.",
+        )
+
+
+def _limits_broken(scenario: Scenario, bound: float) -> Iterator[Finding]:
+    limits, duration = scenario.limits, scenario.mission.duration
+    model = SteadyFlight(scenario).model
+    battery, start = model.battery, model.time.first()
+    # In this copy of the model the pack feeds the least mean power, whatever the rotors do.
+    model.power.total[start].set_value(bound / duration * units.W)
+    current, voltage = float(value(battery.current[start])), float(value(battery.voltage[start]))
+    charge = units.convert_value(current * duration, from_units=units.A * units.s, to_units=CHARGE)
+    drawn = 100.0 * charge / float(value(battery.pack_capacity))
+    left = scenario.battery.initial_state_of_charge - drawn
+    lowest = limits.state_of_charge_min
+    if lowest is not None and left < lowest <= scenario.battery.initial_state_of_charge:
+        yield _impossible(
+            "limits.state_of_charge_min",
+            f"{lowest:.4g} percent: the flight takes at least {charge:.4g} Ah and leaves at most "
+            f"{left:.4g} percent; lower the limit or add cells.",
+        )
+    if limits.battery_current_max is not None and current > limits.battery_current_max:
+        yield _impossible(
+            "limits.battery_current_max",
+            f"{limits.battery_current_max:.4g} A: the mean current of any flight is at least "
+            f"{current:.4g} A; raise the limit or add cells in series.",
+        )
+    if limits.battery_voltage_min is not None and voltage < limits.battery_voltage_min:
+        yield _impossible(
+            "limits.battery_voltage_min",
+            f"{limits.battery_voltage_min:.4g} V: under the mean current the pack has at most "
+            f"{voltage:.4g} V; lower the limit or add cells in series.",
+        )
