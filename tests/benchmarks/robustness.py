@@ -1,0 +1,118 @@
+"""How many of 200 random missions come out verified, infeasible with proof, or lost.
+
+    python -m tests.benchmarks.robustness [--missions N] [--seed S] [--workers N]
+
+Goals lie within 30 m, up and down; durations from 3 to 30 s; winds up to 6 m/s from anywhere in
+both couplings; payloads from 0 to 0.25 kg; every power model.  No mission gets a guess.
+"""
+
+import argparse
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from time import perf_counter
+
+import numpy as np
+
+from pyomo_quad.flight import Planner, PlanStatus
+from pyomo_quad.scenario import load_scenario
+from pyomo_quad.scenario.errors import FeasibilityError, PyomoQuadError
+
+BASE = "scenarios/paper_calm.toml"
+COUPLINGS = ("acceleration", "drag")
+POWER_MODELS = ("motor", "shaft", "constant_efficiency", "motor_with_friction", "efficiency")
+FARTHEST_M = 30.0
+DURATIONS_S = (3.0, 30.0)
+STRONGEST_WIND_M_PER_S = 6.0
+HEAVIEST_PAYLOAD_KG = 0.25
+VERIFIED, INFEASIBLE, LOST = "verified", "infeasible, proven", "lost"
+_PLANNERS: dict[None, Planner] = {}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    number: int
+    settings: tuple[str, ...]
+    verdict: str
+    detail: str
+    attempts: tuple[str, ...]
+    wall_s: float
+
+
+def missions(count, seed):
+    """Draw missions as lists of scenario settings; equal seeds give equal missions."""
+    random = np.random.default_rng(seed)
+    for number in range(count):
+        direction = random.normal(size=3)
+        goal = FARTHEST_M * random.uniform() ** (1 / 3) * direction / np.linalg.norm(direction)
+        yield (
+            f"name='random_{number:03d}'",
+            f"mission.goal.position=[{', '.join(f'{x:.3f}' for x in goal)}]",
+            f"mission.duration={random.uniform(*DURATIONS_S):.3f}",
+            "wind.use='constant'",
+            f"wind.speed={random.uniform(0, STRONGEST_WIND_M_PER_S):.3f}",
+            f"wind.direction={random.uniform(0, 2 * np.pi):.3f}",
+            f"wind.coupling='{COUPLINGS[number % 2]}'",
+            f"vehicle.payload={random.uniform(0, HEAVIEST_PAYLOAD_KG):.3f}",
+            f"power.model='{POWER_MODELS[random.integers(len(POWER_MODELS))]}'",
+        )
+
+
+def fly(numbered):
+    number, settings = numbered
+    planner = _PLANNERS.setdefault(None, Planner())
+    started = perf_counter()
+    try:
+        plan = planner.solve(load_scenario(BASE, settings))
+    except FeasibilityError as error:
+        return Outcome(number, settings, INFEASIBLE, str(error), (), perf_counter() - started)
+    except PyomoQuadError as error:
+        return Outcome(number, settings, LOST, str(error), (), perf_counter() - started)
+    verdict, detail = LOST, f"{plan.status.value}: {plan.message}"
+    if plan.status is PlanStatus.VERIFIED:
+        verdict, detail = VERIFIED, ""
+    elif plan.status is PlanStatus.INFEASIBLE:
+        verdict, detail = INFEASIBLE, next(iter(plan.failure.causes()), "")
+    return Outcome(number, settings, verdict, detail, plan.attempts, perf_counter() - started)
+
+
+def table(outcomes):
+    counts = Counter(outcome.verdict for outcome in outcomes)
+    rescued = sum(bool(o.attempts) for o in outcomes if o.verdict == VERIFIED)
+    yield "| outcome | missions | share | median time | 95th percentile |"
+    yield "|---|---|---|---|---|"
+    for verdict in (VERIFIED, INFEASIBLE, LOST):
+        times = [o.wall_s for o in outcomes if o.verdict == verdict]
+        middle, high = np.percentile(times, (50, 95)) if times else (np.nan, np.nan)
+        share = counts[verdict] / len(outcomes)
+        yield f"| {verdict} | {counts[verdict]} | {share:.1%} | {middle:.1f} s | {high:.1f} s |"
+    yield ""
+    yield f"{rescued} of {counts[VERIFIED]} verified missions needed a fallback."
+    for outcome in outcomes:
+        if outcome.verdict == LOST or (outcome.verdict == VERIFIED and outcome.attempts):
+            tried = "; ".join(outcome.attempts)
+            yield f"- {outcome.verdict}: {', '.join(outcome.settings)}: {outcome.detail} ({tried})"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--missions", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=2026)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--verbose", action="store_true", help="A line for each mission.")
+    arguments = parser.parse_args()
+    numbered = list(enumerate(missions(arguments.missions, arguments.seed)))
+    outcomes = []
+    with ProcessPoolExecutor(arguments.workers, mp_context=get_context("spawn")) as pool:
+        for outcome in pool.map(fly, numbered):
+            outcomes.append(outcome)
+            if arguments.verbose:
+                print(outcome.number, f"{outcome.wall_s:.1f} s", outcome.verdict, outcome.detail)
+                print("   ", *outcome.settings[1:], *outcome.attempts, flush=True)
+    print(f"Seed {arguments.seed}, {arguments.missions} missions, {arguments.workers} workers:\n")
+    print("\n".join(table(outcomes)))
+
+
+if __name__ == "__main__":
+    main()
