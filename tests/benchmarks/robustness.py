@@ -3,7 +3,8 @@
     python -m tests.benchmarks.robustness [--missions N] [--seed S] [--workers N]
 
 Goals lie within 30 m, up and down; durations from 3 to 30 s; winds up to 6 m/s from anywhere in
-both couplings; payloads from 0 to 0.25 kg; every power model.  No mission gets a guess.
+both couplings; payloads from 0 to 0.25 kg; every power model that is sound everywhere, which
+leaves out `efficiency`: below 858 rad/s it has no minimum to find.  No mission gets a guess.
 """
 
 import argparse
@@ -21,7 +22,7 @@ from pyomo_quad.scenario.errors import FeasibilityError, PyomoQuadError
 
 BASE = "scenarios/paper_calm.toml"
 COUPLINGS = ("acceleration", "drag")
-POWER_MODELS = ("motor", "shaft", "constant_efficiency", "motor_with_friction", "efficiency")
+POWER_MODELS = ("motor", "shaft", "constant_efficiency", "motor_with_friction")
 FARTHEST_M = 30.0
 DURATIONS_S = (3.0, 30.0)
 STRONGEST_WIND_M_PER_S = 6.0

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 README = Path(__file__).parents[3] / "pyomo_quad" / "collocation" / "README.md"
-BLOCKS = re.findall(r"^```python\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+TEXT = README.read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```python\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
 
 
 def test_examples_run_and_give_the_values_in_their_comments():
@@ -24,4 +25,4 @@ def test_examples_run_and_give_the_values_in_their_comments():
 
 
 def test_it_is_one_page():
-    assert len(README.read_text(encoding="utf-8").splitlines()) <= 100
+    assert len(TEXT.splitlines()) <= 100
