@@ -1,0 +1,62 @@
+"""`pyomo-quad fly` through the command's own entry: status, files, words."""
+
+import json
+
+import pandas as pd
+import pytest
+
+from pyomo_quad.cli import main
+from pyomo_quad.cli.exit_codes import ExitCode
+from pyomo_quad.flight import closed_loop
+from pyomo_quad.flight.columns import COLUMNS, TIME
+from tests.command import IMPOSSIBLE, PAPER_CALM, QUICK
+
+
+def test_a_quintic_is_flown_and_written(tmp_path, capsys):
+    out = tmp_path / "flight"
+    assert main(["fly", PAPER_CALM, *QUICK, "--out", str(out)]) == ExitCode.VERIFIED
+    assert "paper_calm: adaptive/quintic arrived, " in capsys.readouterr().out
+    frame = pd.read_csv(out / "flight.csv")
+    assert list(frame) == [TIME, *(column.name for column in COLUMNS)]
+    summary = json.loads((out / "summary.json").read_text())
+    assert (summary["flight"], summary["arrived"]) == ("adaptive/quintic", True)
+    assert frame["energy_J"].iloc[-1] == pytest.approx(summary["energy_J"], rel=1e-11)
+    assert frame["x_m"].iloc[-1] == pytest.approx(1.0, abs=0.02)
+
+
+def test_the_plan_in_open_loop_as_json_in_a_folder_of_its_own(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    command = ["fly", PAPER_CALM, *QUICK, "--controller", "open_loop", "--json"]
+    assert main(command) == ExitCode.VERIFIED
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["flight"] == "open_loop/plan"
+    assert summary["terminal_miss_m"] < 1e-4
+    assert (tmp_path / "reports" / "paper_calm-open_loop-plan" / "flight.csv").is_file()
+
+
+def test_open_loop_follows_no_reference(capsys):
+    command = ["fly", PAPER_CALM, "--controller", "open_loop", "--reference", "step"]
+    assert main(command) == ExitCode.BAD_INPUT
+    assert "follows no --reference; leave it out" in capsys.readouterr().err
+
+
+def test_an_unknown_reference_is_refused_with_what_is_allowed(capsys):
+    assert main(["fly", PAPER_CALM, "--reference", "circle"]) == ExitCode.BAD_INPUT
+    assert "minimum_snap" in capsys.readouterr().err
+
+
+def test_without_a_plan_nothing_is_written(tmp_path, capsys):
+    out = tmp_path / "flight"
+    command = ["fly", PAPER_CALM, *IMPOSSIBLE, "--reference", "plan", "--quiet"]
+    assert main([*command, "--out", str(out)]) == ExitCode.NOT_SOLVED
+    assert "paper_calm: no plan to follow, " in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_flight_out_of_control_is_one_line_and_writes_nothing(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(closed_loop, "_MOST_EVALUATIONS_PER_SECOND", 5)
+    out = tmp_path / "flight"
+    assert main(["fly", PAPER_CALM, *QUICK, "--out", str(out)]) == ExitCode.NOT_SOLVED
+    said = capsys.readouterr()
+    assert said.err.startswith("paper_calm: controlled flight: out of control at ")
+    assert (said.err.count("\n"), out.exists()) == (1, False)
