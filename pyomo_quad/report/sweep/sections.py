@@ -137,7 +137,7 @@ def all_cases(design: SweepDesign, frame: pd.DataFrame) -> Table:
     return Table(
         caption="All cases",
         header=columns,
-        rows=[_row(row, settings) for row in frame[columns].to_numpy(dtype=object)],
+        rows=[_row(row, settings) for row in frame.reindex(columns=columns).to_numpy(object)],
         numeric=frozenset(range(len(columns))),
     )
 
