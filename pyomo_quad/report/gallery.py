@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
 from pyomo_quad.report.document import FIGURE_FOLDER, Picture
+from pyomo_quad.report.figures.adaptation import draw_adaptation
 from pyomo_quad.report.figures.battery import draw_battery
 from pyomo_quad.report.figures.controls import draw_controls
 from pyomo_quad.report.figures.costates import COSTATES, draw_costates
@@ -16,7 +18,7 @@ from pyomo_quad.report.figures.energy import draw_energy
 from pyomo_quad.report.figures.energy_split import draw_energy_split
 from pyomo_quad.report.figures.mesh import draw_mesh
 from pyomo_quad.report.figures.overview import draw_overview
-from pyomo_quad.report.figures.path import BEAT_COUNT, distinct_paths, draw_path
+from pyomo_quad.report.figures.path import BEAT_COUNT, distinct_paths, draw_path, leaving_paths
 from pyomo_quad.report.figures.rotors import draw_rotors
 from pyomo_quad.report.figures.states import draw_states
 from pyomo_quad.report.figures.wind import draw_wind
@@ -38,7 +40,14 @@ from pyomo_quad.report.style import save_figure
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
 
-__all__ = ["PATH_NAME", "Drawing", "comparison_drawings", "plan_drawings", "save_drawings"]
+__all__ = [
+    "PATH_NAME",
+    "Drawing",
+    "adaptation_drawing",
+    "comparison_drawings",
+    "plan_drawings",
+    "save_drawings",
+]
 
 PATH_NAME = "path"
 
@@ -146,6 +155,29 @@ def comparison_drawings(
     )
 
 
+def adaptation_drawing(study: pd.DataFrame) -> Drawing:
+    """Return the figure of what adaptation is worth.
+
+    Parameters
+    ----------
+    study : DataFrame
+        Of `adaptation_study`.
+
+    Returns
+    -------
+    Drawing
+        The error with adaptation and without, and the disturbance that it found.
+    """
+    return Drawing(
+        name="adaptation",
+        title="Adaptation to the wind",
+        caption="The adaptive controller is not told the wind. Left: its distance from its "
+        "reference, with adaptation and without. Right: the force of the wind over the mass, and "
+        "what adaptation made of it.",
+        draw=lambda: draw_adaptation(study),
+    )
+
+
 def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
     """Draw figures and write each as PNG and SVG.
 
@@ -169,6 +201,9 @@ def _path(flights: Sequence[StyledFlight]) -> tuple[Drawing]:
     hidden = [flight for flight in flights if flight not in distinct]
     if hidden:
         caption += f" Too near to {optimum.name} to be drawn apart: {_listed(hidden)}."
+    astray = leaving_paths(flights)
+    if astray:
+        caption += f" Leaves the picture: {_listed(astray)}."
     return (
         Drawing(
             name=PATH_NAME,

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pandas as pd
+
 from pyomo_quad.report.comparison_section import comparison_blocks
 from pyomo_quad.report.comparison_tables import (
     COMPARISON_NAME,
@@ -16,6 +18,7 @@ from pyomo_quad.report.flights import StyledFlight, plan_flight, styled_flights
 from pyomo_quad.report.gallery import (
     PATH_NAME,
     Drawing,
+    adaptation_drawing,
     comparison_drawings,
     plan_drawings,
     save_drawings,
@@ -51,7 +54,9 @@ _RUN_FILES = (
 )
 
 
-def write_run_report(folder: Path, result: "RunResult") -> None:
+def write_run_report(
+    folder: Path, result: "RunResult", adaptation: pd.DataFrame | None = None
+) -> None:
     """Write all there is to say of a run: tables, figures, `report.md` and `report.html`.
 
     Parameters
@@ -60,14 +65,19 @@ def write_run_report(folder: Path, result: "RunResult") -> None:
         An existing folder, empty of reports.
     result : RunResult
         Of any status; one whose plan is not verified is called so in title and text.
+    adaptation : DataFrame, optional
+        Of `adaptation_study`, adds its figure.
     """
     flights = styled_flights(result.flights or [plan_flight(result.plan)])
     drawings = plan_drawings(result.plan, flights)
     compared = _comparison_drawings(result, flights)
+    studied = () if adaptation is None else (adaptation_drawing(adaptation),)
     write_plan_table(folder, result.plan)
     write_comparison(folder, result.comparison, plan_title(result.plan))
-    save_drawings([*compared, *drawings], folder)
-    document = _document(result, [d.picture for d in compared], [d.picture for d in drawings])
+    save_drawings([*compared, *studied, *drawings], folder)
+    document = _document(
+        result, *([drawing.picture for drawing in part] for part in (compared, studied, drawings))
+    )
     (folder / REPORT_NAME).write_text(render_markdown(document), encoding="utf-8")
     (folder / PAGE_NAME).write_text(_page(folder, document, flights), encoding="utf-8")
 
@@ -83,7 +93,9 @@ def _comparison_drawings(
     return comparison_drawings(flights, result.plan.hover_energy_J, absent)
 
 
-def _document(result: "RunResult", beside: list[Picture], pictures: list[Picture]) -> Document:
+def _document(
+    result: "RunResult", beside: list[Picture], studied: list[Picture], pictures: list[Picture]
+) -> Document:
     plan = result.plan
     compared = comparison_blocks(result.comparison) if not result.comparison.empty else ()
     return Document(
@@ -95,6 +107,7 @@ def _document(result: "RunResult", beside: list[Picture], pictures: list[Picture
             *warning_blocks(result.warnings),
             *compared,
             *beside[1:],
+            *figure_blocks(studied),
             *(certificate_blocks(plan, result.certificate) if plan.is_verified else ()),
             *figure_blocks(pictures[:1]),
             *mission_blocks(plan.scenario),

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 
 from pyomo_quad.report.figures.panels import legend_below
@@ -13,12 +14,15 @@ from pyomo_quad.report.flights import StyledFlight
 from pyomo_quad.report.signals import POSITION, TIME, Signal
 from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, PALE
 
-__all__ = ["BEAT_COUNT", "COINCIDENT", "distinct_paths", "draw_path", "draw_space"]
+__all__ = ["BEAT_COUNT", "distinct_paths", "draw_path", "draw_space", "leaving_paths"]
 
 _PROJECTIONS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
 BEAT_COUNT = 5  # markers at equal times along each path: wide apart means fast
-COINCIDENT = 0.02  # of the size of the path: nearer than that, two lines cannot be told apart
+# As shares of the size of the optimum's path: nearer, two lines cannot be told apart; further, a
+# flight leaves the picture.
+COINCIDENT, ASTRAY = 0.02, 1.0
 _MARGIN = 0.08
+_MOST_TICKS = 9
 _SMALLEST_SIDE = 0.2  # m
 
 
@@ -35,10 +39,7 @@ def distinct_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     tuple of StyledFlight
         The optimum, and those that are ever further from it than `COINCIDENT`.
     """
-    optimum, *others = flights
-    time, track = TIME.of(optimum.frame), _track(optimum)
-    allowed = COINCIDENT * np.linalg.norm(np.ptp(track, axis=0))
-    return (optimum, *(f for f in others if _distance(f, time, track) > allowed))
+    return (flights[0], *_further(flights, COINCIDENT))
 
 
 def draw_path(flights: Sequence[StyledFlight]) -> Figure:
@@ -78,7 +79,7 @@ def draw_space(axes: Axes3D, flights: Sequence[StyledFlight]) -> None:
     limits = _limits(flights)
     floor = limits[2, 0]
     for flight in flights:
-        track, beats = _track(flight), _beats(flight)
+        track, beats = (_inside(points, limits) for points in (_track(flight), _beats(flight)))
         shadow = np.full(len(track), floor)
         axes.plot(track[:, 0], track[:, 1], shadow, color=PALE, linewidth=1.0)
         axes.plot(*track.T, label=flight.name, **flight.style.line)
@@ -90,7 +91,11 @@ def draw_space(axes: Axes3D, flights: Sequence[StyledFlight]) -> None:
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
     axes.set_box_aspect(np.ptp(limits, axis=1), zoom=0.88)
     axes.view_init(elev=22, azim=-58)
-    for axis, signal in zip((axes.xaxis, axes.yaxis, axes.zaxis), POSITION, strict=True):
+    sides = np.ptp(limits, axis=1)
+    for axis, signal, side in zip(
+        (axes.xaxis, axes.yaxis, axes.zaxis), POSITION, sides, strict=True
+    ):
+        axis.set_major_locator(MaxNLocator(nbins=max(2, round(_MOST_TICKS * side / sides.max()))))
         axis.set_pane_color("white")
         axis.set_label_text(_axis_label(signal))
         axis.labelpad = -4
@@ -98,8 +103,32 @@ def draw_space(axes: Axes3D, flights: Sequence[StyledFlight]) -> None:
         axis._axinfo["grid"].update(color="#e4e4e4", linewidth=0.5)  # noqa: SLF001
 
 
+def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
+    """Return the flights that go so far astray that showing all of them would hide the others.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        The flights, the optimum first.
+
+    Returns
+    -------
+    tuple of StyledFlight
+        Those that are ever further from the optimum than `ASTRAY`.
+    """
+    return _further(flights, ASTRAY)
+
+
+def _further(flights: Sequence[StyledFlight], share: float) -> tuple[StyledFlight, ...]:
+    optimum, *others = flights
+    time, track = TIME.of(optimum.frame), _track(optimum)
+    allowed = share * max(float(np.linalg.norm(np.ptp(track, axis=0))), _SMALLEST_SIDE)
+    return tuple(f for f in others if _distance(f, time, track) > allowed)
+
+
 def _limits(flights: Sequence[StyledFlight]) -> np.ndarray:
-    points = np.concatenate([_track(flight) for flight in flights])
+    astray = leaving_paths(flights)
+    points = np.concatenate([_track(flight) for flight in flights if flight not in astray])
     low, high = points.min(axis=0), points.max(axis=0)
     middle = (low + high) / 2
     half = np.maximum(high - low, _SMALLEST_SIDE) / 2 * (1 + 2 * _MARGIN)
@@ -121,6 +150,12 @@ def _beats(flight: StyledFlight) -> np.ndarray:
     time = TIME.of(flight.frame)
     beats = np.linspace(time[0], time[-1], BEAT_COUNT + 1)[1:-1]
     return np.column_stack([np.interp(beats, time, axis) for axis in _track(flight).T])
+
+
+def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
+    """Return points with those left out that a view in space would draw outside its axes."""
+    is_inside = np.all((limits[:, 0] <= points) & (points <= limits[:, 1]), axis=1)
+    return np.where(is_inside[:, None], points, np.nan)
 
 
 def _draw_projection(

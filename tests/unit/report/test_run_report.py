@@ -2,12 +2,20 @@
 
 import re
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from pyomo_quad.flight import PlanStatus
+from pyomo_quad.flight.columns import TIME
 from pyomo_quad.report.comparison_section import STAND_IN
+from pyomo_quad.report.comparison_tables import write_comparison
+from pyomo_quad.report.figures.path import leaving_paths
+from pyomo_quad.report.flights import styled_flights
+from pyomo_quad.report.gallery import adaptation_drawing, plan_drawings, save_drawings
 from pyomo_quad.report.run_report import write_run_report
+from pyomo_quad.study.adaptation import ERROR_WITH, ERROR_WITHOUT, ESTIMATED, TRUE
+from pyomo_quad.study.comparison import combine
 from tests.synthetic_run import synthetic_plan, synthetic_run
 
 ANSWER = (
@@ -105,3 +113,36 @@ def test_failed_run_is_never_called_a_success(tmp_path):
     assert text.startswith("# Failed, infeasible: ")
     assert "Verified." not in text
     assert "saving" not in text.lower()
+
+
+def test_adaptation_adds_its_figure(tmp_path):
+    time = np.linspace(0.0, 10.0, 50)
+    study = pd.DataFrame({TIME: time, ERROR_WITH: np.exp(-time), ERROR_WITHOUT: 0.3 + 0 * time})
+    study = study.assign(**dict.fromkeys((*TRUE, *ESTIMATED), 1.0))
+    save_drawings([adaptation_drawing(study)], tmp_path)
+    assert {file.name for file in (tmp_path / "figures").iterdir()} == {
+        "adaptation.png",
+        "adaptation.svg",
+    }
+
+
+@pytest.mark.usefixtures("_no_figures")
+def test_comparison_of_many_scenarios_names_them(tmp_path):
+    calm = synthetic_run("scenarios/paper_calm.toml").comparison
+    write_comparison(tmp_path, combine([calm, synthetic_run().comparison]))
+    text = (tmp_path / "comparison.md").read_text()
+    assert "| Scenario | Flight | Energy (J) |" in text
+    assert "| `paper_calm` | `optimal` | 711.70 |" in text
+    assert "| `paper_wind` | `optimal` | 711.70 |" in text
+
+
+def test_flight_that_goes_astray_does_not_hide_the_others():
+    run = synthetic_run(flights=("optimal", "adaptive/quintic", "open_loop/plan"))
+    lost = run.flights[2]
+    lost.frame = lost.frame.assign(x_m=10 * lost.frame["x_m"])
+    flights = styled_flights(run.flights)
+    assert [flight.name for flight in leaving_paths(flights)] == ["open_loop/plan"]
+    path = plan_drawings(run.plan, flights)[0]
+    assert path.caption.endswith("Leaves the picture: open_loop/plan.")
+    above = path.draw().axes[1]
+    assert above.get_xlim()[1] < 12
