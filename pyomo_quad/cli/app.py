@@ -13,6 +13,7 @@ from pyomo_quad.cli.consoles import complain
 from pyomo_quad.cli.exit_codes import ExitCode
 from pyomo_quad.cli.fly import fly
 from pyomo_quad.cli.library import library
+from pyomo_quad.cli.run import compare, run
 from pyomo_quad.cli.solve import solve
 from pyomo_quad.cli.sweep import sweep, sweep_report
 from pyomo_quad.scenario.errors import FeasibilityError, PyomoQuadError, ScenarioError
@@ -30,7 +31,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Minimum-energy quadrotor flight in wind: solve, verify, compare, report.",
 )
+app.command()(run)
 app.command()(solve)
+app.command()(compare)
 app.command()(check)
 app.command()(library)
 app.command()(fly)

@@ -15,7 +15,7 @@ from pyomo_quad.cli.options import (
 )
 from pyomo_quad.cli.stopwatch import Stopwatch
 from pyomo_quad.report.folder import output_folder
-from pyomo_quad.report.summary import plan_summary, summary_text, write_summary
+from pyomo_quad.report.summary import plan_summary, write_summary
 from pyomo_quad.scenario import load_scenario
 
 __all__ = ["Rate", "solve"]
@@ -40,8 +40,7 @@ def solve(
     watch = Stopwatch()
     resolved = load_scenario(scenario, overrides or ())
     with watch.phase("import"):
-        from pyomo_quad.cli import solving  # noqa: PLC0415  takes a second, see there
-        from pyomo_quad.cli.verdict import complain_about, verdict_lines  # noqa: PLC0415
+        from pyomo_quad.cli import solving, verdict  # noqa: PLC0415  takes a second, see there
         from pyomo_quad.report.solve_report import write_solve_report  # noqa: PLC0415
         from pyomo_quad.study.cautions import plan_cautions  # noqa: PLC0415
     planner = solving.planner_for(resolved, is_code_allowed=allow_code)
@@ -56,11 +55,6 @@ def solve(
             write_solve_report(aside, plan, cautions, rate)
         summary = plan_summary(plan, wall_s=watch.seconds, warnings=cautions)
         write_summary(aside, summary)
-    if as_json:
-        print(summary_text(summary), end="")
-    elif not quiet:
-        for line in verdict_lines(plan):
-            print(line)
-        print(f"Written to {folder}.")
-    complain_about(plan, folder, cautions)
+    verdict.answer(verdict.verdict_lines(plan), summary, folder, is_quiet=quiet, as_json=as_json)
+    verdict.complain_about(plan, folder, cautions)
     return solving.exit_code_of(plan, interruption)

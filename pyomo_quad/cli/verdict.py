@@ -1,18 +1,41 @@
 """What a command says of a plan: the answer on standard output, what is wrong on standard error."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from math import isnan
 from pathlib import Path
+from typing import Any
 
-from pyomo_quad.cli.consoles import complain
+import pandas as pd
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
+from rich.table import Table
+
+from pyomo_quad.cli.consoles import complain, result_console
 from pyomo_quad.flight import Plan, PlanStatus
+from pyomo_quad.report.summary import summary_text
+from pyomo_quad.study.certificate import Certificate
+from pyomo_quad.study.comparison import ComparisonColumn
+from pyomo_quad.study.run import RunResult
 
-__all__ = ["complain_about", "verdict_lines"]
+__all__ = ["answer", "comparison_table", "complain_about", "run_lines", "verdict_lines"]
 
 _OUTCOMES = {
     PlanStatus.SOLVED: "solved but not verified",
     PlanStatus.NOT_CONVERGED: "not converged",
     PlanStatus.INFEASIBLE: "infeasible",
     PlanStatus.INTERRUPTED: "interrupted",
+}
+# Columns on the screen: heading and format.
+_SHOWN = {
+    ComparisonColumn.SCENARIO: ("scenario", ""),
+    ComparisonColumn.FLIGHT: ("flight", ""),
+    ComparisonColumn.ENERGY: ("energy J", ".2f"),
+    ComparisonColumn.EXCESS_ENERGY: ("above hover J", ".2f"),
+    ComparisonColumn.SAVING: ("optimum saves %", ".3f"),
+    ComparisonColumn.SAVING_OF_EXCESS: ("of excess %", ".1f"),
+    ComparisonColumn.TERMINAL_MISS: ("miss m", ".1e"),
+    ComparisonColumn.ARRIVED: ("arrived", ""),
+    ComparisonColumn.VERIFIED: ("verified", ""),
 }
 
 
@@ -66,3 +89,99 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
             complain(f"{name}: {cause}")
     for caution in cautions:
         complain(f"{name}: warning: {caution}")
+
+
+def run_lines(result: RunResult) -> Iterator[str | Table]:
+    """Yield the answer of a run: the optimum, the flights beside it, and the certificate.
+
+    Parameters
+    ----------
+    result : RunResult
+        Of any status.
+
+    Yields
+    ------
+    str or Table
+        For standard output.
+    """
+    yield from verdict_lines(result.plan)
+    if not result.comparison.empty:
+        yield comparison_table(result.comparison)
+    yield from _certificate_lines(result.plan, result.certificate)
+
+
+def _certificate_lines(plan: Plan, certificate: Certificate) -> Iterator[str]:
+    gap = certificate.gap_percent(plan.energy)
+    if not plan.is_verified:
+        return
+    if gap is None:
+        yield f"No certificate of global optimality: {certificate.reason}"
+    else:
+        yield (
+            f"No flight of this mission spends less than {certificate.lower_bound_J:.3f} J: the "
+            f"optimum is at most {gap:.3f} % above the best."
+        )
+
+
+def comparison_table(comparison: pd.DataFrame) -> Table:
+    """Return the flights beside each other, for a terminal.
+
+    Parameters
+    ----------
+    comparison : DataFrame
+        Of `study.comparison`, of one scenario or many.
+
+    Returns
+    -------
+    Table
+        The columns that answer what the optimum saves.
+    """
+    table = Table(box=SIMPLE_HEAD)
+    for column, (heading, _) in _SHOWN.items():
+        is_text = column in (ComparisonColumn.SCENARIO, ComparisonColumn.FLIGHT)
+        table.add_column(heading, justify="left" if is_text else "right")
+    for _, row in comparison.iterrows():
+        table.add_row(*(escape(_cell(row[column], form)) for column, (_, form) in _SHOWN.items()))
+    return table
+
+
+def answer(
+    lines: Iterable[str | Table],
+    summary: Mapping[str, Any],
+    folder: Path,
+    *,
+    is_quiet: bool,
+    as_json: bool,
+) -> None:
+    """Print the answer of a command in the form that was asked for.
+
+    Parameters
+    ----------
+    lines : iterable of str or Table
+        For people.
+    summary : mapping
+        For programs.
+    folder : Path
+        Where the report is.
+    is_quiet : bool
+        Say nothing.
+    as_json : bool
+        Print the summary and nothing else.
+    """
+    if as_json:
+        print(summary_text(summary), end="")
+    elif not is_quiet:
+        for line in lines:
+            if isinstance(line, Table):
+                result_console().print(line)
+            else:
+                print(line)
+        print(f"Written to {folder}.")
+
+
+def _cell(value: Any, form: str) -> str:  # noqa: ANN401  a cell of any column
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float) and isnan(value):
+        return ""
+    return format(value, form)

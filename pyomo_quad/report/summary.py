@@ -16,7 +16,14 @@ if TYPE_CHECKING:
     from pyomo_quad.flight.plan import Plan
     from pyomo_quad.study.run import RunResult
 
-__all__ = ["SUMMARY_NAME", "plan_summary", "run_summary", "summary_text", "write_summary"]
+__all__ = [
+    "SUMMARY_NAME",
+    "compare_summary",
+    "plan_summary",
+    "run_summary",
+    "summary_text",
+    "write_summary",
+]
 
 SUMMARY_NAME = "summary.json"
 
@@ -116,6 +123,22 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
         for flight in result.flights
     ]
     return summary
+
+
+def compare_summary(results: Sequence["RunResult"]) -> dict[str, Any]:
+    """Summarise runs of many scenarios.
+
+    Parameters
+    ----------
+    results : sequence of RunResult
+        In the order of the table.
+
+    Returns
+    -------
+    dict
+        The summaries of the runs, in order.
+    """
+    return {"runs": [run_summary(result, wall_s={}) for result in results]}
 
 
 def summary_text(summary: Mapping[str, Any]) -> str:

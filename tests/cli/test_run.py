@@ -1,0 +1,102 @@
+"""`pyomo-quad run` and `compare` through the command: optimum, baselines, proof, documents."""
+
+import json
+
+import pandas as pd
+import pytest
+
+from pyomo_quad.cli import main
+from pyomo_quad.cli.exit_codes import ExitCode
+from tests.command import IMPOSSIBLE, PAPER_CALM, QUICK, SCENARIOS, run
+
+FIRST_COLUMNS = [
+    "scenario",
+    "flight",
+    "energy_J",
+    "hover_energy_J",
+    "excess_energy_J",
+    "lower_bound_J",
+    "optimality_gap_percent",
+    "saving_percent",
+    "saving_of_excess_percent",
+    "terminal_miss_m",
+    "arrived",
+    "verified",
+    "peak_power_W",
+]
+FLIGHTS = [
+    "optimal",
+    "adaptive/step",
+    "adaptive/quintic",
+    "adaptive/minimum_snap",
+    "adaptive/plan",
+    "open_loop/plan",
+]
+
+
+@pytest.fixture(scope="module")
+def wind(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("wind") / "report"
+    return run("run", str(SCENARIOS / "paper_wind.toml"), "--out", str(folder), out=folder)
+
+
+def test_run_is_verified_and_compared(wind):
+    assert (wind.status, wind.err) == (ExitCode.VERIFIED, "")
+    frame = pd.read_csv(wind.folder / "comparison.csv")
+    assert list(frame.columns)[: len(FIRST_COLUMNS)] == FIRST_COLUMNS
+    assert frame["flight"].tolist() == FLIGHTS
+    rows = frame.set_index("flight")
+    assert rows.loc["adaptive/quintic", "terminal_miss_m"] < 0.05
+    assert rows["arrived"].all()
+    assert (rows["energy_J"] > rows["lower_bound_J"]).all()
+    energy = rows["energy_J"]
+    saved = 100 * (1 - energy["optimal"] / energy["adaptive/quintic"])
+    assert rows.loc["adaptive/quintic", "saving_percent"] == pytest.approx(saved, rel=1e-6)
+
+
+def test_optimum_is_within_a_percent_of_the_best(wind):
+    certificate = wind.summary["certificate"]
+    assert certificate["applies"]
+    assert 0 < certificate["gap_percent"] < 1
+    assert f"{certificate['lower_bound_J']:.3f} J" in wind.out
+
+
+def test_controls_flown_by_the_controllers_plant_cost_what_the_plan_says(wind):
+    energy = {flight["flight"]: flight["energy_J"] for flight in wind.summary["flights"]}
+    assert energy["open_loop/plan"] == pytest.approx(wind.summary["energy_J"], rel=1e-6)
+
+
+def test_run_writes_every_document(wind):
+    names = {file.name for file in wind.folder.iterdir()}
+    documents = {"report.md", "report.html", "comparison.csv", "comparison.md", "plan.csv"}
+    assert documents | {"summary.json", "figures"} <= names
+    assert {"fly", "certify", "solve", "report"} <= set(wind.summary["wall_s"])
+
+
+def test_run_of_an_impossible_mission_compares_nothing(tmp_path, capsys):
+    folder = tmp_path / "report"
+    status = main(["run", PAPER_CALM, *IMPOSSIBLE, "--out", str(folder), "--json"])
+    summary = json.loads(capsys.readouterr().out)
+    assert status == ExitCode.NOT_SOLVED
+    assert (summary["status"], summary["flights"]) == ("infeasible", [])
+    assert summary["certificate"]["gap_percent"] is None
+    assert (folder / "report.md").read_text().startswith("# Failed, infeasible: ")
+
+
+def test_compare_makes_one_table(tmp_path, capsys):
+    folder = tmp_path / "table"
+    files = [str(SCENARIOS / f"paper_{name}.toml") for name in ("calm", "wind")]
+    references = '--set=baseline.references=["quintic"]'
+    arguments = ["compare", *files, *QUICK, references, "--out", str(folder)]
+    assert main(arguments) == ExitCode.VERIFIED
+    frame = pd.read_csv(folder / "comparison.csv")
+    flights = ["optimal", "adaptive/quintic", "open_loop/plan"]
+    assert frame["scenario"].tolist() == ["paper_calm"] * 3 + ["paper_wind"] * 3
+    assert frame["flight"].tolist() == flights * 2
+    assert "adaptive/quintic" in capsys.readouterr().out
+    assert (folder / "comparison.md").exists()
+
+
+def test_compare_refuses_before_it_solves(tmp_path, capsys):
+    assert main(["compare", PAPER_CALM, str(tmp_path / "no.toml")]) == ExitCode.BAD_INPUT
+    assert "no.toml: cannot be read" in capsys.readouterr().err
