@@ -6,7 +6,6 @@ the vehicle's numbers with `tests/agreement/plain_quadrotor.py`, and nothing wit
 a benchmark's rival and an independent check of the optimum.
 """
 
-import time
 from dataclasses import dataclass
 
 import casadi
@@ -25,6 +24,7 @@ from tests.agreement.plain_quadrotor import (
     RESISTANCE,
     TABLE_2,
 )
+from tests.benchmarks.measuring import seconds
 
 DURATION, GOAL = 10.0, (6.0, 7.0, 8.0)
 HOVER_SPEED = np.sqrt(MASS * GRAVITY / (4 * KB))
@@ -60,7 +60,7 @@ def _wind(t, table):
     return speed
 
 
-def _point(*, has_wind):
+def equations(*, has_wind):
     """Return (x, alpha, t) -> slopes, power, thrust and moments; (6), (7), (9), (1)-(3)."""
     x, alpha, t = casadi.SX.sym("x", 16), casadi.SX.sym("alpha", 4), casadi.SX.sym("t")
     _, _, _, vx, vy, vz, phi, theta, psi, p, q, r = casadi.vertsplit(x[:12])
@@ -136,7 +136,7 @@ class _Program:
 
 
 def _transcribe(elements, degree, *, has_wind):
-    point = _point(has_wind=has_wind)
+    point = equations(has_wind=has_wind)
     nodes = casadi.collocation_points(degree, "radau")
     slope_weights, _, quadrature = casadi.collocation_coeff(nodes)
     program, energy, h = _Program(), 0, DURATION / elements
@@ -163,9 +163,9 @@ def _transcribe(elements, degree, *, has_wind):
 
 def solve_by_hand(elements, degree, *, has_wind=False, tolerance=1e-9):
     """Solve test 1 of the paper, or test 2 with its wind."""
-    started = time.perf_counter()
+    started = seconds()
     program, energy = _transcribe(elements, degree, has_wind=has_wind)
-    built = time.perf_counter()
+    built = seconds()
     solver = casadi.nlpsol(
         "by_hand",
         "ipopt",
@@ -176,7 +176,7 @@ def solve_by_hand(elements, degree, *, has_wind=False, tolerance=1e-9):
         },
         {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": tolerance},
     )
-    derived = time.perf_counter()
+    derived = seconds()
     solution = solver(
         x0=np.concatenate(program.guess),
         lbx=np.concatenate(program.lower),
@@ -184,7 +184,7 @@ def solve_by_hand(elements, degree, *, has_wind=False, tolerance=1e-9):
         lbg=np.concatenate(program.row_lower),
         ubg=np.concatenate(program.row_upper),
     )
-    solved = time.perf_counter()
+    solved = seconds()
     statistics = solver.stats()
     if not statistics["success"]:
         raise RuntimeError(f"hand-written CasADi: {statistics['return_status']}")

@@ -1,10 +1,17 @@
-"""Measurements in processes of their own, so that none warms up or weighs down another."""
+"""Measurements in processes of their own, so that none warms up or weighs down another.
+
+Seconds are processor seconds of one thread: what a clock on the wall shows on an idle machine,
+and a busy one as well.
+"""
 
 import json
 import os
 import resource
 import subprocess
 import sys
+import time
+
+seconds = time.process_time
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
@@ -31,6 +38,20 @@ def _run(module, *arguments):
     return json.loads(finished.stdout.splitlines()[-1])
 
 
+def whole_process(*arguments, repeats=1):
+    """Return seconds of a Python process from start to end, and the last line it prints."""
+    best, command = float("inf"), [sys.executable, *arguments]
+    for _ in range(repeats):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        finished = subprocess.run(
+            command, capture_output=True, text=True, check=True, env=os.environ | ONE_THREAD
+        )
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        spent = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+        best = min(best, spent)
+    return best, finished.stdout.splitlines()[-1]
+
+
 def table(header, rows):
     """Return a Markdown table."""
     lines = [header, ["---"] * len(header), *rows]
@@ -39,8 +60,7 @@ def table(header, rows):
 
 def machine():
     """Return what the numbers were measured on."""
-    load = os.getloadavg()[0]
     return (
         f"{os.cpu_count()} cores, Python {sys.version_info.major}.{sys.version_info.minor}, "
-        f"one thread each, load {load:.1f} at the end"
+        f"processor seconds of one thread, load {os.getloadavg()[0]:.1f} at the end"
     )

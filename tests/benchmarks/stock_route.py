@@ -1,12 +1,11 @@
 """The route without this package: dae.collocation, an .nl file, CasADi's derivatives, cyipopt."""
 
-import time
-
 import casadi
 import cyipopt
 import numpy as np
 
 from tests.agreement.stock import StockModel
+from tests.benchmarks.measuring import seconds
 
 # Ipopt's defaults, but no early stop at a merely acceptable point.
 _OPTIONS = {"print_level": 0, "sb": "yes", "acceptable_iter": 0}
@@ -68,7 +67,7 @@ def solve_by_stock_route(model, elements, degree, *, tolerance=1e-9):
     The energy is the Radau sum of the declared power, since the stock trapezoids would have
     the optimiser solve another problem.
     """
-    started = time.perf_counter()
+    started = seconds()
     stock = StockModel(
         model,
         model.time,
@@ -77,9 +76,9 @@ def solve_by_stock_route(model, elements, degree, *, tolerance=1e-9):
         integrands={"energy": lambda m, t: m.power.total[t]},
     )
     program = stock.nonlinear_program()
-    built = time.perf_counter()
+    built = seconds()
     callbacks = _Callbacks(program)
-    derived = time.perf_counter()
+    derived = seconds()
     ipopt = cyipopt.Problem(
         n=len(program.x_init),
         m=len(program.g_lb),
@@ -92,7 +91,7 @@ def solve_by_stock_route(model, elements, degree, *, tolerance=1e-9):
     for name, setting in (_OPTIONS | {"tol": tolerance}).items():
         ipopt.add_option(name, setting)
     x, info = ipopt.solve(np.array(program.x_init))
-    solved = time.perf_counter()
+    solved = seconds()
     if info["status"] not in (0, 1):
         raise RuntimeError(f"stock route: {info['status_msg']}")
     return {
