@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from plotly.offline import get_plotlyjs
 
+from pyomo_quad.report.figures.path import distinct_paths, leaving_paths
 from pyomo_quad.report.flights import StyledFlight
 from pyomo_quad.report.signals import POSITION, POWER, TIME, VELOCITY
 from pyomo_quad.report.style import INK, MUTED
@@ -43,7 +44,7 @@ def view_markup() -> str:
         'aria-label="Interactive view of the paths in space; the next figure shows the same '
         'paths."></div>'
         '<p class="note screen">Drag to turn, pinch or use the buttons to zoom; touch a path to '
-        "read it, a name to hide it.</p>"
+        "read it, a name to show or hide it.</p>"
         "<noscript><p>The interactive view needs JavaScript; the next figure shows the same "
         "paths.</p></noscript>"
     )
@@ -62,12 +63,14 @@ def view_script(flights: Sequence[StyledFlight]) -> str:
     str
         JavaScript without any address to load from.
     """
-    data = [*map(_path, flights), *_ends(flights[0])]
+    shown = [f for f in distinct_paths(flights) if f not in leaving_paths(flights)]
+    paths = [_path(flight, is_shown=flight in shown) for flight in flights]
+    data = [*paths, *_ends(flights[0])]
     arguments = ", ".join(_json(part) for part in (VIEW_ELEMENT, data, _layout(), _CONFIG))
     return f"{get_plotlyjs()}\nPlotly.newPlot({arguments});"
 
 
-def _path(flight: StyledFlight) -> dict[str, Any]:
+def _path(flight: StyledFlight, *, is_shown: bool) -> dict[str, Any]:
     frame = flight.frame
     rows = np.unique(np.linspace(0, len(frame) - 1, _SAMPLES).round().astype(int))
     shown = frame.iloc[rows]
@@ -78,6 +81,7 @@ def _path(flight: StyledFlight) -> dict[str, Any]:
         "type": "scatter3d",
         "mode": "lines",
         "name": flight.name,
+        "visible": True if is_shown else "legendonly",
         **place,
         "customdata": _rounded(said),
         "hovertemplate": _HOVER_TEXT,

@@ -143,7 +143,7 @@ def comparison_drawings(
             name="overview",
             title="The run at a glance",
             caption="Left: the paths, from start (dot) to goal (star). Right: what each flight "
-            "spends above hovering for the same time.",
+            f"spends above hovering for the same time.{_left_out(flights)}",
             draw=lambda: draw_overview(flights, hover_energy_J, absent),
         ),
         Drawing(
@@ -197,21 +197,27 @@ def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
 def _path(flights: Sequence[StyledFlight]) -> tuple[Drawing]:
     optimum, distinct = flights[0], distinct_paths(flights)
     beat = optimum.duration_s / BEAT_COUNT
-    caption = f"Paths from start (dot) to goal (star), with a mark every {beat:.3g} s."
-    hidden = [flight for flight in flights if flight not in distinct]
-    if hidden:
-        caption += f" Too near to {optimum.name} to be drawn apart: {_listed(hidden)}."
-    astray = leaving_paths(flights)
-    if astray:
-        caption += f" Leaves the picture: {_listed(astray)}."
     return (
         Drawing(
             name=PATH_NAME,
             title="Path",
-            caption=caption,
+            caption=f"Paths from start (dot) to goal (star), with a mark every {beat:.3g} s."
+            f"{_left_out(flights)}",
             draw=lambda: draw_path(distinct),
         ),
     )
+
+
+def _left_out(flights: Sequence[StyledFlight]) -> str:
+    """Return what is said under a picture of paths of those that are not all in it."""
+    said = ""
+    distinct, astray = distinct_paths(flights), leaving_paths(flights)
+    near = [flight for flight in flights if flight not in distinct]
+    if near:
+        said += f" Too near to {flights[0].name} to be drawn apart: {_listed(near)}."
+    if astray:
+        said += f" Leaves the picture: {_listed(astray)}."
+    return said
 
 
 def _motion(flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
