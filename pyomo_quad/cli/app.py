@@ -13,6 +13,7 @@ from pyomo_quad.cli.consoles import complain
 from pyomo_quad.cli.exit_codes import ExitCode
 from pyomo_quad.cli.fly import fly
 from pyomo_quad.cli.library import library
+from pyomo_quad.cli.paper import paper
 from pyomo_quad.cli.run import compare, run
 from pyomo_quad.cli.solve import solve
 from pyomo_quad.cli.sweep import sweep, sweep_report
@@ -37,6 +38,7 @@ app.command()(compare)
 app.command()(check)
 app.command()(library)
 app.command()(fly)
+app.command()(paper)
 app.command()(sweep)
 app.command()(sweep_report)
 

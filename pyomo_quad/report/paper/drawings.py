@@ -1,0 +1,158 @@
+"""The counterparts of the paper's figures 1 to 7, and the figure of the floors."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+from pyomo_quad.report.figures.battery import draw_battery
+from pyomo_quad.report.figures.controls import draw_controls
+from pyomo_quad.report.figures.path import draw_path
+from pyomo_quad.report.figures.rotors import draw_rotors
+from pyomo_quad.report.figures.states import draw_states
+from pyomo_quad.report.figures.wind import draw_wind
+from pyomo_quad.report.flights import styled_flights
+from pyomo_quad.report.gallery import Drawing
+from pyomo_quad.report.paper.floor_figure import draw_floors
+from pyomo_quad.report.paper.loss_chain import draw_loss_chain, energy_chain
+from pyomo_quad.report.paper.tables import find_flight
+from pyomo_quad.scenario import FrequencyUnit, PowerModel, WindCoupling
+from pyomo_quad.scenario.battery import Battery
+from pyomo_quad.study.paper.claims import OPTIMAL_ENERGY
+from pyomo_quad.study.paper.missions import Experiment
+from pyomo_quad.study.paper.study import PaperStudy
+
+__all__ = ["floor_drawing", "paper_drawings"]
+
+_MOTION_FIGURES = {Experiment.CALM: (3, 4), Experiment.WIND: (5, 6)}
+
+
+def paper_drawings(study: PaperStudy) -> tuple[Drawing, ...]:
+    """List the counterparts of the paper's figures.
+
+    Parameters
+    ----------
+    study : PaperStudy
+        The results.
+
+    Returns
+    -------
+    tuple of Drawing
+        In the paper's order.
+    """
+    return (
+        *_power(study),
+        *_motion(study, Experiment.CALM),
+        *_motion(study, Experiment.WIND),
+        *_wind(study),
+    )
+
+
+def floor_drawing(study: PaperStudy) -> Drawing:
+    """Return the figure of the least energy under f_r.
+
+    Parameters
+    ----------
+    study : PaperStudy
+        The results.
+
+    Returns
+    -------
+    Drawing
+        For the examination.
+    """
+    hovering = find_flight(study.flights, Experiment.CALM, PowerModel.EFFICIENCY).hover_energy_J
+    return Drawing(
+        name="floors",
+        title="Least energy under f_r",
+        caption="Least energy of any flight of the mission under f_r against the bound on the "
+        "rotor acceleration. The literal curve falls without end toward the dotted region.",
+        draw=lambda: draw_floors(
+            study.floors, hovering, OPTIMAL_ENERGY[1].value, study.critical_acceleration
+        ),
+    )
+
+
+def _power(study: PaperStudy) -> Iterator[Drawing]:
+    optimum = find_flight(study.flights, Experiment.CALM, PowerModel.MOTOR)
+    yield Drawing(
+        name="figure_1",
+        title="Power-loss chain and efficiency map",
+        caption="Figure 1. Above: where the energy of the optimal flight of experiment 1 goes, "
+        "under the motors' electrical power. Below: f_r over speed and torque, with the same "
+        "flight on it. Hatched: f_r below zero; dotted line: the braking torque at which it "
+        "first gets there.",
+        draw=lambda: draw_loss_chain(
+            energy_chain(optimum), study.efficiency_map, optimum, study.critical_acceleration
+        ),
+    )
+    packs = styled_flights(
+        [
+            replace(flown.flight, name=_pack_name(flown.case.scenario.battery))
+            for flown in study.battery_flights
+        ]
+    )
+    yield Drawing(
+        name="figure_2",
+        title="Battery voltage and current",
+        caption="Figure 2. Voltage, current and charge of both packs on the optimal flight of "
+        "experiment 1.",
+        draw=lambda: draw_battery(packs),
+    )
+    motors = styled_flights([optimum.flight])[0]
+    yield Drawing(
+        name="figure_2_motors",
+        title="Motors",
+        caption="Figure 2, continued. Speed, torque, current and voltage of the four motors on "
+        "the same flight.",
+        draw=lambda: draw_rotors(motors),
+    )
+
+
+def _motion(study: PaperStudy, experiment: Experiment) -> Iterator[Drawing]:
+    states, path = _MOTION_FIGURES[experiment]
+    optimum = find_flight(study.flights, experiment, PowerModel.MOTOR).flight
+    flown = [
+        baseline.flight
+        for baseline in study.baselines
+        if baseline.case.experiment is experiment and baseline.case.power_model is PowerModel.MOTOR
+    ]
+    flights = styled_flights([optimum, *flown])
+    alone = flights[:1]
+    where = f"experiment {experiment.value}"
+    yield Drawing(
+        name=f"figure_{states}_states",
+        title=f"States, {where}",
+        caption=f"Figure {states}. The sixteen states of the optimal flight of {where}.",
+        draw=partial(draw_states, alone),
+    )
+    yield Drawing(
+        name=f"figure_{states}_controls",
+        title=f"Controls, {where}",
+        caption=f"Figure {states}, continued. The four rotor accelerations.",
+        draw=partial(draw_controls, alone),
+    )
+    yield Drawing(
+        name=f"figure_{path}",
+        title=f"Paths, {where}",
+        caption=f"Figure {path}. The optimal path and those under the adaptive controller, "
+        f"{where}.",
+        draw=partial(draw_path, flights),
+    )
+
+
+def _wind(study: PaperStudy) -> Iterator[Drawing]:
+    readings = {
+        flown.case.frequency_unit: flown.flight
+        for flown in study.wind_flights
+        if flown.case.coupling is WindCoupling.ACCELERATION
+    }
+    for unit, name, text in (
+        (FrequencyUnit.RADIAN_PER_SECOND, "figure_7", "Figure 7. The wind, frequencies in rad/s."),
+        (FrequencyUnit.HERTZ, "figure_7_hz", "Figure 7, the other reading: frequencies in Hz."),
+    ):
+        blowing = styled_flights([readings[unit]])[0]
+        yield Drawing(name=name, title="Wind", caption=text, draw=partial(draw_wind, blowing))
+
+
+def _pack_name(battery: Battery) -> str:
+    return f"{battery.title}, {battery.cells_series} x {battery.cells_parallel} cells"

@@ -1,0 +1,200 @@
+"""Why the paper's 1.89 kJ is below the hover floor of its own efficiency function."""
+
+import numpy as np
+
+from pyomo_quad.report.document import Block, Heading, Paragraph, Strong, Table
+from pyomo_quad.report.paper.numbers import kilojoules, metres
+from pyomo_quad.report.paper.tables import find_flight
+from pyomo_quad.report.wording import fixed, yes_no
+from pyomo_quad.scenario import PowerModel
+from pyomo_quad.study.paper.claims import OPTIMAL_ENERGY
+from pyomo_quad.study.paper.missions import Experiment
+from pyomo_quad.study.paper.readings import Reading
+from pyomo_quad.study.paper.study import PaperStudy
+
+__all__ = ["bound_of_printed_optimum", "examination_blocks", "least_regularised_floor"]
+
+
+def bound_of_printed_optimum(study: PaperStudy) -> float:
+    """Return the bound on the rotor acceleration at which the printed optimum is the least energy.
+
+    Parameters
+    ----------
+    study : PaperStudy
+        Has the floors under the literal f_r.
+
+    Returns
+    -------
+    float
+        rad/s², between the two bounds of the table that enclose it.
+    """
+    bounds, energies = study.floors[Reading.LITERAL].T
+    finite = np.isfinite(energies)
+    return float(np.interp(-OPTIMAL_ENERGY[1].value, -energies[finite], bounds[finite]))
+
+
+def least_regularised_floor(study: PaperStudy) -> tuple[float, float]:
+    """Return the largest bound of the table and the floor there, with regularised f_r.
+
+    Parameters
+    ----------
+    study : PaperStudy
+        Has the floors.
+
+    Returns
+    -------
+    bound, energy : float
+        rad/s² and J.
+    """
+    bound, energy = study.floors[Reading.REGULARISED][-1]
+    return float(bound), float(energy)
+
+
+def examination_blocks(study: PaperStudy) -> tuple[Block, ...]:
+    """Return the study of the problem under f_r: bound, mesh, and no minimum.
+
+    Parameters
+    ----------
+    study : PaperStudy
+        The results.
+
+    Returns
+    -------
+    tuple of Block
+        Heading, text and two tables; the figure follows them.
+    """
+    return (
+        Heading("Why 1.89 kJ is below the hover floor".replace("1.89", _printed())),
+        *_argument(study),
+        _floor_table(study),
+        Paragraph(_mesh_text(study)),
+        _mesh_table(study),
+    )
+
+
+def _printed() -> str:
+    return kilojoules(OPTIMAL_ENERGY[1].value, 2)
+
+
+def _argument(study: PaperStudy) -> tuple[Block, ...]:
+    hovering = find_flight(study.flights, Experiment.CALM, PowerModel.EFFICIENCY).hover_energy_J
+    largest, least = least_regularised_floor(study)
+    critical = study.critical_acceleration
+    return (
+        Paragraph(
+            (
+                (
+                    f"Under the recovered f_r, hovering for the mission's time takes "
+                    f"{kilojoules(hovering)} kJ, so the printed {_printed()} kJ is "
+                    f"{100 * OPTIMAL_ENERGY[1].value / hovering:.0f} % of not moving at all. "
+                ),
+                (
+                    "Steady hover is no floor under f_r, though: f_r rises with the rotor speed, "
+                    "so flying in bounds of high and low speed is cheaper than flying evenly, "
+                    "and below some speed accelerating and coasting in turn is cheaper than "
+                    "turning steadily."
+                ),
+            )
+        ),
+        Paragraph(
+            (
+                Strong("A floor that holds for every flight."),
+                " ",
+                (
+                    "From hover to hover each rotor passes every speed upward as much as "
+                    "downward, so at each speed its mean acceleration is zero, and its mean "
+                    "power there is at least the convex envelope of the power over the "
+                    "accelerations allowed, taken at zero. The mean vertical thrust is the "
+                    "weight, so the mean power is at least the convex envelope of that over the "
+                    "thrust, taken at the weight. Flights come as close to this floor as they "
+                    "alternate fast, and none reaches it."
+                ),
+            )
+        ),
+        Paragraph(
+            (
+                (
+                    "With f_r regularised as declared (read at no torque below zero, floored, no "
+                    f"credit for braking) the floor falls with the bound on |alpha|, to "
+                    f"{kilojoules(least)} kJ at {largest:.0f} rad/s²: the printed energy is below "
+                    "what any flight can do. "
+                ),
+                (
+                    "With f_r as it stands in eq. (8) it passes zero for braking torques: first "
+                    f"at |alpha| = {critical:.0f} rad/s², at a rotor speed of "
+                    f"{study.critical_speed:.0f} rad/s. There a braking rotor earns without "
+                    "limit, and from that bound on the literal problem has no minimum. The paper "
+                    f"states no bound. The literal floor passes the printed {_printed()} kJ near "
+                    f"|alpha| = {bound_of_printed_optimum(study):.0f} rad/s²: on the slope of "
+                    "that fall any number can come out, and which one is a matter of bound and "
+                    "mesh."
+                ),
+            )
+        ),
+    )
+
+
+def _floor_table(study: PaperStudy) -> Table:
+    regularised, literal = study.floors[Reading.REGULARISED], study.floors[Reading.LITERAL]
+    rows = [
+        [f"{bound:.0f}", kilojoules(lower), kilojoules(lowest)]
+        for (bound, lower), (_, lowest) in zip(regularised, literal, strict=True)
+    ]
+    return Table(
+        caption="Least energy of any flight of the mission against the bound on |alpha|",
+        header=("bound rad/s²", "regularised f_r, kJ", "literal f_r, kJ"),
+        rows=rows,
+        numeric=frozenset(range(3)),
+    )
+
+
+def _mesh_text(study: PaperStudy) -> tuple[str, ...]:
+    literal = [o for o in study.trials if o.trial.reading is Reading.LITERAL]
+    lowest = min(literal, key=lambda outcome: outcome.energy_J)
+    believed = [o for o in literal if o.has_converged]
+    cheapest = min(believed, key=lambda outcome: outcome.energy_J, default=lowest)
+    outcome = "converged" if cheapest.has_converged else "stopped"
+    return (
+        "The same problem given to the optimiser on fixed meshes, started at hover. ",
+        (
+            f"With literal f_r the solver {outcome} at {kilojoules(cheapest.energy_J)} kJ on "
+            f"{cheapest.trial.elements} elements with |alpha| at most {cheapest.trial.bound:.0f} "
+            f"rad/s², and its controls, flown, miss the goal by {metres(cheapest.miss_m)} m; the "
+            f"lowest number it reached is {kilojoules(lowest.energy_J)} kJ. "
+        ),
+        (
+            "Other meshes leave it near hover, where the cost is flat. An energy under literal f_r "
+            "therefore tells of the mesh and of the first guess, not of the vehicle."
+        ),
+    )
+
+
+def _mesh_table(study: PaperStudy) -> Table:
+    rows = [
+        [
+            outcome.trial.reading.value,
+            f"{outcome.trial.bound:.0f}",
+            str(outcome.trial.elements),
+            kilojoules(outcome.energy_J),
+            yes_no(outcome.has_converged),
+            kilojoules(outcome.flown_energy_J),
+            metres(outcome.miss_m),
+        ]
+        for outcome in study.trials
+    ]
+    degree = study.trials[0].trial.degree
+    return Table(
+        caption=f"Experiment 1 under f_r on equal elements of degree {fixed(degree, 0)}; n/a: f_r "
+        "passes zero on the way and the flown energy has no value",
+        header=(
+            "f_r",
+            "bound rad/s²",
+            "elements",
+            "optimum kJ",
+            "converged",
+            "flown kJ",
+            "misses goal by m",
+        ),
+        rows=rows,
+        numeric=frozenset({1, 2, 3, 5, 6}),
+    )
