@@ -22,7 +22,7 @@ from pyomo_quad.model.smoothing import floored, positive_part
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.power import PowerModel
 
-__all__ = ["CONVEX_IN_THRUST", "declare_power", "parameters_of"]
+__all__ = ["declare_power", "parameters_of"]
 
 _TORQUE = units.N * units.m
 _SPEED = units.rad / units.s
@@ -31,9 +31,6 @@ _COLUMNS = ("a", "b", "c")
 # Half widths over which the floors of f_r are rounded: far below hover's 0.0187 N m and 0.14.
 TORQUE_FLOOR_WIDTH = 1e-4 * _TORQUE
 EFFICIENCY_FLOOR_WIDTH = 1e-3
-
-# Models for which a certificate of global optimality exists.
-CONVEX_IN_THRUST = frozenset({PowerModel.MOTOR, PowerModel.SHAFT, PowerModel.CONSTANT_EFFICIENCY})
 
 _SMOOTHING = Parameter(
     name="smoothing",

@@ -6,8 +6,10 @@ import pytest
 from pyomo.dae import ContinuousSet
 from pyomo.environ import Block, ConcreteModel, Expression, Param, Suffix, units
 
+from pyomo_quad.model import build_model
 from pyomo_quad.model.battery import declare_battery
 from pyomo_quad.model.hover import SteadyFlight, battery_shortfalls, hover, hover_power
+from pyomo_quad.model.wind import move_clock
 from tests.declared_model import Instant, scenario
 
 ROUNDING = 1e-12
@@ -101,6 +103,28 @@ def test_steady_wind_blows_where_it_is_told():
     at = Instant.of(wind={"use": "constant", "speed": 3.0, "direction": 2.0})
     assert at.read("wind.velocity_x") == pytest.approx(3.0 * cos(2.0))
     assert at.read("wind.velocity_y") == pytest.approx(3.0 * sin(2.0))
+
+
+def test_a_measured_wind_is_a_cubic_spline_in_wind_time(tmp_path):
+    # A spline through samples of one cubic is that cubic.
+    def cubic(time):
+        return 0.5 + 0.3 * time - 0.06 * time**2 + 0.002 * time**3
+
+    rows = "\n".join(f"{t},{cubic(t)},{-2 * cubic(t)}" for t in range(14))
+    (tmp_path / "wind.csv").write_text(f"time_s,wind_x_m_per_s,wind_y_m_per_s\n{rows}\n")
+    wind = {"use": "calm", "file": str(tmp_path / "wind.csv"), "time_offset": 1.25}
+    model = build_model(scenario(wind=wind))
+    at = Instant(model)
+    assert at.read("wind.velocity_x") == pytest.approx(cubic(5.0 + 1.25), rel=1e-9)
+    assert at.read("wind.velocity_y") == pytest.approx(-2 * cubic(5.0 + 1.25), rel=1e-9)
+    move_clock(model, at.t, 3.3)
+    assert at.read("wind.velocity_x") == pytest.approx(cubic(3.3 + 1.25), rel=1e-9)
+
+
+def test_the_clock_moves_the_formula_too():
+    at = Instant.of(wind={"use": "paper_table_2"})
+    move_clock(at.model, at.t, 2.5)
+    assert at.read("wind.y.gust") == pytest.approx(0.2, rel=1e-12)
 
 
 @pytest.mark.parametrize(

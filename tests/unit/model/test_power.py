@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pyomo_quad.model.hover import SteadyFlight
-from pyomo_quad.model.power import CONVEX_IN_THRUST
 from tests.declared_model import Instant, scenario
 
 SPEED = st.floats(0.0, 1047.0)
@@ -61,9 +60,16 @@ def test_regeneration_pays_back():
     assert regenerating.read("power.rotor_power", 1) < 0.0
 
 
-@pytest.mark.parametrize("model", sorted(CONVEX_IN_THRUST))
+@pytest.mark.parametrize("model", ["motor", "shaft", "constant_efficiency"])
 def test_convex_and_increasing_in_thrust(model):
     steady = SteadyFlight(scenario(power={"model": model}))
     powers = np.array([steady.power_at_thrust(thrust) for thrust in np.linspace(0.0, 16.8, 30)])
     assert np.all(np.diff(powers) > 0.0)
     assert np.all(np.diff(powers, 2) > -1e-9)
+
+
+def test_friction_makes_the_first_newton_the_dearest():
+    steady = SteadyFlight(scenario(power={"model": "motor_with_friction"}))
+    powers = np.array([steady.power_at_thrust(thrust) for thrust in np.linspace(0.0, 16.8, 30)])
+    assert np.all(np.diff(powers) > 0.0)
+    assert np.diff(powers, 2)[0] < 0.0

@@ -1,0 +1,69 @@
+"""The declared equations as LaTeX: known texts, and all of it readable by a LaTeX reader."""
+
+import pytest
+from matplotlib.mathtext import MathTextParser
+from pyomo.environ import Constraint, units
+
+from pyomo_quad.model import build_model
+from pyomo_quad.model.typeset import typeset_equations
+from pyomo_quad.scenario import PowerModel, WindCoupling
+from tests.declared_model import scenario
+
+EVERY_LIMIT = {"state_of_charge_min": 20.0, "battery_current_max": 30.0, "battery_voltage_min": 9.0}
+
+
+def texts(model):
+    return {equation.name: equation.latex for equation in typeset_equations(model)}
+
+
+@pytest.mark.parametrize(
+    ("name", "latex"),
+    [
+        ("rotors.motor_torque", r"\tau_{j} = I_r \, \alpha_{j} + \kappa \, \omega_{j}^{2}"),
+        ("rotors.motor_current", r"i_{j} = \frac{\tau_{j}}{k_t}"),
+        ("rotors.motor_voltage", r"v_{j} = R \, i_{j} + \frac{1}{k_v} \, \omega_{j}"),
+        ("rigid_body.x_kinematics", r"\dot{x} = v_x"),
+        (
+            "rotors.roll_moment",
+            r"u_2 = l \, \kappa_b \, \left(\omega_{2}^{2} - \omega_{4}^{2}\right)",
+        ),
+        ("limits.thrust_limit", r"0 \le u_1 \le T_{max}"),
+        ("rotors.rotor_kinematics", r"\dot{\omega}_{j} = \alpha_{j}"),
+        ("power.rotor_power", r"P_{j} = v_{j} \, i_{j}"),
+    ],
+)
+def test_known_equations(name, latex):
+    assert texts(build_model(scenario()))[name] == latex
+
+
+@pytest.mark.parametrize(
+    ("power", "coupling"),
+    [
+        *((power, WindCoupling.ACCELERATION) for power in PowerModel),
+        (PowerModel.MOTOR, WindCoupling.DRAG),
+    ],
+)
+def test_every_equation_is_latex(power, coupling):
+    model = build_model(
+        scenario(
+            power={"model": power.value},
+            wind={"use": "paper_table_2", "coupling": coupling.value},
+            limits=EVERY_LIMIT,
+        )
+    )
+    parser = MathTextParser("path")
+    found = typeset_equations(model)
+    assert len(found) > 45
+    for equation in found:
+        assert equation.description
+        # Matplotlib knows this sign by its longer name alone.
+        latex = equation.latex.replace(r"\le ", r"\leq ")
+        parser.parse(f"${latex}$")
+
+
+def test_a_constraint_of_the_user_appears_under_its_name():
+    model = build_model(scenario())
+    model.ceiling = Constraint(
+        model.time, rule=lambda m, t: m.rigid_body.z[t] <= 8.5 * units.m, doc="ceiling [m]"
+    )
+    assert texts(model)["ceiling"] == r"z \le 8.5"
