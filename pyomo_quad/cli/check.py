@@ -1,7 +1,7 @@
 """`pyomo-quad check`: what a scenario resolves to, and whether its equations hold together."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from pyomo_quad.cli.options import AllowCode, AsJson, Overrides, Quiet, Scenario
 from pyomo_quad.scenario import Scenario, describe_fields, load_scenario
 
 if TYPE_CHECKING:
+    from pyomo_quad.model.finding import Finding
     from pyomo_quad.model.inspection import ModelInspection
 
 __all__ = ["check"]
@@ -32,26 +33,26 @@ def check(
 ) -> int:
     """Validate a scenario and print every field with its unit and where it came from."""
     resolved = load_scenario(scenario, overrides or ())
-    inspection = _inspect(resolved, is_code_allowed=allow_code)
-    if as_json:
-        print(json.dumps(_as_mapping(resolved, inspection), indent=2))
-    elif not quiet:
-        result_console().print(_table(resolved))
-        for line in _verdict(inspection):
-            print(line)
-    return ExitCode.VERIFIED if inspection.is_unit_consistent else ExitCode.BAD_INPUT
-
-
-def _inspect(scenario: Scenario, *, is_code_allowed: bool) -> "ModelInspection":
     # Pyomo takes a second to import: a refused scenario need not wait for it.
     from pyomo_quad.model.custom import model_builder  # noqa: PLC0415
     from pyomo_quad.model.inspection import inspect_model  # noqa: PLC0415
 
-    builder = model_builder(scenario, is_code_allowed=is_code_allowed)
-    return inspect_model(builder(scenario))
+    builder = model_builder(resolved, is_code_allowed=allow_code)
+    inspection = inspect_model(builder(resolved))
+    if as_json or not quiet:
+        from pyomo_quad.study.diagnosis import diagnose  # noqa: PLC0415
+
+        findings = diagnose(resolved, builder=builder)
+        if as_json:
+            print(json.dumps(_as_mapping(resolved, inspection, findings), indent=2))
+        else:
+            result_console().print(_table(resolved))
+            for line in _verdict(inspection, findings):
+                print(line)
+    return ExitCode.VERIFIED if inspection.is_unit_consistent else ExitCode.BAD_INPUT
 
 
-def _verdict(inspection: "ModelInspection") -> Iterator[str]:
+def _verdict(inspection: "ModelInspection", findings: Sequence["Finding"]) -> Iterator[str]:
     yield (
         f"Model: {len(inspection.states)} states, {len(inspection.other_variables)} other "
         f"variables, {inspection.equations} equations over time, {inspection.path_limits} path "
@@ -63,6 +64,10 @@ def _verdict(inspection: "ModelInspection") -> Iterator[str]:
         yield "Units: consistent in every declared relation."
     for error in inspection.unit_errors:
         yield f"Units: inconsistent in {error}"
+    if not findings:
+        yield "Mission: nothing found that it must break, and nothing doubtful."
+    for finding in findings:
+        yield f"Mission, {finding.severity}: {finding.message}"
 
 
 def _table(scenario: Scenario) -> Table:
@@ -88,7 +93,9 @@ def _shown(value: Any) -> str:  # noqa: ANN401
     return f"{value:.10g}" if isinstance(value, float) else str(value)
 
 
-def _as_mapping(scenario: Scenario, inspection: "ModelInspection") -> dict[str, Any]:
+def _as_mapping(
+    scenario: Scenario, inspection: "ModelInspection", findings: Sequence["Finding"]
+) -> dict[str, Any]:
     return {
         "scenario": scenario.name,
         "scenario_resolved": scenario.model_dump(mode="json"),
@@ -98,4 +105,5 @@ def _as_mapping(scenario: Scenario, inspection: "ModelInspection") -> dict[str, 
             "degrees_of_freedom": inspection.degrees_of_freedom,
             "is_unit_consistent": inspection.is_unit_consistent,
         },
+        "findings": [asdict(finding) for finding in findings],
     }

@@ -56,6 +56,11 @@ class Planner:
         self._key: Hashable = None
         self._problem: Problem | None = None
 
+    @property
+    def builder(self) -> Builder:
+        """What makes the Pyomo model of a scenario."""
+        return self._builder
+
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
         """Return a compiled problem for a scenario, and the seconds that took."""
         key = structure_key(scenario) if self._builder is build_model else scenario

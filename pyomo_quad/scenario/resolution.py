@@ -137,7 +137,7 @@ def _with_assignments(
     return changed
 
 
-def _add_library(  # noqa: PLR0917
+def _add_library(
     origin: Origin,
     tables: dict[str, Any],
     own: Mapping[str, Any],

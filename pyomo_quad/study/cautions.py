@@ -1,12 +1,14 @@
-"""Cautions beside the numbers of a plan: a pack too small, a power model out of its range."""
+"""Cautions beside the numbers of a plan: what was wrong with the mission, what the plan left."""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pyomo_quad.flight.columns import ROTORS
-from pyomo_quad.model import battery_shortfalls
+from pyomo_quad.model import build_model
+from pyomo_quad.model.custom import Builder
 from pyomo_quad.scenario import PowerModel, Scenario
+from pyomo_quad.study.diagnosis import diagnose
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
@@ -17,21 +19,24 @@ _TORQUE = "rotors.motor_torque"
 _EFFICIENCY = "power.efficiency_polynomial"
 
 
-def plan_cautions(plan: "Plan") -> tuple[str, ...]:
+def plan_cautions(plan: "Plan", *, builder: Builder = build_model) -> tuple[str, ...]:
     """Say what stands between a plan and its being taken at its word.
 
     Parameters
     ----------
     plan : Plan
         As the planner made it, with its equations.
+    builder : callable, optional
+        What made the plan's model.
 
     Returns
     -------
     tuple of str
         One line for each caution.
     """
-    scenario = plan.scenario
-    return (*battery_shortfalls(scenario), *_efficiency_map_cautions(scenario, plan))
+    findings = diagnose(plan.scenario, builder=builder)
+    told = tuple(finding.message for finding in findings)
+    return (*told, *_efficiency_map_cautions(plan.scenario, plan))
 
 
 def _efficiency_map_cautions(scenario: Scenario, plan: "Plan") -> tuple[str, ...]:

@@ -91,7 +91,7 @@ def run_scenario(
         comparison=comparison,
         certificate=certificate,
         timings={**plan.timings, "fly": flown - solved, "certify": certified - flown},
-        warnings=(*plan_cautions(plan), *failures),
+        warnings=(*plan_cautions(plan, builder=planner.builder), *failures),
     )
 
 

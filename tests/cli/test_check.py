@@ -8,6 +8,7 @@ import pytest
 
 from pyomo_quad.cli import main
 from pyomo_quad.cli.exit_codes import ExitCode
+from pyomo_quad.scenario.solver import Solver
 from pyomo_quad.version import __version__
 from tests.scenario_files import write_scenario
 
@@ -20,7 +21,9 @@ def test_check_shows_value_unit_and_origin(tmp_path, capsys):
     assert ["gravity", "9.8", "m/s^2", "--set"] in [row[:4] for row in rows]
     assert ["vehicle.mass", "1.3", "kg", "library", "dji_phantom_2"] in [row[:5] for row in rows]
     assert ["vehicle.payload", "0", "kg"] not in [row[:3] for row in rows]
-    assert ["solver.max_iterations", "500", "default"] in [row[:3] for row in rows]
+    assert ["solver.max_iterations", str(Solver().max_iterations), "default"] in [
+        row[:3] for row in rows
+    ]
 
 
 def test_check_counts_the_four_controls_and_checks_units(tmp_path, capsys):
@@ -30,12 +33,22 @@ def test_check_counts_the_four_controls_and_checks_units(tmp_path, capsys):
     assert "Units: consistent in every declared relation." in said
 
 
+def test_check_warns_of_what_the_mission_must_break(tmp_path, capsys):
+    file = write_scenario(tmp_path)
+    assert main(["check", str(file), "--set", "mission.duration=0.3"]) == ExitCode.VERIFIED
+    said = capsys.readouterr().out
+    assert "Mission, impossible: mission.duration = 0.3 s: to reach the goal and stop needs" in said
+    assert main(["check", str(file)]) == ExitCode.VERIFIED
+    assert "Mission: nothing found that it must break" in capsys.readouterr().out
+
+
 def test_check_as_json(tmp_path, capsys):
     assert main(["check", str(write_scenario(tmp_path)), "--json"]) == ExitCode.VERIFIED
     said = json.loads(capsys.readouterr().out)
     assert said["scenario_resolved"]["mission"]["goal"]["position"] == [1.0, 2.0, 3.0]
     assert said["provenance"]["mission.duration"] == "scenario"
     assert said["model"]["degrees_of_freedom"] == 4
+    assert said["findings"] == []
 
 
 def test_check_quietly(tmp_path, capsys):

@@ -65,9 +65,13 @@ def test_plan_has_one_row_per_node_and_the_promised_columns(calm):
 
 def test_quiet_run_with_even_rows_in_the_default_folder(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["solve", PAPER_CALM, *QUICK, "--quiet", "--rate", "50"]) == ExitCode.VERIFIED
+    options = ("--quiet", "--rate", "50", "--set=battery.capacity=0.005")
+    assert main(["solve", PAPER_CALM, *QUICK, *options]) == ExitCode.VERIFIED
     said = capsys.readouterr()
-    assert (said.out, said.err) == ("", "")
+    assert said.out == ""
+    assert said.err.startswith("paper_calm: warning: battery phantom_2_pack, 3 x 1 cells: hover")
+    report = (tmp_path / "reports" / "paper_calm" / "report.md").read_text()
+    assert "hovering for 4 s needs 0.0064" in report
     times = pd.read_csv(tmp_path / "reports" / "paper_calm" / "plan.csv")[TIME]
     assert len(times) == 4 * 50 + 1
     assert times.diff().dropna().to_numpy() == pytest.approx(1 / 50)
