@@ -31,7 +31,6 @@ from pyomo_quad.report.signals import (
     POWER,
     ROTOR_ACCELERATION,
     STATE_GRID,
-    TIME,
     WIND,
     Signal,
 )
@@ -89,21 +88,13 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
     """
     has_forecast = plan.scenario.wind.forecast is not None
     blowing = flights[1] if has_forecast and len(flights) > 1 else None
-    costates = plan.costate_frame()
-    shown = [flights[0].frame, costates.drop(columns=TIME.column)]
-    finite = {name for frame in shown for name in frame if np.isfinite(frame[name]).all()}
+    frame = flights[0].frame
+    finite = {name for name in frame if np.isfinite(frame[name]).all()}
     drawings = (
         *(_path(flights) if finite.issuperset(_columns(POSITION)) else ()),
         *_motion(flights),
         *_supply(flights, plan.hover_energy_J, blowing),
-        Drawing(
-            name="costates",
-            title="Costates and Hamiltonian",
-            caption="Costates: what a small change of each state would cost from there on. The "
-            "Hamiltonian varies only as the wind does; in calm air it is constant.",
-            needs=tuple(COSTATES),
-            draw=lambda: draw_costates(costates, flights[0].duration_s),
-        ),
+        *(_costates(plan) if plan.verification is not None else ()),
         Drawing(
             name="mesh",
             title="Mesh",
@@ -273,6 +264,21 @@ def _supply(
             caption="The wind over the flight, in world axes.",
             needs=_columns(WIND),
             draw=lambda: draw_wind(optimum, blowing),
+        ),
+    )
+
+
+def _costates(plan: "Plan") -> tuple[Drawing, ...]:
+    costates = plan.costate_frame()
+    if not set(COSTATES) <= set(costates):
+        return ()
+    return (
+        Drawing(
+            name="costates",
+            title="Costates and Hamiltonian",
+            caption="Costates: what a small change of each state would cost from there on. The "
+            "Hamiltonian varies only as the wind does; in calm air it is constant.",
+            draw=lambda: draw_costates(costates, plan.scenario.mission.duration),
         ),
     )
 

@@ -49,6 +49,8 @@ PAGE_NAME = "report.html"
 _RUN_FILES = (
     (REPORT_NAME, "this report"),
     (PAGE_NAME, "this report in one file, with a view of the paths to turn"),
+)
+_COMPARISON_FILES = (
     (COMPARISON_NAME, "all columns of the comparison"),
     (COMPARISON_REPORT_NAME, "the comparison alone"),
 )
@@ -73,7 +75,8 @@ def write_run_report(
     compared = _comparison_drawings(result, flights)
     studied = () if adaptation is None else (adaptation_drawing(adaptation),)
     write_plan_table(folder, result.plan)
-    write_comparison(folder, result.comparison, plan_title(result.plan))
+    if not result.comparison.empty:
+        write_comparison(folder, result.comparison, plan_title(result.plan))
     save_drawings([*compared, *studied, *drawings], folder)
     document = _document(
         result, *([drawing.picture for drawing in part] for part in (compared, studied, drawings))
@@ -97,7 +100,9 @@ def _document(
     result: "RunResult", beside: list[Picture], studied: list[Picture], pictures: list[Picture]
 ) -> Document:
     plan = result.plan
-    compared = comparison_blocks(result.comparison) if not result.comparison.empty else ()
+    is_compared = not result.comparison.empty
+    compared = comparison_blocks(result.comparison) if is_compared else ()
+    files = (*_RUN_FILES, *PLAN_FILES, *(_COMPARISON_FILES if is_compared else ()))
     return Document(
         title=plan_title(plan),
         blocks=(
@@ -114,7 +119,7 @@ def _document(
             *verification_blocks(plan),
             *solve_blocks(plan),
             *figure_blocks(pictures[1:]),
-            *origin_blocks((*_RUN_FILES, *PLAN_FILES)),
+            *origin_blocks(files),
         ),
     )
 

@@ -113,6 +113,9 @@ def test_failed_run_is_never_called_a_success(tmp_path):
     assert text.startswith("# Failed, infeasible: ")
     assert "Verified." not in text
     assert "saving" not in text.lower()
+    assert "costates" not in text.lower()
+    assert not list(tmp_path.glob("comparison.*"))
+    assert "comparison" not in text
 
 
 def test_adaptation_adds_its_figure(tmp_path):
