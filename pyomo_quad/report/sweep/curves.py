@@ -23,7 +23,9 @@ __all__ = ["draw_curves", "draw_front"]
 
 _PANEL_HEIGHT = 2.7  # inches
 _STAR_SIZE = 11
-_ROOM = 0.08
+# The front is shown together with durations up to so many times the best.
+_ZOOM = 1.6
+_LINE_POINTS = 11
 
 
 def draw_front(curves: Sequence[Curve], quantity: Quantity) -> Figure:
@@ -39,7 +41,7 @@ def draw_front(curves: Sequence[Curve], quantity: Quantity) -> Figure:
     Returns
     -------
     Figure
-        Left: all durations. Right: the front alone, which ends at the best duration.
+        Left: all durations. Right: the front, which ends at the best duration.
     """
     figure, panels = panel_grid(
         1,
@@ -51,13 +53,13 @@ def draw_front(curves: Sequence[Curve], quantity: Quantity) -> Figure:
         share_time=False,
     )
     whole, front = panels[0]
-    for curve, style in zip(curves, cycle(FLIGHT_STYLES), strict=False):
+    for row, (curve, style) in enumerate(zip(curves, cycle(FLIGHT_STYLES), strict=False)):
         _draw_curve(whole, curve, quantity, style)
-        _draw_front(front, curve, quantity, style)
+        _draw_front(front, curve, quantity, style, row)
     _draw_hover_floor(whole, curves[0], quantity)
     duration = field_quantity(DURATION_FIELD)
     whole.set(title="All durations", xlabel=duration.label, ylabel=quantity.label)
-    front.set(title="Pareto front, to the best duration (star)", xlabel=duration.label)
+    front.set(title="Pareto front (thick) and best duration (star)", xlabel=duration.label)
     legend_below(figure, whole)
     return figure
 
@@ -115,23 +117,25 @@ def _draw_curve(axes: Axes, curve: Curve, quantity: Quantity, style: LineStyle) 
     axes.plot(duration, quantity.of(curve.rows), label=settings_name(curve.fixed), **look)
 
 
-def _draw_front(axes: Axes, curve: Curve, quantity: Quantity, style: LineStyle) -> None:
-    rows = pareto_front(curve.rows, DURATION_FIELD, quantity.column)
-    duration, values = field_quantity(DURATION_FIELD).of(rows), quantity.of(rows)
-    axes.plot(duration, values, marker=style.marker, markersize=4.0, **style.line)
-    best = (duration.iloc[-1], values.iloc[-1])
-    axes.plot(*best, marker="*", markersize=_STAR_SIZE, color=style.color, markeredgecolor=INK)
+def _draw_front(axes: Axes, curve: Curve, quantity: Quantity, style: LineStyle, row: int) -> None:
+    front = pareto_front(curve.rows, DURATION_FIELD, quantity.column)
+    best = front.iloc[[-1]]
+    near = curve.rows[curve.rows[DURATION_FIELD] <= _ZOOM * best[DURATION_FIELD].iloc[0]]
+    duration = field_quantity(DURATION_FIELD)
+    look = style.line | {"marker": style.marker, "markersize": 3.0, "linewidth": 0.9}
+    axes.plot(duration.of(near), quantity.of(near), **look)
+    axes.plot(duration.of(front), quantity.of(front), color=style.color, linewidth=3.5)
+    at, value = float(duration.of(best).iloc[0]), float(quantity.of(best).iloc[0])
+    axes.plot(at, value, marker="*", markersize=_STAR_SIZE, color=style.color, mec=INK)
     axes.annotate(
-        f"{setting(best[0])} s, {number(best[1])} {quantity.unit}",
-        best,
-        xytext=(8, 0),
+        f"{settings_name(curve.fixed)}: {setting(at)} s, {number(value)} {quantity.unit}",
+        (0.03, 0.97),
+        xycoords="axes fraction",
+        xytext=(0, -_LINE_POINTS * row),
         textcoords="offset points",
-        va="center",
-        color=INK,
+        va="top",
+        color=style.color,
     )
-    # Room for the words on the right of the stars.
-    low, high = axes.dataLim.intervalx
-    axes.set_xlim(low - _ROOM * (high - low or 1.0), high + 8 * _ROOM * (high - low or 1.0))
 
 
 def _draw_hover_floor(axes: Axes, curve: Curve, quantity: Quantity) -> None:

@@ -65,8 +65,8 @@ def _along_duration(
     yield Drawing(
         name="pareto",
         title=f"{first.label} against duration",
-        caption=f"{first.label} against the duration of the mission. On the Pareto front no other "
-        f"duration is both shorter and cheaper; it ends at the best duration, marked by a star.",
+        caption=f"{first.label} against the duration of the mission. On the Pareto front (thick) "
+        "no other duration is both shorter and cheaper; it ends at the best duration (star).",
         draw=partial(draw_front, curves, first),
     )
     if len(quantities) > 1:
@@ -158,8 +158,8 @@ def _tornadoes(
             yield Drawing(
                 name=f"tornado_{quantity.column}",
                 title=f"Sensitivity of {quantity.name}",
-                caption=f"By how much {quantity.name} changes with each field; the numbers beside "
-                "the bars are the ends of the field in its unit.",
+                caption=f"Range of {quantity.name} along each field, all others in the middle; the "
+                "numbers beside the bars say where in the field its ends are reached.",
                 draw=partial(draw_tornado, found, quantity),
             )
 

@@ -45,8 +45,10 @@ def design_blocks(design: SweepDesign, frame: pd.DataFrame) -> Iterator[Block]:
     Yields
     ------
     Block
-        A paragraph and a table.
+        Paragraphs and a table.
     """
+    if design.about:
+        yield Paragraph([design.about])
     finished = len(finished_rows(frame))
     missing = design.case_count - len(frame)
     pieces: list[Piece] = [
@@ -180,12 +182,15 @@ def _extremes(rows: pd.DataFrame, quantities: Sequence[Quantity]) -> Table:
 def _sensitivity_table(found: Sequence[Sensitivity], quantity: Quantity) -> Table:
     lines: list[tuple[Piece, ...]] = []
     for one in found:
-        ends = (setting(end * field_quantity(one.field).scale) for end in (one.low, one.high))
-        reached = (number(value * quantity.scale) for value in (one.at_low, one.at_high, one.swing))
-        lines.append((Code(one.field), *ends, *reached))
+        ends = (
+            setting(end * field_quantity(one.field).scale)
+            for end in (one.least_at, one.greatest_at)
+        )
+        reached = (number(value * quantity.scale) for value in (one.least, one.greatest, one.swing))
+        lines.append((Code(one.field), *reached, *ends))
     return Table(
         caption=f"Sensitivity of {quantity.label}",
-        header=("field", "from", "to", "at low end", "at high end", "swing"),
+        header=("field", "least", "greatest", "swing", "least at", "greatest at"),
         rows=lines,
         numeric=frozenset(range(1, 6)),
     )

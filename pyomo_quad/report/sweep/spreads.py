@@ -42,8 +42,11 @@ def draw_tornado(found: Sequence[Sensitivity], quantity: Quantity) -> Figure:
     low_style, high_style = FLIGHT_STYLES[0], FLIGHT_STYLES[1]
     for row, one in enumerate(found):
         field = field_quantity(one.field)
-        ends = ((one.low, one.at_low, low_style), (one.high, one.at_high, high_style))
-        middle = (one.at_low + one.at_high) / 2 * quantity.scale
+        ends = (
+            (one.least_at, one.least, low_style),
+            (one.greatest_at, one.greatest, high_style),
+        )
+        middle = (one.least + one.greatest) / 2 * quantity.scale
         for value, reached, style in ends:
             end = reached * quantity.scale
             axes.barh(
@@ -70,7 +73,7 @@ def draw_tornado(found: Sequence[Sensitivity], quantity: Quantity) -> Figure:
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
     axes.margins(x=0.14)
-    axes.set(title="Low end plain, high end hatched", xlabel=quantity.label)
+    axes.set(title="Range along each field, with where its ends are reached", xlabel=quantity.label)
     return figure
 
 

@@ -43,7 +43,7 @@ class SweepDesign:
 
     Attributes
     ----------
-    name, title : str
+    name, title, about : str
         As in the study file.
     task : str
         A `StudyTask`.
@@ -59,6 +59,7 @@ class SweepDesign:
 
     name: str
     title: str
+    about: str
     task: str
     baselines: tuple[str, ...]
     outputs: tuple[str, ...]

@@ -52,6 +52,7 @@ def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> Swee
     return SweepDesign(
         name=study.name,
         title=study.title,
+        about=study.about,
         task=study.task.value,
         baselines=tuple(reference.value for reference in study.baselines),
         outputs=study.outputs,

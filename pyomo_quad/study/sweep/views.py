@@ -43,22 +43,22 @@ class Sensitivity:
     ----------
     field : str
         The scenario field, the first of its dimension.
-    low, high : float
-        Smallest and largest value of the field compared.
-    at_low, at_high : float
-        The quantity there, all else being in the middle.
+    least, greatest : float
+        The quantity's range along the field, all else being in the middle.
+    least_at, greatest_at : float
+        Where in the field these are reached.
     """
 
     field: str
-    low: float
-    high: float
-    at_low: float
-    at_high: float
+    least: float
+    greatest: float
+    least_at: float
+    greatest_at: float
 
     @property
     def swing(self) -> float:
-        """Distance between the two values of the quantity."""
-        return abs(self.at_high - self.at_low)
+        """Width of the quantity's range."""
+        return self.greatest - self.least
 
 
 def finished_rows(frame: pd.DataFrame) -> pd.DataFrame:
@@ -154,9 +154,9 @@ def plane_of(
 def sensitivities(design: SweepDesign, frame: pd.DataFrame, quantity: str) -> list[Sensitivity]:
     """Compare how a quantity changes with each numeric dimension.
 
-    Fields of a grid go from their smallest to their largest step, all others being at their
-    middle step.  Random fields go over the middle nine tenths of their draws along the plane
-    fitted to the quantity by least squares.
+    A field of a grid goes through all its steps, all others being at their middle step; so an angle
+    that comes round to where it began is judged fairly.  Random fields go over the middle nine
+    tenths of their draws, along the plane fitted to the quantity by least squares.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def sensitivities(design: SweepDesign, frame: pd.DataFrame, quantity: str) -> li
     Returns
     -------
     list of Sensitivity
-        Largest swing first; fields whose ends did not finish are left out.
+        Largest swing first; fields along which fewer than two cases finished are left out.
     """
     rows = finished_rows(frame).dropna(subset=[quantity])
     found: list[Sensitivity] = []
@@ -192,10 +192,14 @@ def _across_grid(
     }
     field = dimension.paths[0]
     line = rows[_matches(rows, rest)].groupby(field)[quantity].mean()
-    low, high = min(dimension.values(field)), max(dimension.values(field))
-    if low in line.index and high in line.index and low < high:
+    steps, values = line.index.to_numpy(dtype=float), line.to_numpy(dtype=float)
+    if len(steps) > 1:
         yield Sensitivity(
-            field=field, low=low, high=high, at_low=line.loc[low], at_high=line.loc[high]
+            field=field,
+            least=float(values.min()),
+            greatest=float(values.max()),
+            least_at=float(steps[values.argmin()]),
+            greatest_at=float(steps[values.argmax()]),
         )
 
 
@@ -207,13 +211,15 @@ def _fitted(fields: Sequence[str], rows: pd.DataFrame, quantity: str) -> Iterato
     design_matrix = np.column_stack([np.ones(len(rows)), rows[numbers] - centre])
     fit = np.linalg.lstsq(design_matrix, rows[quantity].to_numpy(dtype=float), rcond=None)[0]
     for field, slope in zip(numbers, fit[1:], strict=True):
-        low, high = (float(rows[field].quantile(share)) for share in (_LOW_SHARE, _HIGH_SHARE))
+        ends = [float(rows[field].quantile(share)) for share in (_LOW_SHARE, _HIGH_SHARE)]
+        reached = {float(fit[0] + slope * (end - centre[field])): end for end in ends}
+        least, greatest = min(reached), max(reached)
         yield Sensitivity(
             field=field,
-            low=low,
-            high=high,
-            at_low=float(fit[0] + slope * (low - centre[field])),
-            at_high=float(fit[0] + slope * (high - centre[field])),
+            least=least,
+            greatest=greatest,
+            least_at=reached[least],
+            greatest_at=reached[greatest],
         )
 
 

@@ -13,6 +13,7 @@ def design(*sizes: int) -> SweepDesign:
     return SweepDesign(
         name="grid",
         title="",
+        about="",
         task="optimise",
         baselines=(),
         outputs=(),

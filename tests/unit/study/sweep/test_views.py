@@ -18,6 +18,7 @@ def design(*dimensions: Dimension) -> SweepDesign:
     return SweepDesign(
         name="grid",
         title="",
+        about="",
         task="optimise",
         baselines=(),
         outputs=(),
@@ -64,10 +65,19 @@ def test_plane_leaves_a_hole_where_a_case_failed():
     np.testing.assert_array_equal(plane.to_numpy(), expected)
 
 
-def test_sensitivities_of_a_grid_are_its_ends_through_the_middle():
+def test_sensitivities_of_a_grid_are_its_range_through_the_middle():
     first, second = sensitivities(design(A, B, NAME), grid(), "y")
-    assert (first.field, first.at_low, first.at_high) == ("a", 115.0, 315.0)
-    assert (second.field, second.low, second.high, second.swing) == ("b", 0.0, 20.0, 20.0)
+    assert (first.field, first.least, first.greatest) == ("a", 115.0, 315.0)
+    assert (second.field, second.least_at, second.greatest_at) == ("b", 0.0, 20.0)
+    assert second.swing == 20.0
+
+
+def test_sensitivity_to_an_angle_does_not_hang_on_where_the_circle_was_cut():
+    angles = [0.0, 90.0, 180.0, 270.0]
+    around = Dimension(paths=("angle",), steps=tuple((angle,) for angle in angles))
+    frame = pd.DataFrame({"angle": angles, "y": [5.0, 9.0, 5.0, 1.0]}).assign(status="finished")
+    (found,) = sensitivities(design(around), frame, "y")
+    assert (found.least, found.least_at, found.greatest, found.greatest_at) == (1, 270, 9, 90)
 
 
 def test_sensitivities_of_random_fields_are_the_slopes_of_a_linear_quantity():
@@ -76,7 +86,7 @@ def test_sensitivities_of_random_fields_are_the_slopes_of_a_linear_quantity():
     drawn = Dimension(paths=("a", "b"), steps=tuple(map(tuple, draws.tolist())), is_random=True)
     frame = pd.DataFrame(draws, columns=["a", "b"]).assign(status="finished")
     frame["y"] = 7.0 + 3.0 * frame["a"] - 0.5 * frame["b"]
-    first, second = sensitivities(design(drawn), frame, "y")
-    assert (first.field, second.field) == ("a", "b")
-    assert (first.at_high - first.at_low) / (first.high - first.low) == pytest.approx(3.0)
-    assert (second.at_high - second.at_low) / (second.high - second.low) == pytest.approx(-0.5)
+    found = sensitivities(design(drawn), frame, "y")
+    assert [one.field for one in found] == ["a", "b"]
+    slopes = [one.swing / (one.greatest_at - one.least_at) for one in found]
+    assert slopes == pytest.approx([3.0, -0.5])
