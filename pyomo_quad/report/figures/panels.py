@@ -17,6 +17,7 @@ from pyomo_quad.report.style import FULL_WIDTH, LineStyle
 
 __all__ = [
     "LEGEND_COLUMNS",
+    "TICK_STEPS",
     "draw_over_time",
     "keep_span",
     "label_time",
@@ -26,7 +27,7 @@ __all__ = [
 
 _MARGIN = 0.06
 _LEGEND_LINE = 0.2  # inches
-_TICK_STEPS = (1, 2, 5, 10)
+TICK_STEPS = (1, 2, 5, 10)
 
 LEGEND_COLUMNS = 4
 
@@ -119,7 +120,7 @@ def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
     middle, half = (low + high) / 2, max(high - low, smallest_span) / 2
     for axes in panels:
         axes.set_ylim(middle - half * (1 + _MARGIN), middle + half * (1 + _MARGIN))
-        axes.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=_TICK_STEPS))
+        axes.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=TICK_STEPS))
 
 
 def label_time(panels: Iterable[Axes], duration: float) -> None:
@@ -135,7 +136,7 @@ def label_time(panels: Iterable[Axes], duration: float) -> None:
     for axes in panels:
         axes.set_xlabel(TIME.label)
         axes.set_xlim(0.0, duration)
-        axes.xaxis.set_major_locator(MaxNLocator(nbins=6, steps=_TICK_STEPS))
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=6, steps=TICK_STEPS))
 
 
 def legend_below(figure: Figure, axes: Axes) -> None:

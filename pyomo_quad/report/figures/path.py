@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 
-from pyomo_quad.report.figures.panels import legend_below
+from pyomo_quad.report.figures.panels import TICK_STEPS, legend_below
 from pyomo_quad.report.flights import StyledFlight
 from pyomo_quad.report.signals import POSITION, TIME, Signal
 from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, PALE
@@ -95,7 +95,8 @@ def draw_space(axes: Axes3D, flights: Sequence[StyledFlight]) -> None:
     for axis, signal, side in zip(
         (axes.xaxis, axes.yaxis, axes.zaxis), POSITION, sides, strict=True
     ):
-        axis.set_major_locator(MaxNLocator(nbins=max(2, round(_MOST_TICKS * side / sides.max()))))
+        most = max(2, round(_MOST_TICKS * side / sides.max()))
+        axis.set_major_locator(MaxNLocator(nbins=most, steps=TICK_STEPS))
         axis.set_pane_color("white")
         axis.set_label_text(_axis_label(signal))
         axis.labelpad = -4
