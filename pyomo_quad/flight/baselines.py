@@ -1,8 +1,9 @@
 """The flights that an optimum is compared with: a reference under feedback, the plan without.
 
 All fly the vehicle that the optimiser flew, through the same declared equations, in the wind that
-really blows.  The controller is not told that wind; the optimiser was told the forecast, which is
-the true wind where a scenario gives none.
+really blows.  The controller is not told that wind.  The optimiser was told the forecast, which is
+the true wind where a scenario gives none, and the plan carries what it expects of the air: a
+controller that follows the plan adapts to the rest.
 """
 
 from time import perf_counter
@@ -51,11 +52,12 @@ _PATHS = {
 # Samples of a flight's table per second of flight.
 _RATE_HZ = 100.0
 # Samples of the plan per second between which its reference is interpolated.
-_PLAN_RATE_HZ = 10.0
+_PLAN_RATE_HZ = 5.0
 # Place, its rate and the rate of that, as the declared model names them.
 _PLACE = (*POSITION_STATES, "rigid_body.psi")
 _RATE = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz", "rigid_body.r")
 _ACCELERATION = tuple(name.replace("body.", "body.d") + "_dt" for name in _RATE)
+_AIR_FORCE = tuple(f"aerodynamics.force_{axis}" for axis in "xyz")
 
 
 def baseline_name(reference: Reference) -> str:
@@ -243,12 +245,18 @@ def _flight(
 
 
 def _planned_path(plan: Plan) -> SampledPath:
-    """Return the plan as a reference, with the accelerations of the equations it was made with."""
+    """Return the plan as a reference, with accelerations and air of the equations it obeys."""
     held = plan.trajectories
     times = _even_times(*held.horizon, _PLAN_RATE_HZ)
+    flown = times, held.states_at(times), held.controls_at(times)
     keys = tuple((name, None) for name in (*_PLACE, *_RATE, *_ACCELERATION))
-    rows = plan.dynamics.table(keys, times, held.states_at(times), held.controls_at(times))
-    return SampledPath(times, *np.split(rows, 3, axis=1))
+    rows = plan.dynamics.table(keys, *flown)
+    air = np.zeros((len(times), len(_PLACE)))
+    if all(plan.dynamics.has(name) for name in _AIR_FORCE):
+        forces = plan.dynamics.table(tuple((name, None) for name in _AIR_FORCE), *flown)
+        air[:, : len(_AIR_FORCE)] = forces / plan.scenario.vehicle.total_mass
+    values, rates, accelerations = np.split(rows, 3, axis=1)
+    return SampledPath(times, values, rates, accelerations, air)
 
 
 def _agree(dynamics: Dynamics, first: Flown, second: Flown) -> bool:

@@ -27,7 +27,7 @@ The vehicle is believed to be that of the scenario given, which need not be the 
 """
 
 from collections.abc import Sequence
-from math import inf
+from math import exp, inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,7 +148,7 @@ class AdaptiveController:
         reference : callable
             Time in s -> Setpoint, known in advance.
         t : float
-            Time now, s.
+            Time since the start, s.
         body : sequence of twelve floats
             The `MEASURED_STATES`.
         omega : sequence of four floats
@@ -179,7 +179,7 @@ class AdaptiveController:
             ),
             states[_POSITION],
         )
-        ahead = reference(t + self._tilt_lag).acceleration
+        ahead = reference(t + self._lead(t)).acceleration
         for axis in _HORIZONTAL:
             wanted[axis] += ahead[axis] - setpoint.acceleration[axis]
         ax, ay, az = self._envelope.limited(wanted)
@@ -195,6 +195,10 @@ class AdaptiveController:
             for target, speed in zip(command, omega, strict=True)
         ]
         return alpha, [*position_rates, *attitude_rates, *command_rates]
+
+    def _lead(self, t: float) -> float:
+        """Return how far ahead to look, s; little at the start, where the vehicle is level."""
+        return self._tilt_lag * (1 - exp(-t / self._tilt_lag))
 
     def _filtered(
         self, force: Sequence[float], yaw: float, command: Sequence[float]

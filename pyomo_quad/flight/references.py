@@ -6,6 +6,9 @@ quintic | polynomial of degree 5 | position, zero velocity and acceleration
 minimum_snap | polynomial of degree 7 | position, zero velocity, acceleration and jerk
 plan | the optimal plan, between its samples a polynomial of degree 5 | the plan
 
+The plan was made for a wind, the forecast, and what that does to the vehicle is part of it: the
+controller then adapts to what the forecast did not say.  The others know of no wind.
+
 The quintic minimises the integral of the squared jerk, the polynomial of degree 7 that of the
 squared snap [1]_.  Both go straight from start to goal in the duration of the mission and stay
 there afterwards; yaw follows the same polynomial.
@@ -20,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike
-from scipy.interpolate import BPoly, PPoly
+from scipy.interpolate import BPoly, CubicSpline, PPoly
 
 from pyomo_quad.scenario.mission import Mission
 
@@ -41,14 +44,15 @@ _STEP = Polynomial((1,))
 
 
 class Setpoint(NamedTuple):
-    """What the vehicle should do at one moment: (x, y, z, yaw) and two derivatives by time."""
+    """What the vehicle should do at one moment, for (x, y, z, yaw)."""
 
     place: Sequence[float]
     """Position in world axes, m, and yaw, rad."""
     rate: Sequence[float]
     """m/s and rad/s."""
     acceleration: Sequence[float]
-    """m/s^2 and rad/s^2."""
+    """What the rotors should give, m/s^2 and rad/s^2: the derivative of the rate, less what the
+    reference expects the air to give."""
 
 
 ReferencePath = Callable[[float], Setpoint]
@@ -148,7 +152,8 @@ def minimum_snap(mission: Mission) -> StraightPath:
 class SampledPath:
     """A path known at some times, with the polynomial of degree 5 through each pair of them.
 
-    Position, velocity and acceleration are continuous and exact at the samples.
+    Position, velocity and acceleration are continuous and exact at the samples; a disturbance
+    that the path was made for is a cubic spline.
 
     Parameters
     ----------
@@ -156,22 +161,33 @@ class SampledPath:
         Rising times, s.
     values, rates, accelerations : array_like, shape (n, 4)
         Columns x, y, z in m and yaw in rad, and their first two derivatives.
+    disturbances : array_like, shape (n, 4), optional
+        Accelerations that the path expects from elsewhere than the rotors.
     """
 
     def __init__(
-        self, times: ArrayLike, values: ArrayLike, rates: ArrayLike, accelerations: ArrayLike
+        self,
+        times: ArrayLike,
+        values: ArrayLike,
+        rates: ArrayLike,
+        accelerations: ArrayLike,
+        disturbances: ArrayLike | None = None,
     ) -> None:
         self._times = np.asarray(times, dtype=float)
         samples = np.stack([np.asarray(rows, float) for rows in (values, rates, accelerations)], 1)
         self._value = PPoly.from_bernstein_basis(BPoly.from_derivatives(self._times, samples))
         self._rate = self._value.derivative()
         self._acceleration = self._rate.derivative()
+        expected = np.zeros_like(samples[:, 0]) if disturbances is None else disturbances
+        self._disturbance = CubicSpline(self._times, expected)
 
     def __call__(self, t: float) -> Setpoint:
-        """Return the setpoint at time t, s; beyond the samples it hovers at the nearest end."""
-        first, last = self._times[0], self._times[-1]
-        if first <= t <= last:
-            return Setpoint(
-                self._value(t).tolist(), self._rate(t).tolist(), self._acceleration(t).tolist()
-            )
-        return Setpoint(self._value(min(max(t, first), last)).tolist(), _AT_REST, _AT_REST)
+        """Return the setpoint at time t, s.
+
+        Beyond the samples the nearest place is held with the acceleration asked for there:
+        whoever looks ahead over the end is asked for nothing new.
+        """
+        held = min(max(t, self._times[0]), self._times[-1])
+        acceleration = self._acceleration(held) - self._disturbance(held)
+        rate = self._rate(t).tolist() if held == t else _AT_REST
+        return Setpoint(self._value(held).tolist(), rate, acceleration.tolist())

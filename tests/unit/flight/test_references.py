@@ -48,7 +48,7 @@ def test_halfway_in_time_is_halfway_in_space():
     assert quintic(MISSION)(5.0).place == pytest.approx(np.array(GOAL) / 2)
 
 
-def test_a_sampled_path_follows_a_quintic_exactly_and_rests_beyond_it():
+def test_a_sampled_path_follows_a_quintic_exactly_and_stays_beyond_it():
     path, times = quintic(MISSION), np.linspace(0.0, 10.0, 6)
     rows = [path(t) for t in times]
     sampled = SampledPath(times, *([getattr(row, part) for row in rows] for part in row_parts()))
@@ -57,7 +57,16 @@ def test_a_sampled_path_follows_a_quintic_exactly_and_rests_beyond_it():
             expected = getattr(path(t), part)
             assert getattr(sampled(t), part) == pytest.approx(expected, abs=1e-9)
     assert sampled(11.0).place == pytest.approx(GOAL)
-    assert list(sampled(11.0).rate) == list(sampled(-1.0).acceleration) == [0.0] * 4
+    assert list(sampled(11.0).rate) == list(sampled(-1.0).rate) == [0.0] * 4
+
+
+def test_what_the_air_gives_is_not_asked_of_the_rotors():
+    times = np.array([0.0, 1.0, 2.0, 3.0])
+    still, air = np.zeros((4, 4)), np.outer(times, [0.1, -0.2, 0.0, 0.0])
+    path = SampledPath(times, still, still, still, air)
+    assert path(1.5).acceleration == pytest.approx([-0.15, 0.3, 0.0, 0.0])
+    assert path(1.5).rate == pytest.approx([0.0] * 4)
+    assert path(4.0).acceleration == pytest.approx([-0.3, 0.6, 0.0, 0.0])
 
 
 def row_parts():
