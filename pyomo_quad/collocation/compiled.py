@@ -96,26 +96,12 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
     )
     rows = [e.expression for e in equations] + [i.integrand for i in declared.integrals]
     point_rows = [c.expression for c in conditions] + [declared.objective]
-    slots = (*declared.states, *declared.algebraics)
     return CompiledModel(
         declared=declared,
         path=_derive("path", _stack(rows), _stack(path_variables.values()), path_data),
         points=_derive("points", _stack(point_rows), _stack(point_variables.values()), parameters),
-        path_bounds=casadi.Function(
-            "path_bounds",
-            [path_data],
-            [_stack([e.lower for e in equations]), _stack([e.upper for e in equations])],
-        ),
-        variable_limits=casadi.Function(
-            "variable_limits",
-            [path_data],
-            [
-                _stack([s.lower for s in slots]),
-                _stack([s.upper for s in slots]),
-                _stack([b.lower for b in path_simple]),
-                _stack([b.upper for b in path_simple]),
-            ],
-        ),
+        path_bounds=_path_bounds(declared, path_data),
+        variable_limits=_variable_limits(declared, path_simple, path_data),
         simple_path_bounds=path_simple,
         simple_point_bounds=point_simple,
         simple_point_limits=_limits("point_limits", parameters, point_simple, "lower", "upper"),
@@ -129,6 +115,25 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
             if i not in direct
         },
     )
+
+
+def _path_bounds(declared: Declarations, path_data: Any) -> Any:
+    """Return the function of both bounds of each equation over time."""
+    lower = _stack([e.lower for e in declared.equations])
+    upper = _stack([e.upper for e in declared.equations])
+    return casadi.Function("path_bounds", [path_data], [lower, upper])
+
+
+def _variable_limits(declared: Declarations, simple: tuple[Any, ...], path_data: Any) -> Any:
+    """Return the function of both limits of each variable, declared and by simple bounds."""
+    slots = (*declared.states, *declared.algebraics)
+    limits = [
+        _stack([s.lower for s in slots]),
+        _stack([s.upper for s in slots]),
+        _stack([b.lower for b in simple]),
+        _stack([b.upper for b in simple]),
+    ]
+    return casadi.Function("variable_limits", [path_data], limits)
 
 
 def _limits(name: str, parameters: Any, items: tuple[Any, ...], lower: str, upper: str) -> Any:

@@ -70,33 +70,13 @@ def fly_controls(
     for element in range(mesh.elements):
         first, last = times[element], times[element + 1]
         polynomial = control_polynomial(mesh, controls, element, first, last)
-
-        def slope(
-            t: float, y: FloatArray, control: Callable[[float], FloatArray] = polynomial
-        ) -> FloatArray:
-            rates, power = dynamics.rates_and_integrand(t, y[:-1], control(t))
-            return np.append(rates, power)
-
         samples = np.linspace(first, last, samples_per_element + 1)[1:]
-        flown = solve_ivp(
-            slope,
-            (first, last),
-            state,
-            method=method,
-            t_eval=samples,
-            rtol=RELATIVE_TOLERANCE,
-            atol=ABSOLUTE_TOLERANCE,
-        )
-        if not flown.success:
-            raise SolveError(
-                f"flight: the integration stopped at {flown.t[-1] if flown.t.size else first:.4g} "
-                f"s: {flown.message} Look at the plan's controls there."
-            )
-        state = flown.y[:, -1]
+        flown = _integrate(dynamics, polynomial, state, first, samples, method)
+        state = flown[:, -1]
         if element == 0:
             parts_u.append(polynomial(first)[None, :])
         parts_t.append(samples)
-        parts_y.append(flown.y)
+        parts_y.append(flown)
         parts_u.append(np.array([polynomial(t) for t in samples]))
     values = np.hstack(parts_y)
     return Flown(
@@ -105,3 +85,34 @@ def fly_controls(
         controls=np.vstack(parts_u),
         energy=values[-1],
     )
+
+
+def _integrate(
+    dynamics: Dynamics,
+    control: Callable[[float], FloatArray],
+    state: FloatArray,
+    first: float,
+    samples: FloatArray,
+    method: str,
+) -> FloatArray:
+    """Return states, the energy last, at the samples of one element that starts at `first`."""
+
+    def slope(t: float, y: FloatArray) -> FloatArray:
+        rates, power = dynamics.rates_and_integrand(t, y[:-1], control(t))
+        return np.append(rates, power)
+
+    flown = solve_ivp(
+        slope,
+        (first, samples[-1]),
+        state,
+        method=method,
+        t_eval=samples,
+        rtol=RELATIVE_TOLERANCE,
+        atol=ABSOLUTE_TOLERANCE,
+    )
+    if not flown.success:
+        raise SolveError(
+            f"flight: the integration stopped at {flown.t[-1] if flown.t.size else first:.4g} "
+            f"s: {flown.message} Look at the plan's controls there."
+        )
+    return np.asarray(flown.y)

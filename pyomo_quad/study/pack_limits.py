@@ -6,9 +6,7 @@ the start, so its current, voltage and charge there bound those of every flight.
 
 from collections.abc import Iterator
 
-from pyomo.environ import units, value
-
-from pyomo_quad.model.battery import CHARGE
+from pyomo_quad.model.evaluation import convert, number
 from pyomo_quad.model.finding import Finding, Severity
 from pyomo_quad.model.hover import SteadyFlight, battery_shortfalls
 from pyomo_quad.scenario import Scenario
@@ -68,10 +66,10 @@ def _limits_broken(scenario: Scenario, bound: float) -> Iterator[Finding]:
     model = SteadyFlight(scenario).model
     battery, start = model.battery, model.time.first()
     # In this copy of the model the pack feeds the least mean power, whatever the rotors do.
-    model.power.total[start].set_value(bound / duration * units.W)
-    current, voltage = float(value(battery.current[start])), float(value(battery.voltage[start]))
-    charge = units.convert_value(current * duration, from_units=units.A * units.s, to_units=CHARGE)
-    drawn = 100.0 * charge / float(value(battery.pack_capacity))
+    model.power.total[start].set_value(bound / duration)
+    current, voltage = number(battery.current[start]), number(battery.voltage[start])
+    charge = convert(current * duration, "coulomb", "ampere_hour")
+    drawn = 100.0 * charge / number(battery.pack_capacity)
     left = scenario.battery.initial_state_of_charge - drawn
     lowest = limits.state_of_charge_min
     if lowest is not None and left < lowest <= scenario.battery.initial_state_of_charge:

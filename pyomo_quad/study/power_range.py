@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from pyomo.environ import value
 
+from pyomo_quad.model.evaluation import number
 from pyomo_quad.model.finding import Finding, Severity
 from pyomo_quad.model.hover import SteadyFlight
 from pyomo_quad.scenario import PowerModel, Scenario
@@ -110,4 +110,4 @@ def _read(steady: SteadyFlight, name: str, speed: float, acceleration: float) ->
     first = model.rotors.rotor.first()
     model.rotors.omega[first, start].set_value(float(speed))
     model.rotors.alpha[first, start].set_value(float(acceleration))
-    return float(value(model.find_component(name)[first, start]))
+    return number(model.find_component(name)[first, start])

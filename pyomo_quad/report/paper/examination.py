@@ -77,60 +77,68 @@ def _printed() -> str:
 
 
 def _argument(study: PaperStudy) -> tuple[Block, ...]:
+    return (_hover_is_no_floor(study), _envelope_floor(), _literal_floor(study))
+
+
+def _hover_is_no_floor(study: PaperStudy) -> Paragraph:
     hovering = find_flight(study.flights, Experiment.CALM, PowerModel.EFFICIENCY).hover_energy_J
+    return Paragraph(
+        (
+            (
+                f"Under the recovered f_r, hovering for the mission's time takes "
+                f"{kilojoules(hovering)} kJ, so the printed {_printed()} kJ is "
+                f"{100 * OPTIMAL_ENERGY[1].value / hovering:.0f} % of not moving at all. "
+            ),
+            (
+                "Steady hover is no floor under f_r, though: f_r rises with the rotor speed, "
+                "so flying in bounds of high and low speed is cheaper than flying evenly, "
+                "and below some speed accelerating and coasting in turn is cheaper than "
+                "turning steadily."
+            ),
+        )
+    )
+
+
+def _envelope_floor() -> Paragraph:
+    return Paragraph(
+        (
+            Strong("A floor that holds for every flight."),
+            " ",
+            (
+                "From hover to hover each rotor passes every speed upward as much as "
+                "downward, so at each speed its mean acceleration is zero, and its mean "
+                "power there is at least the convex envelope of the power over the "
+                "accelerations allowed, taken at zero. The mean vertical thrust is the "
+                "weight, so the mean power is at least the convex envelope of that over the "
+                "thrust, taken at the weight. Flights come as close to this floor as they "
+                "alternate fast, and none reaches it."
+            ),
+        )
+    )
+
+
+def _literal_floor(study: PaperStudy) -> Paragraph:
     largest, least = least_regularised_floor(study)
     critical = study.critical_acceleration
-    return (
-        Paragraph(
+    return Paragraph(
+        (
             (
-                (
-                    f"Under the recovered f_r, hovering for the mission's time takes "
-                    f"{kilojoules(hovering)} kJ, so the printed {_printed()} kJ is "
-                    f"{100 * OPTIMAL_ENERGY[1].value / hovering:.0f} % of not moving at all. "
-                ),
-                (
-                    "Steady hover is no floor under f_r, though: f_r rises with the rotor speed, "
-                    "so flying in bounds of high and low speed is cheaper than flying evenly, "
-                    "and below some speed accelerating and coasting in turn is cheaper than "
-                    "turning steadily."
-                ),
-            )
-        ),
-        Paragraph(
+                "With f_r regularised as declared (read at no torque below zero, floored, no "
+                f"credit for braking) the floor falls with the bound on |alpha|, to "
+                f"{kilojoules(least)} kJ at {largest:.0f} rad/s²: the printed energy is below "
+                "what any flight can do. "
+            ),
             (
-                Strong("A floor that holds for every flight."),
-                " ",
-                (
-                    "From hover to hover each rotor passes every speed upward as much as "
-                    "downward, so at each speed its mean acceleration is zero, and its mean "
-                    "power there is at least the convex envelope of the power over the "
-                    "accelerations allowed, taken at zero. The mean vertical thrust is the "
-                    "weight, so the mean power is at least the convex envelope of that over the "
-                    "thrust, taken at the weight. Flights come as close to this floor as they "
-                    "alternate fast, and none reaches it."
-                ),
-            )
-        ),
-        Paragraph(
-            (
-                (
-                    "With f_r regularised as declared (read at no torque below zero, floored, no "
-                    f"credit for braking) the floor falls with the bound on |alpha|, to "
-                    f"{kilojoules(least)} kJ at {largest:.0f} rad/s²: the printed energy is below "
-                    "what any flight can do. "
-                ),
-                (
-                    "With f_r as it stands in eq. (8) it passes zero for braking torques: first "
-                    f"at |alpha| = {critical:.0f} rad/s², at a rotor speed of "
-                    f"{study.critical_speed:.0f} rad/s. There a braking rotor earns without "
-                    "limit, and from that bound on the literal problem has no minimum. The paper "
-                    f"states no bound. The literal floor passes the printed {_printed()} kJ near "
-                    f"|alpha| = {bound_of_printed_optimum(study):.0f} rad/s²: on the slope of "
-                    "that fall any number can come out, and which one is a matter of bound and "
-                    "mesh."
-                ),
-            )
-        ),
+                "With f_r as it stands in eq. (8) it passes zero for braking torques: first "
+                f"at |alpha| = {critical:.0f} rad/s², at a rotor speed of "
+                f"{study.critical_speed:.0f} rad/s. There a braking rotor earns without "
+                "limit, and from that bound on the literal problem has no minimum. The paper "
+                f"states no bound. The literal floor passes the printed {_printed()} kJ near "
+                f"|alpha| = {bound_of_printed_optimum(study):.0f} rad/s²: on the slope of "
+                "that fall any number can come out, and which one is a matter of bound and "
+                "mesh."
+            ),
+        )
     )
 
 

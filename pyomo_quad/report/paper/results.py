@@ -6,6 +6,7 @@ from pyomo_quad.report.paper.tables import baseline_saving, find_flight
 from pyomo_quad.report.signals import BATTERY, POWER
 from pyomo_quad.report.wording import POWER_WORDS, fixed, yes_no
 from pyomo_quad.scenario import PowerModel
+from pyomo_quad.study.paper.baseline_flights import BaselineFlight
 from pyomo_quad.study.paper.claims import (
     ADAPTIVE_ENERGY,
     OPTIMAL_ENERGY,
@@ -128,25 +129,7 @@ def baseline_blocks(study: PaperStudy) -> tuple[Block, ...]:
     tuple of Block
         Heading, text and table.
     """
-    rows: list[list[Piece]] = []
-    for flown in study.baselines:
-        case, spent = flown.case, flown.flight.energy_J
-        optimum = find_flight(study.flights, case.experiment, case.power_model)
-        saving, of_excess = baseline_saving(study, flown)
-        rows.append(
-            [
-                str(case.experiment.value),
-                Code(case.power_model.value),
-                Code(flown.flight.name),
-                fixed(spent),
-                fixed(optimum.flight.energy_J),
-                fixed(optimum.hover_energy_J),
-                fixed(saving),
-                fixed(of_excess, 1),
-                kilojoules(ADAPTIVE_ENERGY[case.experiment.value].value, 2),
-                f"{SAVING[case.experiment.value].value:.2f}",
-            ]
-        )
+    rows = [_baseline_row(study, flown) for flown in study.baselines]
     header = ("experiment", "power", "flight", "energy J", "optimum J", "hover floor J")
     savings = ("saving %", "of what is above hover %", "paper: adaptive kJ", "paper: saving %")
     return (
@@ -173,6 +156,24 @@ def baseline_blocks(study: PaperStudy) -> tuple[Block, ...]:
             numeric=frozenset(range(3, 10)),
         ),
     )
+
+
+def _baseline_row(study: PaperStudy, flown: BaselineFlight) -> list[Piece]:
+    case, spent = flown.case, flown.flight.energy_J
+    optimum = find_flight(study.flights, case.experiment, case.power_model)
+    saving, of_excess = baseline_saving(study, flown)
+    return [
+        str(case.experiment.value),
+        Code(case.power_model.value),
+        Code(flown.flight.name),
+        fixed(spent),
+        fixed(optimum.flight.energy_J),
+        fixed(optimum.hover_energy_J),
+        fixed(saving),
+        fixed(of_excess, 1),
+        kilojoules(ADAPTIVE_ENERGY[case.experiment.value].value, 2),
+        f"{SAVING[case.experiment.value].value:.2f}",
+    ]
 
 
 def battery_blocks(study: PaperStudy) -> tuple[Block, ...]:

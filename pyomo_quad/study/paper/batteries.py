@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from pyomo.environ import units, value
 
 from pyomo_quad.model import battery_shortfalls
+from pyomo_quad.model.evaluation import convert, number
 from pyomo_quad.model.hover import SteadyFlight
 from pyomo_quad.scenario import PowerModel
 from pyomo_quad.study.paper.missions import PAPER_CELL, PHANTOM_PACK, Experiment, paper_scenario
@@ -77,11 +77,11 @@ def _facts(model: PowerModel, name: str, cells: dict[str, int]) -> PackFacts:
 
 def _stored_energy(steady: SteadyFlight) -> float:
     battery, start = steady.model.battery, steady.model.time.first()
-    capacity = value(battery.pack_capacity)
+    capacity = number(battery.pack_capacity)
     drawn = np.linspace(0.0, _DEEPEST_DISCHARGE * capacity, _SAMPLES)
     voltage = []
     for charge in drawn:
         battery.charge_drawn[start].set_value(charge)
-        voltage.append(value(battery.open_circuit_voltage[start]))
+        voltage.append(number(battery.open_circuit_voltage[start]))
     watt_hours = float(np.trapezoid(voltage, drawn))
-    return float(units.convert_value(watt_hours, from_units=units.W * units.hr, to_units=units.J))
+    return convert(watt_hours, "watt_hour", "joule")

@@ -1,13 +1,14 @@
 """Two readings of the efficiency function f_r: regularised, and literally as eq. (8) has it."""
 
 from enum import StrEnum
-from typing import Any
-
-from pyomo.environ import ConcreteModel
+from typing import TYPE_CHECKING, Any
 
 from pyomo_quad.flight import Planner
 from pyomo_quad.model import build_model
 from pyomo_quad.scenario import PowerModel, Scenario
+
+if TYPE_CHECKING:
+    from pyomo.environ import ConcreteModel
 
 __all__ = ["Reading", "literal_model", "model_without_battery"]
 
@@ -45,7 +46,7 @@ class Reading(StrEnum):
         return Planner(literal_model if self is Reading.LITERAL else model_without_battery)
 
 
-def model_without_battery(scenario: Scenario) -> ConcreteModel:
+def model_without_battery(scenario: Scenario) -> "ConcreteModel":
     """Declare a mission without its battery, for which some powers of f_r have no current.
 
     Parameters
@@ -63,7 +64,7 @@ def model_without_battery(scenario: Scenario) -> ConcreteModel:
     return m
 
 
-def literal_model(scenario: Scenario) -> ConcreteModel:
+def literal_model(scenario: Scenario) -> "ConcreteModel":
     """Declare a mission whose f_r is read everywhere as the polynomial stands.
 
     Parameters

@@ -1,0 +1,99 @@
+"""The floors: data goes one way, and each heavy library has one home."""
+
+import ast
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[2] / "pyomo_quad"
+FLOORS = {"scenario": 0, "collocation": 0, "model": 1, "flight": 2, "study": 3, "report": 4}
+TOP = 5
+# Library -> the parts of the package that may import it.
+HOMES = {
+    "casadi": {"collocation"},
+    "cyipopt": {"collocation"},
+    "pyomo": {"collocation", "model"},
+    "scipy.integrate": {"flight"},
+    "matplotlib": {"report"},
+    "mpl_toolkits": {"report"},
+    "plotly": {"report"},
+    "typer": {"cli"},
+    "rich": {"cli"},
+}
+
+
+def part_of(module):
+    """Return the part of the package that a module belongs to, cli for the top level."""
+    steps = module.split(".")
+    return steps[1] if len(steps) > 1 and steps[1] in FLOORS else "cli"
+
+
+def module_of(file):
+    steps = file.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(step for step in steps if step != "__init__")
+
+
+def modules_in(node):
+    """Yield what an import statement may import."""
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+    elif isinstance(node, ast.ImportFrom):
+        assert node.level == 0, "imports are absolute"
+        yield node.module
+        # `from scipy import integrate` imports a module as well.
+        yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def is_for_types(node):
+    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+
+
+def imports_of(tree, *, with_types=True):
+    """Yield the modules that a file imports, with or without those for type checkers alone."""
+    for node in ast.iter_child_nodes(tree):
+        if with_types or not is_for_types(node):
+            yield from modules_in(node)
+            yield from imports_of(node, with_types=with_types)
+
+
+def trees():
+    for file in sorted(PACKAGE.rglob("*.py")):
+        yield module_of(file), ast.parse(file.read_text(encoding="utf-8"))
+
+
+def is_inside(module, library):
+    return module == library or module.startswith(f"{library}.")
+
+
+def test_no_floor_imports_a_higher_one():
+    wrong = []
+    for module, tree in trees():
+        here = part_of(module)
+        for imported in imports_of(tree):
+            if not imported.startswith("pyomo_quad.") or is_inside(imported, "pyomo_quad.version"):
+                continue
+            there = part_of(imported)
+            if there != here and FLOORS.get(there, TOP) >= FLOORS.get(here, TOP):
+                wrong.append(f"{module} imports {imported}")
+    assert wrong == []
+
+
+def test_heavy_libraries_stay_at_home():
+    wrong = [
+        f"{module} imports {imported}"
+        for module, tree in trees()
+        for imported in imports_of(tree, with_types=False)
+        for library, homes in HOMES.items()
+        if is_inside(imported, library) and part_of(module) not in homes
+    ]
+    assert wrong == []
+
+
+def test_the_check_sees_a_wrong_import():
+    tree = ast.parse(
+        "from typing import TYPE_CHECKING\n"
+        "if TYPE_CHECKING:\n    import typer\n"
+        "def f():\n    from scipy import integrate\n"
+        "import pyomo_quad.report.style\n"
+    )
+    assert {"scipy.integrate", "pyomo_quad.report.style", "typer"} <= set(imports_of(tree))
+    assert "typer" not in set(imports_of(tree, with_types=False))
+    assert (part_of("pyomo_quad.report.style"), part_of("pyomo_quad")) == ("report", "cli")
