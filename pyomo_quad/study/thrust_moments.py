@@ -21,7 +21,7 @@ _GAUSS_NODES = 6
 # For integrals of the price of thrust, which is smooth.
 _PANELS = 16
 # For those of the wind, doubled until they agree.
-_FEWEST_PANELS = 4
+_FEWEST_PANELS = 2
 _MOST_PANELS = 4096
 _QUADRATURE_ERROR = 1e-10
 

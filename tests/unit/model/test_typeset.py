@@ -39,8 +39,9 @@ def test_known_equations(name, latex):
 @pytest.mark.parametrize(
     ("power", "coupling"),
     [
-        *((power, WindCoupling.ACCELERATION) for power in PowerModel),
-        (PowerModel.MOTOR, WindCoupling.DRAG),
+        (PowerModel.EFFICIENCY, WindCoupling.DRAG),
+        (PowerModel.CONSTANT_EFFICIENCY, WindCoupling.ACCELERATION),
+        (PowerModel.MOTOR_WITH_FRICTION, WindCoupling.ACCELERATION),
     ],
 )
 def test_every_equation_is_latex(power, coupling):
