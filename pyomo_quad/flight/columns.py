@@ -7,12 +7,14 @@ them from here.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pyomo_quad.collocation import Dynamics
+if TYPE_CHECKING:
+    from pyomo_quad.collocation import Dynamics
 
 __all__ = ["COLUMNS", "ENERGY", "ROTORS", "TIME", "Column", "flight_frame"]
 

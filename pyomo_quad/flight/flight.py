@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
-from pyomo_quad.collocation import Dynamics, Violation
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
-__all__ = ["Flight", "Flown", "POSITION_STATES", "position_miss", "terminal_miss_of"]
+    import pandas as pd
+
+    from pyomo_quad.collocation import Dynamics, Violation
+
+__all__ = ["POSITION_STATES", "Flight", "Flown", "position_miss", "terminal_miss_of"]
 
 FloatArray = NDArray[np.float64]
 

@@ -16,6 +16,7 @@ from pyomo_quad.collocation import (
     Progress,
     RefinementOptions,
     Solution,
+    SolveError,
     SolverOptions,
     Status,
     Trajectory,
@@ -208,9 +209,12 @@ def _verified(plan: Plan, solution: Solution) -> Plan:
     """Return the plan with the verdict of flying its controls."""
     started = time.perf_counter()
     held = plan.trajectories
-    verification, flown = verify_controls(
-        plan.dynamics, held.mesh, held.states, held.controls, held.horizon, plan.energy
-    )
+    try:
+        verification, flown = verify_controls(
+            plan.dynamics, held.mesh, held.states, held.controls, held.horizon, plan.energy
+        )
+    except SolveError as error:
+        return replace(plan, status=PlanStatus.SOLVED, message=str(error))
     is_proven = verification.is_verified and solution.status is Status.CONVERGED
     timings = dict(plan.timings) | {"verify": time.perf_counter() - started}
     return replace(

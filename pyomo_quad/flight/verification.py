@@ -7,14 +7,18 @@ limits between the collocation points, and spend the energy that the optimiser r
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pyomo_quad.collocation import Dynamics, Mesh
-from pyomo_quad.flight.flight import Flown, FloatArray, position_miss, terminal_miss_of
+from pyomo_quad.flight.flight import FloatArray, Flown, position_miss, terminal_miss_of
 from pyomo_quad.flight.plant import fly_controls
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pyomo_quad.collocation import Dynamics, Mesh
 
 __all__ = [
     "ENERGY_TOLERANCE",

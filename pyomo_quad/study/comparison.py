@@ -111,7 +111,7 @@ def compare_flights(
     savings and its optimum no bound: it was made for another wind than the others flew in.
 
     A controlled flight ends with its rotors a few rad/s off hover, and each rad/s holds some 0.04 J
-    in a rotor of the paper's vehicle: tracking the optimum may thus seem to cost 0.1 J less than it.
+    in a rotor of the paper's vehicle: tracking the optimum may so seem to cost 0.1 J less than it.
     """
     is_told_the_wind = scenario.wind.forecast is None
     optimum = next((f for f in flights if f.name == OPTIMAL and has_arrived(f)), None)
