@@ -75,7 +75,12 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
         )
 
     def build(scenario: Scenario) -> ConcreteModel:
-        model = function(scenario)
+        try:
+            model = function(scenario)
+        except Exception as error:
+            raise ScenarioError(
+                f"model = {spec!r}: {function_name} fails: {_told(error)}; correct it."
+            ) from error
         if not isinstance(model, ConcreteModel):
             raise ScenarioError(
                 f"model = {spec!r} returned {type(model).__name__}; it must return a ConcreteModel."
@@ -95,8 +100,11 @@ def _run(spec: str, file: Path) -> ModuleType:
     try:
         module_spec.loader.exec_module(module)
     except Exception as error:
-        line = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ScenarioError(
-            f"model = {spec!r}: {file} does not run: {type(error).__name__}: {line}; correct it."
+            f"model = {spec!r}: {file} does not run: {_told(error)}; correct it."
         ) from error
     return module
+
+
+def _told(error: Exception) -> str:
+    return ": ".join((type(error).__name__, *str(error).splitlines()[:1]))

@@ -9,7 +9,7 @@ from pyomo_quad.model.battery import CHARGE
 from pyomo_quad.model.build import build_model
 from pyomo_quad.scenario import Scenario
 
-__all__ = ["Hover", "SteadyFlight", "battery_shortfalls", "hover", "hover_power"]
+__all__ = ["Hover", "SteadyFlight", "battery_shortfalls", "charge", "hover", "hover_power"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +111,76 @@ class SteadyFlight:
         speed = brentq(lambda s: self.thrust(s) - thrust, 0.0, fastest, xtol=1e-12, rtol=1e-15)
         return self.power(speed)
 
+    def rotor_value(self, name: str, speed: float, acceleration: float = 0.0) -> float:
+        """Return a quantity of one rotor at a speed and an acceleration.
+
+        Parameters
+        ----------
+        name : str
+            Full name of an expression over rotors and time, as ``"rotors.motor_torque"``.
+        speed : float
+            Rotor speed, rad/s.
+        acceleration : float, optional
+            Rotor acceleration, rad/s^2.
+
+        Returns
+        -------
+        float
+            In the expression's own unit.
+        """
+        rotors, start = self.model.rotors, self._start
+        first = rotors.rotor.first()
+        rotors.omega[first, start].set_value(float(speed))
+        rotors.alpha[first, start].set_value(float(acceleration))
+        return float(value(self.model.find_component(name)[first, start]))
+
+    def yaw_moment(self, odd_speed: float, even_speed: float) -> float:
+        """Return the yaw moment with rotors 1 and 3 at one speed, 2 and 4 at another.
+
+        Parameters
+        ----------
+        odd_speed, even_speed : float
+            Rotor speeds, rad/s.
+
+        Returns
+        -------
+        float
+            Moment, N m.
+        """
+        rotors, start = self.model.rotors, self._start
+        for j in rotors.rotor:
+            rotors.omega[j, start].set_value(odd_speed if j % 2 else even_speed)
+        return float(value(rotors.yaw_moment[start]))
+
+    def pack_under(self, power: float) -> tuple[float, float]:
+        """Return the pack's current [A] and voltage [V] under a load, at the start.
+
+        Parameters
+        ----------
+        power : float
+            Power drawn, W.
+
+        Returns
+        -------
+        tuple of float
+            Current and terminal voltage.
+        """
+        total = self.model.power.total[self._start]
+        declared = total.expr
+        total.set_value(power * units.W)
+        battery = self.model.battery
+        found = (
+            float(value(battery.current[self._start])),
+            float(value(battery.voltage[self._start])),
+        )
+        total.set_value(declared)
+        return found
+
+    @property
+    def pack_capacity(self) -> float:
+        """Charge of the full pack, A h."""
+        return float(value(self.model.battery.pack_capacity))
+
     def hover(self) -> Hover:
         """Return hover with the battery as it is at the start of the mission."""
         thrust = self.thrust(self.hover_speed)
@@ -157,6 +227,26 @@ def hover_power(scenario: Scenario) -> float:
     return hover(scenario).power_W
 
 
+def charge(current: float, duration: float) -> float:
+    """Return the charge that a current takes in a time.
+
+    Parameters
+    ----------
+    current : float
+        Current, A.
+    duration : float
+        Time, s.
+
+    Returns
+    -------
+    float
+        Charge, A h.
+    """
+    return float(
+        units.convert_value(current * duration, from_units=units.A * units.s, to_units=CHARGE)
+    )
+
+
 def battery_shortfalls(scenario: Scenario) -> tuple[str, ...]:
     """Say in which ways the pack is too small even for hovering through the mission.
 
@@ -179,10 +269,8 @@ def battery_shortfalls(scenario: Scenario) -> tuple[str, ...]:
         needs = f"hover needs {at_hover.power_W:.4g} W, the pack delivers at most {greatest:.4g} W"
         return (f"{cells}: {needs}; add cells.",)
     duration = scenario.mission.duration
-    needed = units.convert_value(
-        at_hover.battery_current_A * duration, from_units=units.A * units.s, to_units=CHARGE
-    )
-    held = value(steady.model.battery.pack_capacity) * pack.initial_state_of_charge / 100
+    needed = charge(at_hover.battery_current_A, duration)
+    held = steady.pack_capacity * pack.initial_state_of_charge / 100
     if needed > held:
         needs = f"hovering for {duration:.4g} s needs {needed:.4g} Ah, the pack holds {held:.4g} Ah"
         return (f"{cells}: {needs}; add cells or shorten the mission.",)

@@ -6,9 +6,8 @@ the start, so its current, voltage and charge there bound those of every flight.
 
 from collections.abc import Iterator
 
-from pyomo_quad.model.evaluation import convert, number
 from pyomo_quad.model.finding import Finding, Severity
-from pyomo_quad.model.hover import SteadyFlight, battery_shortfalls
+from pyomo_quad.model.hover import SteadyFlight, battery_shortfalls, charge
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.study.certificate import certify
 
@@ -63,19 +62,16 @@ def _charge_at_start(scenario: Scenario) -> Iterator[Finding]:
 
 def _limits_broken(scenario: Scenario, bound: float) -> Iterator[Finding]:
     limits, duration = scenario.limits, scenario.mission.duration
-    model = SteadyFlight(scenario).model
-    battery, start = model.battery, model.time.first()
-    # In this copy of the model the pack feeds the least mean power, whatever the rotors do.
-    model.power.total[start].set_value(bound / duration)
-    current, voltage = number(battery.current[start]), number(battery.voltage[start])
-    charge = convert(current * duration, "coulomb", "ampere_hour")
-    drawn = 100.0 * charge / number(battery.pack_capacity)
+    steady = SteadyFlight(scenario)
+    current, voltage = steady.pack_under(bound / duration)
+    taken = charge(current, duration)
+    drawn = 100.0 * taken / steady.pack_capacity
     left = scenario.battery.initial_state_of_charge - drawn
     lowest = limits.state_of_charge_min
     if lowest is not None and left < lowest <= scenario.battery.initial_state_of_charge:
         yield _impossible(
             "limits.state_of_charge_min",
-            f"{lowest:.4g} percent: the flight takes at least {charge:.4g} Ah and leaves at most "
+            f"{lowest:.4g} percent: the flight takes at least {taken:.4g} Ah and leaves at most "
             f"{left:.4g} percent; lower the limit or add cells.",
         )
     if limits.battery_current_max is not None and current > limits.battery_current_max:

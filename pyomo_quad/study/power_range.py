@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pyomo_quad.model.evaluation import number
 from pyomo_quad.model.finding import Finding, Severity
 from pyomo_quad.model.hover import SteadyFlight
 from pyomo_quad.scenario import PowerModel, Scenario
@@ -50,14 +49,14 @@ def _efficiency_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[F
             "true: with power.model efficiency braking earns more than it gave, so the least "
             "energy may be unbounded; set it false.",
         )
-    hovering = _read(steady, "power.efficiency_polynomial", steady.hover_speed, 0.0)
+    hovering = steady.rotor_value("power.efficiency_polynomial", steady.hover_speed)
     if hovering < power.efficiency_floor:
         yield _caution(
             "power.efficiency_floor",
             f"{power.efficiency_floor:.4g}: above f_r = {hovering:.4g} at hover, so the floor and "
             "not f_r sets the energy; lower it.",
         )
-    torque = _read(steady, "rotors.motor_torque", steady.hover_speed, 0.0)
+    torque = steady.rotor_value("rotors.motor_torque", steady.hover_speed)
     if torque < power.torque_floor:
         yield _caution(
             "power.torque_floor",
@@ -81,10 +80,10 @@ def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
     for speed in np.linspace(_FASTEST * hover, _SLOWEST * hover, _SPEEDS):
         # The chord from braking to speeding up, where it passes the steady speed.
         up = np.linspace(0.0, limit, _ACCELERATIONS)[1:]
-        faster = np.array([_read(steady, "power.rotor_power", speed, a) for a in up])
-        slower = np.array([_read(steady, "power.rotor_power", speed, -a) for a in up])
+        faster = np.array([steady.rotor_value("power.rotor_power", speed, a) for a in up])
+        slower = np.array([steady.rotor_value("power.rotor_power", speed, -a) for a in up])
         mixed = (up[:, None] * slower + faster[:, None] * up) / (up[:, None] + up)
-        keeping = _read(steady, "power.rotor_power", speed, 0.0)
+        keeping = steady.rotor_value("power.rotor_power", speed)
         if mixed.min() < keeping * (1 - _SAVING):
             return float(speed)
     return None
@@ -95,19 +94,10 @@ def _voltage_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Find
     if hovering.power_W > hovering.greatest_battery_power_W:
         return  # the pack has no voltage under such a load, which is a finding of its own
     pack = hovering.battery_voltage_V
-    motor = _read(steady, "rotors.motor_voltage", steady.hover_speed, 0.0)
+    motor = steady.rotor_value("rotors.motor_voltage", steady.hover_speed)
     if motor > pack:
         yield _caution(
             "battery.cells_series",
             f"{scenario.battery.cells_series}: hover needs {motor:.4g} V at the motors, the pack "
             f"gives {pack:.4g} V; add cells in series.",
         )
-
-
-def _read(steady: SteadyFlight, name: str, speed: float, acceleration: float) -> float:
-    """Return a quantity of the first rotor from the declared model."""
-    model, start = steady.model, steady.model.time.first()
-    first = model.rotors.rotor.first()
-    model.rotors.omega[first, start].set_value(float(speed))
-    model.rotors.alpha[first, start].set_value(float(acceleration))
-    return number(model.find_component(name)[first, start])

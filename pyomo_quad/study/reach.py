@@ -9,7 +9,6 @@ from math import acos, atan2, cos, hypot, inf, pi, sin
 
 import numpy as np
 
-from pyomo_quad.model.evaluation import number
 from pyomo_quad.model.finding import Finding, Severity
 from pyomo_quad.model.hover import SteadyFlight
 from pyomo_quad.model.momentum import MomentumDemand
@@ -178,12 +177,9 @@ def _yaw_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]
     vehicle, limits, mission = scenario.vehicle, scenario.limits, scenario.mission
     if vehicle.Ix != vehicle.Iy:
         return  # roll and pitch rates together turn the vehicle as well
-    rotors, start = steady.model.rotors, steady.model.time.first()
-    for j in rotors.rotor:
-        is_forward = j % 2 == 1
-        speed = limits.rotor_speed_max if is_forward else limits.rotor_speed_min
-        rotors.omega[j, start].set_value(speed)
-    moment = min(limits.yaw_moment_max, number(rotors.yaw_moment[start]))
+    moment = min(
+        limits.yaw_moment_max, steady.yaw_moment(limits.rotor_speed_max, limits.rotor_speed_min)
+    )
     # Full moment one way for half of the time, the other way for the rest.
     reachable = moment / vehicle.Iz * mission.duration**2 / 4
     turn = abs(mission.goal.yaw - mission.start.yaw)
