@@ -110,8 +110,9 @@ def compare_flights(
     bound either, since that bounds only flights that arrive.  A scenario with a forecast has no
     savings and its optimum no bound: it was made for another wind than the others flew in.
 
-    A controlled flight ends with its rotors a few rad/s off hover, and each rad/s holds some 0.04 J
-    in a rotor of the paper's vehicle: tracking the optimum may so seem to cost 0.1 J less than it.
+    A controlled flight ends some rad/s off hover and some millimetres off the goal, the optimum
+    exactly there.  Each rad/s holds 0.04 J in a rotor of the paper's vehicle: differences of a few
+    tenths of a joule say nothing, and following the optimum may seem to cost less than it.
     """
     is_told_the_wind = scenario.wind.forecast is None
     optimum = next((f for f in flights if f.name == OPTIMAL and has_arrived(f)), None)
