@@ -55,7 +55,7 @@ class RelationReader:
         """Sort one constraint's instances into a path equation and point conditions."""
         template = instances.pop(self.copy.template_time, None) if self.copy.time else None
         if template is None:
-            conditions.extend(self._condition(data) for data in instances.values())
+            conditions.extend(self._imposed(self._condition(data)) for data in instances.values())
             return
         equation = self._path(component, index, template)
         equations.append(equation)
@@ -91,6 +91,17 @@ class RelationReader:
         expression, lower, upper = self._relation(data, data.name)
         return PointCondition(name=data.name, expression=expression, lower=lower, upper=upper)
 
+    def _imposed(self, condition: PointCondition) -> PointCondition:
+        """Return a condition that is to be imposed, unless it reads a signal at an instant."""
+        signals = {symbol.name() for symbol in self.symbols.signal_points.values()}
+        read = signals & symbol_names(condition.expression)
+        if read:
+            raise TranscriptionError(
+                f"{condition.name}: {min(read)}, a time-varying parameter at a single time, is not "
+                "supported in a condition; use a parameter without time."
+            )
+        return condition
+
     def _start_and_end(
         self, equation: PathEquation, instances: dict[Any, Any]
     ) -> list[PointCondition]:
@@ -103,11 +114,11 @@ class RelationReader:
         added = []
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
         if first in instances and self._states_only(equation):
-            added.append(self._condition(instances[first]))
+            added.append(self._imposed(self._condition(instances[first])))
         if last in instances:
             condition = self._condition(instances[last])
             if not self._same_at(condition.expression, equation.expression, last):
-                added.append(condition)
+                added.append(self._imposed(condition))
         return added
 
     def _states_only(self, equation: PathEquation) -> bool:
@@ -126,6 +137,10 @@ class RelationReader:
                 slot = table.states.get(name) or table.algebraics[name]
                 old.append(slot.rate if is_rate else slot.symbol)
                 new.append(point.symbol)
+        for (name, at), symbol in table.signal_points.items():
+            if at == fraction and name in table.signals:
+                old.append(table.signals[name].symbol)
+                new.append(symbol)
         # Pyomo has folded the declared times into the condition: compare at just those.
         old.extend(table.horizon)
         new.extend(

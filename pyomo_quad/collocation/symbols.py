@@ -34,6 +34,7 @@ class SymbolTable:
         self.parameters: dict[str, Slot] = {}
         self.signals: dict[str, Slot] = {}
         self.points: dict[tuple[str, float, bool], PointSymbol] = {}
+        self.signal_points: dict[tuple[str, float], Any] = {}
         self.fraction = casadi.SX.sym("fraction")
         self._derivatives = {
             d.get_state_var().name: d
@@ -106,18 +107,16 @@ class SymbolTable:
         component, index = data.parent_component(), self._addresses.of(data).index
         return all(
             value(component[self._addresses.join(component, index, t)], exception=False) == t
-            for t in self._copy.declared_times
+            for t in (*self._copy.declared_times, self._copy.template_time)
         )
 
     def _signal(self, data: Any, address: Any) -> Any:
         if self._is_clock(data):
             return self._physical_time(address.time)
-        if address.time != self._copy.template_time:
-            raise TranscriptionError(
-                f"{data.name}: a time-varying parameter at a single time is not supported in a "
-                "condition; use a parameter without time."
-            )
         name = address.name
+        if address.time != self._copy.template_time:
+            key = (name, self.fraction_of(address.time))
+            return self.signal_points.setdefault(key, casadi.SX.sym(data.name))
         if name not in self.signals:
             self.signals[name] = Slot(
                 name=name,
