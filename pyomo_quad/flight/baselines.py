@@ -109,7 +109,12 @@ def fly_baseline(
     began = perf_counter()
     first = fly_reference(scenario, reference, dynamics=dynamics, plan=plan)
     second = fly_reference(
-        scenario, reference, dynamics=dynamics, plan=plan, integrator=Integrator.MULTISTEP
+        scenario,
+        reference,
+        dynamics=dynamics,
+        plan=plan,
+        integrator=Integrator.MULTISTEP,
+        rate_hz=0.0,
     )
     return _flight(
         baseline_name(reference),
@@ -128,6 +133,7 @@ def fly_reference(
     dynamics: Dynamics,
     plan: Plan | None = None,
     integrator: Integrator = Integrator.RUNGE_KUTTA,
+    rate_hz: float = _RATE_HZ,
 ) -> ClosedLoopFlight:
     """Fly once, and keep the controller's own states; see `fly_baseline`.
 
@@ -138,6 +144,8 @@ def fly_reference(
     dynamics : Dynamics
     plan : Plan, optional
     integrator : Integrator, optional
+    rate_hz : float, optional
+        Samples per second; both ends are always kept.
 
     Returns
     -------
@@ -151,7 +159,7 @@ def fly_reference(
         controller=AdaptiveController(scenario, mixer_matrix(dynamics)),
         reference=reference_path(scenario, reference, plan),
         initial_state=start_state(scenario, dynamics, plan),
-        times=_even_times(0.0, duration, _RATE_HZ),
+        times=_even_times(0.0, duration, rate_hz),
         integrator=integrator,
     )
 
