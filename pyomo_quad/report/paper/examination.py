@@ -110,8 +110,8 @@ def _envelope_floor() -> Paragraph:
                 "power there is at least the convex envelope of the power over the "
                 "accelerations allowed, taken at zero. The mean vertical thrust is the "
                 "weight, so the mean power is at least the convex envelope of that over the "
-                "thrust, taken at the weight. Flights come as close to this floor as they "
-                "alternate fast, and none reaches it."
+                "thrust, taken at the weight. Rotors come near this floor only by alternating "
+                "ever faster, and no flight reaches it."
             ),
         )
     )

@@ -112,8 +112,8 @@ def draw_loss_chain(
     near.set_title("Around the optimal flight")
     for axes in (whole, near):
         axes.set_xlabel(r"Rotor speed $\omega$ (rad/s)")
+        axes.set_ylabel(r"Motor torque $\tau$ (mN m)")
         axes.grid(visible=False)
-    whole.set_ylabel(r"Motor torque $\tau$ (mN m)")
     handles, labels = near.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=5)
     return figure
@@ -171,7 +171,7 @@ def _draw_map(axes: Axes, sampled: EfficiencyMap) -> ContourSet:
         sampled.speed,
         sampled.steady_torque * _MILLI,
         color=MUTED,
-        linewidth=1.6,
+        linewidth=0.9,
         label=r"steady, $\kappa\omega^2$",
     )
     return filled

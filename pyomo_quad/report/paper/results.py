@@ -55,11 +55,11 @@ def experiment_blocks(study: PaperStudy) -> tuple[Block, ...]:
                     "Energy, hover floor (hovering for the same time under the same power model) "
                     "and what is spent above it. "
                 ),
-                "The mission climbs, which adds ",
                 (
-                    f"{climb:.1f} J of potential energy, yet the optimum spends only {excess:.2f} "
-                    "J above hovering under the motors' power: the paper's thrust and drag "
-                    "torque do not depend on the airspeed, so climbing is free in its model."
+                    f"The mission climbs, which adds {climb:.1f} J of potential energy, yet the "
+                    f"optimum spends only {excess:.2f} J above hovering under the motors' power: "
+                    "the paper's thrust and drag torque do not depend on the airspeed, so climbing "
+                    "is free in its model."
                 ),
             )
         ),
@@ -67,12 +67,11 @@ def experiment_blocks(study: PaperStudy) -> tuple[Block, ...]:
         Paragraph(
             (
                 (
-                    "Under f_r no solve proves an optimum (see below): the row is the best flight "
-                    "found from the optimum of the motors' power, flown and priced by f_r. "
-                ),
-                (
-                    "A flight counts as flown as planned when its controls, integrated by another "
-                    "method, end where planned, keep the limits and spend the energy stated."
+                    "Where a solve did not converge, the row is the best flight found from the "
+                    "optimum of the motors' power; under f_r none can prove an optimum (see "
+                    "below). A flight counts as flown as planned when its controls, integrated "
+                    "by another method, end where planned, keep the limits and spend the energy "
+                    "stated."
                 ),
             )
         ),

@@ -114,7 +114,7 @@ def _parameter_blocks(frame: pd.DataFrame) -> tuple[Block, ...]:
         blocks.append(
             Table(
                 caption=place,
-                header=("symbol", "printed", "used", "unit", "field"),
+                header=("symbol", "printed", "used", "unit as printed", "field"),
                 rows=chosen,
                 numeric=frozenset({1, 2}),
             )
@@ -141,9 +141,7 @@ def _closing() -> tuple[Block, ...]:
     ]
     files: list[list[Piece]] = [[Code(f"{name}.csv"), f": {text}"] for name, text in TABLES.items()]
     files.append([Code(f"{FIGURE_FOLDER}/"), ": the figures as PNG and SVG"])
-    files.append(
-        [Code(TIMES_NAME), ": what took how long; the one file that changes from run to run"]
-    )
+    files.append([Code(TIMES_NAME), ": what took how long; it alone changes from run to run"])
     return (
         Heading("How far these numbers are held"),
         Paragraph(

@@ -10,7 +10,7 @@ is C(w) at least.  The vertical momentum balance makes the mean of the vertical 
 weight, so the mean thrust is the weight at least, and D rises with thrust.  Horizontal wind
 changes none of this.
 
-The bound is approached by rotors that alternate ever faster, and reached by none.  Where f_r
+Rotors come near the bound only by alternating ever faster, and no flight reaches it.  Where f_r
 passes zero within the bound on the acceleration there is no bound: minus infinity.  The envelopes
 are taken over samples of the declared power; they converge from above as the samples grow dense.
 """

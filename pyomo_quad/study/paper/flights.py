@@ -11,8 +11,13 @@ from pyomo_quad.study.paper.missions import PAPER_CELL, PHANTOM_PACK, Experiment
 
 __all__ = ["FlightCase", "PaperFlight", "battery_cases", "flight_cases", "fly_case", "wind_cases"]
 
-# Under f_r Ipopt leaves the neighbourhood of hover sooner or later and meets no tolerance.
-_EFFICIENCY_ITERATIONS = 20
+# These powers are flat or kinked in the controls: their solves start from the optimum of the
+# motors' power, and some are cut short. Under f_r Ipopt meets no tolerance however long it tries.
+_STARTED_FROM_MOTOR: dict[PowerModel, dict[str, Any]] = {
+    PowerModel.EFFICIENCY: {"solver.max_refinements": 0, "solver.max_iterations": 20},
+    PowerModel.CONSTANT_EFFICIENCY: {"solver.max_iterations": 60},
+    PowerModel.SHAFT: {},
+}
 _COARSE: dict[str, Any] = {"solver.elements": 20, "solver.max_refinements": 0}
 
 
@@ -149,13 +154,10 @@ def fly_case(case: FlightCase) -> PaperFlight:
     Returns
     -------
     PaperFlight
-        Under f_r: the best flight found from the optimum of the motor's power.
+        Of a solve that did not converge: the best flight found.
     """
     scenario = case.scenario
-    if case.power_model is PowerModel.EFFICIENCY:
-        plan = _plan_under_efficiency(scenario)
-    else:
-        plan = Planner().solve(scenario)
+    plan = _plan(scenario)
     return PaperFlight(
         case=case,
         flight=_flown(plan),
@@ -165,11 +167,12 @@ def fly_case(case: FlightCase) -> PaperFlight:
     )
 
 
-def _plan_under_efficiency(scenario: Scenario) -> Plan:
+def _plan(scenario: Scenario) -> Plan:
+    model = scenario.power.model
+    if model not in _STARTED_FROM_MOTOR:
+        return Planner().solve(scenario)
     start = Planner().solve(scenario.with_values({"power.model": PowerModel.MOTOR}))
-    bounded = scenario.with_values(
-        {"solver.max_refinements": 0, "solver.max_iterations": _EFFICIENCY_ITERATIONS}
-    )
+    bounded = scenario.with_values(_STARTED_FROM_MOTOR[model])
     return Planner().solve(bounded, warm_start=start)
 
 

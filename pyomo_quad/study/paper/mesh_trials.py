@@ -17,7 +17,7 @@ from pyomo_quad.study.paper.readings import Reading, model_without_battery
 __all__ = ["MeshTrial", "TrialOutcome", "mesh_trials", "run_trial"]
 
 _DEGREE = 4
-_ELEMENTS = (5, 10, 20, 40)
+_ELEMENTS = (5, 10, 20)
 _BOUNDS = (300.0, 1000.0, 3000.0, 10000.0)
 _SAMPLES_PER_ELEMENT = 400
 # Looser than the planner's: a problem without a minimum meets no tolerance for long.

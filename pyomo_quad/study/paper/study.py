@@ -1,6 +1,9 @@
 """All live results of the paper's report, computed by worker processes."""
 
 import multiprocessing
+import os
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -169,8 +172,28 @@ def _started(tasks: list[_Task]) -> Iterator[dict[Future[Any], int]]:
     """Start all tasks in processes of their own, and leave none behind."""
     # Spawned, not forked: Ipopt and BLAS do not survive a fork with threads.
     context = multiprocessing.get_context("spawn")
-    with one_thread_each(), ProcessPoolExecutor(WORKERS, mp_context=context) as pool:
+    with (
+        one_thread_each(),
+        ProcessPoolExecutor(WORKERS, mp_context=context, initializer=_prepare_worker) as pool,
+    ):
         try:
             yield {pool.submit(_timed, task.perform): at for at, task in enumerate(tasks)}
-        finally:
+        except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
+            # A solve that is under way would be waited for.
+            for worker in multiprocessing.active_children():
+                worker.terminate()
+            raise
+
+
+def _prepare_worker() -> None:
+    """Leave Ctrl-C to the parent, and end with it however it ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_follow_parent, daemon=True).start()
+
+
+def _follow_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
