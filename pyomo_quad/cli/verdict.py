@@ -13,7 +13,6 @@ from rich.table import Table
 from pyomo_quad.cli.consoles import complain, result_console
 from pyomo_quad.flight import Plan, PlanStatus
 from pyomo_quad.report.summary import summary_text
-from pyomo_quad.study.certificate import Certificate
 from pyomo_quad.study.comparison import ComparisonColumn
 from pyomo_quad.study.run import RunResult
 
@@ -107,20 +106,21 @@ def run_lines(result: RunResult) -> Iterator[str | Table]:
     yield from verdict_lines(result.plan)
     if not result.comparison.empty:
         yield comparison_table(result.comparison)
-    yield from _certificate_lines(result.plan, result.certificate)
+    yield from _certificate_lines(result)
 
 
-def _certificate_lines(plan: Plan, certificate: Certificate) -> Iterator[str]:
-    gap = certificate.gap_percent(plan.energy)
-    if not plan.is_verified:
+def _certificate_lines(result: RunResult) -> Iterator[str]:
+    certificate, gap = result.certificate, result.gap_percent
+    if not result.plan.is_verified:
         return
-    if gap is None:
+    if not certificate.applies:
         yield f"No certificate of global optimality: {certificate.reason}"
     else:
-        yield (
-            f"No flight of this mission spends less than {certificate.lower_bound_J:.3f} J: the "
-            f"optimum is at most {gap:.3f} % above the best."
-        )
+        bound = f"No flight of this mission spends less than {certificate.lower_bound_J:.3f} J"
+        if gap is None:
+            yield f"{bound}; the plan was made for another wind than the one that blows."
+        else:
+            yield f"{bound}: the optimum is at most {gap:.3f} % above the best."
 
 
 def comparison_table(comparison: pd.DataFrame) -> Table:

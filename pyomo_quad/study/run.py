@@ -32,7 +32,7 @@ class RunResult:
     comparison : DataFrame
         One row per flight, see `study.comparison`.
     certificate : Certificate
-        Of the mission in the wind that the optimiser was told.
+        Of the mission in the wind that really blows.
     timings : mapping
         Seconds of the plan's phases, of the flights and of the certificate.
     warnings : tuple of str
@@ -46,6 +46,16 @@ class RunResult:
     certificate: Certificate
     timings: Mapping[str, float]
     warnings: tuple[str, ...]
+
+    @property
+    def gap_percent(self) -> float | None:
+        """By how much any flight could undercut the optimum, in per cent of it.
+
+        None where no bound is known, or the optimum was made for a wind that does not blow.
+        """
+        if not self.flights or self.scenario.wind.forecast is not None:
+            return None
+        return self.certificate.gap_percent(self.plan.energy)
 
 
 def run_scenario(

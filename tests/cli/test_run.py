@@ -83,6 +83,22 @@ def test_run_of_an_impossible_mission_compares_nothing(tmp_path, capsys):
     assert (folder / "report.md").read_text().startswith("# Failed, infeasible: ")
 
 
+def test_a_wind_that_the_optimiser_was_not_told(tmp_path, capsys):
+    folder = tmp_path / "report"
+    arguments = ["run", str(SCENARIOS / "wind_untold.toml"), *QUICK, "--out", str(folder)]
+    assert main([*arguments, '--set=baseline.references=["plan"]']) == ExitCode.VERIFIED
+    assert "the plan was made for another wind than the one that blows." in capsys.readouterr().out
+    rows = pd.read_csv(folder / "comparison.csv").set_index("flight")
+    assert rows["arrived"].to_dict() == {
+        "optimal": True,
+        "adaptive/plan": True,
+        "open_loop/plan": False,
+    }
+    assert rows["saving_percent"].isna().all()
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["certificate"]["gap_percent"] is None
+
+
 def test_compare_makes_one_table(tmp_path, capsys):
     folder = tmp_path / "table"
     files = [str(SCENARIOS / f"paper_{name}.toml") for name in ("calm", "wind")]
