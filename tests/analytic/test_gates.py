@@ -12,12 +12,13 @@ from pyomo_quad.collocation import Status, compile, control_polynomial  # noqa: 
 TOLERANCE = 1e-8
 # Of the states: what the error estimate promises, times what an unseen control error adds.
 STATE_TOLERANCE = 1e-6
-# Of controls and costates: the optimum is flat, so an objective good to 1e-8 needs no better.
+# Of controls and costates, root mean square: the optimum is flat, so an objective good to 1e-8
+# needs no better.
 SLOPE_TOLERANCE = 1e-4
 # The cost does not hold a singular control, so it is found far less sharply; its costates are
 # cubics and quartics on elements that the states, quadratics there, let stay coarse.
 SINGULAR_STATE_TOLERANCE = 1e-5
-SINGULAR_SLOPE_TOLERANCE = 3e-2
+SINGULAR_SLOPE_TOLERANCE = 1e-2
 # Beside a jump or bend the polynomials cannot follow within one element.
 BESIDE_KINK = 1e-2
 
@@ -76,6 +77,11 @@ def assert_close(found, expected, tolerance):
     assert np.max(np.abs(found - expected)) <= tolerance * np.max(np.abs(expected))
 
 
+def assert_close_in_the_mean(found, expected, tolerance):
+    error = np.sqrt(np.mean((found - expected) ** 2))
+    assert error <= tolerance * np.max(np.abs(expected))
+
+
 @pytest.mark.parametrize("name", GATES)
 def test_objective(name):
     solution = solved(name)
@@ -99,9 +105,8 @@ def test_controls(name):
     times = times_away_from_kinks(name)
     for component, expected in textbook(name).control(times).items():
         variable, index = split(component)
-        assert_close(
-            solved(name).value(variable, times, index=index), expected, slope_tolerance(name)
-        )
+        found = solved(name).value(variable, times, index=index)
+        assert_close_in_the_mean(found, expected, slope_tolerance(name))
 
 
 @pytest.mark.parametrize("name", offering("costate"))
@@ -109,9 +114,8 @@ def test_costates(name):
     times = times_away_from_kinks(name)
     for component, expected in textbook(name).costate(times).items():
         variable, index = split(component)
-        assert_close(
-            solved(name).costate(variable, times, index=index), expected, slope_tolerance(name)
-        )
+        found = solved(name).costate(variable, times, index=index)
+        assert_close_in_the_mean(found, expected, slope_tolerance(name))
 
 
 @pytest.mark.parametrize(
