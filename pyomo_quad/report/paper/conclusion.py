@@ -48,7 +48,7 @@ def _problem(study: PaperStudy) -> tuple[Piece, ...]:
         " ",
         (
             f"Model, wind, limits and both experiments are declared and solved; {good} of "
-            f"{len(flown)} optimal flights arrive as planned when flown by another integrator."
+            f"{len(flown)} planned flights arrive as planned when flown by another integrator."
         ),
     )
 

@@ -1,0 +1,65 @@
+"""`pyomo-quad paper` through the command line."""
+
+import json
+import subprocess
+import sys
+
+import pandas as pd
+import pytest
+
+from pyomo_quad.cli import main
+from pyomo_quad.cli.exit_codes import ExitCode
+from pyomo_quad.report.paper.tables import TABLES
+from pyomo_quad.report.paper.tolerances import TOLERANCES
+
+COMMAND = (sys.executable, "-m", "pyomo_quad", "paper")
+
+
+def test_a_folder_with_strange_files_is_refused_before_anything_is_solved(tmp_path, capsys):
+    (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
+    assert main(["paper", "--out", str(tmp_path)]) == ExitCode.FAULT
+    assert "notes.txt" in capsys.readouterr().err
+    assert [entry.name for entry in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_misspelt_option_is_bad_input(capsys):
+    assert main(["paper", "--quik"]) == ExitCode.BAD_INPUT
+    assert "--quik" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_quick_report_is_whole_and_near_the_committed_one(tmp_path):
+    folder = tmp_path / "paper"
+    done = subprocess.run(
+        [*COMMAND, "--quick", "--out", str(folder)], check=False, capture_output=True, text=True
+    )
+    assert done.returncode == ExitCode.VERIFIED, done.stderr
+    assert (folder / "report.md").stat().st_size > 10_000
+    assert json.loads((folder / "timings.json").read_text(encoding="utf-8"))
+    for name in TABLES:
+        assert not pd.read_csv(folder / f"{name}.csv").empty
+    for tolerance in TOLERANCES:
+        new, old = (
+            pd.read_csv(f"{place}/{tolerance.table}.csv") for place in (folder, "reports/paper")
+        )
+        keys = [name for name in _IDENTITIES if name in new]
+        both = new.merge(old, on=keys, suffixes=("", "_old"))
+        assert len(both) == len(new)
+        # A solve that proved no optimum is shown, and not held.
+        held = both[both.status != "not_converged"] if "status" in both else both
+        for column in tolerance.columns:
+            found, committed = held[column].to_numpy(), held[f"{column}_old"].to_numpy()
+            assert found == pytest.approx(committed, rel=tolerance.relative), tolerance.table
+
+
+_IDENTITIES = (
+    "experiment",
+    "power_model",
+    "coupling",
+    "frequency_unit",
+    "flight",
+    "battery",
+    "cells_series",
+    "reading",
+    "rotor_acceleration_max_rad_per_s2",
+)
