@@ -1,8 +1,8 @@
 """The cases of a sweep: their order, their keys, and from which neighbour each one starts.
 
-Every case but the first has a parent whose result is its warm start.  The parent follows from the
-design alone, never from which case happened to finish first, so the rows are the same numbers with
-one worker, with many, and after any number of interruptions.
+Every case that is solved, but the first, has a parent whose result is its warm start.  The parent
+follows from the design alone, never from which case happened to finish first, so the rows are the
+same numbers with one worker, with many, and after any number of interruptions.
 
 Along one dimension the parents form a bisection tree over the sorted steps: the middle step first,
 then the middles of the two halves, and so on.  Half of all cases so start from a direct neighbour,
@@ -19,6 +19,7 @@ from itertools import product
 from typing import Any
 
 from pyomo_quad.study.sweep.design import Dimension, SweepDesign
+from pyomo_quad.study.sweep.study_file import StudyTask
 
 __all__ = ["Case", "bisection_parents", "case_key", "expand"]
 
@@ -38,7 +39,8 @@ class Case:
     overrides : mapping
         Scenario field -> value.
     parent : int or None
-        Position of the case whose result is the warm start, None for the first.
+        Position of the case whose result is the warm start; None for the first, and where nothing
+        is solved.
     """
 
     position: int
@@ -62,6 +64,7 @@ def expand(design: SweepDesign) -> tuple[Case, ...]:
     """
     parents = [_step_parents(dimension) for dimension in design.dimensions]
     sizes = [len(dimension.steps) for dimension in design.dimensions]
+    is_solved = design.task == StudyTask.OPTIMISE
     cases = []
     for position, place in enumerate(product(*(range(size) for size in sizes))):
         overrides = {
@@ -74,7 +77,7 @@ def expand(design: SweepDesign) -> tuple[Case, ...]:
                 position=position,
                 key=case_key(overrides),
                 overrides=overrides,
-                parent=_parent_position(place, parents, sizes),
+                parent=_parent_position(place, parents, sizes) if is_solved else None,
             )
         )
     return tuple(cases)

@@ -54,6 +54,11 @@ def test_every_case_descends_from_the_first_and_differs_in_one_field_from_its_pa
             assert sum(case.overrides[path] != other[path] for path in other) == 1
 
 
+def test_cases_that_are_only_flown_wait_for_nothing():
+    flown = SweepDesign(**{**vars(design(3, 4)), "task": "fly_plan"})
+    assert {case.parent for case in expand(flown)} == {None}
+
+
 def test_neighbours_are_those_by_value_and_not_by_place_in_the_file():
     shuffled = Dimension(paths=("a",), steps=((3.0,), (1.0,), (2.0,)))
     cases = expand(SweepDesign(**{**vars(design(1)), "dimensions": (shuffled,)}))
