@@ -88,19 +88,18 @@ def test_unwritable_folder_is_one_line(place, tmp_path, capsys):
     assert (said.out, len(said.err.splitlines())) == ("", 1)
 
 
-def test_two_runs_do_not_mix(tmp_path):
+def test_two_runs_do_not_mix(tmp_path, capsys):
     folder = tmp_path / "report"
     with output_folder(folder) as aside:
-        done = solve(folder, *QUICK)
+        assert main(["solve", PAPER_CALM, *QUICK, "--out", str(folder)]) == ExitCode.FAULT
         (aside / "mine.txt").write_text("mine")
-    assert done.status == ExitCode.FAULT
-    assert done.err == (
+    assert capsys.readouterr().err == (
         f"{folder}: another run is writing here; wait for it or choose another --out.\n"
     )
     assert [file.name for file in folder.glob("[!.]*")] == ["mine.txt"]
 
 
-def test_folder_deleted_in_mid_run_is_one_line(tmp_path):
+def test_folder_deleted_in_mid_run_is_one_line(tmp_path, capsys):
     (tmp_path / "own.py").write_text(
         "import pathlib, shutil\n"
         "from pyomo_quad import build_model\n"
@@ -110,10 +109,11 @@ def test_folder_deleted_in_mid_run_is_one_line(tmp_path):
         "    return build_model(scenario)\n"
     )
     file = write_scenario(tmp_path, 'model = "own.py:build"')
-    done = solve(tmp_path / "report", "--allow-code", scenario=file)
-    assert (done.status, done.out) == (ExitCode.FAULT, "")
-    assert "report: cannot be written (" in done.err
-    assert len(done.err.splitlines()) == 1
+    folder = tmp_path / "report"
+    assert main(["solve", str(file), "--allow-code", "--out", str(folder)]) == ExitCode.FAULT
+    said = capsys.readouterr()
+    assert "report: cannot be written (" in said.err
+    assert (said.out, len(said.err.splitlines())) == ("", 1)
     assert not (tmp_path / "report").exists()
 
 
