@@ -6,7 +6,8 @@ import pandas as pd
 import pytest
 
 from pyomo_quad.report.paper.tolerances import TOLERANCES
-from pyomo_quad.scenario import PowerModel
+from pyomo_quad.scenario import PowerModel, Reference
+from pyomo_quad.study.paper.baseline_flights import BaselineCase, fly_baseline_case
 from pyomo_quad.study.paper.batteries import pack_facts
 from pyomo_quad.study.paper.chattering import chattering_floors
 from pyomo_quad.study.paper.flights import FlightCase, fly_case, wind_cases
@@ -47,6 +48,17 @@ def test_the_readings_of_the_wind_are_those_committed():
     for (_, row), case in zip(frame.iterrows(), cases, strict=True):
         assert (row.coupling, row.frequency_unit) == (case.coupling, case.frequency_unit)
     check("wind", frame.iloc[-1], energies(fly_case(cases[-1])))
+
+
+def test_a_controlled_flight_is_that_committed():
+    case = BaselineCase(
+        experiment=Experiment.WIND, power_model=PowerModel.MOTOR, reference=Reference.QUINTIC
+    )
+    flight = fly_baseline_case(case).flight
+    frame = committed("baselines")
+    chosen = (frame.experiment == case.experiment) & (frame.power_model == case.power_model)
+    row = frame[chosen & (frame.flight == flight.name)].iloc[0]
+    check("baselines", row, {"energy_J": flight.energy_J})
 
 
 def test_the_packs_are_those_committed():

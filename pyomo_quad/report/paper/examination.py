@@ -90,10 +90,9 @@ def _hover_is_no_floor(study: PaperStudy) -> Paragraph:
                 f"{100 * OPTIMAL_ENERGY[1].value / hovering:.0f} % of not moving at all. "
             ),
             (
-                "Steady hover is no floor under f_r, though: f_r rises with the rotor speed, "
-                "so flying in bounds of high and low speed is cheaper than flying evenly, "
-                "and below some speed accelerating and coasting in turn is cheaper than "
-                "turning steadily."
+                "Steady hover is no floor under f_r, though: f_r rises with the rotor speed, so "
+                "turning fast and slowly in turn is cheaper than turning evenly, and below some "
+                "speed so is accelerating and coasting in turn."
             ),
         )
     )

@@ -23,18 +23,18 @@ TOLERANCES = (
         table="experiments",
         columns=("energy_J", "hover_energy_J"),
         relative=1e-4,
-        scope="every flight, also on a coarse mesh",
+        scope="every flight whose solve converged, also on a coarse mesh",
     ),
     Tolerance(
         table="wind",
         columns=("energy_J", "hover_energy_J"),
         relative=1e-4,
-        scope="every flight, also on a coarse mesh",
+        scope="every flight whose solve converged, also on a coarse mesh",
     ),
     Tolerance(
         table="baselines",
         columns=("energy_J", "optimum_J"),
-        relative=1e-3,
+        relative=1e-4,
         scope="every flight",
     ),
     Tolerance(
