@@ -67,7 +67,7 @@ def estimate_error(solution: Solution) -> ErrorEstimate:
     return ErrorEstimate(
         states=_relative(solution, moved),
         objective=_objective_errors(solution, moved),
-        violation=np.maximum.reduceat(_violations(solution.program, dense), dense.first_of_element),
+        violation=_breaches(solution, dense),
     )
 
 
@@ -163,28 +163,53 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
     return np.asarray(changes * mesh.elements / solution.nominal_objective)
 
 
-def _violations(program: Transcription, samples: _Samples) -> FloatArray:
-    """Return the worst relative breach of an algebraic equation or limit at each sample."""
+def _breaches(solution: Solution, samples: _Samples) -> FloatArray:
+    """Return the worst breach in each element, as what it changes in states or objective.
+
+    A breach of an equation, a path limit or a bound on a state counts by its relative size, or
+    by what its multipliers say that it earns if that is more; a control beyond its bound counts
+    by what it moves within the element.
+    """
+    mesh = solution.mesh
+    held, controls = _violations(solution.program, samples)
+    worst = np.maximum.reduceat(held, samples.first_of_element)
+    moved = np.maximum.reduceat(controls, samples.first_of_element) * mesh.widths
+    earned = worst * _prices(solution) / solution.nominal_objective
+    return np.maximum.reduce([worst, moved, earned])
+
+
+def _prices(solution: Solution) -> FloatArray:
+    """Return the sum of the multipliers of limits on states at the points of each element."""
+    program, multipliers = solution.program, solution.multipliers
+    columns = program.layout.state_columns[1:]
+    on_states = (multipliers.lower[columns] + multipliers.upper[columns]).sum(axis=1)
+    return np.add.reduceat(on_states, solution.mesh.first_node[:-1])
+
+
+def _violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, FloatArray]:
+    """Return the worst relative breach at each sample: of all else, and of controls' bounds."""
     compiled, n = program.compiled, program.layout.n_states
     variables, data = samples.variables, samples.data
     lower, upper = MappedFunction(compiled.path_bounds, len(variables))(data)
     held = samples.rows[:, : compiled.n_equations]
     differential = np.unique(compiled.path.jacobian_rows[compiled.path.jacobian_columns < n])
     algebraic = [r for r in range(compiled.n_equations) if r not in set(differential.tolist())]
-    parts = [_outside(held[:, algebraic], lower[:, algebraic], upper[:, algebraic])]
     low, high, simple_low, simple_high = MappedFunction(compiled.variable_limits, len(variables))(
         data
     )
     values = variables[:, n : 2 * n + program.layout.n_algebraics]
-    parts.append(_outside(values, low, high))
     names = [s.name for s in (*compiled.declared.states, *compiled.declared.algebraics)]
-    chosen = [names.index(b.variable) for b in compiled.simple_path_bounds]
-    parts.append(_outside(values[:, chosen], simple_low, simple_high))
-    return np.asarray(np.hstack(parts).max(axis=1, initial=0.0))
+    chosen = np.array([names.index(b.variable) for b in compiled.simple_path_bounds], dtype=int)
+    own = _outside(values, low, high)
+    simple = _outside(values[:, chosen], simple_low, simple_high)
+    rows = _outside(held[:, algebraic], lower[:, algebraic], upper[:, algebraic])
+    firm = np.hstack([rows, own[:, :n], simple[:, chosen < n]])
+    controls = np.hstack([own[:, n:], simple[:, chosen >= n]])
+    return firm.max(axis=1, initial=0.0), controls.max(axis=1, initial=0.0)
 
 
 def _outside(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore"):
         below = (lower - values) / np.maximum(1.0, np.abs(lower))
         above = (values - upper) / np.maximum(1.0, np.abs(upper))
-    return np.nan_to_num(np.maximum(np.maximum(below, above), 0.0), nan=0.0)
+    return np.nan_to_num(np.fmax(np.fmax(below, above), 0.0), nan=0.0)

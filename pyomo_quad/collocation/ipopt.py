@@ -183,7 +183,7 @@ class _Callbacks:
             return False
 
     def _keep_best(self, infeasibility: float) -> None:
-        if infeasibility <= self.best[0]:
+        if infeasibility <= 0.1 * self.best[0]:
             iterate = self.problem.get_current_iterate()
             if iterate is not None:
                 self.best = (infeasibility, np.array(iterate["x"]))

@@ -12,8 +12,12 @@ if TYPE_CHECKING:
 __all__ = ["MappedFunction"]
 
 
+# Points evaluated in one call of CasADi: a map over more costs time and memory to set up.
+_CHUNK = 512
+
+
 class MappedFunction:
-    """One function of one point, mapped over `n` points without copying.
+    """One function of one point, evaluated at `n` points without copying.
 
     Parameters
     ----------
@@ -24,19 +28,25 @@ class MappedFunction:
     """
 
     def __init__(self, function: Any, n: int) -> None:
-        self._function = function.map(n) if n != 1 else function
         self._shapes = [(n, function.numel_out(k)) for k in range(function.n_out())]
-        self._buffer, self._trigger = self._function.buffer()
+        self._chunks: list[tuple[int, int, Any, Any]] = []
+        made: dict[int, Any] = {}
+        for start in range(0, n, _CHUNK):
+            size = min(_CHUNK, n - start)
+            if size not in made:
+                made[size] = (function if size == 1 else function.map(size)).buffer()
+            self._chunks.append((start, start + size, *made[size]))
 
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
         """Return each output as an array of shape (n, rows); inputs are (n, columns)."""
         outputs = [np.zeros(shape) for shape in self._shapes]
         held = [np.ascontiguousarray(array, dtype=float) for array in inputs]
-        for k, array in enumerate(held):
-            if array.size:
-                self._buffer.set_arg(k, array.data)
-        for k, array in enumerate(outputs):
-            if array.size:
-                self._buffer.set_res(k, array.data)
-        self._trigger()
+        for start, end, buffer, trigger in self._chunks:
+            for k, array in enumerate(held):
+                if array.size:
+                    buffer.set_arg(k, array[start:end].data)
+            for k, array in enumerate(outputs):
+                if array.size:
+                    buffer.set_res(k, array[start:end].data)
+            trigger()
         return outputs

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import casadi
 import numpy as np
-from scipy.sparse import block_diag, csr_matrix, identity, kron
+from scipy.sparse import bsr_matrix, csr_matrix, identity, kron
 from scipy.sparse.linalg import splu
 
 from pyomo_quad.collocation.errors import SolveError
@@ -110,4 +110,5 @@ class OutputStates:
     def _blocks(values: FloatArray, n: int) -> csr_matrix:
         # CasADi stores a point's matrix by columns.
         matrices = values.reshape(-1, n, n).transpose(0, 2, 1)
-        return csr_matrix(block_diag(list(matrices), format="csr"))
+        count = len(matrices)
+        return bsr_matrix((matrices, np.arange(count), np.arange(count + 1))).tocsr()

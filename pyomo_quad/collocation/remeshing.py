@@ -60,6 +60,8 @@ class RefinementOptions:
 # or lowered only where a wide margin says that they will still meet it.
 _AIM = 0.3
 _MARGIN = 1e-2
+# Mergers end after so many meshes, so that they and the splits cannot chase each other.
+_MERGING_MESHES = 8
 # Corners are approached by small elements; a high degree gains nothing at them.
 _CORNER_PARTS = 3
 _CORNER_DEGREE = 4
@@ -111,7 +113,8 @@ def refined_mesh(
             pieces.append(piece)
         else:
             pieces.append(_lowered(solution, e, float(size), tolerance, options))
-    pieces = _merged(pieces, solution, tolerance)
+    if len(solution.history) < _MERGING_MESHES:
+        pieces = _merged(pieces, solution, tolerance)
     mesh = Mesh(
         breakpoints=(0.0, *(p.end for p in pieces[:-1]), 1.0),
         degrees=tuple(p.degree for p in pieces),

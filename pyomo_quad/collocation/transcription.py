@@ -56,6 +56,7 @@ class Transcription:
         self._hessian = hessian_scatter(compiled, self.layout)
         self._map()
         self._rows = np.zeros((0, 0))
+        self._sources = np.zeros(0)
         self.set_data(data)
 
     def set_data(self, data: Data) -> None:
@@ -64,6 +65,7 @@ class Transcription:
         self._path_data = data.at_points()
         self._point_data = data.parameters[None, :]
         self._seen: FloatArray | None = None
+        self._differentiated: FloatArray | None = None
 
     def _map(self) -> None:
         n = max(self.layout.points, 1)
@@ -175,6 +177,13 @@ class Transcription:
         return np.concatenate([self.rows_at_points(z)[:, :n].ravel(), conditions, definitions])
 
     def _derivative_sources(self, z: FloatArray) -> FloatArray:
+        """Return what gradient and Jacobian are made of, computed once for both."""
+        if self._differentiated is None or not np.array_equal(self._differentiated, z):
+            self._sources = self._sources_at(z)
+            self._differentiated = np.array(z)
+        return self._sources
+
+    def _sources_at(self, z: FloatArray) -> FloatArray:
         path = np.zeros(0)
         if self.layout.points:
             path = self._path[1](self.path_variables(z), self._path_data)[0].ravel()
