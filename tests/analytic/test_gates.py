@@ -32,6 +32,7 @@ GATES = (
     "floor_constraint",
     "hyper_sensitive",
     "implicit_dae",
+    "jacobson",
     "mass_chain",
     "saving",
     "scalar_regulator",
