@@ -64,7 +64,7 @@ class Dynamics:
         self._span = end - self.start
         self._right_hand_side = self._compile(states)
         self._at_one = MappedFunction(self._right_hand_side, 1)
-        self._has_signals = bool(declared.signals)
+        self._signals = problem.values.signal_functions(instance.overrides)
         self._data = np.concatenate([np.zeros(1 + len(declared.signals)), instance.parameters])
 
     def _compile(self, states: tuple[Slot, ...]) -> Any:
@@ -98,10 +98,8 @@ class Dynamics:
 
     def _row(self, t: float) -> FloatArray:
         self._data[0] = (t - self.start) / self._span
-        if self._has_signals:
-            times = np.array([t])
-            held = self._problem.values.signals(times, self._instance.overrides)
-            self._data[1 : 1 + held.shape[1]] = held[0]
+        for k, signal in enumerate(self._signals, start=1):
+            self._data[k] = signal(t)
         return self._data
 
     def _solve(self, t: float, x: FloatArray, u: FloatArray) -> list[FloatArray]:

@@ -11,6 +11,7 @@ from pyomo.environ import value
 from pyomo_quad.collocation.addresses import AddressBook, indexed_name
 from pyomo_quad.collocation.declarations import PointSymbol, Slot
 from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.rules import rule_of
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.working_copy import WorkingCopy
@@ -105,10 +106,17 @@ class SymbolTable:
     def _is_clock(self, data: Any) -> bool:
         """Say whether a parameter over time is time itself."""
         component, index = data.parent_component(), self._addresses.of(data).index
-        return all(
+        is_time_where_declared = all(
             value(component[self._addresses.join(component, index, t)], exception=False) == t
-            for t in (*self._copy.declared_times, self._copy.template_time)
+            for t in self._copy.declared_times
         )
+        rule = rule_of(component)
+        if not is_time_where_declared or rule is None:
+            return is_time_where_declared
+        # The template time was added later; a parameter has no value there, but its rule does.
+        template = self._copy.template_time
+        position = self._addresses.join(component, index, template)
+        return bool(value(rule(component.parent_block(), position)) == template)
 
     def _signal(self, data: Any, address: Any) -> Any:
         if self._is_clock(data):

@@ -12,6 +12,7 @@ from pyomo.environ import Var, value
 
 from pyomo_quad.collocation.addresses import AddressBook
 from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.rules import rule_of
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.declarations import Declarations, Slot
@@ -107,15 +108,23 @@ class ModelValues:
         TranscriptionError
             If such a parameter has no rule and no override to evaluate it at any time.
         """
-        named = self._by_name(overrides)
-        columns = [self._signal(slot, times, named) for slot in self._declared.signals]
-        return np.column_stack(columns) if columns else np.zeros((len(times), 0))
+        found = self.signal_functions(overrides)
+        if not found:
+            return np.zeros((len(times), 0))
+        return np.array([[signal(float(t)) for signal in found] for t in times])
 
-    def _signal(self, slot: Slot, times: FloatArray, named: dict[str, Any]) -> FloatArray:
+    def signal_functions(self, overrides: Overrides | None) -> list[Callable[[float], float]]:
+        """Return each time-varying parameter as a function of time; see `signals`."""
+        if not self._declared.signals:
+            return []
+        named = self._by_name(overrides)
+        return [self._signal(slot, named) for slot in self._declared.signals]
+
+    def _signal(self, slot: Slot, named: dict[str, Any]) -> Callable[[float], float]:
         if callable(named.get(slot.name)):
-            return np.array([float(named[slot.name](float(t))) for t in times])
+            return lambda t: float(named[slot.name](t))
         component = self._model.find_component(slot.component)
-        rule = component._rule  # noqa: SLF001
+        rule = rule_of(component)
         if rule is None:
             raise TranscriptionError(
                 f"{slot.name}: a parameter over time needs a value at any time; declare it with "
@@ -123,9 +132,7 @@ class ModelValues:
             )
         block = component.parent_block()
         join = self._addresses.join
-        return np.array(
-            [float(value(rule(block, join(component, slot.index, float(t))))) for t in times]
-        )
+        return lambda t: float(value(rule(block, join(component, slot.index, t))))
 
     def fixed(self) -> dict[tuple[str, float], float]:
         """Return the values a user fixed at declared times, by slot name and fraction."""
