@@ -221,6 +221,7 @@ def synthetic_run(path="scenarios/paper_wind.toml", overrides=(), flights=tuple(
         flights=flown,
         comparison=compare_flights(scenario, flown, certificate, HOVER_ENERGY_J),
         certificate=certificate,
+        adaptation=None,
         timings={"solve": 1.0},
         warnings=(),
     )

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from pyomo_quad.collocation import Dynamics
 
-__all__ = ["COLUMNS", "ENERGY", "ROTORS", "TIME", "Column", "flight_frame"]
+__all__ = ["COLUMNS", "ENERGY", "ROTORS", "TIME", "WIND", "Column", "flight_frame"]
 
 FloatArray = NDArray[np.float64]
 
 TIME = "time_s"
 ENERGY = "energy_J"
 ROTORS = (1, 2, 3, 4)
+WIND = ("wind_x_m_per_s", "wind_y_m_per_s")
 
 
 @dataclass(frozen=True)
@@ -57,8 +58,8 @@ _BEFORE_ENERGY = (
     Column("power_W", "power.total"),
 )
 _AFTER_ENERGY = (
-    Column("wind_x_m_per_s", "wind.velocity_x"),
-    Column("wind_y_m_per_s", "wind.velocity_y"),
+    Column(WIND[0], "wind.velocity_x"),
+    Column(WIND[1], "wind.velocity_y"),
     Column("battery_current_A", "battery.current"),
     Column("battery_voltage_V", "battery.voltage"),
     Column("state_of_charge_percent", "battery.state_of_charge"),

@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import pandas as pd
-
 from pyomo_quad.report.comparison_section import comparison_blocks
 from pyomo_quad.report.comparison_tables import (
     COMPARISON_NAME,
@@ -56,9 +54,7 @@ _COMPARISON_FILES = (
 )
 
 
-def write_run_report(
-    folder: Path, result: "RunResult", adaptation: pd.DataFrame | None = None
-) -> None:
+def write_run_report(folder: Path, result: "RunResult") -> None:
     """Write all there is to say of a run: tables, figures, `report.md` and `report.html`.
 
     Parameters
@@ -67,13 +63,11 @@ def write_run_report(
         An existing folder, empty of reports.
     result : RunResult
         Of any status; one whose plan is not verified is called so in title and text.
-    adaptation : DataFrame, optional
-        Of `adaptation_study`, adds its figure.
     """
     flights = styled_flights(result.flights or [plan_flight(result.plan)])
     drawings = plan_drawings(result.plan, flights)
     compared = _comparison_drawings(result, flights)
-    studied = () if adaptation is None else (adaptation_drawing(adaptation),)
+    studied = () if result.adaptation is None else (adaptation_drawing(result.adaptation),)
     write_plan_table(folder, result.plan)
     if not result.comparison.empty:
         write_comparison(folder, result.comparison, plan_title(result.plan))

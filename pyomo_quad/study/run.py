@@ -10,7 +10,9 @@ import pandas as pd
 from pyomo_quad.collocation import Dynamics, EngineError, Progress
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name, fly_baseline, fly_open_loop
+from pyomo_quad.flight.columns import WIND
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
+from pyomo_quad.study.adaptation import adaptation_study
 from pyomo_quad.study.cautions import plan_cautions
 from pyomo_quad.study.certificate import Certificate, certify
 from pyomo_quad.study.comparison import OPTIMAL, combine, compare_flights
@@ -33,6 +35,8 @@ class RunResult:
         One row per flight, see `study.comparison`.
     certificate : Certificate
         Of the mission in the wind that really blows.
+    adaptation : DataFrame or None
+        What adaptation is worth in that wind, see `study.adaptation`; None where none blows.
     timings : mapping
         Seconds of the plan's phases, of the flights and of the certificate.
     warnings : tuple of str
@@ -44,6 +48,7 @@ class RunResult:
     flights: tuple[Flight, ...]
     comparison: pd.DataFrame
     certificate: Certificate
+    adaptation: pd.DataFrame | None
     timings: Mapping[str, float]
     warnings: tuple[str, ...]
 
@@ -87,7 +92,9 @@ def run_scenario(
     references = scenario.baseline.references if baselines is None else tuple(baselines)
     plan = planner.solve(scenario, progress=progress)
     solved = perf_counter()
-    flights, failures = _fly_all(scenario, plan, planner.dynamics(scenario), references)
+    dynamics = planner.dynamics(scenario)
+    flights, failures = _fly_all(scenario, plan, dynamics, references)
+    adaptation = _adaptation(scenario, flights, dynamics)
     flown = perf_counter()
     certificate = certify(scenario)
     comparison = combine([])
@@ -100,9 +107,24 @@ def run_scenario(
         flights=flights,
         comparison=comparison,
         certificate=certificate,
+        adaptation=adaptation,
         timings={**plan.timings, "fly": flown - solved, "certify": certified - flown},
         warnings=(*plan_cautions(plan, builder=planner.builder), *failures),
     )
+
+
+def _adaptation(
+    scenario: Scenario, flights: tuple[Flight, ...], dynamics: Dynamics
+) -> pd.DataFrame | None:
+    """Return the flights with adaptation and without, where a wind blows and both come about."""
+    if not flights or not set(WIND) <= set(flights[0].frame):
+        return None
+    if not flights[0].frame[list(WIND)].to_numpy().any():
+        return None
+    try:
+        return adaptation_study(scenario, dynamics=dynamics)
+    except EngineError:
+        return None
 
 
 def _fly_all(

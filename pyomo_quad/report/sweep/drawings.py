@@ -159,7 +159,8 @@ def _tornadoes(
                 name=f"tornado_{quantity.column}",
                 title=f"Sensitivity of {quantity.name}",
                 caption=f"Range of {quantity.name} along each field, all others in the middle; the "
-                "numbers beside the bars say where in the field its ends are reached.",
+                "numbers beside the bars say where in the field its ends are reached. Of random "
+                "fields only the linear effect is shown.",
                 draw=partial(draw_tornado, found, quantity),
             )
 

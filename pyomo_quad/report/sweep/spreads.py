@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from pyomo_quad.report.figures.panels import panel_grid
 from pyomo_quad.report.style import FLIGHT_STYLES, FULL_WIDTH, INK, MUTED
-from pyomo_quad.report.sweep.quantities import Quantity, field_quantity, number, setting
+from pyomo_quad.report.sweep.quantities import Quantity, field_quantity, setting
 from pyomo_quad.study.sweep.views import Sensitivity
 
 __all__ = ["draw_distributions", "draw_scatter", "draw_tornado"]
@@ -109,8 +109,9 @@ def draw_distributions(rows: pd.DataFrame, quantities: Sequence[Quantity]) -> Fi
             at = float(values.quantile(share))
             dashes = "solid" if share == _QUANTILES[1] else (0, (3, 2))
             axes.axvline(at, color=INK, linewidth=1.0, linestyle=dashes)
-        low, median, high = (number(float(values.quantile(share))) for share in _QUANTILES)
+        low, median, high = (f"{values.quantile(share):.3g}" for share in _QUANTILES)
         axes.set_title(f"Median {median}, nine tenths from {low} to {high}")
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=6))
         axes.set(xlabel=quantity.label, ylabel="Cases")
     for axes in panels.flat[len(quantities) :]:
         axes.set_visible(False)
