@@ -57,8 +57,16 @@ class ErrorEstimate:
         return float(self.per_element.max(initial=0.0))
 
 
-def estimate_error(solution: Solution) -> ErrorEstimate:
-    """Estimate the errors of a solution, element by element."""
+def estimate_error(solution: Solution, *, control_breach: float = np.inf) -> ErrorEstimate:
+    """Estimate the errors of a solution, element by element.
+
+    Parameters
+    ----------
+    solution : Solution
+    control_breach : float, optional
+        Relative breach of a control's bound between the points above which it counts as it is,
+        and not by what it moves.
+    """
     degrees = np.asarray(solution.mesh.degrees)
     finer = _sampled(solution, [radau_rule(d + 1).points for d in degrees])
     # A limit is broken at the peaks of the polynomials, which lie anywhere between points.
@@ -67,7 +75,7 @@ def estimate_error(solution: Solution) -> ErrorEstimate:
     return ErrorEstimate(
         states=_relative(solution, moved),
         objective=_objective_errors(solution, moved),
-        violation=_breaches(solution, dense),
+        violation=_breaches(solution, dense, control_breach),
     )
 
 
@@ -163,17 +171,18 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
     return np.asarray(changes * mesh.elements / solution.nominal_objective)
 
 
-def _breaches(solution: Solution, samples: _Samples) -> FloatArray:
+def _breaches(solution: Solution, samples: _Samples, control_breach: float) -> FloatArray:
     """Return the worst breach in each element, as what it changes in states or objective.
 
     A breach of an equation, a path limit or a bound on a state counts by its relative size, or
     by what its multipliers say that it earns if that is more; a control beyond its bound counts
-    by what it moves within the element.
+    by what it moves within the element, unless it is too large to be flown.
     """
     mesh = solution.mesh
     held, controls = _violations(solution.program, samples)
     worst = np.maximum.reduceat(held, samples.first_of_element)
-    moved = np.maximum.reduceat(controls, samples.first_of_element) * mesh.widths
+    swings = np.maximum.reduceat(controls, samples.first_of_element)
+    moved = np.where(swings > control_breach, swings, swings * mesh.widths)
     earned = worst * _prices(solution) / solution.nominal_objective
     return np.maximum.reduce([worst, moved, earned])
 

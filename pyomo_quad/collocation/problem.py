@@ -36,6 +36,8 @@ __all__ = ["DEFAULT_TOLERANCE", "Instance", "Problem"]
 DEFAULT_TOLERANCE = 1e-6
 
 _CACHED_MESHES = 4
+# Fractions of the horizon at which a bound is compared with itself to see if it varies.
+_LOOKED_AT = (0.0, 0.2718, 0.5772, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,9 +239,23 @@ class Problem:
         return float(start), float(end)
 
     def algebraic_limits(self, instance: Instance) -> tuple[FloatArray, FloatArray]:
-        """Return the bounds of the algebraic variables at the start, shape (n_algebraics,)."""
+        """Return the bounds of the algebraic variables, shape (n_algebraics,) each.
+
+        Infinite where a bound varies with time.
+        """
+        fractions = np.array(_LOOKED_AT)
+        at_each = [self._algebraic_limits(instance, fraction) for fraction in fractions]
+        lower, upper = (np.array(side) for side in zip(*at_each, strict=True))
+        return (
+            np.where(np.all(lower == lower[0], axis=0), lower[0], -np.inf),
+            np.where(np.all(upper == upper[0], axis=0), upper[0], np.inf),
+        )
+
+    def _algebraic_limits(
+        self, instance: Instance, fraction: float
+    ) -> tuple[FloatArray, FloatArray]:
         declared = self.compiled.declared
-        data = np.append(self.signals(instance, np.zeros(1))[0], instance.parameters)
+        data = np.append(self.signals(instance, np.array([fraction]))[0], instance.parameters)
         limits = [np.array(side).ravel() for side in self.compiled.variable_limits(data)]
         lower, upper = (side[len(declared.states) :] for side in limits[:2])
         names = [s.name for s in declared.algebraics]

@@ -55,7 +55,7 @@ def refine(
         solved = problem.solve_on_mesh(mesh, instance, options, guess, warm_start, progress)
         if solved.status is Status.NOT_CONVERGED and warm_start is not None:
             solved = problem.solve_on_mesh(mesh, instance, options, guess, None, progress)
-        error = estimate_error(solved)
+        error = estimate_error(solved, control_breach=refinement.control_breach)
         records.append(_record(solved, error))
         solution = replace(solved, error_estimate=error.largest, history=tuple(records))
         if solved.status is not Status.CONVERGED:

@@ -44,6 +44,9 @@ class RefinementOptions:
         Fraction of the horizon below which no element is split.
     max_points : int
         Collocation points above which no finer mesh is tried.
+    control_breach : float
+        Largest relative breach of a control's bound between the points; unless given, a breach
+        counts by what it moves.
     """
 
     first_elements: int = 10
@@ -54,6 +57,7 @@ class RefinementOptions:
     smooth_decay: float = 0.35
     smallest_width: float = 1e-9
     max_points: int = 60_000
+    control_breach: float = math.inf
 
 
 # Errors are predicted from a fit, so the aim lies below the tolerance; elements are merged

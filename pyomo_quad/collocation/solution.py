@@ -232,7 +232,7 @@ class Solution:
 
     @property
     def algebraic_limits(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper bounds of the algebraic variables at the start of the horizon."""
+        """Constant lower and upper bounds of the algebraic variables."""
         return self.problem.algebraic_limits(self.instance)
 
     def to_frame(self, times: Any = None) -> pd.DataFrame:

@@ -26,13 +26,19 @@ from pyomo_quad.flight.plan import Plan, PlanStatus
 from pyomo_quad.flight.rescue import Rescuer
 from pyomo_quad.flight.shortest import shortest_flight
 from pyomo_quad.flight.trajectories import Trajectories
-from pyomo_quad.flight.verification import verify_controls
+from pyomo_quad.flight.verification import VIOLATION_TOLERANCE, verify_controls
 from pyomo_quad.model import build_model, hover_power, parameter_values, structure_key
 from pyomo_quad.scenario import Scenario
 
 __all__ = ["Builder", "Planner", "solve_scenario"]
 
 Builder = Callable[[Scenario], Any]
+
+# How often, and by how much, the tolerance is tightened for a flight that went astray.
+_TIGHTENINGS = 3
+_TIGHTER = 0.1
+# The verification allows twice as much.
+_CONTROL_BREACH = 0.5 * VIOLATION_TOLERANCE
 
 _STATUS = {
     Status.NOT_CONVERGED: PlanStatus.NOT_CONVERGED,
@@ -121,7 +127,34 @@ class Planner:
             plan = replace(plan, attempts=rescue.attempts, failure=rescue.failure)
         if solution.status not in (Status.CONVERGED, Status.TOLERANCE_NOT_MET):
             return plan
-        return _verified(plan, solution)
+        return self._confirmed(_verified(plan, solution), problem, told, progress)
+
+    def _confirmed(
+        self, plan: Plan, problem: Problem, told: Scenario, progress: Progress | None
+    ) -> Plan:
+        """Return the plan, solved more tightly if it converged and its flight went astray.
+
+        A long flight adds up what the mesh's tolerance leaves to each element.
+        """
+        tolerance = told.solver.tolerance
+        for _ in range(_TIGHTENINGS):
+            solution = plan.solution
+            if plan.is_verified or solution is None or solution.status is not Status.CONVERGED:
+                break
+            tolerance *= _TIGHTER
+            started = time.perf_counter()
+            tighter = problem.solve(
+                **self._arguments(told, progress)
+                | {"tolerance": tolerance, "mesh": solution.mesh, "warm_start": solution}
+            )
+            if tighter.status is not Status.CONVERGED:
+                break
+            timings = dict(plan.timings)
+            timings["solve"] += time.perf_counter() - started
+            attempts = (*plan.attempts, f"flight astray: tolerance {tolerance:.0e}")
+            tried = self._plan(plan.scenario, told, problem, tighter, timings)
+            plan = _verified(replace(tried, attempts=attempts), tighter)
+        return plan
 
     def _first_solve(
         self, problem: Problem, told: Scenario, warm_start: Plan | None, progress: Progress | None
@@ -143,7 +176,9 @@ class Planner:
             "parameters": self.parameters(told),
             "horizon": (0.0, told.mission.duration),
             "options": SolverOptions(max_iterations=settings.max_iterations),
-            "refinement": RefinementOptions(max_meshes=settings.max_refinements + 1),
+            "refinement": RefinementOptions(
+                max_meshes=settings.max_refinements + 1, control_breach=_CONTROL_BREACH
+            ),
             "progress": progress,
         }
 
