@@ -22,8 +22,8 @@ __all__ = ["ABSOLUTE_TOLERANCE", "RELATIVE_TOLERANCE", "fly_controls"]
 
 FloatArray = NDArray[np.float64]
 
-RELATIVE_TOLERANCE = 1e-10
-ABSOLUTE_TOLERANCE = 1e-10
+RELATIVE_TOLERANCE = 1e-12
+ABSOLUTE_TOLERANCE = 1e-12
 
 
 def fly_controls(

@@ -22,6 +22,9 @@ from pyomo_quad.scenario.errors import FeasibilityError, PyomoQuadError
 
 BASE = "scenarios/paper_calm.toml"
 COUPLINGS = ("acceleration", "drag")
+# `constant_efficiency` without credit for braking has a corner at zero power, on which optima
+# come to lie: it counts among the models that are sound only with regeneration.
+REGENERATION = "power.regeneration=true"
 POWER_MODELS = ("motor", "shaft", "constant_efficiency", "motor_with_friction")
 FARTHEST_M = 30.0
 DURATIONS_S = (3.0, 30.0)
@@ -57,6 +60,7 @@ def missions(count, seed):
             f"wind.coupling='{COUPLINGS[number % 2]}'",
             f"vehicle.payload={random.uniform(0, HEAVIEST_PAYLOAD_KG):.3f}",
             f"power.model='{POWER_MODELS[random.integers(len(POWER_MODELS))]}'",
+            REGENERATION,
         )
 
 
