@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from pyomo_quad.collocation.conservation import hamiltonian_warnings
 from pyomo_quad.collocation.costates import Costates, costates_of
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.evaluation import index_tuple
@@ -197,6 +198,11 @@ class Solution:
         inner = self.costates.at_points[:, found]
         values = interpolate(self.mesh, inner, self.fractions(t), with_start=False)[:, 0]
         return float(values[0]) if np.ndim(t) == 0 else values.reshape(np.shape(t))
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes a converged solution doubtful, one line each."""
+        return hamiltonian_warnings(self) if self.is_converged else ()
 
     def hamiltonian(self, t: Any) -> Any:
         """Return the Hamiltonian H = L + p . dx/dt at times."""

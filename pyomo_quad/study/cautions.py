@@ -36,7 +36,8 @@ def plan_cautions(plan: "Plan", *, builder: Builder = build_model) -> tuple[str,
     """
     findings = diagnose(plan.scenario, builder=builder)
     told = tuple(finding.message for finding in findings)
-    return (*told, *_efficiency_map_cautions(plan.scenario, plan))
+    solved = () if plan.solution is None else plan.solution.warnings
+    return (*told, *solved, *_efficiency_map_cautions(plan.scenario, plan))
 
 
 def _efficiency_map_cautions(scenario: Scenario, plan: "Plan") -> tuple[str, ...]:
