@@ -1,6 +1,6 @@
 """How many of 200 random missions come out verified, infeasible with proof, or lost.
 
-    python -m tests.benchmarks.robustness [--missions N] [--seed S] [--workers N]
+    python -m tests.benchmarks.robustness [--missions N] [--seed S] [--workers N] [--minutes M]
 
 Goals lie within 30 m, up and down; durations from 3 to 30 s; winds up to 6 m/s from anywhere in
 both couplings; payloads from 0 to 0.25 kg; every power model that is sound everywhere, which
@@ -9,7 +9,7 @@ leaves out `efficiency`: below 858 rad/s it has no minimum to find.  No mission 
 
 import argparse
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
 from time import perf_counter
@@ -100,22 +100,39 @@ def table(outcomes):
             yield f"- {outcome.verdict}: {', '.join(outcome.settings)}: {outcome.detail} ({tried})"
 
 
+def fly_all(arguments):
+    numbered = enumerate(missions(arguments.missions, arguments.seed))
+    deadline = perf_counter() + 60.0 * (arguments.minutes or np.inf)
+    outcomes = []
+    with ProcessPoolExecutor(arguments.workers, mp_context=get_context("spawn")) as pool:
+        futures = [pool.submit(fly, mission) for mission in numbered]
+        for future in as_completed(futures):
+            if future.cancelled():
+                continue
+            outcome = future.result()
+            outcomes.append(outcome)
+            if arguments.verbose:
+                print(outcome.number, f"{outcome.wall_s:.1f} s", outcome.verdict, outcome.detail)
+                print("   ", *outcome.settings[1:], *outcome.attempts, flush=True)
+            if perf_counter() > deadline:
+                for waiting in futures:
+                    waiting.cancel()
+    return sorted(outcomes, key=lambda outcome: outcome.number)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--missions", type=int, default=200)
     parser.add_argument("--seed", type=int, default=2026)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--verbose", action="store_true", help="A line for each mission.")
+    parser.add_argument("--minutes", type=float, help="Begin no mission after this long.")
     arguments = parser.parse_args()
-    numbered = list(enumerate(missions(arguments.missions, arguments.seed)))
-    outcomes = []
-    with ProcessPoolExecutor(arguments.workers, mp_context=get_context("spawn")) as pool:
-        for outcome in pool.map(fly, numbered):
-            outcomes.append(outcome)
-            if arguments.verbose:
-                print(outcome.number, f"{outcome.wall_s:.1f} s", outcome.verdict, outcome.detail)
-                print("   ", *outcome.settings[1:], *outcome.attempts, flush=True)
-    print(f"Seed {arguments.seed}, {arguments.missions} missions, {arguments.workers} workers:\n")
+    outcomes = fly_all(arguments)
+    print(
+        f"Seed {arguments.seed}, the first {len(outcomes)} of {arguments.missions} missions, "
+        f"{arguments.workers} workers:\n"
+    )
     print("\n".join(table(outcomes)))
 
 
