@@ -66,12 +66,6 @@ class CompiledModel:
         """Number of path equations at each point."""
         return len(self.declared.equations)
 
-    @property
-    def n_path_variables(self) -> int:
-        """Number of variables of a point: rates, states, algebraics, statics."""
-        d = self.declared
-        return 2 * len(d.states) + len(d.algebraics) + len(d.statics)
-
 
 def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile declarations to CasADi functions."""

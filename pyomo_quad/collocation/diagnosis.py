@@ -162,9 +162,9 @@ def diagnose(
 
 
 def _limit_inputs(solution: Solution) -> tuple[Any, FloatArray, dict[tuple[str, float], float]]:
-    instance, problem = solution.instance, solution.problem
-    start = np.hstack([problem.signals(instance, np.zeros(1)), instance.parameters[None, :]])
-    return solution.program, start, instance.fixed
+    instance = solution.instance
+    at_start = solution.problem.data_of(instance, np.zeros(1)).at_points()
+    return solution.program, at_start, instance.fixed
 
 
 def _elastic_bounds(elastic: ElasticProgram, bounds: Bounds) -> Bounds:

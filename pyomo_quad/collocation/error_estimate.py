@@ -106,13 +106,7 @@ def _sampled(solution: Solution, places: list[FloatArray]) -> _Samples:
             np.broadcast_to(path.statics, (fractions.size, path.statics.size)),
         ]
     )
-    parameters = program.data.parameters
-    data = np.hstack(
-        [
-            solution.problem.signals(solution.instance, fractions),
-            np.broadcast_to(parameters, (fractions.size, parameters.size)),
-        ]
-    )
+    data = solution.problem.data_of(solution.instance, fractions).at_points()
     return _Samples(
         variables=variables,
         data=data,

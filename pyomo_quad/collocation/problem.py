@@ -183,10 +183,13 @@ class Problem:
         times = start + (end - start) * fractions
         return np.column_stack([fractions, self.values.signals(times, instance.overrides)])
 
+    def data_of(self, instance: Instance, fractions: FloatArray) -> Data:
+        """Return what the equations read at fractions of the horizon."""
+        return Data(parameters=instance.parameters, signals=self.signals(instance, fractions))
+
     def program(self, mesh: Mesh | None, instance: Instance) -> Transcription:
         """Return the nonlinear program on a mesh, reused when the mesh was solved on before."""
-        fractions = mesh.point_fractions if mesh else np.zeros(0)
-        data = Data(parameters=instance.parameters, signals=self.signals(instance, fractions))
+        data = self.data_of(instance, mesh.point_fractions if mesh else np.zeros(0))
         if mesh in self._programs:
             self._programs[mesh].set_data(data)
             return self._programs[mesh]
@@ -208,7 +211,7 @@ class Problem:
         if mesh is not None:
             mesh = mesh.with_breakpoints(self.required_breakpoints)
         program = self.program(mesh, instance)
-        at_start = np.hstack([self.signals(instance, np.zeros(1)), instance.parameters[None, :]])
+        at_start = self.data_of(instance, np.zeros(1)).at_points()
         bounds = bounds_of(program, at_start, instance.fixed)
         multipliers = None
         if warm_start is not None and warm_start.problem.compiled is not self.compiled:
@@ -255,7 +258,7 @@ class Problem:
         self, instance: Instance, fraction: float
     ) -> tuple[FloatArray, FloatArray]:
         declared = self.compiled.declared
-        data = np.append(self.signals(instance, np.array([fraction]))[0], instance.parameters)
+        data = self.data_of(instance, np.array([fraction])).at_points()[0]
         limits = [np.array(side).ravel() for side in self.compiled.variable_limits(data)]
         lower, upper = (side[len(declared.states) :] for side in limits[:2])
         names = [s.name for s in declared.algebraics]

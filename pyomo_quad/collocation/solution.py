@@ -170,13 +170,7 @@ class Solution:
             states = np.hstack([states, outputs])
             rates = np.hstack([rates, interpolate_rates(self.mesh, self.output_states, fractions)])
         statics = np.broadcast_to(path.statics, (n, path.statics.size))
-        parameters = self.instance.parameters
-        data = np.hstack(
-            [
-                self.problem.signals(self.instance, fractions),
-                np.broadcast_to(parameters, (n, parameters.size)),
-            ]
-        )
+        data = self.problem.data_of(self.instance, fractions).at_points()
         return [rates, states, path.algebraics_at(fractions), statics, data]
 
     @cached_property

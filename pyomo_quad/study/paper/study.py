@@ -1,9 +1,6 @@
 """All live results of the paper's report, computed by worker processes."""
 
 import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -31,7 +28,7 @@ from pyomo_quad.study.paper.flights import (
 )
 from pyomo_quad.study.paper.mesh_trials import TrialOutcome, mesh_trials, run_trial
 from pyomo_quad.study.paper.readings import Reading
-from pyomo_quad.study.sweep.processes import one_thread_each
+from pyomo_quad.study.sweep.processes import one_thread_each, prepare_worker
 
 __all__ = ["PaperStudy", "Step", "run_paper_study"]
 
@@ -174,7 +171,7 @@ def _started(tasks: list[_Task]) -> Iterator[dict[Future[Any], int]]:
     context = multiprocessing.get_context("spawn")
     with (
         one_thread_each(),
-        ProcessPoolExecutor(WORKERS, mp_context=context, initializer=_prepare_worker) as pool,
+        ProcessPoolExecutor(WORKERS, mp_context=context, initializer=prepare_worker) as pool,
     ):
         try:
             yield {pool.submit(_timed, task.perform): at for at, task in enumerate(tasks)}
@@ -184,16 +181,3 @@ def _started(tasks: list[_Task]) -> Iterator[dict[Future[Any], int]]:
             for worker in multiprocessing.active_children():
                 worker.terminate()
             raise
-
-
-def _prepare_worker() -> None:
-    """Leave Ctrl-C to the parent, and end with it however it ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_follow_parent, daemon=True).start()
-
-
-def _follow_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)

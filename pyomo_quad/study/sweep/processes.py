@@ -16,7 +16,7 @@ from contextlib import contextmanager
 
 from pyomo_quad.study.sweep.task import CaseOutcome, CaseTask, perform
 
-__all__ = ["ProcessWorkforce", "one_thread_each"]
+__all__ = ["ProcessWorkforce", "one_thread_each", "prepare_worker"]
 
 # Numerical libraries read these when they are loaded, so they are set before a worker starts.
 _THREAD_VARIABLES = (
@@ -94,7 +94,7 @@ class ProcessWorkforce:
             self._pool = ProcessPoolExecutor(
                 self._count,
                 mp_context=multiprocessing.get_context("spawn"),
-                initializer=_prepare_worker,
+                initializer=prepare_worker,
             )
         try:
             self._running[self._pool.submit(perform, task)] = task
@@ -179,7 +179,8 @@ def one_thread_each() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _prepare_worker() -> None:
+def prepare_worker() -> None:
+    """Leave Ctrl-C to the parent, and end with it however it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_follow_parent, daemon=True).start()
 
