@@ -57,15 +57,17 @@ class ErrorEstimate:
         return float(self.per_element.max(initial=0.0))
 
 
-def estimate_error(solution: Solution, *, control_breach: float = np.inf) -> ErrorEstimate:
+def estimate_error(
+    solution: Solution, *, control_breach: float = np.inf, limit_breach: float = 0.0
+) -> ErrorEstimate:
     """Estimate the errors of a solution, element by element.
 
     Parameters
     ----------
     solution : Solution
-    control_breach : float, optional
-        Relative breach of a control's bound between the points above which it counts as it is,
-        and not by what it moves.
+    control_breach, limit_breach : float, optional
+        Relative breach between the points, of a control's bound and of any other limit, above
+        which it counts as it is, and not by what it moves or earns.
     """
     degrees = np.asarray(solution.mesh.degrees)
     finer = _sampled(solution, [radau_rule(d + 1).points for d in degrees])
@@ -75,7 +77,7 @@ def estimate_error(solution: Solution, *, control_breach: float = np.inf) -> Err
     return ErrorEstimate(
         states=_relative(solution, moved),
         objective=_objective_errors(solution, moved),
-        violation=_breaches(solution, dense, control_breach),
+        violation=_breaches(solution, dense, control_breach, limit_breach),
     )
 
 
@@ -165,20 +167,24 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
     return np.asarray(changes * mesh.elements / solution.nominal_objective)
 
 
-def _breaches(solution: Solution, samples: _Samples, control_breach: float) -> FloatArray:
+def _breaches(
+    solution: Solution, samples: _Samples, control_breach: float, limit_breach: float
+) -> FloatArray:
     """Return the worst breach in each element, as what it changes in states or objective.
 
-    A breach of an equation, a path limit or a bound on a state counts by its relative size, or
-    by what its multipliers say that it earns if that is more; a control beyond its bound counts
-    by what it moves within the element, unless it is too large to be flown.
+    An equation counts by its relative residual.  A control beyond its bound counts by what it
+    moves within the element, any other limit by what its multipliers say that a breach earns,
+    unless the breach is too large to be flown: then it counts as it is.
     """
     mesh = solution.mesh
-    held, controls = _violations(solution.program, samples)
-    worst = np.maximum.reduceat(held, samples.first_of_element)
-    swings = np.maximum.reduceat(controls, samples.first_of_element)
-    moved = np.where(swings > control_breach, swings, swings * mesh.widths)
-    earned = worst * _prices(solution) / solution.nominal_objective
-    return np.maximum.reduce([worst, moved, earned])
+    residuals, limits, controls = (
+        np.maximum.reduceat(worst, samples.first_of_element)
+        for worst in _violations(solution.program, samples)
+    )
+    moved = np.where(controls > control_breach, controls, controls * mesh.widths)
+    earned = limits * _prices(solution) / solution.nominal_objective
+    large = np.where(limits > limit_breach, limits, 0.0)
+    return np.maximum.reduce([residuals, large, moved, earned])
 
 
 def _prices(solution: Solution) -> FloatArray:
@@ -189,14 +195,15 @@ def _prices(solution: Solution) -> FloatArray:
     return np.add.reduceat(on_states, solution.mesh.first_node[:-1])
 
 
-def _violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, FloatArray]:
-    """Return the worst relative breach at each sample: of all else, and of controls' bounds."""
+def _violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, ...]:
+    """Return the worst of each sample: of equations, of limits, and of controls' bounds."""
     compiled, n = program.compiled, program.layout.n_states
     variables, data = samples.variables, samples.data
     lower, upper = MappedFunction(compiled.path_bounds, len(variables))(data)
     held = samples.rows[:, : compiled.n_equations]
     differential = np.unique(compiled.path.jacobian_rows[compiled.path.jacobian_columns < n])
-    algebraic = [r for r in range(compiled.n_equations) if r not in set(differential.tolist())]
+    is_algebraic = ~np.isin(np.arange(compiled.n_equations), differential)
+    is_equality = np.array([e.is_equality for e in compiled.declared.equations], dtype=bool)
     low, high, simple_low, simple_high = MappedFunction(compiled.variable_limits, len(variables))(
         data
     )
@@ -205,10 +212,13 @@ def _violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, 
     chosen = np.array([names.index(b.variable) for b in compiled.simple_path_bounds], dtype=int)
     own = _outside(values, low, high)
     simple = _outside(values[:, chosen], simple_low, simple_high)
-    rows = _outside(held[:, algebraic], lower[:, algebraic], upper[:, algebraic])
-    firm = np.hstack([rows, own[:, :n], simple[:, chosen < n]])
+    rows = _outside(held, lower, upper)
+    limits = np.hstack([rows[:, is_algebraic & ~is_equality], own[:, :n], simple[:, chosen < n]])
     controls = np.hstack([own[:, n:], simple[:, chosen >= n]])
-    return firm.max(axis=1, initial=0.0), controls.max(axis=1, initial=0.0)
+    return tuple(
+        worst.max(axis=1, initial=0.0)
+        for worst in (rows[:, is_algebraic & is_equality], limits, controls)
+    )
 
 
 def _outside(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:

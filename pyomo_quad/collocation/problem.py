@@ -27,6 +27,7 @@ from pyomo_quad.collocation.values import ModelValues, Overrides
 from pyomo_quad.collocation.warm_start import transfer
 
 if TYPE_CHECKING:
+    from pyomo_quad.collocation.damping import Damping
     from pyomo_quad.collocation.mesh import Mesh
     from pyomo_quad.collocation.nodes import FloatArray
 
@@ -36,8 +37,6 @@ __all__ = ["DEFAULT_TOLERANCE", "Instance", "Problem"]
 DEFAULT_TOLERANCE = 1e-6
 
 _CACHED_MESHES = 4
-# Fractions of the horizon at which a bound is compared with itself to see if it varies.
-_LOOKED_AT = (0.0, 0.2718, 0.5772, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,8 +205,9 @@ class Problem:
         guess: Guess | None = None,
         warm_start: Solution | None = None,
         progress: Progress | None = None,
+        damping: Damping | None = None,
     ) -> Solution:
-        """Solve once on one mesh; `solve` says what the arguments mean."""
+        """Solve once on one mesh; `solve` and `Damping` say what the arguments mean."""
         if mesh is not None:
             mesh = mesh.with_breakpoints(self.required_breakpoints)
         program = self.program(mesh, instance)
@@ -226,7 +226,7 @@ class Problem:
         refuse_unsolvable(program, bounds, z)
         scaling = scaling_of(program, bounds, z)
         result = run(
-            program,
+            program if damping is None else damping.applied_to(program),
             bounds,
             scaling,
             z,
@@ -240,34 +240,6 @@ class Problem:
         """Return start and end of the horizon, the end from the statics where it is free."""
         start, end = self._horizon(statics, instance.parameters)
         return float(start), float(end)
-
-    def algebraic_limits(self, instance: Instance) -> tuple[FloatArray, FloatArray]:
-        """Return the bounds of the algebraic variables, shape (n_algebraics,) each.
-
-        Infinite where a bound varies with time.
-        """
-        fractions = np.array(_LOOKED_AT)
-        at_each = [self._algebraic_limits(instance, fraction) for fraction in fractions]
-        lower, upper = (np.array(side) for side in zip(*at_each, strict=True))
-        return (
-            np.where(np.all(lower == lower[0], axis=0), lower[0], -np.inf),
-            np.where(np.all(upper == upper[0], axis=0), upper[0], np.inf),
-        )
-
-    def _algebraic_limits(
-        self, instance: Instance, fraction: float
-    ) -> tuple[FloatArray, FloatArray]:
-        declared = self.compiled.declared
-        data = self.data_of(instance, np.array([fraction])).at_points()[0]
-        limits = [np.array(side).ravel() for side in self.compiled.variable_limits(data)]
-        lower, upper = (side[len(declared.states) :] for side in limits[:2])
-        names = [s.name for s in declared.algebraics]
-        for k, bound in enumerate(self.compiled.simple_path_bounds):
-            if bound.variable in names:
-                at = names.index(bound.variable)
-                lower[at] = max(lower[at], limits[2][k])
-                upper[at] = min(upper[at], limits[3][k])
-        return lower, upper
 
     def dynamics(
         self,

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pyomo_quad.collocation.damping import damping_of
 from pyomo_quad.collocation.error_estimate import ErrorEstimate, estimate_error
 from pyomo_quad.collocation.ipopt import Progress, SolverOptions, Status
 from pyomo_quad.collocation.junctions import junction_elements
@@ -16,6 +18,7 @@ from pyomo_quad.collocation.remeshing import Marks, RefinementOptions, refined_m
 from pyomo_quad.collocation.solution import MeshRecord, Solution
 
 if TYPE_CHECKING:
+    from pyomo_quad.collocation.damping import Damping
     from pyomo_quad.collocation.guess import Guess
     from pyomo_quad.collocation.problem import Instance, Problem
 
@@ -39,8 +42,8 @@ def refine(
 ) -> Solution:
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
 
-    Where limits begin or cease to hold inside an element, the objective must also have
-    settled to the tolerance between the last two meshes.
+    Where limits begin or cease to hold inside an element, or controls are damped, the
+    objective must also have settled to the tolerance between the last two meshes.
 
     Returns
     -------
@@ -51,38 +54,56 @@ def refine(
     mesh = mesh or Mesh.uniform(refinement.first_elements, refinement.first_degree)
     options = options.suiting(tolerance)
     records: list[MeshRecord] = []
+    damping: Damping | None = None
     while True:
-        solved = problem.solve_on_mesh(mesh, instance, options, guess, warm_start, progress)
+        solved = problem.solve_on_mesh(
+            mesh, instance, options, guess, warm_start, progress, damping
+        )
         if solved.status is Status.NOT_CONVERGED and warm_start is not None:
-            solved = problem.solve_on_mesh(mesh, instance, options, guess, None, progress)
-        error = estimate_error(solved, control_breach=refinement.control_breach)
+            solved = problem.solve_on_mesh(mesh, instance, options, guess, None, progress, damping)
+        error = estimate_error(
+            solved,
+            control_breach=refinement.control_breach,
+            limit_breach=refinement.limit_breach,
+        )
         records.append(_record(solved, error))
         solution = replace(solved, error_estimate=error.largest, history=tuple(records))
         if solved.status is not Status.CONVERGED:
             return solution
-        finer = _next_mesh(solution, error, tolerance, refinement)
+        finer = _next_mesh(solution, error, tolerance, refinement, is_damped=damping is not None)
         if finer is None:
             return solution
-        if finer == solution.mesh or len(records) >= refinement.max_meshes:
+        is_stuck = finer == solution.mesh and error.largest > tolerance
+        if is_stuck or len(records) >= refinement.max_meshes:
             return _given_up(solution, tolerance)
         mesh, warm_start = finer, solution
+        damping = damping_of(solution, refinement.damping * tolerance)
 
 
 def _next_mesh(
-    solution: Solution, error: ErrorEstimate, tolerance: float, refinement: RefinementOptions
+    solution: Solution,
+    error: ErrorEstimate,
+    tolerance: float,
+    refinement: RefinementOptions,
+    *,
+    is_damped: bool,
 ) -> Mesh | None:
-    """Return the mesh to solve on next, None when the tolerance is met."""
+    """Return the mesh to solve on next, None when the tolerance is met.
+
+    It may be the same mesh once more, while the damping still moves the objective.
+    """
     junctions = junction_elements(solution)
-    is_settled = not junctions or _objective_change(solution) <= _SETTLED * tolerance
-    if error.largest <= tolerance and is_settled:
+    is_met = error.largest <= tolerance
+    has_settled = _objective_change(solution) <= _SETTLED * tolerance
+    if is_met and (has_settled or not (junctions or is_damped)):
         return None
     marks = Marks(
         coarse=frozenset(np.flatnonzero(error.per_element > tolerance).tolist())
-        | (frozenset() if is_settled else junctions),
+        | (frozenset() if has_settled else junctions),
         kept=junctions,
     )
     mesh = refined_mesh(solution, error, marks, tolerance, refinement)
-    return None if mesh == solution.mesh and error.largest <= tolerance else mesh
+    return None if mesh == solution.mesh and is_met and not is_damped else mesh
 
 
 def _objective_change(solution: Solution) -> float:

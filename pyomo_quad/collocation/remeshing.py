@@ -44,9 +44,12 @@ class RefinementOptions:
         Fraction of the horizon below which no element is split.
     max_points : int
         Collocation points above which no finer mesh is tried.
-    control_breach : float
-        Largest relative breach of a control's bound between the points; unless given, a breach
-        counts by what it moves.
+    control_breach, limit_breach : float
+        Relative breach between the points, of a control's bound and of any other limit, above
+        which it counts as it is; a smaller one counts by what it moves or earns.
+    damping : float
+        What a control that enters linearly costs when it is a whole range away from that of
+        the last mesh, as a share of the objective and in units of the tolerance.
     """
 
     first_elements: int = 10
@@ -58,6 +61,8 @@ class RefinementOptions:
     smallest_width: float = 1e-9
     max_points: int = 60_000
     control_breach: float = math.inf
+    limit_breach: float = 0.0
+    damping: float = 500.0
 
 
 # Errors are predicted from a fit, so the aim lies below the tolerance; elements are merged
@@ -149,7 +154,11 @@ def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     half = _SLIVER * (end - start)
     edges = [(jump - half, max(degree, 2)), (jump + half, 1), (end, max(degree, 2))]
     inside = [(b, d) for b, d in edges[:-1] if start + 0.5 * half < b < end - 0.5 * half]
-    if len(inside) == 2 or jump - start > end - jump:
+    is_late = jump - start > end - jump
+    if len(inside) < 2 and mesh.degrees[e + 1 if is_late else e - 1] == 1:
+        # A sliver at this edge did not hold the jump: there is more in the element.
+        return _parts(mesh, e, _CORNER_PARTS, min(degree, _CORNER_DEGREE), size)
+    if len(inside) == 2 or is_late:
         return [_Piece(b, d, size, is_changed=True) for b, d in inside] + [
             _Piece(end, edges[2][1] if len(inside) == 2 else 1, size, is_changed=True)
         ]

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from pyomo_quad.collocation.conservation import hamiltonian_warnings
+from pyomo_quad.collocation.control_limits import control_limits
 from pyomo_quad.collocation.costates import Costates, costates_of
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.evaluation import index_tuple
@@ -233,7 +234,7 @@ class Solution:
     @property
     def algebraic_limits(self) -> tuple[FloatArray, FloatArray]:
         """Constant lower and upper bounds of the algebraic variables."""
-        return self.problem.algebraic_limits(self.instance)
+        return control_limits(self.problem, self.instance)
 
     def to_frame(self, times: Any = None) -> pd.DataFrame:
         """Return states, outputs and algebraic variables as columns over the nodes' times.

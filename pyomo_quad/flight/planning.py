@@ -38,7 +38,7 @@ Builder = Callable[[Scenario], Any]
 _TIGHTENINGS = 3
 _TIGHTER = 0.1
 # The verification allows twice as much.
-_CONTROL_BREACH = 0.5 * VIOLATION_TOLERANCE
+_BREACH = 0.5 * VIOLATION_TOLERANCE
 
 _STATUS = {
     Status.NOT_CONVERGED: PlanStatus.NOT_CONVERGED,
@@ -177,7 +177,9 @@ class Planner:
             "horizon": (0.0, told.mission.duration),
             "options": SolverOptions(max_iterations=settings.max_iterations),
             "refinement": RefinementOptions(
-                max_meshes=settings.max_refinements + 1, control_breach=_CONTROL_BREACH
+                max_meshes=settings.max_refinements + 1,
+                control_breach=_BREACH,
+                limit_breach=_BREACH,
             ),
             "progress": progress,
         }
