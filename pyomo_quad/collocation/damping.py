@@ -48,13 +48,15 @@ class Damping:
 
     def applied_to(self, program: Transcription) -> DampedProgram:
         """Return a program of the same model with the price on its objective."""
-        mesh = self.solution.mesh if program.mesh is None else program.mesh
-        held = self.solution.trajectory.algebraics_at(mesh.point_fractions)
+        mesh = program.mesh or self.solution.mesh
+        old, held = self.solution.mesh.point_fractions, self.solution.trajectory.algebraics
+        # Straight lines between the points: beside a jump the polynomials swing far beyond.
+        near = [np.interp(mesh.point_fractions, old, held[:, k]) for k in self.controls]
         return DampedProgram(
             program=program,
             columns=program.layout.algebraic_columns[:, self.controls].ravel(),
             weights=(mesh.quadrature_weights[:, None] * self.prices).ravel(),
-            near=held[:, self.controls].ravel(),
+            near=np.column_stack(near).ravel(),
         )
 
 

@@ -62,7 +62,7 @@ class RefinementOptions:
     max_points: int = 60_000
     control_breach: float = math.inf
     limit_breach: float = 0.0
-    damping: float = 500.0
+    damping: float = 100.0
 
 
 # Errors are predicted from a fit, so the aim lies below the tolerance; elements are merged
