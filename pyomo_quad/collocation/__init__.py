@@ -14,6 +14,7 @@ from pyomo_quad.collocation.diagnosis import (
     diagnose,
 )
 from pyomo_quad.collocation.dynamics import Dynamics, Violation
+from pyomo_quad.collocation.error_estimate import Allowance
 from pyomo_quad.collocation.errors import EngineError, SolveError, TranscriptionError
 from pyomo_quad.collocation.ipopt import Iteration, Progress, SolverOptions, Status
 from pyomo_quad.collocation.mesh import Mesh
@@ -25,6 +26,7 @@ from pyomo_quad.collocation.trajectory import Trajectory, control_polynomial, in
 
 __all__ = [
     "ActiveLimit",
+    "Allowance",
     "Diagnosis",
     "Dynamics",
     "EngineError",

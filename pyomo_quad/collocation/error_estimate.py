@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pyomo_quad.collocation.linearised import final_misses, linearised
 from pyomo_quad.collocation.mapped import MappedFunction
 from pyomo_quad.collocation.nodes import FloatArray, radau_rule
 
@@ -23,10 +24,30 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.solution import Solution
     from pyomo_quad.collocation.transcription import Transcription
 
-__all__ = ["ErrorEstimate", "estimate_error"]
+__all__ = ["Allowance", "ErrorEstimate", "estimate_error"]
 
 # Samples per collocation point at which limits are checked.
 _SAMPLES = 4
+# Just inside an element's start, which itself belongs to the element before.
+_START = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Allowance:
+    """What the controls, flown as they are, may do wrong.
+
+    Attributes
+    ----------
+    control_breach, limit_breach : float
+        Relative breach between the points, of a control's bound and of any other limit, above
+        which it counts as it is; a smaller one counts by what it moves or earns.
+    final_miss : float
+        Of the final states, relative to the larger of 1 and their magnitude.
+    """
+
+    control_breach: float = np.inf
+    limit_breach: float = 0.0
+    final_miss: float = np.inf
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,21 +55,23 @@ class ErrorEstimate:
     """Relative errors, largest between points.
 
     `states` has shape (n_elements, n_states), relative to the larger of the state's largest
-    magnitude and its nominal one (1 unless declared); `violation`, shape (n_elements,), is
-    that of path equations and bounds, relative to the larger of 1 and the bound; `objective`,
-    shape (n_elements,), is what an element's state errors change in the objective, which the
-    costates tell, times the number of elements and relative to the objective.
+    magnitude and its nominal one (1 unless declared); the others have shape (n_elements,).
+    `violation` is that of path equations and bounds, relative to the larger of 1 and the
+    bound.  `objective` is what an element's state errors change in the objective, which the
+    costates tell, times the number of elements and relative to the objective.  `miss` is
+    what they become at the end, as a share of what is allowed of which the tolerance is all.
     """
 
     states: FloatArray
     violation: FloatArray
     objective: FloatArray
+    miss: FloatArray
 
     @property
     def per_element(self) -> FloatArray:
-        """Largest of the three, shape (n_elements,)."""
+        """Largest of all, shape (n_elements,)."""
         return np.maximum.reduce(
-            [self.states.max(axis=1, initial=0.0), self.violation, self.objective]
+            [self.states.max(axis=1, initial=0.0), self.violation, self.objective, self.miss]
         )
 
     @property
@@ -58,26 +81,28 @@ class ErrorEstimate:
 
 
 def estimate_error(
-    solution: Solution, *, control_breach: float = np.inf, limit_breach: float = 0.0
+    solution: Solution, *, tolerance: float = 1.0, allowance: Allowance | None = None
 ) -> ErrorEstimate:
     """Estimate the errors of a solution, element by element.
 
     Parameters
     ----------
     solution : Solution
-    control_breach, limit_breach : float, optional
-        Relative breach between the points, of a control's bound and of any other limit, above
-        which it counts as it is, and not by what it moves or earns.
+    tolerance : float, optional
+        What a final miss that is just allowed counts.
+    allowance : Allowance, optional
     """
+    allowance = allowance or Allowance()
     degrees = np.asarray(solution.mesh.degrees)
     finer = _sampled(solution, [radau_rule(d + 1).points for d in degrees])
     # A limit is broken at the peaks of the polynomials, which lie anywhere between points.
-    dense = _sampled(solution, [np.linspace(0.0, 1.0, _SAMPLES * (d + 1) + 1)[1:] for d in degrees])
+    dense = _sampled(solution, [np.linspace(_START, 1.0, _SAMPLES * (d + 1) + 1) for d in degrees])
     moved = _state_corrections(solution, _slope_corrections(solution.program, finer))
     return ErrorEstimate(
         states=_relative(solution, moved),
         objective=_objective_errors(solution, moved),
-        violation=_breaches(solution, dense, control_breach, limit_breach),
+        violation=_breaches(solution, dense, allowance),
+        miss=_missed(solution, moved, tolerance / allowance.final_miss),
     )
 
 
@@ -119,24 +144,9 @@ def _sampled(solution: Solution, places: list[FloatArray]) -> _Samples:
 
 def _slope_corrections(program: Transcription, samples: _Samples) -> FloatArray:
     """Return what must be added to the rates for the differential equations to hold."""
-    compiled, n = program.compiled, program.layout.n_states
-    path, variables = compiled.path, samples.variables
-    is_equality = np.array([e.is_equality for e in compiled.declared.equations], dtype=bool)
-    by_rate = path.jacobian_columns < n
-    differential = np.unique(
-        [r for r in path.jacobian_rows[by_rate] if r < compiled.n_equations and is_equality[r]]
-    ).astype(int)
-    if n == 0 or differential.size == 0:
-        return np.zeros((variables.shape[0], n))
-    position = {int(r): k for k, r in enumerate(differential)}
-    entries = MappedFunction(path.jacobian, variables.shape[0])(variables, samples.data)[0]
-    matrices = np.zeros((variables.shape[0], differential.size, n))
-    for k in np.flatnonzero(by_rate):
-        row = int(path.jacobian_rows[k])
-        if row in position:
-            matrices[:, position[row], path.jacobian_columns[k]] = entries[:, k]
-    residuals = samples.rows[:, differential]
-    if differential.size == n:
+    equations = linearised(program, samples.variables, samples.data)
+    matrices, residuals = equations.by_rate, samples.rows[:, equations.rows]
+    if matrices.shape[1] == matrices.shape[2]:
         return np.asarray(-np.linalg.solve(matrices, residuals[:, :, None])[:, :, 0], dtype=float)
     return np.asarray(-np.einsum("kij,kj->ki", np.linalg.pinv(matrices), residuals), dtype=float)
 
@@ -167,9 +177,19 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
     return np.asarray(changes * mesh.elements / solution.nominal_objective)
 
 
-def _breaches(
-    solution: Solution, samples: _Samples, control_breach: float, limit_breach: float
-) -> FloatArray:
+def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
+    """Return the weighted sum of the elements' final misses, shared out by their size.
+
+    The element that causes most of it is given all of it, so that it is refined first.
+    """
+    if weight == 0.0:
+        return np.zeros(solution.mesh.elements)
+    misses = final_misses(solution, np.array([m[-1] for m in moved]))
+    worst = misses[:, misses.sum(axis=0).argmax()]
+    return np.asarray(weight * worst.sum() * worst / worst.max(initial=1e-300))
+
+
+def _breaches(solution: Solution, samples: _Samples, allowance: Allowance) -> FloatArray:
     """Return the worst breach in each element, as what it changes in states or objective.
 
     An equation counts by its relative residual.  A control beyond its bound counts by what it
@@ -181,9 +201,9 @@ def _breaches(
         np.maximum.reduceat(worst, samples.first_of_element)
         for worst in _violations(solution.program, samples)
     )
-    moved = np.where(controls > control_breach, controls, controls * mesh.widths)
+    moved = np.where(controls > allowance.control_breach, controls, controls * mesh.widths)
     earned = limits * _prices(solution) / solution.nominal_objective
-    large = np.where(limits > limit_breach, limits, 0.0)
+    large = np.where(limits > allowance.limit_breach, limits, 0.0)
     return np.maximum.reduce([residuals, large, moved, earned])
 
 

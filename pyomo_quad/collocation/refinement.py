@@ -56,16 +56,11 @@ def refine(
     records: list[MeshRecord] = []
     damping: Damping | None = None
     while True:
-        solved = problem.solve_on_mesh(
-            mesh, instance, options, guess, warm_start, progress, damping
-        )
+        solve = partial(problem.solve_on_mesh, mesh, instance, options, guess)
+        solved = solve(warm_start, progress, damping)
         if solved.status is Status.NOT_CONVERGED and warm_start is not None:
-            solved = problem.solve_on_mesh(mesh, instance, options, guess, None, progress, damping)
-        error = estimate_error(
-            solved,
-            control_breach=refinement.control_breach,
-            limit_breach=refinement.limit_breach,
-        )
+            solved = solve(None, progress, damping)
+        error = estimate_error(solved, tolerance=tolerance, allowance=refinement.allowance)
         records.append(_record(solved, error))
         solution = replace(solved, error_estimate=error.largest, history=tuple(records))
         if solved.status is not Status.CONVERGED:

@@ -10,12 +10,13 @@ a single switch, and there the element is split.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial import legendre
 
+from pyomo_quad.collocation.error_estimate import Allowance
 from pyomo_quad.collocation.mesh import Mesh
 from pyomo_quad.collocation.nodes import FloatArray, radau_rule
 
@@ -44,9 +45,8 @@ class RefinementOptions:
         Fraction of the horizon below which no element is split.
     max_points : int
         Collocation points above which no finer mesh is tried.
-    control_breach, limit_breach : float
-        Relative breach between the points, of a control's bound and of any other limit, above
-        which it counts as it is; a smaller one counts by what it moves or earns.
+    allowance : Allowance
+        What the controls, flown as they are, may do wrong.
     damping : float
         What a control that enters linearly costs when it is a whole range away from that of
         the last mesh, as a share of the objective and in units of the tolerance.
@@ -60,8 +60,7 @@ class RefinementOptions:
     smooth_decay: float = 0.35
     smallest_width: float = 1e-9
     max_points: int = 60_000
-    control_breach: float = math.inf
-    limit_breach: float = 0.0
+    allowance: Allowance = field(default_factory=Allowance)
     damping: float = 100.0
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pyomo_quad.collocation import (
+    Allowance,
     Dynamics,
     Mesh,
     Problem,
@@ -26,7 +27,7 @@ from pyomo_quad.flight.plan import Plan, PlanStatus
 from pyomo_quad.flight.rescue import Rescuer
 from pyomo_quad.flight.shortest import shortest_flight
 from pyomo_quad.flight.trajectories import Trajectories
-from pyomo_quad.flight.verification import VIOLATION_TOLERANCE, verify_controls
+from pyomo_quad.flight.verification import MISS_TOLERANCE, VIOLATION_TOLERANCE, verify_controls
 from pyomo_quad.model import build_model, hover_power, parameter_values, structure_key
 from pyomo_quad.scenario import Scenario
 
@@ -38,7 +39,11 @@ Builder = Callable[[Scenario], Any]
 _TIGHTENINGS = 3
 _TIGHTER = 0.1
 # The verification allows twice as much.
-_BREACH = 0.5 * VIOLATION_TOLERANCE
+_ALLOWANCE = Allowance(
+    control_breach=0.5 * VIOLATION_TOLERANCE,
+    limit_breach=0.5 * VIOLATION_TOLERANCE,
+    final_miss=0.5 * MISS_TOLERANCE,
+)
 
 _STATUS = {
     Status.NOT_CONVERGED: PlanStatus.NOT_CONVERGED,
@@ -177,9 +182,7 @@ class Planner:
             "horizon": (0.0, told.mission.duration),
             "options": SolverOptions(max_iterations=settings.max_iterations),
             "refinement": RefinementOptions(
-                max_meshes=settings.max_refinements + 1,
-                control_breach=_BREACH,
-                limit_breach=_BREACH,
+                max_meshes=settings.max_refinements + 1, allowance=_ALLOWANCE
             ),
             "progress": progress,
         }
