@@ -1,8 +1,9 @@
 """What is done when the first solve of a mission fails.
 
 In this order: an elastic solve, which either finds a flight that keeps every limit, to start
-again from, or shows that none exists; the shortest flight, which says whether time is what
-lacks; and a slow flight of the same mission, sped up step by step.
+again from, or shows that none exists; a slow flight of the same mission, sped up step by step;
+and the shortest flight, which says whether time is what lacks, and if it does not is another
+guess to start from.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["Rescue", "Rescuer"]
 
 _DONE = (Status.CONVERGED, Status.TOLERANCE_NOT_MET)
+_ENDED = (*_DONE, Status.INTERRUPTED)
 # Durations, as multiples of the mission's, through which a slow flight is sped up.
 _SLOWER = (3.0, 2.0, 1.5, 1.2, 1.1)
 _MOST_REMEDIES = 3
@@ -82,23 +84,24 @@ class Rescuer:
         """Return the rescue of a solution that did not converge."""
         self._note("first solve", failed)
         diagnosis = diagnose(failed, progress=self._progress)
-        solution = failed
         if diagnosis.feasible_point is not None:
-            solution = self._solve(diagnosis.feasible_point)
-            self._note("elastic restoration", solution)
-        elif not diagnosis.is_infeasible:
+            solution = self._started_from(diagnosis.feasible_point, "elastic restoration")
+            if solution.status in _ENDED:
+                return self._ended(solution, None)
+        if not diagnosis.is_infeasible:
             solution = self._continued() or failed
-        if solution.status in (*_DONE, Status.INTERRUPTED):
-            return self._ended(solution, None)
+            if solution.status in _ENDED:
+                return self._ended(solution, None)
         shortest = self._solve_shortest()
         least = None if shortest is None else shortest.objective
         self._attempts.append(
             "shortest flight: none found" if least is None else f"shortest flight: {least:.4g} s"
         )
-        is_contradicted = least is not None and least <= self._duration
-        if diagnosis.is_infeasible and is_contradicted:
-            solution = self._continued() or failed
-            if solution.status in (*_DONE, Status.INTERRUPTED):
+        is_contradicted = shortest is not None and shortest.objective <= self._duration
+        if shortest is not None and is_contradicted:
+            path = replace(shortest.trajectory, statics=failed.trajectory.statics)
+            solution = self._started_from(path, "guess from the shortest flight")
+            if solution.status in _ENDED:
                 return self._ended(solution, None)
         failure = Failure(
             duration_s=self._duration,
@@ -116,6 +119,11 @@ class Rescuer:
     def _note(self, what: str, solution: Solution) -> None:
         self._attempts.append(f"{what}: {solution.status.value}")
 
+    def _started_from(self, trajectory: Trajectory, what: str) -> Solution:
+        solution = self._solve(trajectory)
+        self._note(what, solution)
+        return solution
+
     def _continued(self) -> Solution | None:
         """Speed a slow flight up to the mission's duration; None when a step fails."""
         trajectory: Trajectory | None = None
@@ -128,9 +136,7 @@ class Rescuer:
                 trajectory = slower.trajectory
         if trajectory is None:
             return None
-        solution = self._solve(trajectory)
-        self._note("continuation in duration", solution)
-        return solution
+        return self._started_from(trajectory, "continuation in duration")
 
     def _remedies(self, failed: Solution, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
         """Return single limits that would do alone."""
