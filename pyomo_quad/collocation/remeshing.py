@@ -153,11 +153,10 @@ def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     half = _SLIVER * (end - start)
     edges = [(jump - half, max(degree, 2)), (jump + half, 1), (end, max(degree, 2))]
     inside = [(b, d) for b, d in edges[:-1] if start + 0.5 * half < b < end - 0.5 * half]
-    is_late = jump - start > end - jump
-    if len(inside) < 2 and mesh.degrees[e + 1 if is_late else e - 1] == 1:
-        # A sliver at this edge did not hold the jump: there is more in the element.
+    if 1 in (mesh.degrees[e - 1], mesh.degrees[e + 1]):
+        # The sliver beside it, cut for a jump, did not hold all of it.
         return _parts(mesh, e, _CORNER_PARTS, min(degree, _CORNER_DEGREE), size)
-    if len(inside) == 2 or is_late:
+    if len(inside) == 2 or jump - start > end - jump:
         return [_Piece(b, d, size, is_changed=True) for b, d in inside] + [
             _Piece(end, edges[2][1] if len(inside) == 2 else 1, size, is_changed=True)
         ]
