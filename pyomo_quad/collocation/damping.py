@@ -10,7 +10,7 @@ SIAM Journal on Control and Optimization 14, 877-898), used on singular arcs by 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,6 +45,10 @@ class Damping:
     solution: Solution
     controls: NDArray[np.intp]
     prices: FloatArray
+
+    def times(self, factor: float) -> Damping:
+        """Return the damping with its prices multiplied."""
+        return replace(self, prices=factor * self.prices)
 
     def applied_to(self, program: Transcription) -> DampedProgram:
         """Return a program of the same model with the price on its objective."""

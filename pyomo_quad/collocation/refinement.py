@@ -26,6 +26,10 @@ __all__ = ["RefinementOptions", "refine"]
 
 # The objective's last change, as a share of the tolerance, at which it counts as settled.
 _SETTLED = 0.5
+# A warm start that takes more iterations than this leaves its linear controls undetermined:
+# they are damped so many times more, up to so many times in all.
+_MANY_ITERATIONS = 30
+_FIRMER, _FIRMEST = 5.0, 25.0
 
 
 def refine(
@@ -55,9 +59,13 @@ def refine(
     options = options.suiting(tolerance)
     records: list[MeshRecord] = []
     damping: Damping | None = None
+    firmness = 1.0
     while True:
         solve = partial(problem.solve_on_mesh, mesh, instance, options, guess)
         solved = solve(warm_start, progress, damping)
+        if solved.status is Status.NOT_CONVERGED and damping is not None:
+            damping = damping.times(_FIRMEST)
+            solved = solve(warm_start, progress, damping)
         if solved.status is Status.NOT_CONVERGED and warm_start is not None:
             solved = solve(None, progress, damping)
         error = estimate_error(solved, tolerance=tolerance, allowance=refinement.allowance)
@@ -71,8 +79,10 @@ def refine(
         is_stuck = finer == solution.mesh and error.largest > tolerance
         if is_stuck or len(records) >= refinement.max_meshes:
             return _given_up(solution, tolerance)
+        if damping is not None and records[-1].iterations > _MANY_ITERATIONS:
+            firmness = min(_FIRMER * firmness, _FIRMEST)
         mesh, warm_start = finer, solution
-        damping = damping_of(solution, refinement.damping * tolerance)
+        damping = damping_of(solution, firmness * refinement.damping * tolerance)
 
 
 def _next_mesh(

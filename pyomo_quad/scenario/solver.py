@@ -12,4 +12,4 @@ class Solver(Part):
     elements: WholeNumber = quantity("1", "elements of the first mesh", 10, ge=1, le=100_000)
     degree: WholeNumber = quantity("1", "degree of each element of the first mesh", 4, ge=1, le=20)
     max_iterations: WholeNumber = quantity("1", "Ipopt iterations per mesh", 150, ge=1)
-    max_refinements: WholeNumber = quantity("1", "mesh refinements", 15, ge=0, le=100)
+    max_refinements: WholeNumber = quantity("1", "mesh refinements", 20, ge=0, le=100)
