@@ -134,7 +134,8 @@ def _from_written(origin: Origin) -> Scenario:
         if path[0] == "wind" and "series" in path:
             where = origin.label if path in origin.assignments else origin.source
             raise ScenarioError(
-                f"{where}: {spell(path)} is not set by hand; name a CSV file in wind.file."
+                f"{where}: {shown(spell(path))[1:-1]} is not set by hand; name a CSV file in "
+                "wind.file."
             )
     return Scenario.from_origin(origin)
 

@@ -89,9 +89,9 @@ def table(outcomes):
     yield "|---|---|---|---|---|"
     for verdict in (VERIFIED, INFEASIBLE, LOST):
         times = [o.wall_s for o in outcomes if o.verdict == verdict]
-        middle, high = np.percentile(times, (50, 95)) if times else (np.nan, np.nan)
+        middle, high = (f"{t:.1f} s" for t in np.percentile(times, (50, 95))) if times else "--"
         share = counts[verdict] / len(outcomes)
-        yield f"| {verdict} | {counts[verdict]} | {share:.1%} | {middle:.1f} s | {high:.1f} s |"
+        yield f"| {verdict} | {counts[verdict]} | {share:.1%} | {middle} | {high} |"
     yield ""
     yield f"{rescued} of {counts[VERIFIED]} verified missions needed a fallback."
     for outcome in outcomes:

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from pyomo_quad.scenario import PyomoQuadError, Scenario, load_scenario, scenario_from_mapping
@@ -37,6 +37,7 @@ def scenario_or_one_line(make):
 
 @ENOUGH
 @given(st.sampled_from(PATHS), toml_values)
+@example(("wind", "series"), {"\r": None})
 def test_any_value_at_any_field(path, value):
     scenario_or_one_line(lambda: scenario_from_mapping(set_value(VALID, path, value)))
 
