@@ -53,7 +53,7 @@ def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | Non
         console=console,
         transient=True,
     ) as progress:
-        bar = progress.add_task("the first results take half a minute", total=None)
+        bar = progress.add_task("the first results take a while", total=None)
 
         def step(name: str, done: int, total: int) -> None:
             progress.update(bar, completed=done, total=total, description=name)

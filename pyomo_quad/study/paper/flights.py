@@ -18,6 +18,8 @@ _STARTED_FROM_MOTOR: dict[PowerModel, dict[str, Any]] = {
     PowerModel.CONSTANT_EFFICIENCY: {"solver.max_iterations": 60},
     PowerModel.SHAFT: {},
 }
+# The kink of a power at zero is met by more points than the default tolerance asks for.
+_TIGHTER: dict[str, Any] = {"solver.tolerance": 3e-7}
 _COARSE: dict[str, Any] = {"solver.elements": 20, "solver.max_refinements": 0}
 
 
@@ -173,7 +175,11 @@ def _plan(scenario: Scenario) -> Plan:
         return Planner().solve(scenario)
     start = Planner().solve(scenario.with_values({"power.model": PowerModel.MOTOR}))
     bounded = scenario.with_values(_STARTED_FROM_MOTOR[model])
-    return Planner().solve(bounded, warm_start=start)
+    plan = Planner().solve(bounded, warm_start=start)
+    if plan.is_verified or model is PowerModel.EFFICIENCY:
+        return plan
+    anew = Planner().solve(scenario.with_values(_TIGHTER))
+    return anew if anew.is_verified else plan
 
 
 def _flown(plan: Plan) -> Flight:
