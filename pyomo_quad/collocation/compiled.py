@@ -66,6 +66,11 @@ class CompiledModel:
         """Number of path equations at each point."""
         return len(self.declared.equations)
 
+    @property
+    def is_equality(self) -> NDArray[np.bool_]:
+        """Say of each path equation whether it is one, and not an inequality."""
+        return np.array([e.is_equality for e in self.declared.equations], dtype=bool)
+
 
 def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile declarations to CasADi functions."""

@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pyomo_quad.collocation.control_limits import control_limits
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -73,7 +71,7 @@ def damping_of(solution: Solution, weight: float) -> Damping | None:
     weight : float
         Share of the objective that a control a whole range away from the solution's costs.
     """
-    lower, upper = control_limits(solution.problem, solution.instance)
+    lower, upper = solution.algebraic_limits
     width = upper - lower
     is_damped = _is_linear(solution.problem.compiled) & np.isfinite(width) & (width > 0.0)
     controls = np.flatnonzero(is_damped)

@@ -223,7 +223,7 @@ def _violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, 
     held = samples.rows[:, : compiled.n_equations]
     differential = np.unique(compiled.path.jacobian_rows[compiled.path.jacobian_columns < n])
     is_algebraic = ~np.isin(np.arange(compiled.n_equations), differential)
-    is_equality = np.array([e.is_equality for e in compiled.declared.equations], dtype=bool)
+    is_equality = compiled.is_equality
     low, high, simple_low, simple_high = MappedFunction(compiled.variable_limits, len(variables))(
         data
     )

@@ -40,7 +40,7 @@ def linearised(program: Transcription, variables: FloatArray, data: FloatArray) 
     """Return the derivatives at points, whose variables and data are given row by row."""
     compiled, n = program.compiled, program.layout.n_states
     path = compiled.path
-    is_equality = np.array([e.is_equality for e in compiled.declared.equations], dtype=bool)
+    is_equality = compiled.is_equality
     by_rate = path.jacobian_columns < n
     rows = np.unique(
         [r for r in path.jacobian_rows[by_rate] if r < compiled.n_equations and is_equality[r]]

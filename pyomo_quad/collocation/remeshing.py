@@ -147,15 +147,15 @@ def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     """Split an element into what lies before a jump, a sliver that holds it, and the rest.
 
     In the sliver of degree 1 the control is constant: it cannot swing beyond limits that it
-    keeps at its one point, and the sliver's state error falls with its width squared.
+    keeps at its one point, and the sliver's state error falls with its width squared.  Where a
+    sliver beside the element, cut for a jump, did not hold all of it, thirds look for the rest.
     """
     start, end, degree = mesh.breakpoints[e], mesh.breakpoints[e + 1], mesh.degrees[e]
+    if 1 in (mesh.degrees[e - 1], mesh.degrees[e + 1]):
+        return _parts(mesh, e, _CORNER_PARTS, min(degree, _CORNER_DEGREE), size)
     half = _SLIVER * (end - start)
     edges = [(jump - half, max(degree, 2)), (jump + half, 1), (end, max(degree, 2))]
     inside = [(b, d) for b, d in edges[:-1] if start + 0.5 * half < b < end - 0.5 * half]
-    if 1 in (mesh.degrees[e - 1], mesh.degrees[e + 1]):
-        # The sliver beside it, cut for a jump, did not hold all of it.
-        return _parts(mesh, e, _CORNER_PARTS, min(degree, _CORNER_DEGREE), size)
     if len(inside) == 2 or jump - start > end - jump:
         return [_Piece(b, d, size, is_changed=True) for b, d in inside] + [
             _Piece(end, edges[2][1] if len(inside) == 2 else 1, size, is_changed=True)

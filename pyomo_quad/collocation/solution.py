@@ -231,7 +231,7 @@ class Solution:
             total.extend(total[-1] + sign * inside)
         return np.array(total)
 
-    @property
+    @cached_property
     def algebraic_limits(self) -> tuple[FloatArray, FloatArray]:
         """Constant lower and upper bounds of the algebraic variables."""
         return control_limits(self.problem, self.instance)

@@ -89,7 +89,9 @@ def table(outcomes):
     yield "|---|---|---|---|---|"
     for verdict in (VERIFIED, INFEASIBLE, LOST):
         times = [o.wall_s for o in outcomes if o.verdict == verdict]
-        middle, high = (f"{t:.1f} s" for t in np.percentile(times, (50, 95))) if times else "--"
+        middle, high = "-", "-"
+        if times:
+            middle, high = (f"{t:.1f} s" for t in np.percentile(times, (50, 95)))
         share = counts[verdict] / len(outcomes)
         yield f"| {verdict} | {counts[verdict]} | {share:.1%} | {middle} | {high} |"
     yield ""
