@@ -12,6 +12,7 @@ from pyomo_quad.cli.options import (
     Quiet,
     ScenarioFile,
     folder_of,
+    real_number,
 )
 from pyomo_quad.cli.stopwatch import Stopwatch
 from pyomo_quad.report.folder import output_folder
@@ -22,7 +23,12 @@ __all__ = ["Rate", "solve"]
 
 Rate = Annotated[
     float | None,
-    typer.Option("--rate", metavar="HZ", help="Rows per second of plan.csv; one per node without."),
+    typer.Option(
+        "--rate",
+        metavar="HZ",
+        parser=real_number,
+        help="Rows per second of plan.csv; one per node without.",
+    ),
 ]
 
 

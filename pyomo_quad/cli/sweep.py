@@ -10,6 +10,7 @@ import typer
 
 from pyomo_quad.cli.consoles import complain
 from pyomo_quad.cli.exit_codes import ExitCode
+from pyomo_quad.cli.options import positive_count
 from pyomo_quad.report.folder import output_folder
 
 if TYPE_CHECKING:
@@ -24,7 +25,9 @@ _REPORT_FOLDER = "report"
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")]
 Workers = Annotated[
     int | None,
-    typer.Option("--workers", metavar="N", min=1, help="Processes, one per core by default."),
+    typer.Option(
+        "--workers", metavar="N", parser=positive_count, help="Processes, one per core by default."
+    ),
 ]
 Scheduler = Annotated[
     str | None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
@@ -55,10 +55,20 @@ def _refuse_not_finite(program: Transcription, z: FloatArray) -> None:
     entries = program.jacobian(z)
     bad = np.flatnonzero(~np.isfinite(entries))
     if bad.size:
-        structure = program.jacobianstructure()
-        place = row_place(program, int(structure[0][bad[0]]))
-        variable = unknown_place(program, int(structure[1][bad[0]]))
-        raise TranscriptionError(
-            f"{place}: its derivative by {variable.name} is {entries[bad[0]]} at the initial "
-            "guess; start or bound that variable away from the point."
-        )
+        row, column = (int(held[bad[0]]) for held in program.jacobianstructure())
+        place, variable = row_place(program, row), unknown_place(program, column)
+        by = variable if place.time is None else variable.name
+        _refuse_slope(str(place), str(by), entries[bad[0]])
+    with np.errstate(invalid="ignore"):
+        gradient = program.gradient(z)
+    bad = np.flatnonzero(~np.isfinite(gradient))
+    if bad.size:
+        variable = unknown_place(program, int(bad[0]))
+        _refuse_slope(program.compiled.declared.objective_name, str(variable), gradient[bad[0]])
+
+
+def _refuse_slope(owner: str, variable: str, slope: float) -> NoReturn:
+    raise TranscriptionError(
+        f"{owner}: its derivative by {variable} is {slope} at the initial guess; start or bound "
+        "that variable away from the point."
+    )

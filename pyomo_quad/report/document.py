@@ -4,8 +4,10 @@ Text is kept as written; each renderer escapes it, so no title or message of a s
 as markup.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from unicodedata import category
 
 __all__ = [
     "FIGURE_FOLDER",
@@ -20,10 +22,44 @@ __all__ = [
     "Strong",
     "Table",
     "Verdict",
+    "visible",
 ]
 
 
 FIGURE_FOLDER = "figures"
+
+# Characters that are printed as nothing although Python calls them printable: fillers, joiners and
+# selectors (Unicode's Default_Ignorable_Code_Point without its format characters).
+_BLANK = re.compile(
+    "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0"
+    "\U000e0000-\U000e0fff]"
+)
+
+
+def visible(text: str) -> str:
+    """Spell out what a reader would not see, as Python escapes.
+
+    Parameters
+    ----------
+    text : str
+        Any text.
+
+    Returns
+    -------
+    str
+        Blanks and line breaks are kept; control characters, marks of direction, characters of no
+        width and halves of surrogate pairs are spelled out.
+    """
+    return "".join(
+        letter
+        if letter in "\t\n\r" or category(letter) == "Zs" or _is_seen(letter)
+        else letter.encode("unicode_escape").decode("ascii")
+        for letter in text
+    )
+
+
+def _is_seen(letter: str) -> bool:
+    return letter.isprintable() and not _BLANK.match(letter)
 
 
 @dataclass(frozen=True)

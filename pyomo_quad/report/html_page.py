@@ -1,8 +1,8 @@
 """A document as one HTML file that needs nothing else, not even a network."""
 
+import html
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from html import escape
 from typing import assert_never
 
 from pyomo_quad.report.document import (
@@ -17,6 +17,7 @@ from pyomo_quad.report.document import (
     Strong,
     Table,
     Verdict,
+    visible,
 )
 from pyomo_quad.report.page_style import STYLE_SHEET
 
@@ -50,7 +51,7 @@ def render_html(
     str
         The file's text.
     """
-    title = escape(document.title)
+    title = _escape(document.title)
     body = "\n".join(_block(block, document, pictures, views) for block in document.blocks)
     scripts = f"<script>{script}</script>\n" if script else ""
     return (
@@ -64,12 +65,17 @@ def render_html(
     )
 
 
+def _escape(text: str) -> str:
+    """Return text that HTML prints as it stands, with what would not be seen spelled out."""
+    return html.escape(visible(text))
+
+
 def _block(
     block: Block, document: Document, pictures: Mapping[str, bytes], views: Mapping[str, str]
 ) -> str:
     match block:
         case Heading(text=text):
-            return f'<h2 id="{_anchor(text)}">{escape(text)}</h2>'
+            return f'<h2 id="{_anchor(text)}">{_escape(text)}</h2>'
         case Paragraph(pieces=pieces):
             return f"<p>{_text(pieces)}</p>"
         case Verdict(is_good=is_good, pieces=pieces):
@@ -87,7 +93,7 @@ def _block(
 
 def _navigation(document: Document) -> str:
     headings = [block.text for block in document.blocks if isinstance(block, Heading)]
-    links = "".join(f'<li><a href="#{_anchor(text)}">{escape(text)}</a></li>' for text in headings)
+    links = "".join(f'<li><a href="#{_anchor(text)}">{_escape(text)}</a></li>' for text in headings)
     return f'<nav aria-label="Contents"><ul>{links}</ul></nav>'
 
 
@@ -95,20 +101,20 @@ def _figure(picture: Picture, svg: bytes) -> str:
     data = b64encode(svg).decode("ascii")
     return (
         f"<figure>{_scrolled(picture.title)}"
-        f'<img alt="{escape(picture.title)}. {escape(picture.caption)}" '
+        f'<img alt="{_escape(picture.title)}. {_escape(picture.caption)}" '
         f'src="data:image/svg+xml;base64,{data}"></div>'
-        f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
+        f"<figcaption>{_escape(picture.caption)}</figcaption></figure>"
     )
 
 
 def _table(table: Table) -> str:
     header = "".join(
-        f'<th scope="col"{_alignment(table, column)}>{escape(name)}</th>'
+        f'<th scope="col"{_alignment(table, column)}>{_escape(name)}</th>'
         for column, name in enumerate(table.header)
     )
     rows = "".join(f"<tr>{_row(table, row)}</tr>" for row in table.rows)
     return (
-        f"{_scrolled(table.caption)}<table><caption>{escape(table.caption)}</caption>"
+        f"{_scrolled(table.caption)}<table><caption>{_escape(table.caption)}</caption>"
         f"<thead><tr>{header}</tr></thead><tbody>{rows}</tbody></table></div>"
     )
 
@@ -128,7 +134,7 @@ def _alignment(table: Table, column: int) -> str:
 
 def _scrolled(label: str) -> str:
     # What is wider than a phone scrolls by itself, also with the keyboard.
-    return f'<div class="scroll" tabindex="0" role="group" aria-label="{escape(label)}">'
+    return f'<div class="scroll" tabindex="0" role="group" aria-label="{_escape(label)}">'
 
 
 def _text(pieces: Sequence[Piece]) -> str:
@@ -138,11 +144,11 @@ def _text(pieces: Sequence[Piece]) -> str:
 def _piece(piece: Piece) -> str:
     match piece:
         case Code(text=text):
-            return f"<code>{escape(text)}</code>"
+            return f"<code>{_escape(text)}</code>"
         case Strong(text=text):
-            return f"<strong>{escape(text)}</strong>"
+            return f"<strong>{_escape(text)}</strong>"
         case str():
-            return escape(piece)
+            return _escape(piece)
         case _:
             assert_never(piece)
 

@@ -17,6 +17,7 @@ from pyomo_quad.report.document import (
     Strong,
     Table,
     Verdict,
+    visible,
 )
 
 __all__ = ["escape_markdown", "render_markdown"]
@@ -38,9 +39,10 @@ def escape_markdown(text: str) -> str:
     Returns
     -------
     str
-        With the characters escaped that Markdown or HTML would act on.
+        With the characters escaped that Markdown or HTML would act on, and those spelled out that
+        would not be seen.
     """
-    one_line = " ".join(text.split())
+    one_line = visible(" ".join(text.split()))
     escaped = _SPECIAL.sub(r"\\\1", one_line.translate(_ENTITIES))
     # No address becomes a link that the author of this report did not make.
     unlinked = escaped.replace("://", ":&#47;&#47;").replace("www.", "www&#46;")
@@ -122,6 +124,6 @@ def _keep_edges(text: str) -> str:
 
 def _code(text: str) -> str:
     # Inside a code span nothing can be escaped: a text that would end it stands outside one.
-    if set(text) & set("`|\\\n\r") or text != text.strip() or not text:
+    if set(visible(text)) & set("`|\\\n\r") or text != text.strip() or not text:
         return escape_markdown(text)
     return f"`{text}`"

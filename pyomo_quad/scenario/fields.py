@@ -1,5 +1,6 @@
 """How a scenario field is declared: frozen, closed to unknown keys, with its unit beside it."""
 
+import re
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, Strict
@@ -13,6 +14,7 @@ __all__ = [
     "Triple",
     "WholeNumber",
     "allowed_text",
+    "number_in_text",
     "quantity",
     "unit_of",
 ]
@@ -23,6 +25,12 @@ WholeNumber = Annotated[int, Strict()]
 Text = Annotated[str, Strict()]
 Flag = Annotated[bool, Strict()]
 Triple = tuple[Number, Number, Number]
+
+# What a table or a command line may give as a number: Python's own `float` takes "2_0" as well,
+# and the digits of any script.
+_DECIMAL = re.compile(
+    r"[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|inf|infinity|nan)", re.IGNORECASE
+)
 
 # Pattern of a title: no line break and no other control character.
 ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
@@ -38,6 +46,29 @@ class Part(BaseModel):
         use_attribute_docstrings=False,
         protected_namespaces=(),
     )
+
+
+def number_in_text(text: str) -> float:
+    """Read a number written with the ASCII digits, point and exponent; blanks around it are none.
+
+    Parameters
+    ----------
+    text : str
+        From a table or a command line.
+
+    Returns
+    -------
+    float
+        Infinite or NaN where the text says so.
+
+    Raises
+    ------
+    ValueError
+        If the text is anything else.
+    """
+    if _DECIMAL.fullmatch(text.strip(" \t")) is None:
+        raise ValueError(f"{text!r} is not a number")
+    return float(text)
 
 
 def quantity(

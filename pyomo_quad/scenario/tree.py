@@ -8,7 +8,7 @@ __all__ = ["Path", "depth", "leaves", "merge", "parse_path", "set_value", "spell
 
 Path = tuple[str | int, ...]
 
-_STEP = re.compile(r"([A-Za-z0-9_-]+)((?:\[\d{1,3}\])*)")
+_STEP = re.compile(r"([A-Za-z0-9_-]+)((?:\[[0-9]{1,3}\])*)")
 
 
 def parse_path(text: str) -> Path | None:
@@ -30,7 +30,7 @@ def parse_path(text: str) -> Path | None:
         if match is None:
             return None
         steps.append(match[1])
-        steps.extend(int(index) for index in re.findall(r"\d+", match[2]))
+        steps.extend(int(index) for index in re.findall("[0-9]+", match[2]))
     return tuple(steps)
 
 

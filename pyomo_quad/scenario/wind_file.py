@@ -8,6 +8,7 @@ from typing import NoReturn
 
 from pyomo_quad.scenario.complaint import shown
 from pyomo_quad.scenario.errors import ScenarioError
+from pyomo_quad.scenario.fields import number_in_text
 
 __all__ = ["WIND_COLUMNS", "read_wind_file"]
 
@@ -94,7 +95,7 @@ def _read_rows(file: Path, place: str) -> list[tuple[float, float, float]]:
 
 def _read_row(cells: list[str], line: int, place: str) -> tuple[float, float, float]:
     try:
-        time, wind_x, wind_y = (float(cell) for cell in cells)
+        time, wind_x, wind_y = (number_in_text(cell) for cell in cells)
     except ValueError:
         _refuse(place, f"line {line} must hold {len(WIND_COLUMNS)} numbers")
     if not all(isfinite(number) for number in (time, wind_x, wind_y)):

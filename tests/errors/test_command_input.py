@@ -2,6 +2,7 @@
 
 import pytest
 
+from pyomo_quad.cli import main
 from pyomo_quad.cli.exit_codes import ExitCode
 from tests.command import run, start
 from tests.scenario_files import write_scenario
@@ -52,6 +53,28 @@ def test_broken_toml(tmp_path):
 def test_set_that_is_not_toml(tmp_path):
     done = run("solve", str(write_scenario(tmp_path)), "--set=mission.duration=[1", cwd=tmp_path)
     assert_refused(done, tmp_path, "--set: mission.duration = [1; must be a TOML value")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["solve", "hop.toml", "--rate=2_0"],
+        ["solve", "hop.toml", "--rate=\u0662"],
+        ["solve", "hop.toml", "--rate=0x10"],
+        ["sweep", "study.toml", "--workers=1_0"],
+        ["sweep", "study.toml", "--workers=\u0662"],
+        ["sweep", "study.toml", "--workers=0"],
+        ["sweep", "study.toml", "--workers=2.0"],
+    ],
+    ids=ascii,
+)
+def test_numbers_that_only_python_reads(arguments, capsys):
+    assert main(arguments) == ExitCode.BAD_INPUT
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    option, found = arguments[-1].split("=")
+    allowed = {"--rate": "must be a number, such as 50", "--workers": "must be a whole number >= 1"}
+    assert f"'{option}': \"{found}\" {allowed[option]}" in lines[0]
 
 
 def test_missing_file_named_in_set(tmp_path):

@@ -127,6 +127,7 @@ def test_infeasible_hover(tmp_path, line, message, through_set):
     ("override", "message"),
     [
         ("mission.duration", '"mission.duration" is not PATH=VALUE; write for example'),
+        ("mission.goal.position[\u0661] = 1", '[\u0661] = 1" is not PATH=VALUE'),
         ("a b = 1", '"a b = 1" is not PATH=VALUE; write for example'),
         ("mission.duration=", "mission.duration = ; must be a TOML value, such as 12.0"),
         ("gravity=1\nname=2", "gravity = 1?name=2; must be a TOML value, such as 12.0"),
@@ -192,6 +193,12 @@ def test_file_that_cannot_be_read(tmp_path, name):
         ([0, 1, 2, 6], [0, 1, "nan", 0], "line 4 holds a number that is not finite"),
         ([0, 1, 2, 6], [0, 1, "", 0], "line 4 must hold 3 numbers"),
         ([0, 1, 2, 6], [0, 1, "=1+1", 0], "line 4 must hold 3 numbers"),
+        ([0, 1, "2_0", 60], None, "line 4 must hold 3 numbers"),
+        ([0, 1, 2, 6], [0, 1, "2_0", 0], "line 4 must hold 3 numbers"),
+        ([0, 1, 2, 6], [0, 1, "\u0662", 0], "line 4 must hold 3 numbers"),
+        ([0, 1, 2, 6], [0, 1, "\uff11.5", 0], "line 4 must hold 3 numbers"),
+        ([0, 1, 2, 6], [0, 1, "0x10", 0], "line 4 must hold 3 numbers"),
+        ([0, 1, 2, 6], [0, 1, "1e999", 0], "line 4 holds a number that is not finite"),
     ],
 )
 def test_wind_file(tmp_path, times, wind, message):

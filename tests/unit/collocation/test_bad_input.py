@@ -12,11 +12,27 @@ from pyomo.environ import (
     Param,
     Var,
     log,
+    maximize,
+    minimize,
+    sqrt,
 )
 
 from pyomo_quad.collocation import Mesh, TranscriptionError, compile, ipopt, solve  # noqa: A004
 
 MESH = Mesh.uniform(5, 3)
+
+
+# What the added term is, and what the message says of it: its square root starts at zero.
+INFINITE_SLOPES = {
+    "integrand": r"objective: its derivative by u at time .* is inf at",
+    "maximised integrand": r"objective: its derivative by u at time .* is -inf at",
+    "end value": r"objective: its derivative by y at time 1 .* is inf at",
+    "static variable": r"objective: its derivative by p is inf at",
+    "function of an integral": r"objective: its derivative by work is inf at",
+    "integral that is bounded": r"work: its derivative by u at time .* is -?inf at",
+    "equation": r"balance at time .*: its derivative by u is -?inf at",
+    "condition": r"gate: its derivative by p is inf at",
+}
 
 
 @pytest.fixture(autouse=True)
@@ -159,6 +175,41 @@ def test_parameter_without_a_value(m):
     m.ceiling = Param(mutable=True)
     m.limit = Constraint(expr=m.x[1] <= m.ceiling)
     refused(m, "ceiling: has no value; give it one before the solve")
+
+
+def with_infinite_slope(m, kind):
+    m.p = Var(bounds=(0, None), initialize=0)
+    m.y = Var(m.t, initialize=0)
+    m.dy_dt = DerivativeVar(m.y, wrt=m.t)
+    m.climb = Constraint(m.t, rule=lambda m, t: m.dy_dt[t] == m.u[t])
+    m.y[0].fix(0)
+    is_root = kind.endswith("integrand") or kind == "integral that is bounded"
+    m.work = Integral(m.t, wrt=m.t, rule=lambda m, t: sqrt(m.u[t]) if is_root else m.u[t] ** 2)
+    m.del_component(m.objective)
+    cost = m.cost + m.p**2 + m.y[1]
+    if kind == "equation":
+        m.del_component(m.balance)
+        m.balance = Constraint(m.t, rule=lambda m, t: m.dx_dt[t] == sqrt(m.u[t]) - m.x[t])
+    if kind == "condition":
+        m.gate = Constraint(expr=sqrt(m.p) <= 1)
+    if kind == "integral that is bounded":
+        m.gate = Constraint(expr=m.work <= 1)
+    extra = {
+        "integrand": m.work,
+        "maximised integrand": m.work,
+        "end value": sqrt(m.y[1]),
+        "static variable": sqrt(m.p),
+        "function of an integral": sqrt(m.work),
+    }.get(kind, 0)
+    is_maximised = kind.startswith("maximised")
+    sign, sense = (-1, maximize) if is_maximised else (1, minimize)
+    m.objective = Objective(expr=sign * cost + extra, sense=sense)
+    return m
+
+
+@pytest.mark.parametrize("kind", INFINITE_SLOPES)
+def test_slope_that_is_infinite_at_the_guess(m, kind):
+    refused(with_infinite_slope(m, kind), INFINITE_SLOPES[kind], guess={"u": 0.0})
 
 
 def test_unknown_parameter(m):
