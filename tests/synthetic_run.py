@@ -125,6 +125,8 @@ def synthetic_flight(scenario, name):
         worst_constraint="limits.thrust_limit",
         is_verified=True,
         wall_s=1.2345,
+        owed_energy_J=0.0,
+        broken_limits=(),
     )
 
 

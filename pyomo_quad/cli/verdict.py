@@ -29,11 +29,13 @@ _SHOWN = {
     ComparisonColumn.SCENARIO: ("scenario", ""),
     ComparisonColumn.FLIGHT: ("flight", ""),
     ComparisonColumn.ENERGY: ("energy J", ".2f"),
+    ComparisonColumn.OWED_ENERGY: ("owed J", "z.2f"),
     ComparisonColumn.EXCESS_ENERGY: ("above hover J", ".2f"),
     ComparisonColumn.SAVING: ("optimum saves %", "z.3f"),
     ComparisonColumn.SAVING_OF_EXCESS: ("of excess %", "z.1f"),
     ComparisonColumn.TERMINAL_MISS: ("miss m", ".1e"),
     ComparisonColumn.ARRIVED: ("arrived", ""),
+    ComparisonColumn.LIMITS_KEPT: ("limits kept", ""),
     ComparisonColumn.VERIFIED: ("verified", ""),
 }
 

@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pyomo.environ import units
-from pyomo.util.check_units import UnitsError
 
 from pyomo_quad.collocation.bounds import Bounds, limits_of
-from pyomo_quad.collocation.elastic_program import ElasticProgram, SoftRows, family_name
+from pyomo_quad.collocation.elastic_program import ElasticProgram, SoftRows
 from pyomo_quad.collocation.ipopt import Progress, SolverOptions, run
-from pyomo_quad.collocation.naming import row_place
+from pyomo_quad.collocation.naming import declared_unit, row_place
 from pyomo_quad.collocation.scaling import Scaling
 
 if TYPE_CHECKING:
@@ -201,7 +199,7 @@ def _residuals(solution: Solution) -> tuple[Residual, ...]:
     found = []
     for row in order[off[order] * solution.scaling.rows[order] > _MET]:
         place = row_place(program, int(row))
-        unit = _unit(solution, place.name)
+        unit = declared_unit(solution.problem.model, place.name)
         found.append(
             Residual(
                 name=place.name,
@@ -230,7 +228,7 @@ def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
                 ActiveLimit(
                     name=name,
                     limit=float(soft.limit[first]),
-                    unit=_unit(solution, name),
+                    unit=declared_unit(solution.problem.model, name),
                     share=count / int(np.sum(mine & (soft.sign == soft.sign[first]))),
                 )
             )
@@ -248,20 +246,7 @@ def _relaxations(solution: Solution, soft: SoftRows, slacks: FloatArray) -> tupl
                     name=soft.names[k],
                     amount=float(slacks[k] * soft.size[widest]),
                     limit=float(soft.limit[widest]),
-                    unit=_unit(solution, soft.names[k]),
+                    unit=declared_unit(solution.problem.model, soft.names[k]),
                 )
             )
     return tuple(found)
-
-
-def _unit(solution: Solution, name: str) -> str:
-    """Return the Pyomo unit of a constraint's body or of a variable, "" where it has none."""
-    component = solution.problem.model.find_component(family_name(name))
-    if component is None:
-        return ""
-    data: Any = next(iter(component.values()), None)
-    try:
-        unit = units.get_units(data if data.is_variable_type() else data.body)
-    except (UnitsError, AttributeError):
-        return ""
-    return "" if unit is None or str(unit) == "dimensionless" else str(unit)

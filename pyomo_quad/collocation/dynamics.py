@@ -6,6 +6,7 @@ the very equations that the optimiser read, output states included.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import casadi
@@ -16,6 +17,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.expressions import symbol_names
 from pyomo_quad.collocation.mapped import MappedFunction
+from pyomo_quad.collocation.naming import declared_unit
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.declarations import Slot
@@ -25,14 +27,14 @@ if TYPE_CHECKING:
 __all__ = ["Dynamics", "Violation"]
 
 
+@dataclass(frozen=True)
 class Violation:
     """The worst breach of one limit: its name, size in its own unit, bound and time."""
 
-    def __init__(self, name: str, size: float, bound: float, time: float) -> None:
-        self.name = name
-        self.size = size
-        self.bound = bound
-        self.time = time
+    name: str
+    size: float
+    bound: float
+    time: float
 
     @property
     def relative(self) -> float:
@@ -185,6 +187,10 @@ class Dynamics:
     def has(self, name: str) -> bool:
         """Say whether the model has a component of this name."""
         return self._problem.model.find_component(name) is not None
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a limit or a variable, "" where it has none."""
+        return declared_unit(self._problem.model, name)
 
     def violations(
         self, t: FloatArray, states: FloatArray, controls: FloatArray

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.naming import family_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,16 +29,11 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.scaling import Scaling
     from pyomo_quad.collocation.transcription import Transcription
 
-__all__ = ["ElasticProgram", "SoftRows", "family_name"]
+__all__ = ["ElasticProgram", "SoftRows"]
 
 # Weight of staying near the first point: it makes the unknowns that no slack depends on
 # unique, and is too small to buy a slack.
 _PROXIMITY = 1e-6
-
-
-def family_name(name: str) -> str:
-    """Return the component that a row, bound or condition belongs to."""
-    return name.split("[", 1)[0].split(" at time", 1)[0]
 
 
 class _SoftRow(NamedTuple):

@@ -6,6 +6,7 @@ the true wind where a scenario gives none, and the plan carries what it expects 
 controller that follows the plan adapts to the rest.
 """
 
+from math import nan
 from time import perf_counter
 
 import numpy as np
@@ -27,7 +28,12 @@ from pyomo_quad.flight.references import (
     quintic,
     step,
 )
-from pyomo_quad.flight.verification import ENERGY_TOLERANCE, MISS_TOLERANCE
+from pyomo_quad.flight.verification import (
+    BALANCE_TOLERANCE,
+    ENERGY_TOLERANCE,
+    MISS_TOLERANCE,
+    battery_imbalance,
+)
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.baseline import Reference
 
@@ -97,7 +103,7 @@ def fly_baseline(
     Flight
         Named by `baseline_name`.  It is verified when a flight by another integrator, which
         shares no code with the first, ends at the same place and has spent the same energy,
-        within the tolerances that plans are held to.
+        within the tolerances that plans are held to, and the battery can give its power.
 
     Raises
     ------
@@ -121,6 +127,7 @@ def fly_baseline(
         scenario,
         dynamics,
         first.flown,
+        plan,
         is_verified=_agree(dynamics, first.flown, second.flown),
         wall_s=perf_counter() - began,
     )
@@ -227,6 +234,7 @@ def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
         scenario,
         dynamics,
         first,
+        plan,
         is_verified=_agree(dynamics, first, second),
         wall_s=perf_counter() - began,
     )
@@ -237,18 +245,23 @@ def _flight(
     scenario: Scenario,
     dynamics: Dynamics,
     flown: Flown,
+    plan: Plan | None,
     *,
     is_verified: bool,
     wall_s: float,
 ) -> Flight:
+    final = dict(zip(dynamics.state_names, flown.states[-1].tolist(), strict=True))
+    # The costates of a flight through another wind price another mission's end.
+    is_told = scenario.wind.forecast is None
     return Flight.from_flown(
         name,
         dynamics,
         flown,
         wanted_at_goal(scenario, dynamics),
         flight_frame(dynamics, flown.t, flown.states, flown.controls, flown.energy),
-        is_verified=is_verified,
+        is_verified=is_verified and battery_imbalance(dynamics, flown) <= BALANCE_TOLERANCE,
         wall_s=wall_s,
+        owed_energy_J=plan.owed_energy(final) if plan is not None and is_told else nan,
     )
 
 

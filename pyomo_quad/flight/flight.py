@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import nan
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     import pandas as pd
 
     from pyomo_quad.collocation import Dynamics, Violation
 
-__all__ = ["POSITION_STATES", "Flight", "Flown", "position_miss", "terminal_miss_of"]
+__all__ = [
+    "POSITION_STATES",
+    "VIOLATION_TOLERANCE",
+    "Flight",
+    "Flown",
+    "broken_limits",
+    "position_miss",
+    "terminal_miss_of",
+]
 
 FloatArray = NDArray[np.float64]
 
+#: Largest breach of a limit between points, relative to the larger of 1 and the limit.
+VIOLATION_TOLERANCE = 1e-4
 #: The states that say where the vehicle is, as the declared model names them.
 POSITION_STATES = ("rigid_body.x", "rigid_body.y", "rigid_body.z")
 
@@ -57,7 +68,13 @@ class Flight:
     worst_constraint : str
         The limit that breach is of.
     is_verified : bool
-        Whether something that did not make the flight confirmed it.
+        Whether something that did not make the flight confirmed it, and the battery's power
+        balance closes all along it.
+    owed_energy_J : float
+        What the end state still owes: the price of bringing it to the end wanted, at the plan's
+        costates; NaN where no plan prices it.
+    broken_limits : tuple of str
+        Every limit of the model that the flight breaks, and by how much, the worst first.
     """
 
     name: str
@@ -70,6 +87,8 @@ class Flight:
     worst_constraint: str
     is_verified: bool
     wall_s: float
+    owed_energy_J: float = 0.0
+    broken_limits: tuple[str, ...] = ()
 
     @classmethod
     def from_flown(
@@ -82,10 +101,12 @@ class Flight:
         *,
         is_verified: bool,
         wall_s: float,
+        owed_energy_J: float = nan,
     ) -> Flight:
         """Make a flight of its samples and the final values wanted of its states."""
         miss = terminal_miss_of(dynamics, flown.states[-1], wanted)
-        worst: Violation = dynamics.violations(flown.t, flown.states, flown.controls)[0]
+        breaches = dynamics.violations(flown.t, flown.states, flown.controls)
+        worst: Violation = breaches[0]
         return cls(
             name=name,
             frame=frame,
@@ -97,7 +118,18 @@ class Flight:
             worst_constraint=worst.name,
             is_verified=is_verified,
             wall_s=wall_s,
+            owed_energy_J=owed_energy_J,
+            broken_limits=broken_limits(dynamics, breaches),
         )
+
+
+def broken_limits(dynamics: Dynamics, breaches: Sequence[Violation]) -> tuple[str, ...]:
+    """Return the limits broken by more than rounding, each with its breach, as "mast by 0.4 m"."""
+    return tuple(
+        f"{breach.name} by {breach.size:.2g} {dynamics.unit(breach.name)}".rstrip()
+        for breach in breaches
+        if breach.relative > VIOLATION_TOLERANCE
+    )
 
 
 def terminal_miss_of(

@@ -115,6 +115,24 @@ class Plan:
             )
         return self.make_dynamics()
 
+    def owed_energy(self, final: Mapping[str, float]) -> float:
+        """Return what a flight of the mission still owes that ended in another state [J].
+
+        The costate is what the least energy would fall by if the end lay further on, so its
+        product with the distance from the planned end prices the rest to first order.  Where the
+        least energy is convex in the end state the true price is not larger: with it added no
+        flight lies below the optimum, and hence none below its bound.
+
+        Parameters
+        ----------
+        final : mapping
+            State name -> final value; a state that the plan does not have owes nothing.
+        """
+        held = self.trajectories
+        planned = dict(zip(held.state_names, held.states[-1].tolist(), strict=True))
+        prices = zip(held.costate_names, held.costates[-1].tolist(), strict=True)
+        return sum(price * (final[name] - planned[name]) for name, price in prices if name in final)
+
     def to_frame(self, rate_hz: float | None = None) -> pd.DataFrame:
         """Return the plan as a table: at the mesh's nodes, or at an even rate.
 
@@ -179,6 +197,8 @@ class Plan:
             worst_constraint="" if verification is None else verification.worst_constraint,
             is_verified=self.is_verified,
             wall_s=sum(self.timings.values()),
+            owed_energy_J=0.0,  # its energy is that of the planned end, which is the one wanted
+            broken_limits=() if verification is None else verification.broken_limits,
         )
 
     def costate_frame(self) -> pd.DataFrame:
@@ -259,7 +279,11 @@ class Plan:
                 costate_names=costates,
                 **{name: held[name] for name in _ARRAYS},
             ),
-            verification=None if verification is None else Verification(**verification),
+            verification=None
+            if verification is None
+            else Verification(
+                **verification | {"broken_limits": tuple(verification["broken_limits"])}
+            ),
             error_estimate=about["error_estimate"],
             history=tuple(MeshRecord(**record) for record in about["history"]),
             attempts=tuple(about["attempts"]),

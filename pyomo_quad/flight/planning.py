@@ -146,6 +146,8 @@ class Planner:
             solution = plan.solution
             if plan.is_verified or solution is None or solution.status is not Status.CONVERGED:
                 break
+            if plan.verification is not None and not plan.verification.is_fed:
+                break  # no mesh gives the pack the power that it lacks
             tolerance *= _TIGHTER
             started = time.perf_counter()
             tighter = problem.solve(

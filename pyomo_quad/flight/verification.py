@@ -2,7 +2,8 @@
 
 A plan is verified when its controls, interpolated by the collocation polynomials and flown
 by an adaptive integrator through the declared equations, end where they should, keep the
-limits between the collocation points, and spend the energy that the optimiser reported.
+limits between the collocation points, spend the energy that the optimiser reported, and draw
+no more from the battery than it can give.
 """
 
 from __future__ import annotations
@@ -12,7 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pyomo_quad.flight.flight import FloatArray, Flown, position_miss, terminal_miss_of
+from pyomo_quad.flight.flight import (
+    VIOLATION_TOLERANCE,
+    FloatArray,
+    Flown,
+    broken_limits,
+    position_miss,
+    terminal_miss_of,
+)
 from pyomo_quad.flight.plant import fly_controls
 
 if TYPE_CHECKING:
@@ -21,20 +29,25 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation import Dynamics, Mesh
 
 __all__ = [
+    "BALANCE_TOLERANCE",
     "ENERGY_TOLERANCE",
     "MISS_TOLERANCE",
     "VIOLATION_TOLERANCE",
     "Verification",
+    "battery_imbalance",
     "verify_controls",
 ]
 
 #: Largest miss of any final state: metres, metres per second, radians, or, for what is
 #: larger than one (rotor speeds), relative.
 MISS_TOLERANCE = 1e-4
-#: Largest breach of a limit between points, relative to the larger of 1 and the limit.
-VIOLATION_TOLERANCE = 1e-4
 #: Largest relative difference of flown and planned energy.
 ENERGY_TOLERANCE = 1e-6
+#: Largest share of the power drawn that voltage times current of the pack may lack: the guard
+#: that keeps a current finite beyond the pack's greatest power lets it lack more.
+BALANCE_TOLERANCE = 1e-3
+
+_BALANCE = ("power.total", "battery.voltage", "battery.current", "battery.state_of_charge")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +64,11 @@ class Verification:
         State whose miss is largest, relative to the larger of 1 and its value.
     max_violation, worst_constraint : float, str
         Worst breach of a limit between points, relative, and the limit's name.
+    broken_limits : tuple of str
+        Every limit broken by more than the tolerance, and by how much.
     energy_difference_J, flown_energy_J : float
+    battery_imbalance : float
+        See the function of that name.
     is_verified : bool
         All of the above within this module's tolerances.
     """
@@ -64,6 +81,27 @@ class Verification:
     energy_difference_J: float
     flown_energy_J: float
     is_verified: bool
+    broken_limits: tuple[str, ...] = ()
+    battery_imbalance: float = 0.0
+
+    @property
+    def is_fed(self) -> bool:
+        """Whether the pack can give the power and the charge that the flight takes."""
+        return self.battery_imbalance <= BALANCE_TOLERANCE
+
+
+def battery_imbalance(dynamics: Dynamics, flown: Flown) -> float:
+    """Return the largest share of the power, or of the charge, drawn that the pack cannot give.
+
+    The declared equations stay finite beyond what a pack delivers and beyond empty; a flight
+    there is no flight.  A model without a battery lacks nothing.
+    """
+    if not all(dynamics.has(name) for name in _BALANCE):
+        return 0.0
+    keys = tuple((name, None) for name in _BALANCE)
+    power, voltage, current, charge = dynamics.table(keys, flown.t, flown.states, flown.controls).T
+    lacking = np.abs(power - voltage * current) / np.maximum(1.0, np.abs(power))
+    return float(max(np.max(lacking), -np.min(charge) / 100.0))
 
 
 def verify_controls(
@@ -97,7 +135,9 @@ def verify_controls(
     miss = terminal_miss_of(dynamics, flown.states[-1], planned)
     relative = {name: abs(m) / max(1.0, abs(planned[name])) for name, m in miss.items()}
     worst_miss = max(relative, key=lambda name: relative[name])
-    breach = dynamics.violations(flown.t, flown.states, flown.controls)[0]
+    breaches = dynamics.violations(flown.t, flown.states, flown.controls)
+    breach = breaches[0]
+    imbalance = battery_imbalance(dynamics, flown)
     flown_energy = float(flown.energy[-1])
     verification = Verification(
         terminal_miss=miss,
@@ -111,7 +151,10 @@ def verify_controls(
             relative[worst_miss] <= MISS_TOLERANCE
             and breach.relative <= VIOLATION_TOLERANCE
             and abs(flown_energy - energy) <= ENERGY_TOLERANCE * max(1.0, abs(energy))
+            and imbalance <= BALANCE_TOLERANCE
             and np.isfinite(flown_energy)
         ),
+        broken_limits=broken_limits(dynamics, breaches),
+        battery_imbalance=imbalance,
     )
     return verification, flown

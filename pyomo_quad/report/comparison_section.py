@@ -23,10 +23,13 @@ STAND_IN = (
 )
 
 _HOW_TO_READ = (
-    "The hover floor is what hovering for the same time takes. A saving is that of the optimum "
-    "over the flight of its row, in per cent of that flight's energy and of its energy above the "
-    f"hover floor. A flight that ends more than {ARRIVAL_DISTANCE_M:g} m from the goal, or faster "
-    f"than {ARRIVAL_SPEED_M_PER_S:g} m/s, has not arrived: it has no saving and no gap. Nor has "
+    "The hover floor is what hovering for the same time takes. A controlled flight ends a little "
+    "off the goal, moving, with rotors off the speed of hover: what that end still owes is priced "
+    "at the optimum's costates and added, and everything beyond the first column of energies is "
+    "of the sum. A saving is that of the optimum over the flight of its row, in per cent of that "
+    "flight's sum and of its sum above the hover floor. A flight that ends more than "
+    f"{ARRIVAL_DISTANCE_M:g} m from the goal, or faster than {ARRIVAL_SPEED_M_PER_S:g} m/s, has "
+    "not arrived; one that did not, or that broke a limit, has no saving, bound or gap. Nor has "
     "an optimum that was told another wind than the one that blows."
 )
 
@@ -41,7 +44,7 @@ class _Shown:
 
     @property
     def is_number(self) -> bool:
-        return self.say is not yes_no
+        return self.say not in (yes_no, str)
 
 
 def _energy(value: float) -> str:
@@ -62,6 +65,7 @@ def _plain(value: float) -> str:
 
 _ENERGIES = (
     _Shown(ComparisonColumn.ENERGY, "Energy (J)", _energy),
+    _Shown(ComparisonColumn.OWED_ENERGY, "Owed at its end (J)", _energy),
     _Shown(ComparisonColumn.HOVER_ENERGY, "Hover floor (J)", _energy),
     _Shown(ComparisonColumn.EXCESS_ENERGY, "Above the floor (J)", _energy),
     _Shown(ComparisonColumn.SAVING, "Saving (%)", _percent),
@@ -71,6 +75,8 @@ _ENERGIES = (
 )
 _MOTIONS = (
     _Shown(ComparisonColumn.ARRIVED, "Arrived", yes_no),
+    _Shown(ComparisonColumn.LIMITS_KEPT, "Limits kept", yes_no),
+    _Shown(ComparisonColumn.BROKEN_LIMITS, "Limits broken", str),
     _Shown(ComparisonColumn.VERIFIED, "Verified", yes_no),
     _Shown(ComparisonColumn.TERMINAL_MISS, "Miss of the goal (m)", rough),
     _Shown(ComparisonColumn.TIME_INSIDE, f"Within {INSIDE_DISTANCE_M:g} m of it (s)", _energy),

@@ -48,6 +48,7 @@ def flight_summary(
         "terminal_miss": dict(flight.terminal_miss),
         "max_violation": flight.max_violation,
         "worst_constraint": flight.worst_constraint,
+        "broken_limits": list(flight.broken_limits),
         "wall_s": {**wall_s, "fly": flight.wall_s},
         "scenario_resolved": scenario.model_dump(mode="json"),
     }

@@ -9,6 +9,7 @@ import pandas as pd
 from pyomo_quad.flight.baselines import baseline_name
 from pyomo_quad.report.style import LineStyle, flight_styles
 from pyomo_quad.scenario.baseline import Reference
+from pyomo_quad.study.comparison import settled_energy
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Flight, Plan
@@ -21,7 +22,7 @@ _FAILED_PLAN = "best iterate"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StyledFlight:
-    """A flight with the look that it keeps in every figure."""
+    """A flight with the look that it keeps in every figure; its energy is with what it owes."""
 
     name: str
     frame: pd.DataFrame
@@ -65,7 +66,7 @@ def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
             name=flight.name,
             frame=flight.frame,
             duration_s=flight.duration_s,
-            energy_J=flight.energy_J,
+            energy_J=settled_energy(flight),
             style=styles[flight.name],
         )
         for flight in flights

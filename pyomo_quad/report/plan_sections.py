@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from pyomo_quad.flight import Plan
 from pyomo_quad.flight.verification import (
+    BALANCE_TOLERANCE,
     ENERGY_TOLERANCE,
     MISS_TOLERANCE,
     VIOLATION_TOLERANCE,
@@ -150,6 +151,12 @@ def _checks(found: Verification, energy: float) -> list[tuple[str, Piece, Piece,
             "",
             rough(found.energy_difference_J),
             rough(ENERGY_TOLERANCE * max(1.0, abs(energy))),
+        ),
+        (
+            "Power or charge that the battery lacks (relative)",
+            "",
+            rough(max(found.battery_imbalance, 0.0)),
+            rough(BALANCE_TOLERANCE),
         ),
     ]
 

@@ -47,7 +47,7 @@ def run_verdict(result: "RunResult") -> Verdict:
             f" The optimal flight spends {fixed(plan.energy)} J, ",
             f"{_less(fair[ComparisonColumn.SAVING])} than ",
             Code(str(fair[ComparisonColumn.FLIGHT])),
-            f" ({fixed(fair[ComparisonColumn.ENERGY])} J)",
+            f" ({_settled(fair)})",
             _above_hover(plan, fair),
             *_proof(plan, result.certificate),
         ),
@@ -101,6 +101,13 @@ def _fair_row(comparison: pd.DataFrame) -> "pd.Series | None":
         return None
     fair = rivals[rivals[ComparisonColumn.FLIGHT] == FAIR_BASELINE]
     return (rivals.sort_values(ComparisonColumn.ENERGY) if fair.empty else fair).iloc[0]
+
+
+def _settled(fair: "pd.Series") -> str:
+    energy, owed = fair[ComparisonColumn.ENERGY], fair[ComparisonColumn.OWED_ENERGY]
+    spent = f"{fixed(energy + owed)} J"
+    is_plain = fixed(owed) == fixed(0.0)
+    return spent if is_plain else f"{spent}, {fixed(owed)} J of it still owed at its end"
 
 
 def _less(percent: float, digits: int = 2) -> str:

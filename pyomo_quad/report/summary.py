@@ -116,6 +116,8 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
         {
             "flight": flight.name,
             "energy_J": _number(flight.energy_J),
+            "owed_energy_J": _number(flight.owed_energy_J),
+            "broken_limits": list(flight.broken_limits),
             "terminal_miss_m": _number(flight.terminal_miss_m),
             "verified": flight.is_verified,
             "wall_s": _number(flight.wall_s),

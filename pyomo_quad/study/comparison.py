@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from enum import StrEnum
-from math import nan
+from math import isfinite, nan
 
 import numpy as np
 import pandas as pd
@@ -22,6 +22,8 @@ __all__ = [
     "combine",
     "compare_flights",
     "has_arrived",
+    "is_comparable",
+    "settled_energy",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -46,6 +48,7 @@ class ComparisonColumn(StrEnum):
     SCENARIO = "scenario"
     FLIGHT = "flight"
     ENERGY = "energy_J"
+    OWED_ENERGY = "owed_energy_J"
     HOVER_ENERGY = "hover_energy_J"
     EXCESS_ENERGY = "excess_energy_J"
     LOWER_BOUND = "lower_bound_J"
@@ -54,6 +57,8 @@ class ComparisonColumn(StrEnum):
     SAVING_OF_EXCESS = "saving_of_excess_percent"
     TERMINAL_MISS = "terminal_miss_m"
     ARRIVED = "arrived"
+    LIMITS_KEPT = "limits_kept"
+    BROKEN_LIMITS = "broken_limits"
     VERIFIED = "verified"
     PEAK_POWER = "peak_power_W"
     PEAK_TILT = "peak_tilt_rad"
@@ -105,45 +110,62 @@ def compare_flights(
 
     Notes
     -----
-    The savings in a row are those of the optimum over that row's flight, in per cent of its
-    energy and of its energy above hover.  A flight that did not arrive has none, and no gap to the
-    bound either, since that bounds only flights that arrive.  A scenario with a forecast has no
-    savings and its optimum no bound: it was made for another wind than the others flew in.
+    Flights are compared at the same end: what a flight's end state still owes is added to its
+    energy, and excess, gap and savings are of the sum (`Plan.owed_energy` says why no flight then
+    lies below the optimum).  The savings in a row are those of the optimum over that row's flight,
+    in per cent of its sum and of its sum above hover.
 
-    A controlled flight ends some rad/s off hover and some millimetres off the goal, the optimum
-    exactly there.  Each rad/s holds 0.04 J in a rotor of the paper's vehicle: differences of a few
-    tenths of a joule say nothing, and following the optimum may seem to cost less than it.
+    A flight that did not arrive, broke a limit or has no price on its end takes no part: it has no
+    saving, and neither bound nor gap, since the bound is one on flights that arrive within the
+    limits.  A scenario with a forecast has no savings and its optimum no bound: it was made for
+    another wind than the others flew in.
     """
     is_told_the_wind = scenario.wind.forecast is None
-    optimum = next((f for f in flights if f.name == OPTIMAL and has_arrived(f)), None)
+    optimum = next((f for f in flights if f.name == OPTIMAL and is_comparable(f)), None)
     rows = []
     for flight in flights:
         is_optimum = flight.name == OPTIMAL
         arrived = has_arrived(flight)
-        is_bounded = is_told_the_wind or not is_optimum
-        is_rival = arrived and is_told_the_wind and not is_optimum
-        excess = flight.energy_J - hover_energy_J
-        saved = nan if optimum is None or not is_rival else flight.energy_J - optimum.energy_J
+        settled = settled_energy(flight)
+        is_bounded = is_comparable(flight) and (is_told_the_wind or not is_optimum)
+        is_rival = is_comparable(flight) and is_told_the_wind and not is_optimum
+        excess = settled - hover_energy_J
+        saved = nan if optimum is None or not is_rival else settled - settled_energy(optimum)
         rows.append(
             {
                 ComparisonColumn.SCENARIO: scenario.name,
                 ComparisonColumn.FLIGHT: flight.name,
                 ComparisonColumn.ENERGY: flight.energy_J,
+                ComparisonColumn.OWED_ENERGY: flight.owed_energy_J if arrived else nan,
                 ComparisonColumn.HOVER_ENERGY: hover_energy_J,
                 ComparisonColumn.EXCESS_ENERGY: excess,
                 ComparisonColumn.LOWER_BOUND: _number(certificate.lower_bound_J, is_bounded),
                 ComparisonColumn.OPTIMALITY_GAP: _number(
-                    certificate.gap_percent(flight.energy_J), is_bounded and arrived
+                    certificate.gap_percent(settled), is_bounded
                 ),
-                ComparisonColumn.SAVING: _percent(saved, flight.energy_J),
+                ComparisonColumn.SAVING: _percent(saved, settled),
                 ComparisonColumn.SAVING_OF_EXCESS: _percent(saved, excess),
                 ComparisonColumn.TERMINAL_MISS: flight.terminal_miss_m,
                 ComparisonColumn.ARRIVED: arrived,
+                ComparisonColumn.LIMITS_KEPT: not flight.broken_limits,
+                ComparisonColumn.BROKEN_LIMITS: "; ".join(flight.broken_limits) or "none",
                 ComparisonColumn.VERIFIED: flight.is_verified,
                 **_measured(scenario, flight.frame),
             }
         )
     return pd.DataFrame(rows, columns=[column.value for column in ComparisonColumn])
+
+
+def is_comparable(flight: Flight) -> bool:
+    """Say whether a flight did what the mission asks, so that its energy answers the question."""
+    is_priced = isfinite(flight.owed_energy_J)
+    return has_arrived(flight) and not flight.broken_limits and is_priced
+
+
+def settled_energy(flight: Flight) -> float:
+    """Return the energy with what the end state owes, which is said only of a flight near it."""
+    is_priced = has_arrived(flight) and isfinite(flight.owed_energy_J)
+    return flight.energy_J + (flight.owed_energy_J if is_priced else 0.0)
 
 
 def combine(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:

@@ -10,6 +10,7 @@ import numpy as np
 from pyomo_quad.flight import Flight, Plan
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.baseline import Reference
+from pyomo_quad.study.comparison import is_comparable, settled_energy
 
 __all__ = [
     "DURATION_FIELD",
@@ -83,11 +84,13 @@ def baseline_outputs(reference: Reference, flight: Flight, plan: Plan) -> dict[s
         Column -> number.
     """
     name = reference.value
+    saved = 1.0 - plan.energy / settled_energy(flight) if is_comparable(flight) else np.nan
     return _rounded(
         {
             f"{name}_energy_J": flight.energy_J,
+            f"{name}_owed_energy_J": flight.owed_energy_J,
             f"{name}_terminal_miss_m": flight.terminal_miss_m,
-            f"saving_over_{name}_percent": 100.0 * (1.0 - plan.energy / flight.energy_J),
+            f"saving_over_{name}_percent": 100.0 * saved,
         }
     )
 

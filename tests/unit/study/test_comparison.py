@@ -39,7 +39,7 @@ def frame(**columns):
     return pd.DataFrame(flown | columns)
 
 
-def flight(name, energy, miss=0.0, speed=0.0, table=None):
+def flight(name, energy, miss=0.0, speed=0.0, table=None, **more):
     return Flight(
         name=name,
         frame=frame() if table is None else table,
@@ -51,6 +51,7 @@ def flight(name, energy, miss=0.0, speed=0.0, table=None):
         worst_constraint="limits.thrust_limit",
         is_verified=True,
         wall_s=1.0,
+        **more,
     )
 
 
@@ -61,9 +62,10 @@ def compared(*flights, certificate=BOUND, told=None):
 def test_columns_stand_in_the_order_of_the_table():
     row = compare_flights(scenario(), [flight("optimal", 410.0)], BOUND, 400.0)
     assert list(row) == [
-        *("scenario", "flight", "energy_J", "hover_energy_J", "excess_energy_J"),
+        *("scenario", "flight", "energy_J", "owed_energy_J", "hover_energy_J", "excess_energy_J"),
         *("lower_bound_J", "optimality_gap_percent", "saving_percent", "saving_of_excess_percent"),
-        *("terminal_miss_m", "arrived", "verified", "peak_power_W", "peak_tilt_rad"),
+        *("terminal_miss_m", "arrived", "limits_kept", "broken_limits", "verified"),
+        *("peak_power_W", "peak_tilt_rad"),
         *("peak_rotor_acceleration_rad_per_s2", "time_inside_0p1_m_s", "battery_used_percent"),
     ]
 
@@ -86,6 +88,40 @@ def test_what_did_not_arrive_takes_no_part_in_a_saving(stray):
     assert not table.loc["adaptive/step", Column.ARRIVED]
     assert table.loc["adaptive/step", [Column.SAVING, Column.OPTIMALITY_GAP]].isna().all()
     assert table.loc["adaptive/quintic", Column.SAVING] > 0
+
+
+def test_what_an_end_state_owes_counts_in_saving_excess_and_gap():
+    # Spent 409 J and owes 6 J: as dear as a flight that ends at the goal for 415 J.
+    owing = flight("adaptive/plan", 409.0, owed_energy_J=6.0)
+    table = compared(flight("optimal", 410.0), owing, flight("adaptive/quintic", 415.0))
+    row, same = table.loc["adaptive/plan"], table.loc["adaptive/quintic"]
+    assert row[Column.OWED_ENERGY] == 6.0
+    assert row[Column.ENERGY] == 409.0
+    summed = [Column.EXCESS_ENERGY, Column.SAVING, Column.SAVING_OF_EXCESS, Column.OPTIMALITY_GAP]
+    assert row[summed].tolist() == same[summed].tolist()
+    assert row[Column.SAVING] == pytest.approx(100 * 5 / 415)
+
+
+@pytest.mark.parametrize(
+    "out_of_play",
+    [{"broken_limits": ("mast by 0.43 m", "ceiling by 1 m")}, {"owed_energy_J": nan}],
+)
+def test_a_flight_that_broke_a_limit_or_has_no_price_is_held_to_no_bound(out_of_play):
+    rival = flight("adaptive/quintic", 379.0, **out_of_play)
+    table = compared(flight("optimal", 410.0), rival)
+    row = table.loc["adaptive/quintic"]
+    compared_by = [Column.SAVING, Column.SAVING_OF_EXCESS, Column.LOWER_BOUND]
+    assert row[[*compared_by, Column.OPTIMALITY_GAP]].isna().all()
+    assert row[Column.LIMITS_KEPT] == ("broken_limits" not in out_of_play)
+    assert row[Column.BROKEN_LIMITS] == "; ".join(out_of_play.get("broken_limits", ["none"]))
+    assert table.loc["optimal", Column.BROKEN_LIMITS] == "none"
+
+
+def test_what_an_end_far_from_the_goal_would_owe_is_not_said():
+    astray = flight("adaptive/step", 400.0, miss=60.0, owed_energy_J=-30.0)
+    row = compared(flight("optimal", 410.0), astray).loc["adaptive/step"]
+    assert np.isnan(row[Column.OWED_ENERGY])
+    assert row[Column.EXCESS_ENERGY] == 0.0
 
 
 def test_an_optimum_that_did_not_arrive_saves_nothing():
