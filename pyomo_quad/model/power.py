@@ -1,6 +1,7 @@
 """The electrical power of the rotors, by five models of which a scenario chooses one.
 
-Each is a function that declares the power of every rotor.  The energy of the flight is the
+Each is a function that declares the power of every rotor before anything is said of braking;
+regeneration then says what braking earns, all of it or nothing.  The energy of the flight is the
 integral of their sum, eq. (8); the paper's second sum, over every speed for every rotor, is
 read as one sum over the four rotors.
 
@@ -8,8 +9,12 @@ name | power of one rotor | convex in alpha | convex in thrust in steady flight
 motor | v i | yes | yes
 motor_with_friction | v i with friction in the torque | yes | no
 shaft | tau omega | yes, linear | yes
-constant_efficiency | tau omega / eta, floored at zero | yes | yes
-efficiency | tau omega / f_r(tau, omega), floored at zero | no | no
+constant_efficiency | tau omega / eta | yes | yes
+efficiency | tau omega / f_r(tau, omega) | no | no
+
+By default the first three earn what braking gives: v i and tau omega are balances that hold
+whichever way the energy flows.  The others do not: a braking power divided by an efficiency
+would earn more than it gave.
 """
 
 from collections.abc import Callable
@@ -89,7 +94,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     Returns
     -------
     tuple of Parameter
-        Empty for the models that use the vehicle's numbers alone.
+        Empty for the regenerating models that use the vehicle's numbers alone.
     """
     guard = () if scenario.power.regeneration else (_SMOOTHING,)
     match scenario.power.model:
@@ -97,7 +102,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
             return _EFFICIENCY_FUNCTION + guard
         case PowerModel.CONSTANT_EFFICIENCY:
             return (_CONSTANT_EFFICIENCY, *guard)
-    return ()
+    return guard
 
 
 def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
@@ -113,8 +118,7 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
     b = m.power = Block(doc="power, eq. (8)")
     declare_parameters(b, parameters_of(scenario), scenario)
     _MODELS[scenario.power.model](m)
-    if scenario.power.model in (PowerModel.EFFICIENCY, PowerModel.CONSTANT_EFFICIENCY):
-        _declare_credit(m, has_regeneration=scenario.power.regeneration)
+    _declare_credit(m, has_regeneration=scenario.power.regeneration)
 
     @b.Expression(m.time, doc="eq. (8): power of the four rotors [W]")
     def total(b: Block, t: float) -> NumericExpression:
@@ -125,13 +129,14 @@ def declare_motor_power(m: ConcreteModel) -> None:
     """Declare `motor`: terminal voltage times current, eq. (2)-(3).
 
     Sound wherever the motor runs: copper loss grows with the square of the torque, so the
-    power is convex in alpha and in thrust.  Braking returns what the winding does not take.
+    power is convex in alpha and in thrust.  With regeneration braking returns what the winding
+    does not take.
     The rotor loses nothing to profile drag, so hover comes out at half a real aircraft's.
     """
     b = m.power
 
     @b.Expression(m.rotors.rotor, m.time, doc="eq. (2)-(3): electrical power v i [W]")
-    def rotor_power(b: Block, j: int, t: float) -> NumericExpression:
+    def uncredited_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
         return rotors.motor_voltage[j, t] * rotors.motor_current[j, t]
 
@@ -140,13 +145,13 @@ def declare_shaft_power(m: ConcreteModel) -> None:
     """Declare `shaft`: mechanical power, torque times speed.
 
     Sound as a floor under every other model: it knows no loss in motor or converter, and
-    braking returns all it takes.  Linear in alpha, so alpha needs its bound; convex in
-    thrust (power 3/2).
+    with regeneration braking returns all it takes.  Linear in alpha, so alpha needs its bound;
+    convex in thrust (power 3/2).
     """
     b = m.power
 
     @b.Expression(m.rotors.rotor, m.time, doc="eq. (8) with f_r = 1: shaft power [W]")
-    def rotor_power(b: Block, j: int, t: float) -> NumericExpression:
+    def uncredited_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
         return rotors.motor_torque[j, t] * rotors.omega[j, t]
 
@@ -219,7 +224,7 @@ def declare_motor_power_with_friction(m: ConcreteModel) -> None:
         return m.rotors.motor_torque[j, t] + friction
 
     @b.Expression(m.rotors.rotor, m.time, doc="electrical power with friction [W]")
-    def rotor_power(b: Block, j: int, t: float) -> NumericExpression:
+    def uncredited_power(b: Block, j: int, t: float) -> NumericExpression:
         m = b.parent_block()
         current = b.torque_with_friction[j, t] / m.vehicle.torque_constant
         resistive_drop = m.vehicle.motor_resistance * current

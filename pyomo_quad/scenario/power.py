@@ -1,6 +1,10 @@
 """The power model that turns rotor motion into watts."""
 
+from collections.abc import Mapping
 from enum import StrEnum
+from typing import Any
+
+from pydantic import model_validator
 
 from pyomo_quad.scenario.fields import Flag, Number, Part, quantity
 
@@ -17,6 +21,11 @@ class PowerModel(StrEnum):
     MOTOR_WITH_FRICTION = "motor_with_friction"
 
 
+# Their power is a balance that holds whichever way the energy flows; to divide a braking power by
+# an efficiency would make braking earn more than it gave.
+_REGENERATING = (PowerModel.MOTOR, PowerModel.SHAFT, PowerModel.MOTOR_WITH_FRICTION)
+
+
 class Power(Part):
     """Choice of the power model and the regularisation of the `efficiency` model."""
 
@@ -24,5 +33,16 @@ class Power(Part):
     efficiency: Number = quantity("1", "drive efficiency of constant_efficiency", 0.75, gt=0, le=1)
     torque_floor: Number = quantity("N*m", "efficiency: smallest torque used in f_r", 0.0, ge=0)
     efficiency_floor: Number = quantity("1", "efficiency: smallest f_r", 0.05, gt=0, le=1)
-    regeneration: Flag = quantity("", "whether braking earns energy back", False)
-    smoothing: Number = quantity("W", "efficiency: width of the smooth floor at 0 W", 0.1, gt=0)
+    regeneration: Flag = quantity(
+        "", "whether braking earns energy back, default by power model", False
+    )
+    smoothing: Number = quantity(
+        "W", "without regeneration: width of the smooth floor at 0 W", 0.1, gt=0
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _regenerates_by_default(cls, given: Any) -> Any:  # noqa: ANN401  before validation
+        if not isinstance(given, Mapping) or "regeneration" in given:
+            return given
+        return {**given, "regeneration": given.get("model", PowerModel.MOTOR) in _REGENERATING}

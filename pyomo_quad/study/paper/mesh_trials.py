@@ -119,7 +119,7 @@ def run_trial(trial: MeshTrial) -> TrialOutcome:
 def _fly(scenario: Scenario, solution: Solution, priced: Dynamics) -> tuple[float, float]:
     """Return energy and miss of the solution's controls when flown."""
     # The motion does not depend on the power model, and this one has a finite power everywhere.
-    steerable = scenario.with_values({"power.model": PowerModel.MOTOR, "power.regeneration": False})
+    steerable = scenario.with_values({"power.model": PowerModel.MOTOR, "power.regeneration": True})
     flown = fly_controls(
         Planner(model_without_battery).dynamics(steerable),
         solution.mesh,
