@@ -14,14 +14,14 @@ from pyomo_quad.report.figures.adaptation import draw_adaptation
 from pyomo_quad.report.figures.battery import draw_battery
 from pyomo_quad.report.figures.controls import draw_controls
 from pyomo_quad.report.figures.costates import COSTATES, draw_costates
-from pyomo_quad.report.figures.energy import draw_energy
+from pyomo_quad.report.figures.energy import coinciding_flights, cut_flights, draw_energy
 from pyomo_quad.report.figures.energy_split import draw_energy_split
 from pyomo_quad.report.figures.mesh import draw_mesh
 from pyomo_quad.report.figures.overview import draw_overview
 from pyomo_quad.report.figures.path import BEAT_COUNT, distinct_paths, draw_path, leaving_paths
 from pyomo_quad.report.figures.rotors import draw_rotors
 from pyomo_quad.report.figures.states import draw_states
-from pyomo_quad.report.figures.wind import draw_wind
+from pyomo_quad.report.figures.wind import draw_wind, is_calm
 from pyomo_quad.report.flights import StyledFlight, fair_pair
 from pyomo_quad.report.signals import (
     BATTERY,
@@ -35,6 +35,7 @@ from pyomo_quad.report.signals import (
     Signal,
 )
 from pyomo_quad.report.style import save_figure
+from pyomo_quad.report.wording import fixed
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
@@ -44,6 +45,7 @@ __all__ = [
     "Drawing",
     "adaptation_drawing",
     "comparison_drawings",
+    "left_out",
     "plan_drawings",
     "save_drawings",
 ]
@@ -83,8 +85,8 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
     Returns
     -------
     tuple of Drawing
-        Without those that show what a model of the user's own does not declare, or what a
-        failed solve left without a number.
+        Without those that show what a model of the user's own does not declare, what a failed
+        solve left without a number, or a wind that does not blow.
     """
     has_forecast = plan.scenario.wind.forecast is not None
     blowing = flights[1] if has_forecast and len(flights) > 1 else None
@@ -93,7 +95,8 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
     drawings = (
         *(_path(flights) if finite.issuperset(_columns(POSITION)) else ()),
         *_motion(flights),
-        *_supply(flights, plan.hover_energy_J, blowing),
+        *_supply(flights, plan.hover_energy_J),
+        *_wind(flights[0], blowing),
         *(_costates(plan) if plan.verification is not None else ()),
         Drawing(
             name="mesh",
@@ -134,7 +137,8 @@ def comparison_drawings(
             name="overview",
             title="The run at a glance",
             caption="Left: the paths, from start (dot) to goal (star). Right: what each flight "
-            f"spends above hovering for the same time.{_left_out(flights)}",
+            f"spends above hovering for the same time.{left_out(flights)}"
+            f"{_coinciding(flights, hover_energy_J)}",
             draw=lambda: draw_overview(flights, hover_energy_J, absent),
         ),
         Drawing(
@@ -193,14 +197,25 @@ def _path(flights: Sequence[StyledFlight]) -> tuple[Drawing]:
             name=PATH_NAME,
             title="Path",
             caption=f"Paths from start (dot) to goal (star), with a mark every {beat:.3g} s."
-            f"{_left_out(flights)}",
+            f"{left_out(flights)}",
             draw=lambda: draw_path(distinct),
         ),
     )
 
 
-def _left_out(flights: Sequence[StyledFlight]) -> str:
-    """Return what is said under a picture of paths of those that are not all in it."""
+def left_out(flights: Sequence[StyledFlight]) -> str:
+    """Say under a picture of paths which of them are not, or not all, in it.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        The flights, the optimum first.
+
+    Returns
+    -------
+    str
+        Sentences with a space before each; empty when all is shown.
+    """
     said = ""
     distinct, astray = distinct_paths(flights), leaving_paths(flights)
     near = [flight for flight in flights if flight not in distinct]
@@ -218,46 +233,55 @@ def _motion(flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
         Drawing(
             name="states",
             title="States",
-            caption=f"The sixteen states: {_listed(pair)}.",
+            caption=f"The sixteen states: {_listed(pair)}.{_not_drawn(flights, pair)}",
             needs=_columns(*STATE_GRID),
             draw=lambda: draw_states(pair),
         ),
         Drawing(
             name="controls",
             title="Controls",
-            caption=f"The four controls, accelerations of the rotors: {optimum.name}.",
+            caption=f"The four controls, accelerations of the rotors: {optimum.name}."
+            f"{_not_drawn(flights, flights[:1])}",
             needs=_columns(ROTOR_ACCELERATION),
             draw=lambda: draw_controls([optimum]),
         ),
     )
 
 
-def _supply(
-    flights: Sequence[StyledFlight], hover_energy_J: float, blowing: StyledFlight | None
-) -> tuple[Drawing, ...]:
+def _supply(flights: Sequence[StyledFlight], hover_energy_J: float) -> tuple[Drawing, ...]:
     optimum, pair = flights[0], fair_pair(flights)
     return (
         Drawing(
             name="energy",
             title="Power and energy",
-            caption="Power, energy, and energy above what hovering until then would have taken.",
+            caption="Power, energy, and energy above what hovering until then would have taken."
+            f"{_cut(flights)}{_coinciding(flights, hover_energy_J)}",
             needs=_columns((POWER, ENERGY)),
             draw=lambda: draw_energy(flights, hover_energy_J),
         ),
         Drawing(
             name="motors",
             title="Motors",
-            caption=f"The four motors: {optimum.name}.",
+            caption=f"The four motors: {optimum.name}.{_not_drawn(flights, flights[:1])}",
             needs=_columns(*MOTOR),
             draw=lambda: draw_rotors(optimum),
         ),
         Drawing(
             name="battery",
             title="Battery",
-            caption=f"The battery: {_listed(pair)}.",
+            caption=f"The battery: {_listed(pair)}.{_not_drawn(flights, pair)}",
             needs=_columns(BATTERY),
             draw=lambda: draw_battery(pair),
         ),
+    )
+
+
+def _wind(optimum: StyledFlight, blowing: StyledFlight | None) -> tuple[Drawing, ...]:
+    shown = [flight for flight in (optimum, blowing) if flight is not None]
+    is_declared = all(set(_columns(WIND)) <= set(flight.frame) for flight in shown)
+    if not is_declared or is_calm(*shown):
+        return ()
+    return (
         Drawing(
             name="wind",
             title="Wind",
@@ -266,6 +290,34 @@ def _supply(
             draw=lambda: draw_wind(optimum, blowing),
         ),
     )
+
+
+def _cut(flights: Sequence[StyledFlight]) -> str:
+    """Say whose peaks the panel of the power leaves out, and how far they go."""
+    if POWER.column not in flights[0].frame:
+        return ""
+    peaks = [
+        f"{flight.name} ({fixed(power.min(), 1)} to {fixed(power.max(), 1)} W)"
+        for flight in cut_flights(flights)
+        for power in (POWER.of(flight.frame),)
+    ]
+    return f" Short peaks leave the first panel: {', '.join(peaks)}." if peaks else ""
+
+
+def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
+    """Say whose energy cannot be told from the optimum's."""
+    if ENERGY.column not in flights[0].frame:
+        return ""
+    same = coinciding_flights(flights, hover_energy_J / flights[0].duration_s)
+    if not same:
+        return ""
+    return f" The energy of {flights[0].name} hides that of {_listed(same)}."
+
+
+def _not_drawn(flights: Sequence[StyledFlight], drawn: Sequence[StyledFlight]) -> str:
+    """Say which flights of a run a figure leaves to the table."""
+    rest = [flight for flight in flights if flight not in drawn]
+    return f" Not drawn: {_listed(rest)}." if rest else ""
 
 
 def _costates(plan: "Plan") -> tuple[Drawing, ...]:

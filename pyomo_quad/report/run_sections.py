@@ -4,10 +4,12 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.report.document import Block, Code, Heading, Paragraph, Piece, Strong, Verdict
 from pyomo_quad.report.flights import FAIR_BASELINE
 from pyomo_quad.report.plan_sections import plan_verdict
 from pyomo_quad.report.wording import STATUS_WORDS, fixed, rough, seconds
+from pyomo_quad.scenario import Reference
 from pyomo_quad.study.comparison import ComparisonColumn
 
 if TYPE_CHECKING:
@@ -16,6 +18,8 @@ if TYPE_CHECKING:
     from pyomo_quad.study.run import RunResult
 
 __all__ = ["certificate_blocks", "run_verdict"]
+
+_FOLLOWED_PLAN = baseline_name(Reference.PLAN)
 
 _LOCAL_ONLY = (
     " The optimum is one that no small change improves; a quite different flight may still spend "
@@ -34,9 +38,12 @@ def run_verdict(result: "RunResult") -> Verdict:
     Returns
     -------
     Verdict
-        One sentence on the energy, and what it rests on.
+        One sentence on the energy, and what it rests on; of a plan made for another wind than
+        blows, what became of it.
     """
     plan = result.plan
+    if plan.is_verified and plan.scenario.wind.forecast is not None:
+        return _untold_verdict(plan, result.comparison)
     fair = _fair_row(result.comparison)
     if not plan.is_verified or fair is None:
         return plan_verdict(plan)
@@ -52,6 +59,59 @@ def run_verdict(result: "RunResult") -> Verdict:
             *_proof(plan, result.certificate),
         ),
     )
+
+
+def _untold_verdict(plan: "Plan", comparison: pd.DataFrame) -> Verdict:
+    """Say what became of a plan in a wind that it was not told of, with feedback and without."""
+    rows = {str(row[ComparisonColumn.FLIGHT]): row for _, row in comparison.iterrows()}
+    pieces: list[Piece] = [
+        Strong(
+            f"{STATUS_WORDS[plan.status]} in the wind that it was told, not in the one that blows."
+        ),
+        f" There the plan spends {fixed(plan.energy)} J. In the wind that blows",
+    ]
+    alone, followed = rows.get(OPEN_LOOP), rows.get(_FOLLOWED_PLAN)
+    if alone is not None:
+        pieces += [" ", Code(OPEN_LOOP), f", without feedback, {_end(alone)}"]
+    if followed is not None:
+        spent = f"{fixed(_spent(followed))} J"
+        pieces += [
+            "; " if alone is not None else " ",
+            Code(_FOLLOWED_PLAN),
+            f", under feedback, {_end(followed)} and spends {spent}",
+        ]
+    pieces += ["." if rows.keys() & {OPEN_LOOP, _FOLLOWED_PLAN} else " it was not flown."]
+    fair = rows.get(FAIR_BASELINE)
+    if followed is not None and fair is not None and followed[ComparisonColumn.ARRIVED]:
+        pieces += _gain_of_the_plan(followed, fair)
+    return Verdict(
+        is_good=all(bool(row[ComparisonColumn.ARRIVED]) for row in rows.values()), pieces=pieces
+    )
+
+
+def _end(row: "pd.Series") -> str:
+    miss = rough(row[ComparisonColumn.TERMINAL_MISS])
+    if row[ComparisonColumn.ARRIVED]:
+        return f"arrives {miss} m from the goal"
+    return f"misses the goal by {miss} m"
+
+
+def _gain_of_the_plan(followed: "pd.Series", fair: "pd.Series") -> list[Piece]:
+    """Compare following the untold plan with following a reference that needs no plan."""
+    if not fair[ComparisonColumn.ARRIVED]:
+        return [" ", Code(FAIR_BASELINE), ", which needs no plan, does not arrive."]
+    share = 100.0 * (1.0 - _spent(followed) / _spent(fair))
+    outcome = f"saves {fixed(share)} %" if float(fixed(share)) > 0.0 else "gains nothing"
+    return [
+        f" Following it {outcome} over ",
+        Code(FAIR_BASELINE),
+        f" ({fixed(_spent(fair))} J), which needs no plan.",
+    ]
+
+
+def _spent(row: "pd.Series") -> float:
+    """Return the energy by which flights are compared, what the end owes included, J."""
+    return float(row[ComparisonColumn.HOVER_ENERGY] + row[ComparisonColumn.EXCESS_ENERGY])
 
 
 def certificate_blocks(plan: "Plan", certificate: "Certificate") -> tuple[Block, ...]:

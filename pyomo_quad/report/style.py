@@ -7,7 +7,7 @@ matplotlib is used: no state is shared between figures.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import cycle, islice
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
+from pyomo_quad.scenario.baseline import Reference
+from pyomo_quad.study.comparison import OPTIMAL
+
 __all__ = [
-    "FLIGHT_STYLES",
     "FULL_WIDTH",
     "INK",
     "MUTED",
     "PALE",
     "ROTOR_STYLES",
+    "SERIES_STYLES",
     "LineStyle",
     "flight_styles",
     "save_figure",
@@ -105,7 +109,8 @@ class LineStyle:
         return {"color": self.color, "linestyle": pattern, "linewidth": self.width}
 
 
-FLIGHT_STYLES = (
+#: For curves that are no flights, as those of a sweep.
+SERIES_STYLES = (
     LineStyle(color=_BLUE, marker="o", width=1.9),
     LineStyle(color=_VERMILION, dashes=(4.5, 1.6), dash_name="dash", marker="s", hatch="///"),
     LineStyle(color=_GREEN, dashes=(6, 1.5, 1.2, 1.5), dash_name="dashdot", marker="^", hatch=".."),
@@ -119,7 +124,14 @@ FLIGHT_STYLES = (
         hatch="++",
     ),
     LineStyle(color=_SKY, dashes=(2.2, 1.1), dash_name="dash", marker="X", hatch="--"),
+    LineStyle(color=MUTED, dashes=(5, 1.2, 1, 1.2), dash_name="dashdot", marker="d", hatch="oo"),
 )
+
+_FLIGHTS = (OPTIMAL, *(baseline_name(reference) for reference in Reference), OPEN_LOOP)
+# Every flight that the program can fly has a style of its own in every report; the rest is for
+# what a caller names in another way.
+_FLIGHT_STYLES = dict(zip(_FLIGHTS, SERIES_STYLES, strict=False))
+_OTHER_STYLES = SERIES_STYLES[len(_FLIGHTS) :]
 
 ROTOR_STYLES = (
     LineStyle(color=_BLUE, width=1.8),
@@ -130,19 +142,22 @@ ROTOR_STYLES = (
 
 
 def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
-    """Give each flight of a run the style it keeps in every figure.
+    """Give each flight the style that it keeps in every figure of every report.
 
     Parameters
     ----------
     names : tuple of str
-        Names of the run's flights, the optimum first.
+        Names of flights.
 
     Returns
     -------
     dict of str to LineStyle
-        Styles repeat when there are more flights than styles.
+        By name, whatever else is drawn; names of no known flight share the styles left over.
     """
-    return dict(zip(names, islice(cycle(FLIGHT_STYLES), len(names)), strict=True))
+    others = cycle(_OTHER_STYLES)
+    return {
+        name: _FLIGHT_STYLES[name] if name in _FLIGHT_STYLES else next(others) for name in names
+    }
 
 
 def save_figure(draw: Callable[[], Figure], folder: Path, name: str) -> None:

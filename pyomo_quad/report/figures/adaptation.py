@@ -6,8 +6,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pyomo_quad.report.figures.panels import keep_span, label_time, legend_below, panel_grid
+from pyomo_quad.report.flights import FAIR_BASELINE
 from pyomo_quad.report.signals import TIME
-from pyomo_quad.report.style import FLIGHT_STYLES, INK
+from pyomo_quad.report.style import INK, MUTED, LineStyle, flight_styles
 from pyomo_quad.study.adaptation import ERROR_WITH, ERROR_WITHOUT, ESTIMATED, TRUE
 
 __all__ = ["draw_adaptation"]
@@ -15,7 +16,9 @@ __all__ = ["draw_adaptation"]
 _CENTIMETRES = 100.0
 _SMALLEST_ERROR = 1.0  # cm
 _SMALLEST_DISTURBANCE = 0.1  # m/s^2
-_WITH, _WITHOUT = FLIGHT_STYLES[:2]
+# With adaptation it is the flight of that name in the other figures.
+_WITH = flight_styles((FAIR_BASELINE,))[FAIR_BASELINE]
+_WITHOUT = LineStyle(color=MUTED, dashes=(4.5, 1.6))
 
 
 def draw_adaptation(study: pd.DataFrame) -> Figure:

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from pyomo_quad.report.style import FLIGHT_STYLES, FULL_WIDTH, INK, MUTED
+from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, SERIES_STYLES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,7 +56,7 @@ def _draw_errors(axes: Axes, history: "Sequence[MeshRecord]", tolerance: float) 
     estimated = [record for record in history if isfinite(record.error)]
     meshes = range(len(estimated))
     sizes = [max(record.error, _ERROR_FLOOR) for record in estimated]
-    style = FLIGHT_STYLES[0]
+    style = SERIES_STYLES[0]
     axes.plot(meshes, sizes, marker=style.marker, markersize=4.5, **style.line)
     axes.axhline(tolerance, color=MUTED, linewidth=1.0, linestyle=(0, (4, 2)))
     axes.annotate(
@@ -77,8 +77,8 @@ def _draw_errors(axes: Axes, history: "Sequence[MeshRecord]", tolerance: float) 
 
 def _draw_elements(axes: Axes, mesh: "Mesh", duration: float) -> None:
     boundaries = np.asarray(mesh.breakpoints) * duration
-    axes.step(boundaries[:-1], mesh.degrees, where="post", **FLIGHT_STYLES[0].line)
-    axes.hlines(mesh.degrees[-1], boundaries[-2], boundaries[-1], **FLIGHT_STYLES[0].line)
+    axes.step(boundaries[:-1], mesh.degrees, where="post", **SERIES_STYLES[0].line)
+    axes.hlines(mesh.degrees[-1], boundaries[-2], boundaries[-1], **SERIES_STYLES[0].line)
     axes.plot(boundaries, np.zeros_like(boundaries), "|", color=INK, markersize=9, clip_on=False)
     axes.set_ylim(0, max(mesh.degrees) * 1.15)
     axes.set_xlim(0, duration)

@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from pyomo_quad.report.figures.panels import panel_grid
-from pyomo_quad.report.style import FLIGHT_STYLES, INK, MUTED
+from pyomo_quad.report.style import INK, MUTED, SERIES_STYLES
 from pyomo_quad.study.paper.readings import Reading
 
 __all__ = ["draw_floors"]
@@ -41,7 +41,7 @@ def draw_floors(
     """
     figure, panels = panel_grid(1, 1, panel_height=2.9, left=0.6, legend_entries=12)
     axes = panels[0, 0]
-    styles = dict(zip(Reading, FLIGHT_STYLES, strict=False))
+    styles = dict(zip(Reading, SERIES_STYLES, strict=False))
     for reading, pairs in floors.items():
         bounds, energies = pairs[np.isfinite(pairs[:, 1])].T
         style = styles[reading]

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from pyomo_quad.report.figures.panels import legend_below, panel_grid
-from pyomo_quad.report.style import FLIGHT_STYLES, INK, MUTED, LineStyle
+from pyomo_quad.report.style import INK, MUTED, SERIES_STYLES, LineStyle
 from pyomo_quad.report.sweep.quantities import (
     Quantity,
     field_quantity,
@@ -17,18 +17,18 @@ from pyomo_quad.report.sweep.quantities import (
     settings_name,
 )
 from pyomo_quad.study.sweep.outputs import DURATION_FIELD, HOVER_ENERGY
-from pyomo_quad.study.sweep.views import Curve, pareto_front
+from pyomo_quad.study.sweep.views import Curve, best_along, pareto_front
 
-__all__ = ["draw_curves", "draw_front"]
+__all__ = ["FRONT_ZOOM", "draw_curves", "draw_front"]
 
 _PANEL_HEIGHT = 2.7  # inches
 _STAR_SIZE = 11
 # The front is shown together with durations up to so many times the best.
-_ZOOM = 1.6
+FRONT_ZOOM = 1.6
 _LINE_POINTS = 11
 
 
-def draw_front(curves: Sequence[Curve], quantity: Quantity) -> Figure:
+def draw_front(curves: Sequence[Curve], quantity: Quantity, tried: Sequence[float]) -> Figure:
     """Draw a quantity against duration, and mark the Pareto front and the best duration.
 
     Parameters
@@ -37,6 +37,8 @@ def draw_front(curves: Sequence[Curve], quantity: Quantity) -> Figure:
         Along the duration.
     quantity : Quantity
         What is to be small.
+    tried : sequence of float
+        All durations that cases were made for.
 
     Returns
     -------
@@ -53,9 +55,10 @@ def draw_front(curves: Sequence[Curve], quantity: Quantity) -> Figure:
         share_time=False,
     )
     whole, front = panels[0]
-    for row, (curve, style) in enumerate(zip(curves, cycle(FLIGHT_STYLES), strict=False)):
+    for row, (curve, style) in enumerate(zip(curves, cycle(SERIES_STYLES), strict=False)):
         _draw_curve(whole, curve, quantity, style)
-        _draw_front(front, curve, quantity, style, row)
+        _draw_front(front, curve, quantity, style)
+        _name_best(front, curve, quantity, tried, (style, row))
     _draw_hover_floor(whole, curves[0], quantity)
     duration = field_quantity(DURATION_FIELD)
     whole.set(title="All durations", xlabel=duration.label, ylabel=quantity.label)
@@ -93,7 +96,7 @@ def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quanti
     )
     along = field_quantity(field)
     for axes, quantity in zip(panels.flat, quantities, strict=False):
-        for curve, style in zip(curves, cycle(FLIGHT_STYLES), strict=False):
+        for curve, style in zip(curves, cycle(SERIES_STYLES), strict=False):
             look = style.line | {"marker": style.marker, "markersize": 3.0}
             axes.plot(
                 along.of(curve.rows),
@@ -117,18 +120,32 @@ def _draw_curve(axes: Axes, curve: Curve, quantity: Quantity, style: LineStyle) 
     axes.plot(duration, quantity.of(curve.rows), label=settings_name(curve.fixed), **look)
 
 
-def _draw_front(axes: Axes, curve: Curve, quantity: Quantity, style: LineStyle, row: int) -> None:
+def _draw_front(axes: Axes, curve: Curve, quantity: Quantity, style: LineStyle) -> None:
     front = pareto_front(curve.rows, DURATION_FIELD, quantity.column)
     best = front.iloc[[-1]]
-    near = curve.rows[curve.rows[DURATION_FIELD] <= _ZOOM * best[DURATION_FIELD].iloc[0]]
+    near = curve.rows[curve.rows[DURATION_FIELD] <= FRONT_ZOOM * best[DURATION_FIELD].iloc[0]]
     duration = field_quantity(DURATION_FIELD)
     look = style.line | {"marker": style.marker, "markersize": 3.0, "linewidth": 0.9}
     axes.plot(duration.of(near), quantity.of(near), **look)
     axes.plot(duration.of(front), quantity.of(front), color=style.color, linewidth=3.5)
     at, value = float(duration.of(best).iloc[0]), float(quantity.of(best).iloc[0])
     axes.plot(at, value, marker="*", markersize=_STAR_SIZE, color=style.color, mec=INK)
+
+
+def _name_best(
+    axes: Axes,
+    curve: Curve,
+    quantity: Quantity,
+    tried: Sequence[float],
+    place: tuple[LineStyle, int],
+) -> None:
+    """Write the best duration of a curve into its row of the panel."""
+    style, row = place
+    best = best_along(curve, DURATION_FIELD, quantity.column, tried)
+    said = f"{setting(best.at)} s, {number(best.value * quantity.scale)} {quantity.unit}"
+    edge = "" if best.is_inside else " (at an edge)"
     axes.annotate(
-        f"{settings_name(curve.fixed)}: {setting(at)} s, {number(value)} {quantity.unit}",
+        f"{settings_name(curve.fixed)}: {said}{edge}",
         (0.03, 0.97),
         xycoords="axes fraction",
         xytext=(0, -_LINE_POINTS * row),

@@ -2,13 +2,15 @@
 
 from collections.abc import Sequence
 from itertools import cycle
+from math import degrees
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pyomo_quad.report.style import FLIGHT_STYLES, FULL_WIDTH, INK, MUTED
+from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, SERIES_STYLES
 from pyomo_quad.report.sweep.quantities import (
     Quantity,
     field_quantity,
@@ -18,13 +20,24 @@ from pyomo_quad.report.sweep.quantities import (
 )
 from pyomo_quad.study.sweep.views import Curve
 
-__all__ = ["draw_heat_map", "draw_wind_rose"]
+__all__ = ["draw_heat_map", "draw_wind_rose", "rose_range"]
 
 # Runs from dark to light in grey as well.
 _COLORS = "cividis"
 _CELL, _EDGES = 0.34, 1.25  # inches
 _MOST_PRINTED = 13
 _HALF = 0.5
+# A curve that varies by less than this share of the picture has no worst direction to see.
+_SAME = 0.01
+_RIM = 0.06
+_STAR: dict[str, Any] = {
+    "clip_on": False,
+    "linestyle": "none",
+    "marker": "*",
+    "markeredgecolor": INK,
+    "markersize": 11,
+    "zorder": 5,
+}
 
 
 def draw_heat_map(plane: pd.DataFrame, quantity: Quantity) -> Figure:
@@ -90,20 +103,36 @@ def draw_wind_rose(curves: Sequence[Curve], field: str, quantity: Quantity) -> F
     Returns
     -------
     Figure
-        A polar panel, +x to the right and +y up, with a legend beside it.
+        A polar panel, +x to the right and +y up, whose centre is the least value of all curves;
+        beside it a legend with the worst direction of each curve, which a star marks.
     """
     figure = Figure(figsize=(FULL_WIDTH, 4.2))
     axes = figure.add_axes((0.04, 0.07, 0.55, 0.76), projection="polar")
-    for curve, style in zip(curves, cycle(FLIGHT_STYLES), strict=False):
+    least, greatest = rose_range(curves, quantity)
+    for curve, style in zip(curves, cycle(SERIES_STYLES), strict=False):
         angles, values = _closed(curve.rows[field], quantity.of(curve.rows))
         look = style.line | {"marker": style.marker, "markersize": 3.0}
-        axes.plot(angles, values, label=settings_name(curve.fixed), **look)
+        name = settings_name(curve.fixed)
+        if quantity.of(curve.rows).agg(np.ptp) > _SAME * (greatest - least):
+            worst = quantity.worst_row(curve.rows)
+            at, value = float(worst[field]), float(worst[quantity.column]) * quantity.scale
+            axes.plot(at, value, color=style.color, **_STAR)
+            name += f"\nworst toward {setting(degrees(at))}°: {number(value)} {quantity.unit}"
+        axes.plot(angles, values, label=name, **look)
+    if greatest > least:
+        axes.set_ylim(least, greatest + _RIM * (greatest - least))
     axes.set_title(f"{quantity.label} by where the wind blows to", loc="center", pad=22)
     axes.set_rlabel_position(112.5)  # type: ignore[attr-defined]
     axes.set_xticks(np.radians(range(0, 360, 45)))
     axes.set_xticklabels(["0° (+x)", "45°", "90° (+y)", "135°", "180°", "225°", "270°", "315°"])
     figure.legend(*axes.get_legend_handles_labels(), loc="center left", bbox_to_anchor=(0.66, 0.5))
     return figure
+
+
+def rose_range(curves: Sequence[Curve], quantity: Quantity) -> tuple[float, float]:
+    """Return the least and the greatest value of all curves of a rose, in the printed unit."""
+    values = pd.concat([quantity.of(curve.rows) for curve in curves])
+    return float(values.min()), float(values.max())
 
 
 def _closed(angles: pd.Series, values: pd.Series) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,15 @@ import pandas as pd
 from pyomo_quad.report.wording import NOTHING
 from pyomo_quad.scenario import field_unit
 
-__all__ = ["Quantity", "field_quantity", "number", "output_quantity", "setting", "settings_name"]
+__all__ = [
+    "Quantity",
+    "case_name",
+    "field_quantity",
+    "number",
+    "output_quantity",
+    "setting",
+    "settings_name",
+]
 
 _SUFFIXES = {
     "_m_per_s": "m/s",
@@ -24,6 +32,9 @@ _SUFFIXES = {
 }
 _PRINTED = {"kg": "kg", "m/s^2": "m/s²", "percent": "%", "A*hr": "A h", "1/A/hr": "1/(A h)"}
 _LARGE, _SIGNIFICANT = 1e5, 4
+# Of all other results the greatest is the worst.
+_BETTER_LARGE = ("range_m", "endurance_s", "lowest_voltage_V")
+_BETTER_LARGE_START = "saving_"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +49,16 @@ class Quantity:
     def of(self, frame: pd.DataFrame) -> pd.Series:
         """Return the column in the printed unit."""
         return frame[self.column] * self.scale
+
+    def worst_row(self, frame: pd.DataFrame) -> pd.Series:
+        """Return the row of a table where the quantity is worst."""
+        is_better_large = self.column in _BETTER_LARGE or self.column.startswith(
+            _BETTER_LARGE_START
+        )
+        ordered = frame.sort_values(
+            self.column, ascending=not is_better_large, na_position="first", kind="stable"
+        )
+        return ordered.iloc[-1]
 
     @property
     def label(self) -> str:
@@ -151,3 +172,24 @@ def settings_name(fixed: Mapping[str, Any]) -> str:
         name = path.rsplit(".", maxsplit=1)[-1].replace("_", " ")
         parts.append(f"{name} {size} {shown.unit}".strip())
     return ", ".join(parts) or "all cases"
+
+
+def case_name(fields: Mapping[str, Any]) -> str:
+    """Return what the case is called through which maps and sensitivities go.
+
+    Parameters
+    ----------
+    fields : mapping
+        Scenario field -> value; empty where all fields are random.
+
+    Returns
+    -------
+    str
+        Each field with its value and unit.
+    """
+    parts = []
+    for path, value in fields.items():
+        shown = field_quantity(path)
+        size = setting(value * shown.scale) if isinstance(value, float) else setting(value)
+        parts.append(f"{path} = {size} {shown.unit}".strip())
+    return ", ".join(parts) or "the middle of the draws"

@@ -9,24 +9,31 @@ import pandas as pd
 from pyomo_quad.report.document import Block, Code, Heading, Paragraph, Piece, Strong, Table
 from pyomo_quad.report.sweep.quantities import (
     Quantity,
+    case_name,
     field_quantity,
     number,
     output_quantity,
     setting,
 )
+from pyomo_quad.study.comparison import ARRIVAL_DISTANCE_M
 from pyomo_quad.study.sweep.design import Dimension, SweepDesign
-from pyomo_quad.study.sweep.outputs import DURATION_FIELD
+from pyomo_quad.study.sweep.outputs import DURATION_FIELD, TERMINAL_MISS
 from pyomo_quad.study.sweep.results import CASE_COLUMN, REASON_COLUMN, STATUS_COLUMN
+from pyomo_quad.study.sweep.study_file import StudyTask
 from pyomo_quad.study.sweep.views import (
+    Best,
     Sensitivity,
+    Spread,
+    best_along,
+    central_case,
     curves_along,
     finished_rows,
     is_numeric,
-    pareto_front,
     sensitivities,
+    spread_of,
 )
 
-__all__ = ["all_cases", "answer_blocks", "design_blocks", "failure_blocks"]
+__all__ = ["all_cases", "answer_blocks", "design_blocks", "failure_blocks", "linear_note"]
 
 _MOST_REASONS = 10
 _QUANTILES = (("5 %", 0.05), ("median", 0.5), ("95 %", 0.95))
@@ -75,18 +82,22 @@ def answer_blocks(design: SweepDesign, frame: pd.DataFrame) -> Iterator[Block]:
     Yields
     ------
     Block
-        A table of extremes; best durations and sensitivities where there are any.
+        What did not arrive, and a table of extremes; best durations and sensitivities where there
+        are any.
     """
     rows = finished_rows(frame)
     quantities = [output_quantity(column) for column in design.report_on]
     yield Heading("Results")
+    yield from _arrivals(design, rows)
     yield _extremes(rows, quantities)
     if any(DURATION_FIELD in one.paths for one in design.dimensions):
         yield _best_durations(design, frame, quantities[0])
     for quantity in quantities:
         found = sensitivities(design, frame, quantity.column)
         if len(found) > 1:
-            yield _sensitivity_table(found, quantity)
+            yield _sensitivity_table(
+                found, spread_of(design, frame, quantity.column), quantity, central_case(design)
+            )
 
 
 def failure_blocks(frame: pd.DataFrame) -> Iterator[Block]:
@@ -179,8 +190,37 @@ def _extremes(rows: pd.DataFrame, quantities: Sequence[Quantity]) -> Table:
     )
 
 
-def _sensitivity_table(found: Sequence[Sensitivity], quantity: Quantity) -> Table:
-    lines: list[tuple[Piece, ...]] = []
+def _arrivals(design: SweepDesign, rows: pd.DataFrame) -> Iterator[Block]:
+    """Count the controlled flights that end too far from the goal to have arrived."""
+    for column in map(str, rows.columns):
+        is_planned = column == TERMINAL_MISS and design.task != StudyTask.FLY_PLAN
+        if is_planned or not column.endswith(TERMINAL_MISS):
+            continue
+        misses = rows[column].dropna()
+        away = misses[misses > ARRIVAL_DISTANCE_M]
+        name = output_quantity(column).name
+        limit = f"the {ARRIVAL_DISTANCE_M:g} m within which a flight counts as arrived"
+        if away.empty:
+            yield Paragraph([f"{name.capitalize()}: all {len(misses)} flights end within {limit}."])
+            continue
+        cases = ", ".join(str(case) for case in rows.loc[away.index, CASE_COLUMN])
+        yield Paragraph(
+            [
+                f"{name.capitalize()}: ",
+                Strong(f"{len(away)} of {len(misses)} flights miss the goal by more than {limit}"),
+                f", the worst by {number(float(away.max()))} m (cases {cases}).",
+                " They are in all numbers below.",
+            ]
+        )
+
+
+def _sensitivity_table(
+    found: Sequence[Sensitivity], spread: Spread, quantity: Quantity, centre: dict[str, Any]
+) -> Table:
+    whole = (number(value * quantity.scale) for value in (spread.least, spread.greatest))
+    swing = number((spread.greatest - spread.least) * quantity.scale)
+    cases = (f"case {case}" for case in (spread.least_case, spread.greatest_case))
+    lines: list[tuple[Piece, ...]] = [("all cases", *whole, swing, *cases)]
     for one in found:
         ends = (
             setting(end * field_quantity(one.field).scale)
@@ -189,28 +229,54 @@ def _sensitivity_table(found: Sequence[Sensitivity], quantity: Quantity) -> Tabl
         reached = (number(value * quantity.scale) for value in (one.least, one.greatest, one.swing))
         lines.append((Code(one.field), *reached, *ends))
     return Table(
-        caption=f"Sensitivity of {quantity.label}",
+        caption=f"Sensitivity of {quantity.label}, one field at a time from "
+        f"{case_name(centre)}{linear_note(spread)}",
         header=("field", "least", "greatest", "swing", "least at", "greatest at"),
         rows=lines,
         numeric=frozenset(range(1, 6)),
     )
 
 
+def linear_note(spread: Spread) -> str:
+    """Say how much of a spread the straight lines over the random fields account for.
+
+    Parameters
+    ----------
+    spread : Spread
+        Of the quantity.
+
+    Returns
+    -------
+    str
+        Begins with a semicolon; empty where no field is random.
+    """
+    if np.isnan(spread.linear_share):
+        return ""
+    return (
+        "; of random fields the linear effect over the middle nine tenths of their draws, which "
+        f"explains {100.0 * spread.linear_share:.3g} % of the variance"
+    )
+
+
 def _best_durations(design: SweepDesign, frame: pd.DataFrame, quantity: Quantity) -> Table:
     lines = []
+    tried = next(
+        one.values(DURATION_FIELD) for one in design.dimensions if DURATION_FIELD in one.paths
+    )
     for curve in curves_along(design, frame, DURATION_FIELD):
-        best = pareto_front(curve.rows, DURATION_FIELD, quantity.column).iloc[-1]
+        best = best_along(curve, DURATION_FIELD, quantity.column, tried)
         base = curve.rows[curve.rows[DURATION_FIELD] == design.base["mission"]["duration"]]
         at_base = float(base[quantity.column].iloc[0]) if not base.empty else float("nan")
-        value = float(best[quantity.column])
         lines.append(
             (
                 ", ".join(f"{name} = {setting(held)}" for name, held in curve.fixed.items())
                 or "all",
-                setting(float(best[DURATION_FIELD])),
-                number(value * quantity.scale),
+                setting(best.at),
+                number(best.value * quantity.scale),
                 number(at_base * quantity.scale),
-                number(100.0 * (1.0 - value / at_base)),
+                number(100.0 * (1.0 - best.value / at_base)),
+                setting(float(curve.rows[DURATION_FIELD].min())),
+                _place_of_best(best),
             )
         )
     header = (
@@ -219,10 +285,29 @@ def _best_durations(design: SweepDesign, frame: pd.DataFrame, quantity: Quantity
         quantity.label,
         f"at {setting(design.base['mission']['duration'])} s",
         "saved by the best (%)",
+        "shortest flown (s)",
+        "the best lies",
     )
     return Table(
         caption="Best duration among those flown",
         header=header,
         rows=lines,
-        numeric=frozenset(range(1, len(header))),
+        numeric=frozenset(range(1, len(header) - 1)),
     )
+
+
+def _place_of_best(best: Best) -> str:
+    """Say between which durations the best lies, or at which edge of what was tried."""
+    if best.is_inside:
+        return f"between {setting(best.below)} and {setting(best.above)} s, both dearer"
+    sides = (
+        ("shortest", "shorter", best.below, best.is_below_flown),
+        ("longest", "longer", best.above, best.is_above_flown),
+    )
+    edges = []
+    for extreme, beyond, neighbour, is_flown in sides:
+        if neighbour is None:
+            edges.append(f"at the edge: the {extreme} tried, a {beyond} one may be cheaper")
+        elif not is_flown:
+            edges.append(f"at the edge of what finished: {setting(neighbour)} s failed")
+    return "; ".join(edges)

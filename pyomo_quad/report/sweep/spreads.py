@@ -1,80 +1,116 @@
 """What matters most, as a tornado chart, and how a random quantity is distributed."""
 
 from collections.abc import Sequence
-from math import ceil
+from math import ceil, isnan
 
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from pyomo_quad.report.figures.panels import panel_grid
-from pyomo_quad.report.style import FLIGHT_STYLES, FULL_WIDTH, INK, MUTED
-from pyomo_quad.report.sweep.quantities import Quantity, field_quantity, setting
-from pyomo_quad.study.sweep.views import Sensitivity
+from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, SERIES_STYLES
+from pyomo_quad.report.sweep.quantities import Quantity, field_quantity, number, setting
+from pyomo_quad.study.sweep.views import Sensitivity, Spread
 
 __all__ = ["draw_distributions", "draw_scatter", "draw_tornado"]
 
-_ROW, _EDGES = 0.36, 0.85  # inches
+_ROW, _EDGES = 0.36, 1.07  # inches
 _PANEL_HEIGHT = 2.0  # inches
 _QUANTILES = (0.05, 0.5, 0.95)
 _MOST_BINS = 24
+_LABEL_ROOM = 0.14  # of the widest bar, on either side
+_BELOW, _ABOVE = SERIES_STYLES[:2]
 
 
-def draw_tornado(found: Sequence[Sensitivity], quantity: Quantity) -> Figure:
-    """Draw by how much a quantity swings with each field.
+def draw_tornado(found: Sequence[Sensitivity], spread: Spread, quantity: Quantity) -> Figure:
+    """Draw by how much a quantity swings over all cases, and with each field.
 
     Parameters
     ----------
     found : sequence of Sensitivity
         Largest swing first.
+    spread : Spread
+        Over all cases.
     quantity : Quantity
         What swings.
 
     Returns
     -------
     Figure
-        One bar per field, with the field's ends at the bar's.
+        One bar for all cases and one per field, with where its ends are reached; the colours meet
+        at the base case.
     """
-    height = _EDGES + _ROW * len(found)
+    height = _EDGES + _ROW * (1 + len(found))
     figure = Figure(figsize=(FULL_WIDTH, height))
     axes = figure.subplots()
-    figure.subplots_adjust(left=0.24, right=0.97, top=1 - 0.3 / height, bottom=0.5 / height)
-    low_style, high_style = FLIGHT_STYLES[0], FLIGHT_STYLES[1]
-    for row, one in enumerate(found):
+    figure.subplots_adjust(left=0.24, right=0.97, top=1 - 0.3 / height, bottom=0.72 / height)
+    base = found[0].base * quantity.scale
+    cases = (f"case {spread.least_case}", f"case {spread.greatest_case}")
+    _draw_bar(axes, 0, (spread.least, spread.greatest), cases, base, quantity)
+    for row, one in enumerate(found, start=1):
         field = field_quantity(one.field)
-        ends = (
-            (one.least_at, one.least, low_style),
-            (one.greatest_at, one.greatest, high_style),
-        )
-        middle = (one.least + one.greatest) / 2 * quantity.scale
-        for value, reached, style in ends:
-            end = reached * quantity.scale
-            axes.barh(
-                row,
-                end - middle,
-                left=middle,
-                height=0.6,
-                color=style.color,
-                hatch=style.hatch,
-                edgecolor="white",
-                linewidth=0.0,
-            )
-            is_left = end < middle
-            axes.annotate(
-                setting(value * field.scale),
-                (end, row),
-                xytext=(-4 if is_left else 4, 0),
-                textcoords="offset points",
-                ha="right" if is_left else "left",
-                va="center",
-                color=INK,
-            )
-    axes.set_yticks(range(len(found)), [field_quantity(one.field).label for one in found])
+        reached = tuple(setting(at * field.scale) for at in (one.least_at, one.greatest_at))
+        _draw_bar(axes, row, (one.least, one.greatest), reached, base, quantity)
+    if not isnan(base):
+        axes.axvline(base, color=INK, linewidth=1.0)
+    labels = ["All cases", *(field_quantity(one.field).label for one in found)]
+    axes.set_yticks(range(len(labels)), labels)
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
-    axes.margins(x=0.14)
-    axes.set(title="Range along each field, with where its ends are reached", xlabel=quantity.label)
+    low, high = spread.least * quantity.scale, spread.greatest * quantity.scale
+    if high > low:
+        axes.set_xlim(low - _LABEL_ROOM * (high - low), high + _LABEL_ROOM * (high - low))
+    axes.set(title="Range, with where its ends are reached", xlabel=quantity.label)
+    patches = [
+        Patch(
+            facecolor=style.color, hatch=style.hatch, edgecolor="white", linewidth=0.0, label=text
+        )
+        for style, text in ((_BELOW, "below the base case"), (_ABOVE, "above it"))
+    ]
+    at_base = Line2D([], [], color=INK, linewidth=1.0, label=f"base case, {number(base)}")
+    handles = patches if isnan(base) else [*patches, at_base]
+    figure.legend(handles=handles, loc="lower center", ncols=len(handles))
     return figure
+
+
+def _draw_bar(
+    axes: Axes,
+    row: int,
+    ends: tuple[float, float],
+    reached: tuple[str, ...],
+    base: float,
+    quantity: Quantity,
+) -> None:
+    """Draw a range in two colours that meet at the base case, in one where that case failed."""
+    low, high = (end * quantity.scale for end in ends)
+    split = low if isnan(base) else min(max(base, low), high)
+    for start, end, style in ((low, split, _BELOW), (split, high, _ABOVE)):
+        axes.barh(
+            row,
+            end - start,
+            left=start,
+            height=0.6,
+            color=style.color,
+            hatch=style.hatch,
+            edgecolor="white",
+            linewidth=0.0,
+        )
+    for end, text, side, anchor in (
+        (low, reached[0], -4, "right"),
+        (high, reached[1], 4, "left"),
+    ):
+        axes.annotate(
+            text,
+            (end, row),
+            xytext=(side, 0),
+            textcoords="offset points",
+            ha=anchor,
+            va="center",
+            color=INK,
+        )
 
 
 def draw_distributions(rows: pd.DataFrame, quantities: Sequence[Quantity]) -> Figure:
@@ -100,7 +136,7 @@ def draw_distributions(rows: pd.DataFrame, quantities: Sequence[Quantity]) -> Fi
         left=0.5,
         share_time=False,
     )
-    style = FLIGHT_STYLES[0]
+    style = SERIES_STYLES[0]
     for axes, quantity in zip(panels.flat, quantities, strict=False):
         values = quantity.of(rows).dropna()
         bins = min(_MOST_BINS, max(5, ceil(len(values) ** 0.5)))
@@ -145,7 +181,7 @@ def draw_scatter(
         gap=0.62,
         share_time=False,
     )
-    style = FLIGHT_STYLES[0]
+    style = SERIES_STYLES[0]
     for line, quantity in zip(panels, quantities, strict=True):
         for axes, path in zip(line, fields, strict=True):
             field = field_quantity(path)

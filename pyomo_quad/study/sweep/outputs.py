@@ -18,6 +18,7 @@ __all__ = [
     "EXCESS_ENERGY",
     "HOVER_ENERGY",
     "MEAN_POWER",
+    "TERMINAL_MISS",
     "baseline_outputs",
     "flown_outputs",
     "plan_outputs",
@@ -27,6 +28,8 @@ ENERGY = "energy_J"
 HOVER_ENERGY = "hover_energy_J"
 EXCESS_ENERGY = "excess_energy_J"
 MEAN_POWER = "mean_power_W"
+# Of the case's own flight; those of the controller's end in it.
+TERMINAL_MISS = "terminal_miss_m"
 # The scenario's field that the figures over time look for.
 DURATION_FIELD = "mission.duration"
 
@@ -36,7 +39,7 @@ _SAMPLES = 501
 # digits that mean something, and is the same wherever it was solved.
 _DIGITS = 9
 _SMALLEST_RESIDUAL = 1e-7
-_RESIDUALS = ("max_violation", "terminal_miss_m")
+_RESIDUALS = ("max_violation", TERMINAL_MISS)
 _ERROR_ESTIMATE = "error_estimate"
 _ERROR_DIGITS = 2
 
@@ -89,7 +92,7 @@ def baseline_outputs(reference: Reference, flight: Flight, plan: Plan) -> dict[s
         {
             f"{name}_energy_J": flight.energy_J,
             f"{name}_owed_energy_J": flight.owed_energy_J,
-            f"{name}_terminal_miss_m": flight.terminal_miss_m,
+            f"{name}_{TERMINAL_MISS}": flight.terminal_miss_m,
             f"saving_over_{name}_percent": 100.0 * saved,
         }
     )
@@ -142,7 +145,7 @@ def _flight_outputs(flight: Flight, scenario: Scenario) -> dict[str, float]:
         "peak_tilt_rad": float(tilt.max()),
         **_battery_outputs(flight, scenario),
         "max_violation": flight.max_violation,
-        "terminal_miss_m": flight.terminal_miss_m,
+        TERMINAL_MISS: flight.terminal_miss_m,
     }
 
 

@@ -1,6 +1,6 @@
 """What the rows of a sweep say: curves, fronts, maps and sensitivities, by plain arithmetic."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -9,18 +9,23 @@ import numpy as np
 import pandas as pd
 
 from pyomo_quad.study.sweep.design import Dimension, SweepDesign
-from pyomo_quad.study.sweep.results import STATUS_COLUMN
+from pyomo_quad.study.sweep.results import CASE_COLUMN, STATUS_COLUMN
 from pyomo_quad.study.sweep.task import CaseStatus
 
 __all__ = [
+    "Best",
     "Curve",
     "Sensitivity",
+    "Spread",
+    "best_along",
+    "central_case",
     "curves_along",
     "finished_rows",
     "is_numeric",
     "pareto_front",
     "plane_of",
     "sensitivities",
+    "spread_of",
 ]
 
 # Random fields are compared over the middle nine tenths of their draws.
@@ -44,9 +49,12 @@ class Sensitivity:
     field : str
         The scenario field, the first of its dimension.
     least, greatest : float
-        The quantity's range along the field, all else being in the middle.
+        The quantity's range along the field, all else being as in the `central_case`.
     least_at, greatest_at : float
         Where in the field these are reached.
+    base : float
+        The quantity in the central case, of random fields in the middle of their draws; NaN where
+        that case failed.
     """
 
     field: str
@@ -54,11 +62,61 @@ class Sensitivity:
     greatest: float
     least_at: float
     greatest_at: float
+    base: float
 
     @property
     def swing(self) -> float:
         """Width of the quantity's range."""
         return self.greatest - self.least
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """From where to where a quantity goes over all finished cases.
+
+    Attributes
+    ----------
+    least, greatest : float
+        Its range.
+    least_case, greatest_case : int
+        The cases at its ends.
+    linear_share : float
+        Share of the variance that a plane over the random fields explains; NaN without such
+        fields, or too few cases for a plane.
+    """
+
+    least: float
+    greatest: float
+    least_case: int
+    greatest_case: int
+    linear_share: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Best:
+    """Where along a field a quantity is least, among the values tried.
+
+    Attributes
+    ----------
+    at, value : float
+        The best value of the field, and the quantity there.
+    below, above : float or None
+        The next values tried on either side; None where none was.
+    is_below_flown, is_above_flown : bool
+        Whether these cases finished, so that the best lies between values that are dearer.
+    """
+
+    at: float
+    value: float
+    below: float | None
+    above: float | None
+    is_below_flown: bool
+    is_above_flown: bool
+
+    @property
+    def is_inside(self) -> bool:
+        """Whether dearer cases finished on both sides."""
+        return self.is_below_flown and self.is_above_flown
 
 
 def finished_rows(frame: pd.DataFrame) -> pd.DataFrame:
@@ -121,10 +179,58 @@ def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     return ordered[ordered[second] < best_before]
 
 
+def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) -> Best:
+    """Find where along a curve a quantity is least, and whether that is an edge.
+
+    Parameters
+    ----------
+    curve : Curve
+        Finished cases along the field.
+    field, quantity : str
+        Columns.
+    tried : sequence of float
+        All values of the field that cases were made for, finished or not.
+
+    Returns
+    -------
+    Best
+        Of equal cases the one with the smallest value of the field.
+    """
+    best = pareto_front(curve.rows, field, quantity).iloc[-1]
+    at, flown = float(best[field]), set(curve.rows[field])
+    below = max((value for value in tried if value < at), default=None)
+    above = min((value for value in tried if value > at), default=None)
+    return Best(
+        at=at,
+        value=float(best[quantity]),
+        below=below,
+        above=above,
+        is_below_flown=below in flown,
+        is_above_flown=above in flown,
+    )
+
+
+def central_case(design: SweepDesign) -> dict[str, Any]:
+    """Return the case of the grid through which maps and sensitivities go.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        Of the rows.
+
+    Returns
+    -------
+    dict
+        First field of each dimension that is not random -> the base scenario's value where it is
+        one of the steps, else the middle step.
+    """
+    return {one.paths[0]: _central(design, one) for one in design.dimensions if not one.is_random}
+
+
 def plane_of(
     design: SweepDesign, frame: pd.DataFrame, across: Dimension, up: Dimension, quantity: str
 ) -> pd.DataFrame:
-    """Return a quantity over two dimensions, all others being at their middle step.
+    """Return a quantity over two dimensions, all others being as in the `central_case`.
 
     Parameters
     ----------
@@ -142,7 +248,7 @@ def plane_of(
     DataFrame
         Rows and columns rise; NaN where no case finished.
     """
-    rest = {one.paths[0]: _middle(one) for one in design.dimensions if one not in {across, up}}
+    rest = _others(design, across, up)
     rows = finished_rows(frame)
     rows = rows[_matches(rows, rest)]
     plane = rows.pivot_table(index=up.paths[0], columns=across.paths[0], values=quantity)
@@ -154,9 +260,9 @@ def plane_of(
 def sensitivities(design: SweepDesign, frame: pd.DataFrame, quantity: str) -> list[Sensitivity]:
     """Compare how a quantity changes with each numeric dimension.
 
-    A field of a grid goes through all its steps, all others being at their middle step; so an angle
-    that comes round to where it began is judged fairly.  Random fields go over the middle nine
-    tenths of their draws, along the plane fitted to the quantity by least squares.
+    A field of a grid goes through all its steps, all others being as in the `central_case`; so an
+    angle that comes round to where it began is judged fairly.  Random fields go over the middle
+    nine tenths of their draws, along the plane fitted to the quantity by least squares.
 
     Parameters
     ----------
@@ -176,22 +282,49 @@ def sensitivities(design: SweepDesign, frame: pd.DataFrame, quantity: str) -> li
     found: list[Sensitivity] = []
     for dimension in design.dimensions:
         if dimension.is_random:
-            found += _fitted(dimension.paths, rows, quantity)
+            found += _fitted(dimension.paths, rows[_matches(rows, central_case(design))], quantity)
         elif is_numeric(dimension):
             found += _across_grid(design, dimension, rows, quantity)
     return sorted(found, key=lambda one: one.swing, reverse=True)
 
 
+def spread_of(design: SweepDesign, frame: pd.DataFrame, quantity: str) -> Spread:
+    """Return the range of a quantity over all finished cases, as it came out.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        Of the rows.
+    frame : DataFrame
+        Rows of `results_frame`, at least one of them finished.
+    quantity : str
+        A column.
+
+    Returns
+    -------
+    Spread
+        Its ends, the cases there, and how much of it the random fields explain linearly.
+    """
+    rows = finished_rows(frame).dropna(subset=[quantity]).sort_values(quantity, kind="stable")
+    least, greatest = rows.iloc[0], rows.iloc[-1]
+    centred = rows[_matches(rows, central_case(design))]
+    fields = [path for one in design.dimensions if one.is_random for path in one.paths]
+    plane = _plane(fields, centred, quantity) if fields else None
+    return Spread(
+        least=float(least[quantity]),
+        greatest=float(greatest[quantity]),
+        least_case=int(least[CASE_COLUMN]),
+        greatest_case=int(greatest[CASE_COLUMN]),
+        linear_share=np.nan if plane is None else plane.explained,
+    )
+
+
 def _across_grid(
     design: SweepDesign, dimension: Dimension, rows: pd.DataFrame, quantity: str
 ) -> Iterator[Sensitivity]:
-    rest = {
-        one.paths[0]: _middle(one)
-        for one in design.dimensions
-        if one is not dimension and not one.is_random
-    }
     field = dimension.paths[0]
-    line = rows[_matches(rows, rest)].groupby(field)[quantity].mean()
+    chosen = rows[_matches(rows, _others(design, dimension))]
+    line = chosen.groupby(field)[quantity].mean()
     steps, values = line.index.to_numpy(dtype=float), line.to_numpy(dtype=float)
     if len(steps) > 1:
         yield Sensitivity(
@@ -200,19 +333,45 @@ def _across_grid(
             greatest=float(values.max()),
             least_at=float(steps[values.argmin()]),
             greatest_at=float(steps[values.argmax()]),
+            base=float(line.get(_central(design, dimension), np.nan)),
         )
 
 
-def _fitted(fields: Sequence[str], rows: pd.DataFrame, quantity: str) -> Iterator[Sensitivity]:
+@dataclass(frozen=True, kw_only=True)
+class _Plane:
+    """A quantity fitted linearly over random fields, by least squares."""
+
+    fields: tuple[str, ...]
+    centre: pd.Series
+    middle: float
+    slopes: np.ndarray
+    explained: float
+
+
+def _plane(fields: Sequence[str], rows: pd.DataFrame, quantity: str) -> _Plane | None:
     numbers = [field for field in fields if pd.api.types.is_numeric_dtype(rows[field])]
     if len(rows) <= len(numbers) + 1:
-        return
-    centre = rows[numbers].mean()
+        return None
+    centre, values = rows[numbers].mean(), rows[quantity].to_numpy(dtype=float)
     design_matrix = np.column_stack([np.ones(len(rows)), rows[numbers] - centre])
-    fit = np.linalg.lstsq(design_matrix, rows[quantity].to_numpy(dtype=float), rcond=None)[0]
-    for field, slope in zip(numbers, fit[1:], strict=True):
+    fit = np.linalg.lstsq(design_matrix, values, rcond=None)[0]
+    variance, rest = np.var(values), np.var(values - design_matrix @ fit)
+    return _Plane(
+        fields=tuple(numbers),
+        centre=centre,
+        middle=float(fit[0]),
+        slopes=fit[1:],
+        explained=float(1.0 - rest / variance) if variance > 0.0 else np.nan,
+    )
+
+
+def _fitted(fields: Sequence[str], rows: pd.DataFrame, quantity: str) -> Iterator[Sensitivity]:
+    plane = _plane(fields, rows, quantity)
+    if plane is None:
+        return
+    for field, slope in zip(plane.fields, plane.slopes, strict=True):
         ends = [float(rows[field].quantile(share)) for share in (_LOW_SHARE, _HIGH_SHARE)]
-        reached = {float(fit[0] + slope * (end - centre[field])): end for end in ends}
+        reached = {float(plane.middle + slope * (end - plane.centre[field])): end for end in ends}
         least, greatest = min(reached), max(reached)
         yield Sensitivity(
             field=field,
@@ -220,13 +379,30 @@ def _fitted(fields: Sequence[str], rows: pd.DataFrame, quantity: str) -> Iterato
             greatest=greatest,
             least_at=reached[least],
             greatest_at=reached[greatest],
+            base=plane.middle,
         )
 
 
-def _middle(dimension: Dimension) -> Any:  # noqa: ANN401  a value of any scenario field
+def _others(design: SweepDesign, *along: Dimension) -> dict[str, Any]:
+    """Return the central case without the fields of the dimensions that are gone along."""
+    free = {one.paths[0] for one in along}
+    return {field: value for field, value in central_case(design).items() if field not in free}
+
+
+def _central(design: SweepDesign, dimension: Dimension) -> Any:  # noqa: ANN401  a value of any field
+    base = tuple(_base_value(design, path) for path in dimension.paths)
+    if base in dimension.steps:
+        return base[0]
     values = [step[0] for step in dimension.steps]
     ordered = sorted(values) if is_numeric(dimension) else values
     return ordered[len(ordered) // 2]
+
+
+def _base_value(design: SweepDesign, path: str) -> Any:  # noqa: ANN401  a value of any field
+    value: Any = design.base
+    for part in path.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
 
 
 def _matches(rows: pd.DataFrame, fixed: dict[str, Any]) -> pd.Series:

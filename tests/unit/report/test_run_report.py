@@ -1,12 +1,15 @@
 """The report of a run answers first, and its tables say what the comparison says."""
 
 import re
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from pyomo_quad.flight import PlanStatus
+from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.flight.columns import TIME
 from pyomo_quad.report.comparison_section import STAND_IN
 from pyomo_quad.report.comparison_tables import write_comparison
@@ -14,9 +17,11 @@ from pyomo_quad.report.figures.path import leaving_paths
 from pyomo_quad.report.flights import styled_flights
 from pyomo_quad.report.gallery import adaptation_drawing, plan_drawings, save_drawings
 from pyomo_quad.report.run_report import write_run_report
+from pyomo_quad.report.style import flight_styles
+from pyomo_quad.scenario import Reference
 from pyomo_quad.study.adaptation import ERROR_WITH, ERROR_WITHOUT, ESTIMATED, TRUE
-from pyomo_quad.study.comparison import combine
-from tests.synthetic_run import synthetic_plan, synthetic_run
+from pyomo_quad.study.comparison import combine, compare_flights
+from tests.synthetic_run import HOVER_ENERGY_J, synthetic_plan, synthetic_run
 
 ANSWER = (
     "> **Verified.** The optimal flight spends 711.70 J, 1.67 % less than `adaptive/quintic` "
@@ -149,3 +154,79 @@ def test_flight_that_goes_astray_does_not_hide_the_others():
     assert path.caption.endswith("Leaves the picture: open_loop/plan.")
     above = path.draw().axes[1]
     assert above.get_xlim()[1] < 12
+
+
+def test_a_flight_keeps_its_colour_whatever_is_drawn_beside_it():
+    run = synthetic_run()
+    alone = {flight.name: styled_flights([flight])[0].style for flight in run.flights}
+    for flights in (run.flights, run.flights[::-1], run.flights[1:3]):
+        for flight in styled_flights(flights):
+            assert flight.style == alone[flight.name]
+    names = ("optimal", *map(baseline_name, Reference), OPEN_LOOP)
+    styles = flight_styles((*names, "a pack"))
+    assert len({style.color for style in styles.values()}) == len(names) + 1
+
+
+def test_calm_air_has_no_wind_figure():
+    for path, is_windy in (
+        ("scenarios/paper_calm.toml", False),
+        ("scenarios/paper_wind.toml", True),
+    ):
+        run = synthetic_run(path)
+        names = {drawing.name for drawing in plan_drawings(run.plan, styled_flights(run.flights))}
+        assert ("wind" in names) == is_windy
+
+
+def test_captions_name_what_their_figures_hide():
+    run = synthetic_run()
+    quintic = run.flights[1]
+    power = quintic.frame["power_W"].to_numpy().copy()
+    power[200] = 400.0
+    quintic.frame = quintic.frame.assign(power_W=power)
+    flights = styled_flights(run.flights)
+    captions = {drawing.name: drawing.caption for drawing in plan_drawings(run.plan, flights)}
+    left = "adaptive/minimum_snap, adaptive/step and open_loop/plan."
+    assert captions["states"].endswith(f"Not drawn: {left}")
+    assert captions["controls"].endswith(f"Not drawn: adaptive/quintic, {left}")
+    assert "adaptive/quintic (" in captions["energy"]
+    assert "to 400.0 W" in captions["energy"]
+    assert captions["energy"].endswith("The energy of optimal hides that of open_loop/plan.")
+
+
+UNTOLD = (
+    "> **Verified in the wind that it was told, not in the one that blows.** There the plan spends "
+    "711.70 J. In the wind that blows `open_loop/plan`, without feedback, misses the goal by 67 m; "
+    "`adaptive/plan`, under feedback, arrives 0.0084 m from the goal and spends {spent:.2f} "
+    "J. Following it {outcome} over `adaptive/quintic` (723.80 J), which needs no plan."
+)
+
+
+@pytest.mark.usefixtures("_no_figures")
+@pytest.mark.parametrize(
+    ("above_quintic_J", "outcome"), [(0.06, "gains nothing"), (-7.238, "saves 1.00 %")]
+)
+def test_headline_of_an_untold_wind_names_the_miss_and_what_the_plan_is_worth(
+    tmp_path, above_quintic_J, outcome
+):
+    run = synthetic_run("scenarios/wind_untold.toml")
+    lost, quintic = run.flights[-1], run.flights[1]
+    lost.terminal_miss_m, lost.terminal_miss = 67.0, {"rigid_body.x": 67.0}
+    spent = quintic.energy_J + above_quintic_J
+    followed = SimpleNamespace(
+        **(vars(quintic) | {"name": "adaptive/plan", "energy_J": spent, "terminal_miss_m": 0.0084})
+    )
+    run.flights = (*run.flights, followed)
+    run.comparison = compare_flights(run.scenario, run.flights, run.certificate, HOVER_ENERGY_J)
+    text = write(tmp_path, run)
+    assert text.split("\n\n")[1] == UNTOLD.format(spent=spent, outcome=outcome)
+
+
+def test_the_readme_says_of_the_untold_wind_what_its_report_says():
+    told = " ".join(Path("README.md").read_text(encoding="utf-8").split())
+    frame = pd.read_csv("reports/wind_untold/comparison.csv").set_index("flight")
+    within = float(re.search(r"it arrives within ([\d.]+) mm", told)[1])
+    found = 1e3 * frame.terminal_miss_m["adaptive/plan"]
+    assert found <= within <= 1.05 * found
+    assert f"misses the goal by {frame.terminal_miss_m['open_loop/plan']:.0f} m" in told
+    for flight in ("adaptive/plan", "adaptive/quintic"):
+        assert f"{frame.energy_J[flight]:.2f} J" in told

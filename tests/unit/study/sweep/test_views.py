@@ -7,14 +7,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pyomo_quad.study.sweep.design import Dimension, SweepDesign
-from pyomo_quad.study.sweep.views import curves_along, pareto_front, plane_of, sensitivities
+from pyomo_quad.study.sweep.views import (
+    best_along,
+    curves_along,
+    pareto_front,
+    plane_of,
+    sensitivities,
+    spread_of,
+)
 
 A = Dimension(paths=("a",), steps=((1.0,), (2.0,), (3.0,)))
 B = Dimension(paths=("b",), steps=((0.0,), (10.0,), (20.0,)))
 NAME = Dimension(paths=("name",), steps=(("calm",), ("windy",)))
 
 
-def design(*dimensions: Dimension) -> SweepDesign:
+def design(*dimensions: Dimension, base=()) -> SweepDesign:
     return SweepDesign(
         name="grid",
         title="",
@@ -23,7 +30,7 @@ def design(*dimensions: Dimension) -> SweepDesign:
         baselines=(),
         outputs=(),
         report_on=("y",),
-        base={},
+        base=dict(base),
         dimensions=dimensions,
     )
 
@@ -90,3 +97,54 @@ def test_sensitivities_of_random_fields_are_the_slopes_of_a_linear_quantity():
     assert [one.field for one in found] == ["a", "b"]
     slopes = [one.swing / (one.greatest_at - one.least_at) for one in found]
     assert slopes == pytest.approx([3.0, -0.5])
+
+
+def test_sensitivities_and_maps_go_through_the_base_case_where_the_grid_holds_it():
+    based = design(A, B, NAME, base={"a": 1.0, "b": 20.0, "name": "windy"})
+    first, second = sensitivities(based, grid(), "y")
+    assert (first.least, first.greatest, second.least) == (125.0, 325.0, 105.0)
+    assert first.base == second.base == 125.0
+    plane = plane_of(based, grid(), A, B, "y")
+    assert plane.loc[20.0, 1.0] == 125.0
+    half = design(A, B, NAME, base={"a": 1.5, "b": 20.0, "name": "windy"})
+    assert sensitivities(half, grid(), "y")[0].base == 225.0
+
+
+def test_a_base_case_that_failed_has_no_value():
+    frame = grid()
+    frame.loc[(frame["a"] == 2.0) & (frame["b"] == 10.0), "status"] = "failed"
+    assert all(np.isnan(one.base) for one in sensitivities(design(A, B, NAME), frame, "y"))
+
+
+def test_the_spread_is_that_of_the_cases_and_its_linear_share_that_of_a_regression():
+    generator = np.random.default_rng(2)
+    draws = generator.normal(size=(300, 2))
+    drawn = Dimension(paths=("a", "b"), steps=tuple(map(tuple, draws.tolist())), is_random=True)
+    frame = pd.DataFrame(draws, columns=["a", "b"]).assign(status="finished", case=range(300))
+    frame["y"] = frame["a"] + frame["b"] ** 2
+    spread = spread_of(design(drawn), frame, "y")
+    assert (spread.least, spread.greatest) == (frame["y"].min(), frame["y"].max())
+    assert spread.greatest_case == frame["y"].argmax()
+    # Share explained = 1 - 1 / (K^-1)_00 of the correlations K of y with the fields.
+    inverse = np.linalg.inv(frame[["y", "a", "b"]].corr().to_numpy())
+    assert spread.linear_share == pytest.approx(1.0 - 1.0 / inverse[0, 0])
+    (straight, _) = sensitivities(design(drawn), frame, "y")
+    assert straight.swing < 0.7 * (spread.greatest - spread.least)
+
+
+@pytest.mark.parametrize(
+    ("energies", "place"),
+    [
+        ([3.0, 1.0, 2.0], (2.0, 1.0, 3.0, True)),
+        ([1.0, 2.0, 3.0], (1.0, None, 2.0, False)),
+        ([3.0, 2.0, 1.0], (3.0, 2.0, None, False)),
+        ([None, 1.0, 2.0], (2.0, 1.0, 3.0, False)),
+        ([2.0, 1.0, None], (2.0, 1.0, 3.0, False)),
+    ],
+)
+def test_the_best_is_inside_only_where_dearer_cases_lie_on_both_sides(energies, place):
+    frame = pd.DataFrame({"a": [1.0, 2.0, 3.0], "y": energies})
+    frame["status"] = ["failed" if energy is None else "finished" for energy in energies]
+    (curve,) = curves_along(design(A), frame, "a")
+    best = best_along(curve, "a", "y", A.values("a"))
+    assert (best.at, best.below, best.above, best.is_inside) == place
