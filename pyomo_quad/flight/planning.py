@@ -12,6 +12,7 @@ import numpy as np
 from pyomo_quad.collocation import (
     Allowance,
     Dynamics,
+    Iteration,
     Mesh,
     Problem,
     Progress,
@@ -50,6 +51,32 @@ _STATUS = {
     Status.INFEASIBLE: PlanStatus.INFEASIBLE,
     Status.INTERRUPTED: PlanStatus.INTERRUPTED,
 }
+
+
+class _Deadline:
+    """Stops a solve, and all that follows it, at the scenario's time limit or when told to."""
+
+    def __init__(self, scenario: Scenario, progress: Progress | None) -> None:
+        self._limit_s = scenario.solver.time_limit
+        self._end = time.monotonic() + self._limit_s
+        self._progress = progress
+        self.is_over = False
+
+    def __call__(self, iteration: Iteration) -> bool:
+        self.is_over = self.is_over or time.monotonic() > self._end
+        if self.is_over:
+            return False
+        return self._progress is None or self._progress(iteration) is not False
+
+    def applied_to(self, plan: Plan) -> Plan:
+        """Return the plan; given up if the limit cut it short, whatever it had come to."""
+        if not self.is_over or plan.is_verified:
+            return plan
+        message = (
+            f"given up after solver.time_limit = {self._limit_s:g} s; allow more time, or ask for "
+            "a looser solver.tolerance or fewer solver.elements."
+        )
+        return replace(plan, status=PlanStatus.NOT_CONVERGED, message=message)
 
 
 class Planner:
@@ -116,8 +143,14 @@ class Planner:
         Returns
         -------
         Plan
-            With its status; a failure of the numerics is a result, not an exception.
+            With its status; a failure of the numerics is a result, not an exception. One that
+            takes longer than `solver.time_limit` of wall time is not converged and says so;
+            nothing else depends on how fast the machine is.
         """
+        deadline = _Deadline(scenario, progress)
+        return deadline.applied_to(self._solve(scenario, warm_start, deadline))
+
+    def _solve(self, scenario: Scenario, warm_start: Plan | None, progress: Progress) -> Plan:
         told = scenario.as_forecast()
         problem, timings = self.problem_for(told)
         started = time.perf_counter()

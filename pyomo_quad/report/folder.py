@@ -13,24 +13,36 @@ system.  Only when the run has ended well does the sibling take the final name:
    swap.
 
 A lock file, held by `flock` and so released by the kernel with its process, keeps two runs from
-writing to one folder.  A manifest lists the files written, so that a folder holding anything else
-is never replaced.
+writing to one folder.  A manifest, the first file of a folder to be made and the last to be
+removed, lists what was written: a folder that holds anything else is never replaced, and one
+without a manifest is never taken for the remains of a run, whatever its name.
 """
 
+import errno
 import fcntl
 import os
+import re
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NoReturn
 
 from pyomo_quad.report.exchange import exchange_folders
 from pyomo_quad.scenario.errors import OutputError
 
-__all__ = ["MANIFEST_NAME", "output_folder", "recover_folder"]
+__all__ = [
+    "MANIFEST_NAME",
+    "discard_unfinished",
+    "output_folder",
+    "recover_folder",
+    "refuse_output_folder",
+]
 
 MANIFEST_NAME = ".pyomo_quad_files"
+
+# What this process has made beside its output folders, while it is at work on them.
+_unfinished: set[Path] = set()
 
 
 @contextmanager
@@ -54,23 +66,59 @@ def output_folder(path: str | Path) -> Iterator[Path]:
         If the folder cannot be written, is full, is in use by another run, or holds files that
         no run wrote.
     """
-    final = Path(path).resolve()
+    final = _final(path)
     aside = _hidden(final, f"new-{os.getpid()}")
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
         with _lock(final, path):
+            _finish_swap(final, path)
+            _remove_leftovers(final)
+            _refuse_foreign_files(final, path)
+            aside.mkdir()
+            _unfinished.add(aside)
             try:
-                _finish_swap(final)
-                _remove_leftovers(final)
-                _refuse_foreign_files(final, path)
-                aside.mkdir()
+                (aside / MANIFEST_NAME).touch()
                 yield aside
                 _write_manifest(aside)
-                _swap(aside, final)
+                _swap(aside, final, path)
             finally:
-                shutil.rmtree(aside, ignore_errors=True)
+                with suppress(OSError):
+                    _remove(aside)
+                _unfinished.discard(aside)
     except OSError as error:
         _refuse(path, error)
+
+
+def refuse_output_folder(path: str | Path) -> None:
+    """Refuse a folder that `output_folder` would refuse, without making anything.
+
+    Parameters
+    ----------
+    path : str or Path
+        The final folder.
+
+    Raises
+    ------
+    OutputError
+        If no report can go there; what else may happen until then is found out then.
+    """
+    final = _final(path)
+    try:
+        _refuse_foreign_files(final, path)
+        place = next(folder for folder in final.parents if os.path.lexists(folder))
+        if not place.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+        if not os.access(place, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as error:
+        _refuse(path, error)
+
+
+def discard_unfinished() -> None:
+    """Remove what this process has begun and will not finish."""
+    for begun in _unfinished:
+        with suppress(OSError):
+            (_remove if begun.is_dir() else Path.unlink)(begun)
 
 
 def recover_folder(path: str | Path) -> None:
@@ -86,14 +134,22 @@ def recover_folder(path: str | Path) -> None:
     OutputError
         If the swap cannot be finished.
     """
-    final = Path(path).resolve()
+    final = _final(path)
     if not _hidden(final, "ready").exists():
         return
     try:
         with _lock(final, path):
-            _finish_swap(final)
+            _finish_swap(final, path)
     except OSError as error:
         _refuse(path, error)
+
+
+def _final(path: str | Path) -> Path:
+    # Unlike `Path.resolve`, `realpath` lets a loop of links be found out by whoever opens it.
+    final = Path(os.path.realpath(path))
+    if final == final.parent:
+        raise OutputError(f"{path}: is the root of all folders; choose another --out.")
+    return final
 
 
 def _hidden(final: Path, suffix: str) -> Path:
@@ -104,7 +160,8 @@ def _hidden(final: Path, suffix: str) -> Path:
 def _lock(final: Path, path: str | Path) -> Iterator[None]:
     file = _hidden(final, "lock")
     while True:
-        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
+        descriptor = os.open(file, flags, 0o644)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             # The run that held the lock removes the file; a lock on a removed file locks nothing.
@@ -116,43 +173,80 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
                 f"{path}: another run is writing here; wait for it or choose another --out."
             ) from None
         os.close(descriptor)
+    if os.fstat(descriptor).st_size > 0:
+        os.close(descriptor)
+        raise OutputError(f"{path}: needs the name {file.name!r} beside it; move that file away.")
+    _unfinished.add(file)
     try:
         yield
     finally:
         file.unlink(missing_ok=True)
+        _unfinished.discard(file)
         os.close(descriptor)
 
 
-def _swap(aside: Path, final: Path) -> None:
+def _swap(aside: Path, final: Path, path: str | Path) -> None:
     if not final.exists():
         aside.rename(final)
     elif not exchange_folders(aside, final):
         aside.rename(_hidden(final, "ready"))
-        _finish_swap(final)
+        _finish_swap(final, path)
 
 
-def _finish_swap(final: Path) -> None:
+def _finish_swap(final: Path, path: str | Path) -> None:
     ready = _hidden(final, "ready")
-    if ready.exists():
-        if final.exists():
-            shutil.rmtree(final)
-        ready.rename(final)
+    if not _is_of_a_run(ready):
+        return
+    _refuse_foreign_files(final, path)
+    if final.exists():
+        _remove(final)
+    ready.rename(final)
 
 
 def _remove_leftovers(final: Path) -> None:
     # The lock is held: whoever made these is no longer running.
-    prefix = _hidden(final, "new-").name
+    name = re.compile(re.escape(_hidden(final, "new-").name) + r"\d+")
     for entry in final.parent.iterdir():
-        if entry.name.startswith(prefix):
+        if not name.fullmatch(entry.name):
+            continue
+        if _is_of_a_run(entry):
+            _remove(entry)
+        else:
+            with suppress(OSError):
+                entry.rmdir()  # an empty one: the run was killed before it wrote
+
+
+def _is_of_a_run(folder: Path) -> bool:
+    """Say whether a folder of a hidden name was made by a run and not by a stranger."""
+    return not folder.is_symlink() and (folder / MANIFEST_NAME).is_file()
+
+
+def _remove(folder: Path) -> None:
+    """Delete a folder, its manifest last, so that what a kill leaves is still known."""
+    for entry in folder.iterdir():
+        if entry.name == MANIFEST_NAME:
+            continue
+        if entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry)
+        else:
+            entry.unlink()
+    shutil.rmtree(folder)
 
 
 def _files(folder: Path) -> Iterator[str]:
-    return (str(file.relative_to(folder)) for file in folder.rglob("*") if not file.is_dir())
+    """Yield all that is not a folder, links to folders included, and fail where it cannot look."""
+
+    def fail(error: OSError) -> NoReturn:
+        raise error
+
+    for place, folders, files in os.walk(folder, onerror=fail):
+        links = (name for name in folders if os.path.islink(os.path.join(place, name)))  # noqa: PTH114, PTH118  os.walk speaks in texts
+        for name in (*files, *links):
+            yield str((Path(place) / name).relative_to(folder))
 
 
 def _write_manifest(folder: Path) -> None:
-    names = sorted(_files(folder))
+    names = sorted(name for name in _files(folder) if name != MANIFEST_NAME)
     (folder / MANIFEST_NAME).write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
 
 
@@ -162,7 +256,8 @@ def _refuse_foreign_files(final: Path, path: str | Path) -> None:
     if not final.is_dir():
         raise OutputError(f"{path}: is a file; choose a folder for --out.")
     manifest = final / MANIFEST_NAME
-    known = set(manifest.read_text(encoding="utf-8").splitlines()) if manifest.exists() else set()
+    listed = manifest.read_bytes() if manifest.is_file() else b""
+    known = set(listed.decode("utf-8", errors="replace").splitlines())
     foreign = next((name for name in _files(final) if name not in {*known, MANIFEST_NAME}), None)
     if foreign is not None:
         raise OutputError(

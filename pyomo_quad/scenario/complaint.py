@@ -8,7 +8,7 @@ from typing import Any, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from pyomo_quad.scenario.fields import allowed_text, unit_of
+from pyomo_quad.scenario.fields import allowed_text, example_of, other_names_of, unit_of
 from pyomo_quad.scenario.tree import Path, spell
 
 __all__ = ["complaint", "declared_place", "field_paths", "printable", "shown"]
@@ -171,7 +171,10 @@ def _line(details: ErrorDetails, model: type[BaseModel], path: Path) -> str:
     if details["type"] == "missing" and isinstance(path[-1], int):
         return f"{spell(path[:-1])} is too short; give {where} too{f', in {unit}' if unit else ''}."
     if details["type"] == "missing":
-        return f"{where} is missing; give it{f' in {unit}' if unit else ''}."
+        holder, _ = declared_place(model, details["loc"][:-1])
+        example = _example(holder, str(path[-1]))
+        such = f" For example: {where} = {example}" if example else ""
+        return f"{where} is missing; give it{f' in {unit}' if unit else ''}.{such}"
     if details["type"] == "value_error":
         return f"{where}: {details['ctx']['error']}."
     found = shown(details["input"])
@@ -202,7 +205,8 @@ def _unknown_key(
     prefix = path[: len(path) - len(place)]
     unknown = str(path[-1])
     where = shown(spell(path))[1:-1]
-    near = get_close_matches(unknown, table.model_fields, n=1)
+    meant = [name for name in table.model_fields if unknown in other_names_of(table, name)]
+    near = meant or get_close_matches(unknown, table.model_fields, n=1)
     if near:
         return f"unknown key {where}; did you mean {spell((*path[:-1], near[0]))}?"
     everywhere = {spell(found): str(found[-1]) for found in field_paths(model, prefix)}
@@ -211,6 +215,18 @@ def _unknown_key(
     if near:
         return f"unknown key {where}; did you mean {near[0]}?"
     return f"unknown key {where}; known keys here: {', '.join(table.model_fields)}."
+
+
+def _example(model: type[BaseModel], name: str) -> str:
+    """Return what a field could be: its own example, or a table of what its table needs."""
+    nested = _table_of(model, name)
+    if nested is None:
+        return example_of(model, name)
+    needed = [key for key, field in nested.model_fields.items() if field.is_required()]
+    parts = {key: _example(nested, key) for key in needed}
+    if not all(parts.values()):
+        return ""
+    return f"{{ {', '.join(f'{key} = {value}' for key, value in parts.items())} }}"
 
 
 def _table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:

@@ -1,20 +1,25 @@
 """How a scenario field is declared: frozen, closed to unknown keys, with its unit beside it."""
 
 import re
-from typing import Annotated, Any
+from functools import partial
+from typing import Annotated, Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, Strict
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict
+from pydantic_core import PydanticCustomError
 
 __all__ = [
     "ONE_LINE",
     "Flag",
     "Number",
     "Part",
+    "Sound",
     "Text",
     "Triple",
     "WholeNumber",
     "allowed_text",
+    "example_of",
     "number_in_text",
+    "other_names_of",
     "quantity",
     "unit_of",
 ]
@@ -34,6 +39,17 @@ _DECIMAL = re.compile(
 
 # Pattern of a title: no line break and no other control character.
 ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
+
+
+class Sound(NamedTuple):
+    """Smallest and largest number that anything real can have, and why in words.
+
+    Beyond lies a slip of the pen or a wrong unit, and arithmetic that overflows.
+    """
+
+    low: float
+    high: float
+    because: str
 
 
 class Part(BaseModel):
@@ -77,6 +93,9 @@ def quantity(
     default: object = ...,
     *,
     allowed: str = "",
+    example: str = "",
+    other_names: tuple[str, ...] = (),
+    sound: Sound | None = None,
     **limits: Any,  # noqa: ANN401
 ) -> Any:  # noqa: ANN401
     """Declare a field with its unit.
@@ -91,6 +110,12 @@ def quantity(
         Value when neither the scenario nor the library gives one; none by default.
     allowed : str, optional
         What a text must be, in words, where a pattern would be hard to read.
+    example : str, optional
+        A value as TOML writes it, shown where a field without a default is missing.
+    other_names : tuple of str, optional
+        What people call the field elsewhere, so that a message can name it.
+    sound : Sound, optional
+        Beyond which no number can be meant, in a list each of its numbers.
     **limits
         Bounds as pydantic names them: ``gt``, ``ge``, ``lt``, ``le``, ``min_length``, ...
 
@@ -99,12 +124,20 @@ def quantity(
     FieldInfo
         To stand on the right of an annotated attribute.
     """
-    return Field(
+    field = Field(
         default,
         description=description,
-        json_schema_extra={"unit": unit, "allowed": allowed},
+        json_schema_extra={
+            "unit": unit,
+            "allowed": allowed,
+            "example": example,
+            "other_names": list(other_names),
+        },
         **limits,
     )
+    if sound is not None:
+        field.metadata.append(AfterValidator(partial(_sound, sound)))
+    return field
 
 
 def unit_of(model: type[BaseModel], name: str) -> str:
@@ -122,7 +155,7 @@ def unit_of(model: type[BaseModel], name: str) -> str:
     str
         Unit string, empty when the field has none or does not exist.
     """
-    return _declared_with(model, name, "unit")
+    return str(_declared_with(model, name, "unit"))
 
 
 def allowed_text(model: type[BaseModel], name: str) -> str:
@@ -140,10 +173,29 @@ def allowed_text(model: type[BaseModel], name: str) -> str:
     str
         What follows "must be", empty when the field says nothing.
     """
-    return _declared_with(model, name, "allowed")
+    return str(_declared_with(model, name, "allowed"))
 
 
-def _declared_with(model: type[BaseModel], name: str, item: str) -> str:
+def example_of(model: type[BaseModel], name: str) -> str:
+    """Return a value that a field could have, as TOML writes it; empty when none is declared."""
+    return str(_declared_with(model, name, "example"))
+
+
+def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
+    """Return what people call a field elsewhere."""
+    return tuple(_declared_with(model, name, "other_names"))
+
+
+def _declared_with(model: type[BaseModel], name: str, item: str) -> Any:  # noqa: ANN401
     field = model.model_fields.get(name)
     extra = field.json_schema_extra if field is not None else None
-    return str(extra.get(item, "")) if isinstance(extra, dict) else ""
+    return extra.get(item, "") if isinstance(extra, dict) else ""
+
+
+def _sound(sound: Sound, value: Any) -> Any:  # noqa: ANN401
+    numbers = value if isinstance(value, tuple) else (value,)
+    if any(number is not None and not sound.low <= number <= sound.high for number in numbers):
+        each = "each " if isinstance(value, tuple) else ""
+        allowed = f"{each}must be from {sound.low:g} to {sound.high:g}: {sound.because}"
+        raise PydanticCustomError("unsound", "{allowed}", {"allowed": allowed})
+    return value

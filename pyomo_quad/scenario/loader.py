@@ -16,22 +16,34 @@ __all__ = ["load_scenario", "read_toml", "scenario_from_mapping"]
 
 LARGEST_FILE_BYTES = 1_000_000
 DEEPEST_NESTING = 8
-# A key of so many parts, or so many open brackets, is an attack on the parser and not a scenario.
-_MOST_BRACKETS = re.compile(r"\[[\s\[]{64,}|(?:[\w\"'-]+\s*\.\s*){32,}")
+# More brackets open at once, or a key of more parts, is an attack on the parser: it takes them one
+# inside the other, or all anew for each.
+_MOST_OPEN = 64
+_MOST_KEY_PARTS = 32
+# Comments, texts closed or not, and the signs that nest or join; no part is read twice.
+_SIGNS = re.compile(
+    r"""#[^\n]*+|\"{3}(?:[^"\\]++|\\.|"(?!""))*+(?:\"{3})?|'{3}(?:[^']++|'(?!''))*+(?:'{3})?"""
+    r"""|"(?:[^"\\\n]++|\\.)*+"?|'[^'\n]*+'?|[\[\]{}.,=\n]""",
+    re.DOTALL,
+)
+# What messages call a scenario that no file holds.
+_MAPPING = "scenario"
 _BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
-def load_scenario(path: str | FilePath, overrides: Sequence[str] = ()) -> Scenario:
+def load_scenario(
+    path: str | FilePath | Mapping[str, Any], overrides: Sequence[str] | Mapping[str, Any] = ()
+) -> Scenario:
     """Read, complete and validate a scenario.
 
     Later layers win: default, library, scenario file, overrides.
 
     Parameters
     ----------
-    path : str or Path
-        A TOML file.
-    overrides : sequence of str, optional
-        ``PATH=VALUE`` with a TOML value, as `--set` takes them.
+    path : str, Path or mapping
+        A TOML file, or nested mappings that say what one would.
+    overrides : sequence of str or mapping, optional
+        ``PATH=VALUE`` with a TOML value, as `--set` takes them; or dotted path -> value.
 
     Returns
     -------
@@ -45,21 +57,22 @@ def load_scenario(path: str | FilePath, overrides: Sequence[str] = ()) -> Scenar
     FeasibilityError
         If the rotors cannot carry the vehicle.
     """
-    file = FilePath(path)
-    document = read_toml(file)
-    assignments = dict(_parse_override(text) for text in overrides)
+    is_mapping = isinstance(overrides, Mapping)
+    written = _mapped(overrides) if isinstance(overrides, Mapping) else _parsed(overrides)
+    label = "overrides" if is_mapping else "--set"
+    if isinstance(path, Mapping):
+        _refuse_deep(path, _MAPPING)
+        source, folder, document = _MAPPING, FilePath(), path
+    else:
+        file = FilePath(path)
+        source, folder, document = printable(str(file)), file.parent, read_toml(file)
     return _from_written(
-        Origin(
-            source=printable(str(file)),
-            folder=file.parent,
-            document=document,
-            assignments=assignments,
-        )
+        Origin(source=source, folder=folder, document=document, assignments=written, label=label)
     )
 
 
 def scenario_from_mapping(
-    tables: Mapping[str, Any], source: str = "scenario", folder: FilePath | None = None
+    tables: Mapping[str, Any], source: str = _MAPPING, folder: FilePath | None = None
 ) -> Scenario:
     """Complete and validate a scenario given as nested mappings.
 
@@ -141,9 +154,39 @@ def _from_written(origin: Origin) -> Scenario:
 
 
 def _parse_toml(text: str) -> dict[str, Any]:
-    if _MOST_BRACKETS.search(text):
-        raise ValueError("nested too deep")
+    open_brackets, key_parts = 0, 1
+    for sign in _SIGNS.finditer(text):
+        match sign[0]:
+            case "[" | "{":
+                open_brackets, key_parts = open_brackets + 1, 1
+            case "]" | "}":
+                open_brackets, key_parts = max(open_brackets - 1, 0), 1
+            case ".":
+                key_parts += 1
+            case "," | "=" | "\n":
+                key_parts = 1
+        if open_brackets > _MOST_OPEN or key_parts > _MOST_KEY_PARTS:
+            raise ValueError("nested too deep")
     return tomllib.loads(text)
+
+
+def _parsed(overrides: Sequence[str]) -> dict[Path, Any]:
+    texts = (overrides,) if isinstance(overrides, str) else overrides
+    return dict(_parse_override(text) for text in texts)
+
+
+def _mapped(overrides: Mapping[str, Any]) -> dict[Path, Any]:
+    _refuse_deep(overrides, "overrides")
+    assignments: dict[Path, Any] = {}
+    for steps, value in leaves(overrides):
+        path = parse_path(".".join(str(step) for step in steps))
+        if path is None:
+            raise ScenarioError(
+                f"overrides: {shown('.'.join(map(str, steps)))} is not the path of a field; write "
+                "for example mission.duration."
+            )
+        assignments[path] = value
+    return assignments
 
 
 def _parse_override(text: str) -> tuple[Path, Any]:

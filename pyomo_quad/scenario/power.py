@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import model_validator
 
-from pyomo_quad.scenario.fields import Flag, Number, Part, quantity
+from pyomo_quad.scenario.fields import Flag, Number, Part, Sound, quantity
 
 __all__ = ["Power", "PowerModel"]
 
@@ -31,13 +31,32 @@ class Power(Part):
 
     model: PowerModel = quantity("", "power model", PowerModel.MOTOR)
     efficiency: Number = quantity("1", "drive efficiency of constant_efficiency", 0.75, gt=0, le=1)
-    torque_floor: Number = quantity("N*m", "efficiency: smallest torque used in f_r", 0.0, ge=0)
-    efficiency_floor: Number = quantity("1", "efficiency: smallest f_r", 0.05, gt=0, le=1)
+    torque_floor: Number = quantity(
+        "N*m",
+        "efficiency: smallest torque used in f_r",
+        0.0,
+        ge=0,
+        sound=Sound(0, 100, "drag torques of rotors that fly are smaller"),
+    )
+    efficiency_floor: Number = quantity(
+        "1",
+        "efficiency: smallest f_r",
+        0.05,
+        gt=0,
+        le=1,
+        sound=Sound(1e-4, 1, "less would mean a power of thousands of times the useful one"),
+    )
     regeneration: Flag = quantity(
         "", "whether braking earns energy back, default by power model", False
     )
     smoothing: Number = quantity(
-        "W", "without regeneration: width of the smooth floor at 0 W", 0.1, gt=0
+        "W",
+        "without regeneration: width of the smooth floor at 0 W",
+        0.1,
+        gt=0,
+        sound=Sound(
+            1e-6, 1e5, "it is to be small beside the power in flight, which is watts to megawatts"
+        ),
     )
 
     @model_validator(mode="before")

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from pyomo_quad.scenario.complaint import complaint, shown
 from pyomo_quad.scenario.errors import ScenarioError
 from pyomo_quad.scenario.library import LIBRARY_KINDS, library_entry
-from pyomo_quad.scenario.limits import derived_limits
+from pyomo_quad.scenario.limits import FASTEST_ROTOR, derived_limits
 from pyomo_quad.scenario.tree import Path, leaves, merge, set_value, spell
 from pyomo_quad.scenario.vehicle import Vehicle
 from pyomo_quad.scenario.wind_file import read_wind_file
@@ -205,7 +205,7 @@ def _add_derived_limits(
     if (
         not isinstance(speed, int | float)
         or isinstance(speed, bool)
-        or not 0 < speed < float("inf")
+        or not 0 < speed <= FASTEST_ROTOR
     ):
         return tables
     try:

@@ -11,7 +11,7 @@ from pyomo_quad.scenario.baseline import Baseline
 from pyomo_quad.scenario.battery import Battery
 from pyomo_quad.scenario.complaint import complaint
 from pyomo_quad.scenario.errors import FeasibilityError, ScenarioError
-from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Text, quantity
+from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Sound, Text, quantity
 from pyomo_quad.scenario.limits import Limits
 from pyomo_quad.scenario.mission import Mission
 from pyomo_quad.scenario.power import Power
@@ -36,11 +36,18 @@ class Scenario(Part):
         "short name, also of the output folder",
         pattern=_NAME_PATTERN,
         allowed="1 to 64 letters, digits, '_', '-' or '.', starting with a letter or digit",
+        example='"delivery"',
     )
     title: Text = quantity(
         "", "title of the report", "", pattern=ONE_LINE, allowed="one line", max_length=200
     )
-    gravity: Number = quantity("m/s^2", "acceleration of gravity", 9.81, gt=0)
+    gravity: Number = quantity(
+        "m/s^2",
+        "acceleration of gravity",
+        9.81,
+        gt=0,
+        sound=Sound(0.1, 100, "it is 9.81 on earth, 1.62 on the moon and 24.8 on Jupiter"),
+    )
     model: Text | None = quantity(
         "",
         "own model builder as file.py:function, needs --allow-code",

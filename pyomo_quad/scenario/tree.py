@@ -8,6 +8,8 @@ __all__ = ["Path", "depth", "leaves", "merge", "parse_path", "set_value", "spell
 
 Path = tuple[str | int, ...]
 
+# No field lies half as deep; what follows a path goes down it step by step.
+_MOST_STEPS = 16
 _STEP = re.compile(r"([A-Za-z0-9_-]+)((?:\[[0-9]{1,3}\])*)")
 
 
@@ -22,7 +24,7 @@ def parse_path(text: str) -> Path | None:
     Returns
     -------
     tuple of str and int, or None
-        The steps, None when the text is no path.
+        The steps, None when the text is no path or leads deeper than any field.
     """
     steps: list[str | int] = []
     for part in text.strip().split("."):
@@ -31,6 +33,8 @@ def parse_path(text: str) -> Path | None:
             return None
         steps.append(match[1])
         steps.extend(int(index) for index in re.findall("[0-9]+", match[2]))
+        if len(steps) > _MOST_STEPS:
+            return None
     return tuple(steps)
 
 

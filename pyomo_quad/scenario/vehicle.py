@@ -2,20 +2,25 @@
 
 from math import sqrt
 
-from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Text, Triple, quantity
+from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Sound, Text, Triple, quantity
 
 __all__ = ["ROTOR_COUNT", "EfficiencyMap", "Vehicle"]
 
 ROTOR_COUNT = 4
 
+_INERTIA = Sound(1e-9, 1e6, "a gram at a millimetre has 1e-9, ten tonnes at ten metres have 1e6")
+_FITTED = Sound(-1e9, 1e9, "f_r is a share and its arguments are not tiny")
+
 
 class EfficiencyMap(Part):
     """Coefficients of f_r(tau, omega), each row (a, b, c) of a omega^2 + b omega + c."""
 
-    cubic: Triple = quantity("", "row of tau^3; f_r is a pure number, tau in N m, omega in rad/s")
-    quadratic: Triple = quantity("", "row of tau^2")
-    linear: Triple = quantity("", "row of tau")
-    constant: Triple = quantity("", "row without tau")
+    cubic: Triple = quantity(
+        "", "row of tau^3; f_r is a pure number, tau in N m, omega in rad/s", sound=_FITTED
+    )
+    quadratic: Triple = quantity("", "row of tau^2", sound=_FITTED)
+    linear: Triple = quantity("", "row of tau", sound=_FITTED)
+    constant: Triple = quantity("", "row without tau", sound=_FITTED)
 
 
 class Vehicle(Part):
@@ -25,24 +30,100 @@ class Vehicle(Part):
     title: Text = quantity(
         "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
     )
-    mass: Number = quantity("kg", "mass without payload", gt=0)
-    payload: Number = quantity("kg", "mass carried, at the centre of mass", 0.0, ge=0)
-    arm_length: Number = quantity("m", "centre of mass to rotor shaft (l)", gt=0)
-    Ix: Number = quantity("kg*m^2", "moment of inertia about body x", gt=0)
-    Iy: Number = quantity("kg*m^2", "moment of inertia about body y", gt=0)
-    Iz: Number = quantity("kg*m^2", "moment of inertia about body z", gt=0)
-    thrust_coefficient: Number = quantity("N*s^2", "thrust over rotor speed squared (kb)", gt=0)
-    drag_torque_coefficient: Number = quantity(
-        "N*m*s^2", "drag torque over rotor speed squared (kappa)", gt=0
+    mass: Number = quantity(
+        "kg",
+        "mass without payload",
+        gt=0,
+        sound=Sound(1e-3, 1e4, "flying machines weigh from a gram to ten tonnes"),
     )
-    rotor_inertia: Number = quantity("kg*m^2", "inertia of rotor and propeller (Ir)", gt=0)
-    torque_constant: Number = quantity("N*m/A", "motor torque over current (kt)", gt=0)
-    voltage_constant: Number = quantity("rad/s/V", "motor speed over voltage (kv)", gt=0)
-    motor_resistance: Number = quantity("ohm", "winding resistance (R)", gt=0)
-    friction_torque: Number = quantity("N*m", "dry friction of one motor (Tf)", 0.0, ge=0)
-    viscous_damping: Number = quantity("N*m*s", "viscous friction of one motor (Df)", 0.0, ge=0)
-    drag_linear: Number = quantity("kg/s", "linear drag on the relative airspeed", 0.0, ge=0)
-    drag_quadratic: Number = quantity("kg/m", "quadratic drag on the relative airspeed", 0.0, ge=0)
+    payload: Number = quantity(
+        "kg",
+        "mass carried, at the centre of mass",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e4, "flying machines weigh from a gram to ten tonnes"),
+    )
+    arm_length: Number = quantity(
+        "m",
+        "centre of mass to rotor shaft (l)",
+        gt=0,
+        sound=Sound(1e-3, 100, "rotors stand from a millimetre to a hundred metres out"),
+    )
+    Ix: Number = quantity("kg*m^2", "moment of inertia about body x", gt=0, sound=_INERTIA)
+    Iy: Number = quantity("kg*m^2", "moment of inertia about body y", gt=0, sound=_INERTIA)
+    Iz: Number = quantity("kg*m^2", "moment of inertia about body z", gt=0, sound=_INERTIA)
+    thrust_coefficient: Number = quantity(
+        "N*s^2",
+        "thrust over rotor speed squared (kb)",
+        gt=0,
+        sound=Sound(
+            1e-12, 100, "a rotor of a centimetre has about 1e-10, one of ten metres about 10"
+        ),
+    )
+    drag_torque_coefficient: Number = quantity(
+        "N*m*s^2",
+        "drag torque over rotor speed squared (kappa)",
+        gt=0,
+        sound=Sound(
+            1e-15, 100, "a rotor of a centimetre has about 1e-13, one of ten metres about 1"
+        ),
+    )
+    rotor_inertia: Number = quantity(
+        "kg*m^2",
+        "inertia of rotor and propeller (Ir)",
+        gt=0,
+        sound=Sound(
+            1e-12, 1e4, "a rotor of a centimetre has about 1e-11, one of ten metres about 1e3"
+        ),
+    )
+    torque_constant: Number = quantity(
+        "N*m/A",
+        "motor torque over current (kt)",
+        gt=0,
+        sound=Sound(
+            1e-6, 100, "motors for flight give from micronewton metres to newton metres per ampere"
+        ),
+    )
+    voltage_constant: Number = quantity(
+        "rad/s/V",
+        "motor speed over voltage (kv)",
+        gt=0,
+        sound=Sound(1e-2, 1e5, "motors for flight turn by 0.1 to 10,000 rad/s per volt"),
+    )
+    motor_resistance: Number = quantity(
+        "ohm",
+        "winding resistance (R)",
+        gt=0,
+        sound=Sound(1e-6, 1e3, "windings have from micro-ohms to hundreds of ohms"),
+    )
+    friction_torque: Number = quantity(
+        "N*m",
+        "dry friction of one motor (Tf)",
+        0.0,
+        ge=0,
+        sound=Sound(0, 100, "bearings of a rotor are nearly free"),
+    )
+    viscous_damping: Number = quantity(
+        "N*m*s",
+        "viscous friction of one motor (Df)",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1, "bearings of a rotor are nearly free"),
+    )
+    drag_linear: Number = quantity(
+        "kg/s",
+        "linear drag on the relative airspeed",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e4, "a hundred square metres across the flow have about 1e3"),
+    )
+    drag_quadratic: Number = quantity(
+        "kg/m",
+        "quadratic drag on the relative airspeed",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e3, "a hundred square metres across the flow have about 1e2"),
+    )
     efficiency_map: EfficiencyMap = quantity("", "the recovered efficiency function f_r")
 
     @property

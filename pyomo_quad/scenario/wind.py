@@ -6,9 +6,27 @@ from typing import Self
 
 from pydantic import model_validator
 
-from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Text, Triple, quantity
+from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Sound, Text, Triple, quantity
 
-__all__ = ["FrequencyUnit", "Wind", "WindAxis", "WindCoupling", "WindSeries"]
+__all__ = [
+    "LARGEST_WIND",
+    "LATEST_TIME",
+    "STRONGEST_GUST",
+    "FrequencyUnit",
+    "Wind",
+    "WindAxis",
+    "WindCoupling",
+    "WindSeries",
+]
+
+
+#: m/s. Beyond the strongest gust measured, on Barrow Island in 1996 (WMO), by a third.
+LARGEST_WIND = 150.0
+STRONGEST_GUST = "the strongest gust measured on earth had 113 m/s"
+#: s. Thirty years; a number of that size still tells a microsecond.
+LATEST_TIME = 1e9
+_WIND = Sound(-LARGEST_WIND, LARGEST_WIND, STRONGEST_GUST)
+_FAST = Sound(-1e4, 1e4, "no gust changes within a millisecond")
 
 
 class WindCoupling(StrEnum):
@@ -28,11 +46,18 @@ class FrequencyUnit(StrEnum):
 class WindAxis(Part):
     """One axis of eq. (11)-(12): mean, three harmonics, gust."""
 
-    mean: Number = quantity("m/s", "mean value (v0)")
-    amplitudes: Triple = quantity("m/s", "amplitudes of the harmonics (A_k)")
-    frequencies: Triple = quantity("rad/s", "frequencies of the harmonics, see frequency_unit")
-    gust_amplitude: Number = quantity("m/s", "gust amplitude (v_gmax)")
-    gust_period: Number = quantity("s", "gust period (T_g)", gt=0)
+    mean: Number = quantity("m/s", "mean value (v0)", sound=_WIND)
+    amplitudes: Triple = quantity("m/s", "amplitudes of the harmonics (A_k)", sound=_WIND)
+    frequencies: Triple = quantity(
+        "rad/s", "frequencies of the harmonics, see frequency_unit", sound=_FAST
+    )
+    gust_amplitude: Number = quantity("m/s", "gust amplitude (v_gmax)", sound=_WIND)
+    gust_period: Number = quantity(
+        "s",
+        "gust period (T_g)",
+        gt=0,
+        sound=Sound(1e-3, 1e6, "a gust lasts for seconds or minutes"),
+    )
 
 
 class WindSeries(Part):
@@ -54,14 +79,28 @@ class Wind(Part):
         "", "acceleration (eq. 9 as printed) or drag", WindCoupling.ACCELERATION
     )
     acceleration_coefficient: Number = quantity(
-        "1/s", "turns wind velocity into acceleration, eq. (9)", 1.0, ge=0
+        "1/s",
+        "turns wind velocity into acceleration, eq. (9)",
+        1.0,
+        ge=0,
+        sound=Sound(0, 1e3, "nothing that flies is carried along within a millisecond"),
     )
     frequency_unit: FrequencyUnit = quantity(
         "", "unit of the frequencies: rad/s (as eq. 11) or hz", FrequencyUnit.RADIAN_PER_SECOND
     )
-    speed: Number = quantity("m/s", "steady wind added to the means", 0.0, ge=0)
-    direction: Number = quantity("rad", "where the steady wind blows to, 0 is +x", 0.0)
-    time_offset: Number = quantity("s", "wind time at the start of the mission", 0.0)
+    speed: Number = quantity("m/s", "steady wind added to the means", 0.0, ge=0, sound=_WIND)
+    direction: Number = quantity(
+        "rad",
+        "where the steady wind blows to, 0 is +x",
+        0.0,
+        sound=Sound(-1e4, 1e4, "a turn is 6.283 rad"),
+    )
+    time_offset: Number = quantity(
+        "s",
+        "wind time at the start of the mission",
+        0.0,
+        sound=Sound(-LATEST_TIME, LATEST_TIME, "wind is not known for more than thirty years"),
+    )
     file: Text | None = quantity(
         "", "CSV file time_s,wind_x_m_per_s,wind_y_m_per_s in place of eq. (11)-(12)", None
     )

@@ -9,6 +9,7 @@ from typing import NoReturn
 from pyomo_quad.scenario.complaint import shown
 from pyomo_quad.scenario.errors import ScenarioError
 from pyomo_quad.scenario.fields import number_in_text
+from pyomo_quad.scenario.wind import LARGEST_WIND, LATEST_TIME, STRONGEST_GUST
 
 __all__ = ["WIND_COLUMNS", "read_wind_file"]
 
@@ -100,6 +101,15 @@ def _read_row(cells: list[str], line: int, place: str) -> tuple[float, float, fl
         _refuse(place, f"line {line} must hold {len(WIND_COLUMNS)} numbers")
     if not all(isfinite(number) for number in (time, wind_x, wind_y)):
         _refuse(place, f"line {line} holds a number that is not finite; remove or fill it")
+    strongest = max(abs(wind_x), abs(wind_y))
+    if strongest > LARGEST_WIND:
+        _refuse(
+            place,
+            f"line {line} has a wind of {strongest:g} m/s; must be within {LARGEST_WIND:g} m/s: "
+            f"{STRONGEST_GUST}",
+        )
+    if abs(time) > LATEST_TIME:
+        _refuse(place, f"line {line} is of {time:g} s; times must be within {LATEST_TIME:g} s")
     return time, wind_x, wind_y
 
 

@@ -5,12 +5,13 @@ solve can find out, such as a detour that a limit forces, is left to its own dia
 """
 
 from collections.abc import Iterator
+from math import pi, radians
 
 from pyomo_quad.model import build_model
 from pyomo_quad.model.custom import Builder
 from pyomo_quad.model.finding import Finding, Severity
 from pyomo_quad.model.screening import screen_model
-from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario import Scenario, describe_fields
 from pyomo_quad.scenario.fields import unit_of
 from pyomo_quad.scenario.limits import derived_limits
 from pyomo_quad.study.pack_limits import pack_findings
@@ -39,7 +40,7 @@ def diagnose(scenario: Scenario, *, builder: Builder = build_model) -> tuple[Fin
         The impossible first; empty when nothing was found, which proves nothing.
     """
     told = scenario.as_forecast()
-    findings: list[Finding] = []
+    findings = list(_angles_in_degrees(scenario))
     if builder is build_model:
         findings += reach_findings(told)
         findings += pack_findings(told)
@@ -47,6 +48,19 @@ def diagnose(scenario: Scenario, *, builder: Builder = build_model) -> tuple[Fin
         findings += _idle_limits(told)
     findings += screen_model(builder(told))
     return tuple(sorted(findings, key=lambda f: f.severity is not Severity.IMPOSSIBLE))
+
+
+def _angles_in_degrees(scenario: Scenario) -> Iterator[Finding]:
+    """Yield angles of more than a turn."""
+    for field in describe_fields(scenario):
+        if field.unit == "rad" and isinstance(field.value, float) and abs(field.value) > 2 * pi:
+            degrees = field.value
+            yield Finding(
+                severity=Severity.CAUTION,
+                subject=field.path,
+                message=f"{field.path} = {degrees:g} rad is {abs(degrees) / (2 * pi):.3g} turns; "
+                f"were degrees meant? {degrees:g} degrees are {radians(degrees):.4g} rad.",
+            )
 
 
 def _idle_limits(scenario: Scenario) -> Iterator[Finding]:

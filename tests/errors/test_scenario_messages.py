@@ -1,12 +1,17 @@
 """Every message about a scenario, through the file and through --set."""
 
 import re
+import tomllib
 
 import pytest
+from pydantic import BaseModel
 
 from pyomo_quad.scenario import FeasibilityError, PyomoQuadError, ScenarioError, load_scenario
 from pyomo_quad.scenario.loader import LARGEST_FILE_BYTES
+from pyomo_quad.scenario.tree import merge, spell
 from tests.scenario_files import write_scenario, write_wind
+
+REFERENCES = ("baseline", "references")
 
 # Line of the scenario -> message after the source.
 REFUSED = {
@@ -57,6 +62,7 @@ REFUSED = {
         "power.model = \"motr\"; must be one of 'motor', 'efficiency', 'shaft', "
         "'constant_efficiency' or 'motor_with_friction'."
     ),
+    "mission.target = 1": "unknown key mission.target; did you mean mission.goal?",
     "power.regeneration = 1": "power.regeneration = 1; must be true or false.",
     "power.efficiency = 1.2": "power.efficiency = 1.2; must be <= 1.",
     "solver.elements = 4.5": "solver.elements = 4.5; must be a whole number.",
@@ -236,3 +242,114 @@ def test_with_values(tmp_path, values, message):
     scenario = load_scenario(write_scenario(tmp_path))
     with pytest.raises(PyomoQuadError, match=message):
         scenario.with_values(values)
+
+
+# A number that no vehicle on earth can have -> what is allowed, and why.
+UNSOUND = {
+    "wind.speed = 1e308": (
+        "wind.speed = 1e+308 m/s; must be from -150 to 150: the strongest gust measured on earth "
+        "had 113 m/s."
+    ),
+    "wind.x.amplitudes = [0.0, 1e200, 0.0]": "each must be from -150 to 150: the strongest gust",
+    "wind.y.mean = -1e5": "wind.y.mean = -100000 m/s; must be from -150 to 150: the strongest gust",
+    "mission.duration = 1e6": (
+        "mission.duration = 1e+06 s; must be from 0.001 to 86400: no quadrotor stays aloft for "
+        "more than a day."
+    ),
+    "mission.goal.position = [1e300, 0.0, 0.0]": "each must be from -100000 to 100000: a quadrotor",
+    "vehicle.Ix = 1e-12": (
+        "vehicle.Ix = 1e-12 kg*m^2; must be from 1e-09 to 1e+06: a gram at a millimetre has 1e-9, "
+        "ten tonnes at ten metres have 1e6."
+    ),
+    "vehicle.thrust_coefficient = 1e300": "must be from 1e-12 to 100: a rotor of a centimetre",
+    "battery.E0 = 1e9": "must be from 0.1 to 100: the cells of all chemistries have 1 to 5 V.",
+    "limits.rotor_acceleration_max = 1e-300": "must be from 0.01 to 1e+08: a rotor takes",
+    "baseline.gains.rotor = 1e9": "must be from 0.001 to 10000: no loop is faster than",
+    "gravity = 1e-30": "must be from 0.1 to 100: it is 9.81 on earth, 1.62 on the moon",
+    "solver.tolerance = 1e-16": "must be from 1e-11 to 0.1: sums of thousands of terms are rounded",
+    "solver.elements = 100000": (
+        "solver: elements = 100000 of degree = 4 make 400000 points; must make at most 50000: more "
+        "do not fit into memory"
+    ),
+}
+
+
+@pytest.mark.parametrize("line", UNSOUND)
+def test_numbers_that_nothing_real_has(line, tmp_path):
+    with pytest.raises(ScenarioError, match=re.escape(UNSOUND[line])):
+        load_scenario(write_scenario(tmp_path, line))
+    with pytest.raises(ScenarioError, match=re.escape(UNSOUND[line])):
+        load_scenario(write_scenario(tmp_path), [line])
+
+
+def finite_numbers(table, path=()):
+    """Walk over all fields of numbers, the tables in tables included."""
+    for name in type(table).model_fields:
+        value = getattr(table, name)
+        if isinstance(value, BaseModel):
+            yield from finite_numbers(value, (*path, name))
+        elif isinstance(value, float) or (value and isinstance(value, tuple)):
+            yield (*path, name), value
+
+
+def test_no_number_is_without_bounds(tmp_path):
+    """Whatever field one tries: 1e308 is refused, by itself or in a list, in one line."""
+    write_wind(tmp_path, range(6))
+    scenario = load_scenario(write_scenario(tmp_path))
+    numbers = [(path, old) for path, old in finite_numbers(scenario) if path != REFERENCES]
+    assert len(numbers) > 60
+    for path, old in numbers:
+        for value in (1e308, -1e308):
+            new = [value] * len(old) if isinstance(old, tuple) else value
+            with pytest.raises(PyomoQuadError, match=re.escape(spell(path))) as caught:
+                scenario.with_values({spell(path): new})
+            assert len(str(caught.value).splitlines()) == 1
+
+
+def test_wind_file_stronger_than_any_wind(tmp_path):
+    write_wind(tmp_path, range(7), [0.0, 1.0, 2.0, 1e308, 0.0, 0.0, 0.0])
+    file = write_scenario(tmp_path, 'wind.file = "wind.csv"')
+    message = (
+        r"line 5 has a wind of 1e\+308 m/s; must be within 150 m/s: the strongest gust measured"
+    )
+    with pytest.raises(ScenarioError, match=message):
+        load_scenario(file)
+    write_wind(tmp_path, [1e300, 2e300, 3e300, 4e300])
+    with pytest.raises(
+        ScenarioError, match=r"line 2 is of 1e\+300 s; times must be within 1e\+09 s"
+    ):
+        load_scenario(file)
+
+
+@pytest.mark.parametrize(
+    ("given", "example"),
+    [
+        ("", 'name is missing; give it. For example: name = "delivery"'),
+        (
+            'name = "hop"',
+            "For example: mission = { goal = { position = [6.0, 7.0, 8.0] }, duration = 10.0 }",
+        ),
+        (
+            'name = "hop"\nmission.duration = 5.0',
+            "is missing; give it. For example: mission.goal = { position = [6.0, 7.0, 8.0] }",
+        ),
+        (
+            'name = "hop"\nmission.goal.position = [1.0, 2.0, 3.0]',
+            "mission.duration is missing; give it in s. For example: mission.duration = 10.0",
+        ),
+    ],
+)
+def test_what_is_missing_comes_with_an_example_that_works(given, example, tmp_path):
+    file = tmp_path / "hop.toml"
+    file.write_text(given)
+    with pytest.raises(ScenarioError, match=re.escape(example)):
+        load_scenario(file)
+    rest = {"name": '"hop"', "mission": "{ goal = { position = [1, 2, 3] }, duration = 5 }"}
+    suggested = tomllib.loads(example.partition("For example: ")[2])
+    whole = merge(
+        merge(
+            tomllib.loads("\n".join(f"{k} = {v}" for k, v in rest.items())), tomllib.loads(given)
+        ),
+        suggested,
+    )
+    assert load_scenario(whole).name in {"hop", "delivery"}

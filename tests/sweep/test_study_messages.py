@@ -46,6 +46,18 @@ def design_of(folder, axes, head=""):
             r"unknown key axis\[0\].steps; known keys here: path",
         ),
         (
+            axis("mission.duration", "linear = { start = 4.0, last = 5.0, count = 2 }"),
+            r"unknown key axis\[0\].linear.start; did you mean axis\[0\].linear.first\?",
+        ),
+        (
+            axis("mission.duration", "linear = { first = 4.0, stop = 5.0, count = 2 }"),
+            r"unknown key axis\[0\].linear.stop; did you mean axis\[0\].linear.last\?",
+        ),
+        (
+            axis("mission.duration", "normal = { mean = 4.0, sigma = 5.0 }"),
+            r"did you mean axis\[0\].normal.standard_deviation\?",
+        ),
+        (
             axis("mission.duration", "uniform = { low = 5.0, high = 6.0 }"),
             r"is random; add a table \[sampling\]",
         ),

@@ -20,16 +20,38 @@ _SIGNIFICANT_DIGITS = 12
 class Spacing(Part):
     """Values from the first to the last, both included."""
 
-    first: Number = quantity("", "first value, in the unit of the field")
-    last: Number = quantity("", "last value, in the unit of the field")
-    count: WholeNumber = quantity("1", "number of values", ge=1, le=_MOST_VALUES)
+    first: Number = quantity(
+        "",
+        "first value, in the unit of the field",
+        other_names=("start", "begin", "from", "low", "min", "lower"),
+    )
+    last: Number = quantity(
+        "",
+        "last value, in the unit of the field",
+        other_names=("stop", "end", "to", "high", "max", "upper"),
+    )
+    count: WholeNumber = quantity(
+        "1",
+        "number of values",
+        ge=1,
+        le=_MOST_VALUES,
+        other_names=("n", "num", "number", "steps", "points", "size"),
+    )
 
 
 class UniformSpread(Part):
     """A uniform distribution."""
 
-    low: Number = quantity("", "lower end, in the unit of the field")
-    high: Number = quantity("", "upper end, in the unit of the field")
+    low: Number = quantity(
+        "",
+        "lower end, in the unit of the field",
+        other_names=("first", "start", "begin", "from", "min", "lower", "a"),
+    )
+    high: Number = quantity(
+        "",
+        "upper end, in the unit of the field",
+        other_names=("last", "stop", "end", "to", "max", "upper", "b"),
+    )
 
     def at(self, probabilities: np.ndarray) -> np.ndarray:
         """Return the values below which the distribution has the given probabilities."""
@@ -39,8 +61,17 @@ class UniformSpread(Part):
 class NormalSpread(Part):
     """A normal distribution."""
 
-    mean: Number = quantity("", "mean, in the unit of the field")
-    standard_deviation: Number = quantity("", "standard deviation, in the unit of the field", gt=0)
+    mean: Number = quantity(
+        "",
+        "mean, in the unit of the field",
+        other_names=("mu", "average", "center", "centre", "loc"),
+    )
+    standard_deviation: Number = quantity(
+        "",
+        "standard deviation, in the unit of the field",
+        gt=0,
+        other_names=("std", "stdev", "sigma", "sd", "deviation", "scale"),
+    )
 
     def at(self, probabilities: np.ndarray) -> np.ndarray:
         """Return the values below which the distribution has the given probabilities."""

@@ -3,6 +3,7 @@
 import errno
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +13,12 @@ import time
 import pytest
 
 from pyomo_quad.report import folder as folder_module
-from pyomo_quad.report.folder import MANIFEST_NAME, output_folder, recover_folder
+from pyomo_quad.report.folder import (
+    MANIFEST_NAME,
+    output_folder,
+    recover_folder,
+    refuse_output_folder,
+)
 from pyomo_quad.scenario import OutputError
 
 FILE_COUNT = 20
@@ -80,6 +86,93 @@ def test_foreign_files_are_never_replaced(tmp_path):
     assert (tmp_path / "thesis.tex").read_text() == "years of work"
 
 
+def strangers_things(folder):
+    """Put down what no run wrote under every name that a run uses beside its folder."""
+    for name in (
+        ".report.ready",
+        ".report.new-7",
+        ".report.new-notes",
+        f".report.new-{os.getpid()}",
+    ):
+        (folder / name).mkdir()
+        (folder / name / "thesis.tex").write_text("years of work")
+    (folder / ".report.new-8").symlink_to(folder / ".report.ready")
+
+
+def everything_in(folder):
+    return {str(file.relative_to(folder)) for file in folder.rglob("*") if not file.is_dir()}
+
+
+@pytest.mark.usefixtures("_swap_kind")
+@pytest.mark.parametrize("enter", [write_generation, lambda path, _: recover_folder(path)])
+def test_a_left_over_swap_deletes_nothing_foreign(tmp_path, enter):
+    final = tmp_path / "report"
+    write_generation(tmp_path / ".report.ready", "new")
+    final.mkdir()
+    (final / "notes.txt").write_text("years of work")
+    before = everything_in(tmp_path)
+    with pytest.raises(OutputError, match=r"report: holds 'notes.txt', which no run wrote; move"):
+        enter(final, "newer")
+    assert everything_in(tmp_path) == before
+
+
+@pytest.mark.usefixtures("_swap_kind")
+def test_strangers_folders_of_hidden_names_are_left_alone(tmp_path):
+    strangers_things(tmp_path)
+    before = everything_in(tmp_path)
+    with pytest.raises(OutputError, match=r"report: cannot be written \(File exists\)"):
+        write_generation(tmp_path / "report", "new")
+    shutil.rmtree(tmp_path / f".report.new-{os.getpid()}")
+    before = {name for name in before if str(os.getpid()) not in name}
+    write_generation(tmp_path / "report", "new")
+    assert {name for name in everything_in(tmp_path) if not name.startswith("report/")} == before
+
+
+def test_a_strangers_lock_file_is_left_alone(tmp_path):
+    (tmp_path / ".report.lock").write_text("years of work")
+    with pytest.raises(OutputError, match=r"needs the name '.report.lock' beside it; move that"):
+        write_generation(tmp_path / "report", "new")
+    assert (tmp_path / ".report.lock").read_text() == "years of work"
+
+
+def test_a_link_in_the_folder_is_foreign(tmp_path):
+    write_generation(tmp_path / "report", "old")
+    (tmp_path / "report" / "link").symlink_to(tmp_path)
+    with pytest.raises(OutputError, match=r"holds 'link', which no run wrote"):
+        write_generation(tmp_path / "report", "new")
+
+
+def test_a_damaged_manifest_makes_all_files_foreign(tmp_path):
+    write_generation(tmp_path / "report", "old")
+    (tmp_path / "report" / MANIFEST_NAME).write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(OutputError, match=r"holds 'file_\d+.txt', which no run wrote"):
+        write_generation(tmp_path / "report", "new")
+
+
+@pytest.mark.parametrize(
+    ("place", "reason"),
+    [
+        ("/", r"/: is the root of all folders; choose another --out\."),
+        ("loop/report", r"cannot be written \("),
+        ("file/report", r"cannot be written \("),
+        ("file", r"is a file; choose a folder for --out\."),
+        ("n" * 300, r"cannot be written \(File name too long\)"),
+        ("foreign", r"holds 'notes.txt', which no run wrote"),
+    ],
+)
+def test_a_bad_folder_is_refused_beforehand_as_at_work(tmp_path, place, reason):
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    (tmp_path / "file").write_text("")
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "notes.txt").write_text("")
+    before = everything_in(tmp_path)
+    for refusing in (refuse_output_folder, lambda path: write_generation(path, "new")):
+        with pytest.raises(OutputError, match=reason) as caught:
+            refusing(tmp_path / place)
+        assert "\n" not in str(caught.value)
+    assert everything_in(tmp_path) == before
+
+
 def test_file_in_place_of_the_folder_is_refused(tmp_path):
     (tmp_path / "report").write_text("")
     with pytest.raises(OutputError, match=r"report: is a file; choose a folder for --out\."):
@@ -111,9 +204,9 @@ def test_second_run_to_one_folder_is_refused(tmp_path):
 
 def test_half_done_swap_is_finished_by_the_reader(tmp_path):
     final = tmp_path / "report"
+    write_generation(final, "old")
     write_generation(tmp_path / ".report.ready", "new")
-    final.mkdir()
-    (final / "file_0.txt").write_text("old")  # what is left of the old report
+    (final / "file_0.txt").unlink()  # the old report was being removed
     recover_folder(final)
     assert generations_in(final) == {"new"}
 

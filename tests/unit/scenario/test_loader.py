@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from pyomo_quad.scenario import Scenario, load_scenario, scenario_from_mapping
+from pyomo_quad.scenario import Scenario, ScenarioError, load_scenario, scenario_from_mapping
 from tests.scenario_files import write_scenario, write_wind
 
 
@@ -104,6 +104,44 @@ def test_mapping_serves_as_a_file():
     scenario = scenario_from_mapping(tables)
     assert scenario.mission.goal.position == (1.0, 2.0, 3.0)
     assert isinstance(scenario.mission.duration, float)
+
+
+TABLES = {"name": "hop", "mission": {"duration": 5, "goal": {"position": [1, 2, 3]}}}
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["mission.duration=8.0", "vehicle.payload=0.1"],
+        {"mission.duration": 8.0, "vehicle.payload": 0.1},
+        {"mission": {"duration": 8.0}, "vehicle": {"payload": 0.1}},
+    ],
+)
+def test_a_mapping_says_what_a_file_and_set_would(tmp_path, overrides):
+    scenario = load_scenario(TABLES, overrides)
+    assert scenario == load_scenario(write_scenario(tmp_path), overrides)
+    assert (scenario.mission.duration, scenario.vehicle.payload) == (8.0, 0.1)
+    assert scenario.mission.goal.position == (1.0, 2.0, 3.0)
+
+
+def test_one_override_may_stand_alone():
+    assert load_scenario(TABLES, "mission.duration=8.0").mission.duration == 8.0
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (({**TABLES, "mision": 1},), r"scenario: unknown key mision; did you mean mission\?"),
+        ((TABLES, {"mission.duratoin": 1}), r"overrides: unknown key mission.duratoin; did you"),
+        ((TABLES, {"": 1}), r'overrides: "" is not the path of a field; write for example'),
+        ((TABLES, {"a.b" * 3000: 1}), r"is not the path of a field"),
+        ((TABLES, [".".join("a" * 3000) + "=1"]), r"--set: .* is not PATH=VALUE; write for"),
+    ],
+)
+def test_a_mapping_is_refused_as_a_file_is(given, message):
+    with pytest.raises(ScenarioError, match=message) as caught:
+        load_scenario(*given)
+    assert len(str(caught.value)) < 300
 
 
 def test_scenario_cannot_be_changed(tmp_path):
