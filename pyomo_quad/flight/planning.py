@@ -69,14 +69,14 @@ class _Deadline:
         return self._progress is None or self._progress(iteration) is not False
 
     def applied_to(self, plan: Plan) -> Plan:
-        """Return the plan; given up if the limit cut it short, whatever it had come to."""
-        if not self.is_over or plan.is_verified:
+        """Return the plan; given up where the limit left neither a flight nor a proof."""
+        if not self.is_over or plan.status in (PlanStatus.VERIFIED, PlanStatus.INFEASIBLE):
             return plan
         message = (
             f"given up after solver.time_limit = {self._limit_s:g} s; allow more time, or ask for "
             "a looser solver.tolerance or fewer solver.elements."
         )
-        return replace(plan, status=PlanStatus.NOT_CONVERGED, message=message)
+        return replace(plan, status=PlanStatus.NOT_CONVERGED, message=message, failure=None)
 
 
 class Planner:

@@ -227,3 +227,29 @@ def test_screening_names_what_a_model_of_one_s_own_lacks():
 
 def test_screening_finds_nothing_in_the_declared_model():
     assert screen_model(build_model(scenario())) == ()
+
+
+@pytest.mark.parametrize(
+    ("tables", "doubt"),
+    [
+        (
+            {"wind": {"use": "constant", "direction": 180.0}},
+            "wind.direction = 180 rad is 28.6 turns; were degrees meant? 180 degrees are 3.142 rad.",
+        ),
+        ({"wind": {"use": "constant", "direction": -45}}, "-45 degrees are -0.7854 rad."),
+        (
+            {"mission": PLACE | {"goal": {"position": [1, 1, 1], "yaw": 90.0}}},
+            "mission.goal.yaw = 90",
+        ),
+        ({"mission": PLACE | {"start": {"position": [0, 0, 0], "yaw": 90.0}}}, "mission.start.yaw"),
+    ],
+)
+def test_angles_in_degrees_draw_a_doubt(tables, doubt):
+    (found,) = [f for f in diagnose(scenario(**tables)) if "degrees" in f.message]
+    assert found.severity is Severity.CAUTION
+    assert doubt in found.message
+
+
+def test_angles_within_a_turn_draw_no_doubt():
+    tables = {"wind": {"use": "constant", "direction": -6.28}, "limits": {"roll_max": 1.5}}
+    assert not [f for f in diagnose(scenario(**tables)) if "degrees" in f.message]
