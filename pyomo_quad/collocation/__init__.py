@@ -22,7 +22,13 @@ from pyomo_quad.collocation.problem import Problem
 from pyomo_quad.collocation.pyomo_solver import PyomoSolver
 from pyomo_quad.collocation.refinement import RefinementOptions
 from pyomo_quad.collocation.solution import MeshRecord, Solution
-from pyomo_quad.collocation.trajectory import Trajectory, control_polynomial, interpolate
+from pyomo_quad.collocation.trajectory import (
+    Trajectory,
+    control_polynomial,
+    interpolate,
+    real_array,
+)
+from pyomo_quad.collocation.warm_start import WarmStart
 
 __all__ = [
     "ActiveLimit",
@@ -46,10 +52,12 @@ __all__ = [
     "Trajectory",
     "TranscriptionError",
     "Violation",
+    "WarmStart",
     "compile",
     "control_polynomial",
     "diagnose",
     "interpolate",
+    "real_array",
     "solve",
 ]
 

@@ -9,6 +9,8 @@ integrands of the integrals.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from hashlib import sha256
 from typing import Any
 
 import casadi
@@ -66,6 +68,15 @@ class CompiledModel:
         """Number of path equations at each point."""
         return len(self.declared.equations)
 
+    @cached_property
+    def fingerprint(self) -> str:
+        """What tells the equations from others: their code and names, whatever the numbers."""
+        d = self.declared
+        names = ["maximise" if d.maximise else "minimise", *(e.name for e in d.equations)]
+        names += [slot.name for slot in (*d.states, *d.algebraics, *d.statics)]
+        code = [_anonymous(function) for function in (self.path.values, self.points.values)]
+        return sha256("\n".join([*code, *names]).encode()).hexdigest()
+
     @property
     def is_equality(self) -> NDArray[np.bool_]:
         """Say of each path equation whether it is one, and not an inequality."""
@@ -114,6 +125,12 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
             if i not in direct
         },
     )
+
+
+def _anonymous(function: Any) -> str:
+    """Return the code of a function without the names of its symbols, which tell of times."""
+    symbols = [casadi.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
+    return str(casadi.Function("f", symbols, function.call(symbols)).serialize())
 
 
 def _path_bounds(declared: Declarations, path_data: Any) -> Any:

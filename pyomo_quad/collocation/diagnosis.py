@@ -155,7 +155,7 @@ def diagnose(
         active=_active(solution, soft),
         least_violation=float(slacks.sum()) if has_converged else np.inf,
         relaxations=() if is_met or not has_converged else _relaxations(solution, soft, slacks),
-        feasible_point=solution.trajectory_of(result.z[: z.size]) if is_met else None,
+        feasible_point=program.trajectory(result.z[: z.size]) if is_met else None,
     )
 
 

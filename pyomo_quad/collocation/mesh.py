@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.nodes import FloatArray, radau_rule
+from pyomo_quad.collocation.trajectory import real_array
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from numpy.typing import NDArray
 
 __all__ = ["Mesh"]
+
+# Of a mesh that is read from a file; nodes of a higher degree take long to compute.
+_HIGHEST_DEGREE = 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +68,26 @@ class Mesh:
             raise TranscriptionError(f"mesh: {elements} elements; must be at least 1.")
         breakpoints = tuple(float(b) for b in np.arange(elements + 1) / elements)
         return cls(breakpoints=breakpoints, degrees=(degree,) * elements)
+
+    @classmethod
+    def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> Mesh:
+        """Return the mesh of arrays "breakpoints" and "degrees" that may come from a stranger.
+
+        Raises
+        ------
+        TranscriptionError
+            If one is missing, is not of real or whole numbers, or they are no mesh.
+        """
+        breakpoints = real_array(held, "breakpoints", (None,))
+        degrees = held.get("degrees")
+        if degrees is None or degrees.dtype.kind != "i" or degrees.ndim != 1:
+            raise TranscriptionError("degrees: must be a row of whole numbers.")
+        if degrees.size and not 1 <= int(degrees.min()) <= int(degrees.max()) <= _HIGHEST_DEGREE:
+            raise TranscriptionError(f"degrees: must be from 1 to {_HIGHEST_DEGREE}.")
+        return cls(
+            breakpoints=tuple(float(b) for b in breakpoints),
+            degrees=tuple(int(d) for d in degrees),
+        )
 
     def with_breakpoints(self, fractions: Iterable[float]) -> Mesh:
         """Return this mesh with further element boundaries, where it has none already."""

@@ -24,7 +24,7 @@ from pyomo_quad.collocation.screening import refuse_unsolvable
 from pyomo_quad.collocation.solution import Solution, solution_from
 from pyomo_quad.collocation.transcription import Data, Transcription
 from pyomo_quad.collocation.values import ModelValues, Overrides
-from pyomo_quad.collocation.warm_start import transfer
+from pyomo_quad.collocation.warm_start import WarmStart, transfer
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.damping import Damping
@@ -103,7 +103,7 @@ class Problem:
         parameters: Overrides | None = None,
         horizon: tuple[float, float] | None = None,
         guess: Guess | None = None,
-        warm_start: Solution | None = None,
+        warm_start: Solution | WarmStart | None = None,
         options: SolverOptions | None = None,
         refinement: RefinementOptions | None = None,
         progress: Progress | None = None,
@@ -124,8 +124,8 @@ class Problem:
         guess : mapping, optional
             First values by slot name: functions of time, constants, or samples beside
             "time"; a frame from `Solution.to_frame` is one.
-        warm_start : Solution, optional
-            A solution on any mesh: its trajectory and multipliers are the first point.
+        warm_start : Solution or WarmStart, optional
+            On any mesh: its trajectory and multipliers are the first point.
         options : SolverOptions, optional
         refinement : RefinementOptions, optional
         progress : callable, optional
@@ -145,19 +145,20 @@ class Problem:
             raise TranscriptionError(f"tolerance: {tolerance:g}; must be above 0.")
         instance = self.instance(parameters, horizon)
         options = options or SolverOptions()
+        start = warm_start.warm_start if isinstance(warm_start, Solution) else warm_start
         if tolerance is None and mesh is None:
             tolerance = DEFAULT_TOLERANCE
         if not self.has_horizon or tolerance is None:
-            return self.solve_on_mesh(mesh, instance, options, guess, warm_start, progress)
+            return self.solve_on_mesh(mesh, instance, options, guess, start, progress)
         return refine(
             self,
             instance,
-            mesh=mesh or (warm_start.mesh if warm_start is not None else None),
+            mesh=mesh or (start.mesh if start is not None else None),
             tolerance=tolerance,
             options=options,
             refinement=refinement or RefinementOptions(),
             guess=guess,
-            warm_start=warm_start,
+            warm_start=start,
             progress=progress,
         )
 
@@ -187,15 +188,13 @@ class Problem:
         return Data(parameters=instance.parameters, signals=self.signals(instance, fractions))
 
     def program(self, mesh: Mesh | None, instance: Instance) -> Transcription:
-        """Return the nonlinear program on a mesh, reused when the mesh was solved on before."""
+        """Return a nonlinear program on a mesh, made quickly where the mesh was used before."""
         data = self.data_of(instance, mesh.point_fractions if mesh else np.zeros(0))
-        if mesh in self._programs:
-            self._programs[mesh].set_data(data)
-            return self._programs[mesh]
-        if len(self._programs) >= _CACHED_MESHES:
-            self._programs.pop(next(iter(self._programs)))
-        self._programs[mesh] = Transcription(self.compiled, mesh, data)
-        return self._programs[mesh]
+        if mesh not in self._programs:
+            if len(self._programs) >= _CACHED_MESHES:
+                self._programs.pop(next(iter(self._programs)))
+            self._programs[mesh] = Transcription(self.compiled, mesh, data)
+        return self._programs[mesh].with_data(data)
 
     def solve_on_mesh(
         self,
@@ -203,7 +202,7 @@ class Problem:
         instance: Instance,
         options: SolverOptions,
         guess: Guess | None = None,
-        warm_start: Solution | None = None,
+        warm_start: WarmStart | None = None,
         progress: Progress | None = None,
         damping: Damping | None = None,
     ) -> Solution:
@@ -214,10 +213,6 @@ class Problem:
         at_start = self.data_of(instance, np.zeros(1)).at_points()
         bounds = bounds_of(program, at_start, instance.fixed)
         multipliers = None
-        if warm_start is not None and warm_start.problem.compiled is not self.compiled:
-            raise TranscriptionError(
-                "warm_start: the solution is of another model; give its frame as a guess instead."
-            )
         if warm_start is None:
             z = initial_point(program, bounds, self.values, guess)
         else:

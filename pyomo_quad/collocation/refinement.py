@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.damping import Damping
     from pyomo_quad.collocation.guess import Guess
     from pyomo_quad.collocation.problem import Instance, Problem
+    from pyomo_quad.collocation.warm_start import WarmStart
 
 __all__ = ["RefinementOptions", "refine"]
 
@@ -41,7 +42,7 @@ def refine(
     options: SolverOptions,
     refinement: RefinementOptions,
     guess: Guess | None,
-    warm_start: Solution | None,
+    warm_start: WarmStart | None,
     progress: Progress | None,
 ) -> Solution:
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
@@ -81,7 +82,7 @@ def refine(
             return _given_up(solution, tolerance)
         if damping is not None and records[-1].iterations > _MANY_ITERATIONS:
             firmness = min(_FIRMER * firmness, _FIRMEST)
-        mesh, warm_start = finer, solution
+        mesh, warm_start = finer, solution.warm_start
         damping = damping_of(solution, firmness * refinement.damping * tolerance)
 
 

@@ -12,16 +12,18 @@ import pandas as pd
 from pyomo_quad.collocation.conservation import hamiltonian_warnings
 from pyomo_quad.collocation.control_limits import control_limits
 from pyomo_quad.collocation.costates import Costates, costates_of
+from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.evaluation import index_tuple
 from pyomo_quad.collocation.guess import TIME_COLUMN
 from pyomo_quad.collocation.ipopt import IpoptResult, Iteration, Multipliers, Status
-from pyomo_quad.collocation.mesh import Mesh
 from pyomo_quad.collocation.nodes import FloatArray, radau_rule
 from pyomo_quad.collocation.trajectory import Trajectory, interpolate, interpolate_rates
+from pyomo_quad.collocation.warm_start import WarmStart, warm_start_of
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.bounds import Bounds
+    from pyomo_quad.collocation.mesh import Mesh
     from pyomo_quad.collocation.problem import Instance, Problem
     from pyomo_quad.collocation.scaling import Scaling
     from pyomo_quad.collocation.transcription import Transcription
@@ -47,6 +49,8 @@ class Solution:
 
     Attributes
     ----------
+    program : Transcription
+        The nonlinear program of the last mesh, with this solution's own data.
     status : Status
     message : str
         Why the solve ended, in one sentence.
@@ -61,6 +65,7 @@ class Solution:
     """
 
     problem: Problem
+    program: Transcription
     instance: Instance
     status: Status
     message: str
@@ -96,10 +101,15 @@ class Solution:
         """Start and end in physical time, the solved end where it was free."""
         return self.problem.horizon_of(self.trajectory.statics, self.instance)
 
+    @cached_property
+    def warm_start(self) -> WarmStart:
+        """What another solve can start from, free of this solution's problem."""
+        return warm_start_of(self.program, self.unknowns, self.multipliers)
+
     @property
-    def program(self) -> Transcription:
-        """The nonlinear program of the last mesh, with this solution's data."""
-        return self.problem.program(self.mesh, self.instance)
+    def dynamics(self) -> Dynamics:
+        """The right-hand side with the numbers that this solution was found with."""
+        return Dynamics(self.problem, self.instance, self.trajectory.statics)
 
     @cached_property
     def times(self) -> FloatArray:
@@ -205,19 +215,6 @@ class Solution:
         values = interpolate(self.mesh, held, self.fractions(t), with_start=False)[:, 0]
         return float(values[0]) if np.ndim(t) == 0 else values.reshape(np.shape(t))
 
-    def trajectory_of(self, unknowns: FloatArray) -> Trajectory:
-        """Return the trajectory of other unknowns of the same program."""
-        return _trajectory(self.program, unknowns)
-
-    def split(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Split a vector shaped like the unknowns into states, algebraics and statics."""
-        layout = self.program.layout
-        return (
-            unknowns[layout.state_columns],
-            unknowns[layout.algebraic_columns],
-            unknowns[layout.static_columns],
-        )
-
     @cached_property
     def running_objective(self) -> FloatArray:
         """Integral part of the objective accumulated until each node, shape (n_points + 1,)."""
@@ -251,16 +248,6 @@ class Solution:
         return frame
 
 
-def _trajectory(program: Transcription, z: FloatArray) -> Trajectory:
-    layout = program.layout
-    return Trajectory(
-        mesh=program.mesh or Mesh.uniform(1, 1),
-        states=z[layout.state_columns],
-        algebraics=z[layout.algebraic_columns],
-        statics=z[layout.static_columns],
-    )
-
-
 def solution_from(
     problem: Problem,
     program: Transcription,
@@ -280,11 +267,12 @@ def solution_from(
         )
     return Solution(
         problem=problem,
+        program=program,
         instance=instance,
         status=result.status,
         message=result.message,
         objective=program.user_objective(z),
-        trajectory=_trajectory(program, z),
+        trajectory=program.trajectory(z),
         output_states=outputs,
         multipliers=result.multipliers,
         unknowns=z,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.nodes import (
     FloatArray,
     barycentric_weights,
@@ -15,11 +16,52 @@ from pyomo_quad.collocation.nodes import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
 
     from pyomo_quad.collocation.mesh import Mesh
 
-__all__ = ["Trajectory", "control_polynomial", "interpolate", "interpolate_rates"]
+__all__ = ["Trajectory", "control_polynomial", "interpolate", "interpolate_rates", "real_array"]
+
+
+def real_array(
+    held: Mapping[str, NDArray[Any]], name: str, shape: tuple[int | None, ...]
+) -> FloatArray:
+    """Return one of some arrays that may come from a stranger, checked.
+
+    Parameters
+    ----------
+    held : mapping
+        Name to array.
+    name : str
+    shape : tuple of int or None
+        What is wanted; None where any length will do.
+
+    Returns
+    -------
+    ndarray
+        A copy.
+
+    Raises
+    ------
+    TranscriptionError
+        If there is no such array, or it is not of finite real numbers in that shape.
+    """
+    if name not in held:
+        raise TranscriptionError(f"{name}: is missing.")
+    array = held[name]
+    wanted = " x ".join("n" if size is None else str(size) for size in shape)
+    if array.dtype != np.float64:
+        raise TranscriptionError(f"{name}: holds {array.dtype}; must be real numbers (float64).")
+    if array.ndim != len(shape) or any(
+        size not in (None, found) for size, found in zip(shape, array.shape, strict=True)
+    ):
+        found = " x ".join(map(str, array.shape)) or "a single number"
+        raise TranscriptionError(f"{name}: has the shape {found}; must be {wanted}.")
+    if not np.all(np.isfinite(array)):
+        raise TranscriptionError(f"{name}: holds a number that is not finite.")
+    return np.array(array)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,6 +8,7 @@ by index arrays that depend on the mesh alone.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +16,12 @@ import numpy as np
 
 from pyomo_quad.collocation.layout import Layout
 from pyomo_quad.collocation.mapped import MappedFunction
+from pyomo_quad.collocation.mesh import Mesh
 from pyomo_quad.collocation.patterns import hessian_scatter, jacobian_scatter, path_columns
+from pyomo_quad.collocation.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.compiled import CompiledModel
-    from pyomo_quad.collocation.mesh import Mesh
     from pyomo_quad.collocation.nodes import FloatArray
 
 __all__ = ["Data", "Transcription"]
@@ -44,7 +46,10 @@ class Data:
 
 
 class Transcription:
-    """Objective, constraints and their derivatives, in the form Ipopt asks for."""
+    """Objective, constraints and their derivatives, in the form Ipopt asks for.
+
+    What depends on the mesh alone is made once, and shared by `with_data`.
+    """
 
     def __init__(self, compiled: CompiledModel, mesh: Mesh | None, data: Data) -> None:
         self.compiled = compiled
@@ -55,15 +60,20 @@ class Transcription:
         self._jacobian = jacobian_scatter(compiled, self.layout)
         self._hessian = hessian_scatter(compiled, self.layout)
         self._map()
-        self._rows = np.zeros((0, 0))
-        self._sources = np.zeros(0)
-        self.set_data(data)
+        self._hold(data)
 
-    def set_data(self, data: Data) -> None:
-        """Change the numbers that the equations read; everything else is kept."""
+    def with_data(self, data: Data) -> Transcription:
+        """Return a program of its own on the same mesh for other numbers."""
+        other = copy(self)
+        other._hold(data)  # noqa: SLF001  of its own class
+        return other
+
+    def _hold(self, data: Data) -> None:
         self.data = data
         self._path_data = data.at_points()
         self._point_data = data.parameters[None, :]
+        self._rows = np.zeros((0, 0))
+        self._sources = np.zeros(0)
         self._seen: FloatArray | None = None
         self._differentiated: FloatArray | None = None
 
@@ -79,6 +89,16 @@ class Transcription:
     def n_rows(self) -> int:
         """Number of rows of the program."""
         return self.first_integral_row + len(self.compiled.static_of_integral)
+
+    def trajectory(self, z: FloatArray) -> Trajectory:
+        """Return a vector shaped like the unknowns as states, algebraics and statics."""
+        layout = self.layout
+        return Trajectory(
+            mesh=self.mesh or Mesh.uniform(1, 1),
+            states=z[layout.state_columns],
+            algebraics=z[layout.algebraic_columns],
+            statics=z[layout.static_columns],
+        )
 
     @property
     def n_points(self) -> int:

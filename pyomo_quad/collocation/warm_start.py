@@ -1,52 +1,203 @@
-"""A solution on one mesh as the first point on another, multipliers included."""
+"""Where a solve can begin: a solution's trajectory and multipliers, and nothing else of it.
+
+The one way in which a solve starts from another: refinement does it from mesh to mesh, a sweep
+from case to case, and a saved plan keeps it.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.guess import point_from_trajectory
 from pyomo_quad.collocation.ipopt import Multipliers
-from pyomo_quad.collocation.trajectory import interpolate
+from pyomo_quad.collocation.mesh import Mesh
+from pyomo_quad.collocation.trajectory import Trajectory, interpolate, real_array
 
 if TYPE_CHECKING:
-    from pyomo_quad.collocation.mesh import Mesh
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from pyomo_quad.collocation.compiled import CompiledModel
     from pyomo_quad.collocation.nodes import FloatArray
-    from pyomo_quad.collocation.solution import Solution
     from pyomo_quad.collocation.transcription import Transcription
 
-__all__ = ["transfer"]
+__all__ = ["WarmStart", "transfer", "warm_start_of"]
+
+_PARTS = ("states", "algebraics", "statics")
 
 
-def transfer(solution: Solution, program: Transcription) -> tuple[FloatArray, Multipliers]:
-    """Return unknowns and multipliers of a solution on the mesh of a program.
+@dataclass(frozen=True, kw_only=True)
+class WarmStart:
+    """A point of a program and its multipliers, free of the problem that they were found with.
+
+    Attributes
+    ----------
+    model : str
+        Fingerprint of the equations that the multipliers belong to.
+    trajectory : Trajectory
+        Where to begin.
+    lower, upper : Trajectory
+        Multipliers of the bounds, shaped like the trajectory.
+    equations : ndarray, shape (n_points, n_equations)
+        Multipliers of the equations over time.
+    conditions : ndarray, shape (n_conditions,)
+        Multipliers of all other rows.
+    """
+
+    model: str
+    trajectory: Trajectory
+    lower: Trajectory
+    upper: Trajectory
+    equations: FloatArray
+    conditions: FloatArray
+
+    def __post_init__(self) -> None:
+        for array in self._numbers().values():
+            array.setflags(write=False)
+
+    @property
+    def mesh(self) -> Mesh:
+        """The mesh it was found on."""
+        return self.trajectory.mesh
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all of it are numbers; what a failed solve leaves need not be."""
+        return all(bool(np.all(np.isfinite(array))) for array in self._numbers().values())
+
+    def fits(self, compiled: CompiledModel) -> bool:
+        """Say if a compiled model has the very equations that the multipliers belong to."""
+        held, declared = self.trajectory, compiled.declared
+        return (
+            self.model == compiled.fingerprint
+            and (not declared.has_horizon or held.states.shape[1] == len(declared.states))
+            and (not declared.has_horizon or held.algebraics.shape[1] == len(declared.algebraics))
+            and held.statics.size == len(declared.statics)
+            and self.equations.shape[1] == compiled.n_equations
+            and self.conditions.size == len(declared.conditions) + len(compiled.static_of_integral)
+        )
+
+    def _numbers(self) -> dict[str, FloatArray]:
+        sides = {"": self.trajectory, "lower_": self.lower, "upper_": self.upper}
+        named = {f"{side}{part}": getattr(t, part) for side, t in sides.items() for part in _PARTS}
+        return named | {"equations": self.equations, "conditions": self.conditions}
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return it as named arrays, from which `from_arrays` makes it again."""
+        about = {
+            "model": np.frombuffer(self.model.encode("ascii"), dtype=np.uint8),
+            "breakpoints": np.asarray(self.mesh.breakpoints),
+            "degrees": np.asarray(self.mesh.degrees),
+        }
+        return about | self._numbers()
+
+    @classmethod
+    def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> WarmStart:
+        """Make a warm start of arrays that may come from a stranger.
+
+        Raises
+        ------
+        TranscriptionError
+            Naming the array that is missing or has another type, shape or content.
+        """
+        mesh = Mesh.from_arrays(held)
+        model = held.get("model")
+        if model is None or model.dtype != np.uint8 or model.ndim != 1 or np.any(model > 127):
+            raise TranscriptionError("model: must be the ASCII codes of a fingerprint.")
+        first = real_array(held, "states", (None, None))
+        has_time = first.size > 0 or len(first) > 0
+        points = mesh.points if has_time else 0
+        nodes = points + 1 if has_time else 0
+        widths = (first.shape[1], real_array(held, "algebraics", (points, None)).shape[1])
+        statics = real_array(held, "statics", (None,)).size
+        shapes = ((nodes, widths[0]), (points, widths[1]), (statics,))
+        sides = []
+        for side in ("", "lower_", "upper_"):
+            states, algebraics, values = (
+                real_array(held, f"{side}{part}", shape)
+                for part, shape in zip(_PARTS, shapes, strict=True)
+            )
+            sides.append(
+                Trajectory(mesh=mesh, states=states, algebraics=algebraics, statics=values)
+            )
+        return cls(
+            model=model.tobytes().decode("ascii"),
+            trajectory=sides[0],
+            lower=sides[1],
+            upper=sides[2],
+            equations=real_array(held, "equations", (points, None)),
+            conditions=real_array(held, "conditions", (None,)),
+        )
+
+
+def warm_start_of(program: Transcription, z: FloatArray, multipliers: Multipliers) -> WarmStart:
+    """Return the warm start that a point of a program and its multipliers are."""
+    first = program.first_condition_row
+    return WarmStart(
+        model=program.compiled.fingerprint,
+        trajectory=program.trajectory(z),
+        lower=program.trajectory(multipliers.lower),
+        upper=program.trajectory(multipliers.upper),
+        equations=np.array(
+            multipliers.rows[:first].reshape(program.n_points, program.compiled.n_equations)
+        ),
+        conditions=np.array(multipliers.rows[first:]),
+    )
+
+
+def transfer(start: WarmStart, program: Transcription) -> tuple[FloatArray, Multipliers]:
+    """Return unknowns and multipliers of a warm start on the mesh of a program.
 
     Multipliers of what is imposed at a point are, divided by the quadrature weight there,
     samples of a function of time; that function is what is carried over.
+
+    Raises
+    ------
+    TranscriptionError
+        If the warm start is of another model.
     """
-    z = point_from_trajectory(program, solution.trajectory)
-    if solution.mesh == program.mesh:
-        return z, solution.multipliers
-    old, new = solution.trajectory.mesh, program.mesh
-    if new is None:
-        return z, solution.multipliers
-    layout, n = program.layout, program.compiled.n_equations
-    rows = np.zeros(program.n_rows)
-    held = solution.multipliers.rows
-    per_point = held[: old.points * n].reshape(old.points, n)
-    rows[: program.first_condition_row] = _carried(old, new, per_point).ravel()
-    rows[program.first_condition_row :] = held[old.points * n :]
-    sides = []
-    for side in (solution.multipliers.lower, solution.multipliers.upper):
-        on_new = np.zeros(layout.unknowns)
-        states, algebraics, statics = solution.split(side)
-        on_new[layout.state_columns[0]] = states[0]
-        on_new[layout.state_columns[1:]] = np.maximum(_carried(old, new, states[1:]), 0.0)
-        on_new[layout.algebraic_columns] = np.maximum(_carried(old, new, algebraics), 0.0)
-        on_new[layout.static_columns] = statics
-        sides.append(on_new)
-    return z, Multipliers(rows=rows, lower=sides[0], upper=sides[1])
+    if not start.fits(program.compiled):
+        raise TranscriptionError(
+            "warm_start: the solution is of another model; give its frame as a guess instead."
+        )
+    z = point_from_trajectory(program, start.trajectory)
+    old, new = start.mesh, program.mesh
+    if new is None or old == new:
+        rows = np.concatenate([start.equations.ravel(), start.conditions])
+        lower, upper = (_assembled(program, side) for side in (start.lower, start.upper))
+        return z, Multipliers(rows=rows, lower=lower, upper=upper)
+    moved = _carried(old, new, start.equations).ravel()
+    sides = [
+        Trajectory(
+            mesh=new,
+            states=np.vstack(
+                [side.states[:1], np.maximum(_carried(old, new, side.states[1:]), 0.0)]
+            ),
+            algebraics=np.maximum(_carried(old, new, side.algebraics), 0.0),
+            statics=side.statics,
+        )
+        for side in (start.lower, start.upper)
+    ]
+    return z, Multipliers(
+        rows=np.concatenate([moved, start.conditions]),
+        lower=_assembled(program, sides[0]),
+        upper=_assembled(program, sides[1]),
+    )
+
+
+def _assembled(program: Transcription, held: Trajectory) -> FloatArray:
+    """Return what is shaped like a trajectory on the program's mesh as one vector."""
+    layout = program.layout
+    z = np.zeros(layout.unknowns)
+    z[layout.state_columns] = held.states
+    z[layout.algebraic_columns] = held.algebraics
+    z[layout.static_columns] = held.statics
+    return z
 
 
 def _carried(old: Mesh, new: Mesh, values: FloatArray) -> FloatArray:

@@ -2,44 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from enum import StrEnum
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pyomo_quad.collocation import Dynamics, Iteration, Mesh, MeshRecord, Solution
 from pyomo_quad.flight.columns import TIME, flight_frame
 from pyomo_quad.flight.flight import Flight, Flown
-from pyomo_quad.flight.plan_file import not_a_plan, read_plan_file, write_plan_file
-from pyomo_quad.flight.trajectories import Trajectories
-from pyomo_quad.flight.verification import Verification
+from pyomo_quad.flight.plan_file import PlanRecord, PlanStatus, read_plan_file, write_plan_file
 from pyomo_quad.scenario import Scenario, ScenarioError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
+    from pyomo_quad.collocation import Dynamics, Iteration, Mesh, MeshRecord, Solution, WarmStart
     from pyomo_quad.flight.failure import Failure
+    from pyomo_quad.flight.trajectories import Trajectories
+    from pyomo_quad.flight.verification import Verification
 
 __all__ = ["Plan", "PlanStatus"]
 
 FloatArray = NDArray[np.float64]
-
-_ARRAYS = ("states", "controls", "energy", "costates", "hamiltonian")
-
-
-class PlanStatus(StrEnum):
-    """What became of a plan; only `VERIFIED` is proven by a flight."""
-
-    VERIFIED = "verified"
-    SOLVED = "solved"
-    NOT_CONVERGED = "not_converged"
-    INFEASIBLE = "infeasible"
-    INTERRUPTED = "interrupted"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +58,10 @@ class Plan:
         Why the solve failed, where it did.
     timings : mapping
         Seconds for build, compile, solve and verify.
+    warm_start : WarmStart or None
+        Where another solve can begin; kept by `save`.
+    solution : Solution or None
+        The engine's own result; None when the plan was loaded from a file.
     """
 
     scenario: Scenario
@@ -86,9 +77,9 @@ class Plan:
     attempts: tuple[str, ...] = ()
     failure: Failure | None = None
     timings: Mapping[str, float] = field(default_factory=dict)
+    warm_start: WarmStart | None = field(default=None, compare=False, repr=False)
     solution: Solution | None = field(default=None, compare=False, repr=False)
     flown: Flown | None = field(default=None, compare=False, repr=False)
-    make_dynamics: Callable[[], Dynamics] | None = field(default=None, compare=False, repr=False)
 
     @property
     def mesh(self) -> Mesh:
@@ -108,12 +99,12 @@ class Plan:
     @cached_property
     def dynamics(self) -> Dynamics:
         """The declared equations that the plan was made with, ready to fly."""
-        if self.make_dynamics is None:
+        if self.solution is None:
             raise ScenarioError(
                 f"{self.scenario.name}: this plan was loaded from a file and holds no equations; "
                 "solve the scenario again to fly it."
             )
-        return self.make_dynamics()
+        return self.solution.dynamics
 
     def owed_energy(self, final: Mapping[str, float]) -> float:
         """Return what a flight of the mission still owes that ended in another state [J].
@@ -220,72 +211,36 @@ class Plan:
 
     def save(self, path: str | Path) -> None:
         """Write the plan to a file that `load` reads: arrays and JSON, nothing pickled."""
-        held = self.trajectories
-        about = {
-            "scenario": self.scenario.model_dump(mode="json"),
-            "status": self.status.value,
-            "message": self.message,
-            "energy": self.energy,
-            "hover_energy_J": self.hover_energy_J,
-            "error_estimate": self.error_estimate,
-            "verification": None if self.verification is None else asdict(self.verification),
-            "history": [asdict(record) for record in self.history],
-            "attempts": list(self.attempts),
-            "timings": dict(self.timings),
-            "horizon": list(held.horizon),
-            "names": [list(held.state_names), list(held.control_names), list(held.costate_names)],
-        }
-        arrays = {
-            "breakpoints": np.asarray(held.mesh.breakpoints),
-            "degrees": np.asarray(held.mesh.degrees),
-            **{name: getattr(held, name) for name in _ARRAYS},
-        }
-        write_plan_file(Path(path), about, arrays)
+        write_plan_file(
+            Path(path),
+            self.scenario,
+            PlanRecord(
+                status=self.status,
+                message=self.message,
+                energy=self.energy,
+                hover_energy_J=self.hover_energy_J,
+                error_estimate=self.error_estimate,
+                verification=self.verification,
+                history=self.history,
+                attempts=self.attempts,
+                timings=dict(self.timings),
+            ),
+            self.trajectories,
+            self.warm_start,
+        )
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read a plan that `save` wrote; it holds no equations, and so cannot be flown again.
 
+        Another solve can start from it as from the plan that was saved.
+
         Raises
         ------
         ScenarioError
-            If the file is missing, too large, or not a plan of this version.
+            If the file is missing, too large, or not a plan of this version; the line names what
+            is wrong with it.
         """
-        about, held = read_plan_file(Path(path))
-        try:
-            return cls._from_parts(about, held)
-        except (KeyError, ValueError, TypeError) as error:
-            raise not_a_plan(Path(path)) from error
-
-    @classmethod
-    def _from_parts(cls, about: dict[str, Any], held: dict[str, NDArray[Any]]) -> Self:
-        mesh = Mesh(
-            breakpoints=tuple(float(b) for b in held["breakpoints"]),
-            degrees=tuple(int(d) for d in held["degrees"]),
-        )
-        states, controls, costates = (tuple(names) for names in about["names"])
-        verification = about["verification"]
-        return cls(
-            scenario=Scenario.model_validate(about["scenario"]),
-            status=PlanStatus(about["status"]),
-            message=about["message"],
-            energy=about["energy"],
-            hover_energy_J=about["hover_energy_J"],
-            trajectories=Trajectories(
-                mesh=mesh,
-                horizon=tuple(about["horizon"]),
-                state_names=states,
-                control_names=controls,
-                costate_names=costates,
-                **{name: held[name] for name in _ARRAYS},
-            ),
-            verification=None
-            if verification is None
-            else Verification(
-                **verification | {"broken_limits": tuple(verification["broken_limits"])}
-            ),
-            error_estimate=about["error_estimate"],
-            history=tuple(MeshRecord(**record) for record in about["history"]),
-            attempts=tuple(about["attempts"]),
-            timings=about["timings"],
-        )
+        scenario, record, trajectories, warm_start = read_plan_file(Path(path))
+        values = {name: getattr(record, name) for name in PlanRecord.model_fields}
+        return cls(scenario=scenario, **values, trajectories=trajectories, warm_start=warm_start)

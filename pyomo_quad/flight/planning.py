@@ -22,6 +22,7 @@ from pyomo_quad.collocation import (
     SolverOptions,
     Status,
     Trajectory,
+    WarmStart,
     compile,  # noqa: A004  the engine's name for it
 )
 from pyomo_quad.flight.plan import Plan, PlanStatus
@@ -126,7 +127,7 @@ class Planner:
         self,
         scenario: Scenario,
         *,
-        warm_start: Plan | None = None,
+        warm_start: Plan | WarmStart | None = None,
         progress: Progress | None = None,
     ) -> Plan:
         """Solve a scenario and verify the result by flying it.
@@ -134,9 +135,9 @@ class Planner:
         Parameters
         ----------
         scenario : Scenario
-        warm_start : Plan, optional
-            A plan of a similar scenario: its trajectory, and its multipliers if it was made
-            by this planner, are the first point.
+        warm_start : Plan or WarmStart, optional
+            A plan of a similar scenario, or what its file or a sweep kept of one: its trajectory,
+            and its multipliers if they belong to the same equations, are the first point.
         progress : callable, optional
             Called at each Ipopt iteration; returning False stops the solve.
 
@@ -160,7 +161,7 @@ class Planner:
             rescue = self._rescuer(problem, told, progress)(solution)
             solution = rescue.solution
         timings["solve"] = time.perf_counter() - started
-        plan = self._plan(scenario, told, problem, solution, timings)
+        plan = _plan_of(scenario, solution, timings)
         if rescue is not None:
             plan = replace(plan, attempts=rescue.attempts, failure=rescue.failure)
         if solution.status not in (Status.CONVERGED, Status.TOLERANCE_NOT_MET):
@@ -192,21 +193,24 @@ class Planner:
             timings = dict(plan.timings)
             timings["solve"] += time.perf_counter() - started
             attempts = (*plan.attempts, f"flight astray: tolerance {tolerance:.0e}")
-            tried = self._plan(plan.scenario, told, problem, tighter, timings)
+            tried = _plan_of(plan.scenario, tighter, timings)
             plan = _verified(replace(tried, attempts=attempts), tighter)
         return plan
 
     def _first_solve(
-        self, problem: Problem, told: Scenario, warm_start: Plan | None, progress: Progress | None
+        self,
+        problem: Problem,
+        told: Scenario,
+        warm_start: Plan | WarmStart | None,
+        progress: Progress | None,
     ) -> Solution:
-        previous = warm_start.solution if warm_start is not None else None
-        is_own = previous is not None and previous.problem is problem
+        start = warm_start.warm_start if isinstance(warm_start, Plan) else warm_start
         arguments = self._arguments(told, progress)
-        if warm_start is not None:
-            arguments["mesh"] = warm_start.mesh
-        if is_own:
-            return problem.solve(**arguments, warm_start=previous)
-        return problem.solve(**arguments, guess=warm_start.guess() if warm_start else None)
+        if start is not None and start.fits(problem.compiled):
+            return problem.solve(**arguments | {"mesh": start.mesh}, warm_start=start)
+        if not isinstance(warm_start, Plan):
+            return problem.solve(**arguments)
+        return problem.solve(**arguments | {"mesh": warm_start.mesh}, guess=warm_start.guess())
 
     def _arguments(self, told: Scenario, progress: Progress | None) -> dict[str, Any]:
         settings = told.solver
@@ -237,30 +241,27 @@ class Planner:
             progress=progress,
         )
 
-    def _plan(
-        self,
-        scenario: Scenario,
-        told: Scenario,
-        problem: Problem,
-        solution: Solution,
-        timings: dict[str, float],
-    ) -> Plan:
-        parameters = self.parameters(told)
-        return Plan(
-            scenario=scenario,
-            status=_STATUS.get(solution.status, PlanStatus.SOLVED),
-            message=solution.message,
-            energy=solution.objective,
-            hover_energy_J=hover_power(scenario) * scenario.mission.duration,
-            trajectories=_trajectories(solution),
-            verification=None,
-            error_estimate=solution.error_estimate,
-            history=solution.history,
-            iterations=solution.iterations,
-            timings=timings,
-            solution=solution,
-            make_dynamics=lambda: problem.dynamics(parameters=parameters, horizon=solution.horizon),
-        )
+
+def _plan_of(
+    scenario: Scenario,
+    solution: Solution,
+    timings: dict[str, float],
+) -> Plan:
+    return Plan(
+        scenario=scenario,
+        status=_STATUS.get(solution.status, PlanStatus.SOLVED),
+        message=solution.message,
+        energy=solution.objective,
+        hover_energy_J=hover_power(scenario) * scenario.mission.duration,
+        trajectories=_trajectories(solution),
+        verification=None,
+        error_estimate=solution.error_estimate,
+        history=solution.history,
+        iterations=solution.iterations,
+        timings=timings,
+        warm_start=solution.warm_start,
+        solution=solution,
+    )
 
 
 def _trajectories(solution: Solution) -> Trajectories:
@@ -305,7 +306,7 @@ def solve_scenario(
     scenario: Scenario,
     *,
     builder: Builder = build_model,
-    warm_start: Plan | None = None,
+    warm_start: Plan | WarmStart | None = None,
     progress: Progress | None = None,
 ) -> Plan:
     """Solve one scenario with a planner of its own; see `Planner.solve`."""

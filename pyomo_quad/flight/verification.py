@@ -8,6 +8,7 @@ no more from the battery than it can give.
 
 from __future__ import annotations
 
+from collections.abc import Mapping  # noqa: TC003  read by pydantic
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -24,8 +25,6 @@ from pyomo_quad.flight.flight import (
 from pyomo_quad.flight.plant import fly_controls
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from pyomo_quad.collocation import Dynamics, Mesh
 
 __all__ = [

@@ -53,7 +53,7 @@ def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
         values |= baseline_outputs(reference, flight, plan)
         if not flight.is_verified:
             reason = f"{flight.name}: two integrators disagree on this flight"
-    warm_start = pack(plan.solution) if plan.solution is not None else None
+    warm_start = pack(plan.warm_start) if plan.warm_start is not None else None
     return CaseResult(values=values, warm_start=warm_start, reason=reason)
 
 
@@ -80,7 +80,7 @@ class _Bench:
 
     def plan(self, scenario: Scenario, warm_start: bytes | None) -> Plan:
         """Solve from a parent's point, and from nothing where that leads nowhere."""
-        parent = unpack(warm_start, self.planner, scenario) if warm_start is not None else None
+        parent = unpack(warm_start) if warm_start is not None else None
         if parent is not None:
             plan = self.planner.solve(scenario, warm_start=parent)
             if plan.is_verified:

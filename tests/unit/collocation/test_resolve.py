@@ -3,13 +3,23 @@
 import numpy as np
 import pytest
 from pyomo.dae import ContinuousSet, DerivativeVar
-from pyomo.environ import ComponentMap, ConcreteModel, Constraint, Objective, Var, cos, sin
+from pyomo.environ import (
+    ComponentMap,
+    ConcreteModel,
+    Constraint,
+    Objective,
+    Var,
+    cos,
+    sin,
+)
 
 from pyomo_quad.collocation import (
     Mesh,
     RefinementOptions,
     SolverOptions,
     Status,
+    TranscriptionError,
+    WarmStart,
     compile,  # noqa: A004
     solve,
 )
@@ -71,6 +81,49 @@ def test_warm_start_on_another_mesh():
     fine = problem.solve(mesh=Mesh.uniform(9, 5), warm_start=coarse)
     assert fine.status is Status.CONVERGED
     assert fine.objective == pytest.approx(brachistochrone.objective(), rel=1e-8)
+
+
+def residual(program, solution):
+    """Return by how much a program's rows miss their bounds at a solution."""
+    rows, bounds = program.constraints(solution.unknowns), solution.bounds
+    return np.max(np.maximum(bounds.row_lower - rows, rows - bounds.row_upper))
+
+
+def test_a_solution_keeps_the_numbers_it_was_solved_with(regulator):
+    cases = ({}, {"a": -1.0, "q": 0.1, "x0": -2.0})
+    solutions = [regulator.solve(mesh=MESH, parameters=changes) for changes in cases]
+    programs = [solution.program for solution in solutions]
+    for changes, solution, program in zip(cases, solutions, programs, strict=True):
+        assert residual(program, solution) < 1e-9
+        optimum = scalar_regulator.objective(**changes)
+        assert program.user_objective(solution.unknowns) == pytest.approx(optimum, rel=1e-8)
+
+
+def test_warm_start_from_another_compilation_is_as_good():
+    cold = compile(brachistochrone.build()).solve(mesh=MESH)
+    problem = compile(brachistochrone.build())
+    one, other = (problem.solve(mesh=MESH, warm_start=w) for w in (cold, cold.warm_start))
+    assert one.iterations[-1].iteration == other.iterations[-1].iteration
+    assert one.iterations[-1].iteration < cold.iterations[-1].iteration / 3
+    np.testing.assert_array_equal(one.unknowns, other.unknowns)
+
+
+def test_warm_start_is_small_frozen_and_survives_as_arrays():
+    start = solve(brachistochrone.build(), mesh=MESH).warm_start
+    again = WarmStart.from_arrays(start.arrays())
+    for name, array in start.arrays().items():
+        np.testing.assert_array_equal(again.arrays()[name], array)
+    with pytest.raises(ValueError, match="read-only"):
+        start.trajectory.states[0, 0] = 1.0
+    with pytest.raises(AttributeError):
+        start.trajectory = None
+
+
+@pytest.mark.parametrize("other", [scalar_regulator, hyper_sensitive])
+def test_warm_start_of_another_model_is_refused(other):
+    start = solve(brachistochrone.build(), mesh=MESH).warm_start
+    with pytest.raises(TranscriptionError, match="warm_start: the solution is of another model"):
+        compile(other.build()).solve(mesh=MESH, warm_start=start)
 
 
 def test_guess_from_a_frame_and_from_functions():
