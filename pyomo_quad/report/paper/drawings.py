@@ -6,13 +6,13 @@ from functools import partial
 
 from pyomo_quad.report.figures.battery import draw_battery
 from pyomo_quad.report.figures.controls import draw_controls
-from pyomo_quad.report.figures.path import draw_path
+from pyomo_quad.report.figures.path import distinct_paths, draw_path
 from pyomo_quad.report.figures.rotors import draw_rotors
 from pyomo_quad.report.figures.states import draw_states
 from pyomo_quad.report.figures.wind import draw_wind
 from pyomo_quad.report.flights import styled_flights
-from pyomo_quad.report.gallery import Drawing
-from pyomo_quad.report.paper.floor_figure import draw_floors
+from pyomo_quad.report.gallery import Drawing, left_out
+from pyomo_quad.report.paper.floor_figure import LOWEST_SHOWN, draw_floors
 from pyomo_quad.report.paper.loss_chain import draw_loss_chain, energy_chain
 from pyomo_quad.report.paper.tables import find_flight
 from pyomo_quad.scenario import FrequencyUnit, PowerModel, WindCoupling
@@ -65,7 +65,8 @@ def floor_drawing(study: PaperStudy) -> Drawing:
         name="floors",
         title="Least energy under f_r",
         caption="Least energy of any flight of the mission under f_r against the bound on the "
-        "rotor acceleration. The literal curve falls without end toward the dotted region.",
+        "rotor acceleration. The literal curve falls without end toward the dotted region; below "
+        f"{LOWEST_SHOWN:g} kJ it is not shown.",
         draw=lambda: draw_floors(
             study.floors, hovering, OPTIMAL_ENERGY[1].value, study.critical_acceleration
         ),
@@ -74,15 +75,19 @@ def floor_drawing(study: PaperStudy) -> Drawing:
 
 def _power(study: PaperStudy) -> Iterator[Drawing]:
     optimum = find_flight(study.flights, Experiment.CALM, PowerModel.MOTOR)
+    chain = energy_chain(optimum)
     yield Drawing(
         name="figure_1",
         title="Power-loss chain and efficiency map",
         caption="Figure 1. Above: where the energy of the optimal flight of experiment 1 goes, "
-        "under the motors' electrical power. Below: f_r over speed and torque, with the same "
-        "flight on it. Hatched: f_r below zero; dotted line: the braking torque at which it "
-        "first gets there.",
+        "under the motors' electrical power; as the rotors end as they began, the air takes the "
+        f"last bar. The remainder of {chain.created:+.2f} J is no energy but an inconsistency of "
+        "the paper's numbers: k_t and 1/k_v of one motor are equal, and as printed they are "
+        "rounded apart. Below: f_r over speed and torque, with the same flight on it; torques "
+        "beyond the axis are not shown. Hatched: f_r below zero; dotted line: the braking torque "
+        "at which it first gets there.",
         draw=lambda: draw_loss_chain(
-            energy_chain(optimum), study.efficiency_map, optimum, study.critical_acceleration
+            chain, study.efficiency_map, optimum, study.critical_acceleration
         ),
     )
     packs = styled_flights(
@@ -135,8 +140,8 @@ def _motion(study: PaperStudy, experiment: Experiment) -> Iterator[Drawing]:
         name=f"figure_{path}",
         title=f"Paths, {where}",
         caption=f"Figure {path}. The optimal path and those under the adaptive controller, "
-        f"{where}.",
-        draw=partial(draw_path, flights),
+        f"{where}, with a mark at each fifth of the time.{left_out(flights)}",
+        draw=partial(draw_path, distinct_paths(flights)),
     )
 
 

@@ -101,7 +101,7 @@ def _hover_is_no_floor(study: PaperStudy) -> Paragraph:
 def _envelope_floor() -> Paragraph:
     return Paragraph(
         (
-            Strong("A floor that holds for every flight."),
+            Strong("A floor for every flight under one reading of f_r and one bound on |alpha|."),
             " ",
             (
                 "From hover to hover each rotor passes every speed upward as much as "
@@ -119,13 +119,15 @@ def _envelope_floor() -> Paragraph:
 def _literal_floor(study: PaperStudy) -> Paragraph:
     largest, least = least_regularised_floor(study)
     critical = study.critical_acceleration
+    side = "below" if OPTIMAL_ENERGY[1].value < least else "not below"
     return Paragraph(
         (
             (
                 "With f_r regularised as declared (read at no torque below zero, floored, no "
                 f"credit for braking) the floor falls with the bound on |alpha|, to "
-                f"{kilojoules(least)} kJ at {largest:.0f} rad/s²: the printed energy is below "
-                "what any flight can do. "
+                f"{kilojoules(least)} kJ at {largest:.0f} rad/s²: with f_r so regularised and "
+                f"|alpha| at most {largest:.0f} rad/s² the printed energy is {side} what any "
+                "flight can do. Of a larger bound or another reading of f_r this says nothing. "
             ),
             (
                 "With f_r as it stands in eq. (8) it passes zero for braking torques: first "

@@ -8,10 +8,10 @@ from pyomo_quad.report.figures.panels import panel_grid
 from pyomo_quad.report.style import INK, MUTED, SERIES_STYLES
 from pyomo_quad.study.paper.readings import Reading
 
-__all__ = ["draw_floors"]
+__all__ = ["LOWEST_SHOWN", "draw_floors"]
 
 _KILO = 1e3
-_LOWEST_SHOWN = -2.0  # kJ: far enough down to see that the literal curve falls without end
+LOWEST_SHOWN = -2.0  # kJ: far enough down to see that the literal curve falls without end
 _HEADROOM = 0.6  # kJ
 
 
@@ -67,7 +67,7 @@ def draw_floors(
         label="no minimum with literal $f_r$",
     )
     axes.set_xlim(floors[Reading.LITERAL][0, 0], floors[Reading.LITERAL][-1, 0])
-    axes.set_ylim(_LOWEST_SHOWN, hover_energy / _KILO + _HEADROOM)
+    axes.set_ylim(LOWEST_SHOWN, hover_energy / _KILO + _HEADROOM)
     axes.set_xlabel(r"Bound on the rotor acceleration $|\alpha|$ (rad/s²)")
     axes.set_ylabel("Energy in 10 s (kJ)")
     handles, labels = axes.get_legend_handles_labels()

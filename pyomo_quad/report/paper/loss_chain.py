@@ -6,11 +6,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch, Rectangle
+from matplotlib.patches import Rectangle
 
 from pyomo_quad.flight.columns import ROTORS, TIME
 from pyomo_quad.report.signals import MOTOR, POWER, ROTOR_SPEED, TORQUE
-from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, ROTOR_STYLES
+from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, PALE, ROTOR_STYLES
 from pyomo_quad.study.paper.efficiency_map import EfficiencyMap
 from pyomo_quad.study.paper.flights import PaperFlight
 
@@ -18,20 +18,34 @@ __all__ = ["EnergyChain", "draw_loss_chain", "energy_chain"]
 
 _MAP_COLORS = "YlGnBu"
 _LEVELS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
-_BOX_HEIGHT = 0.42
+_BAR = 0.62
+# The chain's axis begins where its losses can be seen, this share of them below the last stage.
+_CHAIN_MARGIN = 0.45
 _MILLI = 1e3
 _ZOOM_MARGIN = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
 class EnergyChain:
-    """Energies of a flight from the battery to the air, J."""
+    """Energies of a flight from the battery to the air, J.
+
+    ``constant_product`` is k_t k_v, one for a motor that conserves energy.
+    """
 
     drawn: float
     battery_loss: float
     electrical: float
     copper_loss: float
     shaft: float
+    constant_product: float
+
+    @property
+    def created(self) -> float:
+        """What the shaft gets beyond what the windings pass on, J.
+
+        The power tau omega exceeds the electromotive force times the current as k_t exceeds 1/k_v.
+        """
+        return self.shaft - (self.electrical - self.copper_loss)
 
 
 def energy_chain(flown: PaperFlight) -> EnergyChain:
@@ -66,6 +80,7 @@ def energy_chain(flown: PaperFlight) -> EnergyChain:
         electrical=electrical,
         copper_loss=float(np.trapezoid(copper, time)),
         shaft=float(np.trapezoid(shaft, time)),
+        constant_product=scenario.vehicle.torque_constant * scenario.vehicle.voltage_constant,
     )
 
 
@@ -91,7 +106,7 @@ def draw_loss_chain(
         The chain, the whole map, and the map where the flight is.
     """
     figure = Figure(figsize=(FULL_WIDTH, 5.4))
-    _draw_chain(figure.add_axes((0.02, 0.72, 0.96, 0.26)), chain)
+    _draw_chain(figure.add_axes((0.36, 0.735, 0.6, 0.225)), chain)
     whole = figure.add_axes((0.08, 0.12, 0.42, 0.5))
     near = figure.add_axes((0.6, 0.12, 0.29, 0.5))
     box = _flight_box(flown)
@@ -120,30 +135,47 @@ def draw_loss_chain(
 
 
 def _draw_chain(axes: Axes, chain: EnergyChain) -> None:
-    axes.set_axis_off()
-    axes.set(xlim=(0, 10), ylim=(0, 1))
-    stages = (
-        ("Battery", chain.drawn, chain.battery_loss, "internal resistance"),
-        ("Four motors", chain.electrical, chain.copper_loss, "winding resistance"),
-        ("Four rotors", chain.shaft, None, ""),
+    """Draw stages as bars from the left edge, and between them what is lost or does not add up."""
+    lowest = min(chain.electrical - chain.copper_loss, chain.shaft)
+    left = lowest - _CHAIN_MARGIN * (chain.drawn - lowest)
+    passed = chain.electrical - chain.copper_loss
+    rows = (
+        ("Drawn from the cells", left, chain.drawn, PALE, f"{chain.drawn:.2f} J"),
+        (
+            "Lost in the pack's resistance",
+            chain.electrical,
+            chain.drawn,
+            MUTED,
+            f"{-chain.battery_loss:+.2f} J",
+        ),
+        (
+            r"To the motors, $V_\mathrm{bat}\, i_\mathrm{bat}$",
+            left,
+            chain.electrical,
+            PALE,
+            f"{chain.electrical:.2f} J",
+        ),
+        ("Lost in the windings", passed, chain.electrical, MUTED, f"{-chain.copper_loss:+.2f} J"),
+        (
+            f"Remainder: $k_t k_v$ = {chain.constant_product:.4f}, not 1",
+            passed,
+            chain.shaft,
+            INK,
+            f"{chain.created:+.2f} J",
+        ),
+        (r"To the rotors, $\tau\,\omega$", left, chain.shaft, PALE, f"{chain.shaft:.2f} J"),
     )
-    for k, (name, energy, loss, cause) in enumerate(stages):
-        left = 0.3 + 3.45 * k
-        shape = FancyBboxPatch(
-            (left, 0.5), 1.9, _BOX_HEIGHT, boxstyle="round,pad=0.04", facecolor="white"
+    for row, (_, start, end, color, text) in enumerate(rows):
+        axes.barh(row, end - start, left=start, height=_BAR, color=color, edgecolor=MUTED, lw=0.6)
+        axes.annotate(
+            text, (max(start, end), row), (4, 0), textcoords="offset points", va="center", color=INK
         )
-        shape.set_edgecolor(INK)
-        axes.add_patch(shape)
-        axes.text(left + 0.95, 0.71, f"{name}\n{energy:.2f} J", ha="center", va="center")
-        if loss is None:
-            continue
-        arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 1.2}
-        axes.annotate("", (left + 3.37, 0.71), (left + 1.98, 0.71), arrowprops=arrow)
-        axes.annotate("", (left + 0.95, 0.16), (left + 0.95, 0.45), arrowprops=arrow)
-        axes.text(left + 0.95, 0.12, f"{cause}: {loss:.2f} J", ha="center", va="top")
-    for k, text in enumerate((r"$V_\mathrm{bat}\, i_\mathrm{bat}$", r"$\tau\,\omega$")):
-        axes.text(2.95 + 3.45 * k, 0.77, text, ha="center", va="bottom")
-    axes.text(8.15, 0.12, "air: the drag torque times the speed", ha="center", va="top")
+    axes.set_yticks(range(len(rows)), [name for name, *_ in rows])
+    axes.tick_params(axis="y", length=0)
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+    axes.set_xlim(left, chain.drawn + _CHAIN_MARGIN * (chain.drawn - lowest))
+    axes.set_title(f"Energy (J); the axis begins at {left:.0f} J")
 
 
 def _draw_map(axes: Axes, sampled: EfficiencyMap) -> ContourSet:

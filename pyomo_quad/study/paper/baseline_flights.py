@@ -4,10 +4,17 @@ from dataclasses import dataclass
 
 from pyomo_quad.flight import Flight, Planner
 from pyomo_quad.flight.baselines import baseline_name, fly_baseline
+from pyomo_quad.model.hover import SteadyFlight
 from pyomo_quad.scenario import PowerModel, Reference
 from pyomo_quad.study.paper.missions import Experiment, paper_scenario
 
-__all__ = ["BaselineCase", "BaselineFlight", "baseline_cases", "fly_baseline_case"]
+__all__ = [
+    "BaselineCase",
+    "BaselineFlight",
+    "baseline_cases",
+    "fly_baseline_case",
+    "full_speed_energy",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,3 +79,13 @@ def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
     return BaselineFlight(
         case=case, flight=fly_baseline(scenario, case.reference, dynamics=dynamics)
     )
+
+
+def full_speed_energy(experiment: Experiment) -> float:
+    """Return what all rotors steady at their greatest speed take under f_r over an experiment, J.
+
+    To spend more, rotors must speed up and brake all the time.
+    """
+    scenario = paper_scenario(experiment, {"power.model": PowerModel.EFFICIENCY})
+    power = SteadyFlight(scenario).power(scenario.limits.rotor_speed_max)
+    return power * scenario.mission.duration

@@ -88,8 +88,9 @@ def _of_numbers() -> tuple[Correction, ...]:
     return (
         Correction(
             paper=f"Table 1: k_t = {printed:g} N m/A",
-            matter=f"{current:.0f} A per motor at hover; k_t must equal 1/k_v = {1 / per_volt:.4f}",
-            here=f"k_t = {torque_constant:g} N m/A",
+            matter=f"{current:.0f} A per motor at hover; k_t must equal 1/k_v = {1 / per_volt:.5f}",
+            here=f"k_t = {torque_constant:g} N m/A, the printed digits: k_t k_v = "
+            f"{torque_constant * per_volt:.4f}, and Figure 1 shows what that leaves over",
         ),
         Correction(
             paper=f"ω_h = {_PRINTED_HOVER_SPEED:g} rad/s",
@@ -99,7 +100,8 @@ def _of_numbers() -> tuple[Correction, ...]:
         Correction(
             paper="Table 2: Ω_k in Hz, eq. (11): sin(Ω_k t)",
             matter="unit and formula differ by 2π",
-            here="the formula as printed (rad/s) by default, Hz selectable; both are rows below",
+            here="the formula as printed (rad/s) by default, Hz selectable; both are rows of the "
+            "table of readings",
         ),
     )
 
@@ -122,7 +124,7 @@ def _of_the_problem(study: PaperStudy) -> tuple[Correction, ...]:
         Correction(
             paper="braking torque divided by an efficiency",
             matter="makes braking earn more than it gave",
-            here="no credit for negative power unless regeneration is asked for",
+            here=_braking_credit(),
         ),
         Correction(
             paper="e_0 = 1.24 V, Q = 1.55 Ah, 'Li-ion'",
@@ -131,6 +133,22 @@ def _of_the_problem(study: PaperStudy) -> tuple[Correction, ...]:
             f"than the paper's own {ADAPTIVE_ENERGY[2].value / 1e3:.2f} kJ",
             here="the paper's cell with the number of cells as a parameter, and a real pack",
         ),
+    )
+
+
+def _braking_credit() -> str:
+    """Say which power models let braking earn, as the experiments are declared."""
+    earns = {
+        model: paper_scenario(Experiment.CALM, {"power.model": model}).power.regeneration
+        for model in PowerModel
+    }
+    without, with_it = (
+        ", ".join(model.value for model, credit in earns.items() if credit is wanted)
+        for wanted in (False, True)
+    )
+    return (
+        f"no credit for negative power under {without}, unless regeneration is asked for; what "
+        f"braking gives back under {with_it} counts, for there it is divided by no efficiency"
     )
 
 

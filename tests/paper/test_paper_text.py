@@ -1,0 +1,147 @@
+"""What the report on the paper says follows from its numbers, and its energy chain adds up."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pyomo_quad.model.hover import SteadyFlight
+from pyomo_quad.report.paper.conclusion import conclusion_blocks
+from pyomo_quad.report.paper.examination import examination_blocks
+from pyomo_quad.report.paper.loss_chain import energy_chain
+from pyomo_quad.scenario import PowerModel, Reference
+from pyomo_quad.study.paper.baseline_flights import full_speed_energy
+from pyomo_quad.study.paper.corrections import corrections
+from pyomo_quad.study.paper.flights import FlightCase, flight_cases, wind_cases
+from pyomo_quad.study.paper.missions import Experiment, paper_scenario
+from pyomo_quad.study.paper.readings import Reading
+from tests.paper.test_paper_study import DRAG, efficiency
+
+HOVERING = {PowerModel.EFFICIENCY: 4868.0}
+
+
+def flown(case):
+    hovering = HOVERING.get(case.power_model, 708.6)
+    flight = SimpleNamespace(energy_J=1.001 * hovering, is_verified=True)
+    return SimpleNamespace(case=case, flight=flight, hover_energy_J=hovering)
+
+
+def controlled(experiment, model, reference):
+    case = SimpleNamespace(experiment=experiment, power_model=model, reference=reference)
+    return SimpleNamespace(
+        case=case, flight=SimpleNamespace(energy_J=1.01 * HOVERING.get(model, 708.6))
+    )
+
+
+def study(floor_J=3058.0):
+    bounds = np.array([100.0, 1000.0, 20000.0])
+    trial = SimpleNamespace(reading=Reading.LITERAL, bound=300.0, elements=5, degree=4)
+    outcome = SimpleNamespace(
+        trial=trial, energy_J=4734.0, has_converged=True, flown_energy_J=4734.0, miss_m=1.9
+    )
+    pack = {"hover_power_W": 70.9, "cells_series": 9, "stored_energy_J": 7000.0}
+    return SimpleNamespace(
+        flights=tuple(map(flown, flight_cases())),
+        wind_flights=tuple(map(flown, wind_cases())),
+        baselines=tuple(
+            controlled(experiment, model, reference)
+            for experiment in Experiment
+            for model in (PowerModel.MOTOR, PowerModel.EFFICIENCY)
+            for reference in (Reference.QUINTIC, Reference.STEP)
+        ),
+        packs=tuple(SimpleNamespace(greatest_power_W=power, **pack) for power in (24.3, 762.6)),
+        floors={
+            Reading.REGULARISED: np.column_stack([bounds, [4566.0, 4459.0, floor_J]]),
+            Reading.LITERAL: np.column_stack([bounds, [4566.0, -2678.0, -np.inf]]),
+        },
+        critical_acceleration=1172.0,
+        critical_speed=426.0,
+        efficiency_map=SimpleNamespace(speed=np.array([0.0, 1047.2])),
+        trials=(outcome,),
+    )
+
+
+def text_of(blocks):
+    def words(piece):
+        if isinstance(piece, str):
+            return piece
+        if isinstance(piece, list | tuple):
+            return "".join(map(words, piece))
+        parts = (getattr(piece, name, ()) for name in ("text", "pieces", "items", "caption"))
+        return "".join(map(words, parts))
+
+    return "\n".join(map(words, blocks))
+
+
+def test_a_flight_in_two_tables_is_counted_once():
+    assert "13 of 13 distinct planned flights" in text_of(conclusion_blocks(study()))
+    one_lost = study()
+    one_lost.flights[0].flight.is_verified = False
+    assert "12 of 13 distinct planned flights" in text_of(conclusion_blocks(one_lost))
+
+
+def test_the_energy_of_all_rotors_at_full_speed_is_that_of_the_polynomial():
+    speed = paper_scenario(Experiment.CALM).limits.rotor_speed_max
+    torque = DRAG * speed**2
+    expected = 10.0 * 4 * torque * speed / efficiency(torque, speed)
+    assert full_speed_energy(Experiment.CALM) == pytest.approx(expected, rel=1e-3)
+    # Between what the paper prints for its two adaptive flights.
+    assert 5770.0 < expected < 9740.0
+
+
+def test_both_printed_adaptive_flights_are_judged():
+    text = text_of(conclusion_blocks(study()))
+    assert "Plausible: the adaptive flight of 5.77 kJ." in text
+    assert "Not plausible: the adaptive flight of 9.74 kJ." in text
+    assert "base of the 78.85 % and 100 % above hovering" in text
+    assert "mean of 974 W compares with the 763 W" in text
+
+
+@pytest.mark.parametrize(("floor_J", "side"), [(3058.0, "is below"), (1500.0, "is not below")])
+def test_the_floor_is_said_of_its_reading_and_its_bound_alone(floor_J, side):
+    text = text_of(examination_blocks(study(floor_J)))
+    assert (
+        f"with f_r so regularised and |alpha| at most 20000 rad/s² the printed energy {side} what "
+        "any flight can do."
+    ) in text
+
+
+def test_the_note_on_braking_names_the_models_that_the_declared_power_credits():
+    (note,) = (row.here for row in corrections(study()) if row.paper.startswith("braking"))
+    without, with_it = note.split(" counts")[0].split("; ")
+    for model in PowerModel:
+        steady = SteadyFlight(paper_scenario(Experiment.CALM, {"power.model": model}))
+        powers = [
+            steady.rotor_value("power.rotor_power", speed, acceleration)
+            for speed in (300.0, 900.0)
+            for acceleration in -np.geomspace(300.0, 3e4, 40)
+        ]
+        named = [words.replace(",", "").split() for words in (without, with_it)]
+        assert [model.value in words for words in named] == [
+            min(powers) > -1e-3,
+            min(powers) < -1.0,
+        ]
+
+
+def test_the_chain_of_figure_1_adds_up_and_its_remainder_is_that_of_the_constants():
+    case = FlightCase(experiment=Experiment.CALM, power_model=PowerModel.MOTOR)
+    vehicle = case.scenario.vehicle
+    time = np.linspace(0.0, 10.0, 501)
+    columns = {"time_s": time, "battery_current_A": 6.0 + np.sin(time)}
+    shaft, power = np.zeros_like(time), np.zeros_like(time)
+    for rotor in range(1, 5):
+        speed = 912.0 + 10.0 * np.sin(time + rotor)
+        torque = DRAG * speed**2 + 1e-3 * np.cos(time)
+        current = torque / vehicle.torque_constant
+        columns |= {f"omega_{rotor}_rad_per_s": speed, f"motor_{rotor}_torque_N_m": torque}
+        columns[f"motor_{rotor}_current_A"] = current
+        shaft += torque * speed
+        power += (vehicle.motor_resistance * current + speed / vehicle.voltage_constant) * current
+    flight = SimpleNamespace(frame=pd.DataFrame(columns | {"power_W": power}))
+    chain = energy_chain(SimpleNamespace(flight=flight, case=case))
+    links = -chain.battery_loss - chain.copper_loss + chain.created
+    assert chain.drawn + links == pytest.approx(chain.shaft, rel=1e-12)
+    product = vehicle.torque_constant * vehicle.voltage_constant
+    assert chain.created == pytest.approx((1 - 1 / product) * np.trapezoid(shaft, time), rel=1e-9)
+    assert chain.created > 1.0
