@@ -1,8 +1,7 @@
 """`pyomo-quad sweep` and `sweep-report`: many cases of a scenario, and what they show together."""
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,16 +13,15 @@ from pyomo_quad.cli.options import positive_count
 from pyomo_quad.report.folder import output_folder
 
 if TYPE_CHECKING:
-    from pyomo_quad.study.sweep import SweepDesign, SweepEstimate, SweepSummary
+    from pyomo_quad.study.sweep import SweepDesign, SweepEstimate, SweepSummary, Workers
     from pyomo_quad.study.sweep.study_file import LoadedStudy
-    from pyomo_quad.study.sweep.workforce import Workforce
 
 __all__ = ["sweep", "sweep_report"]
 
 _REPORT_FOLDER = "report"
 
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")]
-Workers = Annotated[
+WorkerCount = Annotated[
     int | None,
     typer.Option(
         "--workers", metavar="N", parser=positive_count, help="Processes, one per core by default."
@@ -43,11 +41,16 @@ Yes = Annotated[bool, typer.Option("--yes", help="Many cases are meant.")]
 Verbose = Annotated[bool, typer.Option("--verbose", help="A line for each case.")]
 SweepFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a sweep.")]
 
+ReportOutput = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Folder of the report, DIR/report by default."),
+]
+
 
 def sweep(
     study: StudyFile,
     *,
-    workers: Workers = None,
+    workers: WorkerCount = None,
     scheduler: Scheduler = None,
     out: SweepOutput = None,
     dry_run: DryRun = False,
@@ -67,8 +70,8 @@ def sweep(
 
         print(_estimate_line(design, estimate_sweep(design, loaded.base, folder), count))
         return ExitCode.VERIFIED
-    with _workforce(count, scheduler) as workforce:
-        summary = _run(loaded, design, folder, workforce, is_fresh=fresh, is_verbose=verbose)
+    with _workers(count, scheduler) as crew:
+        summary = _run(loaded, design, folder, crew, is_fresh=fresh, is_verbose=verbose)
     print(_summary_line(design, summary, folder))
     if summary.is_interrupted:
         return ExitCode.INTERRUPTED
@@ -77,7 +80,7 @@ def sweep(
     return ExitCode.VERIFIED if has_result else ExitCode.NOT_SOLVED
 
 
-def sweep_report(folder: SweepFolder) -> int:
+def sweep_report(folder: SweepFolder, *, out: ReportOutput = None) -> int:
     """Write tables and figures of a sweep from its store; nothing is solved."""
     from pyomo_quad.report.sweep import write_sweep_report  # noqa: PLC0415  takes a second
     from pyomo_quad.study.sweep import ResultStore, results_frame  # noqa: PLC0415
@@ -87,29 +90,24 @@ def sweep_report(folder: SweepFolder) -> int:
     if frame.empty:
         complain(f"{folder}: holds no finished case yet; run the sweep first.")
         return ExitCode.BAD_INPUT
-    with output_folder(folder / _REPORT_FOLDER) as aside:
+    target = out or folder / _REPORT_FOLDER
+    with output_folder(target) as aside:
         write_sweep_report(aside, design, frame)
-    print(f"Report written to {folder / _REPORT_FOLDER}.")
+    print(f"Report written to {target}.")
     return ExitCode.VERIFIED
 
 
-@contextmanager
-def _workforce(count: int, scheduler: str | None) -> Iterator["Workforce"]:
-    from pyomo_quad.study.sweep import ClusterWorkforce, ProcessWorkforce  # noqa: PLC0415
+def _workers(count: int, scheduler: str | None) -> AbstractContextManager["Workers"]:
+    from pyomo_quad.study.sweep import cluster_workers, process_workers  # noqa: PLC0415
 
-    if scheduler is not None:
-        with ClusterWorkforce.of(scheduler) as cluster:
-            yield cluster
-    else:
-        with ProcessWorkforce.of(count) as processes:
-            yield processes
+    return process_workers(count) if scheduler is None else cluster_workers(scheduler)
 
 
 def _run(
     loaded: "LoadedStudy",
     design: "SweepDesign",
     folder: Path,
-    workforce: "Workforce",
+    workers: "Workers",
     *,
     is_fresh: bool,
     is_verbose: bool,
@@ -120,9 +118,9 @@ def _run(
     with ResultStore.writing(folder, design, is_fresh=is_fresh) as store:
         for change in adopt_design(store, design):
             complain(f"{folder}: extended: {change}")
-        complain(f"{design.name}: {design.case_count} cases on {workforce.description}")
+        complain(f"{design.name}: {design.case_count} cases on {workers.description}")
         with follow_sweep(is_verbose=is_verbose) as listener:
-            return Sweep(design, loaded.base, store, listener).run(workforce)
+            return Sweep(design, loaded.base, store, listener).run(workers)
 
 
 def _estimate_line(design: "SweepDesign", estimate: "SweepEstimate", workers: int) -> str:
@@ -135,12 +133,15 @@ def _estimate_line(design: "SweepDesign", estimate: "SweepEstimate", workers: in
 
 def _summary_line(design: "SweepDesign", summary: "SweepSummary", folder: Path) -> str:
     kept = f", {summary.already_finished} were there" if summary.already_finished else ""
+    lost = f", {summary.lost} lost with their worker" if summary.lost else ""
     ending = (
         f"; interrupted with {summary.missing} missing: the same command goes on"
         if summary.is_interrupted
+        else "; the same command tries again what was lost"
+        if summary.lost
         else ""
     )
     return (
-        f"{design.name}: {summary.finished} cases finished, {summary.failed} failed{kept}; "
+        f"{design.name}: {summary.finished} cases finished, {summary.failed} failed{lost}{kept}; "
         f"results in {folder}{ending}."
     )

@@ -61,23 +61,24 @@ class _Counter:
         self._console = console
         self._is_verbose = is_verbose
         self._began = monotonic()
-        self.total = self.done = self.failed = self._before = 0
+        self.total = self.done = self.failed = self._solved = 0
 
-    def start(self, total: int, already_finished: int) -> None:
-        """Hear how many cases there are, and how many have a row already."""
-        self.total, self.done, self._before = total, already_finished, already_finished
+    def start(self, total: int, already_ended: int) -> None:
+        """Hear how many cases there are, and how many need not be solved any more."""
+        self.total, self.done = total, already_ended
 
-    def case_ended(self, case: Case, outcome: CaseOutcome) -> None:
-        """Hear that a case's row has been committed."""
-        self.done += 1
-        self.failed += outcome.status is CaseStatus.FAILED
+    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
+        """Hear that a case's row has been committed, and how many cases are done now."""
+        self.done = done
+        self._solved += 1
+        self.failed += outcome.status is not CaseStatus.FINISHED
         if self._is_verbose:
             self._console.print(_line(case, outcome), markup=False, soft_wrap=True)
 
     @property
     def rate(self) -> float:
         """Cases per second since the start."""
-        return (self.done - self._before) / max(monotonic() - self._began, 1e-9)
+        return self._solved / max(monotonic() - self._began, 1e-9)
 
 
 class _Bar(_Counter):
@@ -86,24 +87,24 @@ class _Bar(_Counter):
         self._progress = progress
         self._bar = progress.add_task("", total=None, failed=0, rate=0.0)
 
-    def start(self, total: int, already_finished: int) -> None:
-        super().start(total, already_finished)
-        self._progress.update(self._bar, total=total, completed=already_finished)
+    def start(self, total: int, already_ended: int) -> None:
+        super().start(total, already_ended)
+        self._progress.update(self._bar, total=total, completed=already_ended)
 
-    def case_ended(self, case: Case, outcome: CaseOutcome) -> None:
-        super().case_ended(case, outcome)
-        self._progress.update(self._bar, advance=1, failed=self.failed, rate=self.rate)
+    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
+        super().case_ended(case, outcome, done)
+        self._progress.update(self._bar, completed=done, failed=self.failed, rate=self.rate)
 
 
 class _Lines(_Counter):
     _written_at = 0.0
 
-    def start(self, total: int, already_finished: int) -> None:
-        super().start(total, already_finished)
+    def start(self, total: int, already_ended: int) -> None:
+        super().start(total, already_ended)
         self._write()
 
-    def case_ended(self, case: Case, outcome: CaseOutcome) -> None:
-        super().case_ended(case, outcome)
+    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
+        super().case_ended(case, outcome, done)
         is_due = monotonic() - self._written_at > _SECONDS_BETWEEN_LINES
         if is_due or self.done == self.total:
             self._write()

@@ -16,18 +16,18 @@ from statistics import fmean
 
 from pyomo_quad.flight import solve_scenario
 from pyomo_quad.study.sweep import (
-    ClusterWorkforce,
-    ProcessWorkforce,
     ResultStore,
     SilentListener,
     Sweep,
+    Workers,
+    cluster_workers,
     design_sweep,
     load_study,
+    process_workers,
 )
 from pyomo_quad.study.sweep.cases import Case, expand
 from pyomo_quad.study.sweep.runner import FLIGHT_SOLVER
 from pyomo_quad.study.sweep.task import CaseOutcome
-from pyomo_quad.study.sweep.workforce import Workforce
 from tests.sweep.cluster import cluster
 from tests.sweep.stand_in import SOLVER
 from tests.sweep.studies import write_study
@@ -57,10 +57,10 @@ class Clock(SilentListener):
     def __init__(self) -> None:
         self.marks: list[float] = []
 
-    def start(self, total: int, already_finished: int) -> None:
+    def start(self, total: int, already_ended: int) -> None:
         self.marks = [time.process_time()]
 
-    def case_ended(self, case: Case, outcome: CaseOutcome) -> None:
+    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
         self.marks.append(time.process_time())
 
 
@@ -76,12 +76,12 @@ def spent(kind: int) -> Iterator[dict[str, float]]:
     found["megabytes"] = after.ru_maxrss / 1024
 
 
-def run(study: Path, folder: Path, workforce: Workforce, solver: str) -> Clock:
+def run(study: Path, folder: Path, workers: Workers, solver: str) -> Clock:
     loaded = load_study(study)
     design = design_sweep(loaded, is_large_allowed=True)
     clock = Clock()
     with ResultStore.writing(folder, design) as store:
-        summary = Sweep(design, loaded.base, store, clock, solver).run(workforce)
+        summary = Sweep(design, loaded.base, store, clock, solver).run(workers)
     assert summary.finished == design.case_count
     return clock
 
@@ -106,8 +106,8 @@ def independent(study: Path) -> tuple[dict[str, float], dict[str, float]]:
 
 
 def solved_by(study: Path, count: int) -> dict[str, float]:
-    with spent(resource.RUSAGE_CHILDREN) as found, ProcessWorkforce.of(count) as workforce:
-        run(study, study.parent / f"workers_{count}", workforce, FLIGHT_SOLVER)
+    with spent(resource.RUSAGE_CHILDREN) as found, process_workers(count) as workers:
+        run(study, study.parent / f"workers_{count}", workers, FLIGHT_SOLVER)
     return found
 
 
@@ -145,9 +145,9 @@ def rows_of_many_cases(folder: Path) -> Iterator[str]:
 def rows_of_the_cluster(folder: Path, seconds_per_case: float) -> Iterator[str]:
     study = write_study(folder, AXES.format(**DASK))
     total = DASK["durations"] * DASK["speeds"]
-    with cluster(folder) as dask, ClusterWorkforce.of(dask.address) as workforce:
+    with cluster(folder) as dask, cluster_workers(dask.address) as workers:
         began = time.perf_counter()
-        marks = run(study, folder / "dask", workforce, SOLVER).marks
+        marks = run(study, folder / "dask", workers, SOLVER).marks
         wall = (time.perf_counter() - began) / total
         scheduler = processor_seconds(dask.scheduler.pid) / total
     parent = (marks[-1] - marks[0]) / total

@@ -5,48 +5,53 @@ As a program: ``python -m tests.sweep.sweeping STUDY FOLDER WORKERS``.
 
 import sys
 from collections.abc import Callable
+from concurrent.futures import Executor, Future
 from pathlib import Path
 
 import pandas as pd
 
 from pyomo_quad.study.sweep import (
-    ProcessWorkforce,
     ResultStore,
     SilentListener,
     Sweep,
     SweepSummary,
+    Workers,
     adopt_design,
     design_sweep,
     load_study,
+    process_workers,
     results_frame,
 )
 from pyomo_quad.study.sweep.cases import Case
-from pyomo_quad.study.sweep.task import CaseOutcome, CaseTask, perform
-from pyomo_quad.study.sweep.workforce import Workforce
+from pyomo_quad.study.sweep.task import CaseOutcome
+from pyomo_quad.study.sweep.workers import Crew
 from tests.sweep.stand_in import SOLVER
 
 
-class Here:
+class Here(Workers):
     """Solves in the calling process, one case at a time."""
 
-    room = 1
-    description = "this process"
-
     def __init__(self) -> None:
-        self._tasks: list[CaseTask] = []
         self.solved: list[str] = []
+        super().__init__(
+            Crew(
+                description="this process",
+                start=lambda: _InThisProcess(self.solved),
+                stop=lambda _: None,
+                count=lambda: 1,
+            )
+        )
 
-    def submit(self, task: CaseTask) -> None:
-        self._tasks.append(task)
 
-    def wait(self) -> list[CaseOutcome]:
-        outcomes = [perform(task) for task in self._tasks]
-        self.solved += [task.key for task in self._tasks]
-        self._tasks = []
-        return outcomes
+class _InThisProcess(Executor):
+    def __init__(self, solved: list[str]) -> None:
+        self._solved = solved
 
-    def drain(self) -> list[CaseOutcome]:
-        return []
+    def submit(self, perform, /, task):
+        future: Future = Future()
+        future.set_result(perform(task))
+        self._solved.append(task.key)
+        return future
 
 
 class AfterCases(SilentListener):
@@ -56,7 +61,7 @@ class AfterCases(SilentListener):
         self._left = count
         self._call = call
 
-    def case_ended(self, case: Case, outcome: CaseOutcome) -> None:
+    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
         self._left -= 1
         if self._left == 0:
             self._call()
@@ -65,7 +70,7 @@ class AfterCases(SilentListener):
 def sweep(
     study: Path,
     folder: Path,
-    workforce: Workforce,
+    workers: Workers,
     listener: SilentListener | None = None,
     solver: str = SOLVER,
 ) -> SweepSummary:
@@ -74,7 +79,7 @@ def sweep(
     with ResultStore.writing(folder, design) as store:
         adopt_design(store, design)
         listener = listener or SilentListener()
-        return Sweep(design, loaded.base, store, listener, solver).run(workforce)
+        return Sweep(design, loaded.base, store, listener, solver).run(workers)
 
 
 def rows(folder: Path) -> pd.DataFrame:
@@ -83,8 +88,8 @@ def rows(folder: Path) -> pd.DataFrame:
 
 
 def main(study: str, folder: str, workers: str) -> None:
-    with ProcessWorkforce.of(int(workers)) as workforce:
-        sweep(Path(study), Path(folder), workforce)
+    with process_workers(int(workers)) as held:
+        sweep(Path(study), Path(folder), held)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import pytest
 
 from pyomo_quad.cli import sweep_progress
 from pyomo_quad.cli.app import main
-from pyomo_quad.study.sweep import ProcessWorkforce, estimate_sweep, runner
+from pyomo_quad.study.sweep import estimate_sweep, runner
 from tests.sweep.stand_in import SOLVER
 from tests.sweep.studies import DURATION_AXIS, write_study
 from tests.sweep.sweeping import Here, rows
@@ -25,7 +25,7 @@ def study(tmp_path, monkeypatch):
 @pytest.fixture
 def quick(monkeypatch):
     """Solve in this process and draw nothing."""
-    monkeypatch.setattr(ProcessWorkforce, "of", lambda _: nullcontext(Here()))
+    monkeypatch.setattr("pyomo_quad.study.sweep.process_workers", lambda _: nullcontext(Here()))
     monkeypatch.setattr("pyomo_quad.report.sweep.sweep_report.save_drawings", lambda *_: None)
 
 
@@ -87,7 +87,7 @@ def test_a_scheduler_that_is_not_there_ends_the_command_in_one_line(
     study, tmp_path, capsys, monkeypatch
 ):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("pyomo_quad.study.sweep.cluster._CONNECT_SECONDS", 0.3)
+    monkeypatch.setattr("pyomo_quad.study.sweep.workers._CONNECT_SECONDS", 0.3)
     assert run(study, tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9") == 1
     shown = capsys.readouterr().err.strip()
     assert "--scheduler tcp://127.0.0.1:9: cannot be reached" in shown

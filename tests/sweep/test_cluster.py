@@ -4,7 +4,7 @@ import socket
 
 import pytest
 
-from pyomo_quad.study.sweep import ClusterError, ClusterWorkforce
+from pyomo_quad.study.sweep import ClusterError, cluster_workers
 from tests.sweep.cluster import cluster
 from tests.sweep.studies import write_study
 from tests.sweep.sweeping import AfterCases, Here, rows, sweep
@@ -26,7 +26,7 @@ def expected(study, tmp_path):
 def test_rows_are_those_of_one_process_though_a_worker_is_lost(study, tmp_path, expected):
     with (
         cluster(tmp_path, seconds="0.02") as dask,
-        ClusterWorkforce.of(dask.address) as workforce,
+        cluster_workers(dask.address) as workforce,
     ):
         summary = sweep(study, tmp_path / "whole", workforce)
         assert (summary.finished, summary.missing) == (50, 0)
@@ -43,7 +43,7 @@ def test_a_scheduler_that_dies_stops_the_sweep_and_keeps_its_rows(study, tmp_pat
     folder = tmp_path / "out"
     with (
         cluster(tmp_path, seconds="0.02") as dask,
-        ClusterWorkforce.of(dask.address) as workforce,
+        cluster_workers(dask.address) as workforce,
         pytest.raises(
             ClusterError,
             match=r"no longer answers. \d+ of 50 cases are kept in .*; run the same command again",
@@ -58,12 +58,12 @@ def test_a_scheduler_that_dies_stops_the_sweep_and_keeps_its_rows(study, tmp_pat
 
 
 def test_a_scheduler_that_is_not_there_is_said_in_one_line(monkeypatch):
-    monkeypatch.setattr("pyomo_quad.study.sweep.cluster._CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr("pyomo_quad.study.sweep.workers._CONNECT_SECONDS", 0.5)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
         with (
             pytest.raises(ClusterError, match=r"cannot be reached .*leave --scheduler out"),
-            ClusterWorkforce.of(address),
+            cluster_workers(address),
         ):
             pass

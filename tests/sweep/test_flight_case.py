@@ -3,7 +3,7 @@
 import pytest
 
 from pyomo_quad.flight import solve_scenario
-from pyomo_quad.study.sweep import ProcessWorkforce, design_sweep, load_study
+from pyomo_quad.study.sweep import design_sweep, load_study, process_workers
 from pyomo_quad.study.sweep.cases import expand
 from pyomo_quad.study.sweep.runner import FLIGHT_SOLVER
 from tests.sweep.studies import write_study
@@ -40,7 +40,7 @@ def test_all_cases_are_verified(solved_here):
 
 def test_rows_are_the_same_numbers_from_two_processes(study, solved_here):
     folder = study.parent / "two"
-    with ProcessWorkforce.of(2) as workforce:
+    with process_workers(2) as workforce:
         sweep(study, folder, workforce, solver=FLIGHT_SOLVER)
     assert rows(folder).equals(solved_here)
 

@@ -34,7 +34,7 @@ def start(study: Path, folder: Path, log: Path) -> subprocess.Popen:
 def stored(folder: Path) -> set[str]:
     try:
         with ResultStore.reading(folder) as store:
-            return store.keys()
+            return set(store.statuses())
     except StoreError:
         return set()
 

@@ -101,11 +101,31 @@ def test_grouped_axes_advance_together(tmp_path):
     assert design.dimensions[0].steps == ((5.0, 0.1), (6.0, 0.2))
 
 
-def test_an_output_that_no_case_has_is_refused_by_its_name(tmp_path):
-    study = write_study(tmp_path, head='outputs = ["enrgy_J"]')
-    sweep(study, tmp_path / "out", Here())
-    with pytest.raises(StudyError, match="output 'enrgy_J' is not known; the outputs are"):
-        rows(tmp_path / "out")
+@pytest.mark.parametrize(
+    ("head", "complaint"),
+    [
+        (
+            'report_on = ["energy"]',
+            'report_on: no output is called "energy"; did you mean energy_J',
+        ),
+        ('outputs = ["enrgy_J"]', 'outputs: no output is called "enrgy_J"; did you mean energy_J'),
+        ('outputs = ["x"]', "the outputs are energy_J, hover_energy_J, "),
+        ('report_on = ["quintic_energy_J"]', "no output is called"),
+        ('task = "fly_plan"\nreport_on = ["error_estimate"]', "no output is called"),
+        ('report_on = ["energy_J", "energy_J"]', r"report_on\[1\] repeats .*; give it once"),
+        ('baselines = ["quintic", "quintic"]', r"baselines\[1\] repeats .*; give it once"),
+        ('task = "fly_plan"\nbaselines = ["quintic"]', "remove baselines, or give task = "),
+    ],
+)
+def test_columns_are_refused_before_anything_is_solved(tmp_path, head, complaint):
+    with pytest.raises(StudyError, match=complaint) as caught:
+        load_study(write_study(tmp_path, head=head))
+    assert "\n" not in str(caught.value)
+
+
+def test_columns_of_baselines_can_be_asked_for(tmp_path):
+    head = 'baselines = ["quintic"]\nreport_on = ["quintic_energy_J"]'
+    assert design_of(tmp_path, DURATION_AXIS, head).report_on == ("quintic_energy_J",)
 
 
 def test_a_wider_study_extends_its_store(tmp_path):

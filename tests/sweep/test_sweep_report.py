@@ -193,3 +193,14 @@ def test_the_colours_of_a_tornado_meet_at_the_base_case(base, parts):
         assert sum(bar.get_width() for bar in drawn) == pytest.approx(one.swing)
         colors = {bar.get_x() >= base: bar.get_facecolor() for bar in drawn}
         assert len(colors) == len(set(colors.values())) == parts
+
+
+@pytest.mark.usefixtures("_no_figures")
+def test_a_field_that_is_a_list_can_vary(tmp_path):
+    goals = (
+        '[[axis]]\npath = "mission.goal.position"\nvalues = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]\n'
+    )
+    sweep(write_study(tmp_path, goals + DURATION_AXIS), tmp_path / "out", Here())
+    assert main(["sweep-report", str(tmp_path / "out")]) == 0
+    text = (tmp_path / "out" / "report" / "report.md").read_text()
+    assert "20 of 20 cases finished" in text

@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from pyomo_quad.study.sweep import ProcessWorkforce
+from pyomo_quad.study.sweep import process_workers
 from tests.sweep import stand_in
 from tests.sweep.studies import write_study
 from tests.sweep.sweeping import AfterCases, Here, rows, sweep
@@ -20,22 +20,22 @@ def test_one_and_two_processes_give_the_rows_of_none(study, tmp_path):
     sweep(study, tmp_path / "none", Here())
     for count in (1, 2):
         folder = tmp_path / str(count)
-        with ProcessWorkforce.of(count) as workforce:
+        with process_workers(count) as workforce:
             summary = sweep(study, folder, workforce)
         assert (summary.finished, summary.missing) == (50, 0)
         assert rows(folder).equals(rows(tmp_path / "none"))
 
 
-def test_a_case_that_kills_its_worker_is_one_failed_row(study, tmp_path, monkeypatch):
+def test_a_case_that_kills_its_worker_is_one_lost_row(study, tmp_path, monkeypatch):
     monkeypatch.setenv(stand_in.FATAL_PAYLOAD, "0.2")
     study.write_text(study.read_text().replace("count = 10", "count = 1"))
-    with ProcessWorkforce.of(2) as workforce:
+    with process_workers(2) as workforce:
         summary = sweep(study, tmp_path / "out", workforce)
-    assert (summary.finished, summary.failed, summary.missing) == (4, 1, 0)
+    assert (summary.finished, summary.lost, summary.missing) == (4, 1, 0)
     frame = rows(tmp_path / "out")
-    failed = frame[frame["status"] == "failed"]
-    assert list(failed["vehicle.payload"]) == [0.2]
-    assert list(failed["reason"]) == ["the worker process died in this case"]
+    lost = frame[frame["status"] == "lost"]
+    assert list(lost["vehicle.payload"]) == [0.2]
+    assert lost["reason"].str.startswith("its worker died, also when it was tried alone").all()
 
 
 def test_a_case_that_raises_is_a_row_with_its_reason(study, tmp_path):

@@ -37,6 +37,7 @@ def write_sweep_report(folder: Path, design: SweepDesign, frame: pd.DataFrame) -
     frame : DataFrame
         Rows of `results_frame`.
     """
+    design = design.in_cells()
     title = design.title or design.name
     write_table(frame, folder / _TABLE)
     frame.to_parquet(folder / _PARQUET, index=False)

@@ -1,8 +1,7 @@
 """All live results of the paper's report, computed by worker processes."""
 
-import multiprocessing
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -28,7 +27,7 @@ from pyomo_quad.study.paper.flights import (
 )
 from pyomo_quad.study.paper.mesh_trials import TrialOutcome, mesh_trials, run_trial
 from pyomo_quad.study.paper.readings import Reading
-from pyomo_quad.study.sweep.processes import one_thread_each, prepare_worker
+from pyomo_quad.study.sweep.workers import process_pool
 
 __all__ = ["PaperStudy", "Step", "run_paper_study"]
 
@@ -167,17 +166,5 @@ def _timed(perform: Callable[[], Any]) -> tuple[Any, float]:
 @contextmanager
 def _started(tasks: list[_Task]) -> Iterator[dict[Future[Any], int]]:
     """Start all tasks in processes of their own, and leave none behind."""
-    # Spawned, not forked: Ipopt and BLAS do not survive a fork with threads.
-    context = multiprocessing.get_context("spawn")
-    with (
-        one_thread_each(),
-        ProcessPoolExecutor(WORKERS, mp_context=context, initializer=prepare_worker) as pool,
-    ):
-        try:
-            yield {pool.submit(_timed, task.perform): at for at, task in enumerate(tasks)}
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            # A solve that is under way would be waited for.
-            for worker in multiprocessing.active_children():
-                worker.terminate()
-            raise
+    with process_pool(WORKERS) as pool:
+        yield {pool.submit(_timed, task.perform): at for at, task in enumerate(tasks)}

@@ -9,7 +9,7 @@ from scipy.special import ndtri
 
 from pyomo_quad.scenario.fields import Number, Part, Text, WholeNumber, quantity
 
-__all__ = ["Axis", "NormalSpread", "Spacing", "UniformSpread"]
+__all__ = ["Axis", "NormalSpread", "Spacing", "UniformSpread", "kind_of"]
 
 _MOST_VALUES = 100_000
 # Values are stored, hashed and printed in decimal: 12 digits keep 0.3 from becoming
@@ -95,10 +95,8 @@ class Axis(Part):
     @field_validator("values")
     @classmethod
     def _plain_values(cls, values: tuple[Any, ...] | None) -> tuple[Any, ...] | None:
-        for value in values or ():
-            parts = value if isinstance(value, list) else [value]
-            if not all(_is_plain(part) for part in parts):
-                raise ValueError("must hold finite numbers, texts, booleans or lists of these")
+        if any(kind_of(value) is None for value in values or ()):
+            raise ValueError("must hold finite numbers, texts, booleans or lists of these")
         return values
 
     @model_validator(mode="after")
@@ -175,7 +173,11 @@ def rounded(numbers: np.ndarray) -> tuple[float, ...]:
     return tuple(float(f"{number:.{_SIGNIFICANT_DIGITS}g}") for number in numbers)
 
 
-def _is_plain(value: object) -> bool:
-    if isinstance(value, float):
-        return math.isfinite(value)
-    return isinstance(value, bool | int | str)
+def kind_of(value: object) -> type | None:
+    """Return the kind of a plain value, bool, float, str or list; None for anything else."""
+    if isinstance(value, bool | str):
+        return type(value)
+    if isinstance(value, int | float):
+        return float if math.isfinite(value) else None
+    is_list = isinstance(value, list) and all(kind_of(part) not in {None, list} for part in value)
+    return list if is_list else None

@@ -19,7 +19,7 @@ from itertools import product
 from typing import Any
 
 from pyomo_quad.study.sweep.design import Dimension, SweepDesign
-from pyomo_quad.study.sweep.study_file import StudyTask
+from pyomo_quad.study.sweep.task import StudyTask
 
 __all__ = ["Case", "bisection_parents", "case_key", "expand"]
 

@@ -6,11 +6,22 @@ keeps a copy, from which its rows can be put in order and its report made withou
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from math import prod
 from typing import Any, Self
 
-__all__ = ["Dimension", "SweepDesign"]
+from pydantic import TypeAdapter, ValidationError
+
+from pyomo_quad.scenario.baseline import Reference
+from pyomo_quad.scenario.complaint import shown
+from pyomo_quad.scenario.schema import Scenario
+from pyomo_quad.study.sweep.axes import kind_of
+from pyomo_quad.study.sweep.outputs import unknown_column
+from pyomo_quad.study.sweep.task import StudyTask
+
+__all__ = ["MOST_CASES", "Dimension", "SweepDesign", "cell_of"]
+
+MOST_CASES = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +42,20 @@ class Dimension:
     steps: tuple[tuple[Any, ...], ...]
     is_random: bool = False
 
+    def in_cells(self) -> "Dimension":
+        """Return the dimension with its values as they stand in a table's cells."""
+        steps = tuple(tuple(cell_of(value) for value in step) for step in self.steps)
+        return replace(self, steps=steps)
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether each step has one plain value for each field, of one kind along the steps."""
+        columns = list(zip(*self.steps, strict=False))
+        kinds = [{kind_of(value) for value in column} for column in columns]
+        is_whole = all(len(step) == len(self.paths) > 0 for step in self.steps)
+        is_plain = all(len(found) == 1 and None not in found for found in kinds)
+        return len(columns) == len(self.paths) and is_whole and is_plain
+
     def values(self, path: str) -> list[Any]:
         """Return the values that one field takes along the steps."""
         column = self.paths.index(path)
@@ -45,9 +70,9 @@ class SweepDesign:
     ----------
     name, title, about : str
         As in the study file.
-    task : str
-        A `StudyTask`.
-    baselines : tuple of str
+    task : StudyTask
+        What is done in each case.
+    baselines : tuple of Reference
         References that the controller flies.
     outputs, report_on : tuple of str
         Columns kept in the tables, and drawn in the report.
@@ -60,11 +85,11 @@ class SweepDesign:
     name: str
     title: str
     about: str
-    task: str
-    baselines: tuple[str, ...]
+    task: StudyTask
+    baselines: tuple[Reference, ...]
     outputs: tuple[str, ...]
     report_on: tuple[str, ...]
-    base: Mapping[str, Any]
+    base: dict[str, Any]
     dimensions: tuple[Dimension, ...]
 
     @property
@@ -77,9 +102,13 @@ class SweepDesign:
         """All fields that vary, in the order of the table's columns."""
         return tuple(path for dimension in self.dimensions for path in dimension.paths)
 
+    def in_cells(self) -> Self:
+        """Return the design with its values as they stand in a table's cells."""
+        return replace(self, dimensions=tuple(one.in_cells() for one in self.dimensions))
+
     def to_json(self) -> str:
         """Write the design as JSON text, the same for the same design."""
-        return json.dumps(asdict(self), sort_keys=True, allow_nan=False)
+        return _DESIGN.dump_json(self).decode()
 
     @classmethod
     def from_json(cls, text: str) -> Self:
@@ -98,23 +127,31 @@ class SweepDesign:
         Raises
         ------
         ValueError
-            If the text is not such a design.
+            If the text is not such a design, or not one that a study file could ask for.
         """
         try:
-            fields = json.loads(text)
-            dimensions = tuple(
-                Dimension(
-                    paths=tuple(item["paths"]),
-                    steps=tuple(tuple(step) for step in item["steps"]),
-                    is_random=bool(item["is_random"]),
-                )
-                for item in fields.pop("dimensions")
-            )
-            for name in ("baselines", "outputs", "report_on"):
-                fields[name] = tuple(fields[name])
-            return cls(dimensions=dimensions, **fields)
-        except (KeyError, TypeError, AttributeError) as error:
-            raise ValueError(f"not a sweep design: {error}") from None
+            return _DESIGN.validate_json(text)  # type: ignore[return-value]
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            place = ".".join(map(str, first["loc"]))
+            raise ValueError(f"not a sweep design: {place}: {first['msg']}") from None
+
+    def refuse_impossible(self) -> None:
+        """Refuse a design that no study file can ask for, such as one from a damaged store.
+
+        Raises
+        ------
+        ValueError
+            One line that names what is wrong.
+        """
+        Scenario.model_validate(self.base)
+        if not self.dimensions or not all(one.is_sound for one in self.dimensions):
+            raise ValueError("not a sweep design: dimensions: a field, a step or a value is amiss")
+        if self.case_count > MOST_CASES or len(set(self.paths)) < len(self.paths):
+            raise ValueError("not a sweep design: dimensions: too many, or a field twice")
+        wrong = unknown_column((*self.outputs, *self.report_on), self.task, self.baselines)
+        if wrong is not None or not self.report_on:
+            raise ValueError(f"not a sweep design: outputs: none is called {shown(wrong)}")
 
     def changes_since(self, older: "SweepDesign") -> Iterator[str]:
         """Say what differs from an older design in a way that makes its rows unusable.
@@ -159,6 +196,14 @@ class SweepDesign:
                 yield f"axis {path}: {_summary(before[path])} -> {_summary(after[path])}"
         if before == after and older.dimensions != self.dimensions:
             yield "axes: grouped or ordered differently"
+
+
+_DESIGN = TypeAdapter(SweepDesign)
+
+
+def cell_of(value: object) -> Any:  # noqa: ANN401  a value of any scenario field
+    """Return the value of a field as one cell of a table: a list is written as text."""
+    return json.dumps(value) if isinstance(value, list) else value
 
 
 def _differences(before: object, after: object, place: str) -> Iterator[str]:

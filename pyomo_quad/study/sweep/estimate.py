@@ -10,7 +10,7 @@ from pyomo_quad.study.sweep.design import SweepDesign
 from pyomo_quad.study.sweep.runner import FLIGHT_SOLVER, case_task
 from pyomo_quad.study.sweep.store import ResultStore
 from pyomo_quad.study.sweep.store_file import STORE_NAME
-from pyomo_quad.study.sweep.task import CaseOutcome, perform
+from pyomo_quad.study.sweep.task import CaseOutcome, CaseStatus, perform
 
 __all__ = ["SweepEstimate", "estimate_sweep"]
 
@@ -61,9 +61,10 @@ def estimate_sweep(
     if (folder / STORE_NAME).is_file():
         with ResultStore.reading(folder) as store:
             rows = store.rows()
-        if rows:
-            missing = sum(case.key not in rows for case in cases)
-            seconds = fmean(row.seconds for row in rows.values())
+        settled = {key for key, row in rows.items() if row.status is not CaseStatus.LOST}
+        if settled:
+            missing = sum(case.key not in settled for case in cases)
+            seconds = fmean(rows[key].seconds for key in settled)
             return SweepEstimate(total=len(cases), missing=missing, seconds_per_case=seconds)
     first = next(case for case in cases if case.parent is None)
     child = next((case for case in cases if case.parent == first.position), None)

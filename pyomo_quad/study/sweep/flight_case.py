@@ -14,8 +14,7 @@ from pyomo_quad.flight.baselines import fly_baseline
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.baseline import Reference
 from pyomo_quad.study.sweep.outputs import baseline_outputs, flown_outputs, plan_outputs
-from pyomo_quad.study.sweep.study_file import StudyTask
-from pyomo_quad.study.sweep.task import CaseResult, CaseTask
+from pyomo_quad.study.sweep.task import CaseResult, CaseTask, StudyTask
 from pyomo_quad.study.sweep.warm_start import pack, unpack
 
 __all__ = ["solve_case"]
@@ -47,8 +46,7 @@ def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
     if not plan.is_verified:
         return CaseResult(values=values, reason=f"{plan.status}: {plan.message}")
     reason = ""
-    for name in task.baselines:
-        reference = Reference(name)
+    for reference in task.baselines:
         flight = fly_baseline(scenario, reference, dynamics=plan.dynamics, plan=plan)
         values |= baseline_outputs(reference, flight, plan)
         if not flight.is_verified:

@@ -9,7 +9,7 @@ from pyomo_quad.scenario.errors import FeasibilityError
 from pyomo_quad.scenario.schema import Scenario
 from pyomo_quad.scenario.tree import parse_path
 from pyomo_quad.study.sweep.axes import Axis
-from pyomo_quad.study.sweep.design import Dimension, SweepDesign
+from pyomo_quad.study.sweep.design import MOST_CASES, Dimension, SweepDesign
 from pyomo_quad.study.sweep.errors import StudyError
 from pyomo_quad.study.sweep.study_file import LoadedStudy, Study
 
@@ -17,7 +17,6 @@ __all__ = ["CASE_LIMIT", "design_sweep"]
 
 # More cases than this are more often a slip of the pen than a wish.
 CASE_LIMIT = 1_000
-_MOST_CASES = 1_000_000
 
 
 def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> SweepDesign:
@@ -53,8 +52,8 @@ def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> Swee
         name=study.name,
         title=study.title,
         about=study.about,
-        task=study.task.value,
-        baselines=tuple(reference.value for reference in study.baselines),
+        task=study.task,
+        baselines=study.baselines,
         outputs=study.outputs,
         report_on=study.report_on,
         base=loaded.base.model_dump(mode="json"),
@@ -114,9 +113,9 @@ def _case_count(study: Study, source: str) -> int:
 
 
 def _check_size(count: int, source: str, *, is_large_allowed: bool) -> None:
-    if count > _MOST_CASES:
+    if count > MOST_CASES:
         raise StudyError(
-            f"{source}: the axes make {count} cases, at most {_MOST_CASES} are allowed; "
+            f"{source}: the axes make {count} cases, at most {MOST_CASES} are allowed; "
             f"take fewer values."
         )
     if count > CASE_LIMIT and not is_large_allowed:

@@ -1,13 +1,11 @@
 """Rows of a store as a pandas frame."""
 
-import json
 from typing import Any
 
 import pandas as pd
 
 from pyomo_quad.study.sweep.cases import Case, expand
-from pyomo_quad.study.sweep.design import SweepDesign
-from pyomo_quad.study.sweep.errors import StudyError
+from pyomo_quad.study.sweep.design import SweepDesign, cell_of
 from pyomo_quad.study.sweep.store import ResultStore, StoredCase
 
 __all__ = ["CASE_COLUMN", "REASON_COLUMN", "STATUS_COLUMN", "results_frame"]
@@ -30,11 +28,6 @@ def results_frame(store: ResultStore) -> pd.DataFrame:
     DataFrame
         Columns: case, the fields that vary, status, reason, then the outputs that the study
         keeps.  Wall times are left out: everything here is the same for each run.
-
-    Raises
-    ------
-    StudyError
-        If the study keeps an output that no case has.
     """
     design, rows = store.design, store.rows()
     ended = [(case, rows[case.key]) for case in expand(design) if case.key in rows]
@@ -45,7 +38,7 @@ def results_frame(store: ResultStore) -> pd.DataFrame:
 
 
 def _record(case: Case, row: StoredCase, outputs: list[str]) -> dict[str, Any]:
-    fields = {path: _cell(value) for path, value in case.overrides.items()}
+    fields = {path: cell_of(value) for path, value in case.overrides.items()}
     return {
         CASE_COLUMN: case.position,
         **fields,
@@ -55,18 +48,6 @@ def _record(case: Case, row: StoredCase, outputs: list[str]) -> dict[str, Any]:
     }
 
 
-def _cell(value: object) -> object:
-    return json.dumps(value) if isinstance(value, list) else value
-
-
 def _output_columns(design: SweepDesign, rows: list[StoredCase]) -> list[str]:
-    found = list(dict.fromkeys(name for row in rows for name in row.outputs))
-    unknown = [name for name in (*design.outputs, *design.report_on) if name not in found]
-    if found and unknown:
-        raise StudyError(
-            f"study {design.name}: output {unknown[0]!r} is not known; "
-            f"the outputs are {', '.join(found)}."
-        )
-    if not design.outputs:
-        return found
-    return list(dict.fromkeys((*design.outputs, *design.report_on)))
+    kept = design.outputs or [name for row in rows for name in row.outputs]
+    return list(dict.fromkeys((*kept, *design.report_on)))

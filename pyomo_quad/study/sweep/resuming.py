@@ -35,7 +35,7 @@ def adopt_design(store: ResultStore, design: SweepDesign) -> list[str]:
     stored = store.design
     changes = list(design.changes_since(stored))
     axis_changes = list(design.axis_changes_since(stored))
-    rows = store.keys()
+    rows = store.statuses().keys()
     if rows and not rows <= {case.key for case in expand(design)}:
         changes += axis_changes
     if rows and changes:
@@ -47,5 +47,5 @@ def adopt_design(store: ResultStore, design: SweepDesign) -> list[str]:
             f"choose another --out."
         )
     if stored != design:
-        store.replace_design(design)
+        store.replace_design(design, is_extended=bool(axis_changes))
     return axis_changes

@@ -11,7 +11,7 @@ from pyomo_quad.study.sweep.design import SweepDesign
 from pyomo_quad.study.sweep.errors import ClusterError
 from pyomo_quad.study.sweep.store import ResultStore
 from pyomo_quad.study.sweep.task import CaseOutcome, CaseStatus, CaseTask
-from pyomo_quad.study.sweep.workforce import Workforce
+from pyomo_quad.study.sweep.workers import Workers
 
 __all__ = ["FLIGHT_SOLVER", "SilentListener", "Sweep", "SweepListener", "SweepSummary", "case_task"]
 
@@ -21,22 +21,22 @@ FLIGHT_SOLVER = "pyomo_quad.study.sweep.flight_case:solve_case"
 class SweepListener(Protocol):
     """Is told how a sweep goes on."""
 
-    def start(self, total: int, already_finished: int) -> None:
-        """Hear how many cases there are, and how many have a row already."""
+    def start(self, total: int, already_ended: int) -> None:
+        """Hear how many cases there are, and how many need not be solved any more."""
         ...
 
-    def case_ended(self, case: Case, outcome: CaseOutcome) -> None:
-        """Hear that a case's row has been committed."""
+    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
+        """Hear that a case's row has been committed, and how many cases are done now."""
         ...
 
 
 class SilentListener:
     """Tells nobody."""
 
-    def start(self, total: int, already_finished: int) -> None:
+    def start(self, total: int, already_ended: int) -> None:
         """Take no notice."""
 
-    def case_ended(self, case: Case, outcome: CaseOutcome) -> None:
+    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
         """Take no notice."""
 
 
@@ -49,8 +49,8 @@ class SweepSummary:
     total : int
         Cases of the design.
     already_finished : int
-        Rows that were there before.
-    finished, failed : int
+        Rows that were there before and still are.
+    finished, failed, lost : int
         Rows added, by how their case ended.
     is_interrupted : bool
         Whether Ctrl-C ended it.
@@ -60,12 +60,13 @@ class SweepSummary:
     already_finished: int
     finished: int
     failed: int
+    lost: int
     is_interrupted: bool
 
     @property
     def missing(self) -> int:
         """Cases without a row."""
-        return self.total - self.already_finished - self.finished - self.failed
+        return self.total - self.already_finished - self.finished - self.failed - self.lost
 
 
 class Sweep:
@@ -78,7 +79,8 @@ class Sweep:
     base : Scenario
         The base scenario of the design.
     store : ResultStore
-        Open for writing; cases that have a row are not solved again.
+        Open for writing; cases that finished or failed are not solved again, those that were lost
+        with their worker are.
     listener : SweepListener
         Is told of each row.
     solver : str, optional
@@ -99,20 +101,26 @@ class Sweep:
         self._listener = listener
         self._solver = solver
         self._cases = expand(design)
-        self._finished = self._store.keys()
+        statuses = store.statuses()
+        self._lost_before = {key for key, held in statuses.items() if held is CaseStatus.LOST}
+        # Those settled before this run, and not solved anew in it.
+        self._kept = statuses.keys() - self._lost_before
+        self._settled = set(self._kept)
+        self._lost: set[str] = set()
         self._children = _children(self._cases)
+        # How many children still need what a case left: those lost may be tried again.
         self._waiting = {
-            position: sum(self._cases[child].key not in self._finished for child in children)
+            position: sum(self._cases[child].key not in self._settled for child in children)
             for position, children in self._children.items()
         }
         self._counts = dict.fromkeys(CaseStatus, 0)
 
-    def run(self, workforce: Workforce) -> SweepSummary:
-        """Solve all cases that have no row.
+    def run(self, workers: Workers) -> SweepSummary:
+        """Solve all cases that have no settled row.
 
         Parameters
         ----------
-        workforce : Workforce
+        workers : Workers
             Who solves them.
 
         Returns
@@ -127,50 +135,61 @@ class Sweep:
         StoreError
             If a row cannot be written; finished cases are kept.
         """
-        before = len(self._finished)
-        self._listener.start(len(self._cases), before)
+        self._listener.start(len(self._cases), len(self._settled))
         is_interrupted = False
         try:
-            self._work_off(workforce)
+            self._work_off(workers)
         except KeyboardInterrupt:
             is_interrupted = True
-            self._commit_all(workforce.drain())
+            self._commit_all(workers.stop())
         except ClusterError as error:
-            missing = len(self._cases) - len(self._finished)
+            missing = len(self._cases) - len(self._settled)
             raise ClusterError(
-                f"{error} {len(self._finished)} of {len(self._cases)} cases are kept in "
+                f"{error} {len(self._settled)} of {len(self._cases)} cases are kept in "
                 f"{self._store.file.parent}; run the same command again for the other {missing}, "
                 f"without --scheduler to solve them on this machine."
             ) from error
         return SweepSummary(
             total=len(self._cases),
-            already_finished=before,
+            already_finished=len(self._kept),
             finished=self._counts[CaseStatus.FINISHED],
             failed=self._counts[CaseStatus.FAILED],
+            lost=self._counts[CaseStatus.LOST],
             is_interrupted=is_interrupted,
         )
 
-    def _work_off(self, workforce: Workforce) -> None:
+    def _work_off(self, workers: Workers) -> None:
         # Last in, first out: going deep keeps few warm starts waiting.
-        ready = [case for case in reversed(self._cases) if self._is_ready(case)]
+        roots = [case for case in reversed(self._cases) if case.parent is None]
+        ready = self._next_of(roots)
         under_way = 0
         while ready or under_way:
-            while ready and workforce.room > 0:
+            while ready and workers.room > 0:
                 case = ready.pop()
                 task = self._task(case)
                 if isinstance(task, CaseOutcome):
                     ready += self._commit(task)
                 else:
-                    workforce.submit(task)
+                    workers.submit(task)
                     under_way += 1
             if under_way:
-                outcomes = workforce.wait()
+                outcomes = workers.wait()
                 under_way -= len(outcomes)
                 ready += self._commit_all(outcomes)
 
-    def _is_ready(self, case: Case) -> bool:
-        is_parent_finished = case.parent is None or self._cases[case.parent].key in self._finished
-        return case.key not in self._finished and is_parent_finished
+    def _next_of(self, cases: list[Case]) -> list[Case]:
+        """Return the cases to solve next: these, or below those of them that have ended."""
+        found, pending = [], list(reversed(cases))
+        while pending:
+            case = pending.pop()
+            if case.key in self._settled or case.key in self._lost:
+                pending += self._children_of(case)
+            else:
+                found.append(case)
+        return found
+
+    def _children_of(self, case: Case) -> list[Case]:
+        return [self._cases[child] for child in self._children.get(case.position, ())]
 
     def _task(self, case: Case) -> CaseTask | CaseOutcome:
         warm_start = None
@@ -184,15 +203,38 @@ class Sweep:
     def _commit(self, outcome: CaseOutcome) -> list[Case]:
         """Store a row and return the cases that can start now."""
         case = self._cases[outcome.position]
-        spent = self._spent_parent(case)
+        is_settled = outcome.status is not CaseStatus.LOST
+        outdated = self._forget_descendants(case) if is_settled else []
         self._store.add(
-            outcome, case.overrides, is_parent=self._waiting.get(case.position, 0) > 0, spent=spent
+            outcome,
+            case.overrides,
+            is_parent=self._waiting.get(case.position, 0) > 0,
+            spent=self._spent_parent(case) if is_settled else "",
+            outdated=outdated,
         )
-        self._finished.add(case.key)
+        (self._settled if is_settled else self._lost).add(case.key)
         self._counts[outcome.status] += 1
-        self._listener.case_ended(case, outcome)
-        children = [self._cases[child] for child in self._children.get(case.position, ())]
-        return [child for child in children if child.key not in self._finished]
+        self._listener.case_ended(case, outcome, len(self._settled) + len(self._lost))
+        return self._next_of(self._children_of(case))
+
+    def _forget_descendants(self, case: Case) -> list[str]:
+        """Let go of rows that go back past a case which was lost then and is settled now.
+
+        They started from where it had started: solved again from its own result, they are what
+        they would have been had no worker died.
+        """
+        if case.key not in self._lost_before:
+            return []
+        keys, pending = [], [case]
+        while pending:
+            one = pending.pop()
+            children = self._children_of(one)
+            self._waiting[one.position] = len(children)
+            keys += [child.key for child in children]
+            pending += children
+        self._settled.difference_update(keys)
+        self._kept.difference_update(keys)
+        return keys
 
     def _spent_parent(self, case: Case) -> str:
         if case.parent is None:

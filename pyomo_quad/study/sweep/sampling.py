@@ -42,10 +42,11 @@ class Sampling(Part):
             ``random``, so that a study can be extended; a Latin hypercube is drawn anew.
         """
         generator = np.random.default_rng(self.seed)
-        # random() includes 0, where a normal distribution has no finite value.
-        draws = 1.0 - generator.random((self.count, axis_count))
-        draws = np.minimum(draws, np.nextafter(1.0, 0.0))
         if self.method is SamplingMethod.RANDOM:
-            return draws
-        strata = np.tile(np.arange(self.count)[:, np.newaxis], (1, axis_count))
-        return (generator.permuted(strata, axis=0) + draws) / self.count
+            draws = 1.0 - generator.random((self.count, axis_count))
+        else:
+            from scipy.stats import qmc  # noqa: PLC0415  takes half a second
+
+            draws = qmc.LatinHypercube(axis_count, seed=generator).random(self.count)
+        # At 0 and 1 a normal distribution has no finite value.
+        return np.clip(draws, np.nextafter(0.0, 1.0), np.nextafter(1.0, 0.0))

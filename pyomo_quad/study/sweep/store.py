@@ -8,13 +8,16 @@ Nothing in the store is executable: numbers and texts are JSON, warm starts are 
 
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from pydantic import BaseModel, ConfigDict, Field, Json, Strict, ValidationError
+
+from pyomo_quad.scenario.complaint import shown
+from pyomo_quad.study.sweep.cases import case_key, expand
 from pyomo_quad.study.sweep.design import SweepDesign
 from pyomo_quad.study.sweep.errors import StoreError
 from pyomo_quad.study.sweep.store_file import (
@@ -22,25 +25,34 @@ from pyomo_quad.study.sweep.store_file import (
     check_format,
     connected,
     create_if_new,
+    damaged,
     discard,
     locked_folder,
-    not_a_store,
+    opened_to_read,
 )
-from pyomo_quad.study.sweep.task import CaseOutcome, CaseStatus
+from pyomo_quad.study.sweep.task import LARGEST_OUTPUT, CaseOutcome, CaseStatus
 from pyomo_quad.version import __version__
 
 __all__ = ["ResultStore", "StoredCase"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class StoredCase:
-    """A row of the store."""
+_FORGET = "DELETE FROM warm_start WHERE case_key = ?"
 
-    key: str
-    status: CaseStatus
+_Column = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,99}$")]
+_Output = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST_OUTPUT, le=LARGEST_OUTPUT)]
+
+
+class StoredCase(BaseModel):
+    """A row of the store, as it must be whoever wrote it."""
+
+    model_config = ConfigDict(strict=True, frozen=True)
+
+    case_key: str
+    overrides: Json[dict[str, Any]]
+    status: Annotated[CaseStatus, Strict(False)]
     reason: str
-    outputs: Mapping[str, float]
-    seconds: float
+    outputs: Json[dict[_Column, _Output]]
+    seconds: float = Field(ge=0.0, allow_inf_nan=False)
 
 
 class ResultStore:
@@ -49,11 +61,13 @@ class ResultStore:
     def __init__(self, file: Path, connection: sqlite3.Connection) -> None:
         self.file = file
         self._connection = connection
+        self.version = self._note("version")
+        self._design = self._checked_design()
 
     @classmethod
     @contextmanager
     def reading(cls, folder: str | Path) -> Iterator["ResultStore"]:
-        """Open a store to read it, also while a sweep writes.
+        """Open a store to read it, also while a sweep writes, and where nothing can be written.
 
         Parameters
         ----------
@@ -68,12 +82,12 @@ class ResultStore:
         Raises
         ------
         StoreError
-            If there is no store, or it has another format.
+            If there is no store, or it has another format, or is damaged.
         """
         file = Path(folder) / STORE_NAME
         if not file.is_file():
             raise StoreError(f"{folder}: holds no {STORE_NAME}; give the folder of a sweep.")
-        with connected(file) as connection:
+        with opened_to_read(file) as connection:
             check_format(connection, file)
             yield cls(file, connection)
 
@@ -108,9 +122,8 @@ class ResultStore:
         with locked_folder(Path(folder)):
             if is_fresh:
                 discard(file)
-            with connected(file) as connection:
-                notes = {"design": design.to_json(), "version": __version__}
-                create_if_new(connection, file, notes)
+            with connected(file, mode="rwc") as connection:
+                create_if_new(connection, {"design": design.to_json(), "version": __version__})
                 check_format(connection, file)
                 store = cls(file, connection)
                 store.refuse_other_version()
@@ -119,60 +132,76 @@ class ResultStore:
     @property
     def design(self) -> SweepDesign:
         """The design that the rows belong to."""
-        try:
-            return SweepDesign.from_json(self._note("design"))
-        except ValueError:
-            raise not_a_store(self.file) from None
-
-    @property
-    def version(self) -> str:
-        """Version of the package that made the rows."""
-        return self._note("version")
+        return self._design
 
     def refuse_other_version(self) -> None:
         """Refuse to add rows beside those of another version of the package."""
         if self.version != __version__:
             raise StoreError(
-                f"{self.file}: its rows were made by pyomo_quad {self.version}, this is "
-                f"{__version__}; use that version, choose another --out, or start anew with "
+                f"{self.file}: its rows were made by pyomo_quad {shown(self.version)[1:-1]}, this "
+                f"is {__version__}; use that version, choose another --out, or start anew with "
                 f"--fresh."
             )
 
-    def replace_design(self, design: SweepDesign) -> None:
+    def replace_design(self, design: SweepDesign, *, is_extended: bool) -> None:
         """Note that the rows belong to another design that holds all their cases.
 
         Parameters
         ----------
         design : SweepDesign
             The new design.
+        is_extended : bool
+            Whether it has other axes.  Its cases then have other parents: what those left before is
+            forgotten, so that no result hangs on how far the older design had come.
         """
         with self._connection:
             self._connection.execute(
                 "UPDATE sweep SET value = ? WHERE name = 'design'", (design.to_json(),)
             )
+            if is_extended:
+                self._connection.execute("DELETE FROM warm_start")
+        self._design = design
 
-    def keys(self) -> set[str]:
-        """Return the keys of all cases that have a row."""
-        return {key for (key,) in self._connection.execute("SELECT case_key FROM case_row")}
+    def statuses(self) -> dict[str, CaseStatus]:
+        """Return how each case that has a row ended, by its key."""
+        return {key: row.status for key, row in self.rows().items()}
 
     def rows(self) -> dict[str, StoredCase]:
-        """Return all rows by their key."""
-        query = "SELECT case_key, status, reason, outputs, seconds FROM case_row"
-        return {
-            key: StoredCase(
-                key=key,
-                status=CaseStatus(status),
-                reason=reason,
-                outputs=json.loads(outputs),
-                seconds=seconds,
-            )
-            for key, status, reason, outputs, seconds in self._connection.execute(query)
-        }
+        """Return all rows by their key, each checked.
+
+        Raises
+        ------
+        StoreError
+            If a row is not as a sweep writes it, or is no case of the design.
+        """
+        known = {case.key for case in expand(self._design)}
+        query = f"SELECT {', '.join(StoredCase.model_fields)} FROM case_row"  # noqa: S608
+        found = {}
+        for number, values in enumerate(self._connection.execute(query), start=1):
+            where = f"case_row {number}"
+            try:
+                row = StoredCase.model_validate(
+                    dict(zip(StoredCase.model_fields, values, strict=True))
+                )
+            except ValidationError as error:
+                first = error.errors(include_url=False)[0]
+                place = ".".join(map(str, first["loc"]))
+                raise damaged(self.file, f"{where}, {place}: {first['msg']}") from None
+            if row.case_key not in known or row.case_key != _key_of(row):
+                raise damaged(self.file, f"{where} is no case of its design")
+            found[row.case_key] = row
+        return found
 
     def add(
-        self, outcome: CaseOutcome, overrides: Mapping[str, Any], *, is_parent: bool, spent: str
+        self,
+        outcome: CaseOutcome,
+        overrides: Mapping[str, Any],
+        *,
+        is_parent: bool,
+        spent: str = "",
+        outdated: Iterable[str] = (),
     ) -> None:
-        """Commit the row of a finished case.
+        """Commit the row of a case that ended, in place of the one it may have.
 
         Parameters
         ----------
@@ -184,6 +213,8 @@ class ResultStore:
             Whether cases still to come start from this one.
         spent : str
             Key of a case whose warm start no case needs any more, empty for none.
+        outdated : iterable of str
+            Keys of cases whose rows are to be made again.
 
         Raises
         ------
@@ -202,12 +233,15 @@ class ResultStore:
         )
         try:
             with self._connection:
-                self._connection.execute("INSERT INTO case_row VALUES (?,?,?,?,?,?,?,?)", row)
+                for key in outdated:
+                    self._connection.execute("DELETE FROM case_row WHERE case_key = ?", (key,))
+                    self._connection.execute(_FORGET, (key,))
+                self._connection.execute("REPLACE INTO case_row VALUES (?,?,?,?,?,?,?,?)", row)
+                self._connection.execute(_FORGET, (spent,))
                 if is_parent:
                     self._connection.execute(
-                        "INSERT INTO warm_start VALUES (?,?)", (outcome.key, outcome.warm_start)
+                        "REPLACE INTO warm_start VALUES (?,?)", (outcome.key, outcome.warm_start)
                     )
-                self._connection.execute("DELETE FROM warm_start WHERE case_key = ?", (spent,))
         except sqlite3.DatabaseError as error:
             raise StoreError(
                 f"{self.file}: cannot be written ({error}); finished cases are kept; free the "
@@ -229,14 +263,30 @@ class ResultStore:
         """
         query = "SELECT arrays FROM warm_start WHERE case_key = ?"
         found = self._connection.execute(query, (key,)).fetchone()
-        return found[0] if found is not None else None
+        arrays = found[0] if found is not None else None
+        if arrays is not None and not isinstance(arrays, bytes):
+            raise damaged(self.file, "warm_start: arrays are no bytes")
+        return arrays
+
+    def _checked_design(self) -> SweepDesign:
+        try:
+            design = SweepDesign.from_json(self._note("design"))
+            design.refuse_impossible()
+        except ValueError as error:
+            self.refuse_other_version()
+            raise damaged(self.file, str(error).splitlines()[0]) from None
+        return design
 
     def _note(self, name: str) -> str:
         query = "SELECT value FROM sweep WHERE name = ?"
-        try:
-            found = self._connection.execute(query, (name,)).fetchone()
-        except sqlite3.DatabaseError:
-            raise not_a_store(self.file) from None
-        if found is None:
-            raise not_a_store(self.file)
-        return str(found[0])
+        found = self._connection.execute(query, (name,)).fetchone()
+        if found is None or not isinstance(found[0], str):
+            raise damaged(self.file, f"table sweep has no {name}")
+        return found[0]
+
+
+def _key_of(row: StoredCase) -> str | None:
+    try:
+        return case_key(row.overrides)
+    except ValueError:
+        return None

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
+from difflib import get_close_matches
 from pathlib import Path as FilePath
 from typing import Any, TypeVar
 
@@ -18,21 +18,16 @@ from pyomo_quad.scenario.schema import Scenario
 from pyomo_quad.scenario.tree import Path, leaves, parse_path, spell
 from pyomo_quad.study.sweep.axes import Axis
 from pyomo_quad.study.sweep.errors import StudyError
+from pyomo_quad.study.sweep.outputs import output_columns, unknown_column
 from pyomo_quad.study.sweep.sampling import Sampling
+from pyomo_quad.study.sweep.task import StudyTask
 
-__all__ = ["LoadedStudy", "Study", "StudyTask", "load_study"]
+__all__ = ["LoadedStudy", "Study", "load_study"]
 
 _NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 _MOST_AXES = 20
 _Table = TypeVar("_Table", bound=BaseModel)
 _DEFAULT_QUANTITY = "energy_J"
-
-
-class StudyTask(StrEnum):
-    """What is done in each case."""
-
-    OPTIMISE = "optimise"
-    FLY_PLAN = "fly_plan"
 
 
 class Study(Part):
@@ -109,6 +104,7 @@ def load_study(path: str | FilePath) -> LoadedStudy:
         _validate(Axis, table, source, ("axis", index))
     study = _validate(Study, document, source)
     _check_random_axes(study, source)
+    _check_columns(study, source)
     return LoadedStudy(source=source, study=study, base=_base_scenario(study, FilePath(path)))
 
 
@@ -129,6 +125,26 @@ def _check_random_axes(study: Study, source: str) -> None:
         )
     if study.sampling is not None and not random_axes:
         raise StudyError(f"{source}: [sampling] is given, but no axis is random; remove it.")
+
+
+def _check_columns(study: Study, source: str) -> None:
+    if study.baselines and study.task is not StudyTask.OPTIMISE:
+        raise StudyError(
+            f'{source}: baselines are flown beside a plan, and task = "{study.task}" makes none '
+            f'for a case; remove baselines, or give task = "{StudyTask.OPTIMISE}".'
+        )
+    for name in ("baselines", "outputs", "report_on"):
+        given = getattr(study, name)
+        for index, entry in enumerate(given):
+            if entry in given[:index]:
+                raise StudyError(f"{source}: {name}[{index}] repeats {shown(entry)}; give it once.")
+    for name in ("outputs", "report_on"):
+        wrong = unknown_column(getattr(study, name), study.task, study.baselines)
+        if wrong is not None:
+            known = output_columns(study.task, study.baselines)
+            near = get_close_matches(wrong, known, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"the outputs are {', '.join(known)}."
+            raise StudyError(f"{source}: {name}: no output is called {shown(wrong)}; {hint}")
 
 
 def _base_scenario(study: Study, file: FilePath) -> Scenario:

@@ -5,7 +5,6 @@ numbers in every process.  What a worker keeps between cases (a compiled problem
 """
 
 import importlib
-import math
 import os
 import socket
 import time
@@ -13,19 +12,31 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+from pyomo_quad.scenario.baseline import Reference
 from pyomo_quad.version import __version__
 
 __all__ = [
+    "LARGEST_OUTPUT",
     "CaseOutcome",
     "CaseResult",
     "CaseSolver",
     "CaseStatus",
     "CaseTask",
+    "StudyTask",
     "perform",
     "worker_version",
 ]
 
 _LONGEST_REASON = 500
+# Of any column, in its SI unit: beyond it no sum or square of a report overflows or means anything.
+LARGEST_OUTPUT = 1e15
+
+
+class StudyTask(StrEnum):
+    """What is done in each case."""
+
+    OPTIMISE = "optimise"
+    FLY_PLAN = "fly_plan"
 
 
 class CaseStatus(StrEnum):
@@ -33,6 +44,7 @@ class CaseStatus(StrEnum):
 
     FINISHED = "finished"
     FAILED = "failed"
+    LOST = "lost"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,9 +63,9 @@ class CaseTask:
         The complete scenario, JSON.
     base : str
         The complete base scenario, JSON.
-    task : str
-        A `StudyTask`.
-    baselines : tuple of str
+    task : StudyTask
+        What is done.
+    baselines : tuple of Reference
         References that the controller flies.
     warm_start : bytes or None
         What the parent case left for its children.
@@ -64,8 +76,8 @@ class CaseTask:
     solver: str
     scenario: str
     base: str
-    task: str
-    baselines: tuple[str, ...]
+    task: StudyTask
+    baselines: tuple[Reference, ...]
     warm_start: bytes | None = None
 
     def for_scenario(self, scenario: str) -> "CaseTask":
@@ -115,9 +127,9 @@ class CaseOutcome:
     position, key : int, str
         The case.
     status : CaseStatus
-        Finished or failed.
+        Finished, failed by its numbers, or lost with its worker.
     reason : str
-        Why it failed.
+        Why it did not finish.
     values : mapping
         Column -> number.
     warm_start : bytes or None
@@ -162,6 +174,12 @@ class CaseOutcome:
             warm_start=task.warm_start,
         )
 
+    @classmethod
+    def loss(cls, task: CaseTask) -> "CaseOutcome":
+        """Make the row of a case whose worker died each time; it is tried again on resume."""
+        reason = "its worker died, also when it was tried alone; run the same command to try again"
+        return replace(cls.failure(task, reason), status=CaseStatus.LOST)
+
 
 def perform(task: CaseTask) -> CaseOutcome:
     """Solve one case in the present process.
@@ -205,7 +223,7 @@ def worker_version() -> str:
 
 def _finite(values: Mapping[str, float]) -> dict[str, float]:
     # A cell without a number stays empty: NaN is no answer, and JSON has none.
-    return {name: float(value) for name, value in values.items() if math.isfinite(value)}
+    return {name: float(held) for name, held in values.items() if abs(held) <= LARGEST_OUTPUT}
 
 
 def _case_solver(name: str) -> CaseSolver:

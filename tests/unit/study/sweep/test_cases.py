@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from pyomo_quad.study.sweep.cases import bisection_parents, case_key, expand
 from pyomo_quad.study.sweep.design import Dimension, SweepDesign
+from pyomo_quad.study.sweep.task import StudyTask
 
 
 def design(*sizes: int) -> SweepDesign:
@@ -14,7 +15,7 @@ def design(*sizes: int) -> SweepDesign:
         name="grid",
         title="",
         about="",
-        task="optimise",
+        task=StudyTask.OPTIMISE,
         baselines=(),
         outputs=(),
         report_on=("energy_J",),
@@ -55,7 +56,7 @@ def test_every_case_descends_from_the_first_and_differs_in_one_field_from_its_pa
 
 
 def test_cases_that_are_only_flown_wait_for_nothing():
-    flown = SweepDesign(**{**vars(design(3, 4)), "task": "fly_plan"})
+    flown = SweepDesign(**{**vars(design(3, 4)), "task": StudyTask.FLY_PLAN})
     assert {case.parent for case in expand(flown)} == {None}
 
 

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pyomo_quad.study.sweep.design import Dimension, SweepDesign
+from pyomo_quad.study.sweep.task import StudyTask
 from pyomo_quad.study.sweep.views import (
     best_along,
     curves_along,
@@ -26,7 +27,7 @@ def design(*dimensions: Dimension, base=()) -> SweepDesign:
         name="grid",
         title="",
         about="",
-        task="optimise",
+        task=StudyTask.OPTIMISE,
         baselines=(),
         outputs=(),
         report_on=("y",),
