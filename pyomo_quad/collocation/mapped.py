@@ -28,6 +28,7 @@ class MappedFunction:
     """
 
     def __init__(self, function: Any, n: int) -> None:
+        self._function, self._n = function, n
         self._shapes = [(n, function.numel_out(k)) for k in range(function.n_out())]
         self._chunks: list[tuple[int, int, Any, Any]] = []
         made: dict[int, Any] = {}
@@ -36,6 +37,10 @@ class MappedFunction:
             if size not in made:
                 made[size] = (function if size == 1 else function.map(size)).buffer()
             self._chunks.append((start, start + size, *made[size]))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let a copy have buffers of its own: CasADi's cannot be copied."""
+        return type(self), (self._function, self._n)
 
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
         """Return each output as an array of shape (n, rows); inputs are (n, columns)."""

@@ -151,7 +151,9 @@ class Planner:
         deadline = _Deadline(scenario, progress)
         return deadline.applied_to(self._solve(scenario, warm_start, deadline))
 
-    def _solve(self, scenario: Scenario, warm_start: Plan | None, progress: Progress) -> Plan:
+    def _solve(
+        self, scenario: Scenario, warm_start: Plan | WarmStart | None, progress: Progress
+    ) -> Plan:
         told = scenario.as_forecast()
         problem, timings = self.problem_for(told)
         started = time.perf_counter()

@@ -1,5 +1,6 @@
 """What a solution offers, and that it is also put into the Pyomo model."""
 
+from copy import deepcopy
 from functools import cache
 
 import numpy as np
@@ -121,3 +122,18 @@ def test_unknown_names_are_refused():
         solution().costate("u", 0.5)
     with pytest.raises(TranscriptionError, match="speed: is not a static variable or integral"):
         solution().value("speed")
+
+
+def test_a_deep_copy_is_a_solution_of_its_own():
+    m = double_integrator.build()
+    problem = compile(m)
+    found = problem.solve(mesh=MESH)
+    copied = deepcopy(found)
+    assert copied.problem is not problem
+    assert copied.value("u", 0.3) == found.value("u", 0.3)
+    assert copied.costate("x", 0.3) == found.costate("x", 0.3)
+    assert copied.program.user_objective(found.unknowns) == found.objective
+    m.x[0].fix(0.5)
+    assert problem.solve(mesh=MESH).objective < 4.0
+    # The copied problem has a model of its own, which still starts from 0.
+    assert copied.problem.solve(mesh=MESH).objective == pytest.approx(6.0, rel=1e-9)

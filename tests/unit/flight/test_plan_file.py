@@ -1,6 +1,8 @@
 """A plan's file: what is saved comes back, and whatever is damaged is refused in one line."""
 
 import json
+import pickle
+from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -52,6 +54,18 @@ def test_a_loaded_plan_starts_another_solve_like_a_fresh_one(saved):
     assert [p.iteration_count for p in warm] == [warm[0].iteration_count] * 2
     assert warm[0].iteration_count < cold.iteration_count / 2
     assert warm[0].energy == warm[1].energy == pytest.approx(cold.energy, rel=1e-5)
+
+
+def test_a_pickled_plan_is_one_that_was_saved_and_a_deep_copy_flies():
+    fresh = plan("paper_calm", *COARSE)
+    pickled = pickle.loads(pickle.dumps(fresh))
+    assert (pickled.scenario, pickled.energy) == (fresh.scenario, fresh.energy)
+    assert pickled.warm_start.fits(fresh.solution.problem.compiled)
+    with pytest.raises(ScenarioError, match="a file or a pickle and holds no equations; solve"):
+        pickled.to_frame()
+    copied = deepcopy(fresh)
+    assert copied.solution.problem is not fresh.solution.problem
+    assert copied.to_frame().equals(fresh.to_frame())
 
 
 def test_a_warm_start_without_some_conditions_is_left_aside(parts, tmp_path):
