@@ -50,8 +50,8 @@ def bounds_of(
     Parameters
     ----------
     program : Transcription
-    start_data : ndarray, shape (1, n_data)
-        Signals and parameters at the start of the horizon.
+    start_data : ndarray, shape (1 + n_jumps, n_data)
+        Fraction, signals and parameters at the start of the horizon, and just after each jump.
     fixed : dict
         Values fixed at declared times, by slot name and fraction.
 
@@ -101,7 +101,7 @@ def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit
     layout, compiled = program.layout, program.compiled
     declared, n = compiled.declared, program.layout.n_states
     mapped = MappedFunction(compiled.variable_limits, layout.points + 1)
-    lower, upper, low, high = mapped(np.vstack([start_data, program.data.at_points()]))
+    lower, upper, low, high = mapped(np.vstack([start_data[:1], program.data.at_points()]))
     columns = {s.name: layout.state_columns[:, k] for k, s in enumerate(declared.states)}
     columns |= {s.name: layout.algebraic_columns[:, k] for k, s in enumerate(declared.algebraics)}
     for k, slot in enumerate((*declared.states, *declared.algebraics)):
@@ -113,6 +113,24 @@ def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit
         at = columns[bound.variable]
         rows = slice(len(low) - len(at), None)
         yield Limit(name=bound.name, columns=at, lower=low[rows, k], upper=high[rows, k])
+    if len(start_data) > 1:
+        yield from _after_jumps(program, start_data[1:])
+
+
+def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
+    """Yield the limits that states keep just after a jump, where no point lies."""
+    compiled, layout = program.compiled, program.layout
+    nodes = program.mesh.node_fractions if program.mesh else np.zeros(0)
+    at = np.abs(nodes[:, None] - data[:, 0]).argmin(axis=0)
+    lower, upper, low, high = MappedFunction(compiled.variable_limits, len(data))(data)
+    names = [s.name for s in compiled.declared.states]
+    for k, name in enumerate(names):
+        columns = layout.state_columns[at, k]
+        yield Limit(name=name, columns=columns, lower=lower[:, k], upper=upper[:, k])
+    for k, bound in enumerate(compiled.simple_path_bounds):
+        if bound.variable in names:
+            columns = layout.state_columns[at, names.index(bound.variable)]
+            yield Limit(name=bound.name, columns=columns, lower=low[:, k], upper=high[:, k])
 
 
 def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Iterator[Limit]:

@@ -97,7 +97,7 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
         declared.conditions, point_variables, _boundable_at_points(declared)
     )
     declared = replace(declared, equations=equations, conditions=conditions)
-    path_data = casadi.vertcat(_signals(declared), _symbols(declared.parameters))
+    path_data = casadi.vertcat(*declared.path_data)
     parameters = _symbols(declared.parameters)
     direct = tuple(
         i
@@ -166,10 +166,6 @@ def _stack(expressions: Any) -> Any:
 
 def _symbols(slots: tuple[Slot, ...]) -> Any:
     return _stack([s.symbol for s in slots])
-
-
-def _signals(declared: Declarations) -> Any:
-    return casadi.vertcat(declared.fraction, _symbols(declared.signals))
 
 
 def _path_symbols(declared: Declarations) -> dict[str, Any]:

@@ -54,4 +54,4 @@ def _reads_time(declared: Declarations) -> bool:
     parts = [part for e in declared.equations for part in (e.expression, e.lower, e.upper)]
     parts += [i.integrand for i in declared.integrals]
     read = symbol_names(casadi.vertcat(casadi.SX(0, 1), *parts))
-    return bool(declared.signals) or declared.fraction.name() in read
+    return declared.has_signals or declared.fraction.name() in read

@@ -83,7 +83,9 @@ class Declarations:
     """A continuous model as the transcription needs it.
 
     `fixed` lists slots whose value a user fixed at a declared time, as (name, fraction); the
-    value itself is read when the problem is solved.
+    value itself is read when the problem is solved.  `signals` are parameters over time,
+    `scheduled` what else changes with time and is no formula of it, such as the numbers of a
+    rule that looks them up.
     """
 
     states: tuple[Slot, ...]
@@ -91,6 +93,7 @@ class Declarations:
     statics: tuple[Slot, ...]
     parameters: tuple[Slot, ...]
     signals: tuple[Slot, ...]
+    scheduled: tuple[Slot, ...]
     fraction: Any
     span: Any
     start: Any
@@ -106,3 +109,14 @@ class Declarations:
     output_starts: tuple[PointCondition, ...] = ()
     objective_name: str = ""
     has_horizon: bool = True
+
+    @property
+    def has_signals(self) -> bool:
+        """Whether anything changes with time that is no formula of it."""
+        return bool(self.signals or self.scheduled)
+
+    @property
+    def path_data(self) -> tuple[Any, ...]:
+        """Symbols of the data of a point, in order: fraction, signals, schedules, parameters."""
+        slots = (*self.signals, *self.scheduled, *self.parameters)
+        return (self.fraction, *(s.symbol for s in slots))

@@ -161,8 +161,7 @@ def diagnose(
 
 def _limit_inputs(solution: Solution) -> tuple[Any, FloatArray, dict[tuple[str, float], float]]:
     instance = solution.instance
-    at_start = solution.problem.data_of(instance, np.zeros(1)).at_points()
-    return solution.program, at_start, instance.fixed
+    return solution.program, solution.problem.data_at_starts(instance), instance.fixed
 
 
 def _elastic_bounds(elastic: ElasticProgram, bounds: Bounds) -> Bounds:

@@ -18,6 +18,7 @@ from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.expressions import symbol_names
 from pyomo_quad.collocation.mapped import MappedFunction
 from pyomo_quad.collocation.naming import declared_unit
+from pyomo_quad.collocation.schedules import BESIDE
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.declarations import Slot
@@ -66,8 +67,9 @@ class Dynamics:
         self._span = end - self.start
         self._right_hand_side = self._compile(states)
         self._at_one = MappedFunction(self._right_hand_side, 1)
-        self._signals = problem.values.signal_functions(instance.overrides)
-        self._data = np.concatenate([np.zeros(1 + len(declared.signals)), instance.parameters])
+        self._signals = problem.values.signals(instance)
+        n_signals = len(declared.signals) + len(declared.scheduled)
+        self._data = np.concatenate([np.zeros(1 + n_signals), instance.parameters])
 
     def _compile(self, states: tuple[Slot, ...]) -> Any:
         """Return the function (x, u, statics, data) -> slopes, algebraics, integrand."""
@@ -84,9 +86,7 @@ class Dynamics:
             _column([s.symbol for s in states]),
             _column([s.symbol for s in self.controls]),
             _column([s.symbol for s in declared.statics]),
-            casadi.vertcat(
-                declared.fraction, *[s.symbol for s in (*declared.signals, *declared.parameters)]
-            ),
+            casadi.vertcat(*declared.path_data),
         ]
         density = _objective_density(self._problem)
         jacobian = casadi.jacobian(rows, unknowns)
@@ -98,10 +98,17 @@ class Dynamics:
             return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
         return _implicit(rows, unknowns, inputs, density)
 
+    def just_after(self, t: float) -> float:
+        """Return a time at which the equations are what they are after t.
+
+        Where they jump, t itself belongs to what is before.
+        """
+        return t + 2.0 * BESIDE * self._span if self._instance.jumps else t
+
     def _row(self, t: float) -> FloatArray:
         self._data[0] = (t - self.start) / self._span
-        for k, signal in enumerate(self._signals, start=1):
-            self._data[k] = signal(t)
+        for k, number in enumerate(self._signals(float(self._data[0])), start=1):
+            self._data[k] = number
         return self._data
 
     def _solve(self, t: float, x: FloatArray, u: FloatArray) -> list[FloatArray]:
@@ -127,9 +134,9 @@ class Dynamics:
         """Return what an `Evaluator` reads, for n times at once."""
         n = len(t)
         fractions = (np.asarray(t, dtype=float) - self.start) / self._span
-        signals = self._problem.values.signals(np.asarray(t), self._instance.overrides)
+        signals = self._problem.signals(self._instance, fractions)
         parameters = np.broadcast_to(self._instance.parameters, (n, self._instance.parameters.size))
-        data = np.hstack([fractions[:, None], signals, parameters])
+        data = np.hstack([signals, parameters])
         statics = np.broadcast_to(self._statics, (n, self._statics.size))
         mapped = MappedFunction(self._right_hand_side, n)
         unknowns = mapped(states, controls, statics, data)[0]

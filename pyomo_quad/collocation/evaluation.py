@@ -41,7 +41,7 @@ class Evaluator:
             _column([s.symbol for s in states]),
             _column([s.symbol for s in d.algebraics]),
             _column([s.symbol for s in d.statics]),
-            casadi.vertcat(d.fraction, *[s.symbol for s in (*d.signals, *d.parameters)]),
+            casadi.vertcat(*d.path_data),
         ]
         self._known = symbol_names(casadi.vertcat(*self.inputs))
         self._functions: dict[tuple[tuple[str, Any], ...], Any] = {}

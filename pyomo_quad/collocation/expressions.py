@@ -129,6 +129,11 @@ class ExpressionWriter:
             return arguments[0]
         return self._apply(node, arguments)
 
+    def apply(self, node: Any, arguments: list[Any], owner: str) -> Any:
+        """Return the CasADi expression of an operation on arguments that are written already."""
+        self._owner = owner
+        return self._apply(node, arguments)
+
     def _apply(self, node: Any, arguments: list[Any]) -> Any:
         for kind, operation in _OPERATIONS:
             if isinstance(node, kind):

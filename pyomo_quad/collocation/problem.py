@@ -20,6 +20,7 @@ from pyomo_quad.collocation.outputs import OutputStates
 from pyomo_quad.collocation.reading import read_declarations
 from pyomo_quad.collocation.refinement import RefinementOptions, refine
 from pyomo_quad.collocation.scaling import scaling_of
+from pyomo_quad.collocation.schedules import BESIDE
 from pyomo_quad.collocation.screening import refuse_unsolvable
 from pyomo_quad.collocation.solution import Solution, solution_from
 from pyomo_quad.collocation.transcription import Data, Transcription
@@ -41,12 +42,16 @@ _CACHED_MESHES = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Instance:
-    """The numbers of one solve: parameters, horizon, fixed values and signals."""
+    """The numbers of one solve: parameters, horizon, fixed values and signals.
+
+    `jumps` are the fractions of the horizon where something that changes with time may jump.
+    """
 
     parameters: FloatArray
     horizon: tuple[float, float]
     fixed: dict[tuple[str, float], float]
     overrides: Overrides | None
+    jumps: tuple[float, ...]
 
 
 class Problem:
@@ -72,7 +77,8 @@ class Problem:
         self.model = model
         time = self.reader.copy.time
         own_time = None if time is None else model.find_component(time.name)
-        self.values = ModelValues(model, self.compiled.declared, own_time)
+        schedules = tuple(self.reader.writer.schedules)
+        self.values = ModelValues(model, self.compiled.declared, own_time, schedules)
         self.evaluator = Evaluator(self.compiled, self.reader.writer)
         self.outputs = OutputStates(self.compiled)
         declared = self.compiled.declared
@@ -88,12 +94,11 @@ class Problem:
         """Whether the model has a continuous set at all."""
         return self.compiled.declared.has_horizon
 
-    @property
-    def required_breakpoints(self) -> tuple[float, ...]:
-        """Fractions of the horizon where conditions need an element boundary."""
+    def required_breakpoints(self, instance: Instance) -> tuple[float, ...]:
+        """Return fractions of the horizon where an element must end: conditions and jumps."""
         declared = self.compiled.declared
         fractions = {p.fraction for p in declared.point_symbols} | {f for _, f in declared.fixed}
-        return tuple(sorted(f for f in fractions if 0.0 < f < 1.0))
+        return tuple(sorted(f for f in fractions.union(instance.jumps) if 0.0 < f < 1.0))
 
     def solve(
         self,
@@ -175,17 +180,24 @@ class Problem:
             horizon=horizon or self.values.declared_horizon,
             fixed=self.values.fixed(),
             overrides=parameters,
+            jumps=self.values.jumps(parameters, horizon),
         )
 
     def signals(self, instance: Instance, fractions: FloatArray) -> FloatArray:
         """Return fraction and signals, one row per fraction."""
-        start, end = instance.horizon
-        times = start + (end - start) * fractions
-        return np.column_stack([fractions, self.values.signals(times, instance.overrides)])
+        if not self.compiled.declared.has_signals:
+            return fractions[:, None]
+        at = self.values.signals(instance)
+        return np.array([[fraction, *at(fraction)] for fraction in fractions.tolist()])
 
     def data_of(self, instance: Instance, fractions: FloatArray) -> Data:
         """Return what the equations read at fractions of the horizon."""
         return Data(parameters=instance.parameters, signals=self.signals(instance, fractions))
+
+    def data_at_starts(self, instance: Instance) -> FloatArray:
+        """Return what the equations read at the start and just after each jump, row by row."""
+        after = np.array(instance.jumps) + 2.0 * BESIDE
+        return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()
 
     def program(self, mesh: Mesh | None, instance: Instance) -> Transcription:
         """Return a nonlinear program on a mesh, made quickly where the mesh was used before."""
@@ -208,9 +220,9 @@ class Problem:
     ) -> Solution:
         """Solve once on one mesh; `solve` and `Damping` say what the arguments mean."""
         if mesh is not None:
-            mesh = mesh.with_breakpoints(self.required_breakpoints)
+            mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
         program = self.program(mesh, instance)
-        at_start = self.data_of(instance, np.zeros(1)).at_points()
+        at_start = self.data_at_starts(instance)
         bounds = bounds_of(program, at_start, instance.fixed)
         multipliers = None
         if warm_start is None:

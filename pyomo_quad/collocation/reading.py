@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi
 from pyomo.dae import DerivativeVar
@@ -20,6 +20,9 @@ from pyomo_quad.collocation.expressions import symbol_names
 from pyomo_quad.collocation.relations import RelationReader
 from pyomo_quad.collocation.template_writer import TemplateWriter
 from pyomo_quad.collocation.working_copy import WorkingCopy, copy_with_template_time
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 __all__ = ["ModelReader", "read_declarations"]
 
@@ -71,10 +74,13 @@ class ModelReader:
         nominal = self._nominal_magnitudes()
         used = symbol_names(casadi.vertcat(cost, *[c.expression for c in conditions]))
         return Declarations(
-            states=self._finished(table.states, nominal),
-            algebraics=self._finished(self._used_algebraics(equations, cost), nominal),
-            statics=self._finished(table.statics, nominal),
+            states=self._finished(table.states, nominal, self.writer.bounds_over_time),
+            algebraics=self._finished(
+                self._used_algebraics(equations, cost), nominal, self.writer.bounds_over_time
+            ),
+            statics=self._finished(table.statics, nominal, self._bounds),
             signals=tuple(table.signals.values()),
+            scheduled=tuple(slot for s in self.writer.schedules for slot in s.slots),
             fraction=table.fraction,
             span=table.span,
             start=table.start,
@@ -149,14 +155,23 @@ class ModelReader:
                         nominal[item.name] = 1.0 / float(factor)
         return nominal
 
-    def _finished(self, table: dict[str, Slot], nominal: dict[str, float]) -> tuple[Slot, ...]:
-        """Write the bounds of slots as CasADi expressions and give them their magnitudes."""
-        return tuple(
-            replace(
-                slot,
-                lower=self.writer.bound(slot.lower, -casadi.inf, slot.name),
-                upper=self.writer.bound(slot.upper, casadi.inf, slot.name),
-                nominal=nominal.get(slot.name, nominal.get(slot.component)),
-            )
-            for slot in table.values()
+    def _bounds(self, slot: Slot) -> tuple[Any, Any]:
+        """Return the bounds of a static variable."""
+        return (
+            self.writer.bound(slot.lower, -casadi.inf, slot.name),
+            self.writer.bound(slot.upper, casadi.inf, slot.name),
         )
+
+    @staticmethod
+    def _finished(
+        table: dict[str, Slot],
+        nominal: dict[str, float],
+        bounds: Callable[[Slot], tuple[Any, Any]],
+    ) -> tuple[Slot, ...]:
+        """Write the bounds of slots as CasADi expressions and give them their magnitudes."""
+        finished = []
+        for slot in table.values():
+            lower, upper = bounds(slot)
+            magnitude = nominal.get(slot.name, nominal.get(slot.component))
+            finished.append(replace(slot, lower=lower, upper=upper, nominal=magnitude))
+        return tuple(finished)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import casadi
-from pyomo.environ import Constraint
+from pyomo.environ import Constraint, value
 
-from pyomo_quad.collocation.addresses import indexed_name
 from pyomo_quad.collocation.declarations import PathEquation, PointCondition
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.expressions import same_expression, symbol_names
+from pyomo_quad.collocation.rules import bounds_rule_of, rule_of
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.declarations import Slot
@@ -36,6 +36,10 @@ class RelationReader:
             Constraint, active=True, descend_into=True
         ):
             groups: dict[tuple[Any, ...], dict[Any, Any]] = {}
+            if rule_of(component) is not None:
+                # A rule may skip its constraint at every time but those between.
+                for index in component.index_set():
+                    groups.setdefault(self.addresses.split(component, index).index, {})
             for index, data in component.items():
                 if data.active:
                     address = self.addresses.split(component, index)
@@ -54,37 +58,24 @@ class RelationReader:
     ) -> None:
         """Sort one constraint's instances into a path equation and point conditions."""
         template = instances.pop(self.copy.template_time, None) if self.copy.time else None
-        if template is None:
+        equation = None
+        if self.addresses.time_position(component) is not None:
+            equation = self._writer.path_equation(component, index, template)
+        if equation is None:
             conditions.extend(self._imposed(self._condition(data)) for data in instances.values())
             return
-        equation = self._path(component, index, template)
         equations.append(equation)
         conditions.extend(self._start_and_end(equation, instances))
 
-    def _path(self, component: Any, index: tuple[Any, ...], template: Any) -> PathEquation:
-        data = self._writer.template_of(component, index, template)
-        name = indexed_name(component.name, index)
-        expression, lower, upper = self._relation(data, name, over_time=True)
-        return PathEquation(
-            name=name,
-            expression=expression,
-            lower=lower,
-            upper=upper,
-            is_equality=bool(template.equality),
-        )
-
-    def _relation(self, data: Any, name: str, *, over_time: bool = False) -> tuple[Any, Any, Any]:
-        def write(part: Any, owner: str) -> Any:
-            return self._writer.write(part, owner, over_time=over_time)
-
+    def _relation(self, data: Any, name: str) -> tuple[Any, Any, Any]:
         lower, body, upper = data.to_bounded_expression()
-        expression = casadi.SX(write(body, name))
+        expression = casadi.SX(self._writer.write(body, name))
         if data.equality:
-            return expression - write(upper, name), casadi.SX(0), casadi.SX(0)
+            return expression - self._writer.write(upper, name), casadi.SX(0), casadi.SX(0)
         return (
             expression,
-            casadi.SX(-casadi.inf if lower is None else write(lower, name)),
-            casadi.SX(casadi.inf if upper is None else write(upper, name)),
+            casadi.SX(-casadi.inf if lower is None else self._writer.write(lower, name)),
+            casadi.SX(casadi.inf if upper is None else self._writer.write(upper, name)),
         )
 
     def _condition(self, data: Any) -> PointCondition:
@@ -117,7 +108,7 @@ class RelationReader:
             added.append(self._imposed(self._condition(instances[first])))
         if last in instances:
             condition = self._condition(instances[last])
-            if not self._same_at(condition.expression, equation.expression, last):
+            if not self._same_at(condition, equation, last):
                 added.append(self._imposed(condition))
         return added
 
@@ -127,8 +118,11 @@ class RelationReader:
         rates = {s.rate.name() for s in table.states.values()}
         return bool(names & set(table.states)) and not names & (rates | set(table.algebraics))
 
-    def _same_at(self, condition: Any, equation: Any, time: float) -> bool:
-        """Say whether a condition is the path equation with its time put in."""
+    def _same_at(self, condition: PointCondition, equation: PathEquation, time: float) -> bool:
+        """Say whether a condition is the path equation with its time put in.
+
+        One that branches on its time may hold other numbers at that instant, which has no length.
+        """
         table = self.symbols
         fraction = table.fraction_of(time)
         old, new = [table.fraction], [casadi.SX(fraction)]
@@ -137,16 +131,25 @@ class RelationReader:
                 slot = table.states.get(name) or table.algebraics[name]
                 old.append(slot.rate if is_rate else slot.symbol)
                 new.append(point.symbol)
-        for (name, at), symbol in table.signal_points.items():
-            if at == fraction and name in table.signals:
-                old.append(table.signals[name].symbol)
-                new.append(symbol)
+        for name, slot in table.signals.items():
+            parameter = self.copy.model.find_component(slot.component)
+            number = value(parameter[self.addresses.join(parameter, slot.index, time)])
+            old.append(slot.symbol)
+            new.append(table.signal_points.get((name, fraction), casadi.SX(number)))
         # Pyomo has folded the declared times into the condition: compare at just those.
         old.extend(table.horizon)
         new.extend(
             casadi.SX(t) for t in (self.copy.declared_times[0], self.copy.declared_times[-1])
         )
-        moved, held = casadi.substitute([casadi.SX(equation), casadi.SX(condition)], old, new)
+        numbers = self._writer.scheduled_before(time)
+        moved, held = casadi.substitute(
+            [casadi.SX(equation.expression), casadi.SX(condition.expression)],
+            [*old, *(symbol for symbol, _ in numbers.values())],
+            [*new, *(number for _, number in numbers.values())],
+        )
+        is_scheduled = self._writer.is_scheduled(equation.name)
+        if is_scheduled and symbol_names(moved) == symbol_names(held):
+            return True
         return same_expression(moved, held)
 
     def values_at_points(self, conditions: list[PointCondition]) -> list[tuple[str, float]]:
@@ -163,7 +166,7 @@ class RelationReader:
                     fixed.append((slot.name, table.fraction_of(time)))
                 elif data.fixed:
                     conditions.append(self._held(data))
-                elif data.bounds != self._template_bounds(variable, slot):
+                elif data.bounds != self._bounds_over_time(variable, slot, time):
                     conditions.append(
                         PointCondition(
                             name=data.name,
@@ -182,6 +185,15 @@ class RelationReader:
             name=data.name, expression=expression, lower=casadi.SX(0), upper=casadi.SX(0)
         )
 
-    def _template_bounds(self, variable: Any, slot: Slot) -> tuple[Any, Any]:
-        data = variable[self.addresses.join(variable, slot.index, self.copy.template_time)]
-        return tuple(data.bounds)
+    def _bounds_over_time(self, variable: Any, slot: Slot, time: float) -> tuple[Any, Any]:
+        """Return the bounds that a variable has at a time because it has them at all times."""
+        rule = bounds_rule_of(variable)
+        if rule is None:
+            time = self.copy.template_time
+            return tuple(variable[self.addresses.join(variable, slot.index, time)].bounds)
+        index = self.addresses.join(variable, slot.index, time)
+        lower, upper = rule(variable.parent_block(), index)
+        return (
+            None if lower is None else value(lower),
+            None if upper is None else value(upper),
+        )

@@ -196,7 +196,7 @@ def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Pi
 
 def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[_Piece]:
     """Merge neighbours whose merger, by the order of the scheme, is still far below."""
-    required = solution.problem.required_breakpoints
+    required = solution.problem.required_breakpoints(solution.instance)
     merged: list[_Piece] = []
     starts: list[float] = []
     for piece in pieces:

@@ -12,6 +12,7 @@ from types import CellType, CodeType, FunctionType, MethodType
 from typing import TYPE_CHECKING, Any
 
 from pyomo.core.base.component import Component, ComponentData
+from pyomo.core.base.initializer import Initializer
 from pyomo.core.expr.compare import compare_expressions
 from pyomo.environ import ComponentUID, Constraint, Expression
 
@@ -20,10 +21,17 @@ from pyomo_quad.collocation.errors import TranscriptionError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["refuse_changed_members", "refuse_lost_members", "rule_of", "transfer_rules"]
+__all__ = [
+    "bounds_rule_of",
+    "refuse_changed_members",
+    "refuse_lost_members",
+    "rule_of",
+    "transfer_rules",
+]
 
 _RULES = ("_rule", "_rule_init", "_rule_bounds")
 _FUNCTION = "_fcn"  # where Pyomo's initializers keep a function
+_INNER = "_initializer"  # and where those that wrap another keep it
 
 
 def transfer_rules(model: Any, copy: Any) -> None:
@@ -40,6 +48,8 @@ def transfer_rules(model: Any, copy: Any) -> None:
     for component in copy.component_objects(descend_into=True):
         for name in _RULES:
             rule = getattr(component, name, None)
+            while hasattr(rule, _INNER):
+                rule = getattr(rule, _INNER)
             if hasattr(rule, _FUNCTION):
                 setattr(rule, _FUNCTION, translator.translate(getattr(rule, _FUNCTION)))
 
@@ -47,6 +57,14 @@ def transfer_rules(model: Any, copy: Any) -> None:
 def rule_of(component: Any) -> Any:
     """Return the rule that makes a component's members, None if there is none."""
     rule = getattr(component, "_rule", None)
+    if rule is None and isinstance(getattr(component, "_default_val", None), FunctionType):
+        return Initializer(component._default_val)  # noqa: SLF001
+    return None if rule is None or rule.constant() else rule
+
+
+def bounds_rule_of(variable: Any) -> Any:
+    """Return the rule that gives a variable's members their bounds, None if there is none."""
+    rule = getattr(variable, "_rule_bounds", None)
     return None if rule is None or rule.constant() else rule
 
 
@@ -66,11 +84,12 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
                 continue
             try:
                 rule(component.parent_block(), index)
-            except KeyError as error:
+            except Exception as error:
+                what = f"no member {error}" if isinstance(error, KeyError) else f"{error}"
                 raise TranscriptionError(
                     f"{component.name}: its rule fails at a time that the model did not declare "
-                    f"(no member {error}); let it read nothing but components of the model."
-                ) from None
+                    f"({what}); let it read nothing but its time and components of the model."
+                ) from error
 
 
 def refuse_changed_members(copy: Any) -> None:

@@ -12,6 +12,7 @@ from pyomo_quad.collocation.addresses import AddressBook, indexed_name
 from pyomo_quad.collocation.declarations import PointSymbol, Slot
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.rules import rule_of
+from pyomo_quad.collocation.time_symbol import TimeSymbol, time_parameter
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.working_copy import WorkingCopy
@@ -112,11 +113,14 @@ class SymbolTable:
         )
         rule = rule_of(component)
         if not is_time_where_declared or rule is None:
-            return is_time_where_declared
-        # The template time was added later; a parameter has no value there, but its rule does.
-        template = self._copy.template_time
-        position = self._addresses.join(component, index, template)
-        return bool(value(rule(component.parent_block(), position)) == template)
+            return False
+        symbol = TimeSymbol(self._copy.template_time, time_parameter())
+        position = self._addresses.join(component, index, symbol)
+        try:
+            said = rule(component.parent_block(), position)
+        except Exception:  # noqa: BLE001  the rule is the user's: it may raise anything
+            return False
+        return said is symbol
 
     def _signal(self, data: Any, address: Any) -> Any:
         if self._is_clock(data):

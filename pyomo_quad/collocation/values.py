@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,10 +14,13 @@ from pyomo.environ import Var, value
 from pyomo_quad.collocation.addresses import AddressBook
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.rules import rule_of
+from pyomo_quad.collocation.schedules import BESIDE, Reading, jumps, one_sided, probes
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.declarations import Declarations, Slot
     from pyomo_quad.collocation.nodes import FloatArray
+    from pyomo_quad.collocation.problem import Instance
+    from pyomo_quad.collocation.schedules import Schedule
 
 __all__ = ["ModelValues", "Overrides"]
 
@@ -33,15 +37,23 @@ class ModelValues:
     declared : Declarations
     time : ContinuousSet or None
         The model's continuous set.
+    schedules : tuple of Schedule
+        What gives the declarations' `scheduled` their values.
     """
 
-    def __init__(self, model: Any, declared: Declarations, time: Any) -> None:
+    def __init__(
+        self, model: Any, declared: Declarations, time: Any, schedules: tuple[Schedule, ...]
+    ) -> None:
         self._model = model
         self._declared = declared
         self._time = time
+        self._schedules = schedules
         self._addresses = AddressBook(time)
         # Names already looked up: parsing them again costs a warm re-solve a tenth of its time.
         self._known: set[str] = set()
+        self._is_end_free = time is not None and all(
+            p.name != "horizon.end" for p in declared.parameters
+        )
 
     @property
     def declared_horizon(self) -> tuple[float, float]:
@@ -73,6 +85,11 @@ class ModelValues:
             else str(key): v
             for key, v in (overrides or {}).items()
         }
+        if self._is_end_free and any(callable(v) for v in named.values()):
+            raise TranscriptionError(
+                "parameters: a function of time cannot be given where the end time is free, which "
+                "moves it; declare it as the parameter's rule."
+            )
         for name in named.keys() - self._known:
             if self._model.find_component(name) is None:
                 raise TranscriptionError(
@@ -100,39 +117,85 @@ class ModelValues:
             return component
         return component[slot.index if len(slot.index) > 1 else slot.index[0]]
 
-    def signals(self, times: FloatArray, overrides: Overrides | None) -> FloatArray:
-        """Return time-varying parameters at given times, shape (n_times, n_signals).
+    def signals(self, instance: Instance) -> Callable[[float], list[float]]:
+        """Return what changes with time as a function of the fraction of the horizon.
 
         Raises
         ------
         TranscriptionError
-            If such a parameter has no rule and no override to evaluate it at any time.
+            If a parameter over time has no rule and no override to evaluate it at any time; the
+            function, if a rule says something that was not compiled.
         """
-        found = self.signal_functions(overrides)
-        if not found:
-            return np.zeros((len(times), 0))
-        return np.array([[signal(float(t)) for signal in found] for t in times])
+        start, end = self._rule_horizon(instance.horizon)
+        found = self._signal_functions(instance.overrides)
 
-    def signal_functions(self, overrides: Overrides | None) -> list[Callable[[float], float]]:
-        """Return each time-varying parameter as a function of time; see `signals`."""
+        def at(fraction: float) -> list[float]:
+            time = start + (end - start) * one_sided(fraction, instance.jumps)
+            scheduled = (number for schedule in self._schedules for number in schedule.row(time))
+            return [*(signal(time) for signal in found), *scheduled]
+
+        return at
+
+    def jumps(
+        self, overrides: Overrides | None, horizon: tuple[float, float] | None
+    ) -> tuple[float, ...]:
+        """Return where signals may jump, as fractions of the horizon.
+
+        These are the declared times, and where a rule or parameter is found to jump.
+        """
+        if not self._declared.has_signals:
+            return ()
+        start, end = self._rule_horizon(horizon or self.declared_horizon)
+        declared = [float(t) for t in sorted(self._time)[1:-1] if start < t < end]
+        asked = probes([start, *declared, end])
+        readings = [s.reading for s in self._schedules] + [
+            partial(_reading, signal) for signal in self._signal_functions(overrides)
+        ]
+        found = {t for reading in readings for t in jumps(reading, asked)}
+        fractions = sorted((t - start) / (end - start) for t in found.union(declared))
+        return tuple(f for k, f in enumerate(fractions) if k == 0 or f - fractions[k - 1] > BESIDE)
+
+    def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
+        """Return the horizon in the time of rules: a free end stretches the declared times."""
+        return self.declared_horizon if self._is_end_free else horizon
+
+    def _signal_functions(self, overrides: Overrides | None) -> list[Callable[[float], float]]:
         if not self._declared.signals:
             return []
         named = self._by_name(overrides)
         return [self._signal(slot, named) for slot in self._declared.signals]
 
     def _signal(self, slot: Slot, named: dict[str, Any]) -> Callable[[float], float]:
-        if callable(named.get(slot.name)):
-            return lambda t: float(named[slot.name](t))
+        if slot.name in named:
+            given = named[slot.name]
+            return (lambda t: float(given(t))) if callable(given) else (lambda _t: float(given))
         component = self._model.find_component(slot.component)
-        rule = rule_of(component)
+        rule, block, join = rule_of(component), component.parent_block(), self._addresses.join
+        held = [float(value(self._data(slot, t))) for t in self._time]
         if rule is None:
+            if len(set(held)) == 1:
+                return lambda _t: held[0]
             raise TranscriptionError(
                 f"{slot.name}: a parameter over time needs a value at any time; declare it with "
                 "initialize= a function of time."
             )
-        block = component.parent_block()
-        join = self._addresses.join
-        return lambda t: float(value(rule(block, join(component, slot.index, t))))
+
+        def signal(t: float) -> float:
+            try:
+                return float(value(rule(block, join(component, slot.index, t))))
+            except Exception as error:
+                raise TranscriptionError(
+                    f"{slot.name}: its rule fails at time {t:g} ({error}); a parameter over time "
+                    "needs a value at any time: declare it with initialize= a function of time "
+                    "that reads nothing but its time and parameters without time."
+                ) from error
+
+        if held != [signal(float(t)) for t in self._time]:
+            raise TranscriptionError(
+                f"{slot.name}: was changed after its rule made it; give parameters= a function of "
+                "time, or declare it anew."
+            )
+        return signal
 
     def fixed(self) -> dict[tuple[str, float], float]:
         """Return the values a user fixed at declared times, by slot name and fraction."""
@@ -198,3 +261,7 @@ class ModelValues:
                 if address.time == time:
                     number = rate(derivative.name, index=address.index)
                     derivative[position].set_value(number, skip_validation=True)
+
+
+def _reading(signal: Callable[[float], float], time: float) -> Reading:
+    return Reading(None, (signal(time),))

@@ -7,7 +7,7 @@ from typing import Any
 
 from pyomo.dae import ContinuousSet, DerivativeVar
 from pyomo.dae.misc import expand_components
-from pyomo.environ import Block, SOSConstraint, Var
+from pyomo.environ import Block, Param, SOSConstraint, Var
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.rules import (
@@ -72,6 +72,18 @@ def _refuse_unsupported(model: Any, time: Any) -> None:
             )
 
 
+def _keep_parameters(copy: Any, time: Any) -> None:
+    """Let parameters over time enter expressions as themselves, immutable ones too."""
+    for parameter in copy.component_objects(Param, descend_into=True):
+        if time not in parameter.index_set().subsets() or parameter.mutable:
+            continue
+        held = dict(parameter.items())
+        parameter._mutable = True  # noqa: SLF001
+        parameter.clear()
+        for index, number in held.items():
+            parameter[index] = number
+
+
 def copy_with_template_time(model: Any) -> WorkingCopy:
     """Clone a model and add one interior time to its continuous set.
 
@@ -87,12 +99,19 @@ def copy_with_template_time(model: Any) -> WorkingCopy:
     if time is None:
         return WorkingCopy(model=copy, time=None, template_time=0.0, declared_times=())
     refuse_changed_members(copy)
+    _keep_parameters(copy, time)
     declared = tuple(float(t) for t in sorted(time))
     template = declared[0] + _TEMPLATE_FRACTION * (declared[-1] - declared[0])
     time.add(template)
     time.set_changed(True)
     try:
         expand_components(copy)
+    except Exception as error:
+        refuse_lost_members(copy, template)
+        raise TranscriptionError(
+            f"{time.name}: a rule over it fails at a time that the model did not declare "
+            f"({error}); let rules read nothing but their time and components of the model."
+        ) from error
     finally:
         time.set_changed(False)
     refuse_lost_members(copy, template)

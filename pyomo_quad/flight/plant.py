@@ -96,9 +96,10 @@ def _integrate(
     method: str,
 ) -> FloatArray:
     """Return states, the energy last, at the samples of one element that starts at `first`."""
+    inside = dynamics.just_after(first)
 
     def slope(t: float, y: FloatArray) -> FloatArray:
-        rates, power = dynamics.rates_and_integrand(t, y[:-1], control(t))
+        rates, power = dynamics.rates_and_integrand(max(t, inside), y[:-1], control(t))
         return np.append(rates, power)
 
     flown = solve_ivp(
