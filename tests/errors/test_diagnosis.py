@@ -234,7 +234,10 @@ def test_screening_finds_nothing_in_the_declared_model():
     [
         (
             {"wind": {"use": "constant", "direction": 180.0}},
-            "wind.direction = 180 rad is 28.6 turns; were degrees meant? 180 degrees are 3.142 rad.",
+            (
+                "wind.direction = 180 rad is 28.6 turns; were degrees meant? "
+                "180 degrees are 3.142 rad."
+            ),
         ),
         ({"wind": {"use": "constant", "direction": -45}}, "-45 degrees are -0.7854 rad."),
         (

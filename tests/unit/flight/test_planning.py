@@ -54,7 +54,8 @@ def test_the_command_says_that_time_ran_out(capsys):
     assert main(arguments) == ExitCode.NOT_SOLVED
     said = capsys.readouterr().err
     assert said.startswith(
-        "paper_calm: no plan to follow, not_converged: given up after solver.time_limit = 0.001 s; allow more time"
+        "paper_calm: no plan to follow, not_converged: given up after "
+        "solver.time_limit = 0.001 s; allow more time"
     )
     assert len(said.splitlines()) == 1
 
