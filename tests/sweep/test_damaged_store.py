@@ -208,6 +208,7 @@ def test_a_killed_sweep_on_a_read_only_disk_is_read_whole(folder, tmp_path):
     assert (tmp_path / "report" / "results.csv").read_text().count("from the log") == 10
 
 
+@pytest.mark.slow
 def test_a_sweep_into_a_read_only_folder_is_told_so_and_to_destroy_nothing(folder, tmp_path):
     done = read_only(folder, "sweep", write_study(tmp_path, DURATION_AXIS), "--out", folder)
     assert done.returncode == 1
