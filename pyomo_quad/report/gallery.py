@@ -137,14 +137,16 @@ def comparison_drawings(
             name="overview",
             title="The run at a glance",
             caption="Left: the paths, from start (dot) to goal (star). Right: what each flight "
-            f"spends above hovering for the same time.{left_out(flights)}"
+            "spends above hovering for the same time, at the end with what its end state owes."
+            f"{left_out(flights)}"
             f"{_coinciding(flights, hover_energy_J)}",
             draw=lambda: draw_overview(flights, hover_energy_J, absent),
         ),
         Drawing(
             name="energy_split",
             title="Energy of each flight",
-            caption="Energy of each flight, split at what hovering for the same time takes.",
+            caption="Energy of each flight with what its end state owes, split at what hovering "
+            "for the same time takes.",
             draw=lambda: draw_energy_split(flights, hover_energy_J, absent),
         ),
     )
