@@ -4,6 +4,8 @@ import numpy as np
 from pyomo.dae import DerivativeVar
 from pyomo.environ import Constraint, value
 
+from pyomo_quad.flight import Planner
+from pyomo_quad.flight.steady import MomentumDemand
 from pyomo_quad.model import build_model
 from pyomo_quad.scenario import scenario_from_mapping
 
@@ -23,6 +25,16 @@ def scenario(**tables):
     for name, table in tables.items():
         document[name] = document.get(name, {}) | table
     return scenario_from_mapping(document)
+
+
+def steady(told):
+    """The scenario's vehicle in steady flight."""
+    return Planner().steady_flight(told)
+
+
+def momentum_demand(told):
+    """What the scenario's motions ask of the thrust."""
+    return MomentumDemand(Planner().dynamics(told))
 
 
 class Instant:

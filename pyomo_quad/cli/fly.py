@@ -72,7 +72,7 @@ def fly(
     if isinstance(flight, ExitCode):
         return flight
     with output_folder(folder) as aside:
-        summary = flying.write_flight(aside, resolved, flight, watch.seconds)
+        summary = flying.write_flight(aside, planner, resolved, flight, watch.seconds)
     if as_json:
         print(summary_text(summary), end="")
     elif not quiet:

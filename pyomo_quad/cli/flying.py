@@ -10,7 +10,6 @@ from pyomo_quad.cli.solving import exit_code_of, follow_solve
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop
-from pyomo_quad.model import hover_power
 from pyomo_quad.report.flight_summary import flight_summary
 from pyomo_quad.report.summary import write_summary
 from pyomo_quad.report.table_file import write_table
@@ -81,7 +80,11 @@ def make_flight(
 
 
 def write_flight(
-    folder: Path, scenario: Scenario, flight: Flight, wall_s: Mapping[str, float]
+    folder: Path,
+    planner: Planner,
+    scenario: Scenario,
+    flight: Flight,
+    wall_s: Mapping[str, float],
 ) -> dict[str, Any]:
     """Write a flight's table and summary.
 
@@ -89,6 +92,8 @@ def write_flight(
     ----------
     folder : Path
         An existing folder.
+    planner : Planner
+        Of the scenario's model.
     scenario : Scenario
         The mission flown.
     flight : Flight
@@ -104,7 +109,7 @@ def write_flight(
     summary = flight_summary(
         scenario,
         flight,
-        hover_energy_J=hover_power(scenario) * scenario.mission.duration,
+        hover_energy_J=planner.steady_flight(scenario).hover_power * scenario.mission.duration,
         arrived=has_arrived(flight),
         wall_s=wall_s,
     )

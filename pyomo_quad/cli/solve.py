@@ -56,7 +56,7 @@ def solve(
         output_folder(folder) as aside,
     ):
         plan = planner.solve(resolved, progress=progress)
-        cautions = plan_cautions(plan, builder=planner.builder)
+        cautions = plan_cautions(plan, planner=planner)
         with watch.phase("report"):
             write_solve_report(aside, plan, cautions, rate)
         summary = plan_summary(plan, wall_s=watch.seconds, warnings=cautions)

@@ -191,6 +191,24 @@ class Dynamics:
         """Return several components, as (full name, index) pairs, at once: shape (n, n_keys)."""
         return self._problem.evaluator(keys, *self._inputs(t, states, controls))
 
+    @property
+    def states_used_up(self) -> tuple[str, ...]:
+        """States given at the start of the horizon and left free at its end, as a charge is."""
+        declared = self._problem.compiled.declared
+        given = {(p.slot, p.fraction) for p in declared.point_symbols} | set(declared.fixed)
+        at_start = {name for name, fraction in given if fraction == 0.0}
+        at_start |= {slot.name for slot in declared.outputs}
+        return tuple(n for n in self.state_names if n in at_start and (n, 1.0) not in given)
+
+    def initial_states(self) -> dict[str, float]:
+        """Return the values that the model's own variables hold at the start, zero for none."""
+        declared = self._problem.compiled.declared
+        held = {
+            slot.name: dict(self._problem.values.initial_values(slot))
+            for slot in (*declared.states, *declared.outputs)
+        }
+        return {name: values.get(0.0, 0.0) for name, values in held.items()}
+
     def has(self, name: str) -> bool:
         """Say whether the model has a component of this name."""
         return self._problem.model.find_component(name) is not None

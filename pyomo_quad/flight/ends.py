@@ -9,7 +9,7 @@ from pyomo_quad.flight.plan import Plan
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.mission import Hover
 
-__all__ = ["start_state", "wanted_at_goal"]
+__all__ = ["declared_start", "start_state", "wanted_at_goal"]
 
 FloatArray = NDArray[np.float64]
 
@@ -46,9 +46,7 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
         held = plan.trajectories
         known = dict(zip(held.state_names, held.states[0].tolist(), strict=True))
     else:
-        known = _hovering(scenario, scenario.mission.start, dynamics)
-        if _CHARGE_DRAWN in dynamics.state_names:
-            known[_CHARGE_DRAWN] = _charge_drawn(scenario, dynamics)
+        known = declared_start(scenario, dynamics)
     unknown = next((name for name in dynamics.state_names if name not in known), None)
     if unknown is not None:
         raise ScenarioError(
@@ -56,6 +54,14 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
             "with a plan."
         )
     return np.array([known[name] for name in dynamics.state_names])
+
+
+def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
+    """Return the states that the mission gives at the start: hover, and the charge of the pack."""
+    known = _hovering(scenario, scenario.mission.start, dynamics)
+    if _CHARGE_DRAWN in dynamics.state_names and dynamics.has(_STATE_OF_CHARGE):
+        known[_CHARGE_DRAWN] = _charge_drawn(scenario, dynamics)
+    return known
 
 
 def wanted_at_goal(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -28,9 +29,11 @@ from pyomo_quad.collocation import (
 from pyomo_quad.flight.plan import Plan, PlanStatus
 from pyomo_quad.flight.rescue import Rescuer
 from pyomo_quad.flight.shortest import shortest_flight
+from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.trajectories import Trajectories
 from pyomo_quad.flight.verification import MISS_TOLERANCE, VIOLATION_TOLERANCE, verify_controls
-from pyomo_quad.model import build_model, hover_power, parameter_values, structure_key
+from pyomo_quad.model import build_model, parameter_values, structure_key
+from pyomo_quad.model.wind import still_air
 from pyomo_quad.scenario import Scenario
 
 __all__ = ["Builder", "Planner", "solve_scenario"]
@@ -40,6 +43,8 @@ Builder = Callable[[Scenario], Any]
 # How often, and by how much, the tolerance is tightened for a flight that went astray.
 _TIGHTENINGS = 3
 _TIGHTER = 0.1
+# The wind that the optimiser is told, and the one that blows.
+_KEPT = 2
 # The verification allows twice as much.
 _ALLOWANCE = Allowance(
     control_breach=0.5 * VIOLATION_TOLERANCE,
@@ -81,7 +86,7 @@ class _Deadline:
 
 
 class Planner:
-    """Keeps a compiled problem, and builds another only for a scenario it does not fit.
+    """Keeps the compiled problems of the last scenarios, and builds another only where none fits.
 
     Parameters
     ----------
@@ -93,8 +98,8 @@ class Planner:
 
     def __init__(self, builder: Builder = build_model) -> None:
         self._builder = builder
-        self._key: Hashable = None
-        self._problem: Problem | None = None
+        self._problems: dict[Hashable, tuple[Scenario, Problem]] = {}
+        self._steady: dict[Scenario, SteadyFlight] = {}
 
     @property
     def builder(self) -> Builder:
@@ -103,14 +108,41 @@ class Planner:
 
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
         """Return a compiled problem for a scenario, and the seconds that took."""
-        key = structure_key(scenario) if self._builder is build_model else scenario
-        if self._problem is not None and key == self._key:
-            return self._problem, {"build": 0.0, "compile": 0.0}
+        key = self._key(scenario)
+        if key in self._problems:
+            return self._problems[key][1], {"build": 0.0, "compile": 0.0}
         started = time.perf_counter()
         model = self._builder(scenario)
         built = time.perf_counter()
-        self._problem, self._key = compile(model), key
-        return self._problem, {"build": built - started, "compile": time.perf_counter() - built}
+        _make_room(self._problems)
+        self._problems[key] = scenario, compile(model)
+        seconds = {"build": built - started, "compile": time.perf_counter() - built}
+        return self._problems[key][1], seconds
+
+    def _key(self, scenario: Scenario) -> Hashable:
+        return structure_key(scenario) if self._builder is build_model else scenario
+
+    def model(self, scenario: Scenario) -> Any:
+        """Return the Pyomo model of a scenario, with the scenario's own numbers in it."""
+        built_for, problem = self._problems.get(self._key(scenario), (None, None))
+        if problem is None or built_for != scenario:
+            return self._builder(scenario)
+        return problem.model
+
+    def steady_flight(
+        self, scenario: Scenario, known: Mapping[str, float] | None = None
+    ) -> SteadyFlight:
+        """Return the steady flight of a scenario's vehicle in still air, solved for once.
+
+        `known` gives states at the start that only a plan knows.
+        """
+        if scenario not in self._steady:
+            problem, _ = self.problem_for(scenario)
+            numbers = (self.parameters(scenario) or {}) | still_air(problem.model)
+            still = problem.dynamics(parameters=numbers, horizon=(0.0, scenario.mission.duration))
+            _make_room(self._steady)
+            self._steady[scenario] = SteadyFlight(scenario, still, known)
+        return self._steady[scenario]
 
     def parameters(self, scenario: Scenario) -> dict[str, float] | None:
         """Return the numbers a compiled problem is solved with."""
@@ -163,7 +195,7 @@ class Planner:
             rescue = self._rescuer(problem, told, progress)(solution)
             solution = rescue.solution
         timings["solve"] = time.perf_counter() - started
-        plan = _plan_of(scenario, solution, timings)
+        plan = _plan_of(scenario, solution, timings, self._hover_energy(told, solution))
         if rescue is not None:
             plan = replace(plan, attempts=rescue.attempts, failure=rescue.failure)
         if solution.status not in (Status.CONVERGED, Status.TOLERANCE_NOT_MET):
@@ -195,7 +227,7 @@ class Planner:
             timings = dict(plan.timings)
             timings["solve"] += time.perf_counter() - started
             attempts = (*plan.attempts, f"flight astray: tolerance {tolerance:.0e}")
-            tried = _plan_of(plan.scenario, tighter, timings)
+            tried = _plan_of(plan.scenario, tighter, timings, plan.hover_energy_J)
             plan = _verified(replace(tried, attempts=attempts), tighter)
         return plan
 
@@ -243,18 +275,29 @@ class Planner:
             progress=progress,
         )
 
+    def _hover_energy(self, told: Scenario, solution: Solution) -> float:
+        """Return the energy of hovering through the mission, NaN for what cannot hover."""
+        held = _trajectories(solution)
+        known = dict(zip(held.state_names, held.states[0].tolist(), strict=True))
+        try:
+            power = self.steady_flight(told, known).hover_power
+        except SolveError:
+            return nan
+        return power * told.mission.duration
+
 
 def _plan_of(
     scenario: Scenario,
     solution: Solution,
     timings: dict[str, float],
+    hover_energy: float,
 ) -> Plan:
     return Plan(
         scenario=scenario,
         status=_STATUS.get(solution.status, PlanStatus.SOLVED),
         message=solution.message,
         energy=solution.objective,
-        hover_energy_J=hover_power(scenario) * scenario.mission.duration,
+        hover_energy_J=hover_energy,
         trajectories=_trajectories(solution),
         verification=None,
         error_estimate=solution.error_estimate,
@@ -264,6 +307,11 @@ def _plan_of(
         warm_start=solution.warm_start,
         solution=solution,
     )
+
+
+def _make_room(kept: dict[Any, Any]) -> None:
+    while len(kept) >= _KEPT:
+        kept.pop(next(iter(kept)))
 
 
 def _trajectories(solution: Solution) -> Trajectories:

@@ -2,18 +2,13 @@
 
 from pyomo_quad.model.build import build_model, parameter_values, structure_key
 from pyomo_quad.model.custom import load_builder, model_builder
-from pyomo_quad.model.hover import Hover, battery_shortfalls, hover, hover_power
 from pyomo_quad.model.inspection import ModelInspection, inspect_model
 from pyomo_quad.model.least_time import ask_for_least_time
 
 __all__ = [
-    "Hover",
     "ModelInspection",
     "ask_for_least_time",
-    "battery_shortfalls",
     "build_model",
-    "hover",
-    "hover_power",
     "inspect_model",
     "load_builder",
     "model_builder",

@@ -20,7 +20,7 @@ would earn more than it gave.
 from collections.abc import Callable
 
 from pyomo.core.expr import NumericExpression
-from pyomo.environ import Block, ConcreteModel, units
+from pyomo.environ import Block, ConcreteModel, Expression, units
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.model.smoothing import floored, positive_part
@@ -117,15 +117,18 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
     """
     b = m.power = Block(doc="power, eq. (8)")
     declare_parameters(b, parameters_of(scenario), scenario)
-    _MODELS[scenario.power.model](m)
-    _declare_credit(m, has_regeneration=scenario.power.regeneration)
+    if scenario.power.regeneration:
+        _MODELS[scenario.power.model](m, "rotor_power")
+    else:
+        _MODELS[scenario.power.model](m, "uncredited_power")
+        _declare_floor(m)
 
     @b.Expression(m.time, doc="eq. (8): power of the four rotors [W]")
     def total(b: Block, t: float) -> NumericExpression:
         return sum(b.rotor_power[j, t] for j in b.parent_block().rotors.rotor)
 
 
-def declare_motor_power(m: ConcreteModel) -> None:
+def declare_motor_power(m: ConcreteModel, name: str) -> None:
     """Declare `motor`: terminal voltage times current, eq. (2)-(3).
 
     Sound wherever the motor runs: copper loss grows with the square of the torque, so the
@@ -135,13 +138,22 @@ def declare_motor_power(m: ConcreteModel) -> None:
     """
     b = m.power
 
-    @b.Expression(m.rotors.rotor, m.time, doc="eq. (2)-(3): electrical power v i [W]")
-    def uncredited_power(b: Block, j: int, t: float) -> NumericExpression:
+    def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
         return rotors.motor_voltage[j, t] * rotors.motor_current[j, t]
 
+    b.add_component(
+        name,
+        Expression(
+            m.rotors.rotor,
+            m.time,
+            rule=electrical_power,
+            doc="eq. (2)-(3): electrical power v i [W]",
+        ),
+    )
 
-def declare_shaft_power(m: ConcreteModel) -> None:
+
+def declare_shaft_power(m: ConcreteModel, name: str) -> None:
     """Declare `shaft`: mechanical power, torque times speed.
 
     Sound as a floor under every other model: it knows no loss in motor or converter, and
@@ -150,13 +162,22 @@ def declare_shaft_power(m: ConcreteModel) -> None:
     """
     b = m.power
 
-    @b.Expression(m.rotors.rotor, m.time, doc="eq. (8) with f_r = 1: shaft power [W]")
-    def uncredited_power(b: Block, j: int, t: float) -> NumericExpression:
+    def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
         return rotors.motor_torque[j, t] * rotors.omega[j, t]
 
+    b.add_component(
+        name,
+        Expression(
+            m.rotors.rotor,
+            m.time,
+            rule=electrical_power,
+            doc="eq. (8) with f_r = 1: shaft power [W]",
+        ),
+    )
 
-def declare_constant_efficiency_power(m: ConcreteModel) -> None:
+
+def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare `constant_efficiency`: shaft power over a stated number.
 
     Sound near the operating point where the number was measured.  Convex in alpha and in
@@ -164,13 +185,19 @@ def declare_constant_efficiency_power(m: ConcreteModel) -> None:
     """
     b = m.power
 
-    @b.Expression(m.rotors.rotor, m.time, doc="eq. (8) with constant f_r [W]")
-    def uncredited_power(b: Block, j: int, t: float) -> NumericExpression:
+    def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
         return rotors.motor_torque[j, t] * rotors.omega[j, t] / b.efficiency
 
+    b.add_component(
+        name,
+        Expression(
+            m.rotors.rotor, m.time, rule=electrical_power, doc="eq. (8) with constant f_r [W]"
+        ),
+    )
 
-def declare_efficiency_power(m: ConcreteModel) -> None:
+
+def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare `efficiency`: shaft power over the recovered polynomial f_r(tau, omega), eq. (8).
 
     Sound only with its regularisation: f_r has zeros at moderate braking torque below some
@@ -202,13 +229,19 @@ def declare_efficiency_power(m: ConcreteModel) -> None:
     def drive_efficiency(b: Block, j: int, t: float) -> NumericExpression:
         return floored(b.efficiency_polynomial[j, t], b.efficiency_floor, EFFICIENCY_FLOOR_WIDTH)
 
-    @b.Expression(m.rotors.rotor, m.time, doc="eq. (8): shaft power over f_r [W]")
-    def uncredited_power(b: Block, j: int, t: float) -> NumericExpression:
+    def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
         return rotors.motor_torque[j, t] * rotors.omega[j, t] / b.drive_efficiency[j, t]
 
+    b.add_component(
+        name,
+        Expression(
+            m.rotors.rotor, m.time, rule=electrical_power, doc="eq. (8): shaft power over f_r [W]"
+        ),
+    )
 
-def declare_motor_power_with_friction(m: ConcreteModel) -> None:
+
+def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
     """Declare `motor_with_friction`: v i with dry and viscous friction (Morbidi et al. 2016).
 
     Sound in form, and convex in alpha; the published friction constants look ten times too
@@ -223,26 +256,31 @@ def declare_motor_power_with_friction(m: ConcreteModel) -> None:
         friction = m.vehicle.friction_torque + m.vehicle.viscous_damping * m.rotors.omega[j, t]
         return m.rotors.motor_torque[j, t] + friction
 
-    @b.Expression(m.rotors.rotor, m.time, doc="electrical power with friction [W]")
-    def uncredited_power(b: Block, j: int, t: float) -> NumericExpression:
+    def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         m = b.parent_block()
         current = b.torque_with_friction[j, t] / m.vehicle.torque_constant
         resistive_drop = m.vehicle.motor_resistance * current
         electromotive_force = m.rotors.omega[j, t] / m.vehicle.voltage_constant
         return (resistive_drop + electromotive_force) * current
 
+    b.add_component(
+        name,
+        Expression(
+            m.rotors.rotor, m.time, rule=electrical_power, doc="electrical power with friction [W]"
+        ),
+    )
 
-def _declare_credit(m: ConcreteModel, *, has_regeneration: bool) -> None:
-    """Declare what braking earns: all of it, or nothing through a smooth floor at zero."""
+
+def _declare_floor(m: ConcreteModel) -> None:
+    """Declare that braking earns nothing, through a smooth floor at zero."""
     b = m.power
 
     @b.Expression(m.rotors.rotor, m.time, doc="eq. (8): power of one rotor [W]")
     def rotor_power(b: Block, j: int, t: float) -> NumericExpression:
-        power = b.uncredited_power[j, t]
-        return power if has_regeneration else positive_part(power, b.smoothing)
+        return positive_part(b.uncredited_power[j, t], b.smoothing)
 
 
-_MODELS: dict[PowerModel, Callable[[ConcreteModel], None]] = {
+_MODELS: dict[PowerModel, Callable[[ConcreteModel, str], None]] = {
     PowerModel.MOTOR: declare_motor_power,
     PowerModel.SHAFT: declare_shaft_power,
     PowerModel.CONSTANT_EFFICIENCY: declare_constant_efficiency_power,

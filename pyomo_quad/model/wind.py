@@ -13,6 +13,7 @@ from collections.abc import Callable
 from math import cos, pi, tau
 from math import sin as sine
 
+from pyomo.core.base.units_container import UnitsError
 from pyomo.core.expr import NumericExpression
 from pyomo.environ import Block, ConcreteModel, Param, exp, sin, units
 from scipy.interpolate import CubicSpline
@@ -21,12 +22,10 @@ from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.wind import FrequencyUnit, WindAxis, WindSeries
 
-__all__ = ["AXIS_PARAMETERS", "HARMONICS", "PARAMETERS", "declare_wind", "move_clock"]
+__all__ = ["AXIS_PARAMETERS", "HARMONICS", "PARAMETERS", "declare_wind", "still_air"]
 
 HARMONICS = (1, 2, 3)
-# Where a model with a measured wind keeps its splines, as functions of the time in flight.
-_SPLINES = "splines"
-_SPEED = units.m / units.s
+_SPEED = units.get_units(units.m / units.s)
 
 PARAMETERS = (
     Parameter(
@@ -108,21 +107,30 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
         _declare_series(m, series, scenario.wind.time_offset)
 
 
-def move_clock(m: ConcreteModel, instant: float, time: float) -> None:
-    """Let one declared instant of a model stand for another time of the flight.
+def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
+    """Return the parameters of a model, with the values at which no wind blows.
 
-    Parameters
-    ----------
-    m : ConcreteModel
-        With `wind`; its wind at the instant becomes that of the time.
-    instant : float
-        An element of the model's `time`.
-    time : float
-        Time in flight, s.
+    Every mutable parameter of block `wind` that is a speed is nought, so that a wind of the user's
+    own is stilled as well; one that is no parameter keeps blowing.
     """
-    m.clock[instant].set_value(time)
-    for name, spline in getattr(m.wind, _SPLINES, {}).items():
-        m.wind.component(name)[instant].set_value(spline(time))
+    calm: dict[str, float | Callable[[float], float]] = {}
+    block = m.component("wind")
+    for speed in () if block is None else block.component_objects(Param, descend_into=True):
+        if not speed.mutable or not _is_speed(speed):
+            continue
+        if speed.index_set() is m.time:
+            calm[speed.name] = lambda _t: 0.0
+        else:
+            calm |= {member.name: 0.0 for member in speed.values()}
+    return calm
+
+
+def _is_speed(parameter: Param) -> bool:
+    try:
+        units.convert_value(1.0, from_units=parameter.get_units(), to_units=_SPEED)
+    except UnitsError:
+        return False
+    return True
 
 
 def _declare_formula(m: ConcreteModel, scenario: Scenario) -> None:
@@ -168,7 +176,6 @@ def _declare_series(m: ConcreteModel, series: WindSeries, offset: float) -> None
         f"measured_{name}": _spline(series.times, speeds, offset)
         for name, speeds in (("x", series.wind_x), ("y", series.wind_y))
     }
-    setattr(b, _SPLINES, splines)
     for name, spline in splines.items():
 
         def measured(_b: Block, t: float, spline: Callable[[float], float] = spline) -> float:

@@ -5,13 +5,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pyomo_quad.flight.columns import ROTORS
-from pyomo_quad.model import build_model
-from pyomo_quad.model.custom import Builder
 from pyomo_quad.scenario import PowerModel, Scenario
 from pyomo_quad.study.diagnosis import diagnose
 
 if TYPE_CHECKING:
-    from pyomo_quad.flight import Plan
+    from pyomo_quad.flight import Plan, Planner
 
 __all__ = ["plan_cautions"]
 
@@ -19,22 +17,22 @@ _TORQUE = "rotors.motor_torque"
 _EFFICIENCY = "power.efficiency_polynomial"
 
 
-def plan_cautions(plan: "Plan", *, builder: Builder = build_model) -> tuple[str, ...]:
+def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[str, ...]:
     """Say what stands between a plan and its being taken at its word.
 
     Parameters
     ----------
     plan : Plan
         As the planner made it, with its equations.
-    builder : callable, optional
-        What made the plan's model.
+    planner : Planner, optional
+        What made the plan.
 
     Returns
     -------
     tuple of str
         One line for each caution.
     """
-    findings = diagnose(plan.scenario, builder=builder)
+    findings = diagnose(plan.scenario, planner=planner)
     told = tuple(finding.message for finding in findings)
     solved = () if plan.solution is None else plan.solution.warnings
     return (*told, *solved, *_efficiency_map_cautions(plan.scenario, plan))

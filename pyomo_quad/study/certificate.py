@@ -42,16 +42,18 @@ turn can undercut every steady flight; with quadratic drag (a) and (b) depend on
 model of the user's own has not been looked into.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, minimize
 
-from pyomo_quad.model import hover_power
-from pyomo_quad.model.momentum import MomentumDemand
+from pyomo_quad.flight import Planner
+from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight
 from pyomo_quad.scenario import PowerModel, Scenario
-from pyomo_quad.study.steady_power import SteadyPower
 from pyomo_quad.study.thrust_moments import ThrustMoments
 
 __all__ = ["Certificate", "certify"]
@@ -59,6 +61,14 @@ __all__ = ["Certificate", "certify"]
 FloatArray = NDArray[np.float64]
 
 _ROUNDING = 1e-10
+# Every declared power is a polynomial of the rotor speed in steady flight, of degree four at
+# most; the fit has room to spare, and a power that it misses is refused.
+_DEGREE = 8
+_READINGS = 24
+_SAMPLES = 3001
+# The speed, over that of hover, up to which the power is sampled finely.
+_USUAL_SPEED = 2.0
+_FIT_ERROR = 1e-10
 _ITERATIONS = 200
 
 _IMPOSSIBLE = "no flight meets the mission within the rotor speed limits, so none is bounded."
@@ -103,7 +113,7 @@ class Certificate:
         return 100.0 * (energy_J - self.lower_bound_J) / energy_J
 
 
-def certify(scenario: Scenario) -> Certificate:
+def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificate:
     """Bound the energy of every flight of a mission from below.
 
     Parameters
@@ -111,14 +121,17 @@ def certify(scenario: Scenario) -> Certificate:
     scenario : Scenario
         The mission, in its true wind; ``scenario.as_forecast()`` gives the bound in the wind
         that the optimiser is told.
+    planner : Planner, optional
+        One that may hold the compiled equations already.
 
     Returns
     -------
     Certificate
         Derived in the module's documentation.
     """
-    hover_energy = hover_power(scenario) * scenario.mission.duration
-    bound, reason = _bound(scenario)
+    planner = planner or Planner()
+    hover_energy = planner.steady_flight(scenario).hover_power * scenario.mission.duration
+    bound, reason = _bound(scenario, planner)
     return Certificate(
         lower_bound_J=bound,
         hover_energy_J=hover_energy,
@@ -127,17 +140,17 @@ def certify(scenario: Scenario) -> Certificate:
     )
 
 
-def _bound(scenario: Scenario) -> tuple[float | None, str]:
+def _bound(scenario: Scenario, planner: Planner) -> tuple[float | None, str]:
     reason = _obstacle(scenario)
     if reason:
         return None, reason
-    demand = MomentumDemand(scenario)
+    demand = MomentumDemand(planner.dynamics(scenario))
     if not demand.is_linear:
         return None, (
             f"vehicle.drag_quadratic = {scenario.vehicle.drag_quadratic:g} kg/m: with quadratic "
             "drag the mean thrust depends on the path, so no bound is known."
         )
-    power = SteadyPower(scenario.with_values({"power.regeneration": True}))
+    power = _SteadyPower(scenario, planner.steady_flight(scenario))
     if not power.is_polynomial:
         return None, "the power of steady flight is not a polynomial of the rotor speed."
     mission = scenario.mission
@@ -168,7 +181,7 @@ def _obstacle(scenario: Scenario) -> str:
     return ""
 
 
-def _best_bound(moments: ThrustMoments, power: SteadyPower, ceiling: float) -> float:
+def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> float:
     """Return the largest bound found, at least that of Jensen's inequality.
 
     `ceiling` is where the search may stop, since no flight spends so much.
@@ -198,3 +211,80 @@ def _best_bound(moments: ThrustMoments, power: SteadyPower, ceiling: float) -> f
         options={"maxiter": _ITERATIONS},
     )
     return max(-negative(jensen.ravel())[0], -float(found.fun))
+
+
+class _SteadyPower:
+    """Thrust and power with all rotors at one constant speed, over the speeds allowed.
+
+    Power is that before anything is said of braking: one that earns nothing is the larger.
+
+    Attributes
+    ----------
+    thrust, power : ndarray, shape (n,)
+        Total thrust [N], rising, and total power [W] at equal steps of the rotor speed.
+    is_polynomial : bool
+        Whether the readings of the declared model are met to rounding.
+    """
+
+    def __init__(self, scenario: Scenario, steady: SteadyFlight) -> None:
+        slowest, fastest = scenario.limits.rotor_speed_min, scenario.limits.rotor_speed_max
+        between = 0.5 * (1 - np.cos(np.pi * np.arange(_READINGS) / (_READINGS - 1)))
+        speeds = slowest + (fastest - slowest) * between
+        # Close together where vehicles fly, however high the limit is.
+        usual = np.clip(_USUAL_SPEED * steady.hover_speed, slowest, fastest)
+        samples = np.union1d(
+            np.linspace(slowest, usual, _SAMPLES), np.linspace(usual, fastest, _SAMPLES)
+        )
+        thrust, self.thrust, has_thrust = _fit(steady.thrust(speeds), speeds, samples)
+        power, self.power, has_power = _fit(steady.uncredited_power(speeds), speeds, samples)
+        self._slope = power.deriv()(samples[1:]) / thrust.deriv()(samples[1:])
+        self.is_polynomial = has_thrust and has_power
+        self._floor = _below(self.thrust, self.power)
+
+    def slope(self, thrust: float) -> float:
+        """Return the derivative of power with respect to thrust [W/N]."""
+        return float(np.interp(thrust, self.thrust[1:], self._slope))
+
+    def conjugate(self, price: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the largest of price * thrust - power over the thrusts allowed.
+
+        Parameters
+        ----------
+        price : ndarray, shape (n,)
+            Worth of thrust, not negative, W/N.
+
+        Returns
+        -------
+        value : ndarray, shape (n,)
+            Never less than the true maximum, W.
+        thrust : ndarray, shape (n,)
+            Where it is reached, to the spacing of the samples, N.
+
+        Notes
+        -----
+        Between two samples the power lies above their chord where it is concave, and above
+        the chord before them, extended, where it is convex: the samples are lowered to the
+        lesser of the two, so that their maximum is an upper bound of the maximum over all
+        thrusts.
+        """
+        worth = price[:, None] * self.thrust - self._floor
+        best = np.argmax(worth, axis=1)
+        return worth[np.arange(price.size), best], self.thrust[best]
+
+
+def _fit(
+    readings: FloatArray, speeds: FloatArray, samples: FloatArray
+) -> tuple[Chebyshev, FloatArray, bool]:
+    """Return a polynomial of the rotor speed, its samples, and whether it meets the readings."""
+    domain = [speeds[0], speeds[-1]]
+    polynomial = Chebyshev.fit(speeds, readings, _DEGREE, domain=domain)
+    error = float(np.max(np.abs(polynomial(speeds) - readings)))
+    return polynomial, polynomial(samples), error <= _FIT_ERROR * float(np.max(np.abs(readings)))
+
+
+def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
+    """Return samples whose polygon nowhere lies above the power."""
+    chords = np.diff(power) / np.diff(thrust)
+    # The power rises with thrust, so the first step extends a level line.
+    extended = power[:-1] + np.concatenate([[0.0], chords[:-1]]) * np.diff(thrust)
+    return np.concatenate([power[:1], np.minimum(power[1:], extended)])

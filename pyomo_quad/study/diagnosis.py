@@ -7,6 +7,7 @@ solve can find out, such as a detour that a limit forces, is left to its own dia
 from collections.abc import Iterator
 from math import pi, radians
 
+from pyomo_quad.flight import Planner
 from pyomo_quad.model import build_model
 from pyomo_quad.model.custom import Builder
 from pyomo_quad.model.finding import Finding, Severity
@@ -23,7 +24,9 @@ __all__ = ["diagnose"]
 _ROUNDING = 1e-9
 
 
-def diagnose(scenario: Scenario, *, builder: Builder = build_model) -> tuple[Finding, ...]:
+def diagnose(
+    scenario: Scenario, *, builder: Builder = build_model, planner: Planner | None = None
+) -> tuple[Finding, ...]:
     """List what the mission must break and what deserves a second look.
 
     Parameters
@@ -33,6 +36,8 @@ def diagnose(scenario: Scenario, *, builder: Builder = build_model) -> tuple[Fin
     builder : callable, optional
         Makes the Pyomo model. Of a model of the user's own the declarations alone are looked at:
         what its vehicle can do is not known.
+    planner : Planner, optional
+        One that may hold the compiled equations already, with a builder of its own.
 
     Returns
     -------
@@ -41,12 +46,13 @@ def diagnose(scenario: Scenario, *, builder: Builder = build_model) -> tuple[Fin
     """
     told = scenario.as_forecast()
     findings = list(_angles_in_degrees(scenario))
-    if builder is build_model:
-        findings += reach_findings(told)
-        findings += pack_findings(told)
-        findings += power_findings(told)
+    planner = planner or Planner(builder)
+    if planner.builder is build_model:
+        findings += reach_findings(told, planner)
+        findings += pack_findings(told, planner)
+        findings += power_findings(told, planner.steady_flight(told))
         findings += _idle_limits(told)
-    findings += screen_model(builder(told))
+    findings += screen_model(planner.model(told))
     return tuple(sorted(findings, key=lambda f: f.severity is not Severity.IMPOSSIBLE))
 
 

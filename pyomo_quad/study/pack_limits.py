@@ -6,21 +6,24 @@ the start, so its current, voltage and charge there bound those of every flight.
 
 from collections.abc import Iterator
 
+from pyomo_quad.flight import Planner
+from pyomo_quad.flight.steady import SteadyFlight, battery_shortfalls
 from pyomo_quad.model.finding import Finding, Severity
-from pyomo_quad.model.hover import SteadyFlight, battery_shortfalls, charge
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.study.certificate import certify
 
 __all__ = ["pack_findings"]
 
 
-def pack_findings(scenario: Scenario) -> Iterator[Finding]:
+def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     """Yield what the battery cannot give, and which of its limits the flight must break.
 
     Parameters
     ----------
     scenario : Scenario
         The mission.
+    planner : Planner
+        Gives its vehicle.
 
     Yields
     ------
@@ -28,7 +31,8 @@ def pack_findings(scenario: Scenario) -> Iterator[Finding]:
         A caution where the pack is too small, since its equations stay finite beyond empty;
         impossible where a limit must be broken.
     """
-    for line in battery_shortfalls(scenario):
+    steady = planner.steady_flight(scenario)
+    for line in battery_shortfalls(scenario, steady):
         yield Finding(severity=Severity.CAUTION, subject="battery.use", message=line)
     yield from _charge_at_start(scenario)
     limits = scenario.limits
@@ -41,9 +45,9 @@ def pack_findings(scenario: Scenario) -> Iterator[Finding]:
         )
     )
     if is_limited:
-        bound = certify(scenario).lower_bound_J
+        bound = certify(scenario, planner=planner).lower_bound_J
         if bound is not None:
-            yield from _limits_broken(scenario, bound)
+            yield from _limits_broken(scenario, steady, bound)
 
 
 def _impossible(subject: str, message: str) -> Finding:
@@ -60,11 +64,10 @@ def _charge_at_start(scenario: Scenario) -> Iterator[Finding]:
         )
 
 
-def _limits_broken(scenario: Scenario, bound: float) -> Iterator[Finding]:
+def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> Iterator[Finding]:
     limits, duration = scenario.limits, scenario.mission.duration
-    steady = SteadyFlight(scenario)
-    current, voltage = steady.pack_under(bound / duration)
-    taken = charge(current, duration)
+    current, voltage, charge_rate = steady.pack_under(bound / duration)
+    taken = charge_rate * duration
     drawn = 100.0 * taken / steady.pack_capacity
     left = scenario.battery.initial_state_of_charge - drawn
     lowest = limits.state_of_charge_min

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.model.finding import Finding, Severity
-from pyomo_quad.model.hover import SteadyFlight
 from pyomo_quad.scenario import PowerModel, Scenario
 
 __all__ = ["power_findings"]
@@ -18,20 +18,21 @@ _ACCELERATIONS = 16
 _SAVING = 1e-3
 
 
-def power_findings(scenario: Scenario) -> Iterator[Finding]:
+def power_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
     """Yield where the power model leaves its sound range near the mission's hover.
 
     Parameters
     ----------
     scenario : Scenario
         The mission.
+    steady : SteadyFlight
+        Of its vehicle.
 
     Yields
     ------
     Finding
         Cautions: the numbers can be computed, but mean less.
     """
-    steady = SteadyFlight(scenario)
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield from _efficiency_findings(scenario, steady)
     yield from _voltage_findings(scenario, steady)
@@ -80,8 +81,8 @@ def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
     for speed in np.linspace(_FASTEST * hover, _SLOWEST * hover, _SPEEDS):
         # The chord from braking to speeding up, where it passes the steady speed.
         up = np.linspace(0.0, limit, _ACCELERATIONS)[1:]
-        faster = np.array([steady.rotor_value("power.rotor_power", speed, a) for a in up])
-        slower = np.array([steady.rotor_value("power.rotor_power", speed, -a) for a in up])
+        faster = steady.rotor_value("power.rotor_power", speed, up)
+        slower = steady.rotor_value("power.rotor_power", speed, -up)
         mixed = (up[:, None] * slower + faster[:, None] * up) / (up[:, None] + up)
         keeping = steady.rotor_value("power.rotor_power", speed)
         if mixed.min() < keeping * (1 - _SAVING):
@@ -90,7 +91,7 @@ def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
 
 
 def _voltage_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
-    hovering = steady.hover()
+    hovering = steady.hover
     if hovering.power_W > hovering.greatest_battery_power_W:
         return  # the pack has no voltage under such a load, which is a finding of its own
     pack = hovering.battery_voltage_V

@@ -9,9 +9,9 @@ from math import acos, atan2, cos, hypot, inf, pi, sin
 
 import numpy as np
 
+from pyomo_quad.flight import Planner
+from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight
 from pyomo_quad.model.finding import Finding, Severity
-from pyomo_quad.model.hover import SteadyFlight
-from pyomo_quad.model.momentum import MomentumDemand
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.study.thrust_moments import ThrustMoments
 
@@ -24,20 +24,22 @@ _HALVINGS = 8
 _MARGIN = 1e-3
 
 
-def reach_findings(scenario: Scenario) -> Iterator[Finding]:
+def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     """Yield what rules the flight out for want of thrust, tilt, rotor speed or yaw moment.
 
     Parameters
     ----------
     scenario : Scenario
         The mission in the wind that the optimiser is told.
+    planner : Planner
+        Gives its vehicle.
 
     Yields
     ------
     Finding
         Each names the limit and what the mission needs.
     """
-    steady = SteadyFlight(scenario)
+    steady = planner.steady_flight(scenario)
     if scenario.limits.rotor_speed_min > steady.hover_speed:
         yield _impossible(
             "limits.rotor_speed_min",
@@ -46,7 +48,7 @@ def reach_findings(scenario: Scenario) -> Iterator[Finding]:
         )
         return
     yield from _yaw_findings(scenario, steady)
-    demand = MomentumDemand(scenario)
+    demand = MomentumDemand(planner.dynamics(scenario))
     if demand.is_linear:
         yield from _thrust_findings(scenario, steady, demand)
 
@@ -61,12 +63,12 @@ def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, fl
     # Half way through the flight the rotors are furthest from the hover speed of both ends.
     gain = limits.rotor_acceleration_max * scenario.mission.duration / 2
     candidates = {
-        f"limits.rotor_speed_max = {limits.rotor_speed_max:.4g} rad/s": steady.thrust(
-            limits.rotor_speed_max
+        f"limits.rotor_speed_max = {limits.rotor_speed_max:.4g} rad/s": float(
+            steady.thrust(limits.rotor_speed_max)
         ),
         f"limits.thrust_max = {limits.thrust_max:.4g} N": limits.thrust_max,
         f"limits.rotor_acceleration_max = {limits.rotor_acceleration_max:.4g} rad/s^2": (
-            steady.thrust(steady.hover_speed + gain)
+            float(steady.thrust(steady.hover_speed + gain))
         ),
     }
     return min(candidates.items(), key=lambda item: item[1])

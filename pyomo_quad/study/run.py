@@ -96,7 +96,7 @@ def run_scenario(
     flights, failures = _fly_all(scenario, plan, dynamics, references)
     adaptation = _adaptation(scenario, flights, dynamics)
     flown = perf_counter()
-    certificate = certify(scenario)
+    certificate = certify(scenario, planner=planner)
     comparison = combine([])
     if flights:
         comparison = compare_flights(scenario, flights, certificate, plan.hover_energy_J)
@@ -109,7 +109,7 @@ def run_scenario(
         certificate=certificate,
         adaptation=adaptation,
         timings={**plan.timings, "fly": flown - solved, "certify": certified - flown},
-        warnings=(*plan_cautions(plan, builder=planner.builder), *failures),
+        warnings=(*plan_cautions(plan, planner=planner), *failures),
     )
 
 

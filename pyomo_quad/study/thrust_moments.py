@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import null_space
 from scipy.optimize import minimize
 
-from pyomo_quad.model.momentum import MomentumDemand
+from pyomo_quad.flight.steady import MomentumDemand
 
 __all__ = ["ThrustMoments"]
 

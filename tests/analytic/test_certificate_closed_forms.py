@@ -5,9 +5,8 @@ from math import hypot
 import numpy as np
 import pytest
 
-from pyomo_quad.model.hover import SteadyFlight
 from pyomo_quad.study.certificate import certify
-from tests.declared_model import scenario
+from tests.declared_model import scenario, steady
 
 # What lowering the samples of the power costs, relative.
 SAMPLING = 2e-6
@@ -75,7 +74,7 @@ def test_the_bound_is_all_but_reached_by_a_point_with_free_thrust(power, couplin
     wind = {"use": "constant", "speed": 1.0, "coupling": coupling}
     told = scenario(power={"model": power}, wind=wind)
     found = certify(told).lower_bound_J
-    steady, goal, duration, drag = SteadyFlight(told), np.array([6.0, 7.0, 8.0]), 10.0, 0.43
+    flight, goal, duration, drag = steady(told), np.array([6.0, 7.0, 8.0]), 10.0, 0.43
     nodes, widths = np.polynomial.legendre.leggauss(24)
     energy = 0.0
     for share, width in zip((nodes + 1) / 2, widths / 2, strict=True):
@@ -84,7 +83,7 @@ def test_the_bound_is_all_but_reached_by_a_point_with_free_thrust(power, couplin
         force = MASS * (acceleration + np.array([0.0, 0.0, GRAVITY]))
         blowing = np.array([1.0, 0.0, 0.0])
         force += drag * (velocity - blowing) if coupling == "drag" else -MASS * blowing
-        energy += width * duration * steady.power_at_thrust(float(np.linalg.norm(force)))
+        energy += width * duration * flight.power_at_thrust(float(np.linalg.norm(force)))
     assert found <= energy
     assert found == pytest.approx(energy, rel=3e-4)
 

@@ -6,11 +6,10 @@ import pytest
 from pyomo.dae import ContinuousSet
 from pyomo.environ import Block, ConcreteModel, Expression, Param, Suffix, units
 
+from pyomo_quad.flight.steady import battery_shortfalls
 from pyomo_quad.model import build_model
 from pyomo_quad.model.battery import declare_battery
-from pyomo_quad.model.hover import SteadyFlight, battery_shortfalls, hover, hover_power
-from pyomo_quad.model.wind import move_clock
-from tests.declared_model import Instant, scenario
+from tests.declared_model import Instant, scenario, steady
 
 ROUNDING = 1e-12
 
@@ -117,14 +116,6 @@ def test_a_measured_wind_is_a_cubic_spline_in_wind_time(tmp_path):
     at = Instant(model)
     assert at.read("wind.velocity_x") == pytest.approx(cubic(5.0 + 1.25), rel=1e-9)
     assert at.read("wind.velocity_y") == pytest.approx(-2 * cubic(5.0 + 1.25), rel=1e-9)
-    move_clock(model, at.t, 3.3)
-    assert at.read("wind.velocity_x") == pytest.approx(cubic(3.3 + 1.25), rel=1e-9)
-
-
-def test_the_clock_moves_the_formula_too():
-    at = Instant.of(wind={"use": "paper_table_2"})
-    move_clock(at.model, at.t, 2.5)
-    assert at.read("wind.y.gust") == pytest.approx(0.2, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -142,7 +133,9 @@ def test_the_clock_moves_the_formula_too():
     ],
 )
 def test_hover_power(model, watts, tolerance):
-    assert hover_power(scenario(power={"model": model})) == pytest.approx(watts, rel=tolerance)
+    assert steady(scenario(power={"model": model})).hover_power == pytest.approx(
+        watts, rel=tolerance
+    )
 
 
 @pytest.mark.parametrize(("model", "watts"), [("motor", 70.96), ("motor_with_friction", 4 * 327.9)])
@@ -150,29 +143,30 @@ def test_hover_power_with_the_published_constants(model, watts):
     # Morbidi's set: kt = 1/kv to the digit, g = 9.8066 m/s^2.
     published = {"torque_constant": 0.0103797}
     told = scenario(power={"model": model}, vehicle=published).with_values({"gravity": 9.8066})
-    assert hover_power(told) == pytest.approx(watts, rel=1e-3)
+    assert steady(told).hover_power == pytest.approx(watts, rel=1e-3)
 
 
 def test_hover():
-    found = hover(scenario(power={"model": "shaft"}))
+    told = scenario(power={"model": "shaft"})
+    found = steady(told).hover
     assert found.rotor_speed_rad_per_s == pytest.approx(sqrt(1.3 * 9.81 / (4 * 3.8305e-6)))
     assert found.thrust_N == pytest.approx(1.3 * 9.81)
     assert found.battery_current_A * found.battery_voltage_V == pytest.approx(found.power_W)
-    assert battery_shortfalls(scenario()) == ()
+    assert battery_shortfalls(told, steady(told)) == ()
 
 
 def test_power_at_thrust_grows_with_its_three_halves_power():
-    steady = SteadyFlight(scenario(power={"model": "shaft"}))
-    hovering = steady.power_at_thrust(1.3 * 9.81)
+    flight = steady(scenario(power={"model": "shaft"}))
+    hovering = flight.power_at_thrust(1.3 * 9.81)
     assert hovering == pytest.approx(68.397, rel=1e-5)
-    assert steady.power_at_thrust(4 * 1.3 * 9.81) == pytest.approx(8 * hovering, rel=1e-9)
-    assert steady.power_at_thrust(0.0) == 0.0
+    assert flight.power_at_thrust(4 * 1.3 * 9.81) == pytest.approx(8 * hovering, rel=1e-9)
+    assert flight.power_at_thrust(0.0) == 0.0
 
 
 def test_battery_shortfalls_name_what_is_missing():
     weak = scenario(battery={"use": "paper_cell", "cells_series": 1})
-    (line,) = battery_shortfalls(weak)
+    (line,) = battery_shortfalls(weak, steady(weak))
     assert "hover needs 70.86 W, the pack delivers at most 24.26 W" in line
     far = scenario(mission={"goal": {"position": [0.0, 0.0, 1.0]}, "duration": 7200.0})
-    (line,) = battery_shortfalls(far)
+    (line,) = battery_shortfalls(far, steady(far))
     assert "the pack holds 5.2 Ah" in line

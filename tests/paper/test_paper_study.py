@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from pyomo_quad.flight import Planner
-from pyomo_quad.model import hover_power
 from pyomo_quad.model.typeset import EQUATION_TABLE
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.study.paper.batteries import pack_facts
@@ -62,7 +61,9 @@ def test_the_floor_of_a_convex_power_is_hover():
     speed = np.sort(np.append(np.linspace(0.0, scenario.limits.rotor_speed_max, 61), hover))
     sampled = rotor_map(Planner().dynamics(scenario), speed, acceleration, None)
     floor = floor_energy(scenario, sampled, 3000.0)
-    assert floor == pytest.approx(hover_power(scenario) * scenario.mission.duration, rel=1e-9)
+    assert floor == pytest.approx(
+        Planner().steady_flight(scenario).hover_power * scenario.mission.duration, rel=1e-9
+    )
 
 
 def test_the_literal_reading_is_the_polynomial():

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pyomo_quad.model.hover import SteadyFlight
+from pyomo_quad.flight import Planner
 from pyomo_quad.report.paper.conclusion import conclusion_blocks
 from pyomo_quad.report.paper.examination import examination_blocks
 from pyomo_quad.report.paper.loss_chain import energy_chain
@@ -111,7 +111,7 @@ def test_the_note_on_braking_names_the_models_that_the_declared_power_credits():
     (note,) = (row.here for row in corrections(study()) if row.paper.startswith("braking"))
     without, with_it = note.split(" counts")[0].split("; ")
     for model in PowerModel:
-        steady = SteadyFlight(paper_scenario(Experiment.CALM, {"power.model": model}))
+        steady = Planner().steady_flight(paper_scenario(Experiment.CALM, {"power.model": model}))
         powers = [
             steady.rotor_value("power.rotor_power", speed, acceleration)
             for speed in (300.0, 900.0)

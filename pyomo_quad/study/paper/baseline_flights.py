@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 from pyomo_quad.flight import Flight, Planner
 from pyomo_quad.flight.baselines import baseline_name, fly_baseline
-from pyomo_quad.model.hover import SteadyFlight
 from pyomo_quad.scenario import PowerModel, Reference
 from pyomo_quad.study.paper.missions import Experiment, paper_scenario
 
@@ -87,5 +86,5 @@ def full_speed_energy(experiment: Experiment) -> float:
     To spend more, rotors must speed up and brake all the time.
     """
     scenario = paper_scenario(experiment, {"power.model": PowerModel.EFFICIENCY})
-    power = SteadyFlight(scenario).power(scenario.limits.rotor_speed_max)
-    return power * scenario.mission.duration
+    steady = Planner().steady_flight(scenario)
+    return float(steady.power(scenario.limits.rotor_speed_max)) * scenario.mission.duration

@@ -3,11 +3,8 @@
 from dataclasses import dataclass
 from itertools import product
 
-import numpy as np
-
-from pyomo_quad.model import battery_shortfalls
-from pyomo_quad.model.evaluation import convert, number
-from pyomo_quad.model.hover import SteadyFlight
+from pyomo_quad.flight import Planner
+from pyomo_quad.flight.steady import battery_shortfalls
 from pyomo_quad.scenario import PowerModel
 from pyomo_quad.study.paper.missions import PAPER_CELL, PHANTOM_PACK, Experiment, paper_scenario
 
@@ -55,33 +52,24 @@ def pack_facts() -> tuple[PackFacts, ...]:
         By power model and pack.
     """
     models = (PowerModel.MOTOR, PowerModel.EFFICIENCY)
-    return tuple(_facts(model, name, cells) for model, (name, cells) in product(models, _PACKS))
+    planner = Planner()
+    return tuple(
+        _facts(planner, model, name, cells) for model, (name, cells) in product(models, _PACKS)
+    )
 
 
-def _facts(model: PowerModel, name: str, cells: dict[str, int]) -> PackFacts:
+def _facts(planner: Planner, model: PowerModel, name: str, cells: dict[str, int]) -> PackFacts:
     scenario = paper_scenario(Experiment.CALM, {"power.model": model, "battery.use": name} | cells)
-    steady = SteadyFlight(scenario)
-    at_hover = steady.hover()
+    steady = planner.steady_flight(scenario)
+    at_hover = steady.hover
     return PackFacts(
         battery=name,
         cells_series=scenario.battery.cells_series,
         cells_parallel=scenario.battery.cells_parallel,
         power_model=model,
-        stored_energy_J=_stored_energy(steady),
+        stored_energy_J=steady.stored_energy(_DEEPEST_DISCHARGE, _SAMPLES),
         hover_power_W=at_hover.power_W,
         greatest_power_W=at_hover.greatest_battery_power_W,
         hover_energy_J=at_hover.power_W * scenario.mission.duration,
-        shortfalls=battery_shortfalls(scenario),
+        shortfalls=battery_shortfalls(scenario, steady),
     )
-
-
-def _stored_energy(steady: SteadyFlight) -> float:
-    battery, start = steady.model.battery, steady.model.time.first()
-    capacity = number(battery.pack_capacity)
-    drawn = np.linspace(0.0, _DEEPEST_DISCHARGE * capacity, _SAMPLES)
-    voltage = []
-    for charge in drawn:
-        battery.charge_drawn[start].set_value(charge)
-        voltage.append(number(battery.open_circuit_voltage[start]))
-    watt_hours = float(np.trapezoid(voltage, drawn))
-    return convert(watt_hours, "watt_hour", "joule")

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from pyomo_quad.model import hover
-from pyomo_quad.model.hover import SteadyFlight
+from pyomo_quad.flight import Planner
 from pyomo_quad.scenario import PowerModel
 from pyomo_quad.study.paper.claims import (
     ADAPTIVE_ENERGY,
@@ -77,14 +76,14 @@ def _of_equations() -> tuple[Correction, ...]:
 
 
 def _of_numbers() -> tuple[Correction, ...]:
-    steady = SteadyFlight(paper_scenario(Experiment.CALM))
     printed = next(float(n.printed) for n in TABLE_1 if n.field == "vehicle.torque_constant")
     scenario = paper_scenario(Experiment.CALM)
     torque_constant, per_volt = scenario.vehicle.torque_constant, scenario.vehicle.voltage_constant
-    at_hover = hover(scenario.with_values({"power.model": PowerModel.SHAFT}))
+    steady = Planner().steady_flight(scenario.with_values({"power.model": PowerModel.SHAFT}))
+    at_hover = steady.hover
     current = at_hover.power_W / 4 / at_hover.rotor_speed_rad_per_s / printed
     weight = scenario.vehicle.total_mass * scenario.gravity
-    lack = 100 * (1 - steady.thrust(_PRINTED_HOVER_SPEED) / weight)
+    lack = 100 * (1 - float(steady.thrust(_PRINTED_HOVER_SPEED)) / weight)
     return (
         Correction(
             paper=f"Table 1: k_t = {printed:g} N m/A",

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from pyomo_quad.flight import Flight, Plan, Planner, PlanStatus
+from pyomo_quad.flight.steady import battery_shortfalls
 from pyomo_quad.flight.verification import verify_controls
-from pyomo_quad.model import battery_shortfalls
 from pyomo_quad.scenario import FrequencyUnit, PowerModel, Scenario, WindCoupling
 from pyomo_quad.study.paper.missions import PAPER_CELL, PHANTOM_PACK, Experiment, paper_scenario
 
@@ -165,7 +165,7 @@ def fly_case(case: FlightCase) -> PaperFlight:
         flight=_flown(plan),
         status=plan.status,
         hover_energy_J=plan.hover_energy_J,
-        cautions=battery_shortfalls(scenario),
+        cautions=battery_shortfalls(scenario, Planner().steady_flight(scenario)),
     )
 
 

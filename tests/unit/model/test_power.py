@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pyomo_quad.model.hover import SteadyFlight
-from tests.declared_model import Instant, scenario
+from tests.declared_model import Instant, scenario, steady
 
 SPEED = st.floats(0.0, 1047.0)
 ACCELERATION = st.floats(-3000.0, 3000.0)
@@ -79,14 +78,14 @@ def test_the_efficiency_keeps_its_floor_where_the_polynomial_has_a_zero():
 
 @pytest.mark.parametrize("model", ["motor", "shaft", "constant_efficiency"])
 def test_convex_and_increasing_in_thrust(model):
-    steady = SteadyFlight(scenario(power={"model": model}))
-    powers = np.array([steady.power_at_thrust(thrust) for thrust in np.linspace(0.0, 16.8, 30)])
+    flight = steady(scenario(power={"model": model}))
+    powers = np.array([flight.power_at_thrust(thrust) for thrust in np.linspace(0.0, 16.8, 30)])
     assert np.all(np.diff(powers) > 0.0)
     assert np.all(np.diff(powers, 2) > -1e-9)
 
 
 def test_friction_makes_the_first_newton_the_dearest():
-    steady = SteadyFlight(scenario(power={"model": "motor_with_friction"}))
-    powers = np.array([steady.power_at_thrust(thrust) for thrust in np.linspace(0.0, 16.8, 30)])
+    flight = steady(scenario(power={"model": "motor_with_friction"}))
+    powers = np.array([flight.power_at_thrust(thrust) for thrust in np.linspace(0.0, 16.8, 30)])
     assert np.all(np.diff(powers) > 0.0)
     assert np.diff(powers, 2)[0] < 0.0

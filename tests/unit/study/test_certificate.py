@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from pyomo_quad.model.momentum import MomentumDemand
 from pyomo_quad.study.certificate import certify
-from tests.declared_model import Instant, scenario
+from tests.declared_model import Instant, momentum_demand, scenario
 
 BOUNDED = ("motor", "shaft", "constant_efficiency", "motor_with_friction")
 
@@ -37,7 +36,7 @@ def test_alpha_enters_the_efficiency_function_otherwise():
 
 def test_momentum_demand_is_read_off_the_declared_balance():
     wind = {"use": "constant", "speed": 2.0, "coupling": "drag"}
-    demand = MomentumDemand(scenario(wind=wind, vehicle={"payload": 0.2, "drag_linear": 0.3}))
+    demand = momentum_demand(scenario(wind=wind, vehicle={"payload": 0.2, "drag_linear": 0.3}))
     assert demand.is_linear
     np.testing.assert_allclose(demand.mass, 1.5)
     np.testing.assert_allclose(demand.drag, 0.3)

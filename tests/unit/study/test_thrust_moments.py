@@ -5,15 +5,14 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from pyomo_quad.model.momentum import MomentumDemand
 from pyomo_quad.study.thrust_moments import ThrustMoments
-from tests.declared_model import scenario
+from tests.declared_model import momentum_demand, scenario
 
 MASS, WEIGHT = 1.3, 1.3 * 9.81
 
 
 def moments(displacement, duration, **tables):
-    demand = MomentumDemand(scenario(**tables))
+    demand = momentum_demand(scenario(**tables))
     return ThrustMoments(demand, np.array(displacement), duration)
 
 

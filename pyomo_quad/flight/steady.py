@@ -1,0 +1,372 @@
+"""Steady flight read off the compiled equations: hover, trim, and what each asks of the pack.
+
+Nothing of the vehicle is written here.  A trim is the state and the controls at which the very
+equations that were solved leave everything at rest but the place, which moves at a given velocity;
+a model of the user's own is trimmed like the declared one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq, least_squares
+
+from pyomo_quad.collocation import SolveError
+from pyomo_quad.flight.ends import declared_start
+from pyomo_quad.flight.flight import POSITION_STATES
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pyomo_quad.collocation import Dynamics
+    from pyomo_quad.scenario import Scenario
+
+__all__ = ["Hover", "MomentumDemand", "SteadyFlight", "Trim", "battery_shortfalls"]
+
+FloatArray = NDArray[np.float64]
+
+_VELOCITY = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")
+_ROLL, _PITCH, _YAW = "rigid_body.phi", "rigid_body.theta", "rigid_body.psi"
+_ROTOR_SPEED = "rotors.omega["
+_CHARGE = "battery.charge_drawn"
+_FIRST_ROTOR = 1
+_UNCREDITED = "power.uncredited_power"
+_STILL = np.zeros(3)
+# Largest rate that a trim leaves in a state meant to rest, in the state's own unit per second.
+_AT_REST = 1e-7
+_PRECISION = 1e-15
+# Velocities at which linearity is tried, m/s: each axis alone, and all of them together.
+_TRIALS = np.array([[3.0, 0, 0], [0, 3.0, 0], [0, 0, 3.0], [-5.0, 7.0, -2.0]])
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trim:
+    """Steady flight at a velocity: states and controls in the order of the dynamics."""
+
+    states: FloatArray
+    controls: FloatArray
+    power_W: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hover:
+    """Hover in still air at the start of the mission: what one stands to pay per second."""
+
+    rotor_speed_rad_per_s: float
+    thrust_N: float
+    power_W: float
+    battery_current_A: float
+    battery_voltage_V: float
+    greatest_battery_power_W: float
+    charge_rate_Ah_per_s: float
+
+
+class SteadyFlight:
+    """A vehicle in steady flight, as its compiled equations have it.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Gives the place and the state of charge.
+    dynamics : Dynamics
+        The equations, in the air that is to be flown through; `Planner.steady_flight` gives them
+        in still air.
+    known : mapping, optional
+        State name -> value at the start, for states of a model of the user's own.
+    """
+
+    def __init__(
+        self, scenario: Scenario, dynamics: Dynamics, known: Mapping[str, float] | None = None
+    ) -> None:
+        names = dynamics.state_names
+        start = dynamics.initial_states() | declared_start(scenario, dynamics) | dict(known or {})
+        self._dynamics = dynamics
+        self._start = np.array([start[name] for name in names])
+        self._rotors = [k for k, name in enumerate(names) if name.startswith(_ROTOR_SPEED)]
+
+    def trim(self, velocity: ArrayLike = _STILL) -> Trim:
+        """Return the steady flight at a velocity over ground.
+
+        Place and heading are those of the start, and so is a state that the mission gives at its
+        start and leaves free at its end, such as the charge drawn: what the flight uses up has no
+        rest.  All other states, and the controls, are solved for.
+
+        Parameters
+        ----------
+        velocity : array_like, shape (3,), optional
+            In world axes, m/s; hover by default.  In still air it is the airspeed too.
+
+        Returns
+        -------
+        Trim
+
+        Raises
+        ------
+        SolveError
+            If the equations have no such steady flight.
+        """
+        names, t = list(self._dynamics.state_names), self._dynamics.start
+        used_up = set(self._dynamics.states_used_up)
+        held = used_up | {*POSITION_STATES, _YAW}
+        free = [k for k, name in enumerate(names) if name not in held]
+        resting = [k for k, name in enumerate(names) if name not in used_up]
+        wanted, guess = np.zeros(len(names)), self._start.copy()
+        for place, rate, speed in zip(POSITION_STATES, _VELOCITY, np.array(velocity), strict=True):
+            if place in names:
+                wanted[names.index(place)] = speed
+            if rate in names:
+                guess[names.index(rate)] = speed
+        split = len(free)
+
+        def flight(unknown: FloatArray) -> tuple[FloatArray, FloatArray]:
+            states = guess.copy()
+            states[free] = unknown[:split]
+            return states, unknown[split:]
+
+        def unrest(unknown: FloatArray) -> FloatArray:
+            return (self._dynamics.rates(t, *flight(unknown)) - wanted)[resting]
+
+        first = np.concatenate([guess[free], np.zeros(len(self._dynamics.control_names))])
+        tolerances = {"ftol": _PRECISION, "xtol": _PRECISION, "gtol": _PRECISION}
+        scale = np.maximum(1.0, np.abs(first))
+        found = least_squares(unrest, first, x_scale=scale, **tolerances)
+        if not np.max(np.abs(found.fun), initial=0.0) <= _AT_REST:
+            raise SolveError(
+                f"steady flight: the model has none at {np.array(velocity).tolist()} m/s; "
+                "its limits aside, some state never comes to rest."
+            )
+        states, controls = flight(found.x)
+        power = self._dynamics.integrand(t, states, controls)
+        return Trim(states=states, controls=controls, power_W=float(power))
+
+    @cached_property
+    def _hovering(self) -> Trim:
+        return self.trim()
+
+    @property
+    def hover_power(self) -> float:
+        """Power of hover in still air, W."""
+        return self._hovering.power_W
+
+    @property
+    def hover_speed(self) -> float:
+        """Rotor speed of hover, rad/s."""
+        return float(np.mean(self._hovering.states[self._rotors]))
+
+    @cached_property
+    def hover(self) -> Hover:
+        """Hover of a quadrotor with the battery as it is at the start of the mission."""
+        names = (
+            *("rotors.total_thrust", "battery.current", "battery.voltage"),
+            "battery.greatest_power",
+        )
+        thrust, current, voltage, greatest = self._read(names, self._hovering.states).tolist()
+        return Hover(
+            rotor_speed_rad_per_s=self.hover_speed,
+            thrust_N=thrust,
+            power_W=self.hover_power,
+            battery_current_A=current,
+            battery_voltage_V=voltage,
+            greatest_battery_power_W=greatest,
+            charge_rate_Ah_per_s=self._charge_rate(self._hovering.states),
+        )
+
+    def thrust(self, speed: ArrayLike) -> FloatArray:
+        """Return the total thrust [N] with all rotors at each of some speeds [rad/s]."""
+        return self._over_speeds("rotors.total_thrust", speed)
+
+    def power(self, speed: ArrayLike) -> FloatArray:
+        """Return the power [W] with all rotors at each of some constant speeds [rad/s]."""
+        return self._over_speeds("power.total", speed)
+
+    def uncredited_power(self, speed: ArrayLike) -> FloatArray:
+        """Return the power [W] before a floor takes what braking earns; see `model.power`."""
+        rotors = range(_FIRST_ROTOR, _FIRST_ROTOR + len(self._rotors))
+        if not self._dynamics.has(_UNCREDITED):
+            return self.power(speed)
+        return np.sum([self._over_speeds(_UNCREDITED, speed, index=j) for j in rotors], axis=0)
+
+    def power_at_thrust(self, thrust: float) -> float:
+        """Return the power [W] of steady flight at a total thrust [N], not negative."""
+        if thrust <= 0.0:
+            return float(self.power(0.0))
+        return float(self.power(self._speed_where(self.thrust, thrust)))
+
+    def rotor_value(self, name: str, speed: ArrayLike, acceleration: ArrayLike = 0.0) -> FloatArray:
+        """Return a quantity of one rotor, in its own unit, at speeds and accelerations.
+
+        `name` is that of an expression over rotors and time, as ``"rotors.motor_torque"``.
+        """
+        speeds, accelerations = np.broadcast_arrays(
+            np.asarray(speed, dtype=float), np.asarray(acceleration, dtype=float)
+        )
+        return self._over_speeds(name, speeds, accelerations, index=_FIRST_ROTOR)
+
+    def yaw_moment(self, odd_speed: float, even_speed: float) -> float:
+        """Return the yaw moment [N m] with rotors 1 and 3 at one speed, 2 and 4 at another."""
+        states = self._start.copy()
+        states[self._rotors[::2]], states[self._rotors[1::2]] = odd_speed, even_speed
+        return float(self._read(("rotors.yaw_moment",), states)[0])
+
+    def pack_under(self, power: float) -> tuple[float, float, float]:
+        """Return current [A], voltage [V] and charge per second [A h/s] of the pack under a load.
+
+        The load [W] is that of all rotors at one speed; the pack is as at the start.
+        """
+        states = self._start.copy()
+        states[self._rotors] = self._speed_where(self.power, power)
+        current, voltage = self._read(("battery.current", "battery.voltage"), states).tolist()
+        return current, voltage, self._charge_rate(states)
+
+    def stored_energy(self, depth: float, samples: int) -> float:
+        """Return the energy [J] that the full pack gives without load down to a depth (0 to 1)."""
+        states = np.tile(self._start, (samples, 1))
+        column = self._dynamics.state_names.index(_CHARGE)
+        drawn = states[:, column] = np.linspace(0.0, depth * self.pack_capacity, samples)
+        voltage = self._rows((("battery.open_circuit_voltage", None),), states)[:, 0]
+        hover = self.hover
+        coulombs_per_ampere_hour = hover.battery_current_A / hover.charge_rate_Ah_per_s
+        return float(np.trapezoid(voltage, drawn) * coulombs_per_ampere_hour)
+
+    @cached_property
+    def pack_capacity(self) -> float:
+        """Charge of the full pack, A h."""
+        states = np.tile(self._start, (2, 1))
+        states[:, self._dynamics.state_names.index(_CHARGE)] = 0.0, 1.0
+        full, less = self._rows((("battery.state_of_charge", None),), states)[:, 0].tolist()
+        return full / (full - less)
+
+    def _charge_rate(self, states: FloatArray) -> float:
+        rates = self._dynamics.rates(
+            self._dynamics.start, states, np.zeros(len(self._dynamics.control_names))
+        )
+        return float(rates[self._dynamics.state_names.index(_CHARGE)])
+
+    def _speed_where(self, reading: object, wanted: float) -> float:
+        """Return the speed of all rotors at which a rising reading takes a value."""
+
+        def excess(speed: float) -> float:
+            return float(reading(speed)) - wanted  # type: ignore[operator]
+
+        fastest = self.hover_speed
+        while excess(fastest) < 0.0:
+            fastest *= 2.0
+        return float(brentq(excess, 0.0, fastest, xtol=1e-12, rtol=_PRECISION))
+
+    def _over_speeds(
+        self,
+        name: str,
+        speed: ArrayLike,
+        acceleration: ArrayLike = 0.0,
+        index: int | None = None,
+    ) -> FloatArray:
+        speeds = np.asarray(speed, dtype=float)
+        states = np.tile(self._start, (speeds.size, 1))
+        states[:, self._rotors] = speeds.reshape(-1, 1)
+        controls = np.zeros((speeds.size, len(self._dynamics.control_names)))
+        controls += np.broadcast_to(acceleration, speeds.shape).reshape(-1, 1)
+        return self._rows(((name, index),), states, controls)[:, 0].reshape(speeds.shape)
+
+    def _read(self, names: tuple[str, ...], states: FloatArray) -> FloatArray:
+        return self._rows(tuple((name, None) for name in names), states[None, :])[0]
+
+    def _rows(
+        self,
+        keys: tuple[tuple[str, int | None], ...],
+        states: FloatArray,
+        controls: FloatArray | None = None,
+    ) -> FloatArray:
+        if controls is None:
+            controls = np.zeros((len(states), len(self._dynamics.control_names)))
+        times = np.full(len(states), self._dynamics.start)
+        return self._dynamics.table(keys, times, states, controls)
+
+
+class MomentumDemand:
+    """The thrust vector that the momentum balance asks for.
+
+    With the rotors at rest the acceleration is that of weight and air alone; what a motion needs
+    beyond it the thrust has to supply, whatever the attitude.  Where that is linear in the velocity
+    each axis reads: thrust(t) = mass * acceleration + drag * velocity + standing(t), with the
+    weight and the wind in `standing`.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        The compiled vehicle in its wind.
+
+    Attributes
+    ----------
+    mass, drag : ndarray, shape (3,)
+        Force per acceleration [kg] and per velocity [kg/s] along each world axis.
+    is_linear : bool
+        Whether the demand is linear in the velocity and separate in the axes; `drag` has no
+        meaning when it is not.
+    """
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        self._dynamics = dynamics
+        names = list(dynamics.state_names)
+        self._velocity = [names.index(name) for name in _VELOCITY]
+        self._rotors = [k for k, name in enumerate(names) if name.startswith(_ROTOR_SPEED)]
+        self._controls = np.zeros(len(dynamics.control_names))
+        self._at_rest = np.zeros(len(names))
+        self.mass = np.array([self._mass(axis) for axis in range(3)])
+        start = dynamics.start
+        at_rest = self.thrust(start)
+        axes = range(len(_VELOCITY))
+        self.drag = np.array([self.thrust(start, np.eye(3)[i])[i] for i in axes]) - at_rest
+        scale = float(np.max(np.abs(at_rest)) + np.max(np.abs(self.drag)))
+        errors = [
+            self.thrust(start, velocity) - at_rest - self.drag * velocity for velocity in _TRIALS
+        ]
+        self.is_linear = bool(np.max(np.abs(errors)) <= _ROUNDING * scale)
+
+    def thrust(
+        self, time: float, velocity: FloatArray = _STILL, acceleration: FloatArray = _STILL
+    ) -> FloatArray:
+        """Return the thrust vector [N] that a motion, m/s and m/s^2 in world axes, needs."""
+        states = self._at_rest.copy()
+        states[self._velocity] = velocity
+        return np.asarray(self.mass * (acceleration - self._acceleration(time, states)))
+
+    def _acceleration(self, time: float, states: FloatArray) -> FloatArray:
+        return np.asarray(self._dynamics.rates(time, states, self._controls)[self._velocity])
+
+    def _mass(self, axis: int) -> float:
+        """Return the thrust per acceleration along an axis, with the vehicle tilted towards it."""
+        names, start = self._dynamics.state_names, self._dynamics.start
+        states = self._at_rest.copy()
+        if axis == 0:
+            states[names.index(_PITCH)] = np.pi / 2
+        elif axis == 1:
+            states[names.index(_ROLL)] = -np.pi / 2
+        without = self._acceleration(start, states)
+        states[self._rotors] = 1e3
+        keys = (("rotors.total_thrust", None),)
+        times, controls = np.array([start]), self._controls[None, :]
+        thrust = float(self._dynamics.table(keys, times, states[None, :], controls)[0, 0])
+        return float(thrust / (self._acceleration(start, states) - without)[axis])
+
+
+def battery_shortfalls(scenario: Scenario, steady: SteadyFlight) -> tuple[str, ...]:
+    """Say in which ways the pack is too small even for hovering through the mission."""
+    hover = steady.hover
+    pack = scenario.battery
+    cells = f"battery {pack.use}, {pack.cells_series} x {pack.cells_parallel} cells"
+    greatest = hover.greatest_battery_power_W
+    if hover.power_W > greatest:
+        needs = f"hover needs {hover.power_W:.4g} W, the pack delivers at most {greatest:.4g} W"
+        return (f"{cells}: {needs}; add cells.",)
+    duration = scenario.mission.duration
+    needed = hover.charge_rate_Ah_per_s * duration
+    held = steady.pack_capacity * pack.initial_state_of_charge / 100
+    if needed > held:
+        needs = f"hovering for {duration:.4g} s needs {needed:.4g} Ah, the pack holds {held:.4g} Ah"
+        return (f"{cells}: {needs}; add cells or shorten the mission.",)
+    return ()
