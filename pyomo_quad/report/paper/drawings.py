@@ -82,7 +82,7 @@ def _power(study: PaperStudy) -> Iterator[Drawing]:
         caption="Figure 1. Above: where the energy of the optimal flight of experiment 1 goes, "
         "under the motors' electrical power; as the rotors end as they began, the air takes the "
         f"last bar. The remainder of {chain.created:+.2f} J is no energy but an inconsistency of "
-        "the paper's numbers: k_t and 1/k_v of one motor are equal, and as printed they are "
+        "the paper's numbers: k_t and 1/k_v of one motor are equal, and the printed digits are "
         "rounded apart. Below: f_r over speed and torque, with the same flight on it; torques "
         "beyond the axis are not shown. Hatched: f_r below zero; dotted line: the braking torque "
         "at which it first gets there.",
