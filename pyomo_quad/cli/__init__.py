@@ -1,5 +1,28 @@
-"""The command line."""
+"""The command line; importing it imports next to nothing, so that signals are heeded at once."""
 
-from pyomo_quad.cli.app import main
+from collections.abc import Sequence
+
+from pyomo_quad.cli.interruption import end_on_signals
 
 __all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The command line without the program's name; that of the process by default, which then
+        belongs to the command: Ctrl-C and SIGTERM end it, and its streams are made safe.
+
+    Returns
+    -------
+    int
+        Exit status, see `ExitCode`.
+    """
+    if arguments is None:
+        end_on_signals()
+    from pyomo_quad.cli import app  # noqa: PLC0415  see above
+
+    return app.main(arguments)

@@ -1,6 +1,5 @@
 """The `pyomo-quad` command: its subcommands, and the one place where errors become exit codes."""
 
-import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -9,14 +8,16 @@ from typing import Annotated
 import typer
 
 from pyomo_quad.cli.check import check
-from pyomo_quad.cli.consoles import complain
+from pyomo_quad.cli.consoles import claim_streams, complain, gives_up_output
 from pyomo_quad.cli.exit_codes import ExitCode
 from pyomo_quad.cli.fly import fly
+from pyomo_quad.cli.interruption import SolveStopped, before_the_end
 from pyomo_quad.cli.library import library
 from pyomo_quad.cli.paper import paper
 from pyomo_quad.cli.run import compare, run
 from pyomo_quad.cli.solve import solve
 from pyomo_quad.cli.sweep import sweep, sweep_report
+from pyomo_quad.report.folder import discard_unfinished
 from pyomo_quad.scenario.errors import FeasibilityError, PyomoQuadError, ScenarioError
 from pyomo_quad.version import __version__
 
@@ -60,18 +61,12 @@ def _before_any_command(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        The command line without the program's name, that of the process by default.
-
-    Returns
-    -------
-    int
-        Exit status, see `ExitCode`.
-    """
+    """Run one command and return its exit status; see `pyomo_quad.cli.main`."""
+    if arguments is None:
+        before_the_end(discard_unfinished)
+        if not claim_streams():
+            complain("pyomo-quad: standard output is closed; send it to a file or to /dev/null.")
+            return ExitCode.FAULT
     try:
         status = app(
             args=None if arguments is None else list(arguments),
@@ -79,11 +74,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             standalone_mode=False,
         )
         sys.stdout.flush()
-    except (KeyboardInterrupt, typer.Abort):
-        complain("pyomo-quad: interrupted; nothing was written.")
+    except (KeyboardInterrupt, SolveStopped, typer.Abort):
+        complain("pyomo-quad: interrupted; no report was written.")
         return ExitCode.INTERRUPTED
-    except BrokenPipeError:
-        return _give_up_output()
     except (ScenarioError, FeasibilityError) as error:
         complain(str(error))
         return ExitCode.BAD_INPUT
@@ -97,7 +90,10 @@ def _explain(error: Exception) -> ExitCode:
         message = error.format_message()  # type: ignore[attr-defined]
         complain(f"pyomo-quad: {message} See pyomo-quad --help.")
         return ExitCode.BAD_INPUT
-    if isinstance(error, OSError | PyomoQuadError):
+    if isinstance(error, OSError) and gives_up_output(error):
+        if not isinstance(error, BrokenPipeError):  # whoever read the output has had enough of it
+            complain(f"pyomo-quad: standard output cannot be written ({error.strerror}).")
+    elif isinstance(error, OSError | PyomoQuadError):
         complain(str(error))
     else:
         place = traceback.extract_tb(error.__traceback__)[-1]
@@ -105,10 +101,4 @@ def _explain(error: Exception) -> ExitCode:
             f"pyomo-quad: unexpected {type(error).__name__}: {error} "
             f"(at {place.filename}:{place.lineno}); this is a bug, please report it with this line."
         )
-    return ExitCode.FAULT
-
-
-def _give_up_output() -> ExitCode:
-    # Whoever read the output has closed it; Python would complain when it flushes once more.
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return ExitCode.FAULT

@@ -13,4 +13,4 @@ class ExitCode(IntEnum):
     BAD_INPUT = 2
     NOT_SOLVED = 3  # infeasible or not converged
     NOT_VERIFIED = 4
-    INTERRUPTED = 130  # as shells report an interrupt signal
+    INTERRUPTED = 130  # by Ctrl-C, as shells report it, or by SIGTERM

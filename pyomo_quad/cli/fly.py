@@ -17,7 +17,7 @@ from pyomo_quad.cli.options import (
     folder_of,
 )
 from pyomo_quad.cli.stopwatch import Stopwatch
-from pyomo_quad.report.folder import output_folder
+from pyomo_quad.report.folder import output_folder, refuse_output_folder
 from pyomo_quad.report.summary import summary_text
 from pyomo_quad.scenario import Scenario, load_scenario
 from pyomo_quad.scenario.baseline import Reference
@@ -56,14 +56,15 @@ def fly(
     watch = Stopwatch()
     followed = _followed(controller, reference)
     resolved = load_scenario(scenario, overrides or ())
+    folder = folder_of(resolved, out or _own_folder(resolved, controller, followed))
+    refuse_output_folder(folder)
     with watch.phase("import"):
         from pyomo_quad.cli import flying, solving  # noqa: PLC0415  take a second, see there
-    planner = solving.planner_for(resolved, is_code_allowed=allow_code)
-    folder = folder_of(resolved, out or _own_folder(resolved, controller, followed))
+    planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
     plan = None
     if followed is Reference.PLAN:
         with watch.phase("solve"):
-            made = flying.make_plan(planner, resolved, is_quiet=quiet or as_json)
+            made = flying.make_plan(planner, resolved)
         if isinstance(made, ExitCode):
             return made
         plan = made

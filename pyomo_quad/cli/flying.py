@@ -6,7 +6,7 @@ from typing import Any
 
 from pyomo_quad.cli.consoles import complain
 from pyomo_quad.cli.exit_codes import ExitCode
-from pyomo_quad.cli.solving import exit_code_of, follow_solve
+from pyomo_quad.cli.solving import exit_code_of
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop
@@ -22,7 +22,7 @@ __all__ = ["make_flight", "make_plan", "verdict", "write_flight"]
 _FLIGHT_NAME = "flight.csv"
 
 
-def make_plan(planner: Planner, scenario: Scenario, *, is_quiet: bool) -> Plan | ExitCode:
+def make_plan(planner: Planner, scenario: Scenario) -> Plan | ExitCode:
     """Make the plan that a flight follows.
 
     Parameters
@@ -31,17 +31,14 @@ def make_plan(planner: Planner, scenario: Scenario, *, is_quiet: bool) -> Plan |
         Of the scenario's model.
     scenario : Scenario
         The mission.
-    is_quiet : bool
-        Show no progress.
 
     Returns
     -------
     Plan or ExitCode
         The status to end with where there is no verified plan.
     """
-    with follow_solve(is_quiet=is_quiet) as (progress, interruption):
-        plan = planner.solve(scenario, progress=progress)
-    status = exit_code_of(plan, interruption)
+    plan = planner.solve(scenario)
+    status = exit_code_of(plan)
     if status is ExitCode.VERIFIED:
         return plan
     complain(f"{scenario.name}: no plan to follow, {plan.status.value}: {plan.message}")

@@ -1,11 +1,43 @@
-"""Ctrl-C during a solve: stop at the next iteration and keep what was reached."""
+"""Ctrl-C and SIGTERM: the command ends within a second, in one line, whatever it is at.
 
+A signal ends the process from within its handler: an exception would be swallowed or printed by
+whatever it meets, imports and callbacks above all. A solve alone is left a moment to come to the
+end of its iteration, so that its best iterate can be kept, and a sweep to put away its workers.
+"""
+
+import os
 import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from types import FrameType
+from typing import Any
 
-__all__ = ["Interruption", "stop_on_interrupt"]
+from pyomo_quad.cli.exit_codes import ExitCode
+
+__all__ = [
+    "Interruption",
+    "SolveStopped",
+    "before_the_end",
+    "end_on_signals",
+    "raise_on_interrupt",
+    "stop_on_interrupt",
+]
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_PATIENCE_S = 0.5
+_LINE = b"pyomo-quad: interrupted; no report was written.\n"
+# A line that follows a solve is wiped, and the cursor it hid comes back.
+_CLEAR = b"\r\x1b[K\x1b[?25h"
+
+_last_acts: list[Callable[[], object]] = []
+
+
+class SolveStopped(Exception):  # noqa: N818  what the user wanted is no error
+    """The user stopped a solve; `plan` holds its best iterate."""
+
+    def __init__(self, plan: Any) -> None:  # noqa: ANN401  its type would import the engine
+        super().__init__("interrupted")
+        self.plan = plan
 
 
 class Interruption:
@@ -15,30 +47,76 @@ class Interruption:
         self.is_requested = False
 
     def request(self, _signal: int, _frame: FrameType | None) -> None:
-        """Take the first interrupt as a wish, the second as an order.
+        """Take the first signal as a wish; where nothing enforces it, the second as an order.
 
         Raises
         ------
         KeyboardInterrupt
-            When the user insists.
+            When the user insists, in a process that is not the command's own.
         """
-        if self.is_requested:
+        if self.is_requested and not _enforce():
             raise KeyboardInterrupt
-        self.is_requested = True
+        if not self.is_requested:
+            self.is_requested = True
+            _enforce()
+
+
+def end_on_signals() -> None:
+    """Let Ctrl-C and SIGTERM end this process from now on."""
+    for number in (*_SIGNALS, signal.SIGALRM):
+        signal.signal(number, _end)
+
+
+def before_the_end(act: Callable[[], object]) -> None:
+    """Call something, which must be quick, before a signal ends the process."""
+    _last_acts.append(act)
 
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[Interruption]:
-    """Turn the interrupt signal into a flag while the block runs.
-
-    Yields
-    ------
-    Interruption
-        To be asked between two steps.
-    """
+    """Turn a signal into a wish while the block runs; the process ends soon all the same."""
     interruption = Interruption()
-    previous = signal.signal(signal.SIGINT, interruption.request)
-    try:
+    with _handled_by(interruption.request):
         yield interruption
+
+
+@contextmanager
+def raise_on_interrupt() -> Iterator[None]:
+    """Turn the first signal into `KeyboardInterrupt`; the process ends soon all the same."""
+
+    def once(_signal: int, _frame: FrameType | None) -> None:
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        _enforce()
+        raise KeyboardInterrupt
+
+    with _handled_by(once):
+        yield
+
+
+@contextmanager
+def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    previous = {number: signal.signal(number, handler) for number in _SIGNALS}
+    try:
+        yield
     finally:
-        signal.signal(signal.SIGINT, previous)
+        for number, former in previous.items():
+            signal.signal(number, former)
+
+
+def _enforce() -> bool:
+    """End the process a moment from now, if it is the command's own; say whether it is."""
+    is_own = signal.getsignal(signal.SIGALRM) is _end
+    if is_own and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0:
+        signal.setitimer(signal.ITIMER_REAL, _PATIENCE_S)
+    return is_own
+
+
+def _end(_signal: int, _frame: FrameType | None) -> None:
+    for number in (*_SIGNALS, signal.SIGALRM):
+        signal.signal(number, signal.SIG_IGN)
+    for act in _last_acts:
+        act()
+    with suppress(OSError):
+        os.write(2, (_CLEAR if os.isatty(2) else b"") + _LINE)
+    os._exit(ExitCode.INTERRUPTED)

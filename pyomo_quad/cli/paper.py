@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from pyomo_quad.cli.consoles import error_console
 from pyomo_quad.cli.exit_codes import ExitCode
 from pyomo_quad.cli.options import Quiet
-from pyomo_quad.report.folder import output_folder
+from pyomo_quad.report.folder import output_folder, refuse_output_folder
 
 __all__ = ["paper"]
 
@@ -25,6 +25,7 @@ Quick = Annotated[bool, typer.Option("--quick", help="Coarse meshes, and fewer o
 
 def paper(*, out: Folder = _FOLDER, quick: Quick = False, quiet: Quiet = False) -> int:
     """Reproduce and examine the paper: every experiment, table, figure and equation."""
+    refuse_output_folder(out)
     # A second to import, and not needed to refuse a misspelt option.
     from pyomo_quad.report.paper.write import write_paper_report  # noqa: PLC0415
     from pyomo_quad.study.paper.study import run_paper_study  # noqa: PLC0415

@@ -1,7 +1,7 @@
 """`pyomo-quad run` and `compare`: the optimum beside what else could be flown, with its proof."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -15,12 +15,9 @@ from pyomo_quad.cli.options import (
     folder_of,
 )
 from pyomo_quad.cli.stopwatch import Stopwatch
-from pyomo_quad.report.folder import output_folder
+from pyomo_quad.report.folder import refuse_output_folder
 from pyomo_quad.report.summary import compare_summary, run_summary, write_summary
 from pyomo_quad.scenario import load_scenario
-
-if TYPE_CHECKING:
-    from pyomo_quad.study.run import RunResult
 
 __all__ = ["compare", "run"]
 
@@ -46,24 +43,22 @@ def run(
     """Solve, verify, fly every baseline, compare, certify and report."""
     watch = Stopwatch()
     resolved = load_scenario(scenario, overrides or ())
+    folder = folder_of(resolved, out)
+    refuse_output_folder(folder)
     with watch.phase("import"):
         from pyomo_quad.cli import solving, verdict  # noqa: PLC0415  takes a second, see there
         from pyomo_quad.report.run_report import write_run_report  # noqa: PLC0415
         from pyomo_quad.study.run import run_scenario  # noqa: PLC0415
-    planner = solving.planner_for(resolved, is_code_allowed=allow_code)
-    folder = folder_of(resolved, out)
-    with (
-        solving.follow_solve(is_quiet=quiet or as_json) as (progress, interruption),
-        output_folder(folder) as aside,
-    ):
-        result = run_scenario(resolved, planner=planner, progress=progress)
+    planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
+    with solving.report_folder(folder) as aside:
+        result = run_scenario(resolved, planner=planner)
         with watch.phase("report"):
             write_run_report(aside, result)
         summary = run_summary(result, wall_s=watch.seconds)
         write_summary(aside, summary)
     verdict.answer(verdict.run_lines(result), summary, folder, is_quiet=quiet, as_json=as_json)
     verdict.complain_about(result.plan, folder, result.warnings)
-    return solving.exit_code_of(result.plan, interruption)
+    return solving.exit_code_of(result.plan)
 
 
 def compare(
@@ -77,20 +72,21 @@ def compare(
 ) -> int:
     """Run many scenarios and put all their flights into one table."""
     missions = [load_scenario(file, overrides or ()) for file in scenarios]
+    refuse_output_folder(out)
     from pyomo_quad.cli import solving, verdict  # noqa: PLC0415  takes a second, see there
     from pyomo_quad.report.comparison_tables import write_comparison  # noqa: PLC0415
     from pyomo_quad.study.comparison import combine  # noqa: PLC0415
     from pyomo_quad.study.run import run_scenario  # noqa: PLC0415
 
-    planners = [solving.planner_for(m, is_code_allowed=allow_code) for m in missions]
-    results: list[RunResult] = []
-    with (
-        solving.follow_solve(is_quiet=quiet or as_json) as (progress, interruption),
-        output_folder(out) as aside,
-    ):
-        for mission, planner in zip(missions, planners, strict=True):
-            if not interruption.is_requested:
-                results.append(run_scenario(mission, planner=planner, progress=progress))
+    is_quiet = quiet or as_json
+    planners = [
+        solving.planner_for(m, is_code_allowed=allow_code, is_quiet=is_quiet) for m in missions
+    ]
+    with solving.report_folder(out) as aside:
+        results = [
+            run_scenario(mission, planner=planner)
+            for mission, planner in zip(missions, planners, strict=True)
+        ]
         comparison = combine([result.comparison for result in results])
         write_comparison(aside, comparison)
         summary = compare_summary(results)
@@ -99,4 +95,4 @@ def compare(
     verdict.answer(lines, summary, out, is_quiet=quiet, as_json=as_json)
     for result in results:
         verdict.complain_about(result.plan, out, result.warnings)
-    return max(solving.exit_code_of(result.plan, interruption) for result in results)
+    return max(solving.exit_code_of(result.plan) for result in results)

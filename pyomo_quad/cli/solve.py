@@ -15,7 +15,7 @@ from pyomo_quad.cli.options import (
     real_number,
 )
 from pyomo_quad.cli.stopwatch import Stopwatch
-from pyomo_quad.report.folder import output_folder
+from pyomo_quad.report.folder import refuse_output_folder
 from pyomo_quad.report.summary import plan_summary, write_summary
 from pyomo_quad.scenario import load_scenario
 
@@ -45,17 +45,15 @@ def solve(
     """Solve a scenario, verify the plan by flying it, and write the report."""
     watch = Stopwatch()
     resolved = load_scenario(scenario, overrides or ())
+    folder = folder_of(resolved, out)
+    refuse_output_folder(folder)
     with watch.phase("import"):
         from pyomo_quad.cli import solving, verdict  # noqa: PLC0415  takes a second, see there
         from pyomo_quad.report.solve_report import write_solve_report  # noqa: PLC0415
         from pyomo_quad.study.cautions import plan_cautions  # noqa: PLC0415
-    planner = solving.planner_for(resolved, is_code_allowed=allow_code)
-    folder = folder_of(resolved, out)
-    with (
-        solving.follow_solve(is_quiet=quiet or as_json) as (progress, interruption),
-        output_folder(folder) as aside,
-    ):
-        plan = planner.solve(resolved, progress=progress)
+    planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
+    with solving.report_folder(folder) as aside:
+        plan = planner.solve(resolved)
         cautions = plan_cautions(plan, planner=planner)
         with watch.phase("report"):
             write_solve_report(aside, plan, cautions, rate)
@@ -63,4 +61,4 @@ def solve(
         write_summary(aside, summary)
     verdict.answer(verdict.verdict_lines(plan), summary, folder, is_quiet=quiet, as_json=as_json)
     verdict.complain_about(plan, folder, cautions)
-    return solving.exit_code_of(plan, interruption)
+    return solving.exit_code_of(plan)

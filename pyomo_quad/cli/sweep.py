@@ -9,6 +9,7 @@ import typer
 
 from pyomo_quad.cli.consoles import complain
 from pyomo_quad.cli.exit_codes import ExitCode
+from pyomo_quad.cli.interruption import raise_on_interrupt
 from pyomo_quad.cli.options import positive_count
 from pyomo_quad.report.folder import output_folder
 
@@ -70,7 +71,7 @@ def sweep(
 
         print(_estimate_line(design, estimate_sweep(design, loaded.base, folder), count))
         return ExitCode.VERIFIED
-    with _workers(count, scheduler) as crew:
+    with raise_on_interrupt(), _workers(count, scheduler) as crew:
         summary = _run(loaded, design, folder, crew, is_fresh=fresh, is_verbose=verbose)
     print(_summary_line(design, summary, folder))
     if summary.is_interrupted:

@@ -1,18 +1,25 @@
 """Interrupts, kills and bad disks through the real command: a whole report, or the old one."""
 
+import os
+import re
 import resource
+import shlex
 import shutil
 import signal
+import subprocess
+import sys
 import time
 from contextlib import nullcontext
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
+from pyomo_quad import Plan
 from pyomo_quad.cli import main, solving
 from pyomo_quad.cli.exit_codes import ExitCode
 from pyomo_quad.report.folder import output_folder
-from tests.command import PAPER_CALM, QUICK, solve, start
+from tests.command import COMMAND, ENVIRONMENT, PAPER_CALM, QUICK, solve, start
 from tests.scenario_files import write_scenario
 
 PATIENCE_S = 120
@@ -37,17 +44,99 @@ def leftovers(folder):
     return [entry.name for entry in folder.parent.iterdir() if entry != folder]
 
 
-def test_interrupt_keeps_the_best_iterate(tmp_path):
-    folder = tmp_path / "report"
-    process = begin(folder, *QUICK)
-    process.send_signal(signal.SIGINT)
+LINE = "pyomo-quad: interrupted; no report was written.\n"
+# From the signal to the end, on a machine that does much else.
+PROMPT_S = 2.0
+
+
+def interrupt(process, number):
+    """Send a signal; return status, output, complaints and the seconds until the end."""
+    process.send_signal(number)
+    started = time.monotonic()
     out, err = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == ExitCode.INTERRUPTED
-    assert (out, len(err.splitlines())) == (f"Written to {folder}.\n", 1)
-    assert err.startswith("paper_calm: interrupted: ")
-    assert set(pd.read_csv(folder / "plan.csv")["status"]) == {"interrupted"}
-    assert (folder / "report.md").read_text().startswith("# Failed, interrupted: ")
+    return process.returncode, out, err, time.monotonic() - started
+
+
+def assert_interrupted(ended):
+    status, out, err, seconds = ended
+    assert (status, out) == (ExitCode.INTERRUPTED, "")
+    assert len(err.splitlines()) == 1
+    assert "interrupted; " in err
+    assert seconds < PROMPT_S
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("delay_s", [0.0, 0.4, 1.0])
+def test_a_signal_during_the_imports_ends_at_once(tmp_path, number, delay_s):
+    process = start("run", PAPER_CALM, *QUICK, "--out", str(tmp_path / "report"))
+    while not handles(process, number):
+        assert process.poll() is None
+    time.sleep(delay_s)
+    assert_interrupted(interrupt(process, number))
+    assert list(tmp_path.iterdir()) == []
+
+
+def status_of(process):
+    return Path(f"/proc/{process.pid}/status").read_text(encoding="utf-8")
+
+
+def handles(process, number):
+    """Say whether the process handles this signal, and SIGALRM, which the command alone sets."""
+    caught = int(re.search(r"SigCgt:\s*([0-9a-f]+)", status_of(process))[1], 16)
+    return all(caught >> (n - 1) & 1 for n in (signal.SIGALRM, number))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_at_work_keeps_the_old_report(tmp_path, calm, number):
+    folder = tmp_path / "report"
+    shutil.copytree(calm.folder, folder)
+    process = begin(folder, *QUICK)
+    assert_interrupted(interrupt(process, number))
+    assert content(folder) == content(calm.folder)
+    assert set(leftovers(folder)) <= {"report-interrupted"}
+
+
+def test_a_signal_while_the_report_is_written_keeps_the_old_one(tmp_path, calm):
+    folder = tmp_path / "report"
+    shutil.copytree(calm.folder, folder)
+    process = begin(folder, *QUICK)
+    while not [file for file in tmp_path.glob(".report.new-*/*") if file.name[0] != "."]:
+        assert process.poll() is None
+        time.sleep(0.001)
+    ended = interrupt(process, signal.SIGINT)
+    assert_interrupted(ended)
+    assert ended[2] == LINE
+    assert content(folder) == content(calm.folder)
     assert leftovers(folder) == []
+
+
+def test_a_stopped_solve_leaves_its_best_iterate_beside_the_report(
+    tmp_path, calm, monkeypatch, capsys
+):
+    def stop_when_it_is_good(now):
+        if now.infeasibility < 1e-6:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(solving, "live_line", lambda **_: nullcontext(stop_when_it_is_good))
+    folder = tmp_path / "report"
+    shutil.copytree(calm.folder, folder)
+    assert main(["solve", PAPER_CALM, "--out", str(folder)]) == ExitCode.INTERRUPTED
+    beside = tmp_path / "report-interrupted"
+    assert capsys.readouterr() == (
+        "",
+        f"paper_calm: interrupted; its best iterate is in {beside}, and {folder} is as it was.\n",
+    )
+    assert content(folder) == content(calm.folder)
+    assert set(pd.read_csv(beside / "plan.csv")["status"]) == {"interrupted"}
+    assert Plan.load(beside / "plan.npz").energy > 0.0
+
+
+def test_a_solve_stopped_early_leaves_nothing(tmp_path, monkeypatch, capsys):
+    first = lambda _: signal.raise_signal(signal.SIGTERM)  # noqa: E731
+    monkeypatch.setattr(solving, "live_line", lambda **_: nullcontext(first))
+    assert main(["solve", PAPER_CALM, "--out", str(tmp_path / "r")]) == ExitCode.INTERRUPTED
+    assert capsys.readouterr().err == "paper_calm: interrupted; no report was written.\n"
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_kill_leaves_the_old_report_and_the_next_run_cleans_up(tmp_path, calm):
@@ -118,13 +207,100 @@ def test_folder_deleted_in_mid_run_is_one_line(tmp_path, capsys):
 
 
 def test_error_inside_a_callback_is_one_line(tmp_path, capsys, monkeypatch):
-    class Broken:
-        is_requested = property(lambda _: 1 / 0)
-
-    monkeypatch.setattr(solving, "stop_on_interrupt", lambda: nullcontext(Broken()))
+    monkeypatch.setattr(solving, "live_line", lambda **_: nullcontext(lambda _: 1 / 0))
     folder = tmp_path / "report"
     assert main(["solve", PAPER_CALM, *QUICK, "--out", str(folder)]) == ExitCode.FAULT
     said = capsys.readouterr()
     assert said.err.startswith("pyomo-quad: unexpected ZeroDivisionError: division by zero (at ")
     assert len(said.err.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+LIBRARY = ("library", "vehicles", "dji_phantom_2")
+
+
+def in_shell(line, *arguments, **changes):
+    """Run the command from a shell; return its status and what it complained of."""
+    command = shlex.join([*COMMAND, *arguments])
+    done = subprocess.run(
+        ["sh", "-c", f"{command} {line}"],
+        env=ENVIRONMENT | changes,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    return done.returncode, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "complaint"),
+    [
+        (">&-", "pyomo-quad: standard output is closed; send it to a file or to /dev/null.\n"),
+        ("<&- >&-", "pyomo-quad: standard output is closed; send it to a file or to /dev/null.\n"),
+        (
+            ">/dev/full",
+            "pyomo-quad: standard output cannot be written (No space left on device).\n",
+        ),
+        (">&- 2>&-", ""),
+        (">/dev/full 2>/dev/full", ""),
+        ("| true", ""),
+    ],
+)
+def test_output_that_cannot_be_written_is_a_fault_in_one_line(line, complaint):
+    status = "0" if line.startswith("|") else "1"
+    assert in_shell(line, *LIBRARY) == (int(status), complaint)
+
+
+def test_closed_errors_do_not_spoil_an_answer():
+    assert in_shell("2>&-", *LIBRARY)[0] == ExitCode.VERIFIED
+    assert in_shell("2>/dev/full", "library", "nonsense")[0] == ExitCode.BAD_INPUT
+
+
+def test_names_that_the_terminal_cannot_encode(tmp_path):
+    folder = tmp_path / os.fsdecode(b"bericht-\xff-\xc3\xbc")
+    file = write_scenario(tmp_path, 'title = "Überflug"')
+    file = file.rename(tmp_path / os.fsdecode(b"\xfc\xff.toml"))
+    done = subprocess.run(
+        [*COMMAND, "fly", file, "--out", folder],
+        env=ENVIRONMENT | {"PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (ExitCode.VERIFIED, "")
+    assert r"bericht-\udcff-\xfc" in done.stdout
+    assert (folder / "summary.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "place"),
+    [
+        (("solve", PAPER_CALM), "/"),
+        (("run", PAPER_CALM), "a_file"),
+        (("compare", PAPER_CALM), "a_file/report"),
+        (("fly", PAPER_CALM), "foreign"),
+        (("paper",), "foreign"),
+    ],
+)
+def test_a_bad_folder_is_refused_before_the_engine_is_imported(command, place, tmp_path):
+    (tmp_path / "a_file").write_text("")
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "notes.txt").write_text("")
+    program = (
+        "import sys; sys.modules['pyomo'] = sys.modules['casadi'] = None; "
+        "from pyomo_quad.cli import main; sys.exit(main(sys.argv[1:]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, *command, "--out", str(tmp_path / place)],
+        env=ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (ExitCode.FAULT, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert "choose " in done.stderr
