@@ -15,7 +15,7 @@ from pyomo_quad.cli.consoles import complain
 from pyomo_quad.cli.exit_codes import ExitCode
 from pyomo_quad.cli.interruption import SolveStopped, stop_on_interrupt
 from pyomo_quad.cli.live_line import live_line
-from pyomo_quad.collocation import Iteration, Problem, Progress, TranscriptionError
+from pyomo_quad.collocation import Iteration, Problem, Progress, TranscriptionError, WarmStart
 from pyomo_quad.flight import Plan, Planner, PlanStatus
 from pyomo_quad.flight.planning import Builder
 from pyomo_quad.model import model_builder
@@ -54,7 +54,7 @@ class _CommandPlanner(Planner):
         self,
         scenario: Scenario,
         *,
-        warm_start: Plan | None = None,
+        warm_start: Plan | WarmStart | None = None,
         progress: Progress | None = None,
     ) -> Plan:
         with live_line(is_quiet=self._is_quiet) as show, stop_on_interrupt() as interruption:

@@ -11,7 +11,7 @@ from pyomo_quad.cli.consoles import complain
 from pyomo_quad.cli.exit_codes import ExitCode
 from pyomo_quad.cli.interruption import raise_on_interrupt
 from pyomo_quad.cli.options import positive_count
-from pyomo_quad.report.folder import output_folder
+from pyomo_quad.report.folder import final_folder, output_folder, refuse_output_folder
 
 if TYPE_CHECKING:
     from pyomo_quad.study.sweep import SweepDesign, SweepEstimate, SweepSummary, Workers
@@ -60,6 +60,8 @@ def sweep(
     verbose: Verbose = False,
 ) -> int:
     """Solve all cases of a study, or those still missing, and write the report."""
+    if out is not None:
+        refuse_output_folder(final_folder(out) / _REPORT_FOLDER)
     from pyomo_quad.study.sweep import design_sweep, load_study  # noqa: PLC0415  takes a second
 
     loaded = load_study(study)

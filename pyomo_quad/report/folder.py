@@ -34,6 +34,7 @@ from pyomo_quad.scenario.errors import OutputError
 __all__ = [
     "MANIFEST_NAME",
     "discard_unfinished",
+    "final_folder",
     "output_folder",
     "recover_folder",
     "refuse_output_folder",
@@ -66,7 +67,7 @@ def output_folder(path: str | Path) -> Iterator[Path]:
         If the folder cannot be written, is full, is in use by another run, or holds files that
         no run wrote.
     """
-    final = _final(path)
+    final = final_folder(path)
     aside = _hidden(final, f"new-{os.getpid()}")
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
@@ -102,7 +103,7 @@ def refuse_output_folder(path: str | Path) -> None:
     OutputError
         If no report can go there; what else may happen until then is found out then.
     """
-    final = _final(path)
+    final = final_folder(path)
     try:
         _refuse_foreign_files(final, path)
         place = next(folder for folder in final.parents if os.path.lexists(folder))
@@ -134,7 +135,7 @@ def recover_folder(path: str | Path) -> None:
     OutputError
         If the swap cannot be finished.
     """
-    final = _final(path)
+    final = final_folder(path)
     if not _hidden(final, "ready").exists():
         return
     try:
@@ -144,7 +145,8 @@ def recover_folder(path: str | Path) -> None:
         _refuse(path, error)
 
 
-def _final(path: str | Path) -> Path:
+def final_folder(path: str | Path) -> Path:
+    """Return where a path leads; no report goes to the root of all folders."""
     # Unlike `Path.resolve`, `realpath` lets a loop of links be found out by whoever opens it.
     final = Path(os.path.realpath(path))
     if final == final.parent:

@@ -283,6 +283,8 @@ def test_names_that_the_terminal_cannot_encode(tmp_path):
         (("compare", PAPER_CALM), "a_file/report"),
         (("fly", PAPER_CALM), "foreign"),
         (("paper",), "foreign"),
+        (("sweep", "study.toml"), "/"),
+        (("sweep", "study.toml"), "a_file"),
     ],
 )
 def test_a_bad_folder_is_refused_before_the_engine_is_imported(command, place, tmp_path):
