@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from pyomo_quad.cli.interruption import end_on_signals
+from pyomo_quad.cli.interruption import end_on_signals, leave
 
 __all__ = ["main"]
 
@@ -25,4 +25,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
         end_on_signals()
     from pyomo_quad.cli import app  # noqa: PLC0415  see above
 
-    return app.main(arguments)
+    status = app.main(arguments)
+    return status if arguments is not None else leave(status)

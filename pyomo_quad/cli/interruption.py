@@ -19,6 +19,7 @@ __all__ = [
     "SolveStopped",
     "before_the_end",
     "end_on_signals",
+    "leave",
     "raise_on_interrupt",
     "stop_on_interrupt",
 ]
@@ -65,6 +66,13 @@ def end_on_signals() -> None:
     """Let Ctrl-C and SIGTERM end this process from now on."""
     for number in (*_SIGNALS, signal.SIGALRM):
         signal.signal(number, _end)
+
+
+def leave(status: int) -> int:
+    """End the process now if a signal asked for it, while its handlers stand; else return."""
+    if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
+        os._exit(status)
+    return status
 
 
 def before_the_end(act: Callable[[], object]) -> None:

@@ -1,6 +1,8 @@
 """`pyomo-quad sweep` as it is typed: what it prints, writes and returns."""
 
 import re
+import signal
+import time
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -8,7 +10,9 @@ import pytest
 
 from pyomo_quad.cli import sweep_progress
 from pyomo_quad.cli.app import main
+from pyomo_quad.cli.exit_codes import ExitCode
 from pyomo_quad.study.sweep import estimate_sweep, runner
+from tests.command import start
 from tests.sweep.stand_in import SOLVER
 from tests.sweep.studies import DURATION_AXIS, write_study
 from tests.sweep.sweeping import Here, rows
@@ -110,3 +114,18 @@ def test_on_a_terminal_there_is_a_bar(study, tmp_path, capsys, monkeypatch):
     shown = capsys.readouterr().err
     assert "10/10" in shown
     assert "0 failed" in shown
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_sweep_ends_with_its_status_and_goes_on(number, tmp_path):
+    study, folder = write_study(tmp_path, DURATION_AXIS), tmp_path / "out"
+    process = start("sweep", str(study), "--workers=1", "--out", str(folder))
+    while not list(folder.glob("*.sqlite")):
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(number)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == ExitCode.INTERRUPTED
+    assert "Traceback" not in err
+    assert "leaked" not in err
+    assert "the same command goes on" in out or err.endswith("no report was written.\n")
