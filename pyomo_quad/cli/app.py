@@ -11,7 +11,7 @@ from pyomo_quad.cli.check import check
 from pyomo_quad.cli.consoles import claim_streams, complain, gives_up_output
 from pyomo_quad.cli.exit_codes import ExitCode
 from pyomo_quad.cli.fly import fly
-from pyomo_quad.cli.interruption import SolveStopped, before_the_end
+from pyomo_quad.cli.interruption import Stopped, before_the_end
 from pyomo_quad.cli.library import library
 from pyomo_quad.cli.paper import paper
 from pyomo_quad.cli.run import compare, run
@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             standalone_mode=False,
         )
         sys.stdout.flush()
-    except (KeyboardInterrupt, SolveStopped, typer.Abort):
+    except (KeyboardInterrupt, Stopped, typer.Abort):
         complain("pyomo-quad: interrupted; no report was written.")
         return ExitCode.INTERRUPTED
     except (ScenarioError, FeasibilityError) as error:

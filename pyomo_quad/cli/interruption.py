@@ -17,6 +17,7 @@ from pyomo_quad.cli.exit_codes import ExitCode
 __all__ = [
     "Interruption",
     "SolveStopped",
+    "Stopped",
     "before_the_end",
     "end_on_signals",
     "leave",
@@ -33,7 +34,11 @@ _CLEAR = b"\r\x1b[K\x1b[?25h"
 _last_acts: list[Callable[[], object]] = []
 
 
-class SolveStopped(Exception):  # noqa: N818  what the user wanted is no error
+class Stopped(Exception):  # noqa: N818  what the user wanted is no error
+    """The user stopped a command that had nothing to say of it itself."""
+
+
+class SolveStopped(Stopped):
     """The user stopped a solve; `plan` holds its best iterate."""
 
     def __init__(self, plan: Any) -> None:  # noqa: ANN401  its type would import the engine
@@ -99,7 +104,10 @@ def raise_on_interrupt() -> Iterator[None]:
         raise KeyboardInterrupt
 
     with _handled_by(once):
-        yield
+        try:
+            yield
+        except KeyboardInterrupt:
+            raise Stopped from None  # typer would end without a word
 
 
 @contextmanager
