@@ -25,10 +25,13 @@ _SLOPE_EQUATION = "_disc_eq"
 
 
 def radau_points(degree):
-    """Return the zeros of P_d - P_(d-1), moved to (0, 1]; the last is 1."""
+    """Return the zeros of P_d - P_(d-1), moved to (0, 1]; the last is 1.
+
+    All of them are real, but the array is complex from NumPy 2.5 on.
+    """
     coefficients = np.zeros(degree + 1)
     coefficients[-2:] = -1.0, 1.0
-    points = (1.0 + np.sort(legendre.legroots(coefficients))) / 2
+    points = (1.0 + np.sort(legendre.legroots(coefficients).real)) / 2
     points[-1] = 1.0
     return points
 

@@ -13,18 +13,20 @@ import pytest
 from pyomo_quad.collocation import Mesh, SolverOptions, compile  # noqa: A004
 from tests.problems import brachistochrone, hyper_sensitive
 
-# Element counts per degree: as fine as errors well above rounding allow.
+# Element counts per degree: as fine as errors a hundred times above rounding allow. At degrees 7
+# and 8 that ends before the order has settled, so it is extrapolated from three meshes.
 ELEMENTS = {
     2: (96, 128),
     3: (96, 128),
     4: (64, 96),
     5: (48, 64),
     6: (48, 64),
-    7: (40, 48),
-    8: (28, 32),
+    7: (24, 28, 32),
+    8: (20, 24, 28),
 }
-# At high degree rounding ends what can be measured before the order has settled.
-SLACK = {2: 0.2, 3: 0.2, 4: 0.2, 5: 0.2, 6: 0.2, 7: 0.5, 8: 1.0}
+# Between the ends errors are larger, and finer meshes can be measured.
+ELEMENTS_BETWEEN = ELEMENTS | {7: (48, 64), 8: (40, 48)}
+SLACK = {2: 0.2, 3: 0.2, 4: 0.2, 5: 0.2, 6: 0.2, 7: 0.2, 8: 0.4}
 # Tighter than usual, so that what is measured is the mesh's error.
 EXACT = SolverOptions(tolerance=1e-11)
 
@@ -36,8 +38,11 @@ def solved(problem, elements, degree):
 
 
 def order(error, problem, degree, counts):
-    coarse, fine = (error(solved(problem, elements, degree)) for elements in counts)
-    return np.log(coarse / fine) / np.log(counts[1] / counts[0])
+    """Return the order between two meshes, or at no width, a line in its square through more."""
+    errors = np.log([error(solved(problem, elements, degree)) for elements in counts])
+    orders = -np.diff(errors) / np.diff(np.log(counts))
+    squares = 1 / (np.array(counts[:-1]) * np.array(counts[1:]))
+    return np.polyfit(squares, orders, len(orders) - 1)[-1]
 
 
 def largest_at_element_ends(solution):
@@ -69,7 +74,7 @@ def test_objective_superconverges(degree):
 
 @pytest.mark.parametrize("degree", ELEMENTS)
 def test_state_polynomials_between_element_ends(degree):
-    found = order(largest_between, hyper_sensitive, degree, ELEMENTS[degree])
+    found = order(largest_between, hyper_sensitive, degree, ELEMENTS_BETWEEN[degree])
     assert degree + 1 - 0.5 - SLACK[degree] <= found
 
 

@@ -79,7 +79,7 @@ def test_active_limits_are_listed_with_their_value():
     # Just above the shortest time nearly the whole flight is at the limit.
     solution = collocation.compile(car(duration=2.05)).solve(mesh=MESH)
     active = {limit.name: limit for limit in diagnose(solution).active}
-    assert abs(active["strongest"].limit) == 1.0
+    assert abs(active["strongest"].limit) == pytest.approx(1.0)
     assert 0.5 < active["strongest"].share <= 1.0
 
 

@@ -23,7 +23,7 @@ WEIGHT = 1.3 * 9.81
 
 def achieved(thrust, moments, limits=LIMITS):
     speeds = np.array(Allocation(MIXER, limits).rotor_speeds(thrust, moments))
-    assert (speeds >= limits.rotor_speed_min).all()
+    assert (speeds >= limits.rotor_speed_min * (1 - 1e-12)).all()
     assert (speeds <= limits.rotor_speed_max * (1 + 1e-12)).all()
     return MIXER @ speeds**2
 

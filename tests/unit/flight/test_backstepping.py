@@ -11,6 +11,8 @@ from pyomo_quad.flight.backstepping import BacksteppingLoop
 K1, KAPPA, GAMMA = 1.5, 20.0, 100.0
 DISTURBANCE = np.array([1.5, -0.7, 0.4])
 ERROR = np.array([4.0, -2.0, 1.0])
+# What the integrator may be off by in one step, relative to the state.
+INTEGRATION = 1e-9
 
 
 def loop(**changes):
@@ -40,7 +42,9 @@ def move(
     states = law.started(ERROR, np.zeros(3)) if start is None else start
     times = np.linspace(0.0, span, 401)
     start = [*ERROR, 0.0, 0.0, 0.0, *states]
-    flown = solve_ivp(slope, (0, span), start, t_eval=times, rtol=1e-9, atol=1e-10, max_step=0.05)
+    flown = solve_ivp(
+        slope, (0, span), start, t_eval=times, rtol=INTEGRATION, atol=1e-10, max_step=0.05
+    )
     assert flown.success
     return times, flown.y[:3].T, flown.y[3:6].T, flown.y[6:].T
 
@@ -101,7 +105,7 @@ def test_a_far_goal_is_approached_at_the_speed_allowed_and_teaches_nothing():
 
 def test_the_estimate_stays_in_its_ball_when_the_truth_is_outside():
     states = move(loop(disturbance_max=1.0))[3]
-    assert np.linalg.norm(states[:, 6:], axis=1).max() <= 1.0
+    assert np.linalg.norm(states[:, 6:], axis=1).max() <= 1.0 + INTEGRATION
 
 
 def test_without_adaptation_nothing_is_learnt():
