@@ -8,7 +8,7 @@ integrands of the integrals.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from hashlib import sha256
 from typing import Any
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pyomo_quad.collocation.declarations import Declarations, Slot
 from pyomo_quad.collocation.expressions import symbol_names
 from pyomo_quad.collocation.output_states import set_outputs_aside
+from pyomo_quad.collocation.serialisation import Packed, packed
 from pyomo_quad.collocation.simple_bounds import SimpleBound, split_simple_bounds
 
 __all__ = ["CompiledModel", "DerivedFunctions", "compile_declarations"]
@@ -63,6 +64,15 @@ class CompiledModel:
     symbols: tuple[Any, Any]
     static_of_integral: dict[int, int] = field(default_factory=dict)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the expressions as one text: their symbols are shared."""
+        parts = {item.name: getattr(self, item.name) for item in fields(self)}
+        return _unpacked, (packed(parts),)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> CompiledModel:
+        """Return itself: it never changes, and its symbols belong to others as well."""
+        return self
+
     @property
     def n_equations(self) -> int:
         """Number of path equations at each point."""
@@ -81,6 +91,10 @@ class CompiledModel:
     def is_equality(self) -> NDArray[np.bool_]:
         """Say of each path equation whether it is one, and not an inequality."""
         return np.array([e.is_equality for e in self.declared.equations], dtype=bool)
+
+
+def _unpacked(parts: Packed) -> CompiledModel:
+    return CompiledModel(**parts.unpacked())
 
 
 def compile_declarations(declared: Declarations) -> CompiledModel:

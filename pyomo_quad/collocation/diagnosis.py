@@ -15,7 +15,7 @@ import numpy as np
 from pyomo_quad.collocation.bounds import Bounds, limits_of
 from pyomo_quad.collocation.elastic_program import ElasticProgram, SoftRows
 from pyomo_quad.collocation.ipopt import Progress, SolverOptions, run
-from pyomo_quad.collocation.naming import declared_unit, row_place
+from pyomo_quad.collocation.naming import row_place
 from pyomo_quad.collocation.scaling import Scaling
 
 if TYPE_CHECKING:
@@ -198,7 +198,7 @@ def _residuals(solution: Solution) -> tuple[Residual, ...]:
     found = []
     for row in order[off[order] * solution.scaling.rows[order] > _MET]:
         place = row_place(program, int(row))
-        unit = declared_unit(solution.problem.model, place.name)
+        unit = solution.problem.source.unit(place.name)
         found.append(
             Residual(
                 name=place.name,
@@ -227,7 +227,7 @@ def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
                 ActiveLimit(
                     name=name,
                     limit=float(soft.limit[first]),
-                    unit=declared_unit(solution.problem.model, name),
+                    unit=solution.problem.source.unit(name),
                     share=count / int(np.sum(mine & (soft.sign == soft.sign[first]))),
                 )
             )
@@ -245,7 +245,7 @@ def _relaxations(solution: Solution, soft: SoftRows, slacks: FloatArray) -> tupl
                     name=soft.names[k],
                     amount=float(slacks[k] * soft.size[widest]),
                     limit=float(soft.limit[widest]),
-                    unit=declared_unit(solution.problem.model, soft.names[k]),
+                    unit=solution.problem.source.unit(soft.names[k]),
                 )
             )
     return tuple(found)

@@ -17,7 +17,6 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.expressions import symbol_names
 from pyomo_quad.collocation.mapped import MappedFunction
-from pyomo_quad.collocation.naming import declared_unit
 from pyomo_quad.collocation.schedules import BESIDE
 
 if TYPE_CHECKING:
@@ -70,6 +69,10 @@ class Dynamics:
         self._signals = problem.values.signals(instance)
         n_signals = len(declared.signals) + len(declared.scheduled)
         self._data = np.concatenate([np.zeros(1 + n_signals), instance.parameters])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle what it is made of."""
+        return type(self), (self._problem, self._instance, self._statics)
 
     def _compile(self, states: tuple[Slot, ...]) -> Any:
         """Return the function (x, u, statics, data) -> slopes, algebraics, integrand."""
@@ -211,11 +214,11 @@ class Dynamics:
 
     def has(self, name: str) -> bool:
         """Say whether the model has a component of this name."""
-        return self._problem.model.find_component(name) is not None
+        return self._problem.source.has(name)
 
     def unit(self, name: str) -> str:
         """Return the unit of a limit or a variable, "" where it has none."""
-        return declared_unit(self._problem.model, name)
+        return self._problem.source.unit(name)
 
     def violations(
         self, t: FloatArray, states: FloatArray, controls: FloatArray

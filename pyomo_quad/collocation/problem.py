@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,9 @@ from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.evaluation import Evaluator
 from pyomo_quad.collocation.guess import Guess, initial_point
+from pyomo_quad.collocation.interpolants import Interpolant, interpolant
 from pyomo_quad.collocation.ipopt import Progress, SolverOptions, run
+from pyomo_quad.collocation.model_source import LiveModel, ModelSnapshot
 from pyomo_quad.collocation.outputs import OutputStates
 from pyomo_quad.collocation.reading import read_declarations
 from pyomo_quad.collocation.refinement import RefinementOptions, refine
@@ -28,6 +31,8 @@ from pyomo_quad.collocation.values import ModelValues, Overrides
 from pyomo_quad.collocation.warm_start import WarmStart, transfer
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from pyomo_quad.collocation.damping import Damping
     from pyomo_quad.collocation.mesh import Mesh
     from pyomo_quad.collocation.nodes import FloatArray
@@ -50,12 +55,30 @@ class Instance:
     parameters: FloatArray
     horizon: tuple[float, float]
     fixed: dict[tuple[str, float], float]
-    overrides: Overrides | None
+    overrides: Mapping[str, float | Callable[[float], float]]
     jumps: tuple[float, ...]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle functions of time as polynomials."""
+        return vars(self) | {"overrides": {n: self._kept(n, v) for n, v in self.overrides.items()}}
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Instance:
+        """Return itself: it never changes, and its functions are the caller's."""
+        return self
+
+    def _kept(self, name: str, given: float | Callable[[float], float]) -> float | Interpolant:
+        if not callable(given) or isinstance(given, Interpolant):
+            return given
+        start, end = self.horizon
+        at = [start + (end - start) * fraction for fraction in self.jumps]
+        return interpolant(name, lambda t: (float(given(t)),), self.horizon, at)
 
 
 class Problem:
     """A Pyomo.DAE model compiled for collocation.
+
+    It can be pickled.  What is restored solves and evaluates as before, with the numbers that the
+    model held then; the model itself stays behind.
 
     Parameters
     ----------
@@ -72,22 +95,49 @@ class Problem:
     """
 
     def __init__(self, model: Any, final_time: Any = None) -> None:
-        declared, self.reader = read_declarations(model, final_time)
-        self.compiled: CompiledModel = compile_declarations(declared)
-        self.model = model
-        time = self.reader.copy.time
+        declared, reader = read_declarations(model, final_time)
+        compiled = compile_declarations(declared)
+        time = reader.copy.time
         own_time = None if time is None else model.find_component(time.name)
-        schedules = tuple(self.reader.writer.schedules)
-        self.values = ModelValues(model, self.compiled.declared, own_time, schedules)
-        self.evaluator = Evaluator(self.compiled, self.reader.writer)
-        self.outputs = OutputStates(self.compiled)
-        declared = self.compiled.declared
+        source = LiveModel(model, own_time, tuple(reader.writer.schedules))
+        self._hold(compiled, source, Evaluator.of(compiled, reader.writer))
+
+    def _hold(
+        self, compiled: CompiledModel, source: LiveModel | ModelSnapshot, evaluator: Evaluator
+    ) -> None:
+        self.compiled = compiled
+        self.source = source
+        self.evaluator = evaluator
+        self.values = ModelValues(source, compiled.declared)
+        self.outputs = OutputStates(compiled)
+        declared = compiled.declared
         statics = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in declared.statics])
         parameters = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in declared.parameters])
         self._horizon = casadi.Function(
             "horizon", [statics, parameters], [declared.start, declared.start + declared.span]
         )
         self._programs: dict[Mesh | None, Transcription] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle equations and numbers; the Pyomo model stays behind."""
+        return _restored, (self.compiled, self.values.snapshot(), self.evaluator)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Problem:
+        """Copy the Pyomo model as well."""
+        memo[id(self)] = other = object.__new__(type(self))
+        vars(other).update(deepcopy(vars(self), memo))
+        return other
+
+    @property
+    def model(self) -> Any:
+        """The Pyomo model.
+
+        Raises
+        ------
+        TranscriptionError
+            If the problem was pickled, which leaves the model behind.
+        """
+        return self.source.model
 
     @property
     def has_horizon(self) -> bool:
@@ -179,7 +229,7 @@ class Problem:
             parameters=self.values.parameters(parameters, horizon),
             horizon=horizon or self.values.declared_horizon,
             fixed=self.values.fixed(),
-            overrides=parameters,
+            overrides=self.values.by_name(parameters),
             jumps=self.values.jumps(parameters, horizon),
         )
 
@@ -277,3 +327,9 @@ class Problem:
             for slot in (*declared.states, *declared.outputs, *declared.algebraics):
                 self.values.load(slot, fraction, float(frame[slot.name]))
             self.values.load_rates(fraction, partial(solution.value, t=time))
+
+
+def _restored(compiled: CompiledModel, source: ModelSnapshot, evaluator: Evaluator) -> Problem:
+    problem = object.__new__(Problem)
+    problem._hold(compiled, source, evaluator)
+    return problem

@@ -11,8 +11,9 @@ import casadi
 from pyomo.common.log import LoggingIntercept
 from pyomo.core.base.constraint import ConstraintData
 from pyomo.core.expr.numvalue import native_types
+from pyomo.dae import DerivativeVar
 from pyomo.dae import Integral as PyomoIntegral
-from pyomo.environ import Constraint
+from pyomo.environ import Constraint, Expression, Param, Var
 
 from pyomo_quad.collocation.addresses import AddressBook, indexed_name
 from pyomo_quad.collocation.declarations import Integral, PathEquation
@@ -188,6 +189,29 @@ class TemplateWriter:
             return self.write(part, name, over_time=True)
         arguments = [self._with_numbers(a, numbers, name) for a in part.args]
         return self._writer.apply(part, arguments, name)
+
+    def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
+        """Return what a user names in template symbols, None if it is nothing over time.
+
+        Raises
+        ------
+        KeyError
+            If it has no such index.
+        """
+        found = self.copy.model.find_component(name)
+        if found is None or self.addresses.time_position(found) is None:
+            return None
+        return self.write_at_template(found, index)
+
+    def components_over_time(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
+        """Yield name and index of all that `over_time` can write."""
+        kinds = (Var, DerivativeVar, Param, Expression)
+        for component in self.copy.model.component_objects(kinds, descend_into=True):
+            if self.addresses.time_position(component) is not None:
+                for position in component:
+                    address = self.addresses.split(component, position)
+                    if address.time == self.copy.template_time:
+                        yield component.name, address.index
 
     def write_at_template(self, component: Any, index: tuple[Any, ...]) -> Any:
         """Return a variable or expression over time, by name, in template symbols."""

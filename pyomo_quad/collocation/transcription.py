@@ -62,6 +62,10 @@ class Transcription:
         self._map()
         self._hold(data)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle what it is made of."""
+        return type(self), (self.compiled, self.mesh, self.data)
+
     def with_data(self, data: Data) -> Transcription:
         """Return a program of its own on the same mesh for other numbers."""
         other = copy(self)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 import pandas as pd
@@ -82,16 +81,6 @@ class Plan:
     solution: Solution | None = field(default=None, compare=False, repr=False)
     flown: Flown | None = field(default=None, compare=False, repr=False)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Pickle what `save` keeps and the history: the equations stay in their process."""
-        kept = {item.name: getattr(self, item.name) for item in fields(self)}
-        return kept | {"solution": None, "flown": None}
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """Copy the equations as well."""
-        held = {item.name: deepcopy(getattr(self, item.name), memo) for item in fields(self)}
-        return type(self)(**held)
-
     @property
     def mesh(self) -> Mesh:
         """The last mesh."""
@@ -112,8 +101,8 @@ class Plan:
         """The declared equations that the plan was made with, ready to fly."""
         if self.solution is None:
             raise ScenarioError(
-                f"{self.scenario.name}: this plan was loaded from a file or a pickle and holds no "
-                "equations; solve the scenario again to fly it."
+                f"{self.scenario.name}: this plan was loaded from a file and holds no equations; "
+                "solve the scenario again to fly it."
             )
         return self.solution.dynamics
 

@@ -1,10 +1,13 @@
 """Parameters over time that no formula gives: measured series, as a wind from a file."""
 
+import pickle
+
+import numpy as np
 import pytest
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.environ import ConcreteModel, Constraint, Objective, Param, Var
 
-from pyomo_quad.collocation import TranscriptionError, solve
+from pyomo_quad.collocation import TranscriptionError, compile, solve  # noqa: A004
 
 
 def follower(rule):
@@ -34,3 +37,26 @@ def test_series_at_an_instant_is_refused_in_a_condition():
     m.meeting = Constraint(expr=m.u[1] == m.series[1])
     with pytest.raises(TranscriptionError, match=r"meeting: series\[1.*single time"):
         solve(m)
+
+
+def test_a_series_given_for_one_solve_is_pickled_with_its_solution():
+    found = compile(follower(lambda m, t: t**2)).solve(
+        tolerance=1e-9, parameters={"series": lambda t: 1.0 if t < 0.25 else 3.0 * t}
+    )
+    restored = pickle.loads(pickle.dumps(found))
+    times = np.linspace(0, 1, 41)
+    np.testing.assert_allclose(
+        restored.value("dx_dt", times), found.value("dx_dt", times), atol=1e-12
+    )
+    series = 0.25 + 1.5 * (1 - 0.25**2)
+    again = restored.problem.solve(tolerance=1e-9, parameters=restored.instance.overrides)
+    assert again.objective == pytest.approx((1 - series) ** 2 / 2, rel=1e-9)
+    own = restored.problem.solve(tolerance=1e-9)
+    assert own.objective == pytest.approx((2 / 3) ** 2 / 2, rel=1e-9)
+
+
+def test_a_series_that_fails_is_refused_after_pickling_as_before():
+    m = follower({0: 1.0, 1: 2.0})
+    for problem in (compile(m), pickle.loads(pickle.dumps(compile(m)))):
+        with pytest.raises(TranscriptionError, match="series: its rule fails at time 2e-12"):
+            problem.solve()

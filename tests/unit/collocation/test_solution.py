@@ -1,12 +1,13 @@
 """What a solution offers, and that it is also put into the Pyomo model."""
 
+import pickle
 from copy import deepcopy
 from functools import cache
 
 import numpy as np
 import pandas as pd
 import pytest
-from pyomo.environ import value
+from pyomo.environ import Constraint, Param, value
 
 from pyomo_quad.collocation import Mesh, TranscriptionError, compile, solve  # noqa: A004
 from tests.problems import bang_bang, dido, double_integrator, mass_chain, saving, waypoint
@@ -137,3 +138,64 @@ def test_a_deep_copy_is_a_solution_of_its_own():
     assert problem.solve(mesh=MESH).objective < 4.0
     # The copied problem has a model of its own, which still starts from 0.
     assert copied.problem.solve(mesh=MESH).objective == pytest.approx(6.0, rel=1e-9)
+
+
+PICKLED = {
+    "fixed values": (double_integrator, {"mesh": MESH}),
+    "static variable": (bang_bang, {"mesh": MESH}),
+    "expression over time": (saving, {}),
+    "further index": (mass_chain, {"mesh": Mesh.uniform(10, 9)}),
+    "integral in a condition": (dido, {"mesh": MESH}),
+    "waypoint": (waypoint, {}),
+}
+
+
+@pytest.mark.parametrize("name", PICKLED)
+def test_a_pickled_solution_is_the_same_and_solves_again(name):
+    problem, how = PICKLED[name]
+    found = compile(problem.build()).solve(**how)
+    restored = pickle.loads(pickle.dumps(found))
+    pd.testing.assert_frame_equal(restored.to_frame(), found.to_frame(), check_exact=True)
+    residuals = [f.program.constraints(f.unknowns) for f in (restored, found)]
+    np.testing.assert_array_equal(*residuals)
+    np.testing.assert_array_equal(restored.costates.at_points, found.costates.at_points)
+    assert restored.warnings == found.warnings
+    assert restored.warm_start.fits(found.problem.compiled)
+    again = restored.problem.solve(**how)
+    assert again.objective == pytest.approx(found.objective, rel=1e-12)
+    warm = restored.problem.solve(mesh=restored.mesh, warm_start=found)
+    assert len(warm.iterations) < len(again.iterations)
+    assert warm.objective == pytest.approx(found.objective, rel=1e-8)
+
+
+def test_a_pickled_problem_evaluates_what_its_model_declared_and_nothing_else():
+    found = solve(saving.build())
+    restored = pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(found))))
+    for name in ("utility", "consumption"):
+        assert restored.value(name, 4.0) == found.value(name, 4.0)
+    with pytest.raises(TranscriptionError, match="speed: is not a variable or expression"):
+        restored.value("speed", 0.5)
+    with pytest.raises(TranscriptionError, match="utility: has no index 3 beside time"):
+        restored.value("utility", 0.5, index=3)
+    with pytest.raises(TranscriptionError, match="'speed' is not a component of the model"):
+        restored.problem.solve(parameters={"speed": 1.0})
+
+
+def test_a_pickled_problem_takes_new_parameters():
+    m = double_integrator.build()
+    m.arrival.deactivate()
+    m.distance = Param(initialize=1.0, mutable=True)
+    m.further = Constraint(expr=m.x[1] == m.distance)
+    restored = pickle.loads(pickle.dumps(compile(m)))
+    # The effort is of second degree in the distance, and falls with the cube of the time.
+    assert restored.solve(mesh=MESH).objective == pytest.approx(6.0, rel=1e-9)
+    far = restored.solve(mesh=MESH, parameters={"distance": 3.0}, horizon=(0, 2))
+    assert far.objective == pytest.approx(6.0 * 9 / 8, rel=1e-9)
+
+
+def test_a_pickled_problem_leaves_the_model_behind():
+    restored = pickle.loads(pickle.dumps(solution()))
+    with pytest.raises(TranscriptionError, match="not the model; compile the model again to load"):
+        restored.problem.load(restored)
+    with pytest.raises(TranscriptionError, match="model: a pickled problem keeps the model's"):
+        _ = restored.problem.model

@@ -5,6 +5,7 @@ whatever f is.
 """
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from pyomo.environ import (
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
-from pyomo_quad.collocation import Mesh, TranscriptionError, compile, solve  # noqa: A004
+from pyomo_quad.collocation import Mesh, TranscriptionError, compile, interpolants, solve  # noqa: A004
 from pyomo_quad.flight.plant import fly_controls
 
 SWITCHED = 1 / (2 * (0.5 * 1 + 0.5 * 4))
@@ -90,6 +91,48 @@ def test_any_function_of_time(name):
     solution = solve(scaled(factor), tolerance=1e-8)
     assert solution.is_converged
     assert solution.objective == pytest.approx(1 / (2 * total), rel=1e-10)
+
+
+@pytest.mark.parametrize("name", ["numpy", "interpolation", "absolute", "table", "truth"])
+def test_a_pickled_problem_keeps_what_rules_said_over_time(name):
+    factor, kinks = FACTORS[name]
+    total = quad(lambda t: factor(t) ** 2, 0, 1, points=kinks or None, epsabs=1e-12)[0]
+    problem = compile(scaled(factor))
+    restored = pickle.loads(pickle.dumps(problem))
+    again = restored.solve(tolerance=1e-8)
+    assert again.is_converged
+    assert again.objective == pytest.approx(1 / (2 * total), rel=1e-10)
+    if name not in ("numpy", "absolute"):  # which are formulas of time, and go on
+        with pytest.raises(TranscriptionError, match=r"motion: is known over \[0, 1\] only, since"):
+            restored.solve(horizon=(0, 2))
+
+
+def test_a_pickled_problem_knows_a_rule_as_far_as_it_was_solved():
+    problem = compile(scaled(switch))
+    long = problem.solve(horizon=(0, 2))
+    restored = pickle.loads(pickle.dumps(problem)).solve(horizon=(0, 2))
+    assert restored.objective == pytest.approx(long.objective, rel=1e-12)
+
+
+def test_a_rule_without_pattern_is_refused_when_a_pickled_problem_needs_it(monkeypatch):
+    monkeypatch.setattr(interpolants, "_MOST_PIECES", 20)
+    problem = compile(scaled(lambda t: 1 + abs(math.sin(1000 * t))))
+    restored = pickle.loads(pickle.dumps(problem))
+    with pytest.raises(TranscriptionError, match="motion: its rule is too rough to be pickled; c"):
+        restored.solve()
+
+
+def test_a_switch_under_a_free_end_is_pickled():
+    m = mover(lambda m, t: m.u[t] * (1 if t < 0.5 else 2), times=(0, 0.5, 1))
+    m.cost.deactivate()
+    m.T = Var(initialize=1.0, bounds=(0.1, 10))
+    m.both = Objective(expr=m.effort + m.T)
+    problem = compile(m, final_time=m.T)
+    expected = problem.solve()
+    restored = pickle.loads(pickle.dumps(expected))
+    assert restored.problem.solve().objective == pytest.approx(expected.objective, rel=1e-9)
+    # With effort E / T for the time T, the best T is sqrt(E).
+    assert expected.objective == pytest.approx(2 * math.sqrt(SWITCHED), rel=1e-6)
 
 
 def test_indexed_rules_switch_each_at_its_own_time():

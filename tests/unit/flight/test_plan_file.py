@@ -1,7 +1,9 @@
 """A plan's file: what is saved comes back, and whatever is damaged is refused in one line."""
 
 import json
+import multiprocessing
 import pickle
+from concurrent.futures import ProcessPoolExecutor
 from copy import deepcopy
 
 import numpy as np
@@ -9,6 +11,8 @@ import pytest
 
 from pyomo_quad import Plan
 from pyomo_quad.flight import Planner
+from pyomo_quad.flight.verification import verify_controls
+from pyomo_quad.model import parameter_values
 from pyomo_quad.scenario import ScenarioError
 from tests.flights import plan, planner, scenario
 
@@ -56,16 +60,52 @@ def test_a_loaded_plan_starts_another_solve_like_a_fresh_one(saved):
     assert warm[0].energy == warm[1].energy == pytest.approx(cold.energy, rel=1e-5)
 
 
-def test_a_pickled_plan_is_one_that_was_saved_and_a_deep_copy_flies():
+def flown(held):
+    """Fly a plan's controls; run in a process that has built no model."""
+    path = held.trajectories
+    verification, _ = verify_controls(
+        held.dynamics, path.mesh, path.states, path.controls, path.horizon, held.energy
+    )
+    return held, verification
+
+
+def test_a_pickled_plan_flies_in_a_fresh_process_and_solves_again():
     fresh = plan("paper_calm", *COARSE)
-    pickled = pickle.loads(pickle.dumps(fresh))
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context) as pool:
+        pickled, verification = pool.submit(flown, fresh).result()
+    assert verification == fresh.verification
     assert (pickled.scenario, pickled.energy) == (fresh.scenario, fresh.energy)
-    assert pickled.warm_start.fits(fresh.solution.problem.compiled)
-    with pytest.raises(ScenarioError, match="a file or a pickle and holds no equations; solve"):
-        pickled.to_frame()
+    np.testing.assert_array_equal(pickled.flown.states, fresh.flown.states)
+    assert pickled.to_frame().equals(fresh.to_frame())
+    assert pickled.dynamics.unit("rotors.omega") == "rad/s"
+    again = pickled.solution.problem.solve(
+        mesh=pickled.mesh,
+        parameters=parameter_values(fresh.scenario),
+        horizon=pickled.trajectories.horizon,
+    )
+    assert again.objective == pytest.approx(fresh.energy, rel=1e-9)
+
+
+def test_a_deep_copied_plan_flies():
+    fresh = plan("paper_calm", *COARSE)
     copied = deepcopy(fresh)
     assert copied.solution.problem is not fresh.solution.problem
     assert copied.to_frame().equals(fresh.to_frame())
+
+
+def test_a_vehicle_keeps_its_measured_wind_when_pickled(tmp_path):
+    rows = "\n".join(f"{t},{np.sin(t)},{np.cos(2 * t)}" for t in range(12))
+    (tmp_path / "wind.csv").write_text(f"time_s,wind_x_m_per_s,wind_y_m_per_s\n{rows}\n")
+    windy = scenario("paper_calm", f"wind.file='{tmp_path / 'wind.csv'}'")
+    model = Planner().dynamics(windy)
+    restored = pickle.loads(pickle.dumps(model))
+    times = np.linspace(0.0, windy.mission.duration, 57)
+    states, controls = np.ones((57, len(model.state_names))), np.ones((57, 4))
+    for name in ("wind.velocity_x", "wind.velocity_y"):
+        pair = [held.evaluate(name, times, states, controls) for held in (restored, model)]
+        np.testing.assert_allclose(*pair, rtol=0, atol=1e-11)
+        assert np.ptp(pair[1]) > 1.0
 
 
 def test_a_warm_start_without_some_conditions_is_left_aside(parts, tmp_path):

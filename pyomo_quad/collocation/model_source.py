@@ -1,0 +1,230 @@
+"""Where numbers come from: the user's Pyomo model, or what a pickle kept of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from pyomo.dae import DerivativeVar
+from pyomo.environ import Constraint, Var, value
+
+from pyomo_quad.collocation.addresses import AddressBook
+from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.interpolants import Interpolant, interpolant
+from pyomo_quad.collocation.naming import declared_unit, family_name
+from pyomo_quad.collocation.rules import rule_of
+from pyomo_quad.collocation.schedules import Reading, jumps, probes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pyomo_quad.collocation.declarations import Declarations, Slot
+    from pyomo_quad.collocation.schedules import Schedule
+
+__all__ = ["LiveModel", "ModelSnapshot", "as_reading"]
+
+
+class LiveModel:
+    """The user's model; what it holds is read anew at every call.
+
+    Parameters
+    ----------
+    model : ConcreteModel
+    time : ContinuousSet or None
+        The model's continuous set.
+    schedules : tuple of Schedule
+        What gives the declarations' `scheduled` their values.
+    """
+
+    def __init__(self, model: Any, time: Any, schedules: tuple[Schedule, ...]) -> None:
+        self.model = model
+        self.schedules = schedules
+        self._time = time
+        self._addresses = AddressBook(time)
+
+    @property
+    def times(self) -> tuple[float, ...]:
+        """The declared times, in rising order."""
+        return () if self._time is None else tuple(float(t) for t in sorted(self._time))
+
+    def has(self, name: str) -> bool:
+        """Say whether the model has a component of this name."""
+        return self.model.find_component(name) is not None
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a limit or a variable, "" where it has none."""
+        return declared_unit(self.model, name)
+
+    def parameter(self, slot: Slot) -> float | None:
+        """Return the value of a parameter without time, None if it has none."""
+        component = self.model.find_component(slot.component)
+        found = value(self._member(component, slot), exception=False)
+        return None if found is None else float(found)
+
+    def variable(self, slot: Slot, time: float | None = None) -> float | None:
+        """Return what a variable holds at a declared time, None if nothing or no variable."""
+        component = self.model.find_component(slot.component)
+        if component.ctype is not Var:
+            return None
+        held = self._member(component, slot, time).value
+        return None if held is None else float(held)
+
+    def _member(self, component: Any, slot: Slot, time: float | None = None) -> Any:
+        if time is not None:
+            return component[self._addresses.join(component, slot.index, time)]
+        if not slot.index:
+            return component
+        return component[slot.index if len(slot.index) > 1 else slot.index[0]]
+
+    def signal(self, slot: Slot) -> Callable[[float], float]:
+        """Return a parameter over time as a function of it.
+
+        Raises
+        ------
+        TranscriptionError
+            If it has no rule to evaluate it at any time; the function, if the rule fails.
+        """
+        component = self.model.find_component(slot.component)
+        rule, block, join = rule_of(component), component.parent_block(), self._addresses.join
+        held = [float(value(self._member(component, slot, t))) for t in self.times]
+        if rule is None:
+            if len(set(held)) == 1:
+                return lambda _t: held[0]
+            raise TranscriptionError(
+                f"{slot.name}: a parameter over time needs a value at any time; declare it with "
+                "initialize= a function of time."
+            )
+
+        def signal(t: float) -> float:
+            try:
+                return float(value(rule(block, join(component, slot.index, t))))
+            except Exception as error:
+                raise TranscriptionError(
+                    f"{slot.name}: its rule fails at time {t:g} ({error}); a parameter over time "
+                    "needs a value at any time: declare it with initialize= a function of time "
+                    "that reads nothing but its time and parameters without time."
+                ) from error
+
+        if held != [signal(t) for t in self.times]:
+            raise TranscriptionError(
+                f"{slot.name}: was changed after its rule made it; give parameters= a function of "
+                "time, or declare it anew."
+            )
+        return signal
+
+    def load(self, slot: Slot, time: float | None, number: float) -> None:
+        """Put a solved value into the model's variable, unless a user fixed it there."""
+        component = self.model.find_component(slot.component)
+        if component.ctype is Var:
+            data = self._member(component, slot, time)
+            if not data.fixed:
+                data.set_value(number, skip_validation=True)
+
+    def load_rates(self, time: float, rate: Callable[..., float]) -> None:
+        """Put solved rates, by component and index, into the model's derivatives at a time."""
+        for derivative in self.model.component_objects(DerivativeVar, descend_into=True):
+            for position in derivative:
+                address = self._addresses.split(derivative, position)
+                if address.time == time:
+                    number = rate(derivative.name, index=address.index)
+                    derivative[position].set_value(number, skip_validation=True)
+
+    def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:
+        """Return what the model holds now; what changes with time, over a horizon."""
+        varying = (*declared.states, *declared.algebraics, *declared.outputs)
+        components = list(self.model.component_objects(descend_into=True))
+        limits = self.model.component_objects((Var, Constraint), descend_into=True)
+        units = {name: self.unit(name) for name in {family_name(c.name) for c in limits}}
+        asked = probes([horizon[0], *self.times[1:-1], horizon[1]]) if self.times else []
+        return ModelSnapshot(
+            times=self.times,
+            names=frozenset(c.name for c in components),
+            units={name: unit for name, unit in units.items() if unit},
+            parameters={
+                slot.name: self.parameter(slot)
+                for slot in declared.parameters
+                if self.has(slot.component)
+            },
+            variables={(s.name, None): self.variable(s) for s in declared.statics}
+            | {(s.name, t): self.variable(s, t) for s in varying for t in self.times},
+            signals={
+                slot.name: self._signal_kept(slot, horizon, asked) for slot in declared.signals
+            },
+            schedules=tuple(
+                interpolant(s.name, s.row, horizon, list(jumps(s.reading, asked)))
+                for s in self.schedules
+            ),
+        )
+
+    def _signal_kept(
+        self, slot: Slot, horizon: tuple[float, float], asked: list[float]
+    ) -> Interpolant:
+        try:
+            signal = self.signal(slot)
+            found = list(jumps(partial(as_reading, signal), asked))
+        except TranscriptionError as error:
+            return Interpolant(edges=(), pieces=(), refusal=str(error))
+        return interpolant(slot.name, lambda t: (signal(t),), horizon, found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelSnapshot:
+    """What a model held when its problem was pickled; read like the model itself."""
+
+    times: tuple[float, ...]
+    names: frozenset[str]
+    units: dict[str, str]
+    parameters: dict[str, float | None]
+    variables: dict[tuple[str, float | None], float | None]
+    signals: dict[str, Interpolant]
+    schedules: tuple[Interpolant, ...]
+
+    @property
+    def model(self) -> NoReturn:
+        """Refused: the model stayed behind."""
+        _refuse_without_model()
+
+    def has(self, name: str) -> bool:
+        """Say whether the model had a component of this name."""
+        return name in self.names or name.rpartition("[")[0] in self.names
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a limit or a variable, "" where it has none."""
+        return self.units.get(family_name(name), "")
+
+    def parameter(self, slot: Slot) -> float | None:
+        """Return the value of a parameter without time, None if it had none."""
+        return self.parameters[slot.name]
+
+    def variable(self, slot: Slot, time: float | None = None) -> float | None:
+        """Return what a variable held at a declared time, None if nothing or no variable."""
+        return self.variables[slot.name, time]
+
+    def signal(self, slot: Slot) -> Interpolant:
+        """Return a parameter over time as a function of it."""
+        return self.signals[slot.name]
+
+    def load(self, slot: Slot, time: float | None, number: float) -> NoReturn:  # noqa: ARG002
+        """Refuse to load a value: there is no model."""
+        _refuse_without_model()
+
+    def load_rates(self, time: float, rate: Callable[..., float]) -> NoReturn:  # noqa: ARG002
+        """Refuse to load rates: there is no model."""
+        _refuse_without_model()
+
+    def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:  # noqa: ARG002
+        """Return itself: it holds what it holds."""
+        return self
+
+
+def _refuse_without_model() -> NoReturn:
+    raise TranscriptionError(
+        "model: a pickled problem keeps the model's equations and numbers, not the model; compile "
+        "the model again to load values into it."
+    )
+
+
+def as_reading(signal: Callable[[float], float], time: float) -> Reading:
+    """Return the number of a parameter over time as what a rule says."""
+    return Reading(None, (signal(time),))
