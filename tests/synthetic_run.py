@@ -7,7 +7,7 @@ import pandas as pd
 
 from pyomo_quad.collocation import ActiveLimit, Diagnosis, Mesh, MeshRecord, Residual
 from pyomo_quad.flight import PlanStatus, Verification
-from pyomo_quad.flight.failure import Failure
+from pyomo_quad.flight.plan import Failure
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.study.comparison import compare_flights
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from pyomo_quad.cli.interruption import end_on_signals, leave
+from pyomo_quad.cli.endings import end_on_signals, leave
 
 __all__ = ["main"]
 

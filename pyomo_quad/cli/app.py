@@ -7,21 +7,15 @@ from typing import Annotated
 
 import typer
 
-from pyomo_quad.cli.check import check
-from pyomo_quad.cli.consoles import claim_streams, complain, gives_up_output
-from pyomo_quad.cli.exit_codes import ExitCode
-from pyomo_quad.cli.fly import fly
-from pyomo_quad.cli.interruption import Stopped, before_the_end
-from pyomo_quad.cli.library import library
+from pyomo_quad.cli.commands import compare, fly, run, solve
+from pyomo_quad.cli.endings import ExitCode, Stopped, before_the_end
+from pyomo_quad.cli.looking import check, library
 from pyomo_quad.cli.paper import paper
-from pyomo_quad.cli.run import compare, run
-from pyomo_quad.cli.solve import solve
-from pyomo_quad.cli.sweep import sweep, sweep_report
+from pyomo_quad.cli.sweeping import sweep, sweep_report
+from pyomo_quad.cli.terminal import claim_streams, complain, gives_up_output
 from pyomo_quad.report.folder import discard_unfinished
-from pyomo_quad.scenario.errors import FeasibilityError, PyomoQuadError, ScenarioError
+from pyomo_quad.scenario.messages import FeasibilityError, PyomoQuadError, ScenarioError
 from pyomo_quad.version import __version__
-
-__all__ = ["app", "main"]
 
 # Base of all complaints about the command line: click's, or the copy that newer typer carries.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]

@@ -8,12 +8,9 @@ from typing import Annotated
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from pyomo_quad.cli.consoles import error_console
-from pyomo_quad.cli.exit_codes import ExitCode
-from pyomo_quad.cli.options import Quiet
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.cli.terminal import Quiet, error_console
 from pyomo_quad.report.folder import output_folder, refuse_output_folder
-
-__all__ = ["paper"]
 
 _FOLDER = Path("reports/paper")
 
@@ -27,8 +24,8 @@ def paper(*, out: Folder = _FOLDER, quick: Quick = False, quiet: Quiet = False) 
     """Reproduce and examine the paper: every experiment, table, figure and equation."""
     refuse_output_folder(out)
     # A second to import, and not needed to refuse a misspelt option.
-    from pyomo_quad.report.paper.write import write_paper_report  # noqa: PLC0415
-    from pyomo_quad.study.paper.study import run_paper_study  # noqa: PLC0415
+    from pyomo_quad.paper.report import write_paper_report  # noqa: PLC0415
+    from pyomo_quad.paper.study import run_paper_study  # noqa: PLC0415
 
     with output_folder(out) as aside:
         with _follow(is_quiet=quiet) as step:

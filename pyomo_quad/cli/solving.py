@@ -1,29 +1,43 @@
-"""What the commands that solve have in common: the engine, the live line, Ctrl-C, the outcome.
+"""What the commands that solve have in common; it imports the engine, which takes a second."""
 
-Importing this module imports Pyomo, CasADi and SciPy, which takes over a second: commands do so
-only once the scenario has been read and the output folder looked at, so that a refused one need
-not wait.
-"""
-
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from math import isnan
 from pathlib import Path
+from typing import Any
 
+import pandas as pd
 import typer
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
+from rich.table import Table
 
-from pyomo_quad.cli.consoles import complain
-from pyomo_quad.cli.exit_codes import ExitCode
-from pyomo_quad.cli.interruption import SolveStopped, stop_on_interrupt
-from pyomo_quad.cli.live_line import live_line
-from pyomo_quad.collocation import Iteration, Problem, Progress, TranscriptionError, WarmStart
-from pyomo_quad.flight import Plan, Planner, PlanStatus
+from pyomo_quad.cli.endings import ExitCode, SolveStopped, stop_on_interrupt
+from pyomo_quad.cli.terminal import complain, live_line, result_console
+from pyomo_quad.collocation import (
+    Iteration,
+    Problem,
+    Progress,
+    SolveError,
+    TranscriptionError,
+    WarmStart,
+)
+from pyomo_quad.flight import Flight, Plan, Planner, PlanStatus
+from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop
 from pyomo_quad.flight.planning import Builder
 from pyomo_quad.model import model_builder
 from pyomo_quad.report.folder import output_folder
-from pyomo_quad.report.plan_table import write_plan_table
+from pyomo_quad.report.tables import (
+    flight_summary,
+    summary_text,
+    write_plan_table,
+    write_summary,
+    write_table,
+)
 from pyomo_quad.scenario import Scenario, ScenarioError
-
-__all__ = ["exit_code_of", "planner_for", "report_folder"]
+from pyomo_quad.scenario.tables import Reference
+from pyomo_quad.study.comparison import ComparisonColumn, has_arrived
+from pyomo_quad.study.run import RunResult
 
 # An iterate that breaks the equations by less, relative, is worth keeping.
 _WORTH_KEEPING = 1e-4
@@ -154,3 +168,293 @@ def exit_code_of(plan: Plan) -> ExitCode:
         See there.
     """
     return _EXIT_CODES[plan.status]
+
+
+_FLIGHT_NAME = "flight.csv"
+
+
+def make_plan(planner: Planner, scenario: Scenario) -> Plan | ExitCode:
+    """Make the plan that a flight follows.
+
+    Parameters
+    ----------
+    planner : Planner
+        Of the scenario's model.
+    scenario : Scenario
+        The mission.
+
+    Returns
+    -------
+    Plan or ExitCode
+        The status to end with where there is no verified plan.
+    """
+    plan = planner.solve(scenario)
+    status = exit_code_of(plan)
+    if status is ExitCode.VERIFIED:
+        return plan
+    complain(f"{scenario.name}: no plan to follow, {plan.status.value}: {plan.message}")
+    return status
+
+
+def make_flight(
+    planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
+) -> Flight | ExitCode:
+    """Fly.
+
+    Parameters
+    ----------
+    planner : Planner
+        Of the scenario's model.
+    scenario : Scenario
+        The mission.
+    reference : Reference or None
+        What the adaptive controller follows; None flies the plan in open loop.
+    plan : Plan or None
+        Where the flight needs one.
+
+    Returns
+    -------
+    Flight or ExitCode
+        The status to end with where the flight is out of control.
+    """
+    dynamics = planner.dynamics(scenario)
+    try:
+        if reference is None and plan is not None:
+            return fly_open_loop(scenario, plan, dynamics)
+        return fly_baseline(scenario, reference or Reference.PLAN, dynamics=dynamics, plan=plan)
+    except SolveError as error:
+        complain(f"{scenario.name}: {error}")
+        return ExitCode.NOT_SOLVED
+
+
+def write_flight(
+    folder: Path,
+    planner: Planner,
+    scenario: Scenario,
+    flight: Flight,
+    wall_s: Mapping[str, float],
+) -> dict[str, Any]:
+    """Write a flight's table and summary.
+
+    Parameters
+    ----------
+    folder : Path
+        An existing folder.
+    planner : Planner
+        Of the scenario's model.
+    scenario : Scenario
+        The mission flown.
+    flight : Flight
+        What to write.
+    wall_s : mapping
+        Seconds of each phase.
+
+    Returns
+    -------
+    dict
+        The summary.
+    """
+    summary = flight_summary(
+        scenario,
+        flight,
+        hover_energy_J=planner.steady_flight(scenario).hover_power * scenario.mission.duration,
+        arrived=has_arrived(flight),
+        wall_s=wall_s,
+    )
+    write_table(flight.frame, folder / _FLIGHT_NAME)
+    write_summary(folder, summary)
+    return summary
+
+
+def verdict(scenario: Scenario, flight: Flight) -> str:
+    """Return what became of a flight in one sentence.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission flown.
+    flight : Flight
+        The flight.
+
+    Returns
+    -------
+    str
+        One line.
+    """
+    end = "arrived" if has_arrived(flight) else "did not arrive"
+    confirmed = "confirmed" if flight.is_verified else "not confirmed"
+    return (
+        f"{scenario.name}: {flight.name} {end}, {flight.terminal_miss_m:.2g} m from the goal; "
+        f"{flight.energy_J:.3f} J, {confirmed} by a second integrator."
+    )
+
+
+_OUTCOMES = {
+    PlanStatus.SOLVED: "solved but not verified",
+    PlanStatus.NOT_CONVERGED: "not converged",
+    PlanStatus.INFEASIBLE: "infeasible",
+    PlanStatus.INTERRUPTED: "interrupted",
+}
+# Columns on the screen: heading and format.
+_SHOWN = {
+    ComparisonColumn.SCENARIO: ("scenario", ""),
+    ComparisonColumn.FLIGHT: ("flight", ""),
+    ComparisonColumn.ENERGY: ("energy J", ".2f"),
+    ComparisonColumn.OWED_ENERGY: ("owed J", "z.2f"),
+    ComparisonColumn.EXCESS_ENERGY: ("above hover J", ".2f"),
+    ComparisonColumn.SAVING: ("optimum saves %", "z.3f"),
+    ComparisonColumn.SAVING_OF_EXCESS: ("of excess %", "z.1f"),
+    ComparisonColumn.TERMINAL_MISS: ("miss m", ".1e"),
+    ComparisonColumn.ARRIVED: ("arrived", ""),
+    ComparisonColumn.LIMITS_KEPT: ("limits kept", ""),
+    ComparisonColumn.VERIFIED: ("verified", ""),
+}
+
+
+def verdict_lines(plan: Plan) -> Iterator[str]:
+    """Yield the answer, or what is known of a failure besides its causes.
+
+    Parameters
+    ----------
+    plan : Plan
+        Failed or not.
+
+    Yields
+    ------
+    str
+        Lines for standard output.
+    """
+    if plan.is_verified:
+        excess = plan.energy - plan.hover_energy_J
+        yield (
+            f"{plan.scenario.name}: verified, {plan.energy:.3f} J, {excess:.3f} J above hovering "
+            f"for the same {plan.scenario.mission.duration:g} s; {plan.iteration_count} "
+            f"iterations, {plan.timings['solve']:.2f} s."
+        )
+    if plan.failure is not None:
+        diagnosis = plan.failure.diagnosis
+        parts = {"Worst equations": diagnosis.residuals, "Limits reached": diagnosis.active}
+        for heading, items in parts.items():
+            if items:
+                yield f"{heading}:"
+                yield from (f"  {item}" for item in items)
+
+
+def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
+    """Write on standard error what is wrong with a plan, one line for each matter.
+
+    Parameters
+    ----------
+    plan : Plan
+        Failed or not.
+    folder : Path
+        Where its report is.
+    cautions : sequence of str
+        What a reader should know beside the numbers.
+    """
+    name = plan.scenario.name
+    if not plan.is_verified:
+        causes = () if plan.failure is None else tuple(plan.failure.causes())
+        first, *others = causes or (plan.message,)
+        complain(f"{name}: {_OUTCOMES[plan.status]}: {first} See {folder}.")
+        for cause in others:
+            complain(f"{name}: {cause}")
+    for caution in cautions:
+        complain(f"{name}: warning: {caution}")
+
+
+def run_lines(result: RunResult) -> Iterator[str | Table]:
+    """Yield the answer of a run: the optimum, the flights beside it, and the certificate.
+
+    Parameters
+    ----------
+    result : RunResult
+        Of any status.
+
+    Yields
+    ------
+    str or Table
+        For standard output.
+    """
+    yield from verdict_lines(result.plan)
+    if not result.comparison.empty:
+        yield comparison_table(result.comparison)
+    yield from _certificate_lines(result)
+
+
+def _certificate_lines(result: RunResult) -> Iterator[str]:
+    certificate, gap = result.certificate, result.gap_percent
+    if not result.plan.is_verified:
+        return
+    if not certificate.applies:
+        yield f"No certificate of global optimality: {certificate.reason}"
+    else:
+        bound = f"No flight of this mission spends less than {certificate.lower_bound_J:.3f} J"
+        if gap is None:
+            yield f"{bound}; the plan was made for another wind than the one that blows."
+        else:
+            yield f"{bound}: the optimum is at most {gap:.3f} % above the best."
+
+
+def comparison_table(comparison: pd.DataFrame) -> Table:
+    """Return the flights beside each other, for a terminal.
+
+    Parameters
+    ----------
+    comparison : DataFrame
+        Of `study.comparison`, of one scenario or many.
+
+    Returns
+    -------
+    Table
+        The columns that answer what the optimum saves.
+    """
+    table = Table(box=SIMPLE_HEAD)
+    for column, (heading, _) in _SHOWN.items():
+        is_text = column in (ComparisonColumn.SCENARIO, ComparisonColumn.FLIGHT)
+        table.add_column(heading, justify="left" if is_text else "right")
+    for _, row in comparison.iterrows():
+        table.add_row(*(escape(_cell(row[column], form)) for column, (_, form) in _SHOWN.items()))
+    return table
+
+
+def answer(
+    lines: Iterable[str | Table],
+    summary: Mapping[str, Any],
+    folder: Path,
+    *,
+    is_quiet: bool,
+    as_json: bool,
+) -> None:
+    """Print the answer of a command in the form that was asked for.
+
+    Parameters
+    ----------
+    lines : iterable of str or Table
+        For people.
+    summary : mapping
+        For programs.
+    folder : Path
+        Where the report is.
+    is_quiet : bool
+        Say nothing.
+    as_json : bool
+        Print the summary and nothing else.
+    """
+    if as_json:
+        print(summary_text(summary), end="")
+    elif not is_quiet:
+        for line in lines:
+            if isinstance(line, Table):
+                result_console().print(line)
+            else:
+                print(line)
+        print(f"Written to {folder}.")
+
+
+def _cell(value: Any, form: str) -> str:  # noqa: ANN401  a cell of any column
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float) and isnan(value):
+        return ""
+    return format(value, form)

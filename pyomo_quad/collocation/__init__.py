@@ -6,29 +6,23 @@ parameters, horizons and meshes without being built again.
 
 from typing import Any
 
-from pyomo_quad.collocation.diagnosis import (
-    ActiveLimit,
-    Diagnosis,
-    Relaxation,
-    Residual,
-    diagnose,
-)
+from pyomo_quad.collocation.diagnosis import ActiveLimit, Diagnosis, Relaxation, Residual, diagnose
 from pyomo_quad.collocation.dynamics import Dynamics, Violation
-from pyomo_quad.collocation.error_estimate import Allowance
 from pyomo_quad.collocation.errors import EngineError, SolveError, TranscriptionError
-from pyomo_quad.collocation.ipopt import Iteration, Progress, SolverOptions, Status
-from pyomo_quad.collocation.mesh import Mesh
-from pyomo_quad.collocation.problem import Problem
-from pyomo_quad.collocation.pyomo_solver import PyomoSolver
-from pyomo_quad.collocation.refinement import RefinementOptions
-from pyomo_quad.collocation.solution import MeshRecord, Solution
-from pyomo_quad.collocation.trajectory import (
+from pyomo_quad.collocation.guess import WarmStart
+from pyomo_quad.collocation.mesh import (
+    Mesh,
     Trajectory,
     control_polynomial,
     interpolate,
     real_array,
 )
-from pyomo_quad.collocation.warm_start import WarmStart
+from pyomo_quad.collocation.problem import Problem
+from pyomo_quad.collocation.program.ipopt import Iteration, Progress, SolverOptions, Status
+from pyomo_quad.collocation.pyomo_solver import PyomoSolver
+from pyomo_quad.collocation.refining.error import Allowance
+from pyomo_quad.collocation.refining.refinement import RefinementOptions
+from pyomo_quad.collocation.solution import MeshRecord, Solution
 
 __all__ = [
     "ActiveLimit",

@@ -1,7 +1,5 @@
 """What the engine refuses, and how it says so."""
 
-__all__ = ["EngineError", "SolveError", "TranscriptionError"]
-
 
 class EngineError(Exception):
     """Root of everything the engine raises on purpose."""

@@ -1,24 +1,27 @@
-"""Where Ipopt starts: from the model's values, from a function or frame, or a past solution."""
+"""Where Ipopt starts: the model's values, a function or frame, or a solution on another mesh."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.trajectory import Trajectory
+from pyomo_quad.collocation.mesh import Mesh, Trajectory, interpolate, real_array
+from pyomo_quad.collocation.program.ipopt import Multipliers
 
 if TYPE_CHECKING:
-    from pyomo_quad.collocation.bounds import Bounds
-    from pyomo_quad.collocation.declarations import Slot
-    from pyomo_quad.collocation.nodes import FloatArray
-    from pyomo_quad.collocation.transcription import Transcription
-    from pyomo_quad.collocation.values import ModelValues
+    from numpy.typing import NDArray
 
-__all__ = ["TIME_COLUMN", "Guess", "initial_point", "point_from_trajectory"]
+    from pyomo_quad.collocation.mesh import FloatArray
+    from pyomo_quad.collocation.program.bounds import Bounds
+    from pyomo_quad.collocation.program.compiled import CompiledModel
+    from pyomo_quad.collocation.program.transcription import Transcription
+    from pyomo_quad.collocation.reading.symbols import Slot
+    from pyomo_quad.collocation.reading.values import ModelValues
 
 TIME_COLUMN = "time"
 
@@ -138,3 +141,181 @@ def _refuse_unknown_names(program: Transcription, guess: Mapping[str, Any] | pd.
                 f"guess: {name!r} is none of the model's variables; known are "
                 f"{', '.join(sorted(known))}."
             )
+
+
+_PARTS = ("states", "algebraics", "statics")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarmStart:
+    """A point of a program and its multipliers, free of the problem that they were found with.
+
+    Attributes
+    ----------
+    model : str
+        Fingerprint of the equations that the multipliers belong to.
+    trajectory : Trajectory
+        Where to begin.
+    lower, upper : Trajectory
+        Multipliers of the bounds, shaped like the trajectory.
+    equations : ndarray, shape (n_points, n_equations)
+        Multipliers of the equations over time.
+    conditions : ndarray, shape (n_conditions,)
+        Multipliers of all other rows.
+    """
+
+    model: str
+    trajectory: Trajectory
+    lower: Trajectory
+    upper: Trajectory
+    equations: FloatArray
+    conditions: FloatArray
+
+    def __post_init__(self) -> None:
+        for array in self._numbers().values():
+            array.setflags(write=False)
+
+    @property
+    def mesh(self) -> Mesh:
+        """The mesh it was found on."""
+        return self.trajectory.mesh
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all of it are numbers; what a failed solve leaves need not be."""
+        return all(bool(np.all(np.isfinite(array))) for array in self._numbers().values())
+
+    def fits(self, compiled: CompiledModel) -> bool:
+        """Say if a compiled model has the very equations that the multipliers belong to."""
+        held, declared = self.trajectory, compiled.declared
+        return (
+            self.model == compiled.fingerprint
+            and (not declared.has_horizon or held.states.shape[1] == len(declared.states))
+            and (not declared.has_horizon or held.algebraics.shape[1] == len(declared.algebraics))
+            and held.statics.size == len(declared.statics)
+            and self.equations.shape[1] == compiled.n_equations
+            and self.conditions.size == len(declared.conditions) + len(compiled.static_of_integral)
+        )
+
+    def _numbers(self) -> dict[str, FloatArray]:
+        sides = {"": self.trajectory, "lower_": self.lower, "upper_": self.upper}
+        named = {f"{side}{part}": getattr(t, part) for side, t in sides.items() for part in _PARTS}
+        return named | {"equations": self.equations, "conditions": self.conditions}
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return it as named arrays, from which `from_arrays` makes it again."""
+        about = {
+            "model": np.frombuffer(self.model.encode("ascii"), dtype=np.uint8),
+            "breakpoints": np.asarray(self.mesh.breakpoints),
+            "degrees": np.asarray(self.mesh.degrees),
+        }
+        return about | self._numbers()
+
+    @classmethod
+    def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> WarmStart:
+        """Make a warm start of arrays that may come from a stranger.
+
+        Raises
+        ------
+        TranscriptionError
+            Naming the array that is missing or has another type, shape or content.
+        """
+        mesh = Mesh.from_arrays(held)
+        model = held.get("model")
+        if model is None or model.dtype != np.uint8 or model.ndim != 1 or np.any(model > 127):
+            raise TranscriptionError("model: must be the ASCII codes of a fingerprint.")
+        first = real_array(held, "states", (None, None))
+        has_time = first.size > 0 or len(first) > 0
+        points = mesh.points if has_time else 0
+        nodes = points + 1 if has_time else 0
+        widths = (first.shape[1], real_array(held, "algebraics", (points, None)).shape[1])
+        statics = real_array(held, "statics", (None,)).size
+        shapes = ((nodes, widths[0]), (points, widths[1]), (statics,))
+        sides = []
+        for side in ("", "lower_", "upper_"):
+            states, algebraics, values = (
+                real_array(held, f"{side}{part}", shape)
+                for part, shape in zip(_PARTS, shapes, strict=True)
+            )
+            sides.append(
+                Trajectory(mesh=mesh, states=states, algebraics=algebraics, statics=values)
+            )
+        return cls(
+            model=model.tobytes().decode("ascii"),
+            trajectory=sides[0],
+            lower=sides[1],
+            upper=sides[2],
+            equations=real_array(held, "equations", (points, None)),
+            conditions=real_array(held, "conditions", (None,)),
+        )
+
+
+def warm_start_of(program: Transcription, z: FloatArray, multipliers: Multipliers) -> WarmStart:
+    """Return the warm start that a point of a program and its multipliers are."""
+    first = program.first_condition_row
+    return WarmStart(
+        model=program.compiled.fingerprint,
+        trajectory=program.trajectory(z),
+        lower=program.trajectory(multipliers.lower),
+        upper=program.trajectory(multipliers.upper),
+        equations=np.array(
+            multipliers.rows[:first].reshape(program.n_points, program.compiled.n_equations)
+        ),
+        conditions=np.array(multipliers.rows[first:]),
+    )
+
+
+def transfer(start: WarmStart, program: Transcription) -> tuple[FloatArray, Multipliers]:
+    """Return unknowns and multipliers of a warm start on the mesh of a program.
+
+    Multipliers of what is imposed at a point are, divided by the quadrature weight there,
+    samples of a function of time; that function is what is carried over.
+
+    Raises
+    ------
+    TranscriptionError
+        If the warm start is of another model.
+    """
+    if not start.fits(program.compiled):
+        raise TranscriptionError(
+            "warm_start: the solution is of another model; give its frame as a guess instead."
+        )
+    z = point_from_trajectory(program, start.trajectory)
+    old, new = start.mesh, program.mesh
+    if new is None or old == new:
+        rows = np.concatenate([start.equations.ravel(), start.conditions])
+        lower, upper = (_assembled(program, side) for side in (start.lower, start.upper))
+        return z, Multipliers(rows=rows, lower=lower, upper=upper)
+    moved = _carried(old, new, start.equations).ravel()
+    sides = [
+        Trajectory(
+            mesh=new,
+            states=np.vstack(
+                [side.states[:1], np.maximum(_carried(old, new, side.states[1:]), 0.0)]
+            ),
+            algebraics=np.maximum(_carried(old, new, side.algebraics), 0.0),
+            statics=side.statics,
+        )
+        for side in (start.lower, start.upper)
+    ]
+    return z, Multipliers(
+        rows=np.concatenate([moved, start.conditions]),
+        lower=_assembled(program, sides[0]),
+        upper=_assembled(program, sides[1]),
+    )
+
+
+def _assembled(program: Transcription, held: Trajectory) -> FloatArray:
+    """Return what is shaped like a trajectory on the program's mesh as one vector."""
+    layout = program.layout
+    z = np.zeros(layout.unknowns)
+    z[layout.state_columns] = held.states
+    z[layout.algebraic_columns] = held.algebraics
+    z[layout.static_columns] = held.statics
+    return z
+
+
+def _carried(old: Mesh, new: Mesh, values: FloatArray) -> FloatArray:
+    density = values / old.quadrature_weights[:, None]
+    moved = interpolate(old, density, new.point_fractions, with_start=False)
+    return moved * new.quadrature_weights[:, None]

@@ -11,14 +11,12 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.schedules import Reading
+from pyomo_quad.collocation.reading.schedules import Reading
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from pyomo_quad.collocation.nodes import FloatArray
-
-__all__ = ["Interpolant", "interpolant"]
+    from pyomo_quad.collocation.mesh import FloatArray
 
 _DEGREE = 12
 # Largest error, relative to the values of a piece, and the width that no piece is halved below.

@@ -9,20 +9,18 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from pyomo.dae import DerivativeVar
 from pyomo.environ import Constraint, Var, value
 
-from pyomo_quad.collocation.addresses import AddressBook
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.interpolants import Interpolant, interpolant
-from pyomo_quad.collocation.naming import declared_unit, family_name
-from pyomo_quad.collocation.rules import rule_of
-from pyomo_quad.collocation.schedules import Reading, jumps, probes
+from pyomo_quad.collocation.program.transcription import declared_unit, family_name
+from pyomo_quad.collocation.reading.copy import rule_of
+from pyomo_quad.collocation.reading.schedules import Reading, jumps, probes
+from pyomo_quad.collocation.reading.symbols import AddressBook
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pyomo_quad.collocation.declarations import Declarations, Slot
-    from pyomo_quad.collocation.schedules import Schedule
-
-__all__ = ["LiveModel", "ModelSnapshot", "as_reading"]
+    from pyomo_quad.collocation.reading.schedules import Schedule
+    from pyomo_quad.collocation.reading.symbols import Declarations, Slot
 
 
 class LiveModel:

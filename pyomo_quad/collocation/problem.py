@@ -10,34 +10,26 @@ from typing import TYPE_CHECKING, Any
 import casadi
 import numpy as np
 
-from pyomo_quad.collocation.bounds import bounds_of
-from pyomo_quad.collocation.compiled import CompiledModel, compile_declarations
-from pyomo_quad.collocation.dynamics import Dynamics
+from pyomo_quad.collocation.dynamics import Dynamics, Evaluator, OutputStates
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.evaluation import Evaluator
-from pyomo_quad.collocation.guess import Guess, initial_point
+from pyomo_quad.collocation.guess import Guess, WarmStart, initial_point, transfer
 from pyomo_quad.collocation.interpolants import Interpolant, interpolant
-from pyomo_quad.collocation.ipopt import Progress, SolverOptions, run
 from pyomo_quad.collocation.model_source import LiveModel, ModelSnapshot
-from pyomo_quad.collocation.outputs import OutputStates
-from pyomo_quad.collocation.reading import read_declarations
-from pyomo_quad.collocation.refinement import RefinementOptions, refine
-from pyomo_quad.collocation.scaling import scaling_of
-from pyomo_quad.collocation.schedules import BESIDE
-from pyomo_quad.collocation.screening import refuse_unsolvable
+from pyomo_quad.collocation.program.bounds import bounds_of, refuse_unsolvable, scaling_of
+from pyomo_quad.collocation.program.compiled import CompiledModel, compile_declarations
+from pyomo_quad.collocation.program.ipopt import Progress, SolverOptions, run
+from pyomo_quad.collocation.program.transcription import Data, Transcription
+from pyomo_quad.collocation.reading.model import read_declarations
+from pyomo_quad.collocation.reading.schedules import BESIDE
+from pyomo_quad.collocation.reading.values import ModelValues, Overrides
+from pyomo_quad.collocation.refining.refinement import RefinementOptions, refine
 from pyomo_quad.collocation.solution import Solution, solution_from
-from pyomo_quad.collocation.transcription import Data, Transcription
-from pyomo_quad.collocation.values import ModelValues, Overrides
-from pyomo_quad.collocation.warm_start import WarmStart, transfer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from pyomo_quad.collocation.damping import Damping
-    from pyomo_quad.collocation.mesh import Mesh
-    from pyomo_quad.collocation.nodes import FloatArray
-
-__all__ = ["DEFAULT_TOLERANCE", "Instance", "Problem"]
+    from pyomo_quad.collocation.mesh import FloatArray, Mesh
+    from pyomo_quad.collocation.refining.refinement import Damping
 
 #: Largest relative error of a solution that is refined without a tolerance being asked for.
 DEFAULT_TOLERANCE = 1e-6

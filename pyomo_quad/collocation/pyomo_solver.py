@@ -17,10 +17,8 @@ from pyomo.opt import (
     TerminationCondition,
 )
 
-from pyomo_quad.collocation.ipopt import Iteration, SolverOptions, Status
 from pyomo_quad.collocation.problem import Problem
-
-__all__ = ["PyomoSolver"]
+from pyomo_quad.collocation.program.ipopt import Iteration, SolverOptions, Status
 
 _TERMINATION = {
     Status.CONVERGED: (SolverStatus.ok, TerminationCondition.optimal),

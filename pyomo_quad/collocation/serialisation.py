@@ -10,8 +10,6 @@ import casadi
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["Packed", "packed"]
-
 
 @dataclass(frozen=True)
 class _Place:

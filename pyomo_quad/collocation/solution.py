@@ -1,4 +1,4 @@
-"""What a solve returns: values, costates, errors and history, at any time."""
+"""What a solve returns: values, costates, Hamiltonian, errors and history, at any time."""
 
 from __future__ import annotations
 
@@ -6,29 +6,139 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import casadi
 import numpy as np
 import pandas as pd
 
-from pyomo_quad.collocation.conservation import hamiltonian_warnings
-from pyomo_quad.collocation.control_limits import control_limits
-from pyomo_quad.collocation.costates import Costates, costates_of
-from pyomo_quad.collocation.dynamics import Dynamics
+from pyomo_quad.collocation.dynamics import Dynamics, index_tuple
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.evaluation import index_tuple
-from pyomo_quad.collocation.guess import TIME_COLUMN
-from pyomo_quad.collocation.ipopt import IpoptResult, Iteration, Multipliers, Status
-from pyomo_quad.collocation.nodes import FloatArray, radau_rule
-from pyomo_quad.collocation.trajectory import Trajectory, interpolate, interpolate_rates
-from pyomo_quad.collocation.warm_start import WarmStart, warm_start_of
+from pyomo_quad.collocation.guess import TIME_COLUMN, WarmStart, warm_start_of
+from pyomo_quad.collocation.mesh import (
+    FloatArray,
+    Trajectory,
+    interpolate,
+    interpolate_rates,
+    radau_rule,
+)
+from pyomo_quad.collocation.program.bounds import control_limits
+from pyomo_quad.collocation.program.compiled import MappedFunction
+from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Multipliers, Status
+from pyomo_quad.collocation.reading.writer import symbol_names
 
 if TYPE_CHECKING:
-    from pyomo_quad.collocation.bounds import Bounds
     from pyomo_quad.collocation.mesh import Mesh
     from pyomo_quad.collocation.problem import Instance, Problem
-    from pyomo_quad.collocation.scaling import Scaling
-    from pyomo_quad.collocation.transcription import Transcription
+    from pyomo_quad.collocation.program.bounds import Bounds, Scaling
+    from pyomo_quad.collocation.program.transcription import Transcription
+    from pyomo_quad.collocation.reading.symbols import Declarations
 
-__all__ = ["MeshRecord", "Solution", "solution_from"]
+# Root mean square deviation, as a share of the Hamiltonian's size, that is no longer rounding
+# and mesh error.
+_SUSPICIOUS = 1e-2
+
+
+def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
+    """Return a warning if the Hamiltonian should be constant and is not.
+
+    Parameters
+    ----------
+    solution : Solution
+        Converged; a model that reads time is never warned of.
+
+    Returns
+    -------
+    tuple of str
+        Empty or one line.
+    """
+    declared = solution.problem.compiled.declared
+    if not declared.states or _reads_time(declared):
+        return ()
+    held, weights = solution.costates.hamiltonian, solution.mesh.quadrature_weights
+    mean = float(weights @ held)
+    spread = float(np.sqrt(weights @ (held - mean) ** 2))
+    start, end = solution.horizon
+    size = abs(mean) + abs(solution.objective) / (end - start)
+    if spread <= _SUSPICIOUS * size:
+        return ()
+    warning = (
+        f"Hamiltonian: varies by {spread:.2g} about {mean:.4g} although nothing depends on time; "
+        "solve to a tighter tolerance, or distrust the costates."
+    )
+    return (warning,)
+
+
+def _reads_time(declared: Declarations) -> bool:
+    parts = [part for e in declared.equations for part in (e.expression, e.lower, e.upper)]
+    parts += [i.integrand for i in declared.integrals]
+    read = symbol_names(casadi.vertcat(casadi.SX(0, 1), *parts))
+    return declared.has_signals or declared.fraction.name() in read
+
+
+@dataclass(frozen=True, kw_only=True)
+class Costates:
+    """Costates per element: per_element[e] has shape (degree + 1, n_states), left end first.
+
+    `hamiltonian` holds H at the collocation points, shape (n_points,).
+    """
+
+    per_element: tuple[FloatArray, ...]
+    hamiltonian: FloatArray
+
+    @property
+    def at_points(self) -> FloatArray:
+        """Costates at the collocation points, shape (n_points, n_states)."""
+        return np.vstack([block[1:] for block in self.per_element])
+
+
+def costates_of(
+    program: Transcription, z: FloatArray, multipliers: FloatArray, span: float
+) -> Costates:
+    """Map the multipliers of the path equations to costates and Hamiltonian.
+
+    Parameters
+    ----------
+    program : Transcription
+    z : ndarray
+        The solution.
+    multipliers : ndarray
+        Of all rows, as Ipopt returns them for the unscaled program.
+    span : float
+        Length of the horizon in physical time.
+    """
+    mesh, compiled = program.mesh, program.compiled
+    if mesh is None:
+        return Costates(per_element=(), hamiltonian=np.zeros(0))
+    n_states, n = len(compiled.declared.states), compiled.n_equations
+    rows = multipliers[: mesh.points * n].reshape(mesh.points, n)
+    by_rate = _rate_products(program, z, rows, n_states)
+    inner = -by_rate / mesh.quadrature_weights[:, None]
+    values = []
+    for e, degree in enumerate(mesh.degrees):
+        points = slice(mesh.first_node[e], mesh.first_node[e + 1])
+        first_column = radau_rule(degree).differentiation[:, 0] / mesh.widths[e]
+        left = first_column @ by_rate[points]
+        values.append(np.vstack([left, inner[points]]))
+    states = z[program.layout.state_columns]
+    rates = program.layout.slope_matrix @ states
+    density = program.lagrangian_density(z, multipliers)
+    hamiltonian = (density + np.sum(inner * rates, axis=1)) / span
+    return Costates(per_element=tuple(values), hamiltonian=hamiltonian)
+
+
+def _rate_products(
+    program: Transcription, z: FloatArray, rows: FloatArray, n_states: int
+) -> FloatArray:
+    """Return (dF/d rate)' multipliers at every point, shape (n_points, n_states)."""
+    compiled = program.compiled
+    jacobian = MappedFunction(compiled.path.jacobian, program.layout.points)
+    entries = jacobian(program.path_variables(z), program.data.at_points())[0]
+    products = np.zeros((program.layout.points, n_states))
+    for k, (row, column) in enumerate(
+        zip(compiled.path.jacobian_rows, compiled.path.jacobian_columns, strict=True)
+    ):
+        if column < n_states and row < compiled.n_equations:
+            products[:, column] += entries[:, k] * rows[:, row]
+    return products
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,52 +1,267 @@
-"""The flights that an optimum is compared with: a reference under feedback, the plan without.
+"""The flights that an optimum is compared with: a reference under feedback, the plan without."""
 
-All fly the vehicle that the optimiser flew, through the same declared equations, in the wind that
-really blows.  The controller is not told that wind.  The optimiser was told the forecast, which is
-the true wind where a scenario gives none, and the plan carries what it expects of the air: a
-controller that follows the plan adapts to the rest.
-"""
-
+from dataclasses import dataclass
+from enum import StrEnum
 from math import nan
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 
-from pyomo_quad.collocation import Dynamics
-from pyomo_quad.flight.allocation import mixer_matrix
-from pyomo_quad.flight.closed_loop import ClosedLoopFlight, Integrator, fly
-from pyomo_quad.flight.columns import flight_frame
-from pyomo_quad.flight.controller import MEASURED_STATES, AdaptiveController
-from pyomo_quad.flight.ends import start_state, wanted_at_goal
-from pyomo_quad.flight.flight import POSITION_STATES, Flight, Flown
-from pyomo_quad.flight.plan import Plan
-from pyomo_quad.flight.plant import fly_controls
-from pyomo_quad.flight.references import (
-    ReferencePath,
-    SampledPath,
-    minimum_snap,
-    quintic,
-    step,
+from pyomo_quad.collocation import Dynamics, SolveError
+from pyomo_quad.flight.controller import (
+    MEASURED_STATES,
+    AdaptiveController,
+    VehicleDynamics,
+    mixer_matrix,
+    rotor_columns,
 )
+from pyomo_quad.flight.flight import POSITION_STATES, Flight, Flown, flight_frame
+from pyomo_quad.flight.plan import Plan
+from pyomo_quad.flight.references import ReferencePath, SampledPath, minimum_snap, quintic, step
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
     ENERGY_TOLERANCE,
     MISS_TOLERANCE,
     battery_imbalance,
+    fly_controls,
 )
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.baseline import Reference
-
-__all__ = [
-    "OPEN_LOOP",
-    "baseline_name",
-    "fly_baseline",
-    "fly_open_loop",
-    "fly_reference",
-    "reference_path",
-]
+from pyomo_quad.scenario.tables import Hover, Reference
 
 FloatArray = NDArray[np.float64]
+
+_RIGID_BODY = "rigid_body."
+_ROTOR_SPEED = "rotors.omega["
+_YAW = "rigid_body.psi"
+_CHARGE_DRAWN = "battery.charge_drawn"
+_STATE_OF_CHARGE = "battery.state_of_charge"
+
+
+def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None) -> FloatArray:
+    """Return the state in which a flight starts: that of the plan, or hover as declared.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Gives the place and the state of charge.
+    dynamics : Dynamics
+        The vehicle to be flown.
+    plan : Plan, optional
+        Its first state is taken where there is one.
+
+    Returns
+    -------
+    ndarray, shape (n_states,)
+        In the order of the dynamics.
+
+    Raises
+    ------
+    ScenarioError
+        If a model of the user's own has a state that only a plan could give a value.
+    """
+    if plan is not None:
+        held = plan.trajectories
+        known = dict(zip(held.state_names, held.states[0].tolist(), strict=True))
+    else:
+        known = declared_start(scenario, dynamics)
+    unknown = next((name for name in dynamics.state_names if name not in known), None)
+    if unknown is not None:
+        raise ScenarioError(
+            f"{scenario.name}: nothing says where state {unknown} of the model starts; fly it "
+            "with a plan."
+        )
+    return np.array([known[name] for name in dynamics.state_names])
+
+
+def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
+    """Return the states that the mission gives at the start: hover, and the charge of the pack."""
+    known = _hovering(scenario, scenario.mission.start, dynamics)
+    if _CHARGE_DRAWN in dynamics.state_names and dynamics.has(_STATE_OF_CHARGE):
+        known[_CHARGE_DRAWN] = _charge_drawn(scenario, dynamics)
+    return known
+
+
+def wanted_at_goal(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
+    """Return the final values that the mission wants: hover at the goal.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Gives the goal.
+    dynamics : Dynamics
+        The vehicle flown.
+
+    Returns
+    -------
+    dict
+        State name -> value, of rigid body and rotors.
+    """
+    return _hovering(scenario, scenario.mission.goal, dynamics)
+
+
+def _hovering(scenario: Scenario, place: Hover, dynamics: Dynamics) -> dict[str, float]:
+    names = dynamics.state_names
+    hover_speed = scenario.vehicle.hover_speed(scenario.gravity)
+    states = {name: 0.0 for name in names if name.startswith(_RIGID_BODY)}
+    states |= {name: hover_speed for name in names if name.startswith(_ROTOR_SPEED)}
+    return states | dict(zip((*POSITION_STATES, _YAW), (*place.position, place.yaw), strict=True))
+
+
+def _charge_drawn(scenario: Scenario, dynamics: Dynamics) -> float:
+    """Return the charge at which the declared state of charge, linear in it, is the initial one."""
+    states = np.zeros((2, len(dynamics.state_names)))
+    states[1, dynamics.state_names.index(_CHARGE_DRAWN)] = 1.0
+    controls = np.zeros((2, len(dynamics.control_names)))
+    full, less = dynamics.evaluate(_STATE_OF_CHARGE, np.zeros(2), states, controls).tolist()
+    return (scenario.battery.initial_state_of_charge - full) / (less - full)
+
+
+# Gives energies to 1e-7 and better with either integrator.
+_TOLERANCE = 1e-7
+# Longest step, s: a smooth stretch must not step over a gust or a change of the reference.
+_LONGEST_STEP = 0.1
+# A flight under control takes some 500 evaluations per second; ten times that is a tumble, which
+# would keep the integrator busy for hours.
+_MOST_EVALUATIONS_PER_SECOND = 5000
+
+
+class Integrator(StrEnum):
+    """SciPy's integrators that share no code with each other."""
+
+    RUNGE_KUTTA = "DOP853"
+    MULTISTEP = "LSODA"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClosedLoopFlight:
+    """A controlled flight at n times."""
+
+    flown: Flown
+    """The vehicle; its controls are the rotor accelerations applied."""
+    controller_states: FloatArray
+    """The `CONTROLLER_STATES`, shape (n, 22)."""
+    evaluations: int
+    """Evaluations of the right-hand side."""
+
+
+def fly(
+    *,
+    dynamics: VehicleDynamics,
+    controller: AdaptiveController,
+    reference: ReferencePath,
+    initial_state: FloatArray,
+    times: FloatArray,
+    integrator: Integrator = Integrator.RUNGE_KUTTA,
+) -> ClosedLoopFlight:
+    """Fly a reference under feedback.
+
+    Parameters
+    ----------
+    dynamics : VehicleDynamics
+        The declared equations, with the wind that really blows.
+    controller : AdaptiveController
+        Starts with nothing learnt.
+    reference : callable
+        Time in s -> Setpoint.
+    initial_state : ndarray, shape (n_states,)
+        State of the vehicle at the first time.
+    times : ndarray, shape (n,)
+        Rising times at which the flight is returned, s.
+    integrator : Integrator, optional
+        What steps through time.
+
+    Returns
+    -------
+    ClosedLoopFlight
+        The flight.
+
+    Raises
+    ------
+    SolveError
+        If the integration breaks down before the last time, or takes so many evaluations that
+        the vehicle must be tumbling.
+    """
+    loop = _ClosedLoop(dynamics, controller, reference, duration=times[-1] - times[0])
+    solution = solve_ivp(
+        loop.rates,
+        (times[0], times[-1]),
+        loop.started(times[0], initial_state),
+        method=integrator.value,
+        t_eval=times,
+        rtol=_TOLERANCE,
+        atol=_TOLERANCE,
+        max_step=_LONGEST_STEP,
+    )
+    if not solution.success:
+        raise SolveError(
+            f"controlled flight: {solution.message} Check the gains and limits of the scenario."
+        )
+    return loop.flight(times, solution.y.T)
+
+
+class _ClosedLoop:
+    """The right-hand side; its state is vehicle, controller, energy, one after the other."""
+
+    def __init__(
+        self,
+        dynamics: VehicleDynamics,
+        controller: AdaptiveController,
+        reference: ReferencePath,
+        *,
+        duration: float,
+    ) -> None:
+        self._dynamics = dynamics
+        self._controller = controller
+        self._reference = reference
+        self._size = len(dynamics.state_names)
+        self._body = [list(dynamics.state_names).index(name) for name in MEASURED_STATES]
+        self._rotors = rotor_columns(dynamics)
+        self._evaluations = 0
+        self._most_evaluations = _MOST_EVALUATIONS_PER_SECOND * max(1.0, duration)
+
+    def started(self, t: float, state: FloatArray) -> FloatArray:
+        """Return the joint state at the start."""
+        body = state[self._body].tolist()
+        return np.array([*state, *self._controller.started(self._reference(t), body), 0.0])
+
+    def rates(self, t: float, joint: FloatArray) -> FloatArray:
+        """Return the derivative of the joint state."""
+        self._evaluations += 1
+        if self._evaluations > self._most_evaluations:
+            raise SolveError(
+                f"controlled flight: out of control at {t:.4g} s, stopped after "
+                f"{self._most_evaluations:g} evaluations; check the gains and limits of the "
+                "scenario."
+            )
+        alpha, controller_rates = self._law(t, joint)
+        rates, power = self._dynamics.rates_and_integrand(t, joint[: self._size], np.array(alpha))
+        return np.array([*rates.tolist(), *controller_rates, power])
+
+    def flight(self, times: FloatArray, rows: FloatArray) -> ClosedLoopFlight:
+        """Return a flight of the joint states at some times."""
+        return ClosedLoopFlight(
+            flown=Flown(
+                t=times,
+                states=rows[:, : self._size],
+                controls=np.array([self._law(t, y)[0] for t, y in zip(times, rows, strict=True)]),
+                energy=rows[:, -1],
+            ),
+            controller_states=rows[:, self._size : -1],
+            evaluations=self._evaluations,
+        )
+
+    def _law(self, t: float, joint: FloatArray) -> tuple[list[float], list[float]]:
+        values = joint.tolist()
+        return self._controller(
+            self._reference,
+            t,
+            [values[k] for k in self._body],
+            [values[k] for k in self._rotors],
+            values[self._size : -1],
+        )
+
 
 OPEN_LOOP = "open_loop/plan"
 

@@ -1,47 +1,458 @@
-"""The adaptive controller that stands in for the one the paper cites.
-
-The paper compares its optimum with "the adaptive controller considered in [Yacef 2016]" (J.
-Intell. Robot. Syst. 84, 2016: adaptive fuzzy backstepping) but prints neither law nor gains nor
-reference.  This is a stand-in by published methods, not that controller: two cascaded loops of
-adaptive backstepping (see `backstepping` for the law, its Lyapunov function and the literature).
-
-1. Position.  m p'' = F - m g e3 + m d, with F the thrust vector and d unknown: the wind, which
-   the controller is not told, and the error of the mass it believes in.  The loop gives the
-   acceleration to ask for; `ThrustEnvelope` shortens it to what thrust and tilt allow.  The mass
-   and the vertical part of d cannot be told apart near hover, so only d is adapted.
-2. Tilt.  Roll and pitch that point the thrust that way, at the present yaw (`thrust_vector`);
-   a filter of second order, whose acceleration the rotors can follow, makes of them a command
-   with two derivatives.  The reference is known in advance: its horizontal acceleration is asked
-   for earlier by the lag of filter and rotors.
-3. Attitude.  I eta'' = M + I d_eta, Euler rates being body rates as in eq. (6).  The gyroscopic
-   couplings of eq. (6), zero in steady flight, are part of the unknown d_eta.
-4. Allocation.  Rotor speeds by the inverse of eq. (7), attitude before thrust before yaw; each
-   rotor follows with the acceleration k (omega_command - omega), cut off at the same limit as
-   the optimiser's.
-
-What the actuators deliver less, filter, rotors and limits included, enters both loops as the
-difference between the achieved and the demanded acceleration: the estimates of d are not misled
-by it, and V of each loop does not increase whatever it is.
-
-The vehicle is believed to be that of the scenario given, which need not be the one flown.
-"""
+"""The adaptive controller that stands in for the one the paper cites."""
 
 from collections.abc import Sequence
-from math import exp, inf
+from dataclasses import dataclass
+from math import asin, atan2, cos, exp, hypot, inf, sin, sqrt, tan, tanh
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pyomo_quad.flight.allocation import Allocation
-from pyomo_quad.flight.backstepping import STATES_PER_LOOP, BacksteppingLoop
 from pyomo_quad.flight.references import ReferencePath, Setpoint
-from pyomo_quad.flight.saturation import bend, braking_rate
-from pyomo_quad.flight.thrust_vector import ThrustEnvelope, thrust_direction, tilt_toward
 from pyomo_quad.scenario import Scenario
-
-__all__ = ["CONTROLLER_STATES", "MEASURED_STATES", "AdaptiveController"]
+from pyomo_quad.scenario.tables import Limits
 
 FloatArray = NDArray[np.float64]
+
+_MIXER_ROWS = (
+    "rotors.total_thrust",
+    "rotors.roll_moment",
+    "rotors.pitch_moment",
+    "rotors.yaw_moment",
+)
+
+
+class VehicleDynamics(Protocol):
+    """What the controlled flight asks of compiled equations."""
+
+    state_names: tuple[str, ...]
+    control_names: tuple[str, ...]
+
+    def rates_and_integrand(
+        self, t: float, x: FloatArray, u: FloatArray, /
+    ) -> tuple[FloatArray, float]:
+        """Return dx/dt, shape (n_states,), and the power, W."""
+
+    def evaluate(
+        self, component: str, t: FloatArray, states: FloatArray, controls: FloatArray, /
+    ) -> FloatArray:
+        """Return a component at n points, shape (n,)."""
+
+
+def rotor_columns(dynamics: VehicleDynamics) -> list[int]:
+    """Return where the rotor speeds stand among the states, in the order of the controls.
+
+    Parameters
+    ----------
+    dynamics : VehicleDynamics
+        With states ``rotors.omega[j]`` for controls ``rotors.alpha[j]``.
+
+    Returns
+    -------
+    list of int
+        One column for each rotor.
+    """
+    names = list(dynamics.state_names)
+    return [names.index(name.replace("alpha", "omega")) for name in dynamics.control_names]
+
+
+def mixer_matrix(dynamics: VehicleDynamics) -> FloatArray:
+    """Read the mixer, eq. (7), off the declared equations.
+
+    Parameters
+    ----------
+    dynamics : VehicleDynamics
+        Evaluated with one rotor at a time turning at 1 rad/s.
+
+    Returns
+    -------
+    ndarray, shape (4, 4)
+        Thrust, roll, pitch and yaw moment over the squared speeds of the rotors.
+    """
+    columns = rotor_columns(dynamics)
+    X = np.zeros((len(columns), len(dynamics.state_names)))
+    X[range(len(columns)), columns] = 1.0
+    U = np.zeros((len(columns), len(columns)))
+    times = np.zeros(len(columns))
+    return np.array([dynamics.evaluate(row, times, X, U) for row in _MIXER_ROWS])
+
+
+class Allocation:
+    """Rotor speeds that give a thrust and moments, as far as the limits allow.
+
+    When not everything fits, roll and pitch moment come first, then thrust, then yaw: a vehicle
+    that keeps its attitude can recover the rest.
+
+    Parameters
+    ----------
+    mixer : ndarray, shape (4, 4)
+        Of `mixer_matrix`.
+    limits : Limits
+        Rotor speeds, thrust and moments allowed.
+    """
+
+    def __init__(self, mixer: FloatArray, limits: Limits) -> None:
+        inverse = np.linalg.inv(mixer)
+        # Equal on all rotors, since the moments' rows of the mixer each sum to zero.
+        self._share = float(inverse[0, 0])
+        self._roll, self._pitch, self._yaw = (tuple(column) for column in inverse.T[1:].tolist())
+        self._roll_max, self._pitch_max = limits.roll_moment_max, limits.pitch_moment_max
+        self._yaw_max = limits.yaw_moment_max
+        self._thrust_max = limits.thrust_max
+        self._lowest = limits.rotor_speed_min**2
+        self._highest = limits.rotor_speed_max**2
+
+    def rotor_speeds(self, thrust: float, moments: Sequence[float]) -> list[float]:
+        """Return the rotor speeds to command.
+
+        Parameters
+        ----------
+        thrust : float
+            Total thrust wanted, N.
+        moments : sequence of three floats
+            Roll, pitch and yaw moment wanted, N m.
+
+        Returns
+        -------
+        list of four floats
+            Speeds within the limits, rad/s.
+        """
+        low, high = self._lowest, self._highest
+        roll = min(max(moments[0], -self._roll_max), self._roll_max)
+        pitch = min(max(moments[1], -self._pitch_max), self._pitch_max)
+        yaw = min(max(moments[2], -self._yaw_max), self._yaw_max)
+        tilting = [a * roll + b * pitch for a, b in zip(self._roll, self._pitch, strict=True)]
+        span = max(tilting) - min(tilting)
+        if span > high - low:
+            tilting = [(high - low) / span * change for change in tilting]
+        least, most = (low - min(tilting)) / self._share, (high - max(tilting)) / self._share
+        equal = self._share * max(least, min(most, thrust, self._thrust_max))
+        squares = [change + equal for change in tilting]
+        yawing = [share * yaw for share in self._yaw]
+        fitting = min(1.0, _step_within(squares, yawing, low, high))
+        turned = (square + fitting * change for square, change in zip(squares, yawing, strict=True))
+        return [sqrt(min(max(square, low), high)) for square in turned]
+
+    def tilting_moment_at(self, thrust: float) -> tuple[float, float]:
+        """Return the largest roll and pitch moment that leave the thrust as it is.
+
+        Parameters
+        ----------
+        thrust : float
+            Total thrust, N, shared by the rotors without any moment.
+
+        Returns
+        -------
+        roll, pitch : float
+            Each available on its own, N m.
+        """
+        squares = [self._share * thrust] * len(self._roll)
+        roll = _step_within(squares, self._roll, self._lowest, self._highest)
+        pitch = _step_within(squares, self._pitch, self._lowest, self._highest)
+        return min(roll, self._roll_max), min(pitch, self._pitch_max)
+
+
+def _step_within(
+    values: Sequence[float], direction: Sequence[float], low: float, high: float
+) -> float:
+    """Return how far values may go along a direction before the first meets a bound."""
+    rooms = (
+        ((high - value) if change > 0 else (low - value)) / change
+        for value, change in zip(values, direction, strict=True)
+        if change != 0.0
+    )
+    return max(0.0, min(rooms, default=inf))
+
+
+# Below this share of the limit `bend` changes nothing, so that small signals stay linear.
+_LINEAR_SHARE = 0.8
+# Width of the layer below the bound in which `project` turns outward motion aside.
+_PROJECTION_LAYER = 0.1
+
+
+def bend(magnitude: float, limit: float) -> float:
+    """Limit a number smoothly, leaving it untouched well below the limit.
+
+    Parameters
+    ----------
+    magnitude : float
+        Any number.
+    limit : float
+        Largest absolute value of the result, positive.
+
+    Returns
+    -------
+    float
+        The number itself up to 80 % of the limit, then a tanh that approaches the limit; two
+        derivatives are continuous.
+    """
+    straight = _LINEAR_SHARE * limit
+    excess = abs(magnitude) - straight
+    if excess <= 0:
+        return magnitude
+    rest = limit - straight
+    bent = straight + rest * tanh(excess / rest)
+    return bent if magnitude > 0 else -bent
+
+
+def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
+    """Return the rate at which to close an error so that it can still be braked.
+
+    Parameters
+    ----------
+    error : float
+        Distance to go.
+    gain : float
+        Rate over error for small errors, 1/s.
+    acceleration_max : float
+        Largest deceleration available.
+
+    Returns
+    -------
+    float
+        ``gain * error`` for small errors, the square root of ``acceleration_max * error`` for
+        large ones.
+
+    Notes
+    -----
+    Along the returned curve the deceleration r dr/de equals a/2 q (2 + q) / (1 + q)^2 with
+    q = gain^2 |e| / a: it never exceeds half of what is available, whatever the gain.
+    """
+    return gain * error / sqrt(1 + gain**2 * abs(error) / acceleration_max)
+
+
+def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> list[float]:
+    """Keep an estimate inside a ball by turning aside the outward part of its rate.
+
+    Smooth projection of Krstic, Kanellakopoulos and Kokotovic (1995), appendix E.
+
+    Parameters
+    ----------
+    estimate : sequence of float
+        Present estimate, inside the ball.
+    rate : sequence of float
+        Rate that the adaptation law asks for.
+    bound : float
+        Radius of the ball.
+
+    Returns
+    -------
+    list of float
+        The rate to apply. Continuous in its arguments; for every true value inside 90 % of the
+        ball, (estimate - true) . (result - rate) <= 0, so projecting never raises V.
+    """
+    outward = sum(d * r for d, r in zip(estimate, rate, strict=True))
+    inner = bound * (1 - _PROJECTION_LAYER)
+    size_squared = sum(d * d for d in estimate)
+    depth = (size_squared - inner**2) / (bound**2 - inner**2)
+    if depth <= 0 or outward <= 0:
+        return list(rate)
+    turned = min(depth, 1.0) * outward / size_squared
+    return [r - turned * d for d, r in zip(estimate, rate, strict=True)]
+
+
+_AXES = 3
+STATES_PER_LOOP = 3 * _AXES
+
+
+@dataclass(frozen=True, kw_only=True)
+class BacksteppingLoop:
+    """Adaptive backstepping of three double integrators; see the module for law and proof.
+
+    Its states, in order: xi_p (3), xi_v (3), d_hat (3).  Plain floats: on three axes they are
+    several times as fast as arrays, and the loop is evaluated thousands of times in a flight.
+    """
+
+    outer: tuple[float, float, float]
+    """k1, 1/s, one for each axis; equal ones where `reach` is finite."""
+    inner: tuple[float, float, float]
+    """k2, 1/s, one for each axis."""
+    reach: float
+    """L: size of the error beyond which the closing rate no longer grows; may be infinite."""
+    identification: float
+    """kappa, 1/s: rate at which the compensated error settles."""
+    effort_max: float
+    """Largest correcting acceleration; may be infinite."""
+    adaptation: float
+    """gamma, 1/s^2; zero for a law that does not adapt."""
+    disturbance_max: float
+    """Bound of the estimate, in the unit of the acceleration."""
+
+    def started(self, error: Sequence[float], error_rate: Sequence[float]) -> list[float]:
+        """Return the states to start with: nothing learnt, compensated errors zero.
+
+        Parameters
+        ----------
+        error, error_rate : sequence of three floats
+            Tracking error e and e' at the start.
+
+        Returns
+        -------
+        list of nine floats
+            The loop's states.
+        """
+        shrink = _shrink(error, self.reach)
+        missing = [
+            v + k * shrink * e for k, e, v in zip(self.outer, error, error_rate, strict=True)
+        ]
+        return [*error, *missing, *(0.0,) * _AXES]
+
+    def __call__(
+        self,
+        error: Sequence[float],
+        error_rate: Sequence[float],
+        reference_acceleration: Sequence[float],
+        achieved_acceleration: Sequence[float],
+        states: Sequence[float],
+    ) -> tuple[list[float], list[float]]:
+        """Return the acceleration to ask for and the rates of the loop's own states.
+
+        Parameters
+        ----------
+        error, error_rate : sequence of three floats
+            Tracking error e and e'.
+        reference_acceleration : sequence of three floats
+            Acceleration of the reference.
+        achieved_acceleration : sequence of three floats
+            Acceleration that the actuators give now, without the disturbance.
+        states : sequence of nine floats
+            The loop's states.
+
+        Returns
+        -------
+        demand : list of three floats
+            a_d.
+        rates : list of nine floats
+            Derivatives of the states by time.
+        """
+        lags, lag_rates, estimate = states[:3], states[3:6], states[6:]
+        compensated = [e - lag for e, lag in zip(error, lags, strict=True)]
+        shrink = _shrink(error, self.reach)
+        compensated_shrink = _shrink(compensated, self.reach)
+        along = sum(e * v for e, v in zip(error, error_rate, strict=True))
+        turning = along * (shrink / self.reach) ** 2
+        known, efforts, discounted, position_rates, velocity_rates = [], [], [], [], []
+        for i in range(_AXES):
+            k1, e, lag_rate = self.outer[i], error[i], lag_rates[i]
+            closing = k1 * shrink * e
+            closing_rate = k1 * shrink * (error_rate[i] - turning * e)
+            compensated_closing = k1 * compensated_shrink * compensated[i]
+            missing = error_rate[i] + closing
+            backstep = closing_rate + k1 * compensated_closing
+            z = missing - lag_rate
+            wanted = reference_acceleration[i] - estimate[i]
+            known.append(wanted)
+            efforts.append(backstep + self.inner[i] * missing)
+            discounted.append(z)
+            position_rates.append(lag_rate - closing + compensated_closing)
+            identified = self.identification * z
+            velocity_rates.append(achieved_acceleration[i] - wanted + backstep + identified)
+        learning = project(
+            estimate, [self.adaptation * z for z in discounted], self.disturbance_max
+        )
+        cut = _shrink(efforts, self.effort_max)
+        demand = [a - cut * effort for a, effort in zip(known, efforts, strict=True)]
+        return demand, [*position_rates, *velocity_rates, *learning]
+
+
+def _shrink(vector: Sequence[float], reach: float) -> float:
+    """Return sigma(v) / v."""
+    a, b, c = vector
+    return 1 / sqrt(1 + (a * a + b * b + c * c) / reach**2)
+
+
+# Share of the weight that the thrust must keep carrying: a falling quadrotor cannot steer.
+_LEAST_SUPPORT = 0.3
+
+
+def thrust_direction(roll: float, pitch: float, yaw: float) -> tuple[float, float, float]:
+    """Return the unit vector along the thrust, eq. (6) rows 1 to 3.
+
+    Parameters
+    ----------
+    roll, pitch, yaw : float
+        Attitude, rad.
+
+    Returns
+    -------
+    tuple of three floats
+        In world axes.
+    """
+    ahead, aside = cos(roll) * sin(pitch), sin(roll)
+    return (
+        ahead * cos(yaw) + aside * sin(yaw),
+        ahead * sin(yaw) - aside * cos(yaw),
+        cos(roll) * cos(pitch),
+    )
+
+
+def tilt_toward(force: Sequence[float], yaw: float) -> tuple[float, float]:
+    """Return the roll and pitch that point the thrust along a force.
+
+    Parameters
+    ----------
+    force : sequence of three floats
+        In world axes, its vertical part positive.
+    yaw : float
+        Present yaw, rad.
+
+    Returns
+    -------
+    roll, pitch : float
+        Inverse of `thrust_direction`, rad.
+    """
+    ahead = force[0] * cos(yaw) + force[1] * sin(yaw)
+    aside = force[0] * sin(yaw) - force[1] * cos(yaw)
+    return asin(aside / hypot(*force)), atan2(ahead, force[2])
+
+
+class ThrustEnvelope:
+    """Accelerations, without gravity, that thrust and tilt can give.
+
+    Parameters
+    ----------
+    gravity : float
+        m/s^2.
+    acceleration_max : float
+        Largest thrust over mass, above gravity, m/s^2.
+    tilt_max : float
+        Largest tilt of the thrust, rad.
+    """
+
+    def __init__(self, *, gravity: float, acceleration_max: float, tilt_max: float) -> None:
+        self._gravity = gravity
+        self._reserve = acceleration_max**2 - gravity**2
+        self._slope = tan(tilt_max)
+
+    def limited(self, acceleration: Sequence[float]) -> tuple[float, float, float]:
+        """Shorten an acceleration, smoothly, to what thrust and tilt allow.
+
+        Parameters
+        ----------
+        acceleration : sequence of three floats
+            Wanted, without gravity, m/s^2.
+
+        Returns
+        -------
+        tuple of three floats
+            Parallel to it and inside the envelope.
+        """
+        ax, ay, az = acceleration
+        size = hypot(ax, ay, az)
+        if size == 0.0:
+            return 0.0, 0.0, 0.0
+        share = bend(size, self._reach(hypot(ax, ay) / size, az / size)) / size
+        return share * ax, share * ay, share * az
+
+    def _reach(self, along: float, upward: float) -> float:
+        """Return the largest acceleration along a unit vector, given by its two parts."""
+        rising = self._gravity * upward
+        by_thrust = sqrt(rising**2 + self._reserve) - rising
+        leaning = along - self._slope * upward
+        by_tilt = self._slope * self._gravity / leaning if leaning > 0 else inf
+        by_fall = (1 - _LEAST_SUPPORT) * self._gravity / -upward if upward < 0 else inf
+        return min(by_thrust, by_tilt, by_fall)
+
 
 MEASURED_STATES = tuple(
     f"rigid_body.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "phi", "theta", "psi")

@@ -1,12 +1,12 @@
-"""From a scenario to a plan: build, compile, solve, fly."""
+"""From a scenario to a plan: build, compile, solve, fly; and what is tried when that fails."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import nan
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,25 +18,186 @@ from pyomo_quad.collocation import (
     Problem,
     Progress,
     RefinementOptions,
+    Relaxation,
     Solution,
     SolveError,
     SolverOptions,
     Status,
     Trajectory,
+    TranscriptionError,
     WarmStart,
-    compile,  # noqa: A004  the engine's name for it
+    compile,
+    diagnose,
+    solve,
 )
-from pyomo_quad.flight.plan import Plan, PlanStatus
-from pyomo_quad.flight.rescue import Rescuer
-from pyomo_quad.flight.shortest import shortest_flight
+from pyomo_quad.flight.plan import Failure, Plan, PlanStatus, Trajectories
 from pyomo_quad.flight.steady import SteadyFlight
-from pyomo_quad.flight.trajectories import Trajectories
 from pyomo_quad.flight.verification import MISS_TOLERANCE, VIOLATION_TOLERANCE, verify_controls
-from pyomo_quad.model import build_model, parameter_values, structure_key
+from pyomo_quad.model import ask_for_least_time, build_model, parameter_values, structure_key
 from pyomo_quad.model.wind import still_air
 from pyomo_quad.scenario import Scenario
 
-__all__ = ["Builder", "Planner", "solve_scenario"]
+if TYPE_CHECKING:
+    from pyomo_quad.collocation import Diagnosis
+
+_DONE = (Status.CONVERGED, Status.TOLERANCE_NOT_MET)
+_ENDED = (*_DONE, Status.INTERRUPTED)
+# Durations, as multiples of the mission's, through which a slow flight is sped up.
+_SLOWER = (3.0, 2.0, 1.5, 1.2, 1.1)
+_MOST_REMEDIES = 3
+_LIMITS = "limits."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rescue:
+    """What became of it: the last solution, what was tried, and why it failed if it did."""
+
+    solution: Solution
+    attempts: tuple[str, ...]
+    failure: Failure | None
+
+
+class Rescuer:
+    """Tries a failed mission again.
+
+    Parameters
+    ----------
+    duration : float
+        Of the mission [s].
+    solve : callable
+        Solve the mission to its tolerance from a trajectory.
+    solve_slowly : callable
+        Solve the mission on its first mesh with another duration [s], from a trajectory or from
+        nothing.
+    solve_shortest : callable
+        Return the shortest flight of the mission, or None.
+    progress : callable or None
+        Called at each iteration; returning False stops the solve.
+    """
+
+    def __init__(
+        self,
+        *,
+        duration: float,
+        solve: Callable[[Trajectory], Solution],
+        solve_slowly: Callable[[float, Trajectory | None], Solution],
+        solve_shortest: Callable[[], Solution | None],
+        progress: Progress | None,
+    ) -> None:
+        self._duration = duration
+        self._solve = solve
+        self._solve_slowly = solve_slowly
+        self._solve_shortest = solve_shortest
+        self._progress = progress
+        self._attempts: list[str] = []
+
+    def __call__(self, failed: Solution) -> Rescue:
+        """Return the rescue of a solution that did not converge."""
+        self._note("first solve", failed)
+        diagnosis = diagnose(failed, progress=self._progress)
+        if diagnosis.feasible_point is not None:
+            solution = self._started_from(diagnosis.feasible_point, "elastic restoration")
+            if solution.status in _ENDED:
+                return self._ended(solution, None)
+        if not diagnosis.is_infeasible:
+            solution = self._continued() or failed
+            if solution.status in _ENDED:
+                return self._ended(solution, None)
+        shortest = self._solve_shortest()
+        least = None if shortest is None else shortest.objective
+        self._attempts.append(
+            "shortest flight: none found" if least is None else f"shortest flight: {least:.4g} s"
+        )
+        is_contradicted = shortest is not None and shortest.objective <= self._duration
+        if shortest is not None and is_contradicted:
+            path = replace(shortest.trajectory, statics=failed.trajectory.statics)
+            solution = self._started_from(path, "guess from the shortest flight")
+            if solution.status in _ENDED:
+                return self._ended(solution, None)
+        failure = Failure(
+            duration_s=self._duration,
+            shortest_duration_s=least,
+            diagnosis=diagnosis,
+            remedies=() if not diagnosis.is_infeasible else self._remedies(failed, diagnosis),
+        )
+        is_proven = failure.is_too_short or (diagnosis.is_infeasible and not is_contradicted)
+        status = Status.INFEASIBLE if is_proven else Status.NOT_CONVERGED
+        return self._ended(replace(failed, status=status), failure)
+
+    def _ended(self, solution: Solution, failure: Failure | None) -> Rescue:
+        return Rescue(solution=solution, attempts=tuple(self._attempts), failure=failure)
+
+    def _note(self, what: str, solution: Solution) -> None:
+        self._attempts.append(f"{what}: {solution.status.value}")
+
+    def _started_from(self, trajectory: Trajectory, what: str) -> Solution:
+        solution = self._solve(trajectory)
+        self._note(what, solution)
+        return solution
+
+    def _continued(self) -> Solution | None:
+        """Speed a slow flight up to the mission's duration; None when a step fails."""
+        trajectory: Trajectory | None = None
+        for factor in _SLOWER:
+            slower = self._solve_slowly(factor * self._duration, trajectory)
+            self._note(f"duration x {factor:g}", slower)
+            if slower.status is Status.INTERRUPTED:
+                return slower
+            if slower.status in _DONE:
+                trajectory = slower.trajectory
+        if trajectory is None:
+            return None
+        return self._started_from(trajectory, "continuation in duration")
+
+    def _remedies(self, failed: Solution, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
+        """Return single limits that would do alone."""
+        candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
+        limits = [name for name in dict.fromkeys(candidates) if name.startswith(_LIMITS)]
+        found: list[Relaxation] = []
+        for name in limits[:_MOST_REMEDIES]:
+            try:
+                alone = diagnose(failed, families=frozenset({name}), progress=self._progress)
+            except TranscriptionError:
+                continue
+            found.extend(alone.relaxations)
+        return tuple(found)
+
+
+_MESH = (10, 4)
+_OPTIONS = SolverOptions(tolerance=1e-7, max_iterations=300)
+# The multiples of the mission's duration between which the shortest flight is looked for, and
+# the slow, easy one that the search starts from.
+_RANGE = (0.01, 100.0)
+_SLOW = 4.0
+
+
+def shortest_flight(model: Any, scenario: Scenario, progress: Progress | None) -> Solution | None:
+    """Fly the mission of a model in the least time.
+
+    Parameters
+    ----------
+    model : ConcreteModel
+        Of the scenario; its objective is replaced.
+    scenario : Scenario
+    progress : callable or None
+        Called at each iteration; returning False stops the solve.
+
+    Returns
+    -------
+    Solution or None
+        Its objective is the time [s]; None when the solve failed.
+    """
+    duration = scenario.mission.duration
+    bounds = (factor * duration for factor in _RANGE)
+    solution = solve(
+        model,
+        final_time=ask_for_least_time(model, bounds, _SLOW * duration),
+        mesh=Mesh.uniform(*_MESH),
+        options=_OPTIONS,
+        progress=progress,
+    )
+    return solution if solution.status is Status.CONVERGED else None
+
 
 Builder = Callable[[Scenario], Any]
 

@@ -25,17 +25,7 @@ from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike
 from scipy.interpolate import BPoly, CubicSpline, PPoly
 
-from pyomo_quad.scenario.mission import Mission
-
-__all__ = [
-    "ReferencePath",
-    "SampledPath",
-    "Setpoint",
-    "StraightPath",
-    "minimum_snap",
-    "quintic",
-    "step",
-]
+from pyomo_quad.scenario.tables import Mission
 
 # Coefficients of rising powers of t/T, from 0 at t = 0 to 1 at t = T.
 _QUINTIC = Polynomial((0, 0, 0, 10, -15, 6))

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq, least_squares
 
 from pyomo_quad.collocation import SolveError
-from pyomo_quad.flight.ends import declared_start
+from pyomo_quad.flight.baselines import declared_start
 from pyomo_quad.flight.flight import POSITION_STATES
 
 if TYPE_CHECKING:
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from pyomo_quad.collocation import Dynamics
     from pyomo_quad.scenario import Scenario
-
-__all__ = ["Hover", "MomentumDemand", "SteadyFlight", "Trim", "battery_shortfalls"]
 
 FloatArray = NDArray[np.float64]
 

@@ -1,9 +1,8 @@
 """The declared equations of the mission, each written once in Pyomo."""
 
-from pyomo_quad.model.build import build_model, parameter_values, structure_key
+from pyomo_quad.model.build import ask_for_least_time, build_model, parameter_values, structure_key
 from pyomo_quad.model.custom import load_builder, model_builder
 from pyomo_quad.model.inspection import ModelInspection, inspect_model
-from pyomo_quad.model.least_time import ask_for_least_time
 
 __all__ = [
     "ModelInspection",

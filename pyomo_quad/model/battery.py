@@ -27,8 +27,6 @@ from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.model.smoothing import saturated
 from pyomo_quad.scenario import Scenario
 
-__all__ = ["CHARGE", "PARAMETERS", "declare_battery"]
-
 CHARGE = units.A * units.hr
 # Shares of the charge and of the greatest power at which the guards act, and how softly.
 GUARD_FLOOR = 0.01

@@ -1,18 +1,15 @@
 """The whole continuous model of a mission, put together from its declared parts."""
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 
 from pyomo.dae import ContinuousSet, Integral
-from pyomo.environ import ConcreteModel, Objective, Param, Suffix, minimize, units
+from pyomo.environ import ConcreteModel, Objective, Param, Suffix, Var, minimize, units
 
 from pyomo_quad.model import aerodynamics, battery, limits, mission, power, vehicle, wind
-from pyomo_quad.model.motor import declare_motors
 from pyomo_quad.model.parameters import Parameter, parameter_items
 from pyomo_quad.model.rigid_body import declare_balances, declare_motion
-from pyomo_quad.model.rotors import declare_rotors
+from pyomo_quad.model.rotors import declare_motors, declare_rotors
 from pyomo_quad.scenario import Scenario, WindCoupling
-
-__all__ = ["build_model", "parameter_tables", "parameter_values", "structure_key"]
 
 
 def build_model(scenario: Scenario) -> ConcreteModel:
@@ -136,3 +133,27 @@ def structure_key(scenario: Scenario) -> Hashable:
         None if series is None else (series, scenario.wind.time_offset),
         tuple(row.name for row in limits.parameters_of(scenario)),
     )
+
+
+def ask_for_least_time(m: ConcreteModel, bounds: Iterable[float], guess: float) -> Var:
+    """Replace the objective of a model by the flight's duration.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        A mission's model, not yet discretised.
+    bounds : pair of float
+        Least and greatest duration looked at [s].
+    guess : float
+        Where the search starts [s].
+
+    Returns
+    -------
+    Var
+        The duration, to be given to the engine as the end of the horizon.
+    """
+    for objective in m.component_objects(Objective, active=True, descend_into=True):
+        objective.deactivate()
+    m.duration = Var(bounds=tuple(bounds), initialize=guess, units=units.s, doc="duration [s]")
+    m.least_time = Objective(expr=m.duration)
+    return m.duration

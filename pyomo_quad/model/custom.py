@@ -10,8 +10,6 @@ from pyomo.environ import ConcreteModel
 from pyomo_quad.model.build import build_model
 from pyomo_quad.scenario import Scenario, ScenarioError
 
-__all__ = ["Builder", "load_builder", "model_builder"]
-
 Builder = Callable[[Scenario], ConcreteModel]
 
 

@@ -12,8 +12,6 @@ from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.environ import ConcreteModel, Constraint, Expression, Param, Var
 from pyomo.util.check_units import assert_units_consistent
 
-__all__ = ["ModelInspection", "inspect_model", "unit_errors"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ModelInspection:

@@ -13,8 +13,6 @@ from pyomo.environ import Block, ConcreteModel, inequality, units
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
 
-__all__ = ["declare_limits", "parameters_of"]
-
 _UNITS = {
     "roll_max": units.rad,
     "pitch_max": units.rad,

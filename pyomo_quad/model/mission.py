@@ -12,9 +12,7 @@ from pyomo.environ import Block, ConcreteModel, sqrt, units
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.model.rigid_body import PLACE, STATES
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.mission import Hover
-
-__all__ = ["PARAMETERS", "declare_mission"]
+from pyomo_quad.scenario.tables import Hover
 
 AT_REST = tuple(name for name in STATES if name not in PLACE)
 

@@ -8,8 +8,6 @@ from pyomo.environ import Block, Param
 
 from pyomo_quad.scenario import Scenario
 
-__all__ = ["Parameter", "declare_parameters", "parameter_items"]
-
 Value = float | Mapping[Any, float]
 
 

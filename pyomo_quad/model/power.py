@@ -25,9 +25,7 @@ from pyomo.environ import Block, ConcreteModel, Expression, units
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.model.smoothing import floored, positive_part
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.power import PowerModel
-
-__all__ = ["declare_power", "parameters_of"]
+from pyomo_quad.scenario.tables import PowerModel
 
 _TORQUE = units.N * units.m
 _SPEED = units.rad / units.s

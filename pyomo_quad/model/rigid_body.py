@@ -19,8 +19,6 @@ from pyomo.environ import Block, ConcreteModel, Var, cos, sin, units
 
 from pyomo_quad.scenario import Scenario
 
-__all__ = ["PLACE", "STATES", "declare_balances", "declare_motion"]
-
 _SPEED = units.m / units.s
 _RATE = units.rad / units.s
 

@@ -1,24 +1,40 @@
-"""The four rotors: speeds as states, accelerations as controls, and the mixer.
-
-symbol | name | unit | meaning
-omega_j | omega[j] | rad/s | speed of rotor j, numbered from 1 as in the paper
-alpha_j | alpha[j] | rad/s2 | acceleration of rotor j, the control, eq. (9)
-u_1 | total_thrust | N | eq. (7)
-u_2, u_3, u_4 | roll_moment, pitch_moment, yaw_moment | N m | eq. (7)
-varpi | speed_imbalance | rad/s | omega_1 - omega_2 + omega_3 - omega_4, eq. (6)
-
-Assumption: thrust and drag torque are those of hover, kappa_b omega^2 and kappa omega^2,
-whatever the airspeed.
-"""
+"""The four rotors and their brushless motors, eq. (1)-(3) and (7), as direct-current motors."""
 
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
 from pyomo.environ import Block, ConcreteModel, Set, Var, units
 
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.vehicle import ROTOR_COUNT
+from pyomo_quad.scenario.tables import ROTOR_COUNT
 
-__all__ = ["declare_rotors"]
+
+def declare_motors(m: ConcreteModel) -> None:
+    """Declare torque, current and voltage of each motor in block `rotors`.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With `time`, `vehicle` and the speeds and accelerations of `rotors`.
+    """
+    b = m.rotors
+
+    @b.Expression(b.rotor, m.time, doc="eq. (1) row 1: motor torque [N m]")
+    def motor_torque(b: Block, j: int, t: float) -> NumericExpression:
+        vehicle = b.parent_block().vehicle
+        propeller_drag = vehicle.drag_torque_coefficient * b.omega[j, t] ** 2
+        return vehicle.rotor_inertia * b.alpha[j, t] + propeller_drag
+
+    @b.Expression(b.rotor, m.time, doc="eq. (2): motor current [A]")
+    def motor_current(b: Block, j: int, t: float) -> NumericExpression:
+        return b.motor_torque[j, t] / b.parent_block().vehicle.torque_constant
+
+    @b.Expression(b.rotor, m.time, doc="eq. (3) row 2: motor voltage [V]")
+    def motor_voltage(b: Block, j: int, t: float) -> NumericExpression:
+        vehicle = b.parent_block().vehicle
+        resistive_drop = vehicle.motor_resistance * b.motor_current[j, t]
+        electromotive_force = b.omega[j, t] / vehicle.voltage_constant
+        return resistive_drop + electromotive_force
+
 
 _NOMINAL_ACCELERATION = 10.0
 

@@ -1,12 +1,9 @@
-"""What a declared model lacks or contradicts, told before it is compiled.
-
-Works on any continuous model, the user's own included: scaling, bounds of the controls, limits on
-one variable that exclude each other or never bind, and boundary values outside such limits.
-"""
+"""What a declared model lacks or contradicts, told before it is compiled."""
 
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import StrEnum
 from itertools import permutations
 from math import inf
 
@@ -16,9 +13,33 @@ from pyomo.dae import DerivativeVar
 from pyomo.environ import ConcreteModel, Constraint, Suffix, Var, value
 from pyomo.repn import generate_standard_repn
 
-from pyomo_quad.model.finding import Finding, Severity
 
-__all__ = ["screen_model"]
+class Severity(StrEnum):
+    """Whether a finding rules a flight out, or only asks for a second look."""
+
+    IMPOSSIBLE = "impossible"
+    CAUTION = "caution"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """A field or declaration, what was found there, and what is allowed, in one line.
+
+    Attributes
+    ----------
+    severity : Severity
+    subject : str
+        Dotted field of the scenario, or full name of the component.
+    message : str
+        One line that names it.
+    """
+
+    severity: Severity
+    subject: str
+    message: str
+
+    def __str__(self) -> str:
+        return self.message
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,8 +3,6 @@
 from pyomo.core.expr import NumericExpression
 from pyomo.environ import sqrt, tanh
 
-__all__ = ["floored", "positive_part", "saturated"]
-
 
 def positive_part(value: NumericExpression, width: NumericExpression) -> NumericExpression:
     """Return a smooth max(value, 0): convex, increasing, never negative.

@@ -19,8 +19,6 @@ from pyomo.environ import Block, ConcreteModel, units
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
 
-__all__ = ["PARAMETERS", "declare_vehicle"]
-
 _INERTIA = units.kg * units.m**2
 _TORQUE = units.N * units.m
 

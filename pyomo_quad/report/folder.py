@@ -1,44 +1,51 @@
-"""Output folders that appear whole or not at all.
+"""Output folders that appear whole or not at all."""
 
-All files of a run are written into a hidden sibling of the final folder, on the same file
-system.  Only when the run has ended well does the sibling take the final name:
-
-1. Nothing there yet: one rename.
-2. An older report is there, and the system can exchange two names in one step (Linux): the two
-   are exchanged and the old one, now under the hidden name, is deleted.  The final name always
-   leads to a whole report, whenever the process is killed.
-3. Otherwise: the new folder is first renamed to ``.NAME.ready``, which declares it whole; then the
-   old one is deleted and the new one takes the name.  A run killed in between leaves the whole
-   new report under the hidden name, and the next run to the same folder starts by finishing the
-   swap.
-
-A lock file, held by `flock` and so released by the kernel with its process, keeps two runs from
-writing to one folder.  A manifest, the first file of a folder to be made and the last to be
-removed, lists what was written: a folder that holds anything else is never replaced, and one
-without a manifest is never taken for the remains of a run, whatever its name.
-"""
-
+import ctypes
 import errno
 import fcntl
 import os
 import re
 import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NoReturn
 
-from pyomo_quad.report.exchange import exchange_folders
-from pyomo_quad.scenario.errors import OutputError
+from pyomo_quad.scenario.messages import OutputError
 
-__all__ = [
-    "MANIFEST_NAME",
-    "discard_unfinished",
-    "final_folder",
-    "output_folder",
-    "recover_folder",
-    "refuse_output_folder",
-]
+_AT_FDCWD = -100
+_RENAME_EXCHANGE = 2
+
+
+def exchange_folders(one: Path, other: Path) -> bool:
+    """Let two folders of one file system swap their names atomically.
+
+    Parameters
+    ----------
+    one, other : Path
+        Existing folders.
+
+    Returns
+    -------
+    bool
+        False, with nothing changed, where the system or the file system cannot do it.
+
+    Notes
+    -----
+    Linux offers it as renameat2 with RENAME_EXCHANGE, which Python does not wrap.
+    """
+    if not sys.platform.startswith("linux"):
+        return False
+    try:
+        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
+    except AttributeError:
+        return False
+    result = renameat2(
+        _AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), ctypes.c_uint(_RENAME_EXCHANGE)
+    )
+    return int(result) == 0
+
 
 MANIFEST_NAME = ".pyomo_quad_files"
 

@@ -9,21 +9,26 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from pyomo_quad.report.document import FIGURE_FOLDER, Picture
-from pyomo_quad.report.figures.adaptation import draw_adaptation
-from pyomo_quad.report.figures.battery import draw_battery
-from pyomo_quad.report.figures.controls import draw_controls
-from pyomo_quad.report.figures.costates import COSTATES, draw_costates
-from pyomo_quad.report.figures.energy import coinciding_flights, cut_flights, draw_energy
-from pyomo_quad.report.figures.energy_split import draw_energy_split
-from pyomo_quad.report.figures.mesh import draw_mesh
-from pyomo_quad.report.figures.overview import draw_overview
-from pyomo_quad.report.figures.path import BEAT_COUNT, distinct_paths, draw_path, leaving_paths
-from pyomo_quad.report.figures.rotors import draw_rotors
-from pyomo_quad.report.figures.states import draw_states
-from pyomo_quad.report.figures.wind import draw_wind, is_calm
-from pyomo_quad.report.flights import StyledFlight, fair_pair
-from pyomo_quad.report.signals import (
+from pyomo_quad.report.flight_figures import (
+    COSTATES,
+    coinciding_flights,
+    cut_flights,
+    draw_adaptation,
+    draw_battery,
+    draw_controls,
+    draw_costates,
+    draw_energy,
+    draw_energy_split,
+    draw_mesh,
+    draw_overview,
+    draw_rotors,
+    draw_states,
+    draw_wind,
+    is_calm,
+)
+from pyomo_quad.report.paths import BEAT_COUNT, distinct_paths, draw_path, leaving_paths
+from pyomo_quad.report.render import FIGURE_FOLDER, Picture, fixed
+from pyomo_quad.report.style import (
     BATTERY,
     ENERGY,
     MOTOR,
@@ -33,22 +38,13 @@ from pyomo_quad.report.signals import (
     STATE_GRID,
     WIND,
     Signal,
+    StyledFlight,
+    fair_pair,
+    save_figure,
 )
-from pyomo_quad.report.style import save_figure
-from pyomo_quad.report.wording import fixed
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
-
-__all__ = [
-    "PATH_NAME",
-    "Drawing",
-    "adaptation_drawing",
-    "comparison_drawings",
-    "left_out",
-    "plan_drawings",
-    "save_drawings",
-]
 
 PATH_NAME = "path"
 

@@ -1,37 +1,165 @@
-"""How every figure looks, and how a figure becomes files that are equal from run to run.
+"""How every figure looks: colours, panels, signals, and files that are equal from run to run."""
 
-The colours are those of Okabe and Ito, told apart by colour-blind readers; line styles and markers
-differ as well, so that the figures read on a grey printer.  Only the object-oriented interface of
-matplotlib is used: no state is shared between figures.
-"""
-
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import cycle
+from math import ceil, degrees
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
+from pyomo_quad.flight import flight
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
-from pyomo_quad.scenario.baseline import Reference
-from pyomo_quad.study.comparison import OPTIMAL
+from pyomo_quad.scenario.tables import Reference
+from pyomo_quad.study.comparison import OPTIMAL, settled_energy
 
-__all__ = [
-    "FULL_WIDTH",
-    "INK",
-    "MUTED",
-    "PALE",
-    "ROTOR_STYLES",
-    "SERIES_STYLES",
-    "LineStyle",
-    "flight_styles",
-    "save_figure",
-]
+if TYPE_CHECKING:
+    from pyomo_quad.flight import Flight, Plan
+
+_COLUMN_OF = {(shown.component, shown.index): shown.name for shown in flight.COLUMNS}
+_IN_DEGREES = degrees(1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Signal:
+    """One printed quantity.
+
+    ``smallest_span`` keeps an axis from blowing up rounding noise: it never shows less than that.
+    """
+
+    column: str
+    symbol: str
+    name: str
+    unit: str
+    component: str = ""
+    index: int | None = None
+    scale: float = 1.0
+    smallest_span: float = 0.0
+
+    def of(self, frame: pd.DataFrame) -> np.ndarray:
+        """Return the values of a flight in the printed unit.
+
+        Parameters
+        ----------
+        frame : DataFrame
+            The flight, one row per instant.
+
+        Returns
+        -------
+        ndarray
+            One value per row.
+        """
+        return frame[self.column].to_numpy(dtype=float) * self.scale
+
+    @property
+    def title(self) -> str:
+        """Symbol, name and unit, as over a panel."""
+        return f"${self.symbol}$, {self.name} ({self.unit})"
+
+    @property
+    def label(self) -> str:
+        """Name and unit, as beside an axis."""
+        return f"{self.name[0].upper()}{self.name[1:]} ({self.unit})"
+
+
+def _signal(
+    component: str,
+    symbol: str,
+    name: str,
+    unit: str,
+    *,
+    span: float,
+    rotor: int | None = None,
+    scale: float = 1.0,
+) -> Signal:
+    return Signal(
+        column=_COLUMN_OF[component, rotor],
+        symbol=symbol,
+        name=name,
+        unit=unit,
+        component=component,
+        index=rotor,
+        scale=scale,
+        smallest_span=span,
+    )
+
+
+def _per_rotor(
+    component: str, symbol: str, name: str, unit: str, *, span: float, scale: float = 1.0
+) -> tuple[Signal, ...]:
+    return tuple(
+        _signal(
+            component,
+            f"{symbol}_{rotor}",
+            name.format(rotor),
+            unit,
+            span=span,
+            rotor=rotor,
+            scale=scale,
+        )
+        for rotor in flight.ROTORS
+    )
+
+
+def _angle(state: str, symbol: str, name: str, unit: str = "°") -> Signal:
+    return _signal(f"rigid_body.{state}", symbol, name, unit, span=0.5, scale=_IN_DEGREES)
+
+
+TIME = Signal(column=flight.TIME, symbol="t", name="time", unit="s")
+ENERGY = Signal(column=flight.ENERGY, symbol="E", name="energy", unit="J", smallest_span=1.0)
+POWER = _signal("power.total", "P", "power", "W", span=1.0)
+
+POSITION = tuple(_signal(f"rigid_body.{a}", a, "position", "m", span=0.1) for a in "xyz")
+VELOCITY = tuple(_signal(f"rigid_body.v{a}", f"v_{a}", "velocity", "m/s", span=0.1) for a in "xyz")
+ATTITUDE = (
+    _angle("phi", r"\phi", "roll"),
+    _angle("theta", r"\theta", "pitch"),
+    _angle("psi", r"\psi", "yaw"),
+)
+BODY_RATE = (
+    _angle("p", "p", "roll rate", "°/s"),
+    _angle("q", "q", "pitch rate", "°/s"),
+    _angle("r", "r", "yaw rate", "°/s"),
+)
+ROTOR_SPEED = _per_rotor("rotors.omega", r"\omega", "rotor speed", "rad/s", span=5.0)
+ROTOR_ACCELERATION = _per_rotor(
+    "rotors.alpha", r"\alpha", "acceleration of rotor {}", "rad/s²", span=1.0
+)
+TORQUE = _per_rotor("rotors.motor_torque", r"\tau", "motor torque", "mN m", span=0.05, scale=1e3)
+
+# Rows: place, velocity, attitude, body rates.  The last column holds the rotors.
+STATE_GRID = tuple(
+    (*row, speed)
+    for row, speed in zip((POSITION, VELOCITY, ATTITUDE, BODY_RATE), ROTOR_SPEED, strict=True)
+)
+
+# One tuple per panel, one signal per rotor in it.
+MOTOR = (
+    ROTOR_SPEED,
+    TORQUE,
+    _per_rotor("rotors.motor_current", "i", "motor current", "A", span=0.05),
+    _per_rotor("rotors.motor_voltage", "v", "motor voltage", "V", span=0.05),
+)
+
+BATTERY = (
+    _signal("battery.voltage", r"V_\mathrm{bat}", "voltage", "V", span=0.1),
+    _signal("battery.current", r"i_\mathrm{bat}", "current", "A", span=0.1),
+    _signal("battery.state_of_charge", r"\mathrm{SoC}", "state of charge", "%", span=0.1),
+)
+
+WIND = tuple(
+    _signal(f"wind.velocity_{a}", f"v_{a}^\\mathrm{{wind}}", f"wind along {a}", "m/s", span=0.1)
+    for a in "xy"
+)
+
 
 FULL_WIDTH = 7.2  # inches: the text width of an A4 page, and of the HTML report
 _DOTS_PER_INCH = 160
@@ -185,4 +313,208 @@ def _save_png(figure: Figure, path: Path) -> None:
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
     picture.quantize(_PNG_COLORS, dither=Image.Dither.NONE).save(
         path, dpi=(_DOTS_PER_INCH, _DOTS_PER_INCH)
+    )
+
+
+_MARGIN = 0.06
+_LEGEND_LINE = 0.2  # inches
+TICK_STEPS = (1, 2, 5, 10)
+
+LEGEND_COLUMNS = 4
+
+
+def panel_grid(
+    rows: int,
+    columns: int,
+    *,
+    panel_height: float,
+    gap: float = 0.6,
+    left: float = 0.5,
+    legend_entries: int = 1,
+    share_time: bool = True,
+) -> tuple[Figure, np.ndarray]:
+    """Lay out a figure of equal panels with titles above them and a legend below.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Number of panels.
+    panel_height : float
+        Inches.
+    gap, left : float
+        Inches between columns and left of the first, room for tick labels.
+    legend_entries : int, default 1
+        Number of entries of the legend below; a single one needs no legend.
+    share_time : bool, default True
+        Whether panels above each other have one horizontal axis.
+
+    Returns
+    -------
+    figure : Figure
+        The figure.
+    panels : ndarray of Axes, shape (rows, columns)
+        Its panels.
+    """
+    right, top = 0.12, 0.28
+    gap_y = 0.36 if share_time else 0.72
+    legend_lines = ceil(legend_entries / LEGEND_COLUMNS) if legend_entries > 1 else 0
+    bottom = 0.5 + _LEGEND_LINE * legend_lines
+    height = top + rows * panel_height + (rows - 1) * gap_y + bottom
+    panel_width = (FULL_WIDTH - left - right - (columns - 1) * gap) / columns
+    figure = Figure(figsize=(FULL_WIDTH, height))
+    panels = figure.subplots(rows, columns, sharex=share_time, squeeze=False)
+    figure.subplots_adjust(
+        left=left / FULL_WIDTH,
+        right=1 - right / FULL_WIDTH,
+        top=1 - top / height,
+        bottom=bottom / height,
+        wspace=gap / panel_width,
+        hspace=gap_y / panel_height,
+    )
+    return figure, panels
+
+
+def draw_over_time(
+    axes: Axes, frame: pd.DataFrame, signal: Signal, style: LineStyle, label: str
+) -> None:
+    """Draw one signal of one flight against time.
+
+    Parameters
+    ----------
+    axes : Axes
+        The panel.
+    frame : DataFrame
+        The flight.
+    signal : Signal
+        What to draw.
+    style : LineStyle
+        How the line looks.
+    label : str
+        The line's name in the legend.
+    """
+    axes.plot(TIME.of(frame), signal.of(frame), label=label, **style.line)
+
+
+def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
+    """Give panels one vertical scale, which does not blow up what hardly varies.
+
+    Parameters
+    ----------
+    panels : iterable of Axes
+        The panels, with their lines drawn.
+    smallest_span : float
+        Least difference between the ends of the axis, printed unit.
+    """
+    panels = tuple(panels)
+    ends = np.array([axes.dataLim.intervaly for axes in panels])
+    low, high = ends.min(), ends.max()
+    middle, half = (low + high) / 2, max(high - low, smallest_span) / 2
+    for axes in panels:
+        axes.set_ylim(middle - half * (1 + _MARGIN), middle + half * (1 + _MARGIN))
+        axes.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=TICK_STEPS))
+
+
+def label_time(panels: Iterable[Axes], duration: float) -> None:
+    """Name the time axis of the lowest panels and end it with the flight.
+
+    Parameters
+    ----------
+    panels : iterable of Axes
+        The lowest panels.
+    duration : float
+        End of the flight, s.
+    """
+    for axes in panels:
+        axes.set_xlabel(TIME.label)
+        axes.set_xlim(0.0, duration)
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=6, steps=TICK_STEPS))
+
+
+def legend_below(figure: Figure, axes: Axes) -> None:
+    """Put one legend for the whole figure under its panels, if there is anything to tell apart.
+
+    Parameters
+    ----------
+    figure : Figure
+        A figure with room for the legend.
+    axes : Axes
+        A panel that holds every line to be named.
+    """
+    handles, labels = axes.get_legend_handles_labels()
+    if len(labels) > 1:
+        figure.legend(handles, labels, loc="lower center", ncols=min(LEGEND_COLUMNS, len(labels)))
+
+
+FAIR_BASELINE = baseline_name(Reference.QUINTIC)
+_FAILED_PLAN = "best iterate"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StyledFlight:
+    """A flight with the look that it keeps in every figure; its energy is with what it owes."""
+
+    name: str
+    frame: pd.DataFrame
+    duration_s: float
+    energy_J: float
+    style: LineStyle
+
+
+def plan_flight(plan: "Plan") -> "Flight":
+    """Return a plan as a flight whose name says when it is none.
+
+    Parameters
+    ----------
+    plan : Plan
+        Of any status.
+
+    Returns
+    -------
+    Flight
+        Named "best iterate" if the solve failed.
+    """
+    return plan.flight() if plan.verification is not None else plan.flight(_FAILED_PLAN)
+
+
+def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
+    """Give each flight its style.
+
+    Parameters
+    ----------
+    flights : sequence of Flight
+        The run's flights, the optimum first.
+
+    Returns
+    -------
+    tuple of StyledFlight
+        In the same order.
+    """
+    styles = flight_styles(tuple(flight.name for flight in flights))
+    return tuple(
+        StyledFlight(
+            name=flight.name,
+            frame=flight.frame,
+            duration_s=flight.duration_s,
+            energy_J=settled_energy(flight),
+            style=styles[flight.name],
+        )
+        for flight in flights
+    )
+
+
+def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
+    """Return the optimum and the baseline that flies the same mission smoothly.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        All flights, the optimum first.
+
+    Returns
+    -------
+    tuple of StyledFlight
+        The optimum alone when that baseline was not flown.
+    """
+    return tuple(
+        flight for index, flight in enumerate(flights) if index == 0 or flight.name == FAIR_BASELINE
     )

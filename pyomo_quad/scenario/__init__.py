@@ -1,19 +1,24 @@
 """Scenarios: what a mission is made of, read from TOML and validated."""
 
-from pyomo_quad.scenario.baseline import Reference
 from pyomo_quad.scenario.description import FieldDescription, describe_fields, field_unit
-from pyomo_quad.scenario.errors import FeasibilityError, OutputError, PyomoQuadError, ScenarioError
-from pyomo_quad.scenario.library import (
-    LIBRARY_KINDS,
-    LibraryEntry,
-    library_entry,
-    library_names,
-)
 from pyomo_quad.scenario.loader import load_scenario, scenario_from_mapping
-from pyomo_quad.scenario.power import PowerModel
+from pyomo_quad.scenario.messages import (
+    FeasibilityError,
+    OutputError,
+    PyomoQuadError,
+    ScenarioError,
+)
+from pyomo_quad.scenario.resolution import LIBRARY_KINDS, LibraryEntry, library_entry, library_names
 from pyomo_quad.scenario.schema import Scenario
-from pyomo_quad.scenario.vehicle import Vehicle
-from pyomo_quad.scenario.wind import FrequencyUnit, Wind, WindAxis, WindCoupling
+from pyomo_quad.scenario.tables import (
+    FrequencyUnit,
+    PowerModel,
+    Reference,
+    Vehicle,
+    Wind,
+    WindAxis,
+    WindCoupling,
+)
 
 __all__ = [
     "LIBRARY_KINDS",

@@ -6,12 +6,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from pyomo_quad.scenario.complaint import declared_place
 from pyomo_quad.scenario.fields import unit_of
+from pyomo_quad.scenario.messages import declared_place
 from pyomo_quad.scenario.schema import Scenario
-from pyomo_quad.scenario.tree import Path, parse_path, spell
-
-__all__ = ["FieldDescription", "describe_fields", "field_unit"]
+from pyomo_quad.scenario.tree import FieldPath, parse_path, spell
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,12 +81,12 @@ def field_unit(path: str) -> str:
     return "" if unit == "1" else unit
 
 
-def _unit(table: BaseModel, path: Path) -> str:
+def _unit(table: BaseModel, path: FieldPath) -> str:
     unit = unit_of(type(table), str(path[-1]))
     return "" if unit == "1" else unit
 
 
-def _fields(table: BaseModel, prefix: Path = ()) -> Iterator[tuple[Path, BaseModel, Any]]:
+def _fields(table: BaseModel, prefix: FieldPath = ()) -> Iterator[tuple[FieldPath, BaseModel, Any]]:
     for name in type(table).model_fields:
         value = getattr(table, name)
         if isinstance(value, BaseModel):

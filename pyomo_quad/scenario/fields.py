@@ -7,23 +7,6 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict
 from pydantic_core import PydanticCustomError
 
-__all__ = [
-    "ONE_LINE",
-    "Flag",
-    "Number",
-    "Part",
-    "Sound",
-    "Text",
-    "Triple",
-    "WholeNumber",
-    "allowed_text",
-    "example_of",
-    "number_in_text",
-    "other_names_of",
-    "quantity",
-    "unit_of",
-]
-
 # Strict, so that "10" and true are refused where a number is meant; an integer still serves as one.
 Number = Annotated[float, Strict()]
 WholeNumber = Annotated[int, Strict()]

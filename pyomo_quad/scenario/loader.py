@@ -6,13 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
-from pyomo_quad.scenario.complaint import printable, shown
-from pyomo_quad.scenario.errors import ScenarioError
+from pyomo_quad.scenario.messages import ScenarioError, printable, shown
 from pyomo_quad.scenario.resolution import Origin
 from pyomo_quad.scenario.schema import Scenario
-from pyomo_quad.scenario.tree import Path, depth, leaves, parse_path, spell
-
-__all__ = ["load_scenario", "read_toml", "scenario_from_mapping"]
+from pyomo_quad.scenario.tree import FieldPath, depth, leaves, parse_path, spell
 
 LARGEST_FILE_BYTES = 1_000_000
 DEEPEST_NESTING = 8
@@ -170,14 +167,14 @@ def _parse_toml(text: str) -> dict[str, Any]:
     return tomllib.loads(text)
 
 
-def _parsed(overrides: Sequence[str]) -> dict[Path, Any]:
+def _parsed(overrides: Sequence[str]) -> dict[FieldPath, Any]:
     texts = (overrides,) if isinstance(overrides, str) else overrides
     return dict(_parse_override(text) for text in texts)
 
 
-def _mapped(overrides: Mapping[str, Any]) -> dict[Path, Any]:
+def _mapped(overrides: Mapping[str, Any]) -> dict[FieldPath, Any]:
     _refuse_deep(overrides, "overrides")
-    assignments: dict[Path, Any] = {}
+    assignments: dict[FieldPath, Any] = {}
     for steps, value in leaves(overrides):
         path = parse_path(".".join(str(step) for step in steps))
         if path is None:
@@ -189,7 +186,7 @@ def _mapped(overrides: Mapping[str, Any]) -> dict[Path, Any]:
     return assignments
 
 
-def _parse_override(text: str) -> tuple[Path, Any]:
+def _parse_override(text: str) -> tuple[FieldPath, Any]:
     left, equals, right = text.partition("=")
     path = parse_path(left)
     if not equals or path is None:

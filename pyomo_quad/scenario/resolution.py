@@ -1,21 +1,255 @@
-"""Lay default, library, scenario and overrides over each other, and remember who said what."""
+"""Default, library, files, scenario and overrides laid over each other, with their origin."""
 
+import csv
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
+from functools import cache
+from importlib import resources
+from itertools import pairwise
+from math import isfinite
+from pathlib import Path
 from pathlib import Path as FilePath
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NoReturn
 
 from pydantic import ValidationError
 
-from pyomo_quad.scenario.complaint import complaint, shown
-from pyomo_quad.scenario.errors import ScenarioError
-from pyomo_quad.scenario.library import LIBRARY_KINDS, library_entry
-from pyomo_quad.scenario.limits import FASTEST_ROTOR, derived_limits
-from pyomo_quad.scenario.tree import Path, leaves, merge, set_value, spell
-from pyomo_quad.scenario.vehicle import Vehicle
-from pyomo_quad.scenario.wind_file import read_wind_file
+from pyomo_quad.scenario.fields import number_in_text
+from pyomo_quad.scenario.messages import ScenarioError, complaint, shown
+from pyomo_quad.scenario.tables import (
+    FASTEST_ROTOR,
+    LARGEST_WIND,
+    LATEST_TIME,
+    STRONGEST_GUST,
+    Vehicle,
+    derived_limits,
+)
+from pyomo_quad.scenario.tree import FieldPath, leaves, merge, set_value, spell
 
-__all__ = ["DEFAULT_LIBRARY", "Origin", "Resolution", "resolve"]
+# Folder of the library -> table of the scenario that it fills.
+LIBRARY_KINDS: Mapping[str, str] = MappingProxyType(
+    {"vehicles": "vehicle", "batteries": "battery", "winds": "wind"}
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LibraryEntry:
+    """One named set of the library.
+
+    Attributes
+    ----------
+    kind, name : str
+        Folder and name.
+    tables : mapping
+        Scenario tables that the entry fills, ``{"vehicle": {...}, "limits": {...}}``.
+    sources : mapping
+        Dotted scenario field -> where its number comes from.
+    """
+
+    kind: str
+    name: str
+    tables: Mapping[str, Mapping[str, Any]]
+    sources: Mapping[str, str]
+
+    def values(self) -> dict[str, Any]:
+        """Return the numbers that have a source.
+
+        Returns
+        -------
+        dict
+            Dotted scenario field -> value.
+        """
+        everything = {spell(path): value for path, value in leaves(self.tables)}
+        return {field: everything[field] for field in self.sources}
+
+
+def library_names(kind: str) -> tuple[str, ...]:
+    """List the names of one kind.
+
+    Parameters
+    ----------
+    kind : str
+        ``vehicles``, ``batteries`` or ``winds``.
+
+    Returns
+    -------
+    tuple of str
+        Sorted names.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such kind.
+    """
+    if kind not in LIBRARY_KINDS:
+        raise ScenarioError(
+            f"library: unknown kind {kind!r}; must be one of {_listed(LIBRARY_KINDS)}."
+        )
+    folder = resources.files("pyomo_quad.scenario").joinpath("library", kind)
+    return tuple(
+        sorted(
+            file.name.removesuffix(".toml")
+            for file in folder.iterdir()
+            if file.name.endswith(".toml")
+        )
+    )
+
+
+@cache
+def library_entry(kind: str, name: str) -> LibraryEntry:
+    """Read one named set.
+
+    Parameters
+    ----------
+    kind : str
+        ``vehicles``, ``batteries`` or ``winds``.
+    name : str
+        A name that `library_names` lists.
+
+    Returns
+    -------
+    LibraryEntry
+        Its tables and the source of each number.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such kind or name.
+    """
+    names = library_names(kind)
+    if name not in names:
+        near = get_close_matches(name, names, n=1)
+        hint = f"did you mean {near[0]}?" if near else "choose one of these."
+        raise ScenarioError(
+            f"library: no {LIBRARY_KINDS[kind]} named {name[:60]!r}; "
+            f"there are {_listed(names)}; {hint}"
+        )
+    folder = resources.files("pyomo_quad.scenario").joinpath("library", kind)
+    written = tomllib.loads(folder.joinpath(f"{name}.toml").read_text(encoding="utf-8"))
+    table = LIBRARY_KINDS[kind]
+    tables: dict[str, Any] = {table: {"use": name}}
+    sources: dict[str, str] = {}
+    for path, value in leaves(written):
+        section, *field, column = path
+        target: FieldPath = (table if section == "fields" else section, *field)
+        if column == "value":
+            tables = set_value(tables, target, value)
+        else:
+            sources[spell(target)] = value
+    return LibraryEntry(
+        kind=kind, name=name, tables=MappingProxyType(tables), sources=MappingProxyType(sources)
+    )
+
+
+def _listed(names: object) -> str:
+    return ", ".join(str(name) for name in names)  # type: ignore[attr-defined]
+
+
+WIND_COLUMNS = ("time_s", "wind_x_m_per_s", "wind_y_m_per_s")
+
+_LARGEST_FILE_BYTES = 20_000_000
+_MOST_ROWS = 200_000
+_FEWEST_ROWS = 4  # a cubic spline needs as many
+# A step this many times longer than the usual one is a gap that a spline would make up wind for.
+_GAP_STEPS = 5.0
+
+
+def read_wind_file(
+    file: Path, where: str, duration: object, time_offset: object
+) -> dict[str, tuple[float, ...]]:
+    """Read and check a wind time series.
+
+    Parameters
+    ----------
+    file : Path
+        CSV file with the columns `WIND_COLUMNS`.
+    where : str
+        What a message starts with: the scenario and the field that names the file.
+    duration, time_offset : object
+        Duration of the mission and wind time at its start, s; anything that is not a number is
+        left to the schema to refuse.
+
+    Returns
+    -------
+    dict
+        `times`, `wind_x` and `wind_y`, tuples of equal length.
+
+    Raises
+    ------
+    ScenarioError
+        If the file cannot be read, or has gaps, unsorted times, missing or non-finite numbers, or
+        does not cover the mission.
+    """
+    place = f"{where} = {shown(file.name)}"
+    rows = _read_rows(file, place)
+    times, wind_x, wind_y = zip(*rows, strict=True)
+    steps = [later - earlier for earlier, later in pairwise(times)]
+    usual = sorted(steps)[len(steps) // 2]
+    for row, step in enumerate(steps):
+        if step <= 0:
+            _refuse(place, f"time {times[row + 1]:g} s follows {times[row]:g} s; times must rise")
+        if step > _GAP_STEPS * usual:
+            _refuse(
+                place,
+                f"gap of {step:g} s after {times[row]:g} s; "
+                f"steps must be <= {_GAP_STEPS * usual:g} s, fill the gap",
+            )
+    if isinstance(duration, int | float) and isinstance(time_offset, int | float):
+        start, end = time_offset, time_offset + duration
+        if times[0] > start or times[-1] < end:
+            _refuse(
+                place,
+                f"wind from {times[0]:g} to {times[-1]:g} s does not cover the mission "
+                f"from {start:g} to {end:g} s; give a longer file or shorten mission.duration",
+            )
+    return {"times": times, "wind_x": wind_x, "wind_y": wind_y}
+
+
+def _read_rows(file: Path, place: str) -> list[tuple[float, float, float]]:
+    try:
+        if file.stat().st_size > _LARGEST_FILE_BYTES:
+            _refuse(place, f"larger than {_LARGEST_FILE_BYTES} bytes; thin the series out")
+        with file.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.reader(stream)
+            header = tuple(cell.strip() for cell in next(reader, []))
+            if header != WIND_COLUMNS:
+                _refuse(place, f"first line must be {','.join(WIND_COLUMNS)}")
+            rows = [_read_row(cells, reader.line_num, place) for cells in reader if cells]
+    except OSError as error:
+        _refuse(place, f"cannot be read ({error.strerror or error}); give an existing CSV file")
+    except (UnicodeDecodeError, csv.Error, ValueError) as error:
+        if isinstance(error, ScenarioError):
+            raise
+        _refuse(place, "is not a CSV text file; save it as comma-separated UTF-8 text")
+    if not _FEWEST_ROWS <= len(rows) <= _MOST_ROWS:
+        _refuse(place, f"{len(rows)} rows; must have {_FEWEST_ROWS} to {_MOST_ROWS}")
+    return rows
+
+
+def _read_row(cells: list[str], line: int, place: str) -> tuple[float, float, float]:
+    try:
+        time, wind_x, wind_y = (number_in_text(cell) for cell in cells)
+    except ValueError:
+        _refuse(place, f"line {line} must hold {len(WIND_COLUMNS)} numbers")
+    if not all(isfinite(number) for number in (time, wind_x, wind_y)):
+        _refuse(place, f"line {line} holds a number that is not finite; remove or fill it")
+    strongest = max(abs(wind_x), abs(wind_y))
+    if strongest > LARGEST_WIND:
+        _refuse(
+            place,
+            f"line {line} has a wind of {strongest:g} m/s; must be within {LARGEST_WIND:g} m/s: "
+            f"{STRONGEST_GUST}",
+        )
+    if abs(time) > LATEST_TIME:
+        _refuse(place, f"line {line} is of {time:g} s; times must be within {LATEST_TIME:g} s")
+    return time, wind_x, wind_y
+
+
+def _refuse(place: str, reason: str) -> NoReturn:
+    raise ScenarioError(f"{place}; {reason}.") from None
+
 
 # The named sets that a scenario gets when it names none.
 DEFAULT_LIBRARY: Mapping[str, str] = {
@@ -49,7 +283,7 @@ class Origin:
     source: str
     folder: FilePath
     document: Mapping[str, Any]
-    assignments: Mapping[Path, Any] = field(default_factory=dict)
+    assignments: Mapping[FieldPath, Any] = field(default_factory=dict)
     label: str = "--set"
 
 
@@ -93,7 +327,7 @@ def resolve(origin: Origin) -> Resolution:
     return Resolution(tables=_add_derived_limits(origin, tables, provenance), provenance=provenance)
 
 
-def whose(origin: Origin, provenance: Mapping[str, str], path: Path) -> str:
+def whose(origin: Origin, provenance: Mapping[str, str], path: FieldPath) -> str:
     """Name the source that a message about a field starts with.
 
     Parameters
@@ -142,7 +376,7 @@ def _add_library(
     tables: dict[str, Any],
     own: Mapping[str, Any],
     provenance: dict[str, str],
-    place: Path,
+    place: FieldPath,
     kind: str,
 ) -> dict[str, Any]:
     written: Any = own

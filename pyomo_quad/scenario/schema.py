@@ -7,21 +7,20 @@ from typing import Any, Self
 
 from pydantic import PrivateAttr, ValidationError
 
-from pyomo_quad.scenario.baseline import Baseline
-from pyomo_quad.scenario.battery import Battery
-from pyomo_quad.scenario.complaint import complaint
-from pyomo_quad.scenario.errors import FeasibilityError, ScenarioError
 from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Sound, Text, quantity
-from pyomo_quad.scenario.limits import Limits
-from pyomo_quad.scenario.mission import Mission
-from pyomo_quad.scenario.power import Power
+from pyomo_quad.scenario.messages import FeasibilityError, ScenarioError, complaint
 from pyomo_quad.scenario.resolution import Origin, resolve, whose
-from pyomo_quad.scenario.solver import Solver
+from pyomo_quad.scenario.tables import (
+    Baseline,
+    Battery,
+    Limits,
+    Mission,
+    Power,
+    Solver,
+    Vehicle,
+    Wind,
+)
 from pyomo_quad.scenario.tree import leaves, parse_path, spell
-from pyomo_quad.scenario.vehicle import Vehicle
-from pyomo_quad.scenario.wind import Wind
-
-__all__ = ["Scenario"]
 
 # Names become folder names: no separator, no leading dot, nothing that leaves the output folder.
 _NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"

@@ -4,16 +4,14 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-__all__ = ["Path", "depth", "leaves", "merge", "parse_path", "set_value", "spell"]
-
-Path = tuple[str | int, ...]
+FieldPath = tuple[str | int, ...]
 
 # No field lies half as deep; what follows a path goes down it step by step.
 _MOST_STEPS = 16
 _STEP = re.compile(r"([A-Za-z0-9_-]+)((?:\[[0-9]{1,3}\])*)")
 
 
-def parse_path(text: str) -> Path | None:
+def parse_path(text: str) -> FieldPath | None:
     """Split `mission.goal.position[2]` into its steps.
 
     Parameters
@@ -38,7 +36,7 @@ def parse_path(text: str) -> Path | None:
     return tuple(steps)
 
 
-def spell(path: Path) -> str:
+def spell(path: FieldPath) -> str:
     """Write steps as `mission.goal.position[2]`.
 
     Parameters
@@ -84,7 +82,7 @@ def depth(value: object, allowed: int) -> int:
     return level
 
 
-def leaves(tree: Mapping[str, Any], prefix: Path = ()) -> Iterator[tuple[Path, Any]]:
+def leaves(tree: Mapping[str, Any], prefix: FieldPath = ()) -> Iterator[tuple[FieldPath, Any]]:
     """Walk over all values that are not tables.
 
     Parameters
@@ -127,7 +125,7 @@ def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def set_value(tree: object, path: Path, value: object) -> Any:  # noqa: ANN401
+def set_value(tree: object, path: FieldPath, value: object) -> Any:  # noqa: ANN401
     """Return a copy of nested tables and lists with one value set.
 
     Parameters

@@ -1,64 +1,162 @@
-"""A lower bound on the energy of every flight that meets a mission's boundary conditions.
-
-A local optimiser finds a flight that no small change improves.  The bound here says how far any
-flight whatever, small change or not, can lie below it.  It rests on three facts.
-
-**The momentum balance.**  Whatever the attitude does, the thrust vector F(t) in world axes obeys
-F = m v' + d v + S(t) along each axis: m is the mass, d the linear drag (zero when the wind is an
-acceleration), and S the weight less the force of the wind on a vehicle at rest.  The flight is at
-rest at both ends and covers the displacement D in the duration T, so integrating once,
-
-    integral F dt            = d D + integral S dt,                                    (a)
-
-and integrating with the weight k(t) = (m/d) (1 - exp(-(T - t) d/m)), which is T - t without drag,
-
-    integral k F dt          = m D + integral k S dt.                                  (b)
-
-The mean wind alone enters (a).  Neither depends on the path taken.
-
-**The rotor accelerations cost, and earn, nothing.**  At rotor speed w and acceleration a the
-motor needs the power p = v i, with torque tau = kappa w^2 + I a, i = tau/k_t and
-v = R i + w/k_v.  Multiplied out, p is h(w) + a g(w) + (R I^2/k_t^2) a^2, where h(w) is the power
-at constant speed and g a polynomial.  The second term is the time derivative of a function of w
-and integrates to zero, since the rotor speeds agree at both ends; the third is never negative.
-Hence E >= integral sum_j h(w_j) dt.  With friction tau gains T_f + D_f w and the same holds.
-Shaft power has no third term.  Constant efficiency divides shaft power by a number; where braking
-earns nothing its power is the larger, so the bound with regeneration serves.
-
-**Duality.**  With u = |F| = sum_j kappa_b w_j^2, any vectors l and n give, with s = |l + n k|,
-
-    E >= integral [sum_j h(w_j) - (l + n k).F] dt + l.(a) + n.(b)
-      >= l.(a) + n.(b) - integral P*(s) dt,        P*(s) = max over u of s u - P(u),
-
-where P(u) is the power of steady flight at thrust u: (l + n k).F <= s u, and the maximum over the
-rotors separates into four equal ones.  No convexity is needed for the bound to hold; for a power
-convex in thrust the best l and n close the gap of this step.  With n = 0 the best l gives
-Jensen's inequality, E >= T P(|mean F|), the power of flying at the mean thrust vector; n adds that
-the vehicle must start and stop.  The best (l, n) is found by a concave maximisation, but the bound
-holds for whatever is found, and is evaluated so that sampling errors can only lower it.
-
-Where none exists: with `efficiency` h + a g + ... does not hold, and accelerating and coasting in
-turn can undercut every steady flight; with quadratic drag (a) and (b) depend on the path.  A
-model of the user's own has not been looked into.
-"""
+"""A lower bound on the energy of every flight that meets a mission's boundary conditions."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import count
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
+from scipy.linalg import null_space
 from scipy.optimize import OptimizeResult, minimize
 
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight
 from pyomo_quad.scenario import PowerModel, Scenario
-from pyomo_quad.study.thrust_moments import ThrustMoments
 
-__all__ = ["Certificate", "certify"]
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 FloatArray = NDArray[np.float64]
+
+_GAUSS_NODES = 6
+# For integrals of the price of thrust, which is smooth.
+_PANELS = 16
+# For those of the wind, doubled until they agree.
+_FEWEST_PANELS = 2
+_MOST_PANELS = 4096
+_QUADRATURE_ERROR = 1e-10
+
+
+class ThrustMoments:
+    """Integrals of the thrust over the flight that the boundary conditions fix.
+
+    Parameters
+    ----------
+    demand : MomentumDemand
+        Linear in the velocity.
+    displacement : ndarray, shape (3,)
+        From start to goal, m.
+    duration : float
+        Duration of the flight, s.
+
+    Attributes
+    ----------
+    widths : ndarray, shape (n,)
+        Widths of a quadrature over the flight, s.
+    weights : ndarray, shape (2, n, 3)
+        Weights of (a) and of a combination of (a) and (b), at the nodes of the quadrature.
+    demanded : ndarray, shape (2, 3)
+        What the integrals of the weights times the thrust must be, N s.
+    mean_thrust : ndarray, shape (3,)
+        Mean thrust vector, N.
+    """
+
+    def __init__(self, demand: MomentumDemand, displacement: FloatArray, duration: float) -> None:
+        rate = demand.drag / demand.mass
+        times, self.widths = _gauss(duration, _PANELS)
+        plain, lever = _weights(times, rate, duration)
+        # Any basis of the two weights will do; in a centred one the second is of zero mean.
+        middle = self.widths @ lever / duration
+        self.weights = np.stack([plain, (lever - middle) / duration])
+        standing, levered = _standing_moments(demand, rate, duration)
+        total = demand.drag * displacement + standing
+        moment = demand.mass * displacement + levered
+        self.demanded = np.stack([total, (moment - middle * total) / duration])
+        self.mean_thrust = total / duration
+
+    def price(self, multipliers: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return size, shape (n,), and direction, shape (n, 3), of weighted multipliers."""
+        vector = np.einsum("ki,kti->ti", multipliers, self.weights)
+        size = np.linalg.norm(vector, axis=1)
+        return size, vector / np.maximum(size, np.finfo(float).tiny)[:, None]
+
+    def supplied(self, thrust: FloatArray) -> FloatArray:
+        """Return the weighted integrals, shape (2, 3), of thrust vectors, shape (n, 3)."""
+        return np.einsum("kti,ti->ki", self.weights, self.widths[:, None] * thrust)
+
+    def least_peak(self, axes: tuple[int, ...] = (0, 1, 2)) -> float:
+        """Return a thrust that every flight of the mission must reach at some time.
+
+        Parameters
+        ----------
+        axes : tuple of int
+            World axes of which the thrust's components count; all by default.
+
+        Returns
+        -------
+        float
+            Lower bound on the largest thrust along these axes together, N.
+
+        Notes
+        -----
+        With thrust never above u, multipliers x give x.demanded <= u integral |price(x)|; of the
+        multipliers with x.demanded = 1 those of least integral give the largest bound on u.
+        Where full thrust reverses, |price| has a corner that costs the quadrature some 1e-4 of
+        the result.
+        """
+        counted = np.zeros((2, 3), dtype=bool)
+        counted[:, axes] = True
+        demanded = self.demanded[counted]
+        if not np.any(demanded):
+            return 0.0
+        one = demanded / (demanded @ demanded)
+        free = null_space(demanded[None, :])
+
+        def size(y: FloatArray) -> tuple[float, FloatArray]:
+            multipliers = np.zeros((2, 3))
+            multipliers[counted] = one + free @ y
+            norm, direction = self.price(multipliers)
+            return float(self.widths @ norm), free.T @ self.supplied(direction)[counted]
+
+        found = minimize(size, np.zeros(free.shape[1]), jac=True, method="BFGS")
+        return float(1.0 / found.fun)
+
+
+def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
+    """Return nodes and widths of Gauss-Legendre quadrature on equal panels."""
+    nodes, widths = np.polynomial.legendre.leggauss(_GAUSS_NODES)
+    panel = duration / panels
+    starts = panel * np.arange(panels)
+    times = (starts[:, None] + panel * (nodes + 1) / 2).ravel()
+    return times, np.tile(widths * panel / 2, panels)
+
+
+def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
+    """Return the weights of (a) and (b) at times, each of shape (n, 3)."""
+    left = (duration - times)[:, None] * np.ones_like(rate)
+    has_drag = rate > 0.0
+    divisor = np.where(has_drag, rate, 1.0)
+    return np.ones_like(left), np.where(has_drag, -np.expm1(-left * rate) / divisor, left)
+
+
+def _standing_moments(
+    demand: MomentumDemand, rate: FloatArray, duration: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the integrals over the flight of the standing force, plain and with the lever."""
+    previous = None
+    for panels in _panel_counts():
+        times, widths = _gauss(duration, panels)
+        standing = np.array([demand.thrust(float(t)) for t in times])
+        moments = [widths @ (weight * standing) for weight in _weights(times, rate, duration)]
+        found = np.stack(moments)
+        if previous is not None:
+            scale = np.max(np.abs(found), axis=1, keepdims=True)
+            if np.all(np.abs(found - previous) <= _QUADRATURE_ERROR * scale):
+                break
+        previous = found
+    return found[0], found[1]
+
+
+def _panel_counts() -> Iterator[int]:
+    for doubling in count():
+        panels = _FEWEST_PANELS * 2**doubling
+        yield panels
+        if panels >= _MOST_PANELS:
+            return
+
 
 _ROUNDING = 1e-10
 # Every declared power is a polynomial of the rotor speed in steady flight, of degree four at

@@ -10,14 +10,11 @@ import pandas as pd
 from pyomo_quad.collocation import Dynamics, EngineError, Progress
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name, fly_baseline, fly_open_loop
-from pyomo_quad.flight.columns import WIND
+from pyomo_quad.flight.flight import WIND
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
-from pyomo_quad.study.adaptation import adaptation_study
-from pyomo_quad.study.cautions import plan_cautions
 from pyomo_quad.study.certificate import Certificate, certify
-from pyomo_quad.study.comparison import OPTIMAL, combine, compare_flights
-
-__all__ = ["RunResult", "run_scenario"]
+from pyomo_quad.study.check import plan_cautions
+from pyomo_quad.study.comparison import OPTIMAL, adaptation_study, combine, compare_flights
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ import pytest
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import fly_baseline
 from pyomo_quad.scenario import load_scenario
-from pyomo_quad.scenario.baseline import Reference
+from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.study.certificate import certify
 from tests.declared_model import ROTORS, scenario
 

@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from pyomo_quad.flight.allocation import mixer_matrix
-from pyomo_quad.flight.baselines import fly_open_loop
-from pyomo_quad.flight.closed_loop import fly
-from pyomo_quad.flight.controller import AdaptiveController
+from pyomo_quad.flight.baselines import fly, fly_open_loop
+from pyomo_quad.flight.controller import AdaptiveController, mixer_matrix
 from pyomo_quad.flight.references import quintic
-from pyomo_quad.scenario.baseline import Reference
+from pyomo_quad.scenario.tables import Reference
 from tests import flights
 from tests.unit.flight.flat_dynamics import FlatDynamics, table_2_wind
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pyomo_quad.collocation import Mesh, compile  # noqa: A004
+from pyomo_quad.collocation import Mesh, compile
 from pyomo_quad.flight import Planner
 from pyomo_quad.model import build_model
 from pyomo_quad.scenario import load_scenario

@@ -14,8 +14,8 @@ from pyomo.core.expr.calculus.derivatives import Modes, differentiate
 from pyomo.core.expr.visitor import identify_variables
 from pyomo.environ import Objective, value
 
-from pyomo_quad.collocation import Mesh, compile  # noqa: A004
-from pyomo_quad.collocation.naming import row_place, unknown_place
+from pyomo_quad.collocation import Mesh, compile
+from pyomo_quad.collocation.program.transcription import row_place, unknown_place
 from pyomo_quad.model import build_model
 from pyomo_quad.scenario import load_scenario
 from tests.agreement.stock import StockModel

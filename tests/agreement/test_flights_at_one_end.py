@@ -8,7 +8,7 @@ from pyomo.environ import Constraint, units
 from pyomo_quad import build_model
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop
-from pyomo_quad.scenario.baseline import Reference
+from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.study.certificate import certify
 from pyomo_quad.study.comparison import ComparisonColumn as Column
 from pyomo_quad.study.comparison import compare_flights, has_arrived

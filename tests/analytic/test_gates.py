@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pyomo_quad.collocation import Status, compile, control_polynomial  # noqa: A004
+from pyomo_quad.collocation import Status, compile, control_polynomial
 
 TOLERANCE = 1e-8
 # Of the states: what the error estimate promises, times what an unseen control error adds.

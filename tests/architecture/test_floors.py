@@ -4,15 +4,24 @@ import ast
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2] / "pyomo_quad"
-FLOORS = {"scenario": 0, "collocation": 0, "model": 1, "flight": 2, "study": 3, "report": 4}
-TOP = 5
+FLOORS = {
+    "scenario": 0,
+    "collocation": 0,
+    "model": 1,
+    "flight": 2,
+    "study": 3,
+    "report": 4,
+    "paper": 5,
+    "sweep": 5,
+}
+TOP = 6
 # Library -> the parts of the package that may import it.
 HOMES = {
     "casadi": {"collocation"},
     "cyipopt": {"collocation"},
     "pyomo": {"collocation", "model"},
     "scipy.integrate": {"flight"},
-    "matplotlib": {"report"},
+    "matplotlib": {"report", "paper", "sweep"},
     "mpl_toolkits": {"report"},
     "plotly": {"report"},
     "typer": {"cli"},

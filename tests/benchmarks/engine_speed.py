@@ -31,7 +31,7 @@ HEADER = (
 
 
 def measure_engine(elements):
-    from pyomo_quad.collocation import Mesh, compile  # noqa: A004
+    from pyomo_quad.collocation import Mesh, compile
     from pyomo_quad.model import build_model
     from pyomo_quad.scenario import load_scenario
 

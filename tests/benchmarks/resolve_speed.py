@@ -51,7 +51,7 @@ def _scenario(name, changes=None):
 
 def measure_refinement(_argument):
     """Build, compile, refine to the tolerance; then once more with the flight that verifies."""
-    from pyomo_quad.collocation import compile  # noqa: A004
+    from pyomo_quad.collocation import compile
     from pyomo_quad.flight import Planner
     from pyomo_quad.model import build_model
 
@@ -74,7 +74,7 @@ def measure_refinement(_argument):
 
 def measure_resolve(label):
     """Cold: build, compile, solve.  Warm: the compiled problem again, from the last solution."""
-    from pyomo_quad.collocation import Mesh, compile  # noqa: A004
+    from pyomo_quad.collocation import Mesh, compile
     from pyomo_quad.model import build_model, parameter_values
 
     name, changes = RESOLVES[label]
@@ -104,7 +104,7 @@ def measure_resolve(label):
 
 
 def measure_mesh(elements, changes=None):
-    from pyomo_quad.collocation import Mesh, compile  # noqa: A004
+    from pyomo_quad.collocation import Mesh, compile
     from pyomo_quad.model import build_model
 
     scenario = _scenario("paper_calm", changes)

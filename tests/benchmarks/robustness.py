@@ -18,7 +18,7 @@ import numpy as np
 
 from pyomo_quad.flight import Planner, PlanStatus
 from pyomo_quad.scenario import load_scenario
-from pyomo_quad.scenario.errors import FeasibilityError, PyomoQuadError
+from pyomo_quad.scenario.messages import FeasibilityError, PyomoQuadError
 
 BASE = "scenarios/paper_calm.toml"
 COUPLINGS = ("acceleration", "drag")

@@ -15,7 +15,7 @@ from pathlib import Path
 from statistics import fmean
 
 from pyomo_quad.flight import solve_scenario
-from pyomo_quad.study.sweep import (
+from pyomo_quad.sweep import (
     ResultStore,
     SilentListener,
     Sweep,
@@ -25,9 +25,9 @@ from pyomo_quad.study.sweep import (
     load_study,
     process_workers,
 )
-from pyomo_quad.study.sweep.cases import Case, expand
-from pyomo_quad.study.sweep.runner import FLIGHT_SOLVER
-from pyomo_quad.study.sweep.task import CaseOutcome
+from pyomo_quad.sweep.case import CaseOutcome
+from pyomo_quad.sweep.design import Case, expand
+from pyomo_quad.sweep.runner import FLIGHT_SOLVER
 from tests.sweep.cluster import cluster
 from tests.sweep.stand_in import SOLVER
 from tests.sweep.studies import write_study

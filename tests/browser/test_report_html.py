@@ -5,8 +5,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from pyomo_quad.report.flight_view import VIEW_ELEMENT
-from pyomo_quad.report.run_report import PAGE_NAME, write_run_report
+from pyomo_quad.report.paths import VIEW_ELEMENT
+from pyomo_quad.report.report import PAGE_NAME, write_run_report
 from tests.synthetic_run import FLIGHTS, synthetic_run
 
 pytestmark = pytest.mark.browser

@@ -7,8 +7,8 @@ import sys
 import pytest
 
 from pyomo_quad.cli import main
-from pyomo_quad.cli.exit_codes import ExitCode
-from pyomo_quad.scenario.solver import Solver
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.scenario.tables import Solver
 from pyomo_quad.version import __version__
 from tests.scenario_files import write_scenario
 

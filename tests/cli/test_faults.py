@@ -17,7 +17,7 @@ import pytest
 
 from pyomo_quad import Plan
 from pyomo_quad.cli import main, solving
-from pyomo_quad.cli.exit_codes import ExitCode
+from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.report.folder import output_folder
 from tests.command import COMMAND, ENVIRONMENT, PAPER_CALM, QUICK, solve, start
 from tests.scenario_files import write_scenario

@@ -6,9 +6,9 @@ import pandas as pd
 import pytest
 
 from pyomo_quad.cli import main
-from pyomo_quad.cli.exit_codes import ExitCode
-from pyomo_quad.flight import closed_loop
-from pyomo_quad.flight.columns import COLUMNS, TIME
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.flight import baselines
+from pyomo_quad.flight.flight import COLUMNS, TIME
 from tests.command import IMPOSSIBLE, PAPER_CALM, QUICK
 
 
@@ -54,7 +54,7 @@ def test_without_a_plan_nothing_is_written(tmp_path, capsys):
 
 
 def test_a_flight_out_of_control_is_one_line_and_writes_nothing(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(closed_loop, "_MOST_EVALUATIONS_PER_SECOND", 5)
+    monkeypatch.setattr(baselines, "_MOST_EVALUATIONS_PER_SECOND", 5)
     out = tmp_path / "flight"
     assert main(["fly", PAPER_CALM, *QUICK, "--out", str(out)]) == ExitCode.NOT_SOLVED
     said = capsys.readouterr()

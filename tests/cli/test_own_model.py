@@ -5,7 +5,7 @@ import pytest
 
 from pyomo_quad import load_scenario
 from pyomo_quad import solve as solve_scenario
-from pyomo_quad.cli.exit_codes import ExitCode
+from pyomo_quad.cli.endings import ExitCode
 from tests.command import PAPER_CALM, QUICK, SCENARIOS, solve
 
 # The force balance is declared anew with drag in it; nothing else is edited.

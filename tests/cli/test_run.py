@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from pyomo_quad.cli import main
-from pyomo_quad.cli.exit_codes import ExitCode
+from pyomo_quad.cli.endings import ExitCode
 from tests.command import IMPOSSIBLE, PAPER_CALM, QUICK, SCENARIOS, run
 
 FIRST_COLUMNS = [

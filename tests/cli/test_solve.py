@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from pyomo_quad.cli import main
-from pyomo_quad.cli.exit_codes import ExitCode
-from pyomo_quad.flight.columns import COLUMNS, TIME
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.flight.flight import COLUMNS, TIME
 from tests.command import PAPER_CALM, QUICK
 
 SUMMARY_KEYS = [

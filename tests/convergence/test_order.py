@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pyomo_quad.collocation import Mesh, SolverOptions, compile  # noqa: A004
+from pyomo_quad.collocation import Mesh, SolverOptions, compile
 from tests.problems import brachistochrone, hyper_sensitive
 
 # Element counts per degree: as fine as errors a hundred times above rounding allow. At degrees 7

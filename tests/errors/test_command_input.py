@@ -3,7 +3,7 @@
 import pytest
 
 from pyomo_quad.cli import main
-from pyomo_quad.cli.exit_codes import ExitCode
+from pyomo_quad.cli.endings import ExitCode
 from tests.command import run, start
 from tests.scenario_files import write_scenario
 

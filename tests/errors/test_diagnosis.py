@@ -7,9 +7,8 @@ import pytest
 from pyomo.environ import Constraint, Var, units
 
 from pyomo_quad.model import build_model
-from pyomo_quad.model.finding import Severity
-from pyomo_quad.model.screening import screen_model
-from pyomo_quad.study.diagnosis import diagnose
+from pyomo_quad.model.screening import Severity, screen_model
+from pyomo_quad.study.check import diagnose
 from tests.agreement.test_certificate_against_flights import random_mission
 from tests.declared_model import scenario
 

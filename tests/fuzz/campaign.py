@@ -7,7 +7,7 @@ from collections import Counter
 from pathlib import Path
 
 from pyomo_quad.cli import main
-from pyomo_quad.cli.exit_codes import ExitCode
+from pyomo_quad.cli.endings import ExitCode
 from tests.fuzz.mutations import damaged
 from tests.scenario_files import write_scenario, write_wind
 

@@ -5,14 +5,18 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from pyomo_quad.report.paper.tolerances import TOLERANCES
+from pyomo_quad.paper.experiments import (
+    BaselineCase,
+    Experiment,
+    FlightCase,
+    Reading,
+    fly_baseline_case,
+    fly_case,
+    wind_cases,
+)
+from pyomo_quad.paper.floors import chattering_floors, pack_facts
+from pyomo_quad.paper.report import TOLERANCES
 from pyomo_quad.scenario import PowerModel, Reference
-from pyomo_quad.study.paper.baseline_flights import BaselineCase, fly_baseline_case
-from pyomo_quad.study.paper.batteries import pack_facts
-from pyomo_quad.study.paper.chattering import chattering_floors
-from pyomo_quad.study.paper.flights import FlightCase, fly_case, wind_cases
-from pyomo_quad.study.paper.missions import Experiment
-from pyomo_quad.study.paper.readings import Reading
 
 FOLDER = Path("reports/paper")
 SMOOTH_POWERS = (PowerModel.MOTOR, PowerModel.MOTOR_WITH_FRICTION)

@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 
 from pyomo_quad.cli import main
-from pyomo_quad.cli.exit_codes import ExitCode
-from pyomo_quad.report.paper.tables import TABLES
-from pyomo_quad.report.paper.tolerances import TOLERANCES
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.paper.report import TOLERANCES
+from pyomo_quad.paper.tables import TABLES
 
 COMMAND = (sys.executable, "-m", "pyomo_quad", "paper")
 

@@ -7,19 +7,17 @@ import pytest
 
 from pyomo_quad.flight import Planner
 from pyomo_quad.model.typeset import EQUATION_TABLE
-from pyomo_quad.scenario import load_scenario
-from pyomo_quad.study.paper.batteries import pack_facts
-from pyomo_quad.study.paper.chattering import (
+from pyomo_quad.paper.claims import SAVING, implied_wind_optimum
+from pyomo_quad.paper.experiments import Experiment, MeshTrial, Reading, paper_scenario, run_trial
+from pyomo_quad.paper.floors import (
     chattering_floors,
     critical_acceleration,
     envelope_at,
     floor_energy,
+    pack_facts,
     rotor_map,
 )
-from pyomo_quad.study.paper.claims import SAVING, implied_wind_optimum
-from pyomo_quad.study.paper.mesh_trials import MeshTrial, run_trial
-from pyomo_quad.study.paper.missions import Experiment, paper_scenario
-from pyomo_quad.study.paper.readings import Reading
+from pyomo_quad.scenario import load_scenario
 
 # f_r as recovered, written again from its source: rows are powers of the torque.
 CUBIC, QUADRATIC = (-1.72e-5, 0.014, -0.8796), (1.95e-5, -0.0157, 0.3385)

@@ -7,15 +7,19 @@ import pandas as pd
 import pytest
 
 from pyomo_quad.flight import Planner
-from pyomo_quad.report.paper.conclusion import conclusion_blocks
-from pyomo_quad.report.paper.examination import examination_blocks
-from pyomo_quad.report.paper.loss_chain import energy_chain
+from pyomo_quad.paper.claims import corrections
+from pyomo_quad.paper.examination import conclusion_blocks, examination_blocks
+from pyomo_quad.paper.experiments import (
+    Experiment,
+    FlightCase,
+    Reading,
+    flight_cases,
+    full_speed_energy,
+    paper_scenario,
+    wind_cases,
+)
+from pyomo_quad.paper.figures import energy_chain
 from pyomo_quad.scenario import PowerModel, Reference
-from pyomo_quad.study.paper.baseline_flights import full_speed_energy
-from pyomo_quad.study.paper.corrections import corrections
-from pyomo_quad.study.paper.flights import FlightCase, flight_cases, wind_cases
-from pyomo_quad.study.paper.missions import Experiment, paper_scenario
-from pyomo_quad.study.paper.readings import Reading
 from tests.paper.test_paper_study import DRAG, efficiency
 
 HOVERING = {PowerModel.EFFICIENCY: 4868.0}

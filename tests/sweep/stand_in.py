@@ -11,7 +11,7 @@ import signal
 import time
 from pathlib import Path
 
-from pyomo_quad.study.sweep.task import CaseResult, CaseTask
+from pyomo_quad.sweep.case import CaseResult, CaseTask
 
 SOLVER = "tests.sweep.stand_in:solve_case"
 # Seconds that a case takes, file that lists the cases solved, payload that kills its worker.

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from pyomo_quad.study.sweep import (
+from pyomo_quad.sweep import (
     ResultStore,
     SilentListener,
     Sweep,
@@ -22,9 +22,9 @@ from pyomo_quad.study.sweep import (
     process_workers,
     results_frame,
 )
-from pyomo_quad.study.sweep.cases import Case
-from pyomo_quad.study.sweep.task import CaseOutcome
-from pyomo_quad.study.sweep.workers import Crew
+from pyomo_quad.sweep.case import CaseOutcome
+from pyomo_quad.sweep.design import Case
+from pyomo_quad.sweep.workers import Crew
 from tests.sweep.stand_in import SOLVER
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from pyomo_quad.cli import sweep_progress
+from pyomo_quad.cli import sweeping
 from pyomo_quad.cli.app import main
-from pyomo_quad.cli.exit_codes import ExitCode
-from pyomo_quad.study.sweep import estimate_sweep, runner
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.sweep import estimate_sweep, runner
 from tests.command import start
 from tests.sweep.stand_in import SOLVER
 from tests.sweep.studies import DURATION_AXIS, write_study
@@ -29,8 +29,8 @@ def study(tmp_path, monkeypatch):
 @pytest.fixture
 def quick(monkeypatch):
     """Solve in this process and draw nothing."""
-    monkeypatch.setattr("pyomo_quad.study.sweep.process_workers", lambda _: nullcontext(Here()))
-    monkeypatch.setattr("pyomo_quad.report.sweep.sweep_report.save_drawings", lambda *_: None)
+    monkeypatch.setattr("pyomo_quad.sweep.process_workers", lambda _: nullcontext(Here()))
+    monkeypatch.setattr("pyomo_quad.sweep.report.save_drawings", lambda *_: None)
 
 
 def rewrite(study: Path, before: str, after: str) -> None:
@@ -91,7 +91,7 @@ def test_a_scheduler_that_is_not_there_ends_the_command_in_one_line(
     study, tmp_path, capsys, monkeypatch
 ):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("pyomo_quad.study.sweep.workers._CONNECT_SECONDS", 0.3)
+    monkeypatch.setattr("pyomo_quad.sweep.workers._CONNECT_SECONDS", 0.3)
     assert run(study, tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9") == 1
     shown = capsys.readouterr().err.strip()
     assert "--scheduler tcp://127.0.0.1:9: cannot be reached" in shown
@@ -109,7 +109,7 @@ def test_a_sweep_in_which_nothing_finished_is_not_a_success(study, tmp_path, cap
 @pytest.mark.usefixtures("quick")
 def test_on_a_terminal_there_is_a_bar(study, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setattr(sweep_progress, "_SECONDS_OF_MEMORY", 5.0)
+    monkeypatch.setattr(sweeping, "_SECONDS_OF_MEMORY", 5.0)
     assert run(study, tmp_path / "out") == 0
     shown = capsys.readouterr().err
     assert "10/10" in shown

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from pyomo_quad.cli.app import main
-from pyomo_quad.study.sweep import ResultStore, StoreError, design_sweep, load_study, store_file
-from pyomo_quad.study.sweep.store_file import STORE_NAME
+from pyomo_quad.sweep import ResultStore, StoreError, design_sweep, load_study, store
+from pyomo_quad.sweep.store import STORE_NAME
 from tests.sweep.studies import DURATION_AXIS, write_study
 from tests.sweep.sweeping import Here, rows, sweep
 
@@ -167,7 +167,7 @@ def test_fresh_deletes_stores_and_nothing_else(folder, tmp_path):
 
 
 def test_a_locked_store_is_said_to_be_locked(folder, monkeypatch, capsys):
-    monkeypatch.setattr(store_file, "_LOCK_SECONDS", 0.1)
+    monkeypatch.setattr(store, "_LOCK_SECONDS", 0.1)
     with closing(sqlite3.connect(folder / STORE_NAME)) as other:
         other.execute("PRAGMA locking_mode = EXCLUSIVE")
         other.execute("BEGIN EXCLUSIVE")

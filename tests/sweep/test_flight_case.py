@@ -3,9 +3,9 @@
 import pytest
 
 from pyomo_quad.flight import solve_scenario
-from pyomo_quad.study.sweep import design_sweep, load_study, process_workers
-from pyomo_quad.study.sweep.cases import expand
-from pyomo_quad.study.sweep.runner import FLIGHT_SOLVER
+from pyomo_quad.sweep import design_sweep, load_study, process_workers
+from pyomo_quad.sweep.design import expand
+from pyomo_quad.sweep.runner import FLIGHT_SOLVER
 from tests.sweep.studies import write_study
 from tests.sweep.sweeping import Here, rows, sweep
 

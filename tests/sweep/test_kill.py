@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from pyomo_quad.study.sweep import ResultStore, StoreError
+from pyomo_quad.sweep import ResultStore, StoreError
 from tests.sweep import stand_in
 from tests.sweep.studies import write_study
 from tests.sweep.sweeping import Here, rows, sweep

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from pyomo_quad.study.sweep import Workers, design_sweep, load_study
-from pyomo_quad.study.sweep.cases import expand
-from pyomo_quad.study.sweep.task import perform
-from pyomo_quad.study.sweep.workers import Crew
+from pyomo_quad.sweep import Workers, design_sweep, load_study
+from pyomo_quad.sweep.case import perform
+from pyomo_quad.sweep.design import expand
+from pyomo_quad.sweep.workers import Crew
 from tests.sweep import stand_in
 from tests.sweep.studies import write_study
 from tests.sweep.sweeping import AfterCases, Here, rows, sweep

@@ -4,8 +4,8 @@ import sqlite3
 
 import pytest
 
-from pyomo_quad.scenario.errors import ScenarioError
-from pyomo_quad.study.sweep import (
+from pyomo_quad.scenario.messages import ScenarioError
+from pyomo_quad.sweep import (
     ResultStore,
     StoreError,
     StudyError,
@@ -13,7 +13,7 @@ from pyomo_quad.study.sweep import (
     load_study,
     results_frame,
 )
-from pyomo_quad.study.sweep.store_file import STORE_NAME
+from pyomo_quad.sweep.store import STORE_NAME
 from tests.sweep.studies import DURATION_AXIS, PAYLOAD_AXIS, write_study
 from tests.sweep.sweeping import Here, rows, sweep
 

@@ -7,12 +7,17 @@ import pandas as pd
 import pytest
 
 from pyomo_quad.cli.app import main
-from pyomo_quad.report.sweep import write_sweep_report
-from pyomo_quad.report.sweep.maps import draw_wind_rose
-from pyomo_quad.report.sweep.quantities import output_quantity
-from pyomo_quad.report.sweep.spreads import draw_tornado
-from pyomo_quad.study.sweep import ResultStore, design_sweep, load_study, results_frame
-from pyomo_quad.study.sweep.views import Curve, Sensitivity, Spread
+from pyomo_quad.sweep import (
+    ResultStore,
+    design_sweep,
+    load_study,
+    results_frame,
+    write_sweep_report,
+)
+from pyomo_quad.sweep.figures import draw_wind_rose
+from pyomo_quad.sweep.quantities import output_quantity
+from pyomo_quad.sweep.spreads import draw_tornado
+from pyomo_quad.sweep.views import Curve, Sensitivity, Spread
 from tests.sweep.studies import DURATION_AXIS, PAYLOAD_AXIS, write_study
 from tests.sweep.sweeping import Here, rows, sweep
 
@@ -65,7 +70,7 @@ def test_each_design_gets_the_figures_that_fit_it(tmp_path, axes, figures):
 
 
 def test_tables_hold_every_row_in_three_formats(tmp_path, monkeypatch):
-    monkeypatch.setattr("pyomo_quad.report.sweep.sweep_report.save_drawings", lambda *_: None)
+    monkeypatch.setattr("pyomo_quad.sweep.report.save_drawings", lambda *_: None)
     sweep(write_study(tmp_path), tmp_path / "out", Here())
     assert main(["sweep-report", str(tmp_path / "out")]) == 0
     report, expected = tmp_path / "out" / "report", rows(tmp_path / "out")
@@ -107,7 +112,7 @@ def test_an_empty_folder_and_an_empty_store_are_said_in_one_line(tmp_path, capsy
 
 @pytest.fixture
 def _no_figures(monkeypatch):
-    monkeypatch.setattr("pyomo_quad.report.sweep.sweep_report.save_drawings", lambda *_: None)
+    monkeypatch.setattr("pyomo_quad.sweep.report.save_drawings", lambda *_: None)
 
 
 @pytest.mark.usefixtures("_no_figures")

@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from pyomo_quad.study.sweep import process_workers
+from pyomo_quad.sweep import process_workers
 from tests.sweep import stand_in
 from tests.sweep.studies import write_study
 from tests.sweep.sweeping import AfterCases, Here, rows, sweep

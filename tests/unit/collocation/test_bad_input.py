@@ -17,7 +17,8 @@ from pyomo.environ import (
     sqrt,
 )
 
-from pyomo_quad.collocation import Mesh, TranscriptionError, compile, ipopt, solve  # noqa: A004
+from pyomo_quad.collocation import Mesh, TranscriptionError, compile, solve
+from pyomo_quad.collocation.program import ipopt
 
 MESH = Mesh.uniform(5, 3)
 

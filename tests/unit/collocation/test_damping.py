@@ -6,7 +6,7 @@ from scipy.optimize import approx_fprime
 
 from pyomo_quad import collocation
 from pyomo_quad.collocation import Mesh, Status
-from pyomo_quad.collocation.damping import damping_of
+from pyomo_quad.collocation.refining.refinement import damping_of
 from tests.problems import bang_bang, double_integrator, singular_arc
 
 WEIGHT = 1e-3

@@ -8,7 +8,7 @@ import pytest
 
 from pyomo_quad import collocation
 from pyomo_quad.collocation import Allowance, Mesh
-from pyomo_quad.collocation.error_estimate import estimate_error
+from pyomo_quad.collocation.refining.error import estimate_error
 from tests.problems.bryson_denham import WALL, build
 
 EARNED_PER_METRE = 4 / (9 * WALL**2)

@@ -5,7 +5,7 @@ import pytest
 
 from pyomo_quad import collocation
 from pyomo_quad.collocation import Mesh
-from pyomo_quad.collocation.linearised import final_misses
+from pyomo_quad.collocation.refining.error import final_misses
 from tests.problems import double_integrator, hyper_sensitive, implicit_dae
 
 SIZE = 1e-3

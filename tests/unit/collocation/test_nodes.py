@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pyomo_quad.collocation import TranscriptionError
-from pyomo_quad.collocation.nodes import interpolation_matrix, radau_rule
+from pyomo_quad.collocation.mesh import interpolation_matrix, radau_rule
 from tests.agreement.stock import radau_points, radau_weights
 
 DEGREES = (1, 2, 3, 5, 8, 12, 20, 40)

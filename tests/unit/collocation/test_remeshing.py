@@ -5,8 +5,8 @@ import pytest
 
 from pyomo_quad import collocation
 from pyomo_quad.collocation import Mesh, RefinementOptions
-from pyomo_quad.collocation.error_estimate import estimate_error
-from pyomo_quad.collocation.remeshing import Marks, refined_mesh
+from pyomo_quad.collocation.refining.error import estimate_error
+from pyomo_quad.collocation.refining.remeshing import Marks, refined_mesh
 from tests.problems.bang_bang import SWITCH, build
 
 TOLERANCE = 1e-6

@@ -20,7 +20,7 @@ from pyomo_quad.collocation import (
     Status,
     TranscriptionError,
     WarmStart,
-    compile,  # noqa: A004
+    compile,
     solve,
 )
 from tests.problems import brachistochrone, hyper_sensitive, scalar_regulator

@@ -7,7 +7,7 @@ import pytest
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.environ import ConcreteModel, Constraint, Objective, Param, Var
 
-from pyomo_quad.collocation import TranscriptionError, compile, solve  # noqa: A004
+from pyomo_quad.collocation import TranscriptionError, compile, solve
 
 
 def follower(rule):

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from pyomo.environ import Constraint, Param, value
 
-from pyomo_quad.collocation import Mesh, TranscriptionError, compile, solve  # noqa: A004
+from pyomo_quad.collocation import Mesh, TranscriptionError, compile, solve
 from tests.problems import bang_bang, dido, double_integrator, mass_chain, saving, waypoint
 
 MESH = Mesh.uniform(6, 4)

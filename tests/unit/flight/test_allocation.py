@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pyomo_quad.flight.allocation import Allocation, mixer_matrix
+from pyomo_quad.flight.controller import Allocation, mixer_matrix
 from tests import flights
 
 KB, KAPPA, ARM = 3.8305e-6, 2.2518e-8, 0.175

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pyomo_quad.flight.backstepping import BacksteppingLoop
+from pyomo_quad.flight.controller import BacksteppingLoop
 
 K1, KAPPA, GAMMA = 1.5, 20.0, 100.0
 DISTURBANCE = np.array([1.5, -0.7, 0.4])

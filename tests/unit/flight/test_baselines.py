@@ -6,20 +6,19 @@ import numpy as np
 import pytest
 
 from pyomo_quad.collocation import SolveError
-from pyomo_quad.flight import closed_loop
-from pyomo_quad.flight.allocation import mixer_matrix
+from pyomo_quad.flight import baselines
 from pyomo_quad.flight.baselines import (
     baseline_name,
+    fly,
     fly_baseline,
     fly_open_loop,
     fly_reference,
     reference_path,
+    start_state,
 )
-from pyomo_quad.flight.closed_loop import fly
-from pyomo_quad.flight.controller import AdaptiveController
-from pyomo_quad.flight.ends import start_state
+from pyomo_quad.flight.controller import AdaptiveController, mixer_matrix
 from pyomo_quad.scenario import ScenarioError
-from pyomo_quad.scenario.baseline import Reference
+from pyomo_quad.scenario.tables import Reference
 from tests import flights
 
 MISSIONS = ("paper_calm", "paper_wind")
@@ -124,11 +123,11 @@ def test_open_loop_in_constant_wind_is_blown_as_far_as_the_double_integral_says(
 def test_the_flights_verdict_is_that_of_the_second_integrator(monkeypatch):
     name = "paper_calm"
     scenario, dynamics = flights.scenario(name), flights.vehicle(name)
-    honest = closed_loop.fly
+    honest = baselines.fly
 
-    def drifting(*, integrator=closed_loop.Integrator.RUNGE_KUTTA, **arguments):
+    def drifting(*, integrator=baselines.Integrator.RUNGE_KUTTA, **arguments):
         flight = honest(integrator=integrator, **arguments)
-        share = 1.0 if integrator is closed_loop.Integrator.RUNGE_KUTTA else 1.0 + 2e-6
+        share = 1.0 if integrator is baselines.Integrator.RUNGE_KUTTA else 1.0 + 2e-6
         return replace(flight, flown=replace(flight.flown, energy=share * flight.flown.energy))
 
     monkeypatch.setattr("pyomo_quad.flight.baselines.fly", drifting)
@@ -136,7 +135,7 @@ def test_the_flights_verdict_is_that_of_the_second_integrator(monkeypatch):
 
 
 def test_a_flight_out_of_control_is_given_up(monkeypatch):
-    monkeypatch.setattr(closed_loop, "_MOST_EVALUATIONS_PER_SECOND", 5)
+    monkeypatch.setattr(baselines, "_MOST_EVALUATIONS_PER_SECOND", 5)
     with pytest.raises(SolveError, match=r"out of control at .* s, stopped after 50 evaluations"):
         fly_reference(
             flights.scenario("paper_calm"),

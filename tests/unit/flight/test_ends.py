@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pyomo_quad.flight.ends import start_state, wanted_at_goal
+from pyomo_quad.flight.baselines import start_state, wanted_at_goal
 from pyomo_quad.scenario import ScenarioError
 from tests import flights
 

@@ -4,7 +4,7 @@ import pytest
 
 from pyomo_quad import load_scenario
 from pyomo_quad.cli import main
-from pyomo_quad.cli.exit_codes import ExitCode
+from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.flight import PlanStatus, planning
 from pyomo_quad.flight.planning import solve_scenario
 from tests.command import IMPOSSIBLE, PAPER_CALM

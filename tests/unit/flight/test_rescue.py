@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from pyomo_quad.collocation import Mesh, Status, Trajectory
-from pyomo_quad.flight import rescue
-from pyomo_quad.flight.rescue import Rescuer
+from pyomo_quad.flight import planning
+from pyomo_quad.flight.planning import Rescuer
 
 DURATION = 10.0
 
@@ -57,7 +57,7 @@ def diagnosed(monkeypatch):
         found = SimpleNamespace(
             feasible_point=feasible_point, is_infeasible=is_infeasible, relaxations=(), active=()
         )
-        monkeypatch.setattr(rescue, "diagnose", lambda *_, **__: found)
+        monkeypatch.setattr(planning, "diagnose", lambda *_, **__: found)
 
     return answer
 

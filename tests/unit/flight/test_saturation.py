@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pyomo_quad.flight.saturation import bend, braking_rate, project
+from pyomo_quad.flight.controller import bend, braking_rate, project
 
 numbers = st.floats(-50.0, 50.0)
 vectors = arrays(float, 3, elements=numbers)

@@ -11,7 +11,7 @@ from pyomo_quad import build_model
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner, planning
 from pyomo_quad.flight.steady import SteadyFlight
-from pyomo_quad.scenario.baseline import Reference
+from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.study import run
 from tests.declared_model import scenario, steady
 
@@ -139,7 +139,7 @@ def test_one_run_builds_its_model_once(monkeypatch, forecast):
     for place in (planning, run):
         if hasattr(place, "build_model"):
             monkeypatch.setattr(place, "build_model", counted)
-    monkeypatch.setattr("pyomo_quad.study.diagnosis.build_model", counted)
+    monkeypatch.setattr("pyomo_quad.study.check.build_model", counted)
     solver = {"elements": 10, "degree": 3, "max_refinements": 0}
     mission = {"goal": {"position": [1.0, 0.0, 0.5]}, "duration": 4.0}
     wind = {"use": "constant", "speed": 0.5} | forecast

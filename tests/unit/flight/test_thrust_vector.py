@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pyomo_quad.flight.thrust_vector import ThrustEnvelope, thrust_direction, tilt_toward
+from pyomo_quad.flight.controller import ThrustEnvelope, thrust_direction, tilt_toward
 
 GRAVITY, MOST, TILT = 9.81, 12.0, 0.5
 angles = st.floats(-1.2, 1.2)

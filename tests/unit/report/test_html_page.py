@@ -7,7 +7,8 @@ from html.parser import HTMLParser
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pyomo_quad.report.document import (
+from pyomo_quad.report.paths import view_script
+from pyomo_quad.report.render import (
     Bullets,
     Code,
     Document,
@@ -17,10 +18,9 @@ from pyomo_quad.report.document import (
     Strong,
     Table,
     Verdict,
+    render_html,
 )
-from pyomo_quad.report.flight_view import view_script
-from pyomo_quad.report.flights import styled_flights
-from pyomo_quad.report.html_page import render_html
+from pyomo_quad.report.style import styled_flights
 from tests.synthetic_run import synthetic_run
 
 VOID = {"meta", "link", "img"}

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pyomo_quad.report.document import (
+from pyomo_quad.report.render import (
     Bullets,
     Code,
     Document,
@@ -18,9 +18,10 @@ from pyomo_quad.report.document import (
     Strong,
     Table,
     Verdict,
+    escape_markdown,
+    render_html,
+    render_markdown,
 )
-from pyomo_quad.report.html_page import render_html
-from pyomo_quad.report.markdown import escape_markdown, render_markdown
 
 # Printable to Python, yet nothing is drawn: what Unicode ignores by default and does not call a
 # format character, and the blank of Braille.

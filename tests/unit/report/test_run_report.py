@@ -10,17 +10,21 @@ import pytest
 
 from pyomo_quad.flight import PlanStatus
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
-from pyomo_quad.flight.columns import TIME
-from pyomo_quad.report.comparison_section import STAND_IN
-from pyomo_quad.report.comparison_tables import write_comparison
-from pyomo_quad.report.figures.path import leaving_paths
-from pyomo_quad.report.flights import styled_flights
+from pyomo_quad.flight.flight import TIME
+from pyomo_quad.report.comparison import STAND_IN, write_comparison
 from pyomo_quad.report.gallery import adaptation_drawing, plan_drawings, save_drawings
-from pyomo_quad.report.run_report import write_run_report
-from pyomo_quad.report.style import flight_styles
+from pyomo_quad.report.paths import leaving_paths
+from pyomo_quad.report.report import write_run_report
+from pyomo_quad.report.style import flight_styles, styled_flights
 from pyomo_quad.scenario import Reference
-from pyomo_quad.study.adaptation import ERROR_WITH, ERROR_WITHOUT, ESTIMATED, TRUE
-from pyomo_quad.study.comparison import combine, compare_flights
+from pyomo_quad.study.comparison import (
+    ERROR_WITH,
+    ERROR_WITHOUT,
+    ESTIMATED,
+    TRUE,
+    combine,
+    compare_flights,
+)
 from tests.synthetic_run import HOVER_ENERGY_J, synthetic_plan, synthetic_run
 
 ANSWER = (
@@ -46,8 +50,8 @@ def report(tmp_path_factory):
 @pytest.fixture
 def _no_figures(monkeypatch):
     # Drawing is tested once above; here only the text counts.
-    monkeypatch.setattr("pyomo_quad.report.run_report.save_drawings", lambda *_: None)
-    monkeypatch.setattr("pyomo_quad.report.run_report._page", lambda *_: "")
+    monkeypatch.setattr("pyomo_quad.report.report.save_drawings", lambda *_: None)
+    monkeypatch.setattr("pyomo_quad.report.report._page", lambda *_: "")
 
 
 def test_answer_comes_first(report):

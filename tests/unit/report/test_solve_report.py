@@ -7,10 +7,10 @@ import pytest
 from PIL import Image
 
 from pyomo_quad.flight import PlanStatus
-from pyomo_quad.report.figures.path import distinct_paths
-from pyomo_quad.report.flights import plan_flight, styled_flights
 from pyomo_quad.report.gallery import plan_drawings, save_drawings
-from pyomo_quad.report.solve_report import write_solve_report
+from pyomo_quad.report.paths import distinct_paths
+from pyomo_quad.report.report import write_solve_report
+from pyomo_quad.report.style import plan_flight, styled_flights
 from tests.synthetic_run import synthetic_failure, synthetic_plan, synthetic_run
 
 FIGURES = {
@@ -33,7 +33,7 @@ def report(run, tmp_path_factory):
 
 @pytest.fixture
 def _no_figures(monkeypatch):
-    monkeypatch.setattr("pyomo_quad.report.solve_report.save_drawings", lambda *_: None)
+    monkeypatch.setattr("pyomo_quad.report.report.save_drawings", lambda *_: None)
 
 
 def test_every_figure_is_drawn_twice_and_linked(report):

@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from pyomo_quad.report.table_file import neutral_cell, write_table
+from pyomo_quad.report.tables import neutral_cell, write_table
 
 
 @pytest.mark.parametrize(

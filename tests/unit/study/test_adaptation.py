@@ -5,7 +5,7 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from pyomo_quad.study.adaptation import ERROR_WITH, ERROR_WITHOUT, ESTIMATED, TRUE, adaptation_study
+from pyomo_quad.study.comparison import ERROR_WITH, ERROR_WITHOUT, ESTIMATED, TRUE, adaptation_study
 from tests import flights
 
 WIND = 1.0

@@ -8,7 +8,7 @@ import pytest
 from pyomo_quad.collocation import Mesh
 from pyomo_quad.flight.planning import Planner
 from pyomo_quad.scenario import load_scenario
-from pyomo_quad.study.cautions import plan_cautions
+from pyomo_quad.study.check import plan_cautions
 from tests.command import PAPER_CALM
 
 BRAKING = -3000.0  # rad/s^2: far below the torque that holds a rotor's speed
@@ -30,7 +30,7 @@ def plan_with(acceleration, *overrides):
 
 @pytest.fixture(autouse=True)
 def _plan_alone(monkeypatch):
-    monkeypatch.setattr("pyomo_quad.study.cautions.diagnose", lambda *_, **__: ())
+    monkeypatch.setattr("pyomo_quad.study.check.diagnose", lambda *_, **__: ())
 
 
 def test_half_the_plan_brakes_below_the_torque_floor():

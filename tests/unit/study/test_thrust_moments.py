@@ -5,7 +5,7 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from pyomo_quad.study.thrust_moments import ThrustMoments
+from pyomo_quad.study.certificate import ThrustMoments
 from tests.declared_model import momentum_demand, scenario
 
 MASS, WEIGHT = 1.3, 1.3 * 9.81

@@ -3,8 +3,8 @@ import pytest
 from pydantic import ValidationError
 from scipy import stats
 
-from pyomo_quad.study.sweep.axes import Axis
-from pyomo_quad.study.sweep.sampling import Sampling
+from pyomo_quad.sweep.design import Axis
+from pyomo_quad.sweep.study_file import Sampling
 
 
 def axis(**given) -> Axis:

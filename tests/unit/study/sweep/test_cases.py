@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pyomo_quad.study.sweep.cases import bisection_parents, case_key, expand
-from pyomo_quad.study.sweep.design import Dimension, SweepDesign
-from pyomo_quad.study.sweep.task import StudyTask
+from pyomo_quad.sweep.case import StudyTask
+from pyomo_quad.sweep.design import Dimension, SweepDesign, bisection_parents, case_key, expand
 
 
 def design(*sizes: int) -> SweepDesign:

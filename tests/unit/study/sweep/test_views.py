@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pyomo_quad.study.sweep.design import Dimension, SweepDesign
-from pyomo_quad.study.sweep.task import StudyTask
-from pyomo_quad.study.sweep.views import (
+from pyomo_quad.sweep.case import StudyTask
+from pyomo_quad.sweep.design import Dimension, SweepDesign
+from pyomo_quad.sweep.views import (
     best_along,
     curves_along,
     pareto_front,

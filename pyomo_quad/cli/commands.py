@@ -1,0 +1,223 @@
+"""`pyomo-quad solve`, `run`, `compare` and `fly`: their arguments, and what each does."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.cli.terminal import (
+    AllowCode,
+    AsJson,
+    Output,
+    Overrides,
+    Quiet,
+    ScenarioFile,
+    Stopwatch,
+    folder_of,
+    real_number,
+)
+from pyomo_quad.report.folder import output_folder, refuse_output_folder
+from pyomo_quad.report.tables import (
+    compare_summary,
+    plan_summary,
+    run_summary,
+    summary_text,
+    write_summary,
+)
+from pyomo_quad.scenario import Scenario, load_scenario
+from pyomo_quad.scenario.tables import Reference
+
+
+class Controller(StrEnum):
+    """What moves the rotors."""
+
+    ADAPTIVE = "adaptive"
+    OPEN_LOOP = "open_loop"
+
+
+_Controller = Annotated[
+    Controller, typer.Option("--controller", help="Feedback, or the plan's controls without it.")
+]
+_Reference = Annotated[
+    Reference | None,
+    typer.Option("--reference", help="What to follow: quintic by default, the plan in open loop."),
+]
+
+
+def fly(
+    scenario: ScenarioFile,
+    *,
+    controller: _Controller = Controller.ADAPTIVE,
+    reference: _Reference = None,
+    out: Output = None,
+    overrides: Overrides = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Fly a scenario under the adaptive controller, or its plan in open loop."""
+    watch = Stopwatch()
+    followed = _followed(controller, reference)
+    resolved = load_scenario(scenario, overrides or ())
+    folder = folder_of(resolved, out or _own_folder(resolved, controller, followed))
+    refuse_output_folder(folder)
+    with watch.phase("import"):
+        from pyomo_quad.cli import solving  # noqa: PLC0415  take a second, see there
+    planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
+    plan = None
+    if followed is Reference.PLAN:
+        with watch.phase("solve"):
+            made = solving.make_plan(planner, resolved)
+        if isinstance(made, ExitCode):
+            return made
+        plan = made
+    reference = followed if controller is Controller.ADAPTIVE else None
+    flight = solving.make_flight(planner, resolved, reference, plan)
+    if isinstance(flight, ExitCode):
+        return flight
+    with output_folder(folder) as aside:
+        summary = solving.write_flight(aside, planner, resolved, flight, watch.seconds)
+    if as_json:
+        print(summary_text(summary), end="")
+    elif not quiet:
+        print(solving.verdict(resolved, flight))
+        print(f"Written to {folder}.")
+    return ExitCode.VERIFIED if flight.is_verified else ExitCode.NOT_VERIFIED
+
+
+def _followed(controller: Controller, reference: Reference | None) -> Reference:
+    if controller is Controller.ADAPTIVE:
+        return reference or Reference.QUINTIC
+    if reference not in {None, Reference.PLAN}:
+        raise typer.BadParameter(
+            f"--controller {controller.value} flies the plan's own controls and follows no "
+            "--reference; leave it out."
+        )
+    return Reference.PLAN
+
+
+def _own_folder(scenario: Scenario, controller: Controller, followed: Reference) -> Path:
+    # Not that of the scenario's report, which a single flight must not replace.
+    return Path("reports") / f"{scenario.name}-{controller.value}-{followed.value}"
+
+
+_COMPARISON_FOLDER = Path("reports") / "comparison"
+
+ScenarioFiles = Annotated[
+    list[Path], typer.Argument(metavar="SCENARIO...", help="Scenario files (TOML).")
+]
+ComparisonOutput = Annotated[
+    Path, typer.Option("--out", metavar="DIR", help="Output folder of the table.")
+]
+
+
+def run(
+    scenario: ScenarioFile,
+    *,
+    out: Output = None,
+    overrides: Overrides = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Solve, verify, fly every baseline, compare, certify and report."""
+    watch = Stopwatch()
+    resolved = load_scenario(scenario, overrides or ())
+    folder = folder_of(resolved, out)
+    refuse_output_folder(folder)
+    with watch.phase("import"):
+        from pyomo_quad.cli import solving  # noqa: PLC0415  takes a second, see there
+        from pyomo_quad.report.report import write_run_report  # noqa: PLC0415
+        from pyomo_quad.study.run import run_scenario  # noqa: PLC0415
+    planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
+    with solving.report_folder(folder) as aside:
+        result = run_scenario(resolved, planner=planner)
+        with watch.phase("report"):
+            write_run_report(aside, result)
+        summary = run_summary(result, wall_s=watch.seconds)
+        write_summary(aside, summary)
+    solving.answer(solving.run_lines(result), summary, folder, is_quiet=quiet, as_json=as_json)
+    solving.complain_about(result.plan, folder, result.warnings)
+    return solving.exit_code_of(result.plan)
+
+
+def compare(
+    scenarios: ScenarioFiles,
+    *,
+    out: ComparisonOutput = _COMPARISON_FOLDER,
+    overrides: Overrides = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Run many scenarios and put all their flights into one table."""
+    missions = [load_scenario(file, overrides or ()) for file in scenarios]
+    refuse_output_folder(out)
+    from pyomo_quad.cli import solving  # noqa: PLC0415  takes a second, see there
+    from pyomo_quad.report.comparison import write_comparison  # noqa: PLC0415
+    from pyomo_quad.study.comparison import combine  # noqa: PLC0415
+    from pyomo_quad.study.run import run_scenario  # noqa: PLC0415
+
+    is_quiet = quiet or as_json
+    planners = [
+        solving.planner_for(m, is_code_allowed=allow_code, is_quiet=is_quiet) for m in missions
+    ]
+    with solving.report_folder(out) as aside:
+        results = [
+            run_scenario(mission, planner=planner)
+            for mission, planner in zip(missions, planners, strict=True)
+        ]
+        comparison = combine([result.comparison for result in results])
+        write_comparison(aside, comparison)
+        summary = compare_summary(results)
+        write_summary(aside, summary)
+    lines = [solving.comparison_table(comparison)]
+    solving.answer(lines, summary, out, is_quiet=quiet, as_json=as_json)
+    for result in results:
+        solving.complain_about(result.plan, out, result.warnings)
+    return max(solving.exit_code_of(result.plan) for result in results)
+
+
+Rate = Annotated[
+    float | None,
+    typer.Option(
+        "--rate",
+        metavar="HZ",
+        parser=real_number,
+        help="Rows per second of plan.csv; one per node without.",
+    ),
+]
+
+
+def solve(
+    scenario: ScenarioFile,
+    *,
+    out: Output = None,
+    rate: Rate = None,
+    overrides: Overrides = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Solve a scenario, verify the plan by flying it, and write the report."""
+    watch = Stopwatch()
+    resolved = load_scenario(scenario, overrides or ())
+    folder = folder_of(resolved, out)
+    refuse_output_folder(folder)
+    with watch.phase("import"):
+        from pyomo_quad.cli import solving  # noqa: PLC0415  takes a second, see there
+        from pyomo_quad.report.report import write_solve_report  # noqa: PLC0415
+        from pyomo_quad.study.check import plan_cautions  # noqa: PLC0415
+    planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
+    with solving.report_folder(folder) as aside:
+        plan = planner.solve(resolved)
+        cautions = plan_cautions(plan, planner=planner)
+        with watch.phase("report"):
+            write_solve_report(aside, plan, cautions, rate)
+        summary = plan_summary(plan, wall_s=watch.seconds, warnings=cautions)
+        write_summary(aside, summary)
+    solving.answer(solving.verdict_lines(plan), summary, folder, is_quiet=quiet, as_json=as_json)
+    solving.complain_about(plan, folder, cautions)
+    return solving.exit_code_of(plan)

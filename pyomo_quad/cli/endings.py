@@ -1,0 +1,133 @@
+"""How a command ends: what its exit status means, and what Ctrl-C and SIGTERM do."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from enum import IntEnum
+from types import FrameType
+from typing import Any
+
+
+class ExitCode(IntEnum):
+    """Exit status of `pyomo-quad`."""
+
+    VERIFIED = 0
+    FAULT = 1  # the disk, the system or a bug
+    BAD_INPUT = 2
+    NOT_SOLVED = 3  # infeasible or not converged
+    NOT_VERIFIED = 4
+    INTERRUPTED = 130  # by Ctrl-C, as shells report it, or by SIGTERM
+
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_PATIENCE_S = 0.5
+_LINE = b"pyomo-quad: interrupted; no report was written.\n"
+# A line that follows a solve is wiped, and the cursor it hid comes back.
+_CLEAR = b"\r\x1b[K\x1b[?25h"
+
+_last_acts: list[Callable[[], object]] = []
+
+
+class Stopped(Exception):  # noqa: N818  what the user wanted is no error
+    """The user stopped a command that had nothing to say of it itself."""
+
+
+class SolveStopped(Stopped):
+    """The user stopped a solve; `plan` holds its best iterate."""
+
+    def __init__(self, plan: Any) -> None:  # noqa: ANN401  its type would import the engine
+        super().__init__("interrupted")
+        self.plan = plan
+
+
+class Interruption:
+    """Whether the user asked to stop."""
+
+    def __init__(self) -> None:
+        self.is_requested = False
+
+    def request(self, _signal: int, _frame: FrameType | None) -> None:
+        """Take the first signal as a wish; where nothing enforces it, the second as an order.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            When the user insists, in a process that is not the command's own.
+        """
+        if self.is_requested and not _enforce():
+            raise KeyboardInterrupt
+        if not self.is_requested:
+            self.is_requested = True
+            _enforce()
+
+
+def end_on_signals() -> None:
+    """Let Ctrl-C and SIGTERM end this process from now on."""
+    for number in (*_SIGNALS, signal.SIGALRM):
+        signal.signal(number, _end)
+
+
+def leave(status: int) -> int:
+    """End the process now if a signal asked for it, while its handlers stand; else return."""
+    if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
+        os._exit(status)
+    return status
+
+
+def before_the_end(act: Callable[[], object]) -> None:
+    """Call something, which must be quick, before a signal ends the process."""
+    _last_acts.append(act)
+
+
+@contextmanager
+def stop_on_interrupt() -> Iterator[Interruption]:
+    """Turn a signal into a wish while the block runs; the process ends soon all the same."""
+    interruption = Interruption()
+    with _handled_by(interruption.request):
+        yield interruption
+
+
+@contextmanager
+def raise_on_interrupt() -> Iterator[None]:
+    """Turn the first signal into `KeyboardInterrupt`; the process ends soon all the same."""
+
+    def once(_signal: int, _frame: FrameType | None) -> None:
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        _enforce()
+        raise KeyboardInterrupt
+
+    with _handled_by(once):
+        try:
+            yield
+        except KeyboardInterrupt:
+            raise Stopped from None  # typer would end without a word
+
+
+@contextmanager
+def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    previous = {number: signal.signal(number, handler) for number in _SIGNALS}
+    try:
+        yield
+    finally:
+        for number, former in previous.items():
+            signal.signal(number, former)
+
+
+def _enforce() -> bool:
+    """End the process a moment from now, if it is the command's own; say whether it is."""
+    is_own = signal.getsignal(signal.SIGALRM) is _end
+    if is_own and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0:
+        signal.setitimer(signal.ITIMER_REAL, _PATIENCE_S)
+    return is_own
+
+
+def _end(_signal: int, _frame: FrameType | None) -> None:
+    for number in (*_SIGNALS, signal.SIGALRM):
+        signal.signal(number, signal.SIG_IGN)
+    for act in _last_acts:
+        act()
+    with suppress(OSError):
+        os.write(2, (_CLEAR if os.isatty(2) else b"") + _LINE)
+    os._exit(ExitCode.INTERRUPTED)

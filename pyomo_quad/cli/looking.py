@@ -1,0 +1,162 @@
+"""`pyomo-quad check` and `library`: what a scenario resolves to, and what it can name."""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
+from rich.table import Table
+
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.cli.terminal import (
+    AllowCode,
+    AsJson,
+    Overrides,
+    Quiet,
+    ScenarioFile,
+    result_console,
+)
+from pyomo_quad.scenario import (
+    LIBRARY_KINDS,
+    LibraryEntry,
+    Scenario,
+    describe_fields,
+    field_unit,
+    library_entry,
+    library_names,
+    load_scenario,
+)
+
+if TYPE_CHECKING:
+    from pyomo_quad.model.inspection import ModelInspection
+    from pyomo_quad.model.screening import Finding
+
+_LONGEST_LIST = 6
+
+
+def check(
+    scenario: ScenarioFile,
+    *,
+    overrides: Overrides = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Validate a scenario and print every field with its unit and where it came from."""
+    resolved = load_scenario(scenario, overrides or ())
+    # Pyomo takes a second to import: a refused scenario need not wait for it.
+    from pyomo_quad.model.custom import model_builder  # noqa: PLC0415
+    from pyomo_quad.model.inspection import inspect_model  # noqa: PLC0415
+
+    builder = model_builder(resolved, is_code_allowed=allow_code)
+    inspection = inspect_model(builder(resolved))
+    if as_json or not quiet:
+        from pyomo_quad.study.check import diagnose  # noqa: PLC0415
+
+        findings = diagnose(resolved, builder=builder)
+        if as_json:
+            print(json.dumps(_as_mapping(resolved, inspection, findings), indent=2))
+        else:
+            result_console().print(_table(resolved))
+            for line in _verdict(inspection, findings):
+                print(line)
+    return ExitCode.VERIFIED if inspection.is_unit_consistent else ExitCode.BAD_INPUT
+
+
+def _verdict(inspection: "ModelInspection", findings: Sequence["Finding"]) -> Iterator[str]:
+    yield (
+        f"Model: {len(inspection.states)} states, {len(inspection.other_variables)} other "
+        f"variables, {inspection.equations} equations over time, {inspection.path_limits} path "
+        f"limits, {inspection.boundary_conditions} boundary conditions, "
+        f"{inspection.parameters} parameters."
+    )
+    yield f"Degrees of freedom over time (controls): {inspection.degrees_of_freedom}."
+    if inspection.is_unit_consistent:
+        yield "Units: consistent in every declared relation."
+    for error in inspection.unit_errors:
+        yield f"Units: inconsistent in {error}"
+    if not findings:
+        yield "Mission: nothing found that it must break, and nothing doubtful."
+    for finding in findings:
+        yield f"Mission, {finding.severity}: {finding.message}"
+
+
+def _table(scenario: Scenario) -> Table:
+    table = Table(title=f"Scenario {scenario.name}", title_justify="left", box=SIMPLE_HEAD)
+    table.add_column("field", no_wrap=True)
+    for column in ("value", "unit", "from", "meaning"):
+        table.add_column(column, overflow="fold")
+    for field in describe_fields(scenario):
+        cells = (field.path, _shown(field.value), field.unit, field.origin, field.meaning)
+        table.add_row(*(escape(cell) for cell in cells))
+    return table
+
+
+def _shown(value: Any) -> str:  # noqa: ANN401
+    if value is None:
+        return "-"
+    if isinstance(value, tuple) and len(value) > _LONGEST_LIST:
+        return f"{len(value)} values, {_shown(value[0])} to {_shown(value[-1])}"
+    if isinstance(value, tuple):
+        return f"[{', '.join(_shown(item) for item in value)}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
+def _as_mapping(
+    scenario: Scenario, inspection: "ModelInspection", findings: Sequence["Finding"]
+) -> dict[str, Any]:
+    return {
+        "scenario": scenario.name,
+        "scenario_resolved": scenario.model_dump(mode="json"),
+        "provenance": dict(scenario.provenance),
+        "model": {
+            **asdict(inspection),
+            "degrees_of_freedom": inspection.degrees_of_freedom,
+            "is_unit_consistent": inspection.is_unit_consistent,
+        },
+        "findings": [asdict(finding) for finding in findings],
+    }
+
+
+def library(
+    kind: Annotated[
+        str | None, typer.Argument(metavar="[KIND]", help="vehicles, batteries or winds.")
+    ] = None,
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="One of the names.")] = None,
+    *,
+    as_json: AsJson = False,
+) -> int:
+    """List the library, or show one of its entries with the source of each number."""
+    if kind is not None and name is not None:
+        _show_entry(library_entry(kind, name), as_json=as_json)
+        return ExitCode.VERIFIED
+    kinds = LIBRARY_KINDS if kind is None else [kind]
+    names = {kind: list(library_names(kind)) for kind in kinds}
+    if as_json:
+        print(json.dumps(names, indent=2))
+    else:
+        for kind_shown, listed in names.items():
+            print(f"{kind_shown}: {', '.join(listed)}")
+    return ExitCode.VERIFIED
+
+
+def _show_entry(entry: LibraryEntry, *, as_json: bool) -> None:
+    values = entry.values()
+    if as_json:
+        rows = {
+            path: {"value": value, "unit": field_unit(path), "source": entry.sources[path]}
+            for path, value in values.items()
+        }
+        print(json.dumps({"kind": entry.kind, "name": entry.name, "fields": rows}, indent=2))
+        return
+    table = Table(title=f"{entry.kind} / {entry.name}", title_justify="left", box=SIMPLE_HEAD)
+    for column in ("field", "value", "unit", "source"):
+        table.add_column(column, overflow="fold")
+    for path, value in values.items():
+        table.add_row(path, escape(str(value)), field_unit(path), escape(entry.sources[path]))
+    result_console().print(table)

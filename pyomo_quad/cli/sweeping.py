@@ -1,0 +1,268 @@
+"""`pyomo-quad sweep` and `sweep-report`: many cases of a scenario, and how they go."""
+
+import os
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeRemainingColumn,
+)
+
+from pyomo_quad.cli.endings import ExitCode, raise_on_interrupt
+from pyomo_quad.cli.terminal import complain, error_console, positive_count
+from pyomo_quad.report.folder import final_folder, output_folder, refuse_output_folder
+from pyomo_quad.sweep.case import CaseOutcome, CaseStatus
+from pyomo_quad.sweep.design import Case
+from pyomo_quad.sweep.runner import SweepListener
+
+if TYPE_CHECKING:
+    from pyomo_quad.sweep import SweepDesign, SweepEstimate, SweepSummary, Workers
+    from pyomo_quad.sweep.study_file import LoadedStudy
+
+_REPORT_FOLDER = "report"
+
+StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")]
+WorkerCount = Annotated[
+    int | None,
+    typer.Option(
+        "--workers", metavar="N", parser=positive_count, help="Processes, one per core by default."
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="ADDRESS", help="Use the workers of a Dask cluster."),
+]
+SweepOutput = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Store and report, reports/NAME by default."),
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Only count cases and estimate time.")]
+Fresh = Annotated[bool, typer.Option("--fresh", help="Discard the results that are there.")]
+Yes = Annotated[bool, typer.Option("--yes", help="Many cases are meant.")]
+Verbose = Annotated[bool, typer.Option("--verbose", help="A line for each case.")]
+SweepFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a sweep.")]
+
+ReportOutput = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Folder of the report, DIR/report by default."),
+]
+
+
+def sweep(
+    study: StudyFile,
+    *,
+    workers: WorkerCount = None,
+    scheduler: Scheduler = None,
+    out: SweepOutput = None,
+    dry_run: DryRun = False,
+    fresh: Fresh = False,
+    yes: Yes = False,
+    verbose: Verbose = False,
+) -> int:
+    """Solve all cases of a study, or those still missing, and write the report."""
+    if out is not None:
+        refuse_output_folder(final_folder(out) / _REPORT_FOLDER)
+    from pyomo_quad.sweep import design_sweep, load_study  # noqa: PLC0415  takes a second
+
+    loaded = load_study(study)
+    design = design_sweep(loaded, is_large_allowed=yes)
+    folder = out or Path("reports") / design.name
+    count = workers or len(os.sched_getaffinity(0))
+    if dry_run:
+        from pyomo_quad.sweep import estimate_sweep  # noqa: PLC0415
+
+        print(_estimate_line(design, estimate_sweep(design, loaded.base, folder), count))
+        return ExitCode.VERIFIED
+    with raise_on_interrupt(), _workers(count, scheduler) as crew:
+        summary = _run(loaded, design, folder, crew, is_fresh=fresh, is_verbose=verbose)
+    print(_summary_line(design, summary, folder))
+    if summary.is_interrupted:
+        return ExitCode.INTERRUPTED
+    sweep_report(folder)
+    has_result = summary.already_finished + summary.finished > 0
+    return ExitCode.VERIFIED if has_result else ExitCode.NOT_SOLVED
+
+
+def sweep_report(folder: SweepFolder, *, out: ReportOutput = None) -> int:
+    """Write tables and figures of a sweep from its store; nothing is solved."""
+    from pyomo_quad.sweep import (  # noqa: PLC0415
+        ResultStore,
+        results_frame,
+        write_sweep_report,
+    )
+
+    with ResultStore.reading(folder) as store:
+        design, frame = store.design, results_frame(store)
+    if frame.empty:
+        complain(f"{folder}: holds no finished case yet; run the sweep first.")
+        return ExitCode.BAD_INPUT
+    target = out or folder / _REPORT_FOLDER
+    with output_folder(target) as aside:
+        write_sweep_report(aside, design, frame)
+    print(f"Report written to {target}.")
+    return ExitCode.VERIFIED
+
+
+def _workers(count: int, scheduler: str | None) -> AbstractContextManager["Workers"]:
+    from pyomo_quad.sweep import cluster_workers, process_workers  # noqa: PLC0415
+
+    return process_workers(count) if scheduler is None else cluster_workers(scheduler)
+
+
+def _run(
+    loaded: "LoadedStudy",
+    design: "SweepDesign",
+    folder: Path,
+    workers: "Workers",
+    *,
+    is_fresh: bool,
+    is_verbose: bool,
+) -> "SweepSummary":
+    from pyomo_quad.sweep import ResultStore, Sweep, adopt_design  # noqa: PLC0415
+
+    with ResultStore.writing(folder, design, is_fresh=is_fresh) as store:
+        for change in adopt_design(store, design):
+            complain(f"{folder}: extended: {change}")
+        complain(f"{design.name}: {design.case_count} cases on {workers.description}")
+        with follow_sweep(is_verbose=is_verbose) as listener:
+            return Sweep(design, loaded.base, store, listener).run(workers)
+
+
+def _estimate_line(design: "SweepDesign", estimate: "SweepEstimate", workers: int) -> str:
+    return (
+        f"{design.name}: {estimate.total} cases, {estimate.missing} of them to solve; about "
+        f"{estimate.seconds_per_case:.2g} s each, {estimate.seconds(workers):.0f} s on "
+        f"{workers} worker{'s' if workers > 1 else ''}."
+    )
+
+
+def _summary_line(design: "SweepDesign", summary: "SweepSummary", folder: Path) -> str:
+    kept = f", {summary.already_finished} were there" if summary.already_finished else ""
+    lost = f", {summary.lost} lost with their worker" if summary.lost else ""
+    ending = (
+        f"; interrupted with {summary.missing} missing: the same command goes on"
+        if summary.is_interrupted
+        else "; the same command tries again what was lost"
+        if summary.lost
+        else ""
+    )
+    return (
+        f"{design.name}: {summary.finished} cases finished, {summary.failed} failed{lost}{kept}; "
+        f"results in {folder}{ending}."
+    )
+
+
+_SECONDS_BETWEEN_LINES = 10.0
+# The time left is judged by so many seconds of the past: early cases wait for each other.
+_SECONDS_OF_MEMORY = 60.0
+
+
+@contextmanager
+def follow_sweep(*, is_verbose: bool) -> Iterator[SweepListener]:
+    """Show how a sweep goes on while the block runs.
+
+    Parameters
+    ----------
+    is_verbose : bool
+        Write a line for each case.
+
+    Yields
+    ------
+    SweepListener
+        For the sweep.
+    """
+    console = error_console()
+    if not console.is_terminal:
+        yield _Lines(console, is_verbose=is_verbose)
+        return
+    with Progress(
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[failed]} failed, {task.fields[rate]:.2f} cases/s, left"),
+        TimeRemainingColumn(),
+        console=console,
+        speed_estimate_period=_SECONDS_OF_MEMORY,
+    ) as progress:
+        yield _Bar(progress, is_verbose=is_verbose)
+
+
+class _Counter:
+    """Counts cases, and writes a line for each if asked."""
+
+    def __init__(self, console: Console, *, is_verbose: bool) -> None:
+        self._console = console
+        self._is_verbose = is_verbose
+        self._began = monotonic()
+        self.total = self.done = self.failed = self._solved = 0
+
+    def start(self, total: int, already_ended: int) -> None:
+        """Hear how many cases there are, and how many need not be solved any more."""
+        self.total, self.done = total, already_ended
+
+    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
+        """Hear that a case's row has been committed, and how many cases are done now."""
+        self.done = done
+        self._solved += 1
+        self.failed += outcome.status is not CaseStatus.FINISHED
+        if self._is_verbose:
+            self._console.print(_line(case, outcome), markup=False, soft_wrap=True)
+
+    @property
+    def rate(self) -> float:
+        """Cases per second since the start."""
+        return self._solved / max(monotonic() - self._began, 1e-9)
+
+
+class _Bar(_Counter):
+    def __init__(self, progress: Progress, *, is_verbose: bool) -> None:
+        super().__init__(progress.console, is_verbose=is_verbose)
+        self._progress = progress
+        self._bar = progress.add_task("", total=None, failed=0, rate=0.0)
+
+    def start(self, total: int, already_ended: int) -> None:
+        super().start(total, already_ended)
+        self._progress.update(self._bar, total=total, completed=already_ended)
+
+    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
+        super().case_ended(case, outcome, done)
+        self._progress.update(self._bar, completed=done, failed=self.failed, rate=self.rate)
+
+
+class _Lines(_Counter):
+    _written_at = 0.0
+
+    def start(self, total: int, already_ended: int) -> None:
+        super().start(total, already_ended)
+        self._write()
+
+    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
+        super().case_ended(case, outcome, done)
+        is_due = monotonic() - self._written_at > _SECONDS_BETWEEN_LINES
+        if is_due or self.done == self.total:
+            self._write()
+
+    def _write(self) -> None:
+        self._written_at = monotonic()
+        left = f", {(self.total - self.done) / self.rate:.0f} s left" if self.rate > 0.0 else ""
+        self._console.print(
+            f"{self.done} of {self.total} cases, {self.failed} failed, "
+            f"{self.rate:.2f} cases/s{left}",
+            soft_wrap=True,
+        )
+
+
+def _line(case: Case, outcome: CaseOutcome) -> str:
+    fields = ", ".join(f"{path} = {value}" for path, value in case.overrides.items())
+    ending = f"{outcome.status.value} in {outcome.seconds:.2f} s by {outcome.worker or 'nobody'}"
+    return f"case {case.position}: {fields}: {ending}" + (
+        f": {outcome.reason}" if outcome.reason else ""
+    )

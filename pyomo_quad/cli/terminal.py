@@ -1,0 +1,251 @@
+"""What every command shares: arguments, consoles, the live line, the stopwatch."""
+
+import errno
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.fields import number_in_text
+from pyomo_quad.scenario.messages import shown
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation import Iteration
+
+_LOST = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
+_WIDTH_WITHOUT_TERMINAL = 140
+
+
+def result_console() -> Console:
+    """Return a console on standard output, wide enough for tables in a pipe.
+
+    Returns
+    -------
+    Console
+        Made anew, so that it writes to the present standard output.
+    """
+    width = None if sys.stdout.isatty() else _WIDTH_WITHOUT_TERMINAL
+    return Console(width=width, highlight=False)
+
+
+def error_console() -> Console:
+    """Return a console on standard error.
+
+    Returns
+    -------
+    Console
+        Made anew, so that it writes to the present standard error.
+    """
+    return Console(stderr=True, highlight=False)
+
+
+def complain(message: str) -> None:
+    """Write one line to standard error.
+
+    Parameters
+    ----------
+    message : str
+        Line breaks in it become spaces.
+    """
+    try:
+        print(" ".join(message.split()), file=sys.stderr, flush=True)
+    except OSError:
+        _send_to_nowhere(2)  # nobody is left to complain to
+
+
+def claim_streams() -> bool:
+    """Make the standard streams of this process safe to write to.
+
+    Returns
+    -------
+    bool
+        Whether there is a standard output at all.
+    """
+    for descriptor in (0, 1, 2):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            # Else the next file to be opened, a report perhaps, would get what is printed.
+            os.open(os.devnull, os.O_RDWR)
+    has_output = sys.stdout is not None
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115
+        getattr(sys, name).reconfigure(errors="backslashreplace")
+    return has_output
+
+
+def gives_up_output(error: OSError) -> bool:
+    """Say whether an error is one of writing to standard output, and if so write no more to it.
+
+    Parameters
+    ----------
+    error : OSError
+        One of a file names the file.
+
+    Returns
+    -------
+    bool
+        Whether what was printed is lost.
+    """
+    if error.filename is not None or error.errno not in _LOST:
+        return False
+    _send_to_nowhere(1)  # Python itself flushes once more at the end
+    return True
+
+
+def _send_to_nowhere(descriptor: int) -> None:
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, descriptor)
+    os.close(nowhere)
+
+
+_REFRESHES_PER_SECOND = 8
+
+
+@contextmanager
+def live_line(*, is_quiet: bool) -> Iterator[Callable[["Iteration"], None] | None]:
+    """Show a line on the terminal that follows the solver.
+
+    Parameters
+    ----------
+    is_quiet : bool
+        Show nothing.
+
+    Yields
+    ------
+    callable or None
+        To call at each iteration; None when quiet or when standard error is no terminal.
+    """
+    console = error_console()
+    if is_quiet or not console.is_terminal:
+        yield None
+        return
+    started = perf_counter()
+    with Live(console=console, refresh_per_second=_REFRESHES_PER_SECOND, transient=True) as live:
+
+        def follow(now: "Iteration") -> None:
+            live.update(
+                Text(
+                    f"iteration {now.iteration:4d}   energy {now.objective:10.3f} J   "
+                    f"infeasibility {now.infeasibility:8.1e}   {now.mesh_points} points   "
+                    f"{perf_counter() - started:5.1f} s"
+                )
+            )
+
+        yield follow
+
+
+_MOST_DIGITS = 9
+
+ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file (TOML).")]
+Output = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Output folder, reports/NAME by default."),
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="PATH=VALUE", help="Set a field to a TOML value; repeatable."),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", help="No progress and no summary.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+AllowCode = Annotated[
+    bool, typer.Option("--allow-code", help="Let the scenario run its own model builder.")
+]
+
+
+def folder_of(scenario: Scenario, output: Path | None) -> Path:
+    """Return where the report of a scenario goes.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its name is safe as a folder's name.
+    output : Path or None
+        The folder asked for.
+
+    Returns
+    -------
+    Path
+        ``reports/NAME`` unless told otherwise.
+    """
+    return output or Path("reports") / scenario.name
+
+
+def real_number(text: str) -> float:
+    """Read an option that is a number.
+
+    Parameters
+    ----------
+    text : str
+        As given on the command line.
+
+    Returns
+    -------
+    float
+        The number.
+
+    Raises
+    ------
+    BadParameter
+        If the text is something else.
+    """
+    try:
+        return number_in_text(text)
+    except ValueError:
+        raise typer.BadParameter(f"{shown(text)} must be a number, such as 50 or 0.5.") from None
+
+
+def positive_count(text: str) -> int:
+    """Read an option that counts something, from 1 on.
+
+    Parameters
+    ----------
+    text : str
+        As given on the command line.
+
+    Returns
+    -------
+    int
+        The count.
+
+    Raises
+    ------
+    BadParameter
+        If the text is something else.
+    """
+    digits = text.strip()
+    if digits.isascii() and digits.isdecimal() and 1 <= len(digits) <= _MOST_DIGITS and int(digits):
+        return int(digits)
+    raise typer.BadParameter(f"{shown(text)} must be a whole number >= 1.")
+
+
+class Stopwatch:
+    """Seconds spent in each named phase of a command."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        """Add the time of a block to a phase.
+
+        Parameters
+        ----------
+        name : str
+            The phase.
+        """
+        started = perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - started

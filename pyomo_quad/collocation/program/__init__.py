@@ -1,0 +1,1 @@
+"""The nonlinear program: sparsity, bounds, transcription, derivatives, and Ipopt."""

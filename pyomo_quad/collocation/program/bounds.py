@@ -1,0 +1,336 @@
+"""Bounds and scales of unknowns and rows, and what they alone show to be unsolvable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
+
+from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.program.compiled import MappedFunction
+from pyomo_quad.collocation.program.transcription import row_place, unknown_place
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from pyomo_quad.collocation.mesh import FloatArray
+    from pyomo_quad.collocation.problem import Instance, Problem
+    from pyomo_quad.collocation.program.transcription import Transcription
+    from pyomo_quad.collocation.reading.symbols import Slot
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """Lower and upper bounds of unknowns, shape (n,), and rows, shape (m,)."""
+
+    lower: FloatArray
+    upper: FloatArray
+    row_lower: FloatArray
+    row_upper: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """What one declaration, `name`, demands of unknowns; arrays of one shape."""
+
+    name: str
+    columns: NDArray[np.intp]
+    lower: FloatArray
+    upper: FloatArray
+
+
+def bounds_of(
+    program: Transcription, start_data: FloatArray, fixed: dict[tuple[str, float], float]
+) -> Bounds:
+    """Evaluate all bounds for the current data.
+
+    Parameters
+    ----------
+    program : Transcription
+    start_data : ndarray, shape (1 + n_jumps, n_data)
+        Fraction, signals and parameters at the start of the horizon, and just after each jump.
+    fixed : dict
+        Values fixed at declared times, by slot name and fraction.
+
+    Raises
+    ------
+    TranscriptionError
+        If a lower bound exceeds an upper bound; the message names the variable.
+    """
+    lower = np.full(program.layout.unknowns, -np.inf)
+    upper = np.full(program.layout.unknowns, np.inf)
+    for limit in limits_of(program, start_data, fixed):
+        lower[limit.columns] = np.maximum(lower[limit.columns], limit.lower)
+        upper[limit.columns] = np.minimum(upper[limit.columns], limit.upper)
+    _refuse_crossed(program, lower, upper)
+    row_lower, row_upper = _rows(program)
+    _refuse_crossed_rows(program, row_lower, row_upper)
+    return Bounds(lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper)
+
+
+def limits_of(
+    program: Transcription, start_data: FloatArray, fixed: dict[tuple[str, float], float]
+) -> list[Limit]:
+    """Return what each declaration demands of the unknowns by itself; see `bounds_of`."""
+    found = list(_at_points(program))
+    if program.mesh is not None:
+        found.extend(_over_time(program, start_data))
+        found.extend(_fixed(program, fixed))
+    return found
+
+
+def _rows(program: Transcription) -> tuple[FloatArray, FloatArray]:
+    compiled, data = program.compiled, program.data
+    sides = []
+    path: list[FloatArray] = [np.zeros(0), np.zeros(0)]
+    if program.layout.points:
+        mapped = MappedFunction(compiled.path_bounds, program.layout.points)
+        path = [side.ravel() for side in mapped(data.at_points())]
+    conditions = MappedFunction(compiled.condition_limits, 1)(data.parameters[None, :])
+    for side, condition in zip(path, conditions, strict=True):
+        definitions = np.zeros(len(compiled.static_of_integral))
+        sides.append(np.concatenate([side, condition.ravel(), definitions]))
+    return sides[0], sides[1]
+
+
+def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit]:
+    """Yield the bounds of variables and the single-variable path limits."""
+    layout, compiled = program.layout, program.compiled
+    declared, n = compiled.declared, program.layout.n_states
+    mapped = MappedFunction(compiled.variable_limits, layout.points + 1)
+    lower, upper, low, high = mapped(np.vstack([start_data[:1], program.data.at_points()]))
+    columns = {s.name: layout.state_columns[:, k] for k, s in enumerate(declared.states)}
+    columns |= {s.name: layout.algebraic_columns[:, k] for k, s in enumerate(declared.algebraics)}
+    for k, slot in enumerate((*declared.states, *declared.algebraics)):
+        rows = slice(0 if k < n else 1, None)
+        yield Limit(
+            name=slot.name, columns=columns[slot.name], lower=lower[rows, k], upper=upper[rows, k]
+        )
+    for k, bound in enumerate(compiled.simple_path_bounds):
+        at = columns[bound.variable]
+        rows = slice(len(low) - len(at), None)
+        yield Limit(name=bound.name, columns=at, lower=low[rows, k], upper=high[rows, k])
+    if len(start_data) > 1:
+        yield from _after_jumps(program, start_data[1:])
+
+
+def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
+    """Yield the limits that states keep just after a jump, where no point lies."""
+    compiled, layout = program.compiled, program.layout
+    nodes = program.mesh.node_fractions if program.mesh else np.zeros(0)
+    at = np.abs(nodes[:, None] - data[:, 0]).argmin(axis=0)
+    lower, upper, low, high = MappedFunction(compiled.variable_limits, len(data))(data)
+    names = [s.name for s in compiled.declared.states]
+    for k, name in enumerate(names):
+        columns = layout.state_columns[at, k]
+        yield Limit(name=name, columns=columns, lower=lower[:, k], upper=upper[:, k])
+    for k, bound in enumerate(compiled.simple_path_bounds):
+        if bound.variable in names:
+            columns = layout.state_columns[at, names.index(bound.variable)]
+            yield Limit(name=bound.name, columns=columns, lower=low[:, k], upper=high[:, k])
+
+
+def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Iterator[Limit]:
+    """Yield the values held at declared times, whose fractions are element boundaries."""
+    states = [s.name for s in program.compiled.declared.states]
+    nodes = program.mesh.node_fractions if program.mesh else np.zeros(0)
+    for (name, fraction), number in fixed.items():
+        if name in states:
+            node = int(np.argmin(np.abs(nodes - fraction)))
+            column = program.layout.state_columns[[node], states.index(name)]
+            held = np.array([number])
+            yield Limit(
+                name=str(unknown_place(program, int(column[0]))),
+                columns=column,
+                lower=held,
+                upper=held,
+            )
+
+
+def _at_points(program: Transcription) -> Iterator[Limit]:
+    """Yield conditions on one value and the bounds of static variables."""
+    compiled, layout = program.compiled, program.layout
+    declared = compiled.declared
+    parameters = program.data.parameters[None, :]
+    lower, upper = MappedFunction(compiled.static_limits, 1)(parameters)
+    for k, slot in enumerate(declared.statics):
+        column = layout.static_columns[[k]]
+        yield Limit(name=slot.name, columns=column, lower=lower[0, [k]], upper=upper[0, [k]])
+    names = [s.name for s in declared.statics]
+    points = {p.symbol.name(): k for k, p in enumerate(declared.point_symbols)}
+    lower, upper = MappedFunction(compiled.simple_point_limits, 1)(parameters)
+    for k, bound in enumerate(compiled.simple_point_bounds):
+        if bound.variable in points:
+            row = points[bound.variable]
+            values = layout.point_values
+            column = values.indices[values.indptr[row] : values.indptr[row + 1]]
+        else:
+            column = layout.static_columns[[names.index(bound.variable)]]
+        yield Limit(name=bound.name, columns=column, lower=lower[0, [k]], upper=upper[0, [k]])
+
+
+def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
+    """Raise if any bounds cross, naming the worst variable; rounding errors are forgiven."""
+    gap = lower - upper
+    scale = 1e-9 * (1.0 + np.minimum(np.abs(lower), np.abs(upper)))
+    close = (gap > 0.0) & (gap <= scale)
+    upper[close] = lower[close]
+    worst = int(np.argmax(lower - upper)) if gap.size else 0
+    if gap.size and lower[worst] > upper[worst]:
+        raise TranscriptionError(
+            f"{unknown_place(program, worst)}: lower bound {lower[worst]:g} is "
+            f"above upper bound {upper[worst]:g}; relax one of the two."
+        )
+
+
+def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
+    crossed = np.flatnonzero(lower > upper)
+    if crossed.size:
+        row = int(crossed[0])
+        raise TranscriptionError(
+            f"{row_place(program, row)}: lower bound {lower[row]:g} is above upper bound "
+            f"{upper[row]:g}; relax one of the two."
+        )
+
+
+# Fractions of the horizon at which a limit is compared with itself to see if it varies.
+_LOOKED_AT = (0.0, 0.2718, 0.5772, 1.0)
+
+
+def control_limits(problem: Problem, instance: Instance) -> tuple[FloatArray, FloatArray]:
+    """Return lower and upper limits of the algebraic variables, shape (n_algebraics,) each.
+
+    Infinite where there is none, or where it varies with time.
+    """
+    at_each = [_limits_at(problem, instance, fraction) for fraction in _LOOKED_AT]
+    lower, upper = (np.array(side) for side in zip(*at_each, strict=True))
+    return (
+        np.where(np.all(lower == lower[0], axis=0), lower[0], -np.inf),
+        np.where(np.all(upper == upper[0], axis=0), upper[0], np.inf),
+    )
+
+
+def _limits_at(
+    problem: Problem, instance: Instance, fraction: float
+) -> tuple[FloatArray, FloatArray]:
+    compiled = problem.compiled
+    declared = compiled.declared
+    data = problem.data_of(instance, np.array([fraction])).at_points()[0]
+    limits = [np.array(side).ravel() for side in compiled.variable_limits(data)]
+    lower, upper = (side[len(declared.states) :] for side in limits[:2])
+    names = [s.name for s in declared.algebraics]
+    for k, bound in enumerate(compiled.simple_path_bounds):
+        if bound.variable in names:
+            at = names.index(bound.variable)
+            lower[at] = max(lower[at], limits[2][k])
+            upper[at] = min(upper[at], limits[3][k])
+    return lower, upper
+
+
+_LARGEST_BOUND = 1e6
+_ROW_RANGE = (1e-8, 1e8)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scaling:
+    """Factors that multiply the objective, the unknowns and the rows."""
+
+    objective: float
+    unknowns: FloatArray
+    rows: FloatArray
+
+
+def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling:
+    """Return scaling factors for a program at a point."""
+    nominal = _nominal(program, bounds, z)
+    rows, columns = program.jacobianstructure()
+    weighted = np.abs(program.jacobian(z)) * nominal[columns]
+    largest = np.zeros(program.n_rows)
+    np.maximum.at(largest, rows, weighted)
+    largest = np.clip(np.where(largest > 0.0, largest, 1.0), *_ROW_RANGE)
+    slope = float(np.max(np.abs(program.gradient(z)) * nominal, initial=0.0))
+    objective = 1.0 / max(slope, abs(program.objective(z)), 1e-8) if slope > 0.0 else 1.0
+    return Scaling(objective=objective, unknowns=1.0 / nominal, rows=1.0 / largest)
+
+
+def _nominal(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
+    layout, declared = program.layout, program.compiled.declared
+    nominal = np.ones(layout.unknowns)
+    for slots, columns in (
+        (declared.states, layout.state_columns),
+        (declared.algebraics, layout.algebraic_columns),
+        (declared.statics, layout.static_columns[None, :]),
+    ):
+        for k, slot in enumerate(slots):
+            nominal[columns[:, k]] = _magnitude(slot, bounds, z, columns[:, k])
+    return nominal
+
+
+def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float:
+    if slot.nominal is not None:
+        return slot.nominal
+    ends = np.abs(np.concatenate([bounds.lower[columns], bounds.upper[columns]]))
+    finite = ends[(ends > 0.0) & (ends < _LARGEST_BOUND)]
+    guess = float(np.max(np.abs(z[columns]), initial=0.0))
+    size = max(float(np.max(finite, initial=0.0)), guess)
+    return size if size > 0.0 else 1.0
+
+
+def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> None:
+    """Check that the program is finite at the first point and not over-determined.
+
+    Raises
+    ------
+    TranscriptionError
+        Naming the equation, element and time that is not finite, or the counts.
+    """
+    _refuse_not_finite(program, z)
+    equalities = int(np.sum(bounds.row_lower == bounds.row_upper))
+    free = int(np.sum(bounds.lower < bounds.upper))
+    if equalities > free:
+        held = np.flatnonzero(bounds.lower == bounds.upper)
+        names = sorted({str(unknown_place(program, int(c)).name) for c in held})
+        raise TranscriptionError(
+            f"model: {equalities} equations for {free} free unknowns; it is over-determined. "
+            f"Release a fixed value or boundary condition of {', '.join(names[:8]) or 'the model'}"
+            ", or add a control."
+        )
+
+
+def _refuse_not_finite(program: Transcription, z: FloatArray) -> None:
+    rows = program.constraints(z)
+    bad = np.flatnonzero(~np.isfinite(rows))
+    if bad.size:
+        place = row_place(program, int(bad[0]))
+        raise TranscriptionError(
+            f"{place}: is {rows[bad[0]]} at the initial guess; give the variables in it initial "
+            "values or bounds where it is defined."
+        )
+    if not np.isfinite(program.objective(z)):
+        raise TranscriptionError(
+            f"{program.compiled.declared.objective_name}: is {program.objective(z)} at the "
+            "initial guess; give the variables in it initial values or bounds where it is defined."
+        )
+    entries = program.jacobian(z)
+    bad = np.flatnonzero(~np.isfinite(entries))
+    if bad.size:
+        row, column = (int(held[bad[0]]) for held in program.jacobianstructure())
+        place, variable = row_place(program, row), unknown_place(program, column)
+        by = variable if place.time is None else variable.name
+        _refuse_slope(str(place), str(by), entries[bad[0]])
+    with np.errstate(invalid="ignore"):
+        gradient = program.gradient(z)
+    bad = np.flatnonzero(~np.isfinite(gradient))
+    if bad.size:
+        variable = unknown_place(program, int(bad[0]))
+        _refuse_slope(program.compiled.declared.objective_name, str(variable), gradient[bad[0]])
+
+
+def _refuse_slope(owner: str, variable: str, slope: float) -> NoReturn:
+    raise TranscriptionError(
+        f"{owner}: its derivative by {variable} is {slope} at the initial guess; start or bound "
+        "that variable away from the point."
+    )

@@ -1,0 +1,439 @@
+"""The continuous model as CasADi functions of one collocation point, mapped over many."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from hashlib import sha256
+from typing import TYPE_CHECKING, Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from pyomo_quad.collocation.reading.symbols import Declarations, PathEquation, PointCondition, Slot
+from pyomo_quad.collocation.reading.writer import symbol_names
+from pyomo_quad.collocation.serialisation import Packed, packed
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.mesh import FloatArray
+
+# Points evaluated in one call of CasADi: a map over more costs time and memory to set up.
+_CHUNK = 512
+
+
+class MappedFunction:
+    """One function of one point, evaluated at `n` points without copying.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Dense column inputs, dense column outputs.
+    n : int
+        Number of points.
+    """
+
+    def __init__(self, function: Any, n: int) -> None:
+        self._function, self._n = function, n
+        self._shapes = [(n, function.numel_out(k)) for k in range(function.n_out())]
+        self._chunks: list[tuple[int, int, Any, Any]] = []
+        made: dict[int, Any] = {}
+        for start in range(0, n, _CHUNK):
+            size = min(_CHUNK, n - start)
+            if size not in made:
+                made[size] = (function if size == 1 else function.map(size)).buffer()
+            self._chunks.append((start, start + size, *made[size]))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let a copy have buffers of its own: CasADi's cannot be copied."""
+        return type(self), (self._function, self._n)
+
+    def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
+        """Return each output as an array of shape (n, rows); inputs are (n, columns)."""
+        outputs = [np.zeros(shape) for shape in self._shapes]
+        held = [np.ascontiguousarray(array, dtype=float) for array in inputs]
+        for start, end, buffer, trigger in self._chunks:
+            for k, array in enumerate(held):
+                if array.size:
+                    buffer.set_arg(k, array[start:end].data)
+            for k, array in enumerate(outputs):
+                if array.size:
+                    buffer.set_res(k, array[start:end].data)
+            trigger()
+        return outputs
+
+
+def set_outputs_aside(declared: Declarations) -> Declarations:
+    """Return the declarations with output states and their equations moved aside.
+
+    A state is an output when its symbol and rate appear in one equality only, it has no
+    bounds, and it is held at the start and nowhere else.  Outputs that feed only outputs
+    are found by repetition.
+    """
+    while True:
+        found = _one_output(declared)
+        if found is None:
+            return declared
+        slot, equation = found
+        start = tuple(
+            c for c in declared.conditions if _names_at(declared, slot) & symbol_names(c.expression)
+        )
+        declared = replace(
+            declared,
+            states=tuple(s for s in declared.states if s is not slot),
+            equations=tuple(e for e in declared.equations if e is not equation),
+            conditions=tuple(c for c in declared.conditions if c not in start),
+            point_symbols=tuple(p for p in declared.point_symbols if p.slot != slot.name),
+            outputs=(slot, *declared.outputs),
+            output_equations=(equation, *declared.output_equations),
+            output_starts=(*start, *declared.output_starts),
+        )
+
+
+def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
+    return frozenset(p.symbol.name() for p in declared.point_symbols if p.slot == slot.name)
+
+
+def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
+    uses = Counter[str]()
+    for equation in declared.equations:
+        uses.update(
+            symbol_names(casadi.vertcat(equation.expression, equation.lower, equation.upper))
+        )
+    elsewhere = symbol_names(
+        casadi.vertcat(declared.objective, *[i.integrand for i in declared.integrals])
+    )
+    for slot in declared.states:
+        if uses[slot.rate.name()] != 1 or slot.name in elsewhere or slot.rate.name() in elsewhere:
+            continue
+        equation = next(
+            e for e in declared.equations if slot.rate.name() in symbol_names(e.expression)
+        )
+        inside = slot.name in symbol_names(equation.expression)
+        only_here = uses[slot.name] == int(inside)
+        rates = [s.rate.name() for s in declared.states]
+        one_rate = len(symbol_names(equation.expression) & set(rates)) == 1
+        if (
+            only_here
+            and one_rate
+            and equation.is_equality
+            and _is_free(slot)
+            and _held_at_start_only(declared, slot)
+        ):
+            return slot, equation
+    return None
+
+
+def _is_free(slot: Slot) -> bool:
+    return bool(casadi.is_equal(slot.lower, casadi.SX(-casadi.inf))) and bool(
+        casadi.is_equal(slot.upper, casadi.SX(casadi.inf))
+    )
+
+
+def _held_at_start_only(declared: Declarations, slot: Slot) -> bool:
+    """Say whether conditions on the slot hold only it, at the start, as equalities."""
+    names = _names_at(declared, slot)
+    if names & symbol_names(declared.objective):
+        return False
+    points = [p for p in declared.point_symbols if p.slot == slot.name]
+    if any(p.fraction != 0.0 or p.is_rate for p in points):
+        return False
+    fixed_at = {fraction for name, fraction in declared.fixed if name == slot.name}
+    if not (points or fixed_at) or fixed_at - {0.0}:
+        return False
+    everything = {p.symbol.name() for p in declared.point_symbols} | {
+        s.name for s in declared.statics
+    }
+    return all(
+        symbol_names(c.expression) & everything <= names
+        for c in declared.conditions
+        if symbol_names(c.expression) & names
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimpleBound:
+    """Limits of one variable; `variable` is the symbol's name."""
+
+    name: str
+    variable: str
+    lower: Any
+    upper: Any
+
+
+def split_simple_bounds(
+    relations: tuple[Any, ...], variables: dict[str, Any], candidates: frozenset[str]
+) -> tuple[tuple[Any, ...], tuple[SimpleBound, ...]]:
+    """Separate relations that are bounds on one candidate variable from the others.
+
+    Parameters
+    ----------
+    relations : tuple of PathEquation or PointCondition
+    variables : dict
+        Every variable symbol by name; anything else in a relation is a parameter.
+    candidates : frozenset of str
+        Variables that may be bounded in the nonlinear program.
+    """
+    others, bounds = [], []
+    for relation in relations:
+        bound = _as_simple_bound(relation, variables, candidates)
+        if bound is None:
+            others.append(relation)
+        else:
+            bounds.append(bound)
+    return tuple(others), tuple(bounds)
+
+
+def _as_simple_bound(
+    relation: PathEquation | PointCondition, variables: dict[str, Any], candidates: frozenset[str]
+) -> SimpleBound | None:
+    if isinstance(relation, PathEquation) and relation.is_equality:
+        return None
+    held = symbol_names(relation.expression) & set(variables)
+    if len(held) != 1 or not held <= candidates:
+        return None
+    (name,) = held
+    symbol = variables[name]
+    coefficient = casadi.simplify(casadi.jacobian(relation.expression, symbol))
+    if not coefficient.is_constant() or coefficient.is_zero():
+        return None
+    offset = casadi.substitute(relation.expression, symbol, casadi.SX(0))
+    sides = [(side - offset) / coefficient for side in (relation.lower, relation.upper)]
+    lower, upper = sides if float(coefficient) > 0.0 else reversed(sides)
+    return SimpleBound(name=relation.name, variable=name, lower=lower, upper=upper)
+
+
+IndexArray = NDArray[np.intp]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DerivedFunctions:
+    """A vector function with its exact sparse Jacobian and the Hessian of a weighted sum.
+
+    `values`, `jacobian` take (variables, data); `hessian` takes (variables, data, weights).
+    `jacobian` and `hessian` return nonzeros only, for the rows and columns listed; the
+    Hessian's are those of its lower triangle.
+    """
+
+    values: Any
+    jacobian: Any
+    hessian: Any
+    jacobian_rows: IndexArray
+    jacobian_columns: IndexArray
+    hessian_rows: IndexArray
+    hessian_columns: IndexArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompiledModel:
+    """Functions of one point, functions of the conditions, and what their entries mean."""
+
+    declared: Declarations
+    path: DerivedFunctions
+    points: DerivedFunctions
+    path_bounds: Any
+    variable_limits: Any
+    simple_path_bounds: tuple[SimpleBound, ...]
+    simple_point_bounds: tuple[SimpleBound, ...]
+    simple_point_limits: Any
+    condition_limits: Any
+    static_limits: Any
+    row_integrals: tuple[int, ...]
+    symbols: tuple[Any, Any]
+    static_of_integral: dict[int, int] = field(default_factory=dict)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the expressions as one text: their symbols are shared."""
+        parts = {item.name: getattr(self, item.name) for item in fields(self)}
+        return _unpacked, (packed(parts),)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> CompiledModel:
+        """Return itself: it never changes, and its symbols belong to others as well."""
+        return self
+
+    @property
+    def n_equations(self) -> int:
+        """Number of path equations at each point."""
+        return len(self.declared.equations)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """What tells the equations from others: their code and names, whatever the numbers."""
+        d = self.declared
+        names = ["maximise" if d.maximise else "minimise", *(e.name for e in d.equations)]
+        names += [slot.name for slot in (*d.states, *d.algebraics, *d.statics)]
+        code = [_anonymous(function) for function in (self.path.values, self.points.values)]
+        return sha256("\n".join([*code, *names]).encode()).hexdigest()
+
+    @property
+    def is_equality(self) -> NDArray[np.bool_]:
+        """Say of each path equation whether it is one, and not an inequality."""
+        return np.array([e.is_equality for e in self.declared.equations], dtype=bool)
+
+
+def _unpacked(parts: Packed) -> CompiledModel:
+    return CompiledModel(**parts.unpacked())
+
+
+def compile_declarations(declared: Declarations) -> CompiledModel:
+    """Compile declarations to CasADi functions."""
+    declared = _with_integral_variables(set_outputs_aside(declared))
+    path_variables = _path_symbols(declared)
+    point_variables = _point_symbols(declared)
+    equations, path_simple = split_simple_bounds(
+        declared.equations,
+        path_variables,
+        frozenset(s.name for s in (*declared.states, *declared.algebraics)),
+    )
+    conditions, point_simple = split_simple_bounds(
+        declared.conditions, point_variables, _boundable_at_points(declared)
+    )
+    declared = replace(declared, equations=equations, conditions=conditions)
+    path_data = casadi.vertcat(*declared.path_data)
+    parameters = _symbols(declared.parameters)
+    direct = tuple(
+        i
+        for i, integral in enumerate(declared.integrals)
+        if not _is_static(declared, integral.name)
+    )
+    rows = [e.expression for e in equations] + [i.integrand for i in declared.integrals]
+    point_rows = [c.expression for c in conditions] + [declared.objective]
+    return CompiledModel(
+        declared=declared,
+        path=_derive("path", _stack(rows), _stack(path_variables.values()), path_data),
+        points=_derive("points", _stack(point_rows), _stack(point_variables.values()), parameters),
+        path_bounds=_path_bounds(declared, path_data),
+        variable_limits=_variable_limits(declared, path_simple, path_data),
+        simple_path_bounds=path_simple,
+        simple_point_bounds=point_simple,
+        simple_point_limits=_limits("point_limits", parameters, point_simple, "lower", "upper"),
+        condition_limits=_limits("condition_limits", parameters, conditions, "lower", "upper"),
+        static_limits=_limits("static_limits", parameters, declared.statics, "lower", "upper"),
+        row_integrals=direct,
+        symbols=(_stack(path_variables.values()), path_data),
+        static_of_integral={
+            i: [s.name for s in declared.statics].index(integral.name)
+            for i, integral in enumerate(declared.integrals)
+            if i not in direct
+        },
+    )
+
+
+def _anonymous(function: Any) -> str:
+    """Return the code of a function without the names of its symbols, which tell of times."""
+    symbols = [casadi.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
+    return str(casadi.Function("f", symbols, function.call(symbols)).serialize())
+
+
+def _path_bounds(declared: Declarations, path_data: Any) -> Any:
+    """Return the function of both bounds of each equation over time."""
+    lower = _stack([e.lower for e in declared.equations])
+    upper = _stack([e.upper for e in declared.equations])
+    return casadi.Function("path_bounds", [path_data], [lower, upper])
+
+
+def _variable_limits(declared: Declarations, simple: tuple[Any, ...], path_data: Any) -> Any:
+    """Return the function of both limits of each variable, declared and by simple bounds."""
+    slots = (*declared.states, *declared.algebraics)
+    limits = [
+        _stack([s.lower for s in slots]),
+        _stack([s.upper for s in slots]),
+        _stack([b.lower for b in simple]),
+        _stack([b.upper for b in simple]),
+    ]
+    return casadi.Function("variable_limits", [path_data], limits)
+
+
+def _limits(name: str, parameters: Any, items: tuple[Any, ...], lower: str, upper: str) -> Any:
+    outputs = [
+        _stack([getattr(i, lower) for i in items]),
+        _stack([getattr(i, upper) for i in items]),
+    ]
+    return casadi.Function(name, [parameters], outputs)
+
+
+def _stack(expressions: Any) -> Any:
+    return casadi.vertcat(casadi.SX(0, 1), *[casadi.SX(e) for e in expressions])
+
+
+def _symbols(slots: tuple[Slot, ...]) -> Any:
+    return _stack([s.symbol for s in slots])
+
+
+def _path_symbols(declared: Declarations) -> dict[str, Any]:
+    """Return the variables of a point by name, in the order of the point's vector."""
+    symbols = {s.rate.name(): s.rate for s in declared.states}
+    for slots in (declared.states, declared.algebraics, declared.statics):
+        symbols |= {s.symbol.name(): s.symbol for s in slots}
+    return symbols
+
+
+def _point_symbols(declared: Declarations) -> dict[str, Any]:
+    """Return the variables of the conditions and the objective by name, in order."""
+    symbols = {p.symbol.name(): p.symbol for p in declared.point_symbols}
+    symbols |= {s.symbol.name(): s.symbol for s in declared.statics}
+    return symbols | {
+        i.symbol.name(): i.symbol for i in declared.integrals if not _is_static(declared, i.name)
+    }
+
+
+def _boundable_at_points(declared: Declarations) -> frozenset[str]:
+    states = {s.name for s in declared.states}
+    at_points = {
+        p.symbol.name() for p in declared.point_symbols if p.slot in states and not p.is_rate
+    }
+    return frozenset(at_points | {s.symbol.name() for s in declared.statics})
+
+
+def _is_static(declared: Declarations, name: str) -> bool:
+    return any(s.name == name for s in declared.statics)
+
+
+def _with_integral_variables(declared: Declarations) -> Declarations:
+    """Give a static variable to each integral that does not enter the objective linearly.
+
+    Its defining equation is one dense row; a plain integral objective needs none.
+    """
+    in_conditions = symbol_names(_stack([c.expression for c in declared.conditions]))
+    variables = symbol_names(
+        _stack([p.symbol for p in declared.point_symbols] + [s.symbol for s in declared.statics])
+    ) | {i.symbol.name() for i in declared.integrals}
+    statics = list(declared.statics)
+    for integral in declared.integrals:
+        slope = casadi.jacobian(casadi.SX(declared.objective), integral.symbol)
+        if integral.symbol.name() in in_conditions or symbol_names(slope) & variables:
+            statics.append(
+                Slot(
+                    name=integral.name,
+                    component=integral.name,
+                    index=(),
+                    symbol=integral.symbol,
+                    lower=casadi.SX(-casadi.inf),
+                    upper=casadi.SX(casadi.inf),
+                )
+            )
+    return replace(declared, statics=tuple(statics))
+
+
+def _derive(name: str, rows: Any, variables: Any, data: Any) -> DerivedFunctions:
+    jacobian = casadi.jacobian(rows, variables)
+    weights = casadi.SX.sym("weights", rows.shape[0])
+    hessian = casadi.tril(casadi.hessian(casadi.dot(weights, rows), variables)[0])
+    j_rows, j_columns = jacobian.sparsity().get_triplet()
+    h_rows, h_columns = hessian.sparsity().get_triplet()
+    return DerivedFunctions(
+        values=casadi.Function(name, [variables, data], [casadi.densify(rows)]),
+        jacobian=casadi.Function(f"{name}_jacobian", [variables, data], [_nonzeros(jacobian)]),
+        hessian=casadi.Function(
+            f"{name}_hessian", [variables, data, weights], [_nonzeros(hessian)]
+        ),
+        jacobian_rows=np.asarray(j_rows, dtype=np.intp),
+        jacobian_columns=np.asarray(j_columns, dtype=np.intp),
+        hessian_rows=np.asarray(h_rows, dtype=np.intp),
+        hessian_columns=np.asarray(h_columns, dtype=np.intp),
+    )
+
+
+def _nonzeros(matrix: Any) -> Any:
+    return casadi.vertcat(casadi.SX(0, 1), *matrix.nonzeros())

@@ -1,0 +1,296 @@
+"""Ipopt through cyipopt: options, callbacks, history and the best iterate."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import TYPE_CHECKING, Any, Protocol
+
+import cyipopt
+import numpy as np
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.mesh import FloatArray
+    from pyomo_quad.collocation.program.bounds import Bounds, Scaling
+
+
+class Status(Enum):
+    """How a solve ended; the last says that Ipopt converged but the mesh refinement did not."""
+
+    CONVERGED = "converged"
+    NOT_CONVERGED = "not_converged"
+    INFEASIBLE = "infeasible"
+    INTERRUPTED = "interrupted"
+    TOLERANCE_NOT_MET = "tolerance_not_met"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverOptions:
+    """Ipopt's settings that a caller may change.
+
+    `tolerance` is Ipopt's `tol` on the scaled problem, chosen to suit the tolerance of the
+    mesh where it is None; `extra` passes any Ipopt option.
+    """
+
+    tolerance: float | None = None
+    max_iterations: int = 500
+    extra: tuple[tuple[str, Any], ...] = ()
+
+    def suiting(self, tolerance: float) -> SolverOptions:
+        """Return the settings with Ipopt's tolerance, unless given, well below a mesh's."""
+        if self.tolerance is not None:
+            return self
+        return replace(self, tolerance=float(np.clip(1e-3 * tolerance, 1e-11, _TOLERANCE)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Iteration:
+    """One line of Ipopt's progress."""
+
+    iteration: int
+    objective: float
+    infeasibility: float
+    dual_infeasibility: float
+    barrier: float
+    elapsed_s: float
+    mesh_points: int
+
+
+Progress = Callable[[Iteration], bool | None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Multipliers:
+    """Multipliers of rows and of lower and upper bounds, for the unscaled program."""
+
+    rows: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+
+class _Program(Protocol):
+    """A nonlinear program: what Ipopt asks for, and what its progress shows."""
+
+    @property
+    def n_rows(self) -> int: ...
+    @property
+    def n_points(self) -> int: ...
+    @property
+    def is_negated(self) -> bool: ...
+    def objective(self, z: FloatArray) -> float: ...
+    def gradient(self, z: FloatArray) -> FloatArray: ...
+    def constraints(self, z: FloatArray) -> FloatArray: ...
+    def jacobianstructure(self) -> tuple[Any, Any]: ...
+    def jacobian(self, z: FloatArray) -> FloatArray: ...
+    def hessianstructure(self) -> tuple[Any, Any]: ...
+    def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class IpoptResult:
+    """Point, multipliers and how Ipopt got there."""
+
+    status: Status
+    message: str
+    z: FloatArray
+    multipliers: Multipliers
+    iterations: int
+    history: tuple[Iteration, ...]
+    wall_s: float
+
+    @property
+    def is_converged(self) -> bool:
+        """Whether Ipopt met its tolerance."""
+        return self.status is Status.CONVERGED
+
+
+@dataclass
+class _Callbacks:
+    """What cyipopt calls; an exception is kept and raised again after Ipopt has returned."""
+
+    program: _Program
+    progress: Progress | None
+    sign: float
+    started: float = field(default_factory=time.perf_counter)
+    history: list[Iteration] = field(default_factory=list)
+    best: tuple[float, FloatArray | None] = (np.inf, None)
+    error: BaseException | None = None
+    problem: Any = None
+
+    def _guard(self, evaluate: Callable[[], Any], size: int | None) -> Any:
+        if self.error is None:
+            try:
+                return evaluate()
+            except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  raised again later
+                self.error = error
+        return np.nan if size is None else np.full(size, np.nan)
+
+    def objective(self, z: FloatArray) -> float:
+        return float(self._guard(lambda: self.program.objective(z), None))
+
+    def gradient(self, z: FloatArray) -> FloatArray:
+        return np.asarray(self._guard(lambda: self.program.gradient(z), z.size))
+
+    def constraints(self, z: FloatArray) -> FloatArray:
+        return np.asarray(self._guard(lambda: self.program.constraints(z), self.program.n_rows))
+
+    def jacobianstructure(self) -> tuple[Any, Any]:
+        return self.program.jacobianstructure()
+
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        size = len(self.program.jacobianstructure()[0])
+        return np.asarray(self._guard(lambda: self.program.jacobian(z), size))
+
+    def hessianstructure(self) -> tuple[Any, Any]:
+        return self.program.hessianstructure()
+
+    def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
+        size = len(self.program.hessianstructure()[0])
+        return np.asarray(self._guard(lambda: self.program.hessian(z, multipliers, factor), size))
+
+    def intermediate(
+        self,
+        _mode: int,
+        iteration: int,
+        objective: float,
+        infeasibility: float,
+        dual_infeasibility: float,
+        barrier: float,
+        *_rest: Any,
+    ) -> bool:
+        if self.error is not None:
+            return False
+        line = Iteration(
+            iteration=iteration,
+            objective=self.sign * objective,
+            infeasibility=infeasibility,
+            dual_infeasibility=dual_infeasibility,
+            barrier=barrier,
+            elapsed_s=time.perf_counter() - self.started,
+            mesh_points=self.program.n_points,
+        )
+        self.history.append(line)
+        try:
+            self._keep_best(infeasibility)
+            return self.progress is None or self.progress(line) is not False
+        except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  raised again later
+            self.error = error
+            return False
+
+    def _keep_best(self, infeasibility: float) -> None:
+        if infeasibility <= 0.1 * self.best[0]:
+            iterate = self.problem.get_current_iterate()
+            if iterate is not None:
+                self.best = (infeasibility, np.array(iterate["x"]))
+
+
+_TOLERANCE = 1e-9
+
+# MUMPS' own scalings cost more than they gain on a program that is scaled already; bounds
+# are kept as stated, because relaxed ones would show in objectives good to 1e-8.
+_DEFAULTS: dict[str, Any] = {
+    "print_level": 0,
+    "sb": "yes",
+    "linear_solver": "mumps",
+    "mumps_scaling": 0,
+    "mumps_permuting_scaling": 0,
+    "mu_strategy": "adaptive",
+    "nlp_scaling_method": "user-scaling",
+    "bound_relax_factor": 0.0,
+    "acceptable_iter": 0,
+}
+
+_WARM: dict[str, Any] = {
+    "warm_start_init_point": "yes",
+    "mu_strategy": "monotone",
+    "mu_init": 1e-7,
+    "warm_start_bound_push": 1e-9,
+    "warm_start_bound_frac": 1e-9,
+    "warm_start_slack_bound_push": 1e-9,
+    "warm_start_slack_bound_frac": 1e-9,
+    "warm_start_mult_bound_push": 1e-9,
+}
+
+_SOLVED, _INFEASIBLE, _STOPPED = 0, 2, 5
+
+
+def run(
+    program: _Program,
+    bounds: Bounds,
+    scaling: Scaling,
+    start: FloatArray,
+    *,
+    options: SolverOptions,
+    multipliers: Multipliers | None = None,
+    progress: Progress | None = None,
+) -> IpoptResult:
+    """Solve the program from a point, with its multipliers for a warm start.
+
+    Raises
+    ------
+    Exception
+        Whatever a callback raised, once Ipopt has been left cleanly.
+    """
+    sign = -1.0 if program.is_negated else 1.0
+    callbacks = _Callbacks(program, progress, sign)
+    problem = cyipopt.Problem(
+        n=start.size,
+        m=program.n_rows,
+        problem_obj=callbacks,
+        lb=bounds.lower,
+        ub=bounds.upper,
+        cl=bounds.row_lower,
+        cu=bounds.row_upper,
+    )
+    callbacks.problem = problem
+    _set_options(problem, options, is_warm=multipliers is not None)
+    problem.set_problem_scaling(scaling.objective, scaling.unknowns, scaling.rows)
+    dual = {}
+    if multipliers is not None:
+        dual = {"lagrange": multipliers.rows, "zl": multipliers.lower, "zu": multipliers.upper}
+    z, info = problem.solve(np.array(start), **dual)
+    wall = time.perf_counter() - callbacks.started
+    stopped = isinstance(callbacks.error, KeyboardInterrupt)
+    if callbacks.error is not None and not stopped:
+        raise callbacks.error
+    return _result(callbacks, np.asarray(z), info, wall, stopped=stopped)
+
+
+def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None:
+    chosen = _DEFAULTS | {
+        "tol": options.tolerance or _TOLERANCE,
+        "max_iter": options.max_iterations,
+    }
+    if is_warm:
+        chosen |= _WARM
+    for name, value in (chosen | dict(options.extra)).items():
+        problem.add_option(name, value)
+
+
+def _result(
+    callbacks: _Callbacks, z: FloatArray, info: dict[str, Any], wall: float, *, stopped: bool
+) -> IpoptResult:
+    code = _STOPPED if stopped else int(info["status"])
+    status = {
+        _SOLVED: Status.CONVERGED,
+        _INFEASIBLE: Status.INFEASIBLE,
+        _STOPPED: Status.INTERRUPTED,
+    }.get(code, Status.NOT_CONVERGED)
+    if status is not Status.CONVERGED and callbacks.best[1] is not None:
+        z = callbacks.best[1]
+    message = info["status_msg"]
+    return IpoptResult(
+        status=status,
+        message=message.decode() if isinstance(message, bytes) else str(message),
+        z=z,
+        multipliers=Multipliers(
+            rows=np.array(info["mult_g"]),
+            lower=np.array(info["mult_x_L"]),
+            upper=np.array(info["mult_x_U"]),
+        ),
+        iterations=callbacks.history[-1].iteration if callbacks.history else 0,
+        history=tuple(callbacks.history),
+        wall_s=wall,
+    )

@@ -1,0 +1,376 @@
+"""The nonlinear program of a compiled model on one mesh, and the names of its rows."""
+
+from __future__ import annotations
+
+import re
+from copy import copy
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pyomo.core.base.units_container import UnitsError
+from pyomo.environ import units
+
+from pyomo_quad.collocation.mesh import Mesh, Trajectory
+from pyomo_quad.collocation.program.compiled import MappedFunction
+from pyomo_quad.collocation.program.sparsity import (
+    Layout,
+    hessian_scatter,
+    jacobian_scatter,
+    path_columns,
+)
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.mesh import FloatArray
+    from pyomo_quad.collocation.program.compiled import CompiledModel
+
+# What a derived unit of the same size and dimension is called; a moment before a work.
+_CALLED = {
+    "N": units.N,
+    "N*m": units.get_units(units.N * units.m),
+    "W": units.W,
+    "V": units.V,
+    "A": units.A,
+}
+# An angle is a number: Pyomo keeps the radians of a squared speed, engineers do not.
+_ANGLES = (units.dimensionless, units.rad, units.rad**2)
+_ROUNDING = 1e-12
+_ANGLE_FACTOR = re.compile(r"\*rad(\*\*[\d.]+)?")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """A component of the model, and where on the horizon: None where time has no part."""
+
+    name: str
+    time: float | None = None
+    element: int | None = None
+    point: int | None = None
+
+    def __str__(self) -> str:
+        if self.time is None:
+            return self.name
+        where = f"{self.name} at time {self.time:.6g}"
+        if self.element is None:
+            return where
+        return f"{where} (element {self.element + 1}, point {self.point})"
+
+
+def _at_point(program: Transcription, name: str, point: int) -> Place:
+    mesh = program.mesh
+    if mesh is None:
+        return Place(name=name)
+    element = int(mesh.element_of_point[point])
+    return Place(
+        name=name,
+        time=program.time_of(float(mesh.point_fractions[point])),
+        element=element,
+        point=int(point - mesh.first_node[element] + 1),
+    )
+
+
+def row_place(program: Transcription, row: int) -> Place:
+    """Return the equation, time, element and point of a row."""
+    compiled = program.compiled
+    declared = compiled.declared
+    if row < program.first_condition_row:
+        point, equation = divmod(row, compiled.n_equations)
+        return _at_point(program, declared.equations[equation].name, point)
+    if row < program.first_integral_row:
+        return Place(name=declared.conditions[row - program.first_condition_row].name)
+    integral = list(compiled.static_of_integral)[row - program.first_integral_row]
+    return Place(name=declared.integrals[integral].name)
+
+
+def unknown_place(program: Transcription, column: int) -> Place:
+    """Return the variable, time, element and point of an unknown."""
+    layout, declared = program.layout, program.compiled.declared
+    if column >= layout.unknowns - layout.n_statics:
+        return Place(name=declared.statics[column - (layout.unknowns - layout.n_statics)].name)
+    for slots, columns, first in (
+        (declared.states, layout.state_columns, -1),
+        (declared.algebraics, layout.algebraic_columns, 0),
+    ):
+        found = np.argwhere(columns == column)
+        if found.size:
+            row, slot = (int(k) for k in found[0])
+            point = row + first
+            if point < 0:
+                return Place(name=slots[slot].name, time=program.time_of(0.0))
+            return _at_point(program, slots[slot].name, point)
+    raise IndexError(column)
+
+
+def family_name(name: str) -> str:
+    """Return the component that a row, bound or condition belongs to."""
+    return name.split("[", 1)[0].split(" at time", 1)[0]
+
+
+def declared_unit(model: Any, name: str) -> str:
+    """Return the unit of a constraint's body or of a variable, "" where it has none."""
+    component = model.find_component(family_name(name))
+    data: Any = None if component is None else next(iter(component.values()), None)
+    try:
+        unit = units.get_units(data if data.is_variable_type() else data.body)
+    except (UnitsError, AttributeError):
+        return ""
+    return "" if unit is None or str(unit) == "dimensionless" else _spelled(unit)
+
+
+def _spelled(unit: Any) -> str:
+    """Return a unit as an engineer writes it: Pyomo's N*rad**2 of a thrust is N."""
+    text = str(unit)
+    if "*" not in text and "/" not in text:
+        return text
+    for angle, (called, plain) in product(_ANGLES, _CALLED.items()):
+        try:
+            factor = units.convert_value(
+                1.0, from_units=units.get_units(unit / angle), to_units=plain
+            )
+        except UnitsError:
+            continue
+        if abs(factor - 1.0) < _ROUNDING:
+            return called
+    return _ANGLE_FACTOR.sub("", text)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Data:
+    """Numbers that the equations read: parameters, shape (n,), and signals at the points.
+
+    `signals` has shape (n_points, 1 + n_signals); its first column is the fraction.
+    """
+
+    parameters: FloatArray
+    signals: FloatArray
+
+    def at_points(self) -> FloatArray:
+        """Return signals and parameters side by side, one row per point."""
+        n = self.signals.shape[0]
+        return np.hstack(
+            [self.signals, np.broadcast_to(self.parameters, (n, self.parameters.size))]
+        )
+
+
+class Transcription:
+    """Objective, constraints and their derivatives, in the form Ipopt asks for.
+
+    What depends on the mesh alone is made once, and shared by `with_data`.
+    """
+
+    def __init__(self, compiled: CompiledModel, mesh: Mesh | None, data: Data) -> None:
+        self.compiled = compiled
+        self.mesh = mesh
+        self.layout = Layout(compiled.declared, mesh)
+        self._sign = -1.0 if compiled.declared.maximise else 1.0
+        self._columns = path_columns(self.layout)
+        self._jacobian = jacobian_scatter(compiled, self.layout)
+        self._hessian = hessian_scatter(compiled, self.layout)
+        self._map()
+        self._hold(data)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle what it is made of."""
+        return type(self), (self.compiled, self.mesh, self.data)
+
+    def with_data(self, data: Data) -> Transcription:
+        """Return a program of its own on the same mesh for other numbers."""
+        other = copy(self)
+        other._hold(data)  # noqa: SLF001  of its own class
+        return other
+
+    def _hold(self, data: Data) -> None:
+        self.data = data
+        self._path_data = data.at_points()
+        self._point_data = data.parameters[None, :]
+        self._rows = np.zeros((0, 0))
+        self._sources = np.zeros(0)
+        self._seen: FloatArray | None = None
+        self._differentiated: FloatArray | None = None
+
+    def _map(self) -> None:
+        n = max(self.layout.points, 1)
+        path, points = self.compiled.path, self.compiled.points
+        self._path = [MappedFunction(f, n) for f in (path.values, path.jacobian, path.hessian)]
+        self._point = [
+            MappedFunction(f, 1) for f in (points.values, points.jacobian, points.hessian)
+        ]
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows of the program."""
+        return self.first_integral_row + len(self.compiled.static_of_integral)
+
+    def trajectory(self, z: FloatArray) -> Trajectory:
+        """Return a vector shaped like the unknowns as states, algebraics and statics."""
+        layout = self.layout
+        return Trajectory(
+            mesh=self.mesh or Mesh.uniform(1, 1),
+            states=z[layout.state_columns],
+            algebraics=z[layout.algebraic_columns],
+            statics=z[layout.static_columns],
+        )
+
+    @property
+    def n_points(self) -> int:
+        """Number of collocation points."""
+        return self.layout.points
+
+    @property
+    def is_negated(self) -> bool:
+        """Whether the declared objective is maximised, and its negative minimised."""
+        return self._sign < 0.0
+
+    @property
+    def first_condition_row(self) -> int:
+        """Row of the first condition."""
+        return self.layout.points * self.compiled.n_equations
+
+    @property
+    def first_integral_row(self) -> int:
+        """Row of the first integral's definition."""
+        return self.first_condition_row + len(self.compiled.declared.conditions)
+
+    @property
+    def horizon(self) -> tuple[float, float] | None:
+        """Start and end given by parameters; None where the end is a variable."""
+        names = [p.name for p in self.compiled.declared.parameters]
+        if "horizon.end" not in names:
+            return None
+        start, end = (names.index(f"horizon.{side}") for side in ("start", "end"))
+        return float(self.data.parameters[start]), float(self.data.parameters[end])
+
+    def time_of(self, fraction: float) -> float:
+        """Return physical time, or the fraction itself where the end is a variable."""
+        start, end = self.horizon or (0.0, 1.0)
+        return start + (end - start) * fraction
+
+    def path_variables(self, z: FloatArray) -> FloatArray:
+        """Return rates, states, algebraics and statics at the points, one row per point."""
+        layout = self.layout
+        states = z[layout.state_columns]
+        statics = np.broadcast_to(z[layout.static_columns], (layout.points, layout.n_statics))
+        return np.hstack(
+            [layout.slope_matrix @ states, states[1:], z[layout.algebraic_columns], statics]
+        )
+
+    def rows_at_points(self, z: FloatArray) -> FloatArray:
+        """Return path equations and integrands at the points, shape (n_points, n_rows)."""
+        if self._seen is None or not np.array_equal(self._seen, z):
+            if self.layout.points:
+                self._rows = self._path[0](self.path_variables(z), self._path_data)[0]
+            else:
+                self._rows = np.zeros((0, self.compiled.path.values.numel_out(0)))
+            self._seen = np.array(z)
+        return self._rows
+
+    def integrals(self, z: FloatArray) -> FloatArray:
+        """Return the value of every integral by the scheme's own quadrature."""
+        densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
+        return self._weights() @ densities
+
+    def objective_density(self, z: FloatArray) -> FloatArray:
+        """Return the integrand of what Ipopt minimises at the points, shape (n_points,)."""
+        densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
+        direct = densities[:, list(self.compiled.row_integrals)]
+        return self._sign * direct @ self._objective_slopes(z)
+
+    def _objective_slopes(self, z: FloatArray) -> FloatArray:
+        sources = self._point[1](self._point_variables(z), self._point_data)[0].ravel()
+        return self._jacobian.objective_slopes(sources)
+
+    def _weights(self) -> FloatArray:
+        return self.mesh.quadrature_weights if self.mesh else np.zeros(0)
+
+    def _point_variables(self, z: FloatArray) -> FloatArray:
+        layout = self.layout
+        direct = self.integrals(z)[list(self.compiled.row_integrals)]
+        values = layout.point_values @ z
+        return np.concatenate([values, z[layout.static_columns], direct])[None, :]
+
+    def user_objective(self, z: FloatArray) -> float:
+        """Return the objective as declared, not negated for a maximum."""
+        return float(self._point[0](self._point_variables(z), self._point_data)[0][0, -1])
+
+    def objective(self, z: FloatArray) -> float:
+        """Return what Ipopt minimises."""
+        return self._sign * self.user_objective(z)
+
+    def constraints(self, z: FloatArray) -> FloatArray:
+        """Return the value of every row."""
+        n = self.compiled.n_equations
+        conditions = self._point[0](self._point_variables(z), self._point_data)[0][0, :-1]
+        integrals = self.integrals(z)
+        definitions = [
+            z[self.layout.static_columns[s]] - integrals[i]
+            for i, s in self.compiled.static_of_integral.items()
+        ]
+        return np.concatenate([self.rows_at_points(z)[:, :n].ravel(), conditions, definitions])
+
+    def _derivative_sources(self, z: FloatArray) -> FloatArray:
+        """Return what gradient and Jacobian are made of, computed once for both."""
+        if self._differentiated is None or not np.array_equal(self._differentiated, z):
+            self._sources = self._sources_at(z)
+            self._differentiated = np.array(z)
+        return self._sources
+
+    def _sources_at(self, z: FloatArray) -> FloatArray:
+        path = np.zeros(0)
+        if self.layout.points:
+            path = self._path[1](self.path_variables(z), self._path_data)[0].ravel()
+        point = self._point[1](self._point_variables(z), self._point_data)[0].ravel()
+        return np.concatenate([path, point, [1.0]])
+
+    def gradient(self, z: FloatArray) -> FloatArray:
+        """Return the gradient of what Ipopt minimises."""
+        sources = self._derivative_sources(z)
+        slopes = self._jacobian.integral_slopes(sources)
+        return self._sign * self._jacobian.gradient(sources, slopes)
+
+    def jacobianstructure(self) -> tuple[Any, Any]:
+        """Return rows and columns of the Jacobian's nonzeros."""
+        return self._jacobian.rows.rows, self._jacobian.rows.columns
+
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        """Return the Jacobian's nonzeros."""
+        return self._jacobian.rows.values(self._derivative_sources(z))
+
+    def hessianstructure(self) -> tuple[Any, Any]:
+        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
+        return self._hessian.rows, self._hessian.columns
+
+    def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
+        """Return the nonzeros of the Hessian of factor * objective + multipliers . rows."""
+        factor = self._sign * factor
+        path = np.zeros(0)
+        if self.layout.points:
+            weights = self._path_weights(z, multipliers, factor)
+            path = self._path[2](self.path_variables(z), self._path_data, weights)[0].ravel()
+        conditions = multipliers[self.first_condition_row : self.first_integral_row]
+        point_weights = np.append(conditions, factor)[None, :]
+        point = self._point[2](self._point_variables(z), self._point_data, point_weights)[0]
+        return self._hessian.values(np.concatenate([path, point.ravel()]))
+
+    def _path_weights(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
+        """Return the multiplier of each path equation and each integrand at each point."""
+        n, points = self.compiled.n_equations, self.layout.points
+        on_integral = self._integral_weights(z, multipliers, factor)
+        densities = self._weights()[:, None] * on_integral[None, :]
+        equations = multipliers[: points * n].reshape(points, n)
+        return np.hstack([equations, densities])
+
+    def _integral_weights(
+        self, z: FloatArray, multipliers: FloatArray, factor: float
+    ) -> FloatArray:
+        """Return what each integral weighs in the Lagrangian, shape (n_integrals,)."""
+        weights = np.zeros(len(self.compiled.declared.integrals))
+        weights[list(self.compiled.row_integrals)] = factor * self._objective_slopes(z)
+        for row, integral in enumerate(self.compiled.static_of_integral):
+            weights[integral] = -multipliers[self.first_integral_row + row]
+        return weights
+
+    def lagrangian_density(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
+        """Return integrands times what they weigh in the Lagrangian, shape (n_points,)."""
+        densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
+        return np.asarray(densities @ self._integral_weights(z, multipliers, self._sign))

@@ -1,0 +1,1 @@
+"""From a Pyomo.DAE model to templates in CasADi symbols."""

@@ -1,0 +1,281 @@
+"""The copy of a user's model that templates are read from, and its rules."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from types import CellType, CodeType, FunctionType, MethodType
+from typing import TYPE_CHECKING, Any
+
+from pyomo.core.base.component import Component, ComponentData
+from pyomo.core.base.initializer import Initializer
+from pyomo.core.expr.compare import compare_expressions
+from pyomo.dae import ContinuousSet, DerivativeVar
+from pyomo.dae.misc import expand_components
+from pyomo.environ import Block, ComponentUID, Constraint, Expression, Param, SOSConstraint, Var
+
+from pyomo_quad.collocation.errors import TranscriptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_RULES = ("_rule", "_rule_init", "_rule_bounds")
+_FUNCTION = "_fcn"  # where Pyomo's initializers keep a function
+_INNER = "_initializer"  # and where those that wrap another keep it
+
+
+def transfer_rules(model: Any, copy: Any) -> None:
+    """Let the rules of a clone refer to the clone.
+
+    Parameters
+    ----------
+    model : ConcreteModel
+        The model that was cloned.
+    copy : ConcreteModel
+        Its clone, whose rules are changed.
+    """
+    translator = _Translator(model, copy)
+    for component in copy.component_objects(descend_into=True):
+        for name in _RULES:
+            rule = getattr(component, name, None)
+            while hasattr(rule, _INNER):
+                rule = getattr(rule, _INNER)
+            if hasattr(rule, _FUNCTION):
+                setattr(rule, _FUNCTION, translator.translate(getattr(rule, _FUNCTION)))
+
+
+def rule_of(component: Any) -> Any:
+    """Return the rule that makes a component's members, None if there is none."""
+    rule = getattr(component, "_rule", None)
+    if rule is None and isinstance(getattr(component, "_default_val", None), FunctionType):
+        return Initializer(component._default_val)  # noqa: SLF001
+    return None if rule is None or rule.constant() else rule
+
+
+def bounds_rule_of(variable: Any) -> Any:
+    """Return the rule that gives a variable's members their bounds, None if there is none."""
+    rule = getattr(variable, "_rule_bounds", None)
+    return None if rule is None or rule.constant() else rule
+
+
+def refuse_lost_members(copy: Any, template_time: float) -> None:
+    """Refuse rules that fail at a time of which the model did not know.
+
+    Pyomo takes a `KeyError` in a rule for a wish to skip the member; an equation would be lost.
+
+    Raises
+    ------
+    TranscriptionError
+        Naming the component.
+    """
+    for component, rule in _with_rules(copy):
+        for index in component.index_set():
+            if template_time not in _flat(index) or index in component:
+                continue
+            try:
+                rule(component.parent_block(), index)
+            except Exception as error:
+                what = f"no member {error}" if isinstance(error, KeyError) else f"{error}"
+                raise TranscriptionError(
+                    f"{component.name}: its rule fails at a time that the model did not declare "
+                    f"({what}); let it read nothing but its time and components of the model."
+                ) from error
+
+
+def refuse_changed_members(copy: Any) -> None:
+    """Refuse members that no longer say what their rule says.
+
+    The engine reads an equation over time from its rule; a member changed by `set_value` after
+    the rule ran would be overlooked.
+
+    Raises
+    ------
+    TranscriptionError
+        Naming the member.
+    """
+    for component, rule in _with_rules(copy):
+        for index in tuple(component)[-1:]:
+            stated = rule(component.parent_block(), index)
+            if component.ctype is Constraint:
+                stated = type(component[index])(expr=stated).expr
+            if not compare_expressions(component[index].expr, stated):
+                raise TranscriptionError(
+                    f"{component[index].name}: was changed after its rule made it; delete the "
+                    "component and declare it anew with a rule that says what is meant."
+                )
+
+
+def _with_rules(copy: Any) -> Iterator[tuple[Any, Any]]:
+    for component in copy.component_objects((Constraint, Expression), descend_into=True):
+        if component.is_indexed() and rule_of(component) is not None:
+            yield component, rule_of(component)
+
+
+def _flat(index: Any) -> tuple[Any, ...]:
+    return index if isinstance(index, tuple) else (index,)
+
+
+class _Translator:
+    """Replaces a model's components by those of its clone inside functions."""
+
+    def __init__(self, model: Any, copy: Any) -> None:
+        self._model = model
+        self._copy = copy
+        self._functions: dict[FunctionType, FunctionType] = {}
+
+    def translate(self, value: Any) -> Any:
+        """Return what stands for a value on the clone."""
+        if isinstance(value, Component | ComponentData):
+            return self._component(value)
+        if isinstance(value, FunctionType | MethodType | partial):
+            return self._callable(value)
+        if type(value) in (list, tuple, set):
+            return type(value)(self.translate(item) for item in value)
+        if type(value) is dict:
+            return {key: self.translate(item) for key, item in value.items()}
+        return value
+
+    def _callable(self, value: Any) -> Any:
+        if isinstance(value, FunctionType):
+            return self._function(value)
+        if isinstance(value, MethodType):
+            return MethodType(self.translate(value.__func__), self.translate(value.__self__))
+        arguments, keywords = self.translate(value.args), self.translate(value.keywords)
+        return partial(self.translate(value.func), *arguments, **keywords)
+
+    def _component(self, component: Any) -> Any:
+        if component is self._model:
+            return self._copy
+        if component.model() is not self._model:
+            return component
+        found = ComponentUID(component).find_component_on(self._copy)
+        return component if found is None else found
+
+    def _function(self, function: FunctionType) -> FunctionType:
+        if function in self._functions:
+            return self._functions[function]
+        cells = tuple(CellType() for _ in function.__closure__ or ())
+        names = {**function.__globals__}
+        translated = FunctionType(
+            function.__code__, names, function.__name__, closure=cells or None
+        )
+        # Known before its parts are translated: functions may refer to each other.
+        self._functions[function] = translated
+        for cell, original in zip(cells, function.__closure__ or (), strict=True):
+            cell.cell_contents = self.translate(original.cell_contents)
+        for name in _global_names(function.__code__) & names.keys():
+            names[name] = self._global(names[name], function)
+        translated.__defaults__ = self.translate(function.__defaults__)
+        translated.__kwdefaults__ = self.translate(function.__kwdefaults__)
+        return translated
+
+    def _global(self, value: Any, function: FunctionType) -> Any:
+        is_foreign = isinstance(value, FunctionType) and (
+            value.__globals__ is not function.__globals__
+        )
+        return value if is_foreign else self.translate(value)
+
+
+def _global_names(code: CodeType) -> set[str]:
+    inner = (constant for constant in code.co_consts if isinstance(constant, CodeType))
+    return set(code.co_names).union(*(_global_names(part) for part in inner))
+
+
+# An irrational fraction: no declared time can be mistaken for it.
+_TEMPLATE_FRACTION = 0.3819660112501051
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkingCopy:
+    """A clone of the model with one more time, whose instances serve as templates."""
+
+    model: Any
+    time: Any
+    template_time: float
+    declared_times: tuple[float, ...]
+
+
+def _continuous_set(model: Any) -> Any:
+    """Return the model's one continuous set, or None for a model without time."""
+    sets = [
+        s
+        for s in model.component_objects(ContinuousSet, descend_into=True)
+        if "scheme" not in s.get_discretization_info()
+    ]
+    if len(sets) > 1:
+        names = ", ".join(s.name for s in sets)
+        raise TranscriptionError(
+            f"continuous sets {names}: partial differential equations are not supported; "
+            "discretise all but one of them first, for instance with dae.finite_difference."
+        )
+    return sets[0] if sets else None
+
+
+def _refuse_unsupported(model: Any, time: Any) -> None:
+    for constraint in model.component_objects(SOSConstraint, active=True, descend_into=True):
+        raise TranscriptionError(f"{constraint.name}: SOS constraints are not supported.")
+    for variable in model.component_data_objects(Var, descend_into=True):
+        if not variable.is_continuous():
+            raise TranscriptionError(
+                f"{variable.name}: domain {variable.domain} is not continuous; integer variables "
+                "are not supported."
+            )
+    for block in model.component_objects(Block, active=True, descend_into=True):
+        if time is not None and block.is_indexed() and time in block.index_set().subsets():
+            raise TranscriptionError(
+                f"{block.name}: a block indexed by {time.name} is not supported; index the "
+                "variables and constraints inside one block by time."
+            )
+    for derivative in model.component_objects(DerivativeVar, descend_into=True):
+        sets = derivative.get_continuousset_list()
+        if time is not None and len(sets) > 1:
+            raise TranscriptionError(
+                f"{derivative.name}: a derivative of order {len(sets)} is not supported; declare "
+                "the first derivative as a variable of its own."
+            )
+
+
+def _keep_parameters(copy: Any, time: Any) -> None:
+    """Let parameters over time enter expressions as themselves, immutable ones too."""
+    for parameter in copy.component_objects(Param, descend_into=True):
+        if time not in parameter.index_set().subsets() or parameter.mutable:
+            continue
+        held = dict(parameter.items())
+        parameter._mutable = True  # noqa: SLF001
+        parameter.clear()
+        for index, number in held.items():
+            parameter[index] = number
+
+
+def copy_with_template_time(model: Any) -> WorkingCopy:
+    """Clone a model and add one interior time to its continuous set.
+
+    Raises
+    ------
+    TranscriptionError
+        If the model declares something outside what the engine transcribes.
+    """
+    copy = model.clone()
+    transfer_rules(model, copy)
+    time = _continuous_set(copy)
+    _refuse_unsupported(copy, time)
+    if time is None:
+        return WorkingCopy(model=copy, time=None, template_time=0.0, declared_times=())
+    refuse_changed_members(copy)
+    _keep_parameters(copy, time)
+    declared = tuple(float(t) for t in sorted(time))
+    template = declared[0] + _TEMPLATE_FRACTION * (declared[-1] - declared[0])
+    time.add(template)
+    time.set_changed(True)
+    try:
+        expand_components(copy)
+    except Exception as error:
+        refuse_lost_members(copy, template)
+        raise TranscriptionError(
+            f"{time.name}: a rule over it fails at a time that the model did not declare "
+            f"({error}); let rules read nothing but their time and components of the model."
+        ) from error
+    finally:
+        time.set_changed(False)
+    refuse_lost_members(copy, template)
+    return WorkingCopy(model=copy, time=time, template_time=template, declared_times=declared)

@@ -1,0 +1,359 @@
+"""Reading a Pyomo.DAE model: templates, conditions, integrals and objective."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import casadi
+from pyomo.dae import DerivativeVar
+from pyomo.environ import Constraint, Expression, Objective, Suffix, maximize, value
+
+from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.reading.copy import (
+    WorkingCopy,
+    bounds_rule_of,
+    copy_with_template_time,
+    rule_of,
+)
+from pyomo_quad.collocation.reading.symbols import (
+    Declarations,
+    PathEquation,
+    PointCondition,
+    Slot,
+    indexed_name,
+)
+from pyomo_quad.collocation.reading.writer import TemplateWriter, same_expression, symbol_names
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+class RelationReader:
+    """Reads the constraints of a working copy, and what variables are held to at instants."""
+
+    def __init__(self, writer: TemplateWriter) -> None:
+        self._writer = writer
+        self.copy = writer.copy
+        self.addresses = writer.addresses
+        self.symbols = writer.symbols
+
+    def constraints(self) -> tuple[list[PathEquation], list[PointCondition]]:
+        """Return equations over time and conditions at points, in declared order."""
+        equations: list[PathEquation] = []
+        conditions: list[PointCondition] = []
+        for component in self.copy.model.component_objects(
+            Constraint, active=True, descend_into=True
+        ):
+            groups: dict[tuple[Any, ...], dict[Any, Any]] = {}
+            if rule_of(component) is not None:
+                # A rule may skip its constraint at every time but those between.
+                for index in component.index_set():
+                    groups.setdefault(self.addresses.split(component, index).index, {})
+            for index, data in component.items():
+                if data.active:
+                    address = self.addresses.split(component, index)
+                    groups.setdefault(address.index, {})[address.time] = data
+            for index, instances in groups.items():
+                self._group(component, index, instances, equations, conditions)
+        return equations, conditions
+
+    def _group(
+        self,
+        component: Any,
+        index: tuple[Any, ...],
+        instances: dict[Any, Any],
+        equations: list[PathEquation],
+        conditions: list[PointCondition],
+    ) -> None:
+        """Sort one constraint's instances into a path equation and point conditions."""
+        template = instances.pop(self.copy.template_time, None) if self.copy.time else None
+        equation = None
+        if self.addresses.time_position(component) is not None:
+            equation = self._writer.path_equation(component, index, template)
+        if equation is None:
+            conditions.extend(self._imposed(self._condition(data)) for data in instances.values())
+            return
+        equations.append(equation)
+        conditions.extend(self._start_and_end(equation, instances))
+
+    def _relation(self, data: Any, name: str) -> tuple[Any, Any, Any]:
+        lower, body, upper = data.to_bounded_expression()
+        expression = casadi.SX(self._writer.write(body, name))
+        if data.equality:
+            return expression - self._writer.write(upper, name), casadi.SX(0), casadi.SX(0)
+        return (
+            expression,
+            casadi.SX(-casadi.inf if lower is None else self._writer.write(lower, name)),
+            casadi.SX(casadi.inf if upper is None else self._writer.write(upper, name)),
+        )
+
+    def _condition(self, data: Any) -> PointCondition:
+        expression, lower, upper = self._relation(data, data.name)
+        return PointCondition(name=data.name, expression=expression, lower=lower, upper=upper)
+
+    def _imposed(self, condition: PointCondition) -> PointCondition:
+        """Return a condition that is to be imposed, unless it reads a signal at an instant."""
+        signals = {symbol.name() for symbol in self.symbols.signal_points.values()}
+        read = signals & symbol_names(condition.expression)
+        if read:
+            raise TranscriptionError(
+                f"{condition.name}: {min(read)}, a time-varying parameter at a single time, is not "
+                "supported in a condition; use a parameter without time."
+            )
+        return condition
+
+    def _start_and_end(
+        self, equation: PathEquation, instances: dict[Any, Any]
+    ) -> list[PointCondition]:
+        """Return what the end instances of a path equation add to it.
+
+        The collocation points include the end but not the start.  At the start an equation
+        among states only is imposed as a condition; one with rates or algebraic variables
+        has no meaning there.  An end instance that reads otherwise is a condition of its own.
+        """
+        added = []
+        first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
+        if first in instances and self._states_only(equation):
+            added.append(self._imposed(self._condition(instances[first])))
+        if last in instances:
+            condition = self._condition(instances[last])
+            if not self._same_at(condition, equation, last):
+                added.append(self._imposed(condition))
+        return added
+
+    def _states_only(self, equation: PathEquation) -> bool:
+        names = symbol_names(equation.expression)
+        table = self.symbols
+        rates = {s.rate.name() for s in table.states.values()}
+        return bool(names & set(table.states)) and not names & (rates | set(table.algebraics))
+
+    def _same_at(self, condition: PointCondition, equation: PathEquation, time: float) -> bool:
+        """Say whether a condition is the path equation with its time put in.
+
+        One that branches on its time may hold other numbers at that instant, which has no length.
+        """
+        table = self.symbols
+        fraction = table.fraction_of(time)
+        old, new = [table.fraction], [casadi.SX(fraction)]
+        for (name, at, is_rate), point in table.points.items():
+            if at == fraction:
+                slot = table.states.get(name) or table.algebraics[name]
+                old.append(slot.rate if is_rate else slot.symbol)
+                new.append(point.symbol)
+        for name, slot in table.signals.items():
+            parameter = self.copy.model.find_component(slot.component)
+            number = value(parameter[self.addresses.join(parameter, slot.index, time)])
+            old.append(slot.symbol)
+            new.append(table.signal_points.get((name, fraction), casadi.SX(number)))
+        # Pyomo has folded the declared times into the condition: compare at just those.
+        old.extend(table.horizon)
+        new.extend(
+            casadi.SX(t) for t in (self.copy.declared_times[0], self.copy.declared_times[-1])
+        )
+        numbers = self._writer.scheduled_before(time)
+        moved, held = casadi.substitute(
+            [casadi.SX(equation.expression), casadi.SX(condition.expression)],
+            [*old, *(symbol for symbol, _ in numbers.values())],
+            [*new, *(number for _, number in numbers.values())],
+        )
+        is_scheduled = self._writer.is_scheduled(equation.name)
+        if is_scheduled and symbol_names(moved) == symbol_names(held):
+            return True
+        return same_expression(moved, held)
+
+    def values_at_points(self, conditions: list[PointCondition]) -> list[tuple[str, float]]:
+        """Return what is fixed at declared times; add bounds that hold only there."""
+        fixed = []
+        table = self.symbols
+        for slot in (*table.states.values(), *table.algebraics.values()):
+            variable = self.copy.model.find_component(slot.component)
+            for time in self.copy.declared_times:
+                data = variable[self.addresses.join(variable, slot.index, time)]
+                if data.fixed and data.value is None:
+                    raise TranscriptionError(f"{data.name}: is fixed without a value; give it one.")
+                if data.fixed and slot.rate is not None:
+                    fixed.append((slot.name, table.fraction_of(time)))
+                elif data.fixed:
+                    conditions.append(self._held(data))
+                elif data.bounds != self._bounds_over_time(variable, slot, time):
+                    conditions.append(
+                        PointCondition(
+                            name=data.name,
+                            expression=casadi.SX(self._writer.write(data, data.name)),
+                            lower=self._writer.bound(data.lower, -casadi.inf, data.name),
+                            upper=self._writer.bound(data.upper, casadi.inf, data.name),
+                        )
+                    )
+        return fixed
+
+    def _held(self, data: Any) -> PointCondition:
+        """Return the condition that an algebraic variable keeps its fixed value at a time."""
+        number = self.symbols.fixed_value(data)
+        expression = casadi.SX(self._writer.write(data, data.name)) - number
+        return PointCondition(
+            name=data.name, expression=expression, lower=casadi.SX(0), upper=casadi.SX(0)
+        )
+
+    def _bounds_over_time(self, variable: Any, slot: Slot, time: float) -> tuple[Any, Any]:
+        """Return the bounds that a variable has at a time because it has them at all times."""
+        rule = bounds_rule_of(variable)
+        if rule is None:
+            time = self.copy.template_time
+            return tuple(variable[self.addresses.join(variable, slot.index, time)].bounds)
+        index = self.addresses.join(variable, slot.index, time)
+        lower, upper = rule(variable.parent_block(), index)
+        return (
+            None if lower is None else value(lower),
+            None if upper is None else value(upper),
+        )
+
+
+def read_declarations(model: Any, final_time: Any = None) -> tuple[Declarations, ModelReader]:
+    """Read what a Pyomo model declares.
+
+    Parameters
+    ----------
+    model : ConcreteModel
+        With one ContinuousSet that is not discretised, or with none at all.
+    final_time : Var, optional
+        A static variable of the model that is to be the end of the horizon.
+
+    Returns
+    -------
+    Declarations, ModelReader
+        The declarations, and the reader, which can write further expressions of the model in
+        the same symbols.
+
+    Raises
+    ------
+    TranscriptionError
+        If the model declares something unsupported or incomplete; the message names it.
+    """
+    reader = ModelReader(copy_with_template_time(model), final_time)
+    return reader.read(), reader
+
+
+class ModelReader:
+    """Reads one working copy; one call to `read`."""
+
+    def __init__(self, copy: WorkingCopy, final_time: Any) -> None:
+        self.copy = copy
+        self.writer = TemplateWriter(copy, final_time)
+        self.addresses = self.writer.addresses
+        self.symbols = self.writer.symbols
+
+    def read(self) -> Declarations:
+        """Return the declarations of the model."""
+        relations = RelationReader(self.writer)
+        equations, conditions = relations.constraints()
+        objective = self._objective()
+        cost = casadi.SX(self.writer.write(objective.expr, objective.name))
+        self._require_dynamics(equations)
+        fixed = relations.values_at_points(conditions)
+        self._read_expressions()
+        table = self.symbols
+        nominal = self._nominal_magnitudes()
+        used = symbol_names(casadi.vertcat(cost, *[c.expression for c in conditions]))
+        return Declarations(
+            states=self._finished(table.states, nominal, self.writer.bounds_over_time),
+            algebraics=self._finished(
+                self._used_algebraics(equations, cost), nominal, self.writer.bounds_over_time
+            ),
+            statics=self._finished(table.statics, nominal, self._bounds),
+            signals=tuple(table.signals.values()),
+            scheduled=tuple(slot for s in self.writer.schedules for slot in s.slots),
+            fraction=table.fraction,
+            span=table.span,
+            start=table.start,
+            equations=tuple(equations),
+            conditions=tuple(conditions),
+            point_symbols=tuple(p for p in table.points.values() if p.symbol.name() in used),
+            integrals=tuple(self.writer.integrals.values()),
+            objective=cost,
+            fixed=tuple(fixed),
+            maximise=objective.sense == maximize,
+            objective_name=objective.name,
+            has_horizon=self.copy.time is not None,
+            # Last, because bounds may have brought in further parameters.
+            parameters=tuple(table.parameters.values()),
+        )
+
+    def _read_expressions(self) -> None:
+        """Meet the parameters of every expression over time, so that all can be evaluated."""
+        for component in self.copy.model.component_objects(
+            Expression, active=True, descend_into=True
+        ):
+            if self.addresses.time_position(component) is not None:
+                for index in component:
+                    address = self.addresses.split(component, index)
+                    if address.time == self.copy.template_time:
+                        self.writer.write_at_template(component, address.index)
+
+    def _used_algebraics(self, equations: list[PathEquation], cost: Any) -> dict[str, Slot]:
+        """Return the algebraic variables that some equation or integrand holds."""
+        parts = [part for e in equations for part in (e.expression, e.lower, e.upper)]
+        parts += [i.integrand for i in self.writer.integrals.values()]
+        used = symbol_names(casadi.vertcat(cost, *parts))
+        return {name: s for name, s in self.symbols.algebraics.items() if name in used}
+
+    def _objective(self) -> Any:
+        objectives = list(
+            self.copy.model.component_data_objects(Objective, active=True, descend_into=True)
+        )
+        if len(objectives) != 1:
+            names = ", ".join(o.name for o in objectives) or "none"
+            raise TranscriptionError(
+                f"objective: {len(objectives)} active ({names}); exactly one is needed; declare "
+                "or activate one Objective."
+            )
+        return objectives[0]
+
+    def _require_dynamics(self, equations: list[PathEquation]) -> None:
+        used: set[str] = set()
+        for equation in equations:
+            if equation.is_equality:
+                used |= symbol_names(equation.expression)
+        for state in self.symbols.states.values():
+            if state.rate.name() not in used:
+                raise TranscriptionError(
+                    f"{self._derivative_name(state)}: no equation over time holds this "
+                    "derivative; declare its dynamics as an equality constraint."
+                )
+
+    def _derivative_name(self, state: Slot) -> str:
+        for derivative in self.copy.model.component_objects(DerivativeVar, descend_into=True):
+            if derivative.get_state_var().name == state.component:
+                return indexed_name(derivative.name, state.index)
+        return f"derivative of {state.name}"
+
+    def _nominal_magnitudes(self) -> dict[str, float]:
+        """Return nominal magnitudes from Suffix `scaling_factor`, by component or slot name."""
+        nominal: dict[str, float] = {}
+        for suffix in self.copy.model.component_objects(Suffix, descend_into=True):
+            if suffix.local_name == "scaling_factor":
+                for item, factor in suffix.items():
+                    if item is not None and factor:
+                        nominal[item.name] = 1.0 / float(factor)
+        return nominal
+
+    def _bounds(self, slot: Slot) -> tuple[Any, Any]:
+        """Return the bounds of a static variable."""
+        return (
+            self.writer.bound(slot.lower, -casadi.inf, slot.name),
+            self.writer.bound(slot.upper, casadi.inf, slot.name),
+        )
+
+    @staticmethod
+    def _finished(
+        table: dict[str, Slot],
+        nominal: dict[str, float],
+        bounds: Callable[[Slot], tuple[Any, Any]],
+    ) -> tuple[Slot, ...]:
+        """Write the bounds of slots as CasADi expressions and give them their magnitudes."""
+        finished = []
+        for slot in table.values():
+            lower, upper = bounds(slot)
+            magnitude = nominal.get(slot.name, nominal.get(slot.component))
+            finished.append(replace(slot, lower=lower, upper=upper, nominal=magnitude))
+        return tuple(finished)

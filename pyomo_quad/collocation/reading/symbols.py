@@ -1,0 +1,567 @@
+"""What a model declares, in CasADi symbols: variables, parameters and where they sit."""
+
+from __future__ import annotations
+
+import operator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import casadi
+from pyomo.common.numeric_types import RegisterNumericType
+from pyomo.dae import DerivativeVar
+from pyomo.environ import ConcreteModel, Param, value
+
+from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.reading.copy import rule_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pyomo.dae import ContinuousSet
+
+    from pyomo_quad.collocation.reading.copy import WorkingCopy
+
+
+class TimeSymbol:
+    """The template's instant as an index, and physical time as a parameter in arithmetic.
+
+    Parameters
+    ----------
+    template : float
+        The instant that it is equal to.
+    parameter : Param
+        What it is in arithmetic.
+    declared : tuple of float, optional
+        Times with which a rule may compare it.
+    number : float, optional
+        What it compares as; the template's instant by default.
+
+    Attributes
+    ----------
+    is_read : bool
+        Whether the rule asked for the number, other than to compare it with a declared time.
+    """
+
+    def __init__(
+        self,
+        template: float,
+        parameter: Any,
+        declared: tuple[float, ...] = (),
+        number: float | None = None,
+    ) -> None:
+        self.template = template
+        self.parameter = parameter
+        self.is_read = False
+        self._declared = declared
+        self._number = template if number is None else number
+
+    def __hash__(self) -> int:
+        return hash(self.template)
+
+    def __eq__(self, other: object) -> bool:
+        return self.template == other
+
+    def _compare(self, relation: Callable[[Any, Any], Any], other: Any) -> bool:
+        """Return how the number compares with another, and take note of it."""
+        # Two symbols are compared when an Integral sorts its times.
+        if isinstance(other, TimeSymbol):
+            return bool(relation(self._number, other._number))  # noqa: SLF001
+        if other not in self._declared:
+            self.is_read = True
+        return bool(relation(self._number, other))
+
+    def __lt__(self, other: Any) -> bool:
+        return self._compare(operator.lt, other)
+
+    def __le__(self, other: Any) -> bool:
+        return self._compare(operator.le, other)
+
+    def __gt__(self, other: Any) -> bool:
+        return self._compare(operator.gt, other)
+
+    def __ge__(self, other: Any) -> bool:
+        return self._compare(operator.ge, other)
+
+    def __float__(self) -> float:
+        self.is_read = True
+        return self._number
+
+    def __call__(self, *, exception: bool = True) -> float:
+        """Give Pyomo's `value` the number."""
+        del exception
+        return float(self)
+
+    def __bool__(self) -> bool:
+        return bool(float(self))
+
+    def __int__(self) -> int:
+        return int(float(self))
+
+    def __add__(self, other: Any) -> Any:
+        return self.parameter + other
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Any:
+        # Two symbols meet only as the ends of a trapezoid in an Integral: a width of one
+        # turns that trapezoid into the integrand itself.
+        return 1.0 if isinstance(other, TimeSymbol) else self.parameter - other
+
+    def __rsub__(self, other: Any) -> Any:
+        return other - self.parameter
+
+    def __mul__(self, other: Any) -> Any:
+        return self.parameter * other
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> Any:
+        return self.parameter / other
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return other / self.parameter
+
+    def __pow__(self, other: Any) -> Any:
+        return self.parameter**other
+
+    def __rpow__(self, other: Any) -> Any:
+        return other**self.parameter
+
+    def __neg__(self) -> Any:
+        return -self.parameter
+
+    def __abs__(self) -> Any:
+        return abs(self.parameter)
+
+    def is_numeric_type(self) -> bool:
+        """Make Pyomo's functions ask for `as_numeric`."""
+        return False
+
+    def as_numeric(self) -> Any:
+        """Give Pyomo's functions the parameter."""
+        return self.parameter
+
+
+class Instant(float):
+    """A time as the number that it is, and as an index equal to the template's instant."""
+
+    __slots__ = ("template",)
+    template: float
+
+    def __new__(cls, time: float, template: float) -> Self:
+        """Return the number, equal to another."""
+        made = super().__new__(cls, time)
+        made.template = template
+        return made
+
+    def __hash__(self) -> int:
+        return hash(self.template)
+
+    def __eq__(self, other: object) -> bool:
+        return self.template == other
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
+
+    def __sub__(self, other: Any) -> Any:
+        # As of two symbols: the ends of the trapezoid of an Integral are one unit apart.
+        return 1.0 if isinstance(other, Instant) else float(self) - other
+
+
+RegisterNumericType(Instant)
+
+
+class _TrapezoidProbe:
+    """A block that shows its continuous set as one trapezoid between equal times."""
+
+    def __init__(self, block: Any, continuous_set: Any, symbol: TimeSymbol | Instant) -> None:
+        self._block = block
+        self._set_name = continuous_set.local_name
+        self._symbol = symbol
+
+    def find_component(self, name: str) -> Any:
+        if name == self._set_name:
+            return [self._symbol, self._symbol]
+        return self._block.find_component(name)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._block, name)
+
+
+def time_parameter() -> Any:
+    """Return a mutable Pyomo parameter that stands for physical time, and has no value."""
+    owner = ConcreteModel()
+    owner.time = Param(mutable=True)
+    return owner.time
+
+
+def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
+    """Return an Integral's integrand at a time symbol or an instant.
+
+    `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids; shown a single
+    trapezoid of unit width between equal times, that rule returns the integrand.
+    """
+    probe = _TrapezoidProbe(integral.parent_block(), integral.get_continuousset(), symbol)
+    return integral._rule(probe, index)  # noqa: SLF001
+
+
+@dataclass(frozen=True)
+class Address:
+    """Component name, index without time, and time (None for what does not vary)."""
+
+    component: str
+    index: tuple[Any, ...]
+    time: float | None
+
+    @property
+    def name(self) -> str:
+        """Name of the function of time, as ``rotors.omega[1]``."""
+        return indexed_name(self.component, self.index)
+
+
+def indexed_name(component: str, index: tuple[Any, ...]) -> str:
+    """Return the name of a component's member with its index in brackets."""
+    return f"{component}[{','.join(str(i) for i in index)}]" if index else component
+
+
+def _as_tuple(index: Any) -> tuple[Any, ...]:
+    if index is None:
+        return ()
+    return index if isinstance(index, tuple) else (index,)
+
+
+class AddressBook:
+    """Addresses of data objects with respect to one continuous set."""
+
+    def __init__(self, time: ContinuousSet | None) -> None:
+        self._time = time
+        self._positions: dict[int, int | None] = {}
+
+    def time_position(self, component: Any) -> int | None:
+        """Return where time stands in a component's index, None if it does not."""
+        key = id(component)
+        if key not in self._positions:
+            self._positions[key] = self._find(component)
+        return self._positions[key]
+
+    def _find(self, component: Any) -> int | None:
+        if self._time is None or not component.is_indexed():
+            return None
+        offset, found = 0, None
+        for subset in component.index_set().subsets():
+            if subset is self._time:
+                if found is not None:
+                    raise TranscriptionError(
+                        f"{component.name}: indexed twice by {self._time.name}; once is supported."
+                    )
+                found = offset
+            offset += subset.dimen or 1
+        return found
+
+    def of(self, data: Any) -> Address:
+        """Return the address of a variable, parameter or constraint data object."""
+        component = data.parent_component()
+        return self.split(component, data.index())
+
+    def split(self, component: Any, index: Any) -> Address:
+        """Split a component's full index into the index without time, and the time."""
+        whole = _as_tuple(index)
+        position = self.time_position(component)
+        if position is None:
+            return Address(component.name, whole, None)
+        rest = whole[:position] + whole[position + 1 :]
+        return Address(component.name, rest, whole[position])
+
+    def join(self, component: Any, index: tuple[Any, ...], time: Any) -> Any:
+        """Return a component's full index at a time: the inverse of `split`."""
+        position = self.time_position(component)
+        if position is None:
+            return index[0] if len(index) == 1 else (index or None)
+        whole = (*index[:position], time, *index[position:])
+        return whole[0] if len(whole) == 1 else whole
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slot:
+    """One scalar function of time (or static scalar): its name and its symbol.
+
+    `bounds` are CasADi expressions of the parameters; `nominal` is a magnitude for scaling or
+    None.
+    """
+
+    name: str
+    component: str
+    index: tuple[Any, ...]
+    symbol: Any
+    lower: Any = None
+    upper: Any = None
+    nominal: float | None = None
+    rate: Any = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathEquation:
+    """A relation lower <= expression <= upper imposed at every collocation point."""
+
+    name: str
+    expression: Any
+    lower: Any
+    upper: Any
+    is_equality: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointSymbol:
+    """The value (or rate) of a slot at one declared time, as a fraction of the horizon."""
+
+    slot: str
+    fraction: float
+    is_rate: bool
+    symbol: Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointCondition:
+    """A relation among values at declared times, static variables and integrals."""
+
+    name: str
+    expression: Any
+    lower: Any
+    upper: Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class Integral:
+    """An integral over the horizon: its symbol in conditions and its integrand."""
+
+    name: str
+    symbol: Any
+    integrand: Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class Declarations:
+    """A continuous model as the transcription needs it.
+
+    `fixed` lists slots whose value a user fixed at a declared time, as (name, fraction); the
+    value itself is read when the problem is solved.  `signals` are parameters over time,
+    `scheduled` what else changes with time and is no formula of it, such as the numbers of a
+    rule that looks them up.
+    """
+
+    states: tuple[Slot, ...]
+    algebraics: tuple[Slot, ...]
+    statics: tuple[Slot, ...]
+    parameters: tuple[Slot, ...]
+    signals: tuple[Slot, ...]
+    scheduled: tuple[Slot, ...]
+    fraction: Any
+    span: Any
+    start: Any
+    equations: tuple[PathEquation, ...]
+    conditions: tuple[PointCondition, ...]
+    point_symbols: tuple[PointSymbol, ...]
+    integrals: tuple[Integral, ...]
+    objective: Any
+    maximise: bool
+    fixed: tuple[tuple[str, float], ...] = ()
+    outputs: tuple[Slot, ...] = ()
+    output_equations: tuple[PathEquation, ...] = ()
+    output_starts: tuple[PointCondition, ...] = ()
+    objective_name: str = ""
+    has_horizon: bool = True
+
+    @property
+    def has_signals(self) -> bool:
+        """Whether anything changes with time that is no formula of it."""
+        return bool(self.signals or self.scheduled)
+
+    @property
+    def path_data(self) -> tuple[Any, ...]:
+        """Symbols of the data of a point, in order: fraction, signals, schedules, parameters."""
+        slots = (*self.signals, *self.scheduled, *self.parameters)
+        return (self.fraction, *(s.symbol for s in slots))
+
+
+class SymbolTable:
+    """Makes a symbol when a variable or parameter is first met, and keeps it.
+
+    In a path equation a variable at the template time becomes a template symbol; anywhere
+    else a variable at a time becomes a point symbol.
+    """
+
+    def __init__(self, copy: WorkingCopy, addresses: AddressBook, final_time: Any) -> None:
+        self._copy = copy
+        self._addresses = addresses
+        self.states: dict[str, Slot] = {}
+        self.algebraics: dict[str, Slot] = {}
+        self.statics: dict[str, Slot] = {}
+        self.parameters: dict[str, Slot] = {}
+        self.signals: dict[str, Slot] = {}
+        self.points: dict[tuple[str, float, bool], PointSymbol] = {}
+        self.signal_points: dict[tuple[str, float], Any] = {}
+        self.fraction = casadi.SX.sym("fraction")
+        self._derivatives = {
+            d.get_state_var().name: d
+            for d in copy.model.component_objects(DerivativeVar, descend_into=True)
+        }
+        self.start = self._horizon("horizon.start", 0)
+        self.end = self._end(final_time)
+        self.span = self.end - self.start
+
+    def _horizon(self, name: str, position: int) -> Any:
+        if self._copy.time is None:
+            return casadi.SX(position)
+        symbol = casadi.SX.sym(name)
+        self.parameters[name] = Slot(name=name, component=name, index=(position,), symbol=symbol)
+        return symbol
+
+    def _end(self, final_time: Any) -> Any:
+        if final_time is None:
+            return self._horizon("horizon.end", 1)
+        if final_time.is_indexed() or not final_time.is_variable_type():
+            raise TranscriptionError(
+                f"{final_time.name}: the final time must be a static variable, a Var without index."
+            )
+        return self._static(self._copy.model.find_component(final_time.name))
+
+    @property
+    def horizon(self) -> tuple[Any, Any]:
+        """Symbols of start and end."""
+        return self.start, self.end
+
+    @property
+    def time(self) -> Any:
+        """Physical time at the template point."""
+        return self.start + self.span * self.fraction
+
+    def leaf(self, data: Any) -> Any:
+        """Return the symbol of a Pyomo variable or mutable parameter."""
+        address = self._addresses.of(data)
+        if data.is_variable_type():
+            if address.time is None:
+                return self._static(data)
+            return self._varying(data, address)
+        if address.time is None:
+            return self._scalar(self.parameters, data, address.name)
+        return self._signal(data, address)
+
+    def _scalar(self, table: dict[str, Slot], data: Any, name: str, **more: Any) -> Any:
+        if name not in table:
+            address = self._addresses.of(data)
+            table[name] = Slot(
+                name=name,
+                component=address.component,
+                index=_whole_index(data),
+                symbol=casadi.SX.sym(name),
+                **more,
+            )
+        return table[name].symbol
+
+    def fixed_value(self, data: Any) -> Any:
+        """Return the symbol of a parameter that holds a fixed variable's value."""
+        return self._scalar(self.parameters, data, f"{data.name} (fixed)")
+
+    def _static(self, data: Any) -> Any:
+        if data.fixed:
+            return self._scalar(self.parameters, data, data.name)
+        return self._scalar(self.statics, data, data.name, lower=data.lower, upper=data.upper)
+
+    def _is_clock(self, data: Any) -> bool:
+        """Say whether a parameter over time is time itself."""
+        component, index = data.parent_component(), self._addresses.of(data).index
+        is_time_where_declared = all(
+            value(component[self._addresses.join(component, index, t)], exception=False) == t
+            for t in self._copy.declared_times
+        )
+        rule = rule_of(component)
+        if not is_time_where_declared or rule is None:
+            return False
+        symbol = TimeSymbol(self._copy.template_time, time_parameter())
+        position = self._addresses.join(component, index, symbol)
+        try:
+            said = rule(component.parent_block(), position)
+        except Exception:  # noqa: BLE001  the rule is the user's: it may raise anything
+            return False
+        return said is symbol
+
+    def _signal(self, data: Any, address: Any) -> Any:
+        if self._is_clock(data):
+            return self._physical_time(address.time)
+        name = address.name
+        if address.time != self._copy.template_time:
+            key = (name, self.fraction_of(address.time))
+            return self.signal_points.setdefault(key, casadi.SX.sym(data.name))
+        if name not in self.signals:
+            self.signals[name] = Slot(
+                name=name,
+                component=address.component,
+                index=address.index,
+                symbol=casadi.SX.sym(name),
+            )
+        return self.signals[name].symbol
+
+    def _physical_time(self, time: float) -> Any:
+        if time == self._copy.template_time:
+            return self.time
+        return self.start + self.span * self.fraction_of(time)
+
+    def fraction_of(self, time: float) -> float:
+        """Return a declared time as a fraction of the declared horizon."""
+        first, last = self._copy.declared_times[0], self._copy.declared_times[-1]
+        return (time - first) / (last - first)
+
+    def _varying(self, data: Any, address: Any) -> Any:
+        component = data.parent_component()
+        is_rate = component.ctype is DerivativeVar
+        variable = component.get_state_var() if is_rate else component
+        slot = self._slot(variable, address)
+        if slot is None:
+            first = self._addresses.join(variable, address.index, self._copy.declared_times[0])
+            return self._scalar(self.parameters, variable[first], variable[first].name)
+        if address.time == self._copy.template_time:
+            return slot.rate / self.span if is_rate else slot.symbol
+        key = (slot.name, self.fraction_of(address.time), is_rate)
+        if key not in self.points:
+            symbol = casadi.SX.sym(data.name)
+            self.points[key] = PointSymbol(
+                slot=slot.name, fraction=key[1], is_rate=is_rate, symbol=symbol
+            )
+        symbol = self.points[key].symbol
+        return symbol / self.span if is_rate else symbol
+
+    def _slot(self, variable: Any, address: Any) -> Slot | None:
+        """Return the slot of a function of time, None if it is fixed throughout."""
+        name = indexed_name(variable.name, address.index)
+        for table in (self.states, self.algebraics):
+            if name in table:
+                return table[name]
+        template = variable[self._addresses.join(variable, address.index, self._copy.template_time)]
+        is_state = variable.name in self._derivatives
+        if not is_state and self._is_fixed_throughout(variable, address.index):
+            return None
+        symbol = casadi.SX.sym(name)
+        slot = Slot(
+            name=name,
+            component=variable.name,
+            index=address.index,
+            symbol=symbol,
+            lower=template.lower,
+            upper=template.upper,
+            rate=casadi.SX.sym(f"d({name})") if is_state else None,
+        )
+        (self.states if is_state else self.algebraics)[name] = slot
+        return slot
+
+    def _is_fixed_throughout(self, variable: Any, index: tuple[Any, ...]) -> bool:
+        return all(
+            variable[self._addresses.join(variable, index, t)].fixed
+            for t in self._copy.declared_times
+        )
+
+
+def _whole_index(data: Any) -> tuple[Any, ...]:
+    index = data.index()
+    if index is None:
+        return ()
+    return index if isinstance(index, tuple) else (index,)

@@ -1,0 +1,202 @@
+"""Numbers for the compiled equations: held by the model, or given by the caller."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pyomo.core.base.component import Component
+from pyomo.core.expr.numvalue import NumericValue
+from pyomo.environ import value
+
+from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.model_source import as_reading
+from pyomo_quad.collocation.reading.schedules import BESIDE, jumps, one_sided, probes
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.mesh import FloatArray
+    from pyomo_quad.collocation.model_source import LiveModel, ModelSnapshot
+    from pyomo_quad.collocation.problem import Instance
+    from pyomo_quad.collocation.reading.symbols import Declarations, Slot
+
+Overrides = Mapping[Any, float | Callable[[float], float]]
+
+
+class ModelValues:
+    """Gives the numbers of a model in the order of its declarations."""
+
+    def __init__(self, source: LiveModel | ModelSnapshot, declared: Declarations) -> None:
+        self._source = source
+        self._declared = declared
+        # Names already looked up: parsing them again costs a warm re-solve a tenth of its time.
+        self._known: set[str] = set()
+        self._is_end_free = declared.has_horizon and all(
+            p.name != "horizon.end" for p in declared.parameters
+        )
+        self._widest = self.declared_horizon
+
+    @property
+    def declared_horizon(self) -> tuple[float, float]:
+        """Start and end of the continuous set."""
+        times = self._source.times
+        return (times[0], times[-1]) if times else (0.0, 1.0)
+
+    def parameters(
+        self, overrides: Overrides | None, horizon: tuple[float, float] | None
+    ) -> FloatArray:
+        """Return parameter values, shape (n_parameters,).
+
+        Raises
+        ------
+        TranscriptionError
+            If an override names no mutable parameter of the model, or a value is missing.
+        """
+        named = self.by_name(overrides)
+        start, end = horizon or self.declared_horizon
+        ends = {"horizon.start": start, "horizon.end": end}
+        return np.array([self._parameter(slot, named, ends) for slot in self._declared.parameters])
+
+    def by_name(self, overrides: Overrides | None) -> dict[str, Any]:
+        """Return new values of parameters by full name."""
+        named = {
+            key.name
+            if isinstance(key, Component) or hasattr(key, "parent_component")
+            else str(key): float(value(v)) if isinstance(v, NumericValue) else v
+            for key, v in (overrides or {}).items()
+        }
+        if self._is_end_free and any(callable(v) for v in named.values()):
+            raise TranscriptionError(
+                "parameters: a function of time cannot be given where the end time is free, which "
+                "moves it; declare it as the parameter's rule."
+            )
+        for name in named.keys() - self._known:
+            if not self._source.has(name):
+                raise TranscriptionError(
+                    f"parameters: {name!r} is not a component of the model; give the full name of "
+                    "a mutable Param."
+                )
+            self._known.add(name)
+        return named
+
+    def _parameter(self, slot: Slot, named: dict[str, Any], ends: dict[str, float]) -> float:
+        if slot.name in ends:
+            return ends[slot.name]
+        if slot.name in named:
+            return float(value(named[slot.name]))
+        return _present(slot.name, self._source.parameter(slot))
+
+    def signals(self, instance: Instance) -> Callable[[float], list[float]]:
+        """Return what changes with time as a function of the fraction of the horizon.
+
+        Raises
+        ------
+        TranscriptionError
+            If a parameter over time has no rule and no override to evaluate it at any time; the
+            function, if a rule says something that was not compiled.
+        """
+        start, end = self._rule_horizon(instance.horizon)
+        found = self._signal_functions(instance.overrides)
+
+        def at(fraction: float) -> list[float]:
+            time = start + (end - start) * one_sided(fraction, instance.jumps)
+            scheduled = (number for said in self._source.schedules for number in said.row(time))
+            return [*(signal(time) for signal in found), *scheduled]
+
+        return at
+
+    def jumps(
+        self, overrides: Overrides | None, horizon: tuple[float, float] | None
+    ) -> tuple[float, ...]:
+        """Return where signals may jump, as fractions of the horizon.
+
+        These are the declared times, and where a rule or parameter is found to jump.
+        """
+        if not self._declared.has_signals:
+            return ()
+        start, end = self._rule_horizon(horizon or self.declared_horizon)
+        declared = [t for t in self._source.times[1:-1] if start < t < end]
+        asked = probes([start, *declared, end])
+        readings = [s.reading for s in self._source.schedules] + [
+            partial(as_reading, signal) for signal in self._signal_functions(overrides)
+        ]
+        found = {t for reading in readings for t in jumps(reading, asked)}
+        fractions = sorted((t - start) / (end - start) for t in found.union(declared))
+        return tuple(f for k, f in enumerate(fractions) if k == 0 or f - fractions[k - 1] > BESIDE)
+
+    def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
+        """Return the horizon in the time of rules: a free end stretches the declared times."""
+        found = self.declared_horizon if self._is_end_free else horizon
+        self._widest = min(self._widest[0], found[0]), max(self._widest[1], found[1])
+        return found
+
+    def _signal_functions(self, overrides: Overrides | None) -> list[Callable[[float], float]]:
+        if not self._declared.signals:
+            return []
+        named = self.by_name(overrides)
+        return [self._signal(slot, named) for slot in self._declared.signals]
+
+    def _signal(self, slot: Slot, named: dict[str, Any]) -> Callable[[float], float]:
+        if slot.name in named:
+            given = named[slot.name]
+            return (lambda t: float(given(t))) if callable(given) else (lambda _t: float(given))
+        return self._source.signal(slot)
+
+    def fixed(self) -> dict[tuple[str, float], float]:
+        """Return the values a user fixed at declared times, by slot name and fraction."""
+        first, last = self.declared_horizon
+        slots = {s.name: s for s in self._every_slot()}
+        found: dict[tuple[str, float], float] = {}
+        for name, fraction in self._declared.fixed:
+            time = self._declared_time(first, last, fraction)
+            found[name, fraction] = _present(name, self._source.variable(slots[name], time))
+        return found
+
+    def _declared_time(self, first: float, last: float, fraction: float) -> float:
+        wanted = first + (last - first) * fraction
+        return min(self._source.times, key=lambda t: abs(t - wanted))
+
+    def _every_slot(self) -> tuple[Slot, ...]:
+        d = self._declared
+        return (*d.states, *d.algebraics, *d.outputs)
+
+    def initial_values(self, slot: Slot) -> list[tuple[float, float]]:
+        """Return the (fraction, value) pairs that the model's variable holds."""
+        first, last = self.declared_horizon
+        pairs = []
+        for time in self._source.times:
+            held = self._source.variable(slot, time)
+            if held is not None:
+                pairs.append(((time - first) / (last - first), held))
+        return pairs
+
+    def static_value(self, slot: Slot) -> float | None:
+        """Return the value a static variable holds, None if it has none."""
+        return self._source.variable(slot)
+
+    def declared_fractions(self) -> list[float]:
+        """Return the declared times as fractions of the horizon."""
+        first, last = self.declared_horizon
+        return [(t - first) / (last - first) for t in self._source.times]
+
+    def load(self, slot: Slot, fraction: float | None, number: float) -> None:
+        """Put a solved value into the model's variable, unless a user fixed it there."""
+        time = None
+        if fraction is not None:
+            time = self._declared_time(*self.declared_horizon, fraction)
+        self._source.load(slot, time, number)
+
+    def load_rates(self, fraction: float, rate: Callable[..., float]) -> None:
+        """Put solved rates, by component and index, into the model's derivatives at a time."""
+        self._source.load_rates(self._declared_time(*self.declared_horizon, fraction), rate)
+
+    def snapshot(self) -> ModelSnapshot:
+        """Return what the model holds, over the widest horizon that was asked for so far."""
+        return self._source.snapshot(self._declared, self._widest)
+
+
+def _present(name: str, number: float | None) -> float:
+    if number is None:
+        raise TranscriptionError(f"{name}: has no value; give it one before the solve.")
+    return number

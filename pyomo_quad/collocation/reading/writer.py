@@ -1,0 +1,482 @@
+"""Pyomo expressions and components as CasADi expressions of the template point."""
+
+from __future__ import annotations
+
+import operator
+from bisect import bisect_left
+from dataclasses import replace
+from functools import partial, reduce
+from typing import TYPE_CHECKING, Any
+
+import casadi
+import numpy as np
+from pyomo.common.log import LoggingIntercept
+from pyomo.core.base.constraint import ConstraintData
+from pyomo.core.base.units_container import _PyomoUnit
+from pyomo.core.expr import numeric_expr
+from pyomo.core.expr.numvalue import native_types
+from pyomo.core.expr.visitor import StreamBasedExpressionVisitor
+from pyomo.dae import DerivativeVar
+from pyomo.dae import Integral as PyomoIntegral
+from pyomo.environ import Constraint, Expression, Param, Var
+
+from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.reading.copy import bounds_rule_of, rule_of
+from pyomo_quad.collocation.reading.schedules import BESIDE, Schedule, Statement
+from pyomo_quad.collocation.reading.symbols import (
+    AddressBook,
+    Instant,
+    Integral,
+    PathEquation,
+    SymbolTable,
+    TimeSymbol,
+    indexed_name,
+    integrand,
+    time_parameter,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from pyomo_quad.collocation.reading.copy import WorkingCopy
+    from pyomo_quad.collocation.reading.symbols import Address, Slot
+
+# Points at which two expressions must agree to be the same.
+_COMPARED = 5
+
+_UNARY: dict[str, Callable[[Any], Any]] = {
+    "sin": casadi.sin,
+    "cos": casadi.cos,
+    "tan": casadi.tan,
+    "asin": casadi.asin,
+    "acos": casadi.acos,
+    "atan": casadi.atan,
+    "sinh": casadi.sinh,
+    "cosh": casadi.cosh,
+    "tanh": casadi.tanh,
+    "asinh": casadi.asinh,
+    "acosh": casadi.acosh,
+    "atanh": casadi.atanh,
+    "exp": casadi.exp,
+    "log": casadi.log,
+    "log10": casadi.log10,
+    "sqrt": casadi.sqrt,
+}
+
+
+def _sum(*terms: Any) -> Any:
+    return reduce(operator.add, terms)
+
+
+_OPERATIONS: tuple[tuple[Any, Callable[..., Any]], ...] = (
+    (numeric_expr.ProductExpression, operator.mul),
+    (numeric_expr.SumExpression, _sum),
+    (numeric_expr.LinearExpression, _sum),
+    (numeric_expr.PowExpression, operator.pow),
+    (numeric_expr.NegationExpression, operator.neg),
+    (numeric_expr.DivisionExpression, operator.truediv),
+    (numeric_expr.AbsExpression, casadi.fabs),
+)
+
+
+class ExpressionWriter:
+    """Rewrite Pyomo expressions in CasADi symbols that a leaf function chooses.
+
+    Parameters
+    ----------
+    leaf : callable
+        Takes a Pyomo variable or mutable parameter (data object) and returns its symbol.
+    named : callable, optional
+        Takes a named expression and returns what to write instead of its own expression: a
+        CasADi symbol, another Pyomo expression, or None to keep it.
+
+    Notes
+    -----
+    A named expression is written once and shared afterwards, so the work grows with the
+    text of the model and not with how often an expression is used.
+    """
+
+    def __init__(
+        self, leaf: Callable[[Any], Any], named: Callable[[Any], Any] | None = None
+    ) -> None:
+        self._leaf = leaf
+        self._replace = named or (lambda _expression: None)
+        self._named: dict[int, Any] = {}
+        self._owner = ""
+        self._visitor = StreamBasedExpressionVisitor(
+            beforeChild=self._before_child,
+            exitNode=self._exit_node,
+            initializeWalker=self._initialize,
+        )
+
+    def write(self, expression: Any, owner: str) -> Any:
+        """Return the CasADi expression of a Pyomo expression (or number).
+
+        Raises
+        ------
+        TranscriptionError
+            If the expression holds something that has no smooth CasADi counterpart.
+        """
+        self._owner = owner
+        return self._visitor.walk_expression(expression)
+
+    def _initialize(self, expression: Any) -> tuple[bool, Any]:
+        go_on, value = self._before_child(None, expression, 0)
+        return go_on, expression if go_on else value
+
+    def _before_child(self, _parent: Any, child: Any, _index: int) -> tuple[bool, Any]:
+        if child.__class__ in native_types:
+            return False, child
+        if not child.is_expression_type():
+            if isinstance(child, _PyomoUnit):
+                return False, 1.0
+            return False, self._leaf(child)
+        if isinstance(child, numeric_expr.Expr_ifExpression):
+            raise self._unsupported("Expr_if")
+        if not child.is_named_expression_type():
+            return True, None
+        if id(child) not in self._named:
+            replacement = self._replace(child)
+            if replacement is None:
+                return True, None
+            if not isinstance(replacement, casadi.SX):
+                replacement = self._visitor.walk_expression(replacement)
+            self._named[id(child)] = replacement
+        return False, self._named[id(child)]
+
+    def _exit_node(self, node: Any, arguments: list[Any]) -> Any:
+        if node.is_named_expression_type():
+            self._named[id(node)] = arguments[0]
+            return arguments[0]
+        return self._apply(node, arguments)
+
+    def apply(self, node: Any, arguments: list[Any], owner: str) -> Any:
+        """Return the CasADi expression of an operation on arguments that are written already."""
+        self._owner = owner
+        return self._apply(node, arguments)
+
+    def _apply(self, node: Any, arguments: list[Any]) -> Any:
+        for kind, operation in _OPERATIONS:
+            if isinstance(node, kind):
+                return operation(*arguments)
+        if isinstance(node, numeric_expr.UnaryFunctionExpression) and node.name in _UNARY:
+            return _UNARY[node.name](arguments[0])
+        is_function = isinstance(node, numeric_expr.UnaryFunctionExpression)
+        raise self._unsupported(node.name if is_function else type(node).__name__)
+
+    def _unsupported(self, what: str) -> TranscriptionError:
+        return TranscriptionError(
+            f"{self._owner}: {what} is not supported; write it with smooth functions (for a "
+            "switch: a tanh or sqrt smoothing)."
+        )
+
+
+def same_expression(first: Any, second: Any) -> bool:
+    """Say whether two CasADi expressions are the same function of the same symbols.
+
+    Constants may have been folded in one of them, so that trees that differ are compared by
+    their values at a few points.
+    """
+    first, second = casadi.SX(first), casadi.SX(second)
+    if casadi.is_equal(first, second, 1_000_000):
+        return True
+    symbols = casadi.symvar(casadi.vertcat(first, second))
+    both = casadi.Function("both", [casadi.vertcat(casadi.SX(0, 1), *symbols)], [first, second])
+    points = np.random.default_rng(seed=0).uniform(0.1, 0.9, (_COMPARED, len(symbols)))
+    values = np.array([[float(v) for v in both(point)] for point in points])
+    return bool(np.allclose(values[:, 0], values[:, 1], rtol=1e-9, atol=1e-12, equal_nan=True))
+
+
+def symbol_names(expression: Any) -> frozenset[str]:
+    """Return the names of the symbols in a CasADi expression."""
+    return frozenset(s.name() for s in casadi.symvar(casadi.SX(expression)))
+
+
+# What a lower bound, a body and an upper bound are that a rule does not give.
+_ABSENT = (-casadi.inf, 0.0, casadi.inf)
+
+
+class TemplateWriter:
+    """Writes the components of one working copy, each named expression and integral once.
+
+    Attributes
+    ----------
+    integrals : dict
+        The integrals met so far, by name.
+    schedules : list
+        What rules say that are no formula of time.
+    """
+
+    def __init__(self, copy: WorkingCopy, final_time: Any) -> None:
+        self.copy = copy
+        self.addresses = AddressBook(copy.time)
+        self.symbols = SymbolTable(copy, self.addresses, final_time)
+        self.integrals: dict[str, Integral] = {}
+        self.schedules: list[Schedule] = []
+        self._by_rule: dict[str, Any] = {}
+        self._clock = time_parameter()
+        self._is_end_free = final_time is not None
+        self._writer = ExpressionWriter(self._leaf, self._named)
+        self._in_path = False
+
+    def write(self, expression: Any, owner: str, *, over_time: bool = False) -> Any:
+        """Return an expression in symbols; one over time may not read a single instant."""
+        before, self._in_path = self._in_path, over_time
+        try:
+            return self._writer.write(expression, owner)
+        finally:
+            self._in_path = before
+
+    def bound(self, bound: Any, otherwise: float, name: str) -> Any:
+        """Return a bound that may be absent."""
+        return casadi.SX(otherwise if bound is None else self.write(bound, name))
+
+    def path_equation(
+        self, component: Any, index: tuple[Any, ...], instance: Any
+    ) -> PathEquation | None:
+        """Return what a constraint imposes over time, None if its rule skips it there.
+
+        `instance` is the constraint's own at the template, of which there may be none.
+        """
+        rule, name = rule_of(component), indexed_name(component.name, index)
+        if rule is None and instance is None:
+            return None
+        block = component.parent_block()
+
+        def say(time: Any) -> Statement:
+            if rule is None:
+                return _relation(instance.expr, name)
+            return _relation(rule(block, self.addresses.join(component, index, time)), name)
+
+        (lower, body, upper), is_equality = self._over_time(name, say)
+        if body.is_constant() and _is_unbounded(lower, upper):
+            return None
+        if is_equality:
+            body, lower, upper = body - upper, casadi.SX(0), casadi.SX(0)
+        return PathEquation(
+            name=name, expression=body, lower=lower, upper=upper, is_equality=is_equality
+        )
+
+    def bounds_over_time(self, slot: Slot) -> tuple[Any, Any]:
+        """Return the bounds of a variable over time."""
+        variable = self.copy.model.find_component(slot.component)
+        rule = bounds_rule_of(variable)
+        if rule is None:
+            bounds = (slot.lower, -casadi.inf), (slot.upper, casadi.inf)
+            return tuple(self.bound(b, otherwise, slot.name) for b, otherwise in bounds)
+        block = variable.parent_block()
+
+        def say(time: Any) -> Statement:
+            lower, upper = rule(block, self.addresses.join(variable, slot.index, time))
+            return Statement(parts=(lower, 0.0, upper))
+
+        (lower, _, upper), _ = self._over_time(slot.name, say)
+        return lower, upper
+
+    def _over_time(self, name: str, say: Callable[[Any], Statement]) -> tuple[list[Any], bool]:
+        """Return the parts of what a rule says as functions of time, and if they are an equality.
+
+        The rule is called once with a symbol.  Where that does not do, because the rule reads
+        the number, it is called at the times needed.
+        """
+        symbol = TimeSymbol(self.copy.template_time, self._clock)
+        statement = _attempt(say, symbol)
+        if statement is not None and not symbol.is_read:
+            parts = zip(statement.parts, _ABSENT, strict=False)
+            return [self._part(p, name, absent) for p, absent in parts], statement.is_equality
+        schedule = Schedule(name, partial(self._said, name, say), self.copy.declared_times)
+        self.schedules.append(schedule)
+
+        def write(part: Any, numbers: Iterator[Any]) -> Any:
+            return self._with_numbers(part, numbers, name)
+
+        return schedule.written(write, _ABSENT), schedule.is_equality
+
+    def _said(self, name: str, say: Callable[[Any], Statement], time: float) -> Statement:
+        """Return what a rule says at one time."""
+        template = self.copy.template_time
+        if self._is_end_free:
+            declared = self.copy.declared_times
+            index: Any = TimeSymbol(template, self._clock, declared, self._within(time))
+        else:
+            index = Instant(time, template)
+        try:
+            statement = _as_numeric(say(index))
+        except TranscriptionError:
+            raise
+        except Exception as error:
+            what = f"no member {error}" if isinstance(error, KeyError) else f"{error}"
+            raise TranscriptionError(
+                f"{name}: its rule fails at a time that the model did not declare, {time:g} "
+                f"({what}); let it read nothing but its time and components of the model."
+            ) from error
+        if self._is_end_free and index.is_read:
+            raise TranscriptionError(
+                f"{name}: its rule reads its time as a number, which a free end time moves; "
+                "compare it with declared times only, and calculate with Pyomo's functions."
+            )
+        return statement
+
+    def is_scheduled(self, name: str) -> bool:
+        """Say whether a component's rule is no formula of time."""
+        return any(s.name == name for s in self.schedules)
+
+    def scheduled_before(self, time: float) -> dict[str, tuple[Any, float]]:
+        """Return the symbols of all schedules and their numbers just before a declared time."""
+        first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
+        before = max(time - BESIDE * (last - first), first + BESIDE * (last - first))
+        return {
+            slot.name: (slot.symbol, number)
+            for schedule in self.schedules
+            for slot, number in zip(schedule.slots, schedule.row(before), strict=True)
+        }
+
+    def _within(self, time: float) -> float:
+        """Return the middle of the interval between declared times that holds a time."""
+        declared = self.copy.declared_times
+        after = min(max(bisect_left(declared, time), 1), len(declared) - 1)
+        return 0.5 * (declared[after - 1] + declared[after])
+
+    def _part(self, part: Any, name: str, absent: Any) -> Any:
+        return casadi.SX(absent if part is None else self.write(part, name, over_time=True))
+
+    def _with_numbers(self, part: Any, numbers: Iterator[Any], name: str) -> Any:
+        """Write an expression with other numbers, given in the order of its own."""
+        if part.__class__ in native_types:
+            return next(numbers)
+        if not part.is_expression_type() or part.is_named_expression_type():
+            return self.write(part, name, over_time=True)
+        arguments = [self._with_numbers(a, numbers, name) for a in part.args]
+        return self._writer.apply(part, arguments, name)
+
+    def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
+        """Return what a user names in template symbols, None if it is nothing over time.
+
+        Raises
+        ------
+        KeyError
+            If it has no such index.
+        """
+        found = self.copy.model.find_component(name)
+        if found is None or self.addresses.time_position(found) is None:
+            return None
+        return self.write_at_template(found, index)
+
+    def components_over_time(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
+        """Yield name and index of all that `over_time` can write."""
+        kinds = (Var, DerivativeVar, Param, Expression)
+        for component in self.copy.model.component_objects(kinds, descend_into=True):
+            if self.addresses.time_position(component) is not None:
+                for position in component:
+                    address = self.addresses.split(component, position)
+                    if address.time == self.copy.template_time:
+                        yield component.name, address.index
+
+    def write_at_template(self, component: Any, index: tuple[Any, ...]) -> Any:
+        """Return a variable or expression over time, by name, in template symbols."""
+        position = self.addresses.join(component, index, self.copy.template_time)
+        return casadi.SX(self.write(component[position], component.name, over_time=True))
+
+    def _leaf(self, data: Any) -> Any:
+        if data is self._clock:
+            return self.symbols.time
+        address = self.addresses.of(data)
+        if self._is_end_free and data.is_parameter_type():
+            return self._parameter_over_time(data, address)
+        symbol = self.symbols.leaf(data)
+        if self._in_path and address.time not in (None, self.copy.template_time):
+            raise TranscriptionError(
+                f"{data.name}: a value at a fixed time inside an equation over time is not "
+                "supported; introduce a static variable equal to it."
+            )
+        return symbol
+
+    def _named(self, expression: Any) -> Any:
+        component = expression.parent_component()
+        if component is None:
+            return None
+        if component.ctype is PyomoIntegral:
+            return self._integral(component, expression.index())
+        address = self.addresses.split(component, expression.index())
+        rule = rule_of(component)
+        if address.time != self.copy.template_time or rule is None:
+            return None
+        return self._expression(component, address.index, rule)
+
+    def _expression(self, component: Any, index: tuple[Any, ...], rule: Any) -> Any:
+        """Return what an expression or parameter over time is by its rule, read once."""
+        name, block = indexed_name(component.name, index), component.parent_block()
+        if name in self._by_rule:
+            return self._by_rule[name]
+
+        def say(time: Any) -> Statement:
+            return Statement(parts=(rule(block, self.addresses.join(component, index, time)),))
+
+        self._by_rule[name] = self._over_time(name, say)[0][0]
+        return self._by_rule[name]
+
+    def _parameter_over_time(self, data: Any, address: Address) -> Any:
+        """Return a parameter as a function of a time that has a derivative."""
+        component = data.parent_component()
+        rule = rule_of(component)
+        if rule is None or address.time is None:
+            return self.symbols.leaf(data)
+        over_time = casadi.SX(self._expression(component, address.index, rule))
+        if address.time == self.copy.template_time:
+            return over_time
+        numbers = self.scheduled_before(address.time).values()
+        old = casadi.vertcat(self.symbols.fraction, *(symbol for symbol, _ in numbers))
+        new = [self.symbols.fraction_of(address.time), *(number for _, number in numbers)]
+        return casadi.substitute(over_time, old, casadi.SX(new))
+
+    def _integral(self, component: Any, index: Any) -> Any:
+        if self._in_path:
+            raise TranscriptionError(
+                f"{component.name}: an integral inside an equation over time is not supported; "
+                "declare it as a state."
+            )
+        name = component.name if index is None else f"{component.name}[{index}]"
+        if name not in self.integrals:
+
+            def say(time: Any) -> Statement:
+                return Statement(parts=(integrand(component, index, time),))
+
+            (density,), _ = self._over_time(name, say)
+            symbol = casadi.SX.sym(name)
+            self.integrals[name] = Integral(
+                name=name, symbol=symbol, integrand=density * self.symbols.span
+            )
+        return self.integrals[name].symbol
+
+
+def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement | None:
+    """Return what a rule says of time as a symbol, None if it cannot do with one."""
+    try:
+        # What Pyomo logs of a failure that the rule's second reading mends would only mislead.
+        with LoggingIntercept(None, "pyomo.core"):
+            return _as_numeric(say(symbol))
+    except Exception:  # noqa: BLE001  the rule is the user's: it may raise anything
+        return None
+
+
+def _as_numeric(statement: Statement) -> Statement:
+    """Put the parameter for time itself where a rule returned its time as it is."""
+    parts = (p.as_numeric() if isinstance(p, TimeSymbol) else p for p in statement.parts)
+    return replace(statement, parts=tuple(parts))
+
+
+def _is_unbounded(lower: Any, upper: Any) -> bool:
+    sides = (lower, -casadi.inf), (upper, casadi.inf)
+    return all(casadi.is_equal(side, casadi.SX(limit)) for side, limit in sides)
+
+
+def _relation(said: Any, name: str) -> Statement:
+    """Return what the rule of a constraint returned as lower bound, body and upper bound."""
+    if said is Constraint.Skip or said is Constraint.Feasible or said is True:
+        return Statement(parts=(None, 0.0, None))
+    if said is Constraint.Infeasible or said is False:
+        raise TranscriptionError(
+            f"{name}: its rule says that it cannot be met; correct the rule or relax a limit in it."
+        )
+    data = ConstraintData(expr=said)
+    return Statement(parts=data.to_bounded_expression(), is_equality=bool(data.equality))

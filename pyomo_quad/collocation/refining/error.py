@@ -1,0 +1,315 @@
+"""How far a solution is from the differential equations, and what that error becomes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pyomo_quad.collocation.mesh import FloatArray, radau_rule
+from pyomo_quad.collocation.program.compiled import MappedFunction
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pyomo_quad.collocation.program.transcription import Transcription
+    from pyomo_quad.collocation.solution import Solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class Linearised:
+    """Partial derivatives of the differential equations.
+
+    Attributes
+    ----------
+    rows : ndarray of int, shape (n_rows,)
+        Which path equations these are.
+    by_rate, by_state : ndarray, shape (n_points, n_rows, n_states)
+    """
+
+    rows: NDArray[np.intp]
+    by_rate: FloatArray
+    by_state: FloatArray
+
+
+def linearised(program: Transcription, variables: FloatArray, data: FloatArray) -> Linearised:
+    """Return the derivatives at points, whose variables and data are given row by row."""
+    compiled, n = program.compiled, program.layout.n_states
+    path = compiled.path
+    is_equality = compiled.is_equality
+    by_rate = path.jacobian_columns < n
+    rows = np.unique(
+        [r for r in path.jacobian_rows[by_rate] if r < compiled.n_equations and is_equality[r]]
+    ).astype(np.intp)
+    entries = MappedFunction(path.jacobian, variables.shape[0])(variables, data)[0]
+    matrices = np.zeros((variables.shape[0], rows.size, 2 * n))
+    wanted = np.isin(path.jacobian_rows, rows) & (path.jacobian_columns < 2 * n)
+    at = np.searchsorted(rows, path.jacobian_rows[wanted])
+    matrices[:, at, path.jacobian_columns[wanted]] = entries[:, wanted]
+    return Linearised(rows=rows, by_rate=matrices[:, :, :n], by_state=matrices[:, :, n:])
+
+
+def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
+    """Return what an error made in one element becomes at the end, when the controls are flown.
+
+    Parameters
+    ----------
+    solution : Solution
+    errors : ndarray, shape (n_elements, n_states)
+        Of the states at the elements' ends.
+
+    Returns
+    -------
+    ndarray, shape (n_elements, n_states)
+        To first order, relative to the larger of 1 and the state's final magnitude; zero where
+        the equations do not determine every rate.
+    """
+    program, mesh = solution.program, solution.mesh
+    variables = program.path_variables(solution.unknowns)
+    equations = linearised(program, variables, program.data.at_points())
+    misses = np.zeros_like(errors)
+    if equations.rows.size != errors.shape[1]:
+        return misses
+    growth = np.eye(errors.shape[1])
+    for e in reversed(range(mesh.elements)):
+        misses[e] = growth @ errors[e]
+        growth = growth @ _transition(solution, equations, e)
+    final = np.maximum(1.0, np.abs(solution.trajectory.states[-1]))
+    return np.asarray(np.abs(misses) / final)
+
+
+def _transition(solution: Solution, equations: Linearised, e: int) -> FloatArray:
+    """Return how an element's last state depends on its first, its controls kept."""
+    mesh = solution.mesh
+    first, last = mesh.first_node[e], mesh.first_node[e + 1]
+    slopes = radau_rule(mesh.degrees[e]).differentiation / mesh.widths[e]
+    by_rate, by_state = equations.by_rate[first:last], equations.by_state[first:last]
+    degree, n = last - first, by_state.shape[2]
+    inner = np.einsum("kj,kab->kajb", slopes[:, 1:], by_rate)
+    inner[np.arange(degree), :, np.arange(degree), :] += by_state
+    outer = -np.einsum("k,kab->kab", slopes[:, 0], by_rate)
+    moved = np.linalg.solve(inner.reshape(degree * n, degree * n), outer.reshape(degree * n, n))
+    return np.asarray(moved[-n:])
+
+
+# Samples per collocation point at which limits are checked.
+_SAMPLES = 4
+# Just inside an element's start, which itself belongs to the element before.
+_START = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Allowance:
+    """What the controls, flown as they are, may do wrong.
+
+    Attributes
+    ----------
+    control_breach, limit_breach : float
+        Relative breach between the points, of a control's bound and of any other limit, above
+        which it counts as it is; a smaller one counts by what it moves or earns.
+    final_miss : float
+        Of the final states, relative to the larger of 1 and their magnitude.
+    """
+
+    control_breach: float = np.inf
+    limit_breach: float = 0.0
+    final_miss: float = np.inf
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorEstimate:
+    """Relative errors, largest between points.
+
+    `states` has shape (n_elements, n_states), relative to the larger of the state's largest
+    magnitude and its nominal one (1 unless declared); the others have shape (n_elements,).
+    `violation` is that of path equations and bounds, relative to the larger of 1 and the
+    bound.  `objective` is what an element's state errors change in the objective, which the
+    costates tell, times the number of elements and relative to the objective.  `miss` is
+    what they become at the end, as a share of what is allowed of which the tolerance is all.
+    """
+
+    states: FloatArray
+    violation: FloatArray
+    objective: FloatArray
+    miss: FloatArray
+
+    @property
+    def per_element(self) -> FloatArray:
+        """Largest of all, shape (n_elements,)."""
+        return np.maximum.reduce(
+            [self.states.max(axis=1, initial=0.0), self.violation, self.objective, self.miss]
+        )
+
+    @property
+    def largest(self) -> float:
+        """Largest of all."""
+        return float(self.per_element.max(initial=0.0))
+
+
+def estimate_error(
+    solution: Solution, *, tolerance: float = 1.0, allowance: Allowance | None = None
+) -> ErrorEstimate:
+    """Estimate the errors of a solution, element by element.
+
+    Parameters
+    ----------
+    solution : Solution
+    tolerance : float, optional
+        What a final miss that is just allowed counts.
+    allowance : Allowance, optional
+    """
+    allowance = allowance or Allowance()
+    degrees = np.asarray(solution.mesh.degrees)
+    finer = _sampled(solution, [radau_rule(d + 1).points for d in degrees])
+    # A limit is broken at the peaks of the polynomials, which lie anywhere between points.
+    dense = _sampled(solution, [np.linspace(_START, 1.0, _SAMPLES * (d + 1) + 1) for d in degrees])
+    moved = _state_corrections(solution, _slope_corrections(solution.program, finer))
+    return ErrorEstimate(
+        states=_relative(solution, moved),
+        objective=_objective_errors(solution, moved),
+        violation=_breaches(solution, dense, allowance),
+        miss=_missed(solution, moved, tolerance / allowance.final_miss),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Samples:
+    """The path equations between the points: variables, data and values, one row each."""
+
+    variables: FloatArray
+    data: FloatArray
+    rows: FloatArray
+    first_of_element: NDArray[np.intp]
+
+
+def _sampled(solution: Solution, places: list[FloatArray]) -> _Samples:
+    """Evaluate the path equations at places of each element, the last one its end."""
+    program, mesh, path = solution.program, solution.mesh, solution.trajectory
+    counts = np.array([len(p) for p in places])
+    fractions = np.concatenate(
+        [mesh.breakpoints[e] + mesh.widths[e] * p for e, p in enumerate(places)]
+    )
+    # A point on a boundary belongs to the element that it ends.
+    fractions[np.cumsum(counts) - 1] = mesh.breakpoints[1:]
+    variables = np.hstack(
+        [
+            path.rates_at(fractions),
+            path.states_at(fractions),
+            path.algebraics_at(fractions),
+            np.broadcast_to(path.statics, (fractions.size, path.statics.size)),
+        ]
+    )
+    data = solution.problem.data_of(solution.instance, fractions).at_points()
+    return _Samples(
+        variables=variables,
+        data=data,
+        rows=MappedFunction(program.compiled.path.values, fractions.size)(variables, data)[0],
+        first_of_element=np.concatenate(([0], np.cumsum(counts)[:-1])),
+    )
+
+
+def _slope_corrections(program: Transcription, samples: _Samples) -> FloatArray:
+    """Return what must be added to the rates for the differential equations to hold."""
+    equations = linearised(program, samples.variables, samples.data)
+    matrices, residuals = equations.by_rate, samples.rows[:, equations.rows]
+    if matrices.shape[1] == matrices.shape[2]:
+        return np.asarray(-np.linalg.solve(matrices, residuals[:, :, None])[:, :, 0], dtype=float)
+    return np.asarray(-np.einsum("kij,kj->ki", np.linalg.pinv(matrices), residuals), dtype=float)
+
+
+def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArray]:
+    """Integrate slope corrections from each element's left end, shape (degree + 1, n_states)."""
+    mesh, first, moved = solution.mesh, 0, []
+    for e, degree in enumerate(mesh.degrees):
+        local = slopes[first : first + degree + 1]
+        moved.append(mesh.widths[e] * radau_rule(degree + 1).integration @ local)
+        first += degree + 1
+    return moved
+
+
+def _relative(solution: Solution, moved: list[FloatArray]) -> FloatArray:
+    slots = solution.problem.compiled.declared.states
+    nominal = np.array([s.nominal or 1.0 for s in slots])
+    size = np.maximum(np.abs(solution.trajectory.states).max(axis=0, initial=0.0), nominal)
+    return np.array([np.abs(m).max(axis=0) / size for m in moved])
+
+
+def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray:
+    mesh = solution.mesh
+    if not solution.problem.compiled.declared.states:
+        return np.zeros(mesh.elements)
+    ends = solution.costates.at_points[mesh.first_node[1:] - 1]
+    changes = np.abs(np.sum(ends * np.array([m[-1] for m in moved]), axis=1))
+    return np.asarray(changes * mesh.elements / solution.nominal_objective)
+
+
+def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
+    """Return the weighted sum of the elements' final misses, shared out by their size.
+
+    The element that causes most of it is given all of it, so that it is refined first.
+    """
+    if weight == 0.0:
+        return np.zeros(solution.mesh.elements)
+    misses = final_misses(solution, np.array([m[-1] for m in moved]))
+    worst = misses[:, misses.sum(axis=0).argmax()]
+    return np.asarray(weight * worst.sum() * worst / worst.max(initial=1e-300))
+
+
+def _breaches(solution: Solution, samples: _Samples, allowance: Allowance) -> FloatArray:
+    """Return the worst breach in each element, as what it changes in states or objective.
+
+    An equation counts by its relative residual.  A control beyond its bound counts by what it
+    moves within the element, any other limit by what its multipliers say that a breach earns,
+    unless the breach is too large to be flown: then it counts as it is.
+    """
+    mesh = solution.mesh
+    residuals, limits, controls = (
+        np.maximum.reduceat(worst, samples.first_of_element)
+        for worst in _violations(solution.program, samples)
+    )
+    moved = np.where(controls > allowance.control_breach, controls, controls * mesh.widths)
+    earned = limits * _prices(solution) / solution.nominal_objective
+    large = np.where(limits > allowance.limit_breach, limits, 0.0)
+    return np.maximum.reduce([residuals, large, moved, earned])
+
+
+def _prices(solution: Solution) -> FloatArray:
+    """Return the sum of the multipliers of limits on states at the points of each element."""
+    program, multipliers = solution.program, solution.multipliers
+    columns = program.layout.state_columns[1:]
+    on_states = (multipliers.lower[columns] + multipliers.upper[columns]).sum(axis=1)
+    return np.add.reduceat(on_states, solution.mesh.first_node[:-1])
+
+
+def _violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, ...]:
+    """Return the worst of each sample: of equations, of limits, and of controls' bounds."""
+    compiled, n = program.compiled, program.layout.n_states
+    variables, data = samples.variables, samples.data
+    lower, upper = MappedFunction(compiled.path_bounds, len(variables))(data)
+    held = samples.rows[:, : compiled.n_equations]
+    differential = np.unique(compiled.path.jacobian_rows[compiled.path.jacobian_columns < n])
+    is_algebraic = ~np.isin(np.arange(compiled.n_equations), differential)
+    is_equality = compiled.is_equality
+    low, high, simple_low, simple_high = MappedFunction(compiled.variable_limits, len(variables))(
+        data
+    )
+    values = variables[:, n : 2 * n + program.layout.n_algebraics]
+    names = [s.name for s in (*compiled.declared.states, *compiled.declared.algebraics)]
+    chosen = np.array([names.index(b.variable) for b in compiled.simple_path_bounds], dtype=int)
+    own = _outside(values, low, high)
+    simple = _outside(values[:, chosen], simple_low, simple_high)
+    rows = _outside(held, lower, upper)
+    limits = np.hstack([rows[:, is_algebraic & ~is_equality], own[:, :n], simple[:, chosen < n]])
+    controls = np.hstack([own[:, n:], simple[:, chosen >= n]])
+    return tuple(
+        worst.max(axis=1, initial=0.0)
+        for worst in (rows[:, is_algebraic & is_equality], limits, controls)
+    )
+
+
+def _outside(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore"):
+        below = (lower - values) / np.maximum(1.0, np.abs(lower))
+        above = (values - upper) / np.maximum(1.0, np.abs(upper))
+    return np.nan_to_num(np.fmax(np.fmax(below, above), 0.0), nan=0.0)

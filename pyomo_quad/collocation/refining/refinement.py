@@ -1,0 +1,269 @@
+"""hp-adaptive refinement: solve, estimate, change the mesh, solve again from there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pyomo_quad.collocation.mesh import Mesh
+from pyomo_quad.collocation.program.ipopt import Progress, SolverOptions, Status
+from pyomo_quad.collocation.refining.error import ErrorEstimate, estimate_error
+from pyomo_quad.collocation.refining.remeshing import (
+    Marks,
+    RefinementOptions,
+    junction_elements,
+    refined_mesh,
+)
+from pyomo_quad.collocation.solution import MeshRecord, Solution
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pyomo_quad.collocation.guess import Guess, WarmStart
+    from pyomo_quad.collocation.mesh import FloatArray
+    from pyomo_quad.collocation.problem import Instance, Problem
+    from pyomo_quad.collocation.program.compiled import CompiledModel
+    from pyomo_quad.collocation.program.transcription import Transcription
+
+
+@dataclass(frozen=True, kw_only=True)
+class Damping:
+    """What the distance of controls from those of a solution costs.
+
+    Attributes
+    ----------
+    solution : Solution
+        Of the last mesh.
+    controls : ndarray of int
+        Positions among the algebraic variables.
+    prices : ndarray
+        For each of them, the price of a unit of its mean square distance over the horizon.
+    """
+
+    solution: Solution
+    controls: NDArray[np.intp]
+    prices: FloatArray
+
+    def times(self, factor: float) -> Damping:
+        """Return the damping with its prices multiplied."""
+        return replace(self, prices=factor * self.prices)
+
+    def applied_to(self, program: Transcription) -> DampedProgram:
+        """Return a program of the same model with the price on its objective."""
+        mesh = program.mesh or self.solution.mesh
+        old, held = self.solution.mesh.point_fractions, self.solution.trajectory.algebraics
+        # Straight lines between the points: beside a jump the polynomials swing far beyond.
+        near = [np.interp(mesh.point_fractions, old, held[:, k]) for k in self.controls]
+        return DampedProgram(
+            program=program,
+            columns=program.layout.algebraic_columns[:, self.controls].ravel(),
+            weights=(mesh.quadrature_weights[:, None] * self.prices).ravel(),
+            near=np.column_stack(near).ravel(),
+        )
+
+
+def damping_of(solution: Solution, weight: float) -> Damping | None:
+    """Return the damping toward a solution; None where it has no bounded linear control.
+
+    Parameters
+    ----------
+    solution : Solution
+    weight : float
+        Share of the objective that a control a whole range away from the solution's costs.
+    """
+    lower, upper = solution.algebraic_limits
+    width = upper - lower
+    is_damped = _is_linear(solution.problem.compiled) & np.isfinite(width) & (width > 0.0)
+    controls = np.flatnonzero(is_damped)
+    if weight == 0.0 or controls.size == 0:
+        return None
+    prices = 2.0 * weight * solution.nominal_objective / width[controls] ** 2
+    return Damping(solution=solution, controls=controls, prices=prices)
+
+
+def _is_linear(compiled: CompiledModel) -> NDArray[np.bool_]:
+    """Say of each algebraic variable if no equation or integrand over time curves in it."""
+    declared, path = compiled.declared, compiled.path
+    first = 2 * len(declared.states)
+    curved = path.hessian_columns[path.hessian_rows == path.hessian_columns]
+    return ~np.isin(first + np.arange(len(declared.algebraics)), curved)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DampedProgram:
+    """A program with `weights / 2 * (z[columns] - near)**2` added to what Ipopt minimises."""
+
+    program: Transcription
+    columns: NDArray[np.intp]
+    weights: FloatArray
+    near: FloatArray
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows."""
+        return self.program.n_rows
+
+    @property
+    def n_points(self) -> int:
+        """Number of collocation points."""
+        return self.program.n_points
+
+    @property
+    def is_negated(self) -> bool:
+        """Whether the declared objective is maximised."""
+        return self.program.is_negated
+
+    def objective(self, z: FloatArray) -> float:
+        """Return the objective and the price of the distance."""
+        away = z[self.columns] - self.near
+        return self.program.objective(z) + 0.5 * float(self.weights @ away**2)
+
+    def gradient(self, z: FloatArray) -> FloatArray:
+        """Return the gradient of the objective."""
+        gradient = np.array(self.program.gradient(z))
+        gradient[self.columns] += self.weights * (z[self.columns] - self.near)
+        return gradient
+
+    def constraints(self, z: FloatArray) -> FloatArray:
+        """Return the value of every row."""
+        return self.program.constraints(z)
+
+    def jacobianstructure(self) -> tuple[Any, Any]:
+        """Return rows and columns of the Jacobian's nonzeros."""
+        return self.program.jacobianstructure()
+
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        """Return the Jacobian's nonzeros."""
+        return self.program.jacobian(z)
+
+    def hessianstructure(self) -> tuple[Any, Any]:
+        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
+        rows, columns = self.program.hessianstructure()
+        return np.concatenate([rows, self.columns]), np.concatenate([columns, self.columns])
+
+    def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
+        """Return the nonzeros of the Lagrangian's Hessian."""
+        held = self.program.hessian(z, multipliers, factor)
+        return np.concatenate([held, factor * self.weights])
+
+
+# The objective's last change, as a share of the tolerance, at which it counts as settled.
+_SETTLED = 0.5
+# A warm start that takes more iterations than this leaves its linear controls undetermined:
+# they are damped so many times more, up to so many times in all.
+_MANY_ITERATIONS = 30
+_FIRMER, _FIRMEST = 5.0, 25.0
+
+
+def refine(
+    problem: Problem,
+    instance: Instance,
+    *,
+    mesh: Mesh | None,
+    tolerance: float,
+    options: SolverOptions,
+    refinement: RefinementOptions,
+    guess: Guess | None,
+    warm_start: WarmStart | None,
+    progress: Progress | None,
+) -> Solution:
+    """Solve on finer and finer meshes until the error estimate meets the tolerance.
+
+    Where limits begin or cease to hold inside an element, or controls are damped, the
+    objective must also have settled to the tolerance between the last two meshes.
+
+    Returns
+    -------
+    Solution
+        `converged`, or `tolerance_not_met` with the smallest error reached in its message,
+        or the status of the solve that failed.
+    """
+    mesh = mesh or Mesh.uniform(refinement.first_elements, refinement.first_degree)
+    options = options.suiting(tolerance)
+    records: list[MeshRecord] = []
+    damping: Damping | None = None
+    firmness = 1.0
+    while True:
+        solve = partial(problem.solve_on_mesh, mesh, instance, options, guess)
+        solved = solve(warm_start, progress, damping)
+        if solved.status is Status.NOT_CONVERGED and damping is not None:
+            damping = damping.times(_FIRMEST)
+            solved = solve(warm_start, progress, damping)
+        if solved.status is Status.NOT_CONVERGED and warm_start is not None:
+            solved = solve(None, progress, damping)
+        error = estimate_error(solved, tolerance=tolerance, allowance=refinement.allowance)
+        records.append(_record(solved, error))
+        solution = replace(solved, error_estimate=error.largest, history=tuple(records))
+        if solved.status is not Status.CONVERGED:
+            return solution
+        finer = _next_mesh(solution, error, tolerance, refinement, is_damped=damping is not None)
+        if finer is None:
+            return solution
+        is_stuck = finer == solution.mesh and error.largest > tolerance
+        if is_stuck or len(records) >= refinement.max_meshes:
+            return _given_up(solution, tolerance)
+        if damping is not None and records[-1].iterations > _MANY_ITERATIONS:
+            firmness = min(_FIRMER * firmness, _FIRMEST)
+        mesh, warm_start = finer, solution.warm_start
+        damping = damping_of(solution, firmness * refinement.damping * tolerance)
+
+
+def _next_mesh(
+    solution: Solution,
+    error: ErrorEstimate,
+    tolerance: float,
+    refinement: RefinementOptions,
+    *,
+    is_damped: bool,
+) -> Mesh | None:
+    """Return the mesh to solve on next, None when the tolerance is met.
+
+    It may be the same mesh once more, while the damping still moves the objective.
+    """
+    junctions = junction_elements(solution)
+    is_met = error.largest <= tolerance
+    has_settled = _objective_change(solution) <= _SETTLED * tolerance
+    if is_met and (has_settled or not (junctions or is_damped)):
+        return None
+    marks = Marks(
+        coarse=frozenset(np.flatnonzero(error.per_element > tolerance).tolist())
+        | (frozenset() if has_settled else junctions),
+        kept=junctions,
+    )
+    mesh = refined_mesh(solution, error, marks, tolerance, refinement)
+    return None if mesh == solution.mesh and is_met and not is_damped else mesh
+
+
+def _objective_change(solution: Solution) -> float:
+    """Return by how much the objective moved from the last mesh but one, relative."""
+    if len(solution.history) < 2:
+        return math.inf
+    before, now = (record.objective for record in solution.history[-2:])
+    return abs(now - before) / solution.nominal_objective
+
+
+def _given_up(solution: Solution, tolerance: float) -> Solution:
+    return replace(
+        solution,
+        status=Status.TOLERANCE_NOT_MET,
+        message=(
+            f"refinement stopped after {len(solution.history)} meshes with an estimated error of "
+            f"{solution.error_estimate:.3g}, above the tolerance {tolerance:.3g}; allow more "
+            "meshes, elements or a higher degree, or ask for less."
+        ),
+    )
+
+
+def _record(solution: Solution, error: ErrorEstimate) -> MeshRecord:
+    return MeshRecord(
+        elements=solution.mesh.elements,
+        points=solution.mesh.points,
+        iterations=solution.iterations[-1].iteration if solution.iterations else 0,
+        objective=solution.objective,
+        error=error.largest,
+        wall_s=solution.wall_s,
+    )

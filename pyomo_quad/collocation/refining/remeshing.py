@@ -1,0 +1,301 @@
+"""What becomes of each element: more degree, a split at a junction, less degree, or a merger."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from pyomo_quad.collocation.mesh import FloatArray, Mesh, radau_rule
+from pyomo_quad.collocation.refining.error import Allowance
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pyomo_quad.collocation.refining.error import ErrorEstimate
+    from pyomo_quad.collocation.solution import Solution
+
+
+def junction_elements(solution: Solution) -> frozenset[int]:
+    """Return the elements in or beside which the activity of a limit changes."""
+    active = _active_limits(solution)
+    changes = np.flatnonzero(np.any(active[1:] != active[:-1], axis=1))
+    element = solution.mesh.element_of_point
+    return frozenset(element[changes].tolist()) | frozenset(element[changes + 1].tolist())
+
+
+def _active_limits(solution: Solution) -> NDArray[np.bool_]:
+    """Say of every limit over time whether it holds at each point, shape (n_points, n_limits).
+
+    At an interior-point solution the product of multiplier and slack is the same small
+    number everywhere; a limit is active where the multiplier is the larger of the two.
+    """
+    program, layout = solution.program, solution.program.layout
+    bounds, scaling = solution.bounds, solution.scaling
+    density = scaling.objective / solution.mesh.quadrature_weights[:, None]
+    columns = np.hstack([layout.state_columns[1:], layout.algebraic_columns])
+    z, scale = solution.unknowns, scaling.unknowns
+    held = bounds.lower == bounds.upper
+    found = [
+        _exceeds(multiplier / scale, np.abs(z - limit) * scale, held, columns, density)
+        for multiplier, limit in (
+            (solution.multipliers.lower, bounds.lower),
+            (solution.multipliers.upper, bounds.upper),
+        )
+    ]
+    rows = np.arange(program.first_condition_row).reshape(
+        solution.mesh.points, program.compiled.n_equations
+    )
+    values = program.constraints(z)
+    held = bounds.row_lower == bounds.row_upper
+    multipliers, scale = solution.multipliers.rows, scaling.rows
+    for limit, sign in ((bounds.row_lower, -1.0), (bounds.row_upper, 1.0)):
+        pull = np.maximum(sign * multipliers, 0.0) / scale
+        found.append(_exceeds(pull, np.abs(values - limit) * scale, held, rows, density))
+    return np.hstack(found)
+
+
+def _exceeds(
+    multipliers: FloatArray,
+    slacks: FloatArray,
+    held: NDArray[np.bool_],
+    positions: NDArray[np.intp],
+    density: FloatArray,
+) -> NDArray[np.bool_]:
+    """Compare scaled multiplier densities with scaled slacks; equalities never count."""
+    is_active = multipliers[positions] * density > slacks[positions]
+    return np.asarray(is_active & ~held[positions])
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefinementOptions:
+    """Limits and thresholds of the refinement.
+
+    Attributes
+    ----------
+    first_elements, first_degree : int
+        The first mesh.
+    max_meshes : int
+        Solves before the refinement gives up.
+    min_degree, max_degree : int
+        Degrees it may choose.
+    smooth_decay : float
+        Decades by which Legendre coefficients must fall per degree in a smooth element.
+    smallest_width : float
+        Fraction of the horizon below which no element is split.
+    max_points : int
+        Collocation points above which no finer mesh is tried.
+    allowance : Allowance
+        What the controls, flown as they are, may do wrong.
+    damping : float
+        What a control that enters linearly costs when it is a whole range away from that of
+        the last mesh, as a share of the objective and in units of the tolerance.
+    """
+
+    first_elements: int = 10
+    first_degree: int = 4
+    max_meshes: int = 25
+    min_degree: int = 3
+    max_degree: int = 12
+    smooth_decay: float = 0.35
+    smallest_width: float = 1e-9
+    max_points: int = 60_000
+    allowance: Allowance = field(default_factory=Allowance)
+    damping: float = 100.0
+
+
+# Errors are predicted from a fit, so the aim lies below the tolerance; elements are merged
+# or lowered only where a wide margin says that they will still meet it.
+_AIM = 0.3
+_MARGIN = 1e-2
+# Mergers end after so many meshes, so that they and the splits cannot chase each other.
+_MERGING_MESHES = 8
+# Corners are approached by small elements; a high degree gains nothing at them.
+_CORNER_PARTS = 3
+_CORNER_DEGREE = 4
+# A control that changes by more than this share of its range jumps.
+_JUMP_SHARE = 0.25
+# Half the width of the sliver around a jump, as a share of the element.
+_SLIVER = 0.02
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A new element: where it ends, its degree, the error left, and if it was changed."""
+
+    end: float
+    degree: int
+    error: float
+    is_changed: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Marks:
+    """Elements that are too coarse, and elements that may not be merged or lowered."""
+
+    coarse: frozenset[int]
+    kept: frozenset[int]
+
+
+def refined_mesh(
+    solution: Solution,
+    error: ErrorEstimate,
+    marks: Marks,
+    tolerance: float,
+    options: RefinementOptions,
+) -> Mesh:
+    """Return the next mesh for a solution whose errors are known.
+
+    Returns the same mesh when nothing may be changed any further.
+    """
+    mesh = solution.mesh
+    pieces: list[_Piece] = []
+    for e, size in enumerate(error.per_element):
+        jump = _jump(solution, e) if e in marks.coarse else None
+        if jump is not None:
+            pieces.extend(_isolated(mesh, e, jump, float(size)))
+        elif e in marks.coarse:
+            pieces.extend(_finer(solution, e, error, tolerance, options))
+        elif e in marks.kept:
+            piece = _Piece(mesh.breakpoints[e + 1], mesh.degrees[e], float(size), is_changed=True)
+            pieces.append(piece)
+        else:
+            pieces.append(_lowered(solution, e, float(size), tolerance, options))
+    if len(solution.history) < _MERGING_MESHES:
+        pieces = _merged(pieces, solution, tolerance)
+    mesh = Mesh(
+        breakpoints=(0.0, *(p.end for p in pieces[:-1]), 1.0),
+        degrees=tuple(p.degree for p in pieces),
+    )
+    return solution.mesh if mesh.points > options.max_points else mesh
+
+
+def _lowered(
+    solution: Solution, e: int, error: float, tolerance: float, options: RefinementOptions
+) -> _Piece:
+    """Keep an element that is good enough, at a lower degree where its tail is negligible."""
+    mesh = solution.mesh
+    degree = mesh.degrees[e]
+    if error < _MARGIN * tolerance:
+        sizes = _legendre_sizes(solution, e)
+        while degree > options.min_degree and sizes[degree - 1 :].sum() < _MARGIN * tolerance:
+            degree -= 1
+    return _Piece(mesh.breakpoints[e + 1], degree, error, is_changed=False)
+
+
+def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
+    """Split an element into what lies before a jump, a sliver that holds it, and the rest.
+
+    In the sliver of degree 1 the control is constant: it cannot swing beyond limits that it
+    keeps at its one point, and the sliver's state error falls with its width squared.  Where a
+    sliver beside the element, cut for a jump, did not hold all of it, thirds look for the rest.
+    """
+    start, end, degree = mesh.breakpoints[e], mesh.breakpoints[e + 1], mesh.degrees[e]
+    if 1 in (mesh.degrees[e - 1], mesh.degrees[e + 1]):
+        return _parts(mesh, e, _CORNER_PARTS, min(degree, _CORNER_DEGREE), size)
+    half = _SLIVER * (end - start)
+    edges = [(jump - half, max(degree, 2)), (jump + half, 1), (end, max(degree, 2))]
+    inside = [(b, d) for b, d in edges[:-1] if start + 0.5 * half < b < end - 0.5 * half]
+    if len(inside) == 2 or jump - start > end - jump:
+        return [_Piece(b, d, size, is_changed=True) for b, d in inside] + [
+            _Piece(end, edges[2][1] if len(inside) == 2 else 1, size, is_changed=True)
+        ]
+    return [_Piece(b, 1, size, is_changed=True) for b, _ in inside] + [
+        _Piece(end, edges[2][1], size, is_changed=True)
+    ]
+
+
+def _finer(
+    solution: Solution,
+    e: int,
+    error: ErrorEstimate,
+    tolerance: float,
+    options: RefinementOptions,
+) -> list[_Piece]:
+    mesh = solution.mesh
+    degree, size = mesh.degrees[e], float(error.per_element[e])
+    if mesh.widths[e] < 2.0 * options.smallest_width:
+        return [_Piece(mesh.breakpoints[e + 1], degree, size, is_changed=True)]
+    if size <= tolerance:
+        return _parts(mesh, e, _CORNER_PARTS, min(degree, _CORNER_DEGREE), size)
+    decades = math.log10(size / (_AIM * tolerance))
+    decay = _decay(_legendre_sizes(solution, e))
+    wanted = degree + max(1, math.ceil(decades / max(decay, 1e-3)))
+    if decay >= options.smooth_decay and wanted <= options.max_degree:
+        return [_Piece(mesh.breakpoints[e + 1], wanted, size, is_changed=True)]
+    parts = min(4, max(2, math.ceil(10.0 ** (decades / (degree + 1.0)))))
+    return _parts(mesh, e, parts, degree, size)
+
+
+def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Piece]:
+    """Split an element evenly."""
+    edges = np.linspace(mesh.breakpoints[e], mesh.breakpoints[e + 1], count + 1)
+    ends = [*(float(b) for b in edges[1:-1]), mesh.breakpoints[e + 1]]
+    return [_Piece(end, degree, size, is_changed=True) for end in ends]
+
+
+def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[_Piece]:
+    """Merge neighbours whose merger, by the order of the scheme, is still far below."""
+    required = solution.problem.required_breakpoints(solution.instance)
+    merged: list[_Piece] = []
+    starts: list[float] = []
+    for piece in pieces:
+        start = merged[-1].end if merged else 0.0
+        if merged and not (piece.is_changed or merged[-1].is_changed):
+            last = merged[-1]
+            degree = max(last.degree, piece.degree)
+            ratio = (piece.end - starts[-1]) / min(piece.end - start, start - starts[-1])
+            predicted = max(last.error, piece.error) * ratio ** (degree + 1)
+            needed = any(abs(start - b) < 1e-12 for b in required)
+            if predicted < _MARGIN * tolerance and not needed:
+                merged[-1] = _Piece(piece.end, degree, predicted, is_changed=False)
+                continue
+        merged.append(piece)
+        starts.append(start)
+    return merged
+
+
+def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
+    """Return the relative sizes of the states' Legendre coefficients, worst state each."""
+    mesh, states = solution.mesh, solution.trajectory.states
+    first, last = mesh.first_node[e], mesh.first_node[e + 1]
+    nodes = 2.0 * radau_rule(mesh.degrees[e]).nodes - 1.0
+    matrix = legendre.legvander(nodes, mesh.degrees[e])
+    coefficients = np.linalg.solve(matrix, states[first : last + 1])
+    nominal = np.array([s.nominal or 1.0 for s in solution.problem.compiled.declared.states])
+    size = np.maximum(np.abs(states).max(axis=0, initial=0.0), nominal)
+    return np.asarray(np.abs(coefficients / size).max(axis=1), dtype=float)
+
+
+def _decay(sizes: FloatArray) -> float:
+    """Return by how many decades the coefficients fall per degree, by least squares.
+
+    The constant says nothing of smoothness, and rounding levels off the tail.
+    """
+    order = np.arange(1, sizes.size)
+    kept = sizes[1:] > 1e-14
+    if kept.sum() < 2:
+        return 2.0
+    return float(-np.polyfit(order[kept], np.log10(sizes[1:][kept]), 1)[0])
+
+
+def _jump(solution: Solution, e: int) -> float | None:
+    """Return where in an element a bounded control jumps, as a fraction of the horizon."""
+    mesh = solution.mesh
+    if e in (0, mesh.elements - 1):
+        return None
+    controls = solution.trajectory.algebraics
+    lower, upper = solution.algebraic_limits
+    first, last = mesh.first_node[e], mesh.first_node[e + 1]
+    means = radau_rule(mesh.degrees[e]).weights @ controls[first:last]
+    for k in range(controls.shape[1]):
+        width = upper[k] - lower[k]
+        before, after = controls[first - 1, k], controls[last, k]
+        if np.isfinite(width) and abs(before - after) > _JUMP_SHARE * width:
+            share = (means[k] - after) / (before - after)
+            if 0.0 < share < 1.0:
+                return float(mesh.breakpoints[e] + share * mesh.widths[e])
+    return None

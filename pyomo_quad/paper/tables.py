@@ -1,0 +1,319 @@
+"""The results of the paper's study as tables, SI units in the names of the columns."""
+
+from collections.abc import Iterable
+from math import isfinite
+
+import numpy as np
+import pandas as pd
+
+from pyomo_quad.flight.flight import ENERGY
+from pyomo_quad.paper.claims import (
+    ADAPTIVE_ENERGY,
+    OPTIMAL_ENERGY,
+    SAVING,
+    TABLE_1,
+    TABLE_2,
+    VEHICLE,
+    PrintedNumber,
+    implied_wind_optimum,
+)
+from pyomo_quad.paper.experiments import (
+    PAPER_CELL,
+    BaselineFlight,
+    Experiment,
+    PaperFlight,
+    paper_scenario,
+)
+from pyomo_quad.paper.study import PaperStudy
+from pyomo_quad.report.render import NOTHING, fixed, rough
+from pyomo_quad.report.style import BATTERY, POWER
+from pyomo_quad.scenario import PowerModel, Reference, describe_fields
+
+_KILO = 1e3
+_LARGEST_PLAIN = 1e6  # J
+_SMALLEST_PLAIN = 1e-2  # m
+
+
+def kilojoules(energy: float, digits: int = 3) -> str:
+    """Return an energy in kJ.
+
+    Parameters
+    ----------
+    energy : float
+        J.
+    digits : int, default 3
+        Decimals.
+
+    Returns
+    -------
+    str
+        Two significant digits where the energy is beyond all reason, words where infinite.
+    """
+    if energy == -float("inf"):
+        return "no minimum"
+    if not isfinite(energy):
+        return NOTHING
+    return fixed(energy / _KILO, digits) if abs(energy) < _LARGEST_PLAIN else rough(energy / _KILO)
+
+
+def metres(distance: float) -> str:
+    """Return a distance from the goal in m.
+
+    Parameters
+    ----------
+    distance : float
+        m, not negative.
+
+    Returns
+    -------
+    str
+        Two decimals, or two significant digits where that would say zero.
+    """
+    return fixed(distance) if distance >= _SMALLEST_PLAIN else rough(distance)
+
+
+BATTERY_USED = "battery_used_percent"
+PEAK_POWER = "peak_power_W"
+
+#: File name without suffix -> what the table shows.
+TABLES = {
+    "parameters": "the numbers of Tables 1 and 2 and of section IV, printed and used",
+    "experiments": "both experiments under every power model",
+    "wind": "the second experiment in every reading of the wind",
+    "baselines": "the controlled flights, and what the optimum saves against them",
+    "batteries": "what the packs hold and deliver",
+    "floors": "the least energy of any flight under f_r against the bound on alpha",
+    "meshes": "the optimum under f_r against the bound on alpha and the mesh",
+}
+
+
+def paper_tables(study: PaperStudy) -> dict[str, pd.DataFrame]:
+    """Return every table of the report.
+
+    Parameters
+    ----------
+    study : PaperStudy
+        The results.
+
+    Returns
+    -------
+    dict
+        File name without suffix -> table, in the order of `TABLES`.
+    """
+    made = {
+        "parameters": _parameters(),
+        "experiments": _experiments(study),
+        "wind": pd.DataFrame([_wind_row(flown) for flown in study.wind_flights]),
+        "baselines": pd.DataFrame([_baseline_row(study, flown) for flown in study.baselines]),
+        "batteries": _batteries(study),
+        "floors": _floors(study),
+        "meshes": _meshes(study),
+    }
+    return {name: made[name] for name in TABLES}
+
+
+def find_flight(
+    flights: Iterable[PaperFlight], experiment: Experiment, model: PowerModel
+) -> PaperFlight:
+    """Return the optimal flight of an experiment under a power model.
+
+    Parameters
+    ----------
+    flights : iterable of PaperFlight
+        Where to look.
+    experiment, model
+        What to look for.
+
+    Returns
+    -------
+    PaperFlight
+        The first that fits.
+    """
+    return next(
+        flown
+        for flown in flights
+        if (flown.case.experiment, flown.case.power_model) == (experiment, model)
+    )
+
+
+def find_baseline(
+    study: PaperStudy, experiment: Experiment, model: PowerModel, reference: Reference
+) -> BaselineFlight:
+    """Return a controlled flight.
+
+    Parameters
+    ----------
+    study : PaperStudy
+        The results.
+    experiment, model, reference
+        What to look for.
+
+    Returns
+    -------
+    BaselineFlight
+        The one that fits.
+    """
+    return next(
+        flown
+        for flown in study.baselines
+        if (flown.case.experiment, flown.case.power_model, flown.case.reference)
+        == (experiment, model, reference)
+    )
+
+
+def baseline_saving(study: PaperStudy, flown: BaselineFlight) -> tuple[float, float]:
+    """Return what the optimum saves against a controlled flight.
+
+    Parameters
+    ----------
+    study : PaperStudy
+        Has the optimum.
+    flown : BaselineFlight
+        The controlled flight.
+
+    Returns
+    -------
+    saving, saving_of_excess : float
+        Percent of its energy, and of its energy above hovering.
+    """
+    optimum = find_flight(study.flights, flown.case.experiment, flown.case.power_model)
+    spent, least = flown.flight.energy_J, optimum.flight.energy_J
+    excess = spent - optimum.hover_energy_J
+    return 100 * (1 - least / spent), 100 * (spent - least) / excess
+
+
+def _parameters() -> pd.DataFrame:
+    scenario = paper_scenario(Experiment.WIND, {"battery.use": PAPER_CELL})
+    used = {field.path: field.value for field in describe_fields(scenario)}
+    rows = [
+        {
+            "place": place,
+            "symbol": number.symbol,
+            "printed": float(number.printed),
+            "used": _used(used, number),
+            "unit": number.unit,
+            "field": number.field,
+        }
+        for place, numbers in (
+            ("Table 1", TABLE_1),
+            ("Table 2", TABLE_2),
+            ("section IV", VEHICLE),
+        )
+        for number in numbers
+    ]
+    return pd.DataFrame(rows)
+
+
+def _used(values: dict[str, object], number: PrintedNumber) -> float:
+    path, _, position = number.field.removesuffix("]").partition("[")
+    held = values[path]
+    if position and isinstance(held, tuple):
+        held = held[int(position)]
+    return float(held)  # type: ignore[arg-type]
+
+
+def _common(flown: PaperFlight) -> dict[str, object]:
+    frame = flown.flight.frame
+    charge = BATTERY[-1].of(frame)
+    return {
+        "energy_J": flown.flight.energy_J,
+        "hover_energy_J": flown.hover_energy_J,
+        "excess_energy_J": flown.flight.energy_J - flown.hover_energy_J,
+        PEAK_POWER: POWER.of(frame).max(),
+        BATTERY_USED: charge[0] - charge[-1],
+        "terminal_miss_m": flown.flight.terminal_miss_m,
+        "status": flown.status.value,
+        "flight_verified": flown.flight.is_verified,
+    }
+
+
+def _experiments(study: PaperStudy) -> pd.DataFrame:
+    printed = {1: OPTIMAL_ENERGY[1].value, 2: implied_wind_optimum()}
+    rows = [
+        {
+            "experiment": flown.case.experiment.value,
+            "power_model": flown.case.power_model.value,
+            **_common(flown),
+            "paper_optimum_J": printed[flown.case.experiment.value],
+        }
+        for flown in study.flights
+    ]
+    return pd.DataFrame(rows)
+
+
+def _wind_row(flown: PaperFlight) -> dict[str, object]:
+    return {
+        "coupling": flown.case.coupling.value,
+        "frequency_unit": flown.case.frequency_unit.value,
+        "power_model": flown.case.power_model.value,
+        **_common(flown),
+    }
+
+
+def _baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, object]:
+    case = flown.case
+    saving, saving_of_excess = baseline_saving(study, flown)
+    optimum = find_flight(study.flights, case.experiment, case.power_model)
+    return {
+        "experiment": case.experiment.value,
+        "power_model": case.power_model.value,
+        "flight": flown.flight.name,
+        ENERGY: flown.flight.energy_J,
+        "hover_energy_J": optimum.hover_energy_J,
+        "excess_energy_J": flown.flight.energy_J - optimum.hover_energy_J,
+        "optimum_J": optimum.flight.energy_J,
+        "saving_percent": saving,
+        "saving_of_excess_percent": saving_of_excess,
+        "terminal_miss_m": flown.flight.terminal_miss_m,
+        "flight_verified": flown.flight.is_verified,
+        "paper_adaptive_J": ADAPTIVE_ENERGY[case.experiment.value].value,
+        "paper_saving_percent": SAVING[case.experiment.value].value,
+    }
+
+
+def _batteries(study: PaperStudy) -> pd.DataFrame:
+    rows = [
+        {
+            "battery": pack.battery,
+            "cells_series": pack.cells_series,
+            "cells_parallel": pack.cells_parallel,
+            "power_model": pack.power_model.value,
+            "stored_energy_J": pack.stored_energy_J,
+            "hover_energy_J": pack.hover_energy_J,
+            "hover_power_W": pack.hover_power_W,
+            "greatest_power_W": pack.greatest_power_W,
+            "warning": " ".join(pack.shortfalls),
+        }
+        for pack in study.packs
+    ]
+    return pd.DataFrame(rows)
+
+
+def _floors(study: PaperStudy) -> pd.DataFrame:
+    rows = [
+        {"reading": reading.value, "rotor_acceleration_max_rad_per_s2": bound, "floor_J": floor}
+        for reading, floors in study.floors.items()
+        for bound, floor in floors
+    ]
+    return pd.DataFrame(rows)
+
+
+def _meshes(study: PaperStudy) -> pd.DataFrame:
+    floors = {
+        (reading, bound): floor for reading, pairs in study.floors.items() for bound, floor in pairs
+    }
+    rows = [
+        {
+            "reading": outcome.trial.reading.value,
+            "rotor_acceleration_max_rad_per_s2": outcome.trial.bound,
+            "elements": outcome.trial.elements,
+            "degree": outcome.trial.degree,
+            "converged": outcome.has_converged,
+            ENERGY: outcome.energy_J,
+            "flown_energy_J": outcome.flown_energy_J,
+            "terminal_miss_m": outcome.miss_m,
+            "floor_J": floors.get((outcome.trial.reading, outcome.trial.bound), np.nan),
+        }
+        for outcome in study.trials
+    ]
+    return pd.DataFrame(rows)

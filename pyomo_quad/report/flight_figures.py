@@ -1,0 +1,639 @@
+"""The figures of a plan or a run, one function each."""
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from pyomo_quad.flight.flight import ROTORS
+from pyomo_quad.report.paths import distinct_paths, draw_space
+from pyomo_quad.report.style import (
+    ATTITUDE,
+    BATTERY,
+    BODY_RATE,
+    ENERGY,
+    FAIR_BASELINE,
+    FULL_WIDTH,
+    INK,
+    MOTOR,
+    MUTED,
+    PALE,
+    POSITION,
+    POWER,
+    ROTOR_ACCELERATION,
+    ROTOR_SPEED,
+    ROTOR_STYLES,
+    SERIES_STYLES,
+    STATE_GRID,
+    TIME,
+    VELOCITY,
+    WIND,
+    LineStyle,
+    Signal,
+    StyledFlight,
+    draw_over_time,
+    flight_styles,
+    keep_span,
+    label_time,
+    legend_below,
+    panel_grid,
+)
+from pyomo_quad.study.comparison import ERROR_WITH, ERROR_WITHOUT, ESTIMATED, TRUE
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation import Mesh, MeshRecord
+
+_CENTIMETRES = 100.0
+_SMALLEST_ERROR = 1.0  # cm
+_SMALLEST_DISTURBANCE = 0.1  # m/s^2
+# With adaptation it is the flight of that name in the other figures.
+_WITH = flight_styles((FAIR_BASELINE,))[FAIR_BASELINE]
+_WITHOUT = LineStyle(color=MUTED, dashes=(4.5, 1.6))
+
+
+def draw_adaptation(study: pd.DataFrame) -> Figure:
+    """Draw the distance from the reference, and the disturbance along x and y.
+
+    Parameters
+    ----------
+    study : DataFrame
+        Of `adaptation_study`.
+
+    Returns
+    -------
+    Figure
+        Three panels.
+    """
+    figure, (panels,) = panel_grid(1, 3, panel_height=1.8, legend_entries=2)
+    error, *disturbances = panels
+    time = TIME.of(study)
+    for column, style, label in (
+        (ERROR_WITH, _WITH, "with adaptation"),
+        (ERROR_WITHOUT, _WITHOUT, "without"),
+    ):
+        error.plot(time, _CENTIMETRES * study[column].to_numpy(), label=label, **style.line)
+    error.set_title("Distance from the reference (cm)")
+    keep_span([error], _SMALLEST_ERROR)
+    for axes, axis, estimated, true in zip(disturbances, "xy", ESTIMATED, TRUE, strict=False):
+        _draw_disturbance(axes, time, study[true].to_numpy(), study[estimated].to_numpy())
+        axes.set_title(f"Disturbance along ${axis}$ (m/s²)")
+    keep_span(disturbances, _SMALLEST_DISTURBANCE)
+    label_time(panels, float(time[-1]))
+    legend_below(figure, error)
+    return figure
+
+
+def _draw_disturbance(
+    axes: Axes, time: np.ndarray, true: np.ndarray, estimated: np.ndarray
+) -> None:
+    axes.plot(time, true, label="true", color=INK, linewidth=1.0, linestyle=(0, (1.2, 1.4)))
+    axes.plot(time, estimated, label="estimated", **_WITH.line)
+    axes.legend(loc="best")
+
+
+def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
+    """Draw what the flights ask of the pack.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        The flights to lay over each other, the optimum first.
+
+    Returns
+    -------
+    Figure
+        One panel per quantity.
+    """
+    figure, panels = panel_grid(1, 3, panel_height=1.7, legend_entries=len(flights))
+    for axes, signal in zip(panels.flat, BATTERY, strict=True):
+        for flight in flights:
+            draw_over_time(axes, flight.frame, signal, flight.style, flight.name)
+        axes.set_title(signal.title)
+        keep_span([axes], signal.smallest_span)
+    label_time(panels.flat, flights[0].duration_s)
+    legend_below(figure, panels[0, 0])
+    return figure
+
+
+def draw_controls(flights: Sequence[StyledFlight]) -> Figure:
+    """Draw the acceleration of each rotor in its own panel, all on one scale.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        The flights to lay over each other, the optimum first.
+
+    Returns
+    -------
+    Figure
+        Four panels.
+    """
+    figure, panels = panel_grid(2, 2, panel_height=1.25, legend_entries=len(flights))
+    for axes, signal in zip(panels.flat, ROTOR_ACCELERATION, strict=True):
+        for flight in flights:
+            draw_over_time(axes, flight.frame, signal, flight.style, flight.name)
+        axes.set_title(signal.title)
+        axes.axhline(0.0, color=MUTED, linewidth=0.6, zorder=1)
+    keep_span(panels.flat, ROTOR_ACCELERATION[0].smallest_span)
+    label_time(panels[-1], flights[0].duration_s)
+    legend_below(figure, panels[0, 0])
+    return figure
+
+
+HAMILTONIAN = "hamiltonian"
+
+_GROUPS = (
+    (POSITION, "Position", "J/m", 1.0),
+    (VELOCITY, "Velocity", "J s/m", 1.0),
+    (ATTITUDE, "Attitude", "J/rad", 1.0),
+    (BODY_RATE, "Body rates", "J s/rad", 1.0),
+    (ROTOR_SPEED, "Rotors", "mJ s/rad", 1e3),
+)
+_SMALLEST_PRICE = 1e-2
+# In the line of the title, so that it hides nothing.
+_LEGEND: dict[str, Any] = {
+    "loc": "lower right",
+    "bbox_to_anchor": (1.0, 0.98),
+    "borderaxespad": 0.0,
+    "columnspacing": 0.9,
+    "handlelength": 1.7,
+    "handletextpad": 0.4,
+    "ncols": 4,
+}
+_SMALLEST_POWER = 0.1  # W
+
+
+def costate_name(state: Signal) -> str:
+    """Return the name of a state in the plan's table of costates.
+
+    Parameters
+    ----------
+    state : Signal
+        One of the sixteen states.
+
+    Returns
+    -------
+    str
+        As the declared model names the state.
+    """
+    return state.component if state.index is None else f"{state.component}[{state.index}]"
+
+
+#: Columns of the plan's table of costates that the figure shows.
+COSTATES = (
+    *(costate_name(state) for group in _GROUPS for state in group[0]),
+    HAMILTONIAN,
+)
+
+
+def draw_costates(costates: pd.DataFrame, duration: float) -> Figure:
+    """Draw the costates in five groups, and the Hamiltonian.
+
+    Parameters
+    ----------
+    costates : DataFrame
+        Time, one column per state and the Hamiltonian, at the collocation points.
+    duration : float
+        End of the flight, s.
+
+    Returns
+    -------
+    Figure
+        Six panels.
+    """
+    figure, panels = panel_grid(3, 2, panel_height=1.4, legend_entries=0)
+    time = TIME.of(costates)
+    for axes, (states, title, unit, scale) in zip(panels.flat, _GROUPS, strict=False):
+        for state, style in zip(states, ROTOR_STYLES, strict=False):
+            price = costates[costate_name(state)].to_numpy() * scale
+            axes.plot(time, price, label=f"${state.symbol}$", **style.line)
+        _finish(axes, f"{title} ({unit})", _SMALLEST_PRICE)
+        axes.legend(**_LEGEND)
+    last = panels[-1, -1]
+    last.plot(time, costates[HAMILTONIAN].to_numpy(), **ROTOR_STYLES[0].line)
+    _finish(last, "Hamiltonian $H$ (W)", _SMALLEST_POWER)
+    label_time(panels[-1], duration)
+    return figure
+
+
+def _finish(axes: Axes, title: str, smallest_span: float) -> None:
+    axes.set_title(title)
+    keep_span([axes], smallest_span)
+
+
+_ABOVE_HOVER_TITLE = r"$E - P_\mathrm{hover}\,t$, energy above hovering (J)"
+# Peaks are what a flight spends less than this share of its time in.
+_PEAK_SHARE = 0.05
+_WORTH_CUTTING = 2.0
+_PEAK_MARGIN = 0.1
+# Curves nearer than this share of their range cannot be told apart.
+_COINCIDENT = 0.01
+_HOVER_LINE: dict[str, Any] = {"color": MUTED, "linewidth": 1.0, "linestyle": (0, (1, 1))}
+
+
+def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
+    """Draw power, energy, and energy above hovering, over each other.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        The flights, the optimum first.
+    hover_energy_J : float
+        Energy of hovering for as long as the mission lasts, J.
+
+    Returns
+    -------
+    Figure
+        Three panels; in the last the hover line is subtracted.
+    """
+    figure, panels = panel_grid(3, 1, panel_height=1.5, legend_entries=1 + len(flights))
+    duration = flights[0].duration_s
+    hover_power = hover_energy_J / duration
+    power, energy, above = panels[:, 0]
+    power.axhline(hover_power, label="hovering", **_HOVER_LINE)
+    energy.plot([0.0, duration], [0.0, hover_energy_J], **_HOVER_LINE)
+    for flight in flights:
+        draw_over_time(power, flight.frame, POWER, flight.style, flight.name)
+        draw_over_time(energy, flight.frame, ENERGY, flight.style, flight.name)
+    draw_above_hover(above, flights, hover_power)
+    for axes, signal in ((power, POWER), (energy, ENERGY)):
+        axes.set_title(signal.title)
+        keep_span([axes], signal.smallest_span)
+    _cut_peaks(power, flights)
+    label_time(panels[-1], duration)
+    legend_below(figure, power)
+    return figure
+
+
+def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W: float) -> None:
+    """Draw the energy spent until each time, less what hovering until then takes.
+
+    Parameters
+    ----------
+    axes : Axes
+        Where to.
+    flights : sequence of StyledFlight
+        The flights, the optimum first.
+    hover_power_W : float
+        Power of hovering, W.
+    """
+    axes.axhline(0.0, **_HOVER_LINE)
+    for flight in flights:
+        time, energy = TIME.of(flight.frame), ENERGY.of(flight.frame)
+        axes.plot(time, energy - hover_power_W * time, label=flight.name, **flight.style.line)
+    axes.set_title(_ABOVE_HOVER_TITLE)
+    keep_span([axes], ENERGY.smallest_span)
+
+
+def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
+    """Return the flights whose short peaks leave the panel of the power."""
+    window = _power_window(flights)
+    if window is None:
+        return ()
+    low, high = window
+    powers = [POWER.of(flight.frame) for flight in flights]
+    return tuple(
+        flight
+        for flight, power in zip(flights, powers, strict=True)
+        if power.min() < low or power.max() > high
+    )
+
+
+def coinciding_flights(
+    flights: Sequence[StyledFlight], hover_power_W: float
+) -> tuple[StyledFlight, ...]:
+    """Return the flights whose energy above hovering lies on that of the first."""
+    first, *others = flights
+    time = TIME.of(first.frame)
+    curves = [
+        np.interp(time, TIME.of(flight.frame), ENERGY.of(flight.frame)) - hover_power_W * time
+        for flight in flights
+    ]
+    allowed = _COINCIDENT * max(float(np.ptp(curves)), ENERGY.smallest_span)
+    return tuple(
+        flight
+        for flight, curve in zip(others, curves[1:], strict=True)
+        if np.abs(curve - curves[0]).max() <= allowed
+    )
+
+
+def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None:
+    """Return what the panel of the power shows where a baseline's peaks would flatten all else."""
+    optimum, *others = powers = [POWER.of(flight.frame) for flight in flights]
+    ends = [optimum.min(), optimum.max()]
+    for power in others:
+        ends += list(np.quantile(power, (_PEAK_SHARE, 1.0 - _PEAK_SHARE)))
+    low, high = float(min(ends)), float(max(ends))
+    lowest = float(min(power.min() for power in powers))
+    highest = float(max(power.max() for power in powers))
+    if highest - lowest <= _WORTH_CUTTING * max(high - low, POWER.smallest_span):
+        return None
+    margin = _PEAK_MARGIN * (high - low)
+    return max(lowest, low - margin), min(highest, high + margin)
+
+
+def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
+    """Let the short peaks of a baseline leave the panel, where they would flatten all else."""
+    window = _power_window(flights)
+    if window is not None:
+        axes.set_ylim(*window)
+        axes.set_title(f"{POWER.title}, short peaks cut off")
+
+
+_ROW, _EDGES = 0.32, 0.95  # inches
+_BAR = 0.62  # of the row
+_NUMBER_ROOM = 1.28  # the axis goes on past the longest bar for the numbers beside the bars
+
+
+def draw_energy_split(
+    flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
+) -> Figure:
+    """Draw the whole energy from zero, and beside it what lies above the hover floor.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        The flights, the optimum first.
+    hover_energy_J : float
+        Energy of hovering for as long as the mission lasts, J.
+    absent : frozenset of str
+        Names of the flights that did not arrive.
+
+    Returns
+    -------
+    Figure
+        Two panels of horizontal bars, one bar per flight.
+    """
+    height = _EDGES + _ROW * len(flights)
+    figure = Figure(figsize=(FULL_WIDTH, height))
+    whole, above = figure.subplots(1, 2, sharey=True)
+    figure.subplots_adjust(
+        left=0.24, right=0.99, top=1 - 0.3 / height, bottom=0.62 / height, wspace=0.07
+    )
+    rows = range(len(flights))
+    whole.barh(rows, hover_energy_J, color=PALE, edgecolor=MUTED, linewidth=0.6, height=_BAR)
+    for row, flight in zip(rows, flights, strict=True):
+        surplus = flight.energy_J - hover_energy_J
+        whole.barh(row, surplus, left=hover_energy_J, **_look(flight))
+    _annotate(whole, [flight.energy_J for flight in flights])
+    whole.set(title="Whole: hover floor (grey) and the rest", xlabel="Energy (J)")
+    draw_excess(above, flights, hover_energy_J, absent)
+    above.set(title="Above the hover floor only", xlabel="Energy above hovering (J)")
+    return figure
+
+
+def draw_excess(
+    axes: Axes, flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
+) -> None:
+    """Draw one bar per flight for its energy above the hover floor, the first on top.
+
+    Parameters
+    ----------
+    axes : Axes
+        Where to.
+    flights : sequence of StyledFlight
+        The flights, the optimum first.
+    hover_energy_J : float
+        Energy of hovering for as long as the mission lasts, J.
+    absent : frozenset of str
+        Names of the flights that did not arrive.
+    """
+    excess = [flight.energy_J - hover_energy_J for flight in flights]
+    for row, (flight, surplus) in enumerate(zip(flights, excess, strict=True)):
+        axes.barh(row, surplus, **_look(flight))
+    _annotate(axes, excess)
+    labels = [f"{f.name}\n(did not arrive)" if f.name in absent else f.name for f in flights]
+    axes.set_yticks(range(len(flights)), labels)
+    axes.invert_yaxis()
+
+
+def _look(flight: StyledFlight) -> dict[str, Any]:
+    style = flight.style
+    return {
+        "color": style.color,
+        "edgecolor": "white",
+        "hatch": style.hatch,
+        "linewidth": 0.0,
+        "height": _BAR,
+    }
+
+
+def _annotate(axes: Axes, values: Sequence[float]) -> None:
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)
+    for row, value in enumerate(values):
+        axes.annotate(
+            f"{value:.1f}",
+            (max(value, 0.0), row),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            color=INK,
+        )
+    low, high = min(0.0, *values), max(0.0, *values)
+    axes.set_xlim(low * _NUMBER_ROOM, low + (high - low) * _NUMBER_ROOM)
+    if low < 0.0:
+        axes.axvline(0.0, color=MUTED, linewidth=0.6)
+
+
+_ERROR_FLOOR = 1e-16  # keeps an error of zero on the logarithmic axis
+
+
+def draw_mesh(
+    history: "Sequence[MeshRecord]", mesh: "Mesh", tolerance: float, duration: float
+) -> Figure:
+    """Draw the error estimate from mesh to mesh, and the last mesh over time.
+
+    Parameters
+    ----------
+    history : sequence of MeshRecord
+        The meshes solved on, in order.
+    mesh : Mesh
+        The last one.
+    tolerance : float
+        Error estimate asked for, relative.
+    duration : float
+        End of the flight, s.
+
+    Returns
+    -------
+    Figure
+        Two panels.
+    """
+    height = 2.6
+    figure = Figure(figsize=(FULL_WIDTH, height))
+    errors, elements = figure.subplots(1, 2)
+    figure.subplots_adjust(
+        left=0.09, right=0.985, top=1 - 0.3 / height, bottom=0.5 / height, wspace=0.24
+    )
+    _draw_errors(errors, history, tolerance)
+    _draw_elements(elements, mesh, duration)
+    return figure
+
+
+def _draw_errors(axes: Axes, history: "Sequence[MeshRecord]", tolerance: float) -> None:
+    estimated = [record for record in history if isfinite(record.error)]
+    meshes = range(len(estimated))
+    sizes = [max(record.error, _ERROR_FLOOR) for record in estimated]
+    style = SERIES_STYLES[0]
+    axes.plot(meshes, sizes, marker=style.marker, markersize=4.5, **style.line)
+    axes.axhline(tolerance, color=MUTED, linewidth=1.0, linestyle=(0, (4, 2)))
+    axes.annotate(
+        f"tolerance {tolerance:.3g}",
+        (0.02, tolerance),
+        xycoords=("axes fraction", "data"),
+        xytext=(0, 3),
+        textcoords="offset points",
+        color=INK,
+    )
+    axes.set_yscale("log")
+    axes.set_ylim(min([*sizes, tolerance]) / 5, max([*sizes, tolerance]) * 5)
+    axes.set_xticks(meshes, [str(record.points) for record in estimated])
+    axes.set_xlim(-0.6, len(estimated) - 0.4)
+    axes.tick_params(axis="y", which="minor", length=0)
+    axes.set(title="Error estimate (relative)", xlabel="Collocation points of each mesh")
+
+
+def _draw_elements(axes: Axes, mesh: "Mesh", duration: float) -> None:
+    boundaries = np.asarray(mesh.breakpoints) * duration
+    axes.step(boundaries[:-1], mesh.degrees, where="post", **SERIES_STYLES[0].line)
+    axes.hlines(mesh.degrees[-1], boundaries[-2], boundaries[-1], **SERIES_STYLES[0].line)
+    axes.plot(boundaries, np.zeros_like(boundaries), "|", color=INK, markersize=9, clip_on=False)
+    axes.set_ylim(0, max(mesh.degrees) * 1.15)
+    axes.set_xlim(0, duration)
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
+    axes.set(
+        title=f"Degree of the polynomials in {mesh.elements} elements",
+        xlabel="Time (s), with the boundaries of the elements",
+    )
+
+
+_HEIGHT = 4.2  # inches
+
+
+def draw_overview(
+    flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
+) -> Figure:
+    """Draw the paths in space beside the energy above hovering, over time and in total.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        The flights, the optimum first.
+    hover_energy_J : float
+        Energy of hovering for as long as the mission lasts, J.
+    absent : frozenset of str
+        Names of the flights that did not arrive.
+
+    Returns
+    -------
+    Figure
+        Three panels.
+    """
+    figure = Figure(figsize=(FULL_WIDTH, _HEIGHT))
+    draw_space(figure.add_axes((0.0, 0.12, 0.46, 0.88), projection="3d"), distinct_paths(flights))
+    over_time = figure.add_axes((0.52, 0.69, 0.46, 0.25))
+    draw_above_hover(over_time, flights, hover_energy_J / flights[0].duration_s)
+    label_time([over_time], flights[0].duration_s)
+    in_total = figure.add_axes((0.66, 0.19, 0.32, 0.32))
+    draw_excess(in_total, flights, hover_energy_J, absent)
+    in_total.set_title("At the end (J)")
+    legend_below(figure, over_time)
+    return figure
+
+
+def draw_rotors(flight: StyledFlight) -> Figure:
+    """Draw the motors' mechanical and electrical quantities.
+
+    Parameters
+    ----------
+    flight : StyledFlight
+        The flight.
+
+    Returns
+    -------
+    Figure
+        One panel per quantity, four lines in each.
+    """
+    figure, panels = panel_grid(2, 2, panel_height=1.45, legend_entries=len(ROTORS))
+    for axes, signals in zip(panels.flat, MOTOR, strict=True):
+        for rotor, signal, style in zip(ROTORS, signals, ROTOR_STYLES, strict=True):
+            draw_over_time(axes, flight.frame, signal, style, f"rotor {rotor}")
+        axes.set_title(signals[0].label)
+        keep_span([axes], signals[0].smallest_span)
+    label_time(panels[-1], flight.duration_s)
+    legend_below(figure, panels[0, 0])
+    return figure
+
+
+def draw_states(flights: Sequence[StyledFlight]) -> Figure:
+    """Draw all states, one panel each: rows for place, velocity, attitude and body rates.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        The flights to lay over each other, the optimum first.
+
+    Returns
+    -------
+    Figure
+        Sixteen panels.
+    """
+    figure, panels = panel_grid(
+        4, 4, panel_height=1.15, gap=0.52, left=0.42, legend_entries=len(flights)
+    )
+    for row, signals in zip(panels, STATE_GRID, strict=True):
+        for axes, signal in zip(row, signals, strict=True):
+            for flight in flights:
+                draw_over_time(axes, flight.frame, signal, flight.style, flight.name)
+            axes.set_title(signal.title)
+            keep_span([axes], signal.smallest_span)
+    keep_span(panels[:, -1], STATE_GRID[0][-1].smallest_span)
+    label_time(panels[-1], flights[0].duration_s)
+    legend_below(figure, panels[0, 0])
+    return figure
+
+
+# The wind is no flight: it has none of their colours.
+_WIND = LineStyle(color=INK, width=1.9)
+_FORECAST = LineStyle(color=MUTED, dashes=(4.5, 1.6))
+
+
+def draw_wind(told: StyledFlight, flown: StyledFlight | None = None) -> Figure:
+    """Draw both components of the wind, and the forecast where one differs from it.
+
+    Parameters
+    ----------
+    told : StyledFlight
+        A flight in the wind that the optimiser was told.
+    flown : StyledFlight, optional
+        A flight in the real wind, when the optimiser was told another.
+
+    Returns
+    -------
+    Figure
+        One panel per axis.
+    """
+    figure, panels = panel_grid(1, 2, panel_height=1.5, legend_entries=0 if flown is None else 2)
+    forecast = [] if flown is None else [("forecast", told, _FORECAST)]
+    winds = [("wind", told if flown is None else flown, _WIND), *forecast]
+    for axes, signal in zip(panels.flat, WIND, strict=True):
+        for label, flight, style in winds:
+            axes.plot(TIME.of(flight.frame), signal.of(flight.frame), label=label, **style.line)
+        axes.axhline(0.0, color=MUTED, linewidth=0.6, zorder=1)
+        axes.set_title(signal.title)
+    keep_span(panels.flat, WIND[0].smallest_span)
+    label_time(panels.flat, told.duration_s)
+    if flown is not None:
+        legend_below(figure, panels[0, 0])
+    return figure
+
+
+def is_calm(*flights: StyledFlight) -> bool:
+    """Return whether no wind blows in any of the flights, so that there is nothing to draw."""
+    return not any(signal.of(flight.frame).any() for flight in flights for signal in WIND)

@@ -1,0 +1,305 @@
+"""Tables as CSV files and summaries for programs: the same bytes from run to run."""
+
+import json
+import math
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from pyomo_quad.flight.flight import Flight
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.version import __version__
+
+if TYPE_CHECKING:
+    from pyomo_quad.flight.plan import Failure, Plan
+    from pyomo_quad.study.run import RunResult
+
+_NUMBER_FORMAT = "%.12g"
+# A cell that starts with one of these, full-width forms included, is a formula to a spreadsheet.
+_FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
+
+
+def neutral_cell(value: object) -> object:
+    """Return a cell that a spreadsheet shows and does not run.
+
+    Parameters
+    ----------
+    value : object
+        Any cell; only text is changed.
+
+    Returns
+    -------
+    object
+        Text that would be a formula gets a leading apostrophe, all else is returned as it is.
+    """
+    if isinstance(value, str) and value.lstrip(" ").startswith(_FORMULA_STARTS):
+        return f"'{value}"
+    return value
+
+
+def write_table(frame: pd.DataFrame, path: Path) -> None:
+    """Write a table as CSV.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Any table; the index is left out.
+    path : Path
+        The file.
+    """
+    safe = frame.rename(columns=neutral_cell)
+    texts = [name for name, kind in safe.dtypes.items() if not pd.api.types.is_numeric_dtype(kind)]
+    safe = safe.assign(**{str(name): safe[name].map(neutral_cell) for name in texts})
+    safe.to_csv(path, index=False, float_format=_NUMBER_FORMAT, lineterminator="\n")
+
+
+def flight_summary(
+    scenario: Scenario,
+    flight: Flight,
+    *,
+    hover_energy_J: float,
+    arrived: bool,
+    wall_s: Mapping[str, float],
+) -> dict[str, Any]:
+    """Summarise a flight.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission flown.
+    flight : Flight
+        Controlled or not.
+    hover_energy_J : float
+        Energy of hovering for the same time.
+    arrived : bool
+        Whether it ends at the goal.
+    wall_s : mapping
+        Seconds of each phase.
+
+    Returns
+    -------
+    dict
+        Only what JSON can hold.
+    """
+    return {
+        "scenario": scenario.name,
+        "flight": flight.name,
+        "verified": flight.is_verified,
+        "arrived": arrived,
+        "energy_J": flight.energy_J,
+        "hover_energy_J": hover_energy_J,
+        "terminal_miss_m": flight.terminal_miss_m,
+        "terminal_miss": dict(flight.terminal_miss),
+        "max_violation": flight.max_violation,
+        "worst_constraint": flight.worst_constraint,
+        "broken_limits": list(flight.broken_limits),
+        "wall_s": {**wall_s, "fly": flight.wall_s},
+        "scenario_resolved": scenario.model_dump(mode="json"),
+    }
+
+
+PLAN_NAME = "plan.csv"
+
+# Only the best iterate of a solve that failed has this column, last.
+_STATUS_COLUMN = "status"
+
+
+def write_plan_table(folder: Path, plan: "Plan", rate_hz: float | None = None) -> None:
+    """Write a plan's table.
+
+    Parameters
+    ----------
+    folder : Path
+        An existing folder.
+    plan : Plan
+        Of any status; each row of a solve that failed is marked with its status.
+    rate_hz : float, optional
+        Rows per second; one per node of the mesh without.
+    """
+    frame = plan.to_frame(rate_hz)
+    if plan.verification is None:
+        frame[_STATUS_COLUMN] = plan.status.value
+    write_table(frame, folder / PLAN_NAME)
+
+
+SUMMARY_NAME = "summary.json"
+
+# Distributions whose version can change a number; the second name is that of conda's package.
+_DISTRIBUTIONS = {
+    "pyomo": ("pyomo",),
+    "casadi": ("casadi",),
+    "cyipopt": ("cyipopt-wheels", "cyipopt"),
+    "scipy": ("scipy",),
+    "numpy": ("numpy",),
+    "pandas": ("pandas",),
+}
+_PHASES = ("import", "build", "compile", "solve", "verify", "report")
+
+
+def plan_summary(
+    plan: "Plan", *, wall_s: Mapping[str, float], warnings: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Summarise a plan.
+
+    Parameters
+    ----------
+    plan : Plan
+        Verified or not, failed or not.
+    wall_s : mapping
+        Seconds of the phases that the plan's own timings do not hold.
+    warnings : sequence of str, optional
+        What a reader should know beside the numbers.
+
+    Returns
+    -------
+    dict
+        Only what JSON can hold; None where there is no number.
+    """
+    verification = plan.verification
+    timings = {**plan.timings, **wall_s}
+    return {
+        "scenario": plan.scenario.name,
+        "status": plan.status.value,
+        "verified": plan.is_verified,
+        "energy_J": _number(plan.energy),
+        "hover_energy_J": _number(plan.hover_energy_J),
+        "terminal_miss_m": None if verification is None else _number(verification.terminal_miss_m),
+        "max_violation": None if verification is None else _number(verification.max_violation),
+        "solver": {
+            "iterations": plan.iteration_count,
+            "status": (plan if plan.solution is None else plan.solution).status.value,
+            "message": plan.message,
+            "wall_s": _number(plan.timings.get("solve")),
+        },
+        "mesh": {
+            "elements": plan.mesh.elements,
+            "points": plan.mesh.points,
+            "degrees": list(plan.mesh.degrees),
+        },
+        "wall_s": {phase: _number(timings.get(phase)) for phase in _PHASES},
+        "versions": _versions(),
+        "warnings": list(warnings),
+        "attempts": list(plan.attempts),
+        "failure": None if plan.failure is None else _failure(plan.failure),
+        "scenario_resolved": plan.scenario.model_dump(mode="json"),
+    }
+
+
+def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str, Any]:
+    """Summarise a run: its plan, and what was flown and proven beside it.
+
+    Parameters
+    ----------
+    result : RunResult
+        Of any status.
+    wall_s : mapping
+        Seconds of the phases that the result's own timings do not hold.
+
+    Returns
+    -------
+    dict
+        As `plan_summary`, with the flights and the certificate.
+    """
+    summary = plan_summary(result.plan, wall_s=wall_s, warnings=result.warnings)
+    summary["wall_s"] |= {phase: _number(result.timings[phase]) for phase in ("fly", "certify")}
+    certificate = result.certificate
+    summary["certificate"] = {
+        "applies": certificate.applies,
+        "lower_bound_J": _number(certificate.lower_bound_J),
+        "gap_percent": _number(result.gap_percent),
+        "reason": certificate.reason,
+    }
+    summary["flights"] = [
+        {
+            "flight": flight.name,
+            "energy_J": _number(flight.energy_J),
+            "owed_energy_J": _number(flight.owed_energy_J),
+            "broken_limits": list(flight.broken_limits),
+            "terminal_miss_m": _number(flight.terminal_miss_m),
+            "verified": flight.is_verified,
+            "wall_s": _number(flight.wall_s),
+        }
+        for flight in result.flights
+    ]
+    return summary
+
+
+def compare_summary(results: Sequence["RunResult"]) -> dict[str, Any]:
+    """Summarise runs of many scenarios.
+
+    Parameters
+    ----------
+    results : sequence of RunResult
+        In the order of the table.
+
+    Returns
+    -------
+    dict
+        The summaries of the runs, in order.
+    """
+    return {"runs": [run_summary(result, wall_s={}) for result in results]}
+
+
+def summary_text(summary: Mapping[str, Any]) -> str:
+    """Return a summary as JSON text.
+
+    Parameters
+    ----------
+    summary : mapping
+        As `plan_summary` makes it.
+
+    Returns
+    -------
+    str
+        Indented, ending in a line break.
+    """
+    return json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
+    """Write `summary.json` into a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Existing folder.
+    summary : mapping
+        As `plan_summary` makes it.
+    """
+    (folder / SUMMARY_NAME).write_text(summary_text(summary), encoding="utf-8")
+
+
+def _failure(failure: "Failure") -> dict[str, Any]:
+    diagnosis = failure.diagnosis
+    return {
+        "causes": list(failure.causes()),
+        "shortest_duration_s": failure.shortest_duration_s,
+        "worst_equations": [asdict(residual) for residual in diagnosis.residuals],
+        "active_limits": [asdict(limit) for limit in diagnosis.active],
+        "least_violation": _number(diagnosis.least_violation),
+        "relaxations": [asdict(relaxation) for relaxation in diagnosis.relaxations],
+        "remedies": [asdict(remedy) for remedy in failure.remedies],
+    }
+
+
+def _number(value: float | None) -> float | None:
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
+def _versions() -> dict[str, str]:
+    found = {name: _version(names) for name, names in _DISTRIBUTIONS.items()}
+    return {"pyomo_quad": __version__, "python": platform.python_version(), **found}
+
+
+def _version(names: Sequence[str]) -> str:
+    for name in names:
+        try:
+            return version(name)
+        except PackageNotFoundError:
+            continue
+    return "unknown"

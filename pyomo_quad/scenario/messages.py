@@ -1,0 +1,253 @@
+"""What is wrong with a user's input, in one line: where, what was found, what is allowed."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from pyomo_quad.scenario.fields import allowed_text, example_of, other_names_of, unit_of
+from pyomo_quad.scenario.tree import FieldPath, spell
+
+_LONGEST_VALUE = 60
+
+# pydantic's error type -> what is allowed; {name} comes from the error's context.
+_ALLOWED: Mapping[str, str] = {
+    "greater_than": "must be > {gt}",
+    "greater_than_equal": "must be >= {ge}",
+    "less_than": "must be < {lt}",
+    "less_than_equal": "must be <= {le}",
+    "finite_number": "must be finite",
+    "float_type": "must be a number",
+    "float_parsing": "must be a number",
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "int_parsing_size": "must be a whole number of fewer digits",
+    "bool_type": "must be true or false",
+    "string_type": "must be text in quotes",
+    "string_too_long": "must be at most {max_length} characters",
+    "string_too_short": "must be at least {min_length} characters",
+    "enum": "must be one of {expected}",
+    "tuple_type": "must be a list in brackets",
+    "too_long": "must be a list of at most {max_length} values",
+    "too_short": "must be a list of at least {min_length} values",
+    "model_type": "must be a table",
+    "model_attributes_type": "must be a table",
+}
+
+
+def complaint(
+    error: ValidationError, model: type[BaseModel], prefix: FieldPath = ()
+) -> tuple[FieldPath, str]:
+    """Describe the first thing wrong with a scenario.
+
+    Unknown keys come first, since a misspelt key also leaves a key missing.
+
+    Parameters
+    ----------
+    error : ValidationError
+        What pydantic found.
+    model : type of BaseModel
+        The table it was validated against.
+    prefix : tuple, optional
+        Path of that table in the scenario.
+
+    Returns
+    -------
+    tuple
+        Path of the culprit, and the line from the path on.
+    """
+    order = {"extra_forbidden": 0, "missing": 2}
+    details = min(error.errors(), key=lambda found: order.get(found["type"], 1))
+    path: FieldPath = details["loc"]
+    return (*prefix, *path), _line(details, model, (*prefix, *path))
+
+
+def shown(value: object) -> str:
+    """Write a value as TOML does, shortened, on one line.
+
+    Parameters
+    ----------
+    value : object
+        Any value found in a scenario.
+
+    Returns
+    -------
+    str
+        At most about 60 characters.
+    """
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = f'"{value}"' if isinstance(value, str) else _number_text(value)
+    text = printable(text)
+    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
+
+
+def printable(text: str) -> str:
+    """Replace line breaks and control characters, so that a message stays one line.
+
+    Parameters
+    ----------
+    text : str
+        Any text.
+
+    Returns
+    -------
+    str
+        Of the same length.
+    """
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
+def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[FieldPath]:
+    """Walk over the paths of all fields of a table and of the tables in it.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        The table.
+    prefix : tuple, optional
+        Path of the table.
+
+    Yields
+    ------
+    tuple
+        Path of a field; tables themselves are included.
+    """
+    for name in model.model_fields:
+        yield (*prefix, name)
+        nested = _table_of(model, name)
+        if nested is not None and nested is not model:
+            yield from field_paths(nested, (*prefix, name))
+
+
+def declared_place(
+    model: type[BaseModel], place: Sequence[str | int]
+) -> tuple[type[BaseModel], str]:
+    """Find the table that holds a place, and the unit of the field there.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        The outermost table.
+    place : sequence of str and int
+        Steps from there; the last may be an unknown key.
+
+    Returns
+    -------
+    tuple
+        The innermost table reached, and the unit string.
+    """
+    table, unit = model, ""
+    for step in place:
+        if not isinstance(step, str):
+            continue
+        unit = unit_of(table, step)
+        nested = _table_of(table, step)
+        if nested is None:
+            break
+        table = nested
+    return table, unit
+
+
+def _number_text(value: object) -> str:
+    try:
+        return f"{value:g}" if isinstance(value, float) else str(value)
+    except ValueError:  # Python refuses to write integers of thousands of digits
+        return "a number of thousands of digits"
+
+
+def _line(details: ErrorDetails, model: type[BaseModel], path: FieldPath) -> str:
+    table, unit = declared_place(model, details["loc"])
+    where = spell(path)
+    if details["type"] == "extra_forbidden":
+        return _unknown_key(model, table, path, details["loc"])
+    if details["type"] == "missing" and isinstance(path[-1], int):
+        return f"{spell(path[:-1])} is too short; give {where} too{f', in {unit}' if unit else ''}."
+    if details["type"] == "missing":
+        holder, _ = declared_place(model, details["loc"][:-1])
+        example = _example(holder, str(path[-1]))
+        such = f" For example: {where} = {example}" if example else ""
+        return f"{where} is missing; give it{f' in {unit}' if unit else ''}.{such}"
+    if details["type"] == "value_error":
+        return f"{where}: {details['ctx']['error']}."
+    found = shown(details["input"])
+    is_number = isinstance(details["input"], int | float) and not isinstance(details["input"], bool)
+    suffix = f" {unit}" if unit not in {"", "1"} else ""
+    allowed = _allowed(details, allowed_text(table, str(path[-1])))
+    if not is_number and details["type"] in {"float_type", "float_parsing"} and suffix:
+        allowed += f" in{suffix}"
+    return f"{where} = {found}{suffix if is_number else ''}; {allowed}."
+
+
+def _allowed(details: ErrorDetails, in_words: str) -> str:
+    context = details.get("ctx", {})
+    if details["type"] == "string_pattern_mismatch":
+        return f"must be {in_words or context['pattern']}"
+    allowed = _ALLOWED.get(details["type"])
+    if allowed is None:
+        return details["msg"][:1].lower() + details["msg"][1:]
+    numbers = {
+        name: f"{value:g}" if isinstance(value, float) else value for name, value in context.items()
+    }
+    return allowed.format(**numbers)
+
+
+def _unknown_key(
+    model: type[BaseModel], table: type[BaseModel], path: FieldPath, place: Sequence[str | int]
+) -> str:
+    prefix = path[: len(path) - len(place)]
+    unknown = str(path[-1])
+    where = shown(spell(path))[1:-1]
+    meant = [name for name in table.model_fields if unknown in other_names_of(table, name)]
+    near = meant or get_close_matches(unknown, table.model_fields, n=1)
+    if near:
+        return f"unknown key {where}; did you mean {spell((*path[:-1], near[0]))}?"
+    everywhere = {spell(found): str(found[-1]) for found in field_paths(model, prefix)}
+    same_name = [found for found, name in everywhere.items() if name == unknown]
+    near = same_name or get_close_matches(where, everywhere, n=1, cutoff=0.75)
+    if near:
+        return f"unknown key {where}; did you mean {near[0]}?"
+    return f"unknown key {where}; known keys here: {', '.join(table.model_fields)}."
+
+
+def _example(model: type[BaseModel], name: str) -> str:
+    """Return what a field could be: its own example, or a table of what its table needs."""
+    nested = _table_of(model, name)
+    if nested is None:
+        return example_of(model, name)
+    needed = [key for key, field in nested.model_fields.items() if field.is_required()]
+    parts = {key: _example(nested, key) for key in needed}
+    if not all(parts.values()):
+        return ""
+    return f"{{ {', '.join(f'{key} = {value}' for key, value in parts.items())} }}"
+
+
+def _table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
+    field = model.model_fields.get(name)
+    annotation: Any = field.annotation if field is not None else None
+    choices = get_args(annotation) if get_origin(annotation) in {Union, UnionType} else [annotation]
+    for choice in choices:
+        if isinstance(choice, type) and issubclass(choice, BaseModel):
+            return choice
+    return None
+
+
+class PyomoQuadError(Exception):
+    """Base of every error that pyomo_quad raises on purpose."""
+
+
+class ScenarioError(PyomoQuadError, ValueError):
+    """A scenario, library or wind file says something that is not allowed."""
+
+
+class FeasibilityError(PyomoQuadError, ValueError):
+    """A valid scenario asks for something that the vehicle cannot physically do."""
+
+
+class OutputError(PyomoQuadError, RuntimeError):
+    """The results cannot be written where they were asked for."""

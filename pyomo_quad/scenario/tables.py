@@ -1,0 +1,629 @@
+"""The tables of a scenario: vehicle, battery, wind, mission, limits, power, baseline, solver."""
+
+from collections.abc import Mapping
+from enum import StrEnum
+from math import pi, sqrt
+from typing import Any, Self
+
+from pydantic import model_validator
+
+from pyomo_quad.scenario.fields import (
+    ONE_LINE,
+    Flag,
+    Number,
+    Part,
+    Sound,
+    Text,
+    Triple,
+    WholeNumber,
+    quantity,
+)
+
+_MILLISECONDS = "no loop is faster than the milliseconds of motors and sensors"
+_RATE = Sound(1e-3, 1e4, _MILLISECONDS)
+_ADAPTATION = Sound(0, 1e6, _MILLISECONDS)
+_FORCE = Sound(1e-3, 1e4, "a thousand times gravity tears a vehicle apart")
+
+
+class Reference(StrEnum):
+    """The trajectory that the controller follows."""
+
+    STEP = "step"
+    QUINTIC = "quintic"
+    MINIMUM_SNAP = "minimum_snap"
+    PLAN = "plan"
+
+
+class Gains(Part):
+    """Gains of the adaptive backstepping law, per unit of mass and of inertia.
+
+    Dividing by mass and inertia makes the defaults serve vehicles of any size: they place the
+    poles of the position error at 1.5 and 3 rad/s, of the tilt command at 12 rad/s, of the
+    attitude error at 6 and 15 rad/s and of the rotors at 60 rad/s: each loop is at least twice as
+    fast as the one around it, and a step settles in less than 3 s.
+    """
+
+    position: Number = quantity("1/s", "position error to velocity (k1)", 1.5, gt=0, sound=_RATE)
+    velocity: Number = quantity(
+        "1/s", "velocity error to acceleration (k2)", 3.0, gt=0, sound=_RATE
+    )
+    speed_max: Number = quantity(
+        "m/s",
+        "speed at which a far goal is approached",
+        3.0,
+        gt=0,
+        sound=Sound(1e-3, 1e3, "nothing with rotors flies at the speed of sound"),
+    )
+    acceleration_max: Number = quantity(
+        "m/s^2", "largest correcting acceleration", 2.0, gt=0, sound=_FORCE
+    )
+    tilt_max: Number = quantity(
+        "rad",
+        "largest tilt asked of the attitude loop",
+        0.5,
+        gt=0,
+        lt=1.5,
+        sound=Sound(1e-3, 1.5, "with less nothing is left to steer with"),
+    )
+    thrust_share: Number = quantity(
+        "1",
+        "share of the thrust beyond the weight left to the position loop",
+        0.7,
+        gt=0,
+        le=1,
+        sound=Sound(1e-3, 1, "with less nothing is left to steer with"),
+    )
+    tilt_command: Number = quantity(
+        "1/s", "tilt error to tilt rate, of the filter", 6.0, gt=0, sound=_RATE
+    )
+    attitude: Number = quantity("1/s", "roll and pitch error to rate (k3)", 6.0, gt=0, sound=_RATE)
+    attitude_rate: Number = quantity(
+        "1/s", "their rate error to acceleration (k4)", 15.0, gt=0, sound=_RATE
+    )
+    yaw: Number = quantity("1/s", "yaw error to yaw rate (k3)", 1.0, gt=0, sound=_RATE)
+    yaw_rate: Number = quantity(
+        "1/s", "yaw rate error to acceleration (k4)", 2.5, gt=0, sound=_RATE
+    )
+    rotor: Number = quantity(
+        "1/s", "rotor speed error to rotor acceleration", 60.0, gt=0, sound=_RATE
+    )
+    force_identification: Number = quantity(
+        "1/s", "rate of the force identifier (kappa)", 20.0, gt=0, sound=_RATE
+    )
+    moment_identification: Number = quantity(
+        "1/s", "rate of the moment identifier (kappa)", 10.0, gt=0, sound=_RATE
+    )
+    force_adaptation: Number = quantity(
+        "1/s^2", "adaptation to a force (gamma)", 100.0, ge=0, sound=_ADAPTATION
+    )
+    force_max: Number = quantity(
+        "m/s^2", "bound of that force over the mass", 4.0, gt=0, sound=_FORCE
+    )
+    moment_adaptation: Number = quantity(
+        "1/s^2", "adaptation to a moment (gamma)", 25.0, ge=0, sound=_ADAPTATION
+    )
+    moment_max: Number = quantity(
+        "rad/s^2",
+        "bound of that moment over the inertia",
+        1.0,
+        gt=0,
+        sound=Sound(1e-3, 1e8, "no airframe follows faster"),
+    )
+
+
+class Baseline(Part):
+    """Which references are flown, and how the controller is set."""
+
+    references: tuple[Reference, ...] = quantity(
+        "", "trajectories to follow", tuple(Reference), max_length=len(Reference)
+    )
+    adaptation: Flag = quantity("", "whether the controller adapts", True)
+    gains: Gains = quantity("", "controller gains", Gains())
+
+
+_VOLTAGE = Sound(0, 100, "the cells of all chemistries have 1 to 5 V")
+
+
+class Battery(Part):
+    """Cell constants of the Tremblay-Dessaint model and the number of cells."""
+
+    use: Text = quantity("", "name of the battery in the library")
+    title: Text = quantity(
+        "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
+    )
+    cells_series: WholeNumber = quantity("1", "cells in series", ge=1, le=1000)
+    cells_parallel: WholeNumber = quantity("1", "cells in parallel", ge=1, le=1000)
+    E0: Number = quantity(
+        "V",
+        "constant voltage of one cell (e0)",
+        gt=0,
+        sound=Sound(0.1, 100, "the cells of all chemistries have 1 to 5 V"),
+    )
+    K: Number = quantity("V", "polarisation voltage of one cell (k)", ge=0, sound=_VOLTAGE)
+    A: Number = quantity("V", "exponential voltage of one cell (c1)", ge=0, sound=_VOLTAGE)
+    B: Number = quantity(
+        "1/A/hr",
+        "inverse exponential capacity of one cell (c2)",
+        ge=0,
+        sound=Sound(
+            0, 1e4, "the first rise is over within a thousandth of the charge at the earliest"
+        ),
+    )
+    capacity: Number = quantity(
+        "A*hr",
+        "capacity of one cell (Qbat)",
+        gt=0,
+        sound=Sound(1e-4, 1e4, "cells hold from a milliampere hour to a thousand ampere hours"),
+    )
+    cell_resistance: Number = quantity(
+        "ohm",
+        "resistance of one cell (Rbat)",
+        gt=0,
+        sound=Sound(1e-6, 100, "cells have from tenths of a milliohm to ohms"),
+    )
+    initial_state_of_charge: Number = quantity(
+        "percent", "state of charge at the start", 100.0, gt=0, le=100
+    )
+
+
+_FAR = Sound(-1e5, 1e5, "a quadrotor flies tens of kilometres, in metres")
+_TURNS = Sound(-1e4, 1e4, "a turn is 6.283 rad")
+
+
+class Hover(Part):
+    """A place and a heading to hover at."""
+
+    position: Triple = quantity(
+        "m", "position x, y, z in world axes, z up", example="[6.0, 7.0, 8.0]", sound=_FAR
+    )
+    yaw: Number = quantity("rad", "yaw angle", 0.0, sound=_TURNS)
+
+
+class Mission(Part):
+    """Start, goal and duration of the flight."""
+
+    start: Hover = quantity(
+        "",
+        "where the flight starts",
+        Hover(position=(0.0, 0.0, 0.0)),
+        other_names=("from", "begin", "origin"),
+    )
+    goal: Hover = quantity(
+        "", "where the flight ends", other_names=("end", "target", "destination")
+    )
+    duration: Number = quantity(
+        "s",
+        "duration of the flight",
+        gt=0,
+        example="10.0",
+        other_names=("time", "t_final", "final_time", "seconds"),
+        sound=Sound(1e-3, 86_400, "no quadrotor stays aloft for more than a day"),
+    )
+
+
+class PowerModel(StrEnum):
+    """Which declared power the mission's energy integrates."""
+
+    MOTOR = "motor"
+    EFFICIENCY = "efficiency"
+    SHAFT = "shaft"
+    CONSTANT_EFFICIENCY = "constant_efficiency"
+    MOTOR_WITH_FRICTION = "motor_with_friction"
+
+
+# Their power is a balance that holds whichever way the energy flows; to divide a braking power by
+# an efficiency would make braking earn more than it gave.
+_REGENERATING = (PowerModel.MOTOR, PowerModel.SHAFT, PowerModel.MOTOR_WITH_FRICTION)
+
+
+class Power(Part):
+    """Choice of the power model and the regularisation of the `efficiency` model."""
+
+    model: PowerModel = quantity("", "power model", PowerModel.MOTOR)
+    efficiency: Number = quantity("1", "drive efficiency of constant_efficiency", 0.75, gt=0, le=1)
+    torque_floor: Number = quantity(
+        "N*m",
+        "efficiency: smallest torque used in f_r",
+        0.0,
+        ge=0,
+        sound=Sound(0, 100, "drag torques of rotors that fly are smaller"),
+    )
+    efficiency_floor: Number = quantity(
+        "1",
+        "efficiency: smallest f_r",
+        0.05,
+        gt=0,
+        le=1,
+        sound=Sound(1e-4, 1, "less would mean a power of thousands of times the useful one"),
+    )
+    regeneration: Flag = quantity(
+        "", "whether braking earns energy back, default by power model", False
+    )
+    smoothing: Number = quantity(
+        "W",
+        "without regeneration: width of the smooth floor at 0 W",
+        0.1,
+        gt=0,
+        sound=Sound(
+            1e-6, 1e5, "it is to be small beside the power in flight, which is watts to megawatts"
+        ),
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _regenerates_by_default(cls, given: Any) -> Any:  # noqa: ANN401  before validation
+        if not isinstance(given, Mapping) or "regeneration" in given:
+            return given
+        return {**given, "regeneration": given.get("model", PowerModel.MOTOR) in _REGENERATING}
+
+
+# Points of the first mesh that a machine of 8 GB solves on; a thousand take about 0.1 GB.
+_MOST_POINTS = 50_000
+
+
+class Solver(Part):
+    """First mesh, tolerance and bounds on the effort."""
+
+    tolerance: Number = quantity(
+        "1",
+        "relative error of states asked for",
+        1e-6,
+        gt=0,
+        le=1e-1,
+        sound=Sound(1e-11, 0.1, "sums of thousands of terms are rounded by about 1e-12"),
+    )
+    elements: WholeNumber = quantity("1", "elements of the first mesh", 10, ge=1, le=100_000)
+    degree: WholeNumber = quantity("1", "degree of each element of the first mesh", 4, ge=1, le=20)
+    max_iterations: WholeNumber = quantity("1", "Ipopt iterations per mesh", 150, ge=1, le=100_000)
+    time_limit: Number = quantity(
+        "s",
+        "time after which a solve, its fallbacks and its diagnosis are given up",
+        300.0,
+        gt=0,
+        le=1e6,
+    )
+    max_refinements: WholeNumber = quantity("1", "mesh refinements", 20, ge=0, le=100)
+
+    @model_validator(mode="after")
+    def _fits_into_memory(self) -> Self:
+        points = self.elements * self.degree
+        if points > _MOST_POINTS:
+            raise ValueError(
+                f"elements = {self.elements} of degree = {self.degree} make {points} points; must "
+                f"make at most {_MOST_POINTS}: more do not fit into memory, and refinement adds "
+                "elements where they are wanted"
+            )
+        return self
+
+
+ROTOR_COUNT = 4
+
+_INERTIA = Sound(1e-9, 1e6, "a gram at a millimetre has 1e-9, ten tonnes at ten metres have 1e6")
+_FITTED = Sound(-1e9, 1e9, "f_r is a share and its arguments are not tiny")
+
+
+class EfficiencyMap(Part):
+    """Coefficients of f_r(tau, omega), each row (a, b, c) of a omega^2 + b omega + c."""
+
+    cubic: Triple = quantity(
+        "", "row of tau^3; f_r is a pure number, tau in N m, omega in rad/s", sound=_FITTED
+    )
+    quadratic: Triple = quantity("", "row of tau^2", sound=_FITTED)
+    linear: Triple = quantity("", "row of tau", sound=_FITTED)
+    constant: Triple = quantity("", "row without tau", sound=_FITTED)
+
+
+class Vehicle(Part):
+    """A quadrotor: four equal rotors on arms along body x and y, numbered as in the paper."""
+
+    use: Text = quantity("", "name of the vehicle in the library")
+    title: Text = quantity(
+        "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
+    )
+    mass: Number = quantity(
+        "kg",
+        "mass without payload",
+        gt=0,
+        sound=Sound(1e-3, 1e4, "flying machines weigh from a gram to ten tonnes"),
+    )
+    payload: Number = quantity(
+        "kg",
+        "mass carried, at the centre of mass",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e4, "flying machines weigh from a gram to ten tonnes"),
+    )
+    arm_length: Number = quantity(
+        "m",
+        "centre of mass to rotor shaft (l)",
+        gt=0,
+        sound=Sound(1e-3, 100, "rotors stand from a millimetre to a hundred metres out"),
+    )
+    Ix: Number = quantity("kg*m^2", "moment of inertia about body x", gt=0, sound=_INERTIA)
+    Iy: Number = quantity("kg*m^2", "moment of inertia about body y", gt=0, sound=_INERTIA)
+    Iz: Number = quantity("kg*m^2", "moment of inertia about body z", gt=0, sound=_INERTIA)
+    thrust_coefficient: Number = quantity(
+        "N*s^2",
+        "thrust over rotor speed squared (kb)",
+        gt=0,
+        sound=Sound(
+            1e-12, 100, "a rotor of a centimetre has about 1e-10, one of ten metres about 10"
+        ),
+    )
+    drag_torque_coefficient: Number = quantity(
+        "N*m*s^2",
+        "drag torque over rotor speed squared (kappa)",
+        gt=0,
+        sound=Sound(
+            1e-15, 100, "a rotor of a centimetre has about 1e-13, one of ten metres about 1"
+        ),
+    )
+    rotor_inertia: Number = quantity(
+        "kg*m^2",
+        "inertia of rotor and propeller (Ir)",
+        gt=0,
+        sound=Sound(
+            1e-12, 1e4, "a rotor of a centimetre has about 1e-11, one of ten metres about 1e3"
+        ),
+    )
+    torque_constant: Number = quantity(
+        "N*m/A",
+        "motor torque over current (kt)",
+        gt=0,
+        sound=Sound(
+            1e-6, 100, "motors for flight give from micronewton metres to newton metres per ampere"
+        ),
+    )
+    voltage_constant: Number = quantity(
+        "rad/s/V",
+        "motor speed over voltage (kv)",
+        gt=0,
+        sound=Sound(1e-2, 1e5, "motors for flight turn by 0.1 to 10,000 rad/s per volt"),
+    )
+    motor_resistance: Number = quantity(
+        "ohm",
+        "winding resistance (R)",
+        gt=0,
+        sound=Sound(1e-6, 1e3, "windings have from micro-ohms to hundreds of ohms"),
+    )
+    friction_torque: Number = quantity(
+        "N*m",
+        "dry friction of one motor (Tf)",
+        0.0,
+        ge=0,
+        sound=Sound(0, 100, "bearings of a rotor are nearly free"),
+    )
+    viscous_damping: Number = quantity(
+        "N*m*s",
+        "viscous friction of one motor (Df)",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1, "bearings of a rotor are nearly free"),
+    )
+    drag_linear: Number = quantity(
+        "kg/s",
+        "linear drag on the relative airspeed",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e4, "a hundred square metres across the flow have about 1e3"),
+    )
+    drag_quadratic: Number = quantity(
+        "kg/m",
+        "quadratic drag on the relative airspeed",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e3, "a hundred square metres across the flow have about 1e2"),
+    )
+    efficiency_map: EfficiencyMap = quantity("", "the recovered efficiency function f_r")
+
+    @property
+    def total_mass(self) -> float:
+        """Mass in flight, kg."""
+        return self.mass + self.payload
+
+    def hover_speed(self, gravity: float) -> float:
+        """Return the rotor speed at which the thrust balances the weight.
+
+        Parameters
+        ----------
+        gravity : float
+            Acceleration of gravity, m/s^2.
+
+        Returns
+        -------
+        float
+            Speed of each rotor, rad/s.
+        """
+        return sqrt(self.total_mass * gravity / (ROTOR_COUNT * self.thrust_coefficient))
+
+
+#: rad/s.
+FASTEST_ROTOR = 1e5
+_ANGLE = Sound(1e-4, 2, "the angle is in radians")
+_MOMENT = Sound(0, 1e8, "ten tonnes on an arm of a kilometre have 1e8")
+
+
+class Limits(Part):
+    """Bounds that the optimiser respects and the controller is clipped to."""
+
+    roll_max: Number = quantity(
+        "rad", "largest roll angle, eq. (10)", gt=0, le=pi / 2, sound=_ANGLE
+    )
+    pitch_max: Number = quantity(
+        "rad", "largest pitch angle, eq. (10)", gt=0, le=pi / 2, sound=_ANGLE
+    )
+    rotor_speed_min: Number = quantity(
+        "rad/s",
+        "smallest rotor speed, eq. (10)",
+        ge=0,
+        sound=Sound(0, FASTEST_ROTOR, "the tips of the smallest rotors reach the speed of sound"),
+    )
+    rotor_speed_max: Number = quantity(
+        "rad/s", "largest rotor speed, eq. (10)", gt=0, le=FASTEST_ROTOR
+    )
+    rotor_acceleration_max: Number = quantity(
+        "rad/s^2",
+        "largest rotor acceleration",
+        gt=0,
+        sound=Sound(1e-2, 1e8, "a rotor takes from a millisecond to minutes to reach its speed"),
+    )
+    thrust_max: Number = quantity(
+        "N",
+        "largest total thrust, default of four rotors",
+        gt=0,
+        sound=Sound(0, 1e7, "flying machines weigh at most ten tonnes"),
+    )
+    roll_moment_max: Number = quantity(
+        "N*m", "largest roll moment, default of one rotor", gt=0, sound=_MOMENT
+    )
+    pitch_moment_max: Number = quantity(
+        "N*m", "largest pitch moment, default of one rotor", gt=0, sound=_MOMENT
+    )
+    yaw_moment_max: Number = quantity(
+        "N*m",
+        "largest yaw moment, default of two rotors",
+        gt=0,
+        sound=_MOMENT,
+    )
+    state_of_charge_min: Number | None = quantity(
+        "percent", "lowest state of charge, no limit when absent", None, ge=0, lt=100
+    )
+    battery_current_max: Number | None = quantity(
+        "A",
+        "largest pack current, no limit when absent",
+        None,
+        gt=0,
+        sound=Sound(1e-3, 1e6, "packs for flight give from milliamperes to thousands of amperes"),
+    )
+    battery_voltage_min: Number | None = quantity(
+        "V",
+        "lowest pack voltage, no limit when absent",
+        None,
+        gt=0,
+        sound=Sound(1e-3, 1e5, "packs for flight have from a volt to thousands of volts"),
+    )
+
+
+def derived_limits(vehicle: Vehicle, rotor_speed_max: float) -> dict[str, float]:
+    """Return the thrust and moment limits that the rotor speed limit implies.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Gives arm and rotor coefficients.
+    rotor_speed_max : float
+        Largest rotor speed, rad/s.
+
+    Returns
+    -------
+    dict
+        Values of `thrust_max` (eq. 10) and of the three moment limits (eq. 7), SI.
+    """
+    rotor_thrust = vehicle.thrust_coefficient * rotor_speed_max**2
+    rotor_drag_torque = vehicle.drag_torque_coefficient * rotor_speed_max**2
+    return {
+        "thrust_max": ROTOR_COUNT * rotor_thrust,
+        "roll_moment_max": vehicle.arm_length * rotor_thrust,
+        "pitch_moment_max": vehicle.arm_length * rotor_thrust,
+        "yaw_moment_max": 2 * rotor_drag_torque,
+    }
+
+
+#: m/s. Beyond the strongest gust measured, on Barrow Island in 1996 (WMO), by a third.
+LARGEST_WIND = 150.0
+STRONGEST_GUST = "the strongest gust measured on earth had 113 m/s"
+#: s. Thirty years; a number of that size still tells a microsecond.
+LATEST_TIME = 1e9
+_WIND = Sound(-LARGEST_WIND, LARGEST_WIND, STRONGEST_GUST)
+_FAST = Sound(-1e4, 1e4, "no gust changes within a millisecond")
+
+
+class WindCoupling(StrEnum):
+    """How the wind enters the momentum balance."""
+
+    ACCELERATION = "acceleration"
+    DRAG = "drag"
+
+
+class FrequencyUnit(StrEnum):
+    """How the harmonic frequencies of Table 2 are read."""
+
+    RADIAN_PER_SECOND = "rad/s"
+    HERTZ = "hz"
+
+
+class WindAxis(Part):
+    """One axis of eq. (11)-(12): mean, three harmonics, gust."""
+
+    mean: Number = quantity("m/s", "mean value (v0)", sound=_WIND)
+    amplitudes: Triple = quantity("m/s", "amplitudes of the harmonics (A_k)", sound=_WIND)
+    frequencies: Triple = quantity(
+        "rad/s", "frequencies of the harmonics, see frequency_unit", sound=_FAST
+    )
+    gust_amplitude: Number = quantity("m/s", "gust amplitude (v_gmax)", sound=_WIND)
+    gust_period: Number = quantity(
+        "s",
+        "gust period (T_g)",
+        gt=0,
+        sound=Sound(1e-3, 1e6, "a gust lasts for seconds or minutes"),
+    )
+
+
+class WindSeries(Part):
+    """A measured wind, read and validated from `wind.file`."""
+
+    times: tuple[Number, ...] = quantity("s", "times from the start of the mission")
+    wind_x: tuple[Number, ...] = quantity("m/s", "wind toward +x")
+    wind_y: tuple[Number, ...] = quantity("m/s", "wind toward +y")
+
+
+class Wind(Part):
+    """The horizontal wind in world axes."""
+
+    use: Text = quantity("", "name of the wind in the library")
+    title: Text = quantity(
+        "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
+    )
+    coupling: WindCoupling = quantity(
+        "", "acceleration (eq. 9 as printed) or drag", WindCoupling.ACCELERATION
+    )
+    acceleration_coefficient: Number = quantity(
+        "1/s",
+        "turns wind velocity into acceleration, eq. (9)",
+        1.0,
+        ge=0,
+        sound=Sound(0, 1e3, "nothing that flies is carried along within a millisecond"),
+    )
+    frequency_unit: FrequencyUnit = quantity(
+        "", "unit of the frequencies: rad/s (as eq. 11) or hz", FrequencyUnit.RADIAN_PER_SECOND
+    )
+    speed: Number = quantity("m/s", "steady wind added to the means", 0.0, ge=0, sound=_WIND)
+    direction: Number = quantity(
+        "rad",
+        "where the steady wind blows to, 0 is +x",
+        0.0,
+        sound=Sound(-1e4, 1e4, "a turn is 6.283 rad"),
+    )
+    time_offset: Number = quantity(
+        "s",
+        "wind time at the start of the mission",
+        0.0,
+        sound=Sound(-LATEST_TIME, LATEST_TIME, "wind is not known for more than thirty years"),
+    )
+    file: Text | None = quantity(
+        "", "CSV file time_s,wind_x_m_per_s,wind_y_m_per_s in place of eq. (11)-(12)", None
+    )
+    series: WindSeries | None = quantity("", "the wind read from file", None)
+    x: WindAxis = quantity("", "wind toward +x")
+    y: WindAxis = quantity("", "wind toward +y")
+    forecast: Self | None = quantity(
+        "", "the wind that the optimiser is told, the true one when absent", None
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _forecast_has_no_forecast(cls, tables: object) -> object:
+        forecast = tables.get("forecast") if isinstance(tables, Mapping) else None
+        if isinstance(forecast, Mapping) and forecast.get("forecast") is not None:
+            raise ValueError("forecast.forecast is not allowed; remove it")
+        return tables

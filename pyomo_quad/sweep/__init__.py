@@ -1,0 +1,40 @@
+"""Sweeps: many cases of one scenario, on many workers, into a store that loses nothing."""
+
+from pyomo_quad.sweep.design import SweepDesign
+from pyomo_quad.sweep.errors import ClusterError, StoreError, StudyError
+from pyomo_quad.sweep.report import write_sweep_report
+from pyomo_quad.sweep.runner import (
+    SilentListener,
+    Sweep,
+    SweepEstimate,
+    SweepListener,
+    SweepSummary,
+    estimate_sweep,
+)
+from pyomo_quad.sweep.store import ResultStore, adopt_design, results_frame
+from pyomo_quad.sweep.study_file import design_sweep, load_study
+from pyomo_quad.sweep.workers import Workers, cluster_workers, process_workers
+
+__all__ = [
+    "ClusterError",
+    "ResultStore",
+    "SilentListener",
+    "StoreError",
+    "StudyError",
+    "Sweep",
+    "SweepDesign",
+    "SweepEstimate",
+    "SweepListener",
+    "SweepSummary",
+    "Workers",
+    "adopt_design",
+    "cluster_workers",
+    "design_sweep",
+    "estimate_sweep",
+    "load_study",
+    "process_workers",
+    "results_frame",
+]
+
+
+__all__ = ["write_sweep_report"]

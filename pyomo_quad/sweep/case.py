@@ -1,0 +1,487 @@
+"""One case: how it travels to a worker, is solved there, and what is read off its flights."""
+
+import importlib
+import math
+import os
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from io import BytesIO
+from zipfile import BadZipFile
+
+import numpy as np
+
+from pyomo_quad.collocation import TranscriptionError, WarmStart
+from pyomo_quad.flight import Flight, Plan, Planner
+from pyomo_quad.flight.baselines import fly_baseline
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.tables import Reference
+from pyomo_quad.study.comparison import is_comparable, settled_energy
+from pyomo_quad.version import __version__
+
+_LONGEST_REASON = 500
+# Of any column, in its SI unit: beyond it no sum or square of a report overflows or means anything.
+LARGEST_OUTPUT = 1e15
+
+
+class StudyTask(StrEnum):
+    """What is done in each case."""
+
+    OPTIMISE = "optimise"
+    FLY_PLAN = "fly_plan"
+
+
+class CaseStatus(StrEnum):
+    """How a case ended."""
+
+    FINISHED = "finished"
+    FAILED = "failed"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaseTask:
+    """What a worker needs to solve one case.
+
+    Attributes
+    ----------
+    position : int
+        The case's place in the row order.
+    key : str
+        The case's key.
+    solver : str
+        The case solver as ``module:function``; it is chosen by the program, not by its input.
+    scenario : str
+        The complete scenario, JSON.
+    base : str
+        The complete base scenario, JSON.
+    task : StudyTask
+        What is done.
+    baselines : tuple of Reference
+        References that the controller flies.
+    warm_start : bytes or None
+        What the parent case left for its children.
+    """
+
+    position: int
+    key: str
+    solver: str
+    scenario: str
+    base: str
+    task: StudyTask
+    baselines: tuple[Reference, ...]
+    warm_start: bytes | None = None
+
+    def for_scenario(self, scenario: str) -> "CaseTask":
+        """Return the task with a scenario filled in.
+
+        Parameters
+        ----------
+        scenario : str
+            The complete scenario, JSON.
+
+        Returns
+        -------
+        CaseTask
+            A copy.
+        """
+        return replace(self, scenario=scenario)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaseResult:
+    """What a case solver returns.
+
+    Attributes
+    ----------
+    values : mapping
+        Column -> number.
+    warm_start : bytes or None
+        For the children of this case.
+    reason : str
+        Why the case failed, empty when it did not; the values are kept either way.
+    """
+
+    values: Mapping[str, float]
+    warm_start: bytes | None = None
+    reason: str = ""
+
+
+CaseSolver = Callable[[CaseTask], CaseResult]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaseOutcome:
+    """A case after its end: a row of the sweep.
+
+    Attributes
+    ----------
+    position, key : int, str
+        The case.
+    status : CaseStatus
+        Finished, failed by its numbers, or lost with its worker.
+    reason : str
+        Why it did not finish.
+    values : mapping
+        Column -> number.
+    warm_start : bytes or None
+        For the children of this case.
+    seconds : float
+        Wall time of the solve.
+    worker : str
+        Host and process that solved it.
+    """
+
+    position: int
+    key: str
+    status: CaseStatus
+    reason: str = ""
+    values: Mapping[str, float]
+    warm_start: bytes | None = None
+    seconds: float = 0.0
+    worker: str = ""
+
+    @classmethod
+    def failure(cls, task: CaseTask, reason: str) -> "CaseOutcome":
+        """Make the row of a case that gave no result.
+
+        Parameters
+        ----------
+        task : CaseTask
+            The case.
+        reason : str
+            One line.
+
+        Returns
+        -------
+        CaseOutcome
+            Children start from where this case started.
+        """
+        return cls(
+            position=task.position,
+            key=task.key,
+            status=CaseStatus.FAILED,
+            reason=" ".join(reason.split())[:_LONGEST_REASON],
+            values={},
+            warm_start=task.warm_start,
+        )
+
+    @classmethod
+    def loss(cls, task: CaseTask) -> "CaseOutcome":
+        """Make the row of a case whose worker died each time; it is tried again on resume."""
+        reason = "its worker died, also when it was tried alone; run the same command to try again"
+        return replace(cls.failure(task, reason), status=CaseStatus.LOST)
+
+
+def perform(task: CaseTask) -> CaseOutcome:
+    """Solve one case in the present process.
+
+    Parameters
+    ----------
+    task : CaseTask
+        The case.
+
+    Returns
+    -------
+    CaseOutcome
+        Its row; a case that cannot be solved is a failed row and never an exception.
+    """
+    started = time.perf_counter()
+    try:
+        result = _case_solver(task.solver)(task)
+    except Exception as error:  # noqa: BLE001  a fault in one case must not end the sweep
+        outcome = CaseOutcome.failure(task, f"{type(error).__name__}: {error}")
+    else:
+        status = CaseStatus.FAILED if result.reason else CaseStatus.FINISHED
+        outcome = CaseOutcome(
+            position=task.position,
+            key=task.key,
+            status=status,
+            reason=" ".join(result.reason.split())[:_LONGEST_REASON],
+            values=_finite(result.values),
+            warm_start=result.warm_start if result.warm_start is not None else task.warm_start,
+        )
+    return replace(
+        outcome,
+        seconds=time.perf_counter() - started,
+        worker=f"{socket.gethostname()}:{os.getpid()}",
+    )
+
+
+def worker_version() -> str:
+    """Return the version of this package in the present process."""
+    return __version__
+
+
+def _finite(values: Mapping[str, float]) -> dict[str, float]:
+    # A cell without a number stays empty: NaN is no answer, and JSON has none.
+    return {name: float(held) for name, held in values.items() if abs(held) <= LARGEST_OUTPUT}
+
+
+def _case_solver(name: str) -> CaseSolver:
+    module, _, function = name.partition(":")
+    solver: CaseSolver = getattr(importlib.import_module(module), function)
+    return solver
+
+
+ENERGY = "energy_J"
+HOVER_ENERGY = "hover_energy_J"
+EXCESS_ENERGY = "excess_energy_J"
+MEAN_POWER = "mean_power_W"
+# Of the case's own flight; those of the controller's end in it.
+TERMINAL_MISS = "terminal_miss_m"
+# The scenario's field that the figures over time look for.
+DURATION_FIELD = "mission.duration"
+
+_EMPTY = 0.0
+_SAMPLES = 501
+# A solve is good to six digits, and rounding differs between machines: what is stored has the
+# digits that mean something, and is the same wherever it was solved.
+_DIGITS = 9
+_SMALLEST_RESIDUAL = 1e-7
+_RESIDUALS = ("max_violation", TERMINAL_MISS)
+_ERROR_ESTIMATE = "error_estimate"
+_ERROR_DIGITS = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Flown:
+    """What the columns are read off: a flight, the plan beside it, and the world flown in."""
+
+    flight: Flight
+    plan: Plan
+    scenario: Scenario
+
+    @property
+    def charge_used(self) -> float:
+        """What the flight takes of the charge, in percent."""
+        charge = self.flight.frame["state_of_charge_percent"]
+        return float(charge.iloc[0] - charge.iloc[-1])
+
+    @property
+    def repeats(self) -> float:
+        """How often the mission can be flown on one charge.
+
+        At the voltage of the first time: a battery that sags makes it a little less often.
+        """
+        least = self.scenario.limits.state_of_charge_min or _EMPTY
+        usable = self.scenario.battery.initial_state_of_charge - least
+        return usable / self.charge_used if self.charge_used > 0.0 else np.nan
+
+    @property
+    def peak_tilt(self) -> float:
+        """Greatest angle between thrust and vertical, in rad."""
+        frame = self.flight.frame
+        return float(np.arccos(np.cos(frame["phi_rad"]) * np.cos(frame["theta_rad"])).max())
+
+    @property
+    def saved(self) -> float:
+        """Share of the flight's energy that the plan saves, where they can be compared."""
+        if not is_comparable(self.flight):
+            return np.nan
+        return 1.0 - self.plan.energy / settled_energy(self.flight)
+
+    @property
+    def distance(self) -> float:
+        """From start to goal, in m."""
+        mission = self.scenario.mission
+        return math.dist(mission.start.position, mission.goal.position)
+
+
+_Columns = Mapping[str, Callable[[_Flown], float]]
+
+_OF_A_FLIGHT: _Columns = {
+    MEAN_POWER: lambda one: one.flight.energy_J / one.flight.duration_s,
+    "peak_power_W": lambda one: float(one.flight.frame["power_W"].max()),
+    "peak_tilt_rad": lambda one: one.peak_tilt,
+    "battery_used_percent": lambda one: one.charge_used,
+    "lowest_voltage_V": lambda one: float(one.flight.frame["battery_voltage_V"].min()),
+    "range_m": lambda one: one.repeats * one.distance,
+    "endurance_s": lambda one: one.repeats * one.flight.duration_s,
+    "max_violation": lambda one: one.flight.max_violation,
+    TERMINAL_MISS: lambda one: one.flight.terminal_miss_m,
+}
+_OF_A_PLAN: _Columns = {
+    ENERGY: lambda one: one.plan.energy,
+    HOVER_ENERGY: lambda one: one.plan.hover_energy_J,
+    EXCESS_ENERGY: lambda one: one.plan.energy - one.plan.hover_energy_J,
+    **_OF_A_FLIGHT,
+    _ERROR_ESTIMATE: lambda one: one.plan.error_estimate,
+}
+_OF_A_PLAN_FLOWN: _Columns = {
+    ENERGY: lambda one: one.flight.energy_J,
+    "planned_energy_J": lambda one: one.plan.energy,
+    "energy_above_plan_J": lambda one: one.flight.energy_J - one.plan.energy,
+    **_OF_A_FLIGHT,
+}
+
+
+def _of_a_baseline(reference: Reference) -> _Columns:
+    name = reference.value
+    return {
+        f"{name}_energy_J": lambda one: one.flight.energy_J,
+        f"{name}_owed_energy_J": lambda one: one.flight.owed_energy_J,
+        f"{name}_{TERMINAL_MISS}": lambda one: one.flight.terminal_miss_m,
+        f"saving_over_{name}_percent": lambda one: 100.0 * one.saved,
+    }
+
+
+def output_columns(task: StudyTask, baselines: Iterable[Reference]) -> tuple[str, ...]:
+    """Return the columns of a case's row, in their order, before any case is solved."""
+    if task is StudyTask.FLY_PLAN:
+        return tuple(_OF_A_PLAN_FLOWN)
+    flown = [name for reference in baselines for name in _of_a_baseline(reference)]
+    return (*_OF_A_PLAN, *flown)
+
+
+def unknown_column(
+    names: Iterable[str], task: StudyTask, baselines: Iterable[Reference]
+) -> str | None:
+    """Return the first name that is none of a study's columns."""
+    known = output_columns(task, baselines)
+    return next((name for name in names if name not in known), None)
+
+
+def plan_outputs(plan: Plan) -> dict[str, float]:
+    """Return the numbers of a case's plan, verified or not; not finite where it has none."""
+    flight = plan.flight(samples=_SAMPLES)
+    return _read(_OF_A_PLAN, _Flown(flight=flight, plan=plan, scenario=plan.scenario))
+
+
+def baseline_outputs(reference: Reference, flight: Flight, plan: Plan) -> dict[str, float]:
+    """Return the numbers of a controlled flight beside the plan of the same case."""
+    flown = _Flown(flight=flight, plan=plan, scenario=plan.scenario)
+    return _read(_of_a_baseline(reference), flown)
+
+
+def flown_outputs(flight: Flight, plan: Plan, scenario: Scenario) -> dict[str, float]:
+    """Return the numbers of a plan flown by the controller in another world than planned."""
+    return _read(_OF_A_PLAN_FLOWN, _Flown(flight=flight, plan=plan, scenario=scenario))
+
+
+def _read(columns: _Columns, flown: _Flown) -> dict[str, float]:
+    return {name: _meaningful(name, read(flown)) for name, read in columns.items()}
+
+
+def _meaningful(name: str, value: float) -> float:
+    if name.endswith(_RESIDUALS) and math.isfinite(value):
+        return float(f"{round(value / _SMALLEST_RESIDUAL) * _SMALLEST_RESIDUAL:.{_DIGITS}g}")
+    digits = _ERROR_DIGITS if name == _ERROR_ESTIMATE else _DIGITS
+    return float(f"{value:.{digits}g}")
+
+
+def pack(start: WarmStart) -> bytes:
+    """Write down where another solve can start.
+
+    Parameters
+    ----------
+    start : WarmStart
+        Of a solve that converged.
+
+    Returns
+    -------
+    bytes
+        For `unpack`.
+    """
+    target = BytesIO()
+    np.savez(target, allow_pickle=False, **start.arrays())
+    return target.getvalue()
+
+
+def unpack(packed: bytes) -> WarmStart | None:
+    """Read where a solve can start.
+
+    Parameters
+    ----------
+    packed : bytes
+        Written by `pack`.
+
+    Returns
+    -------
+    WarmStart or None
+        For `Planner.solve`; None when the bytes are damaged.
+    """
+    try:
+        with np.load(BytesIO(packed), allow_pickle=False) as file:
+            return WarmStart.from_arrays({name: file[name] for name in file.files})
+    except (BadZipFile, EOFError, OSError, TranscriptionError, ValueError):
+        return None
+
+
+def solve_case(task: CaseTask) -> CaseResult:
+    """Solve one case.
+
+    Parameters
+    ----------
+    task : CaseTask
+        The case.
+
+    Returns
+    -------
+    CaseResult
+        Finished when its flights were verified; else the numbers are kept with the reason.
+    """
+    with _BENCH.lock:
+        scenario = Scenario.model_validate_json(task.scenario)
+        if task.task == StudyTask.FLY_PLAN:
+            return _fly_base_plan(task, scenario)
+        return _optimise(task, scenario)
+
+
+def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
+    plan = _BENCH.plan(scenario, task.warm_start)
+    values = plan_outputs(plan)
+    if not plan.is_verified:
+        return CaseResult(values=values, reason=f"{plan.status}: {plan.message}")
+    reason = ""
+    for reference in task.baselines:
+        flight = fly_baseline(scenario, reference, dynamics=plan.dynamics, plan=plan)
+        values |= baseline_outputs(reference, flight, plan)
+        if not flight.is_verified:
+            reason = f"{flight.name}: two integrators disagree on this flight"
+    warm_start = pack(plan.warm_start) if plan.warm_start is not None else None
+    return CaseResult(values=values, warm_start=warm_start, reason=reason)
+
+
+def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
+    """Let the controller, which believes in the base case, fly its plan in the case's world."""
+    base = Scenario.model_validate_json(task.base)
+    plan = _BENCH.base_plan(base, task.base)
+    if not plan.is_verified:
+        return CaseResult(values={}, reason=f"base case: {plan.status}: {plan.message}")
+    flight = fly_baseline(
+        base, Reference.PLAN, dynamics=_BENCH.planner.dynamics(scenario), plan=plan
+    )
+    reason = "" if flight.is_verified else "two integrators disagree on this flight"
+    return CaseResult(values=flown_outputs(flight, plan, scenario), reason=reason)
+
+
+@dataclass
+class _Bench:
+    """What this process keeps; MUMPS serves one thread at a time."""
+
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    planner: Planner = field(default_factory=Planner)
+    _base_plans: dict[str, Plan] = field(default_factory=dict)
+
+    def plan(self, scenario: Scenario, warm_start: bytes | None) -> Plan:
+        """Solve from a parent's point, and from nothing where that leads nowhere."""
+        parent = unpack(warm_start) if warm_start is not None else None
+        if parent is not None:
+            plan = self.planner.solve(scenario, warm_start=parent)
+            if plan.is_verified:
+                return plan
+        self.planner = Planner()
+        return self.planner.solve(scenario)
+
+    def base_plan(self, base: Scenario, text: str) -> Plan:
+        """Return the plan of a study's base case, solved once."""
+        if text not in self._base_plans:
+            self._base_plans = {text: self.plan(base, None)}
+        return self._base_plans[text]
+
+
+_BENCH = _Bench()

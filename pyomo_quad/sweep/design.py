@@ -1,0 +1,532 @@
+"""The design of a sweep: every axis value spelled out, and the cases in their order."""
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from math import prod
+from typing import Any, Self
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError, field_validator, model_validator
+from scipy.special import ndtri
+
+from pyomo_quad.scenario.fields import Number, Part, Text, WholeNumber, quantity
+from pyomo_quad.scenario.messages import shown
+from pyomo_quad.scenario.schema import Scenario
+from pyomo_quad.scenario.tables import Reference
+from pyomo_quad.sweep.case import StudyTask, unknown_column
+
+_MOST_VALUES = 100_000
+# Values are stored, hashed and printed in decimal: 12 digits keep 0.3 from becoming
+# 0.30000000000000004, and are finer than any tolerance of a solve.
+_SIGNIFICANT_DIGITS = 12
+
+
+class Spacing(Part):
+    """Values from the first to the last, both included."""
+
+    first: Number = quantity(
+        "",
+        "first value, in the unit of the field",
+        other_names=("start", "begin", "from", "low", "min", "lower"),
+    )
+    last: Number = quantity(
+        "",
+        "last value, in the unit of the field",
+        other_names=("stop", "end", "to", "high", "max", "upper"),
+    )
+    count: WholeNumber = quantity(
+        "1",
+        "number of values",
+        ge=1,
+        le=_MOST_VALUES,
+        other_names=("n", "num", "number", "steps", "points", "size"),
+    )
+
+
+class UniformSpread(Part):
+    """A uniform distribution."""
+
+    low: Number = quantity(
+        "",
+        "lower end, in the unit of the field",
+        other_names=("first", "start", "begin", "from", "min", "lower", "a"),
+    )
+    high: Number = quantity(
+        "",
+        "upper end, in the unit of the field",
+        other_names=("last", "stop", "end", "to", "max", "upper", "b"),
+    )
+
+    def at(self, probabilities: np.ndarray) -> np.ndarray:
+        """Return the values below which the distribution has the given probabilities."""
+        return self.low + (self.high - self.low) * probabilities
+
+
+class NormalSpread(Part):
+    """A normal distribution."""
+
+    mean: Number = quantity(
+        "",
+        "mean, in the unit of the field",
+        other_names=("mu", "average", "center", "centre", "loc"),
+    )
+    standard_deviation: Number = quantity(
+        "",
+        "standard deviation, in the unit of the field",
+        gt=0,
+        other_names=("std", "stdev", "sigma", "sd", "deviation", "scale"),
+    )
+
+    def at(self, probabilities: np.ndarray) -> np.ndarray:
+        """Return the values below which the distribution has the given probabilities."""
+        return self.mean + self.standard_deviation * ndtri(probabilities)
+
+
+_KINDS = ("values", "linear", "logarithmic", "uniform", "normal")
+
+
+class Axis(Part):
+    """One scenario field and the values it takes, given in exactly one way."""
+
+    path: Text = quantity("", "dotted path of a scenario field", min_length=1, max_length=200)
+    group: Text | None = quantity("", "axes of one group advance together", None, max_length=60)
+    values: tuple[Any, ...] | None = quantity("", "the values themselves", None, min_length=1)
+    linear: Spacing | None = quantity("", "equal steps", None)
+    logarithmic: Spacing | None = quantity("", "equal ratios", None)
+    uniform: UniformSpread | None = quantity("", "drawn from a uniform distribution", None)
+    normal: NormalSpread | None = quantity("", "drawn from a normal distribution", None)
+
+    @field_validator("values")
+    @classmethod
+    def _plain_values(cls, values: tuple[Any, ...] | None) -> tuple[Any, ...] | None:
+        if any(kind_of(value) is None for value in values or ()):
+            raise ValueError("must hold finite numbers, texts, booleans or lists of these")
+        return values
+
+    @model_validator(mode="after")
+    def _given_once(self) -> Self:
+        given = [kind for kind in _KINDS if getattr(self, kind) is not None]
+        if len(given) != 1:
+            raise ValueError(f"must have exactly one of {', '.join(_KINDS)}")
+        ratio = self.logarithmic
+        if ratio is not None and not (ratio.first > 0 and ratio.last > 0):
+            raise ValueError("a logarithmic axis must have first and last > 0")
+        if self.uniform is not None and not self.uniform.low < self.uniform.high:
+            raise ValueError("a uniform axis must have low < high")
+        if self.is_random and self.group is not None:
+            raise ValueError("random axes are drawn together and must have no group")
+        return self
+
+    @property
+    def is_random(self) -> bool:
+        """Whether the values are drawn from a distribution."""
+        return self.uniform is not None or self.normal is not None
+
+    @property
+    def count(self) -> int:
+        """Number of values of an axis that is not random."""
+        spacing = self.linear or self.logarithmic
+        return spacing.count if spacing is not None else len(self.values or ())
+
+    def spaced_values(self) -> tuple[Any, ...]:
+        """Return the values of an axis that is not random.
+
+        Returns
+        -------
+        tuple
+            In the order of the study file.
+        """
+        if self.linear is not None:
+            spacing = self.linear
+            return rounded(np.linspace(spacing.first, spacing.last, spacing.count))
+        if self.logarithmic is not None:
+            spacing = self.logarithmic
+            return rounded(np.geomspace(spacing.first, spacing.last, spacing.count))
+        return self.values or ()
+
+    def drawn_values(self, probabilities: np.ndarray) -> tuple[float, ...]:
+        """Return the values of a random axis.
+
+        Parameters
+        ----------
+        probabilities : ndarray, shape (n,)
+            Draws from the unit interval.
+
+        Returns
+        -------
+        tuple of float
+            One value for each draw.
+        """
+        spread = self.uniform or self.normal
+        return rounded(spread.at(probabilities)) if spread is not None else ()
+
+
+def rounded(numbers: np.ndarray) -> tuple[float, ...]:
+    """Round numbers to the digits in which axis values are kept.
+
+    Parameters
+    ----------
+    numbers : ndarray, shape (n,)
+        Any finite numbers.
+
+    Returns
+    -------
+    tuple of float
+        The numbers to twelve significant digits.
+    """
+    return tuple(float(f"{number:.{_SIGNIFICANT_DIGITS}g}") for number in numbers)
+
+
+def kind_of(value: object) -> type | None:
+    """Return the kind of a plain value, bool, float, str or list; None for anything else."""
+    if isinstance(value, bool | str):
+        return type(value)
+    if isinstance(value, int | float):
+        return float if math.isfinite(value) else None
+    is_list = isinstance(value, list) and all(kind_of(part) not in {None, list} for part in value)
+    return list if is_list else None
+
+
+MOST_CASES = 1_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dimension:
+    """One direction of the grid of cases: axes that advance together.
+
+    Attributes
+    ----------
+    paths : tuple of str
+        Scenario fields that change.
+    steps : tuple of tuple
+        For each step the values of these fields.
+    is_random : bool
+        Whether the steps were drawn at random.
+    """
+
+    paths: tuple[str, ...]
+    steps: tuple[tuple[Any, ...], ...]
+    is_random: bool = False
+
+    def in_cells(self) -> "Dimension":
+        """Return the dimension with its values as they stand in a table's cells."""
+        steps = tuple(tuple(cell_of(value) for value in step) for step in self.steps)
+        return replace(self, steps=steps)
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether each step has one plain value for each field, of one kind along the steps."""
+        columns = list(zip(*self.steps, strict=False))
+        kinds = [{kind_of(value) for value in column} for column in columns]
+        is_whole = all(len(step) == len(self.paths) > 0 for step in self.steps)
+        is_plain = all(len(found) == 1 and None not in found for found in kinds)
+        return len(columns) == len(self.paths) and is_whole and is_plain
+
+    def values(self, path: str) -> list[Any]:
+        """Return the values that one field takes along the steps."""
+        column = self.paths.index(path)
+        return [step[column] for step in self.steps]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepDesign:
+    """Everything that decides the rows of a sweep.
+
+    Attributes
+    ----------
+    name, title, about : str
+        As in the study file.
+    task : StudyTask
+        What is done in each case.
+    baselines : tuple of Reference
+        References that the controller flies.
+    outputs, report_on : tuple of str
+        Columns kept in the tables, and drawn in the report.
+    base : mapping
+        The complete base scenario.
+    dimensions : tuple of Dimension
+        Directions of the grid; the last varies fastest in the row order.
+    """
+
+    name: str
+    title: str
+    about: str
+    task: StudyTask
+    baselines: tuple[Reference, ...]
+    outputs: tuple[str, ...]
+    report_on: tuple[str, ...]
+    base: dict[str, Any]
+    dimensions: tuple[Dimension, ...]
+
+    @property
+    def case_count(self) -> int:
+        """Number of cases."""
+        return prod(len(dimension.steps) for dimension in self.dimensions)
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """All fields that vary, in the order of the table's columns."""
+        return tuple(path for dimension in self.dimensions for path in dimension.paths)
+
+    def in_cells(self) -> Self:
+        """Return the design with its values as they stand in a table's cells."""
+        return replace(self, dimensions=tuple(one.in_cells() for one in self.dimensions))
+
+    def to_json(self) -> str:
+        """Write the design as JSON text, the same for the same design."""
+        return _DESIGN.dump_json(self).decode()
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Read a design written by `to_json`.
+
+        Parameters
+        ----------
+        text : str
+            JSON text.
+
+        Returns
+        -------
+        SweepDesign
+            Equal to the one written.
+
+        Raises
+        ------
+        ValueError
+            If the text is not such a design, or not one that a study file could ask for.
+        """
+        try:
+            return _DESIGN.validate_json(text)  # type: ignore[return-value]
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            place = ".".join(map(str, first["loc"]))
+            raise ValueError(f"not a sweep design: {place}: {first['msg']}") from None
+
+    def refuse_impossible(self) -> None:
+        """Refuse a design that no study file can ask for, such as one from a damaged store.
+
+        Raises
+        ------
+        ValueError
+            One line that names what is wrong.
+        """
+        Scenario.model_validate(self.base)
+        if not self.dimensions or not all(one.is_sound for one in self.dimensions):
+            raise ValueError("not a sweep design: dimensions: a field, a step or a value is amiss")
+        if self.case_count > MOST_CASES or len(set(self.paths)) < len(self.paths):
+            raise ValueError("not a sweep design: dimensions: too many, or a field twice")
+        wrong = unknown_column((*self.outputs, *self.report_on), self.task, self.baselines)
+        if wrong is not None or not self.report_on:
+            raise ValueError(f"not a sweep design: outputs: none is called {shown(wrong)}")
+
+    def changes_since(self, older: "SweepDesign") -> Iterator[str]:
+        """Say what differs from an older design in a way that makes its rows unusable.
+
+        Parameters
+        ----------
+        older : SweepDesign
+            What the stored rows were made from.
+
+        Yields
+        ------
+        str
+            One difference; axes are compared case by case elsewhere.
+        """
+        for name in ("task", "baselines"):
+            before, after = getattr(older, name), getattr(self, name)
+            if before != after:
+                yield f"{name}: {_listed(before)} -> {_listed(after)}"
+        yield from _differences(older.base, self.base, "scenario")
+
+    def axis_changes_since(self, older: "SweepDesign") -> Iterator[str]:
+        """Say how the axes differ from those of an older design.
+
+        Parameters
+        ----------
+        older : SweepDesign
+            What the stored rows were made from.
+
+        Yields
+        ------
+        str
+            One difference.
+        """
+        before = {path: one.values(path) for one in older.dimensions for path in one.paths}
+        after = {path: one.values(path) for one in self.dimensions for path in one.paths}
+        for path in sorted(before.keys() | after.keys()):
+            if path not in after:
+                yield f"axis {path}: removed"
+            elif path not in before:
+                yield f"axis {path}: added"
+            elif before[path] != after[path]:
+                yield f"axis {path}: {_summary(before[path])} -> {_summary(after[path])}"
+        if before == after and older.dimensions != self.dimensions:
+            yield "axes: grouped or ordered differently"
+
+
+_DESIGN = TypeAdapter(SweepDesign)
+
+
+def cell_of(value: object) -> Any:  # noqa: ANN401  a value of any scenario field
+    """Return the value of a field as one cell of a table: a list is written as text."""
+    return json.dumps(value) if isinstance(value, list) else value
+
+
+def _differences(before: object, after: object, place: str) -> Iterator[str]:
+    if isinstance(before, Mapping) and isinstance(after, Mapping):
+        for key in sorted(before.keys() | after.keys()):
+            yield from _differences(before.get(key), after.get(key), f"{place}.{key}")
+    elif before != after:
+        yield f"{place}: {_shortened(before)} -> {_shortened(after)}"
+
+
+def _summary(values: list[Any]) -> str:
+    return f"{len(values)} values {_shortened(values[0])} to {_shortened(values[-1])}"
+
+
+def _listed(value: str | tuple[str, ...]) -> str:
+    return value if isinstance(value, str) else (", ".join(value) or "none")
+
+
+def _shortened(value: object) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 40 else f"{text[:40]}..."
+
+
+_KEY_LENGTH = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One point of the design.
+
+    Attributes
+    ----------
+    position : int
+        Place in the row order.
+    key : str
+        Hash of the overrides; the same case has the same key in an extended study.
+    overrides : mapping
+        Scenario field -> value.
+    parent : int or None
+        Position of the case whose result is the warm start; None for the first, and where nothing
+        is solved.
+    """
+
+    position: int
+    key: str
+    overrides: Mapping[str, Any]
+    parent: int | None
+
+
+def expand(design: SweepDesign) -> tuple[Case, ...]:
+    """Spell out all cases of a design.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        Dimensions and their steps.
+
+    Returns
+    -------
+    tuple of Case
+        In row order: the last dimension varies fastest.
+    """
+    parents = [_step_parents(dimension) for dimension in design.dimensions]
+    sizes = [len(dimension.steps) for dimension in design.dimensions]
+    is_solved = design.task == StudyTask.OPTIMISE
+    cases = []
+    for position, place in enumerate(product(*(range(size) for size in sizes))):
+        overrides = {
+            path: value
+            for dimension, step in zip(design.dimensions, place, strict=True)
+            for path, value in zip(dimension.paths, dimension.steps[step], strict=True)
+        }
+        cases.append(
+            Case(
+                position=position,
+                key=case_key(overrides),
+                overrides=overrides,
+                parent=_parent_position(place, parents, sizes) if is_solved else None,
+            )
+        )
+    return tuple(cases)
+
+
+def case_key(overrides: Mapping[str, Any]) -> str:
+    """Hash the overrides of a case.
+
+    Parameters
+    ----------
+    overrides : mapping
+        Scenario field -> value.
+
+    Returns
+    -------
+    str
+        Hexadecimal digits, independent of the order of the fields.
+    """
+    text = json.dumps(dict(overrides), sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:_KEY_LENGTH]
+
+
+def bisection_parents(count: int) -> list[int | None]:
+    """Return the parents of a balanced bisection tree over consecutive ranks.
+
+    Parameters
+    ----------
+    count : int
+        Number of ranks.
+
+    Returns
+    -------
+    list of int or None
+        For each rank the rank it starts from, None for the middle one.
+    """
+    parents: list[int | None] = [None] * count
+    pending: list[tuple[int, int, int | None]] = [(0, count, None)]
+    while pending:
+        low, high, parent = pending.pop()
+        if low >= high:
+            continue
+        middle = (low + high) // 2
+        parents[middle] = parent
+        pending += [(low, middle, middle), (middle + 1, high, middle)]
+    return parents
+
+
+def _step_parents(dimension: Dimension) -> list[int | None]:
+    order = _sorted_steps(dimension.steps)
+    parents: list[int | None] = [None] * len(order)
+    for rank, parent in enumerate(bisection_parents(len(order))):
+        parents[order[rank]] = None if parent is None else order[parent]
+    return parents
+
+
+def _sorted_steps(steps: Sequence[tuple[Any, ...]]) -> list[int]:
+    # Neighbours in the first field are neighbours; texts and lists keep the order of the file.
+    is_numeric = all(isinstance(step[0], int | float) for step in steps)
+    indices = range(len(steps))
+    return sorted(indices, key=lambda index: steps[index][0]) if is_numeric else list(indices)
+
+
+def _parent_position(
+    place: Sequence[int], parents: Sequence[Sequence[int | None]], sizes: Sequence[int]
+) -> int | None:
+    for index in reversed(range(len(place))):
+        step = parents[index][place[index]]
+        if step is not None:
+            neighbour = [*place[:index], step, *place[index + 1 :]]
+            return _position(neighbour, sizes)
+    return None
+
+
+def _position(place: Sequence[int], sizes: Sequence[int]) -> int:
+    position = 0
+    for step, size in zip(place, sizes, strict=True):
+        position = position * size + step
+    return position

@@ -1,0 +1,357 @@
+"""The sweep itself: hand out cases whose parent is finished, commit each as it comes back."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean
+from typing import Protocol
+
+from pyomo_quad.scenario.messages import PyomoQuadError
+from pyomo_quad.scenario.schema import Scenario
+from pyomo_quad.sweep.case import CaseOutcome, CaseStatus, CaseTask, perform
+from pyomo_quad.sweep.design import Case, SweepDesign, expand
+from pyomo_quad.sweep.errors import ClusterError
+from pyomo_quad.sweep.store import STORE_NAME, ResultStore
+from pyomo_quad.sweep.workers import Workers
+
+FLIGHT_SOLVER = "pyomo_quad.sweep.case:solve_case"
+
+
+class SweepListener(Protocol):
+    """Is told how a sweep goes on."""
+
+    def start(self, total: int, already_ended: int) -> None:
+        """Hear how many cases there are, and how many need not be solved any more."""
+        ...
+
+    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
+        """Hear that a case's row has been committed, and how many cases are done now."""
+        ...
+
+
+class SilentListener:
+    """Tells nobody."""
+
+    def start(self, total: int, already_ended: int) -> None:
+        """Take no notice."""
+
+    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
+        """Take no notice."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepSummary:
+    """How a sweep ended.
+
+    Attributes
+    ----------
+    total : int
+        Cases of the design.
+    already_finished : int
+        Rows that were there before and still are.
+    finished, failed, lost : int
+        Rows added, by how their case ended.
+    is_interrupted : bool
+        Whether Ctrl-C ended it.
+    """
+
+    total: int
+    already_finished: int
+    finished: int
+    failed: int
+    lost: int
+    is_interrupted: bool
+
+    @property
+    def missing(self) -> int:
+        """Cases without a row."""
+        return self.total - self.already_finished - self.finished - self.failed - self.lost
+
+
+class Sweep:
+    """The cases of a design on their way into a store.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        What is to be solved.
+    base : Scenario
+        The base scenario of the design.
+    store : ResultStore
+        Open for writing; cases that finished or failed are not solved again, those that were lost
+        with their worker are.
+    listener : SweepListener
+        Is told of each row.
+    solver : str, optional
+        Case solver as ``module:function``.
+    """
+
+    def __init__(
+        self,
+        design: SweepDesign,
+        base: Scenario,
+        store: ResultStore,
+        listener: SweepListener,
+        solver: str = FLIGHT_SOLVER,
+    ) -> None:
+        self._design = design
+        self._base = base
+        self._store = store
+        self._listener = listener
+        self._solver = solver
+        self._cases = expand(design)
+        statuses = store.statuses()
+        self._lost_before = {key for key, held in statuses.items() if held is CaseStatus.LOST}
+        # Those settled before this run, and not solved anew in it.
+        self._kept = statuses.keys() - self._lost_before
+        self._settled = set(self._kept)
+        self._lost: set[str] = set()
+        self._children = _children(self._cases)
+        # How many children still need what a case left: those lost may be tried again.
+        self._waiting = {
+            position: sum(self._cases[child].key not in self._settled for child in children)
+            for position, children in self._children.items()
+        }
+        self._counts = dict.fromkeys(CaseStatus, 0)
+
+    def run(self, workers: Workers) -> SweepSummary:
+        """Solve all cases that have no settled row.
+
+        Parameters
+        ----------
+        workers : Workers
+            Who solves them.
+
+        Returns
+        -------
+        SweepSummary
+            Counts of rows.
+
+        Raises
+        ------
+        ClusterError
+            If the cluster was lost; finished cases are kept.
+        StoreError
+            If a row cannot be written; finished cases are kept.
+        """
+        self._listener.start(len(self._cases), len(self._settled))
+        is_interrupted = False
+        try:
+            self._work_off(workers)
+        except KeyboardInterrupt:
+            is_interrupted = True
+            self._commit_all(workers.stop())
+        except ClusterError as error:
+            missing = len(self._cases) - len(self._settled)
+            raise ClusterError(
+                f"{error} {len(self._settled)} of {len(self._cases)} cases are kept in "
+                f"{self._store.file.parent}; run the same command again for the other {missing}, "
+                f"without --scheduler to solve them on this machine."
+            ) from error
+        return SweepSummary(
+            total=len(self._cases),
+            already_finished=len(self._kept),
+            finished=self._counts[CaseStatus.FINISHED],
+            failed=self._counts[CaseStatus.FAILED],
+            lost=self._counts[CaseStatus.LOST],
+            is_interrupted=is_interrupted,
+        )
+
+    def _work_off(self, workers: Workers) -> None:
+        # Last in, first out: going deep keeps few warm starts waiting.
+        roots = [case for case in reversed(self._cases) if case.parent is None]
+        ready = self._next_of(roots)
+        under_way = 0
+        while ready or under_way:
+            while ready and workers.room > 0:
+                case = ready.pop()
+                task = self._task(case)
+                if isinstance(task, CaseOutcome):
+                    ready += self._commit(task)
+                else:
+                    workers.submit(task)
+                    under_way += 1
+            if under_way:
+                outcomes = workers.wait()
+                under_way -= len(outcomes)
+                ready += self._commit_all(outcomes)
+
+    def _next_of(self, cases: list[Case]) -> list[Case]:
+        """Return the cases to solve next: these, or below those of them that have ended."""
+        found, pending = [], list(reversed(cases))
+        while pending:
+            case = pending.pop()
+            if case.key in self._settled or case.key in self._lost:
+                pending += self._children_of(case)
+            else:
+                found.append(case)
+        return found
+
+    def _children_of(self, case: Case) -> list[Case]:
+        return [self._cases[child] for child in self._children.get(case.position, ())]
+
+    def _task(self, case: Case) -> CaseTask | CaseOutcome:
+        warm_start = None
+        if case.parent is not None:
+            warm_start = self._store.warm_start(self._cases[case.parent].key)
+        return case_task(self._design, self._base, case, self._solver, warm_start)
+
+    def _commit_all(self, outcomes: list[CaseOutcome]) -> list[Case]:
+        return [case for outcome in outcomes for case in self._commit(outcome)]
+
+    def _commit(self, outcome: CaseOutcome) -> list[Case]:
+        """Store a row and return the cases that can start now."""
+        case = self._cases[outcome.position]
+        is_settled = outcome.status is not CaseStatus.LOST
+        outdated = self._forget_descendants(case) if is_settled else []
+        self._store.add(
+            outcome,
+            case.overrides,
+            is_parent=self._waiting.get(case.position, 0) > 0,
+            spent=self._spent_parent(case) if is_settled else "",
+            outdated=outdated,
+        )
+        (self._settled if is_settled else self._lost).add(case.key)
+        self._counts[outcome.status] += 1
+        self._listener.case_ended(case, outcome, len(self._settled) + len(self._lost))
+        return self._next_of(self._children_of(case))
+
+    def _forget_descendants(self, case: Case) -> list[str]:
+        """Let go of rows that go back past a case which was lost then and is settled now.
+
+        They started from where it had started: solved again from its own result, they are what
+        they would have been had no worker died.
+        """
+        if case.key not in self._lost_before:
+            return []
+        keys, pending = [], [case]
+        while pending:
+            one = pending.pop()
+            children = self._children_of(one)
+            self._waiting[one.position] = len(children)
+            keys += [child.key for child in children]
+            pending += children
+        self._settled.difference_update(keys)
+        self._kept.difference_update(keys)
+        return keys
+
+    def _spent_parent(self, case: Case) -> str:
+        if case.parent is None:
+            return ""
+        self._waiting[case.parent] -= 1
+        return self._cases[case.parent].key if self._waiting[case.parent] == 0 else ""
+
+
+def case_task(
+    design: SweepDesign, base: Scenario, case: Case, solver: str, warm_start: bytes | None
+) -> CaseTask | CaseOutcome:
+    """Spell out a case for a worker.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        What is to be solved.
+    base : Scenario
+        The base scenario of the design.
+    case : Case
+        One of its cases.
+    solver : str
+        Case solver as ``module:function``.
+    warm_start : bytes or None
+        What the parent case left.
+
+    Returns
+    -------
+    CaseTask or CaseOutcome
+        A failed row at once where the case's values, each allowed by itself, ask together for the
+        impossible.
+    """
+    task = CaseTask(
+        position=case.position,
+        key=case.key,
+        solver=solver,
+        scenario="",
+        base=base.model_dump_json(),
+        task=design.task,
+        baselines=design.baselines,
+        warm_start=warm_start,
+    )
+    try:
+        scenario = base.with_values(case.overrides)
+    except PyomoQuadError as error:
+        return CaseOutcome.failure(task, str(error))
+    return task.for_scenario(scenario.model_dump_json())
+
+
+def _children(cases: tuple[Case, ...]) -> Mapping[int, list[int]]:
+    children: dict[int, list[int]] = {}
+    for case in cases:
+        if case.parent is not None:
+            children.setdefault(case.parent, []).append(case.position)
+    return children
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepEstimate:
+    """What is left of a sweep.
+
+    Attributes
+    ----------
+    total, missing : int
+        Cases of the design, and those without a row.
+    seconds_per_case : float
+        Of one worker.
+    """
+
+    total: int
+    missing: int
+    seconds_per_case: float
+
+    def seconds(self, workers: int) -> float:
+        """Return the time left with so many workers, if none of them waits."""
+        return self.missing * self.seconds_per_case / workers
+
+
+def estimate_sweep(
+    design: SweepDesign, base: Scenario, folder: Path, solver: str = FLIGHT_SOLVER
+) -> SweepEstimate:
+    """Estimate what is left of a sweep; nothing is written.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        What is to be solved.
+    base : Scenario
+        Its base scenario.
+    folder : Path
+        Where its store is or would be: rows that are there tell how long a case takes.
+    solver : str, optional
+        Case solver; without rows, it solves the first case and one that starts from it.
+
+    Returns
+    -------
+    SweepEstimate
+        Measured, not guessed.
+    """
+    cases = expand(design)
+    if (folder / STORE_NAME).is_file():
+        with ResultStore.reading(folder) as store:
+            rows = store.rows()
+        settled = {key for key, row in rows.items() if row.status is not CaseStatus.LOST}
+        if settled:
+            missing = sum(case.key not in settled for case in cases)
+            seconds = fmean(rows[key].seconds for key in settled)
+            return SweepEstimate(total=len(cases), missing=missing, seconds_per_case=seconds)
+    first = next(case for case in cases if case.parent is None)
+    child = next((case for case in cases if case.parent == first.position), None)
+    outcome = _solved(design, base, first, solver, None)
+    if child is not None:
+        outcome = _solved(design, base, child, solver, outcome.warm_start)
+    return SweepEstimate(total=len(cases), missing=len(cases), seconds_per_case=outcome.seconds)
+
+
+def _solved(
+    design: SweepDesign, base: Scenario, case: Case, solver: str, warm_start: bytes | None
+) -> CaseOutcome:
+    task = case_task(design, base, case, solver, warm_start)
+    return task if isinstance(task, CaseOutcome) else perform(task)

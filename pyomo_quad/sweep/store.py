@@ -1,0 +1,568 @@
+"""The result store: an SQLite database in the output folder that loses nothing."""
+
+import fcntl
+import json
+import os
+import shutil
+import sqlite3
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import pandas as pd
+from pydantic import BaseModel, ConfigDict, Field, Json, Strict, ValidationError
+
+from pyomo_quad.scenario.messages import printable, shown
+from pyomo_quad.sweep.case import LARGEST_OUTPUT, CaseOutcome, CaseStatus
+from pyomo_quad.sweep.design import Case, SweepDesign, case_key, cell_of, expand
+from pyomo_quad.sweep.errors import StoreError
+from pyomo_quad.version import __version__
+
+STORE_NAME = "sweep.sqlite"
+_STORE_FORMAT = 1
+# "PQSW": tells this database from any other SQLite file.
+_APPLICATION_ID = 0x50515357
+_LOCK_NAME = ".sweep.lock"
+_LOCK_SECONDS = 5.0
+# A cell of a million cases' design is smaller; a stranger's store can claim gigabytes.
+_LARGEST_CELL = 2**28
+_BUSY = ("SQLITE_BUSY", "SQLITE_LOCKED")
+# How SQLite says that it cannot write a database, or what it keeps beside one to read it.
+_UNWRITABLE = ("SQLITE_CANTOPEN", "SQLITE_READONLY")
+_UNUSABLE = (*_UNWRITABLE, "SQLITE_FULL", "SQLITE_IOERR", "SQLITE_PERM")
+
+_TABLES = {
+    "sweep": "(name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID",
+    "case_row": (
+        "(case_key TEXT PRIMARY KEY, overrides TEXT NOT NULL, status TEXT NOT NULL, "
+        "reason TEXT NOT NULL, outputs TEXT NOT NULL, seconds REAL NOT NULL, worker TEXT NOT NULL, "
+        "finished_at TEXT NOT NULL)"
+    ),
+    "warm_start": "(case_key TEXT PRIMARY KEY, arrays BLOB)",
+}
+
+
+@contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Make an output folder and keep other sweeps out of it.
+
+    The kernel releases it when this process ends, however it ends.
+
+    Raises
+    ------
+    StoreError
+        If the folder cannot be written, or another sweep holds it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = os.open(folder / _LOCK_NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise _unwritable(folder, error.strerror) from None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError:
+        raise StoreError(
+            f"{folder}: another sweep is writing here; wait for it or choose another --out."
+        ) from None
+    finally:
+        os.close(lock)
+
+
+@contextmanager
+def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[sqlite3.Connection]:
+    """Connect to a database for the length of a block; messages call it by another name if given.
+
+    Raises
+    ------
+    StoreError
+        If SQLite refuses anything that is asked of it in the block.
+    """
+    connection = None
+    try:
+        connection = sqlite3.connect(_address(file, mode), timeout=_LOCK_SECONDS, uri=True)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LARGEST_CELL)
+        # A store may come from a stranger: what its schema says is not to be trusted.
+        connection.execute("PRAGMA trusted_schema = OFF")
+        yield connection
+    except sqlite3.DatabaseError as error:
+        raise _refused(called or file, error) from None
+    finally:
+        if connection is not None:
+            connection.close()
+
+
+@contextmanager
+def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
+    """Connect to a database without changing it, wherever it lies.
+
+    SQLite reads a database that has a log only where it can write beside it.  On a read-only disk a
+    copy is read instead, made together with the log, so that no row is missed.
+    """
+    if _is_readable_in_place(file):
+        with connected(file, mode="ro") as connection:
+            yield connection
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / file.name
+        try:
+            shutil.copyfile(file, copy)
+            if _log_of(file).is_file():
+                shutil.copyfile(_log_of(file), _log_of(copy))
+        except OSError as error:
+            raise StoreError(f"{file}: cannot be read ({error.strerror}).") from None
+        with connected(copy, mode="rw", called=file) as connection:
+            yield connection
+
+
+def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> None:
+    """Make the tables of a store in an empty database, and make sure that it can be written."""
+    (count,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    if not count:
+        connection.execute("PRAGMA journal_mode = WAL")
+    # One transaction: a process killed in it leaves an empty database, which is a new store.
+    with connection:
+        connection.execute("BEGIN IMMEDIATE")
+        if count:
+            return
+        for name, columns in _TABLES.items():
+            connection.execute(f"CREATE TABLE {name} {columns}")
+        connection.executemany("INSERT INTO sweep VALUES (?, ?)", list(notes.items()))
+        connection.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
+        connection.execute(f"PRAGMA user_version = {_STORE_FORMAT}")
+
+
+def check_format(connection: sqlite3.Connection, file: Path) -> None:
+    """Refuse a database that is no store, a store of another format, and other tables than ours."""
+    if _application_of(connection) != _APPLICATION_ID:
+        raise _not_a_store(file)
+    (found,) = connection.execute("PRAGMA user_version").fetchone()
+    if found != _STORE_FORMAT:
+        raise StoreError(
+            f"{file}: has store format {found}, pyomo_quad {__version__} uses format "
+            f"{_STORE_FORMAT}; use the version that made it, choose another --out, or start anew "
+            f"with --fresh."
+        )
+    # Compared to the letter: a view, a trigger or another type would bring in what is not checked.
+    query = "SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"
+    declared = {name: f"CREATE TABLE {name} {columns}" for name, columns in _TABLES.items()}
+    for name, text in connection.execute(query):
+        if declared.pop(name, None) != text:
+            raise damaged(file, f"{shown(name)} is none of its tables")
+    if declared:
+        raise damaged(file, f"table {next(iter(declared))} is missing")
+
+
+def damaged(file: Path, what: str) -> StoreError:
+    """Return the error for a store that holds what no sweep wrote."""
+    return StoreError(
+        f"{file}: is damaged ({printable(what)}); restore it from a copy, or choose another --out."
+    )
+
+
+def discard(file: Path) -> None:
+    """Delete a store, if there is one, with what SQLite keeps beside it; nothing else."""
+    if file.exists():
+        with connected(file, mode="rw") as connection:
+            is_own = _application_of(connection) == _APPLICATION_ID
+            if not is_own and connection.execute("SELECT 1 FROM sqlite_master").fetchone():
+                raise _not_a_store(file)
+    for beside in (file, _log_of(file), file.with_name(f"{file.name}-shm")):
+        beside.unlink(missing_ok=True)
+
+
+def _application_of(connection: sqlite3.Connection) -> int:
+    (found,) = connection.execute("PRAGMA application_id").fetchone()
+    return int(found)
+
+
+def _is_readable_in_place(file: Path) -> bool:
+    try:
+        with closing(sqlite3.connect(_address(file, "ro"), uri=True)) as trial:
+            trial.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    except sqlite3.DatabaseError as error:
+        return not _name_of(error).startswith(_UNWRITABLE)
+    return True
+
+
+def _refused(file: Path, error: sqlite3.DatabaseError) -> StoreError:
+    name = _name_of(error)
+    if name == "SQLITE_NOTADB":
+        return _not_a_store(file)
+    if name.startswith(_BUSY):
+        return StoreError(f"{file}: is locked by another program; wait until that has ended.")
+    if name.startswith(_UNUSABLE):
+        return _unwritable(file.parent, str(error))
+    return damaged(file, str(error))
+
+
+def _unwritable(folder: Path, reason: str | None) -> StoreError:
+    if (folder / STORE_NAME).is_file():
+        return StoreError(
+            f"{folder}: is read-only ({reason}); its results are whole: read them with "
+            f"`pyomo-quad sweep-report {folder} --out DIR`, or sweep into another --out."
+        )
+    return StoreError(f"{folder}: cannot be written ({reason}); choose another --out.")
+
+
+def _not_a_store(file: Path) -> StoreError:
+    return StoreError(f"{file}: is not a result store; move it away, or choose another --out.")
+
+
+def _name_of(error: sqlite3.DatabaseError) -> str:
+    # Errors of Python's own, such as of text that is not UTF-8, have no name.
+    return getattr(error, "sqlite_errorname", None) or ""
+
+
+def _address(file: Path, mode: str) -> str:
+    return f"{file.resolve().as_uri()}?mode={mode}"
+
+
+def _log_of(file: Path) -> Path:
+    return file.with_name(f"{file.name}-wal")
+
+
+_FORGET = "DELETE FROM warm_start WHERE case_key = ?"
+
+_Column = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,99}$")]
+_Output = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST_OUTPUT, le=LARGEST_OUTPUT)]
+
+
+class StoredCase(BaseModel):
+    """A row of the store, as it must be whoever wrote it."""
+
+    model_config = ConfigDict(strict=True, frozen=True)
+
+    case_key: str
+    overrides: Json[dict[str, Any]]
+    status: Annotated[CaseStatus, Strict(False)]
+    reason: str
+    outputs: Json[dict[_Column, _Output]]
+    seconds: float = Field(ge=0.0, allow_inf_nan=False)
+
+
+class ResultStore:
+    """The rows of one sweep."""
+
+    def __init__(self, file: Path, connection: sqlite3.Connection) -> None:
+        self.file = file
+        self._connection = connection
+        self.version = self._note("version")
+        self._design = self._checked_design()
+
+    @classmethod
+    @contextmanager
+    def reading(cls, folder: str | Path) -> Iterator["ResultStore"]:
+        """Open a store to read it, also while a sweep writes, and where nothing can be written.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Output folder of a sweep.
+
+        Yields
+        ------
+        ResultStore
+            The store; it is closed at the end of the block.
+
+        Raises
+        ------
+        StoreError
+            If there is no store, or it has another format, or is damaged.
+        """
+        file = Path(folder) / STORE_NAME
+        if not file.is_file():
+            raise StoreError(f"{folder}: holds no {STORE_NAME}; give the folder of a sweep.")
+        with opened_to_read(file) as connection:
+            check_format(connection, file)
+            yield cls(file, connection)
+
+    @classmethod
+    @contextmanager
+    def writing(
+        cls, folder: str | Path, design: SweepDesign, *, is_fresh: bool = False
+    ) -> Iterator["ResultStore"]:
+        """Open a store to add rows, making it when there is none.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Output folder; it is made.
+        design : SweepDesign
+            What a new store is for.
+        is_fresh : bool, optional
+            Whether to discard a store that is there.
+
+        Yields
+        ------
+        ResultStore
+            The store; it is closed at the end of the block.
+
+        Raises
+        ------
+        StoreError
+            If the folder cannot be written, another sweep writes here, or another version or
+            program made the store.
+        """
+        file = Path(folder) / STORE_NAME
+        with locked_folder(Path(folder)):
+            if is_fresh:
+                discard(file)
+            with connected(file, mode="rwc") as connection:
+                create_if_new(connection, {"design": design.to_json(), "version": __version__})
+                check_format(connection, file)
+                store = cls(file, connection)
+                store.refuse_other_version()
+                yield store
+
+    @property
+    def design(self) -> SweepDesign:
+        """The design that the rows belong to."""
+        return self._design
+
+    def refuse_other_version(self) -> None:
+        """Refuse to add rows beside those of another version of the package."""
+        if self.version != __version__:
+            raise StoreError(
+                f"{self.file}: its rows were made by pyomo_quad {shown(self.version)[1:-1]}, this "
+                f"is {__version__}; use that version, choose another --out, or start anew with "
+                f"--fresh."
+            )
+
+    def replace_design(self, design: SweepDesign, *, is_extended: bool) -> None:
+        """Note that the rows belong to another design that holds all their cases.
+
+        Parameters
+        ----------
+        design : SweepDesign
+            The new design.
+        is_extended : bool
+            Whether it has other axes.  Its cases then have other parents: what those left before is
+            forgotten, so that no result hangs on how far the older design had come.
+        """
+        with self._connection:
+            self._connection.execute(
+                "UPDATE sweep SET value = ? WHERE name = 'design'", (design.to_json(),)
+            )
+            if is_extended:
+                self._connection.execute("DELETE FROM warm_start")
+        self._design = design
+
+    def statuses(self) -> dict[str, CaseStatus]:
+        """Return how each case that has a row ended, by its key."""
+        return {key: row.status for key, row in self.rows().items()}
+
+    def rows(self) -> dict[str, StoredCase]:
+        """Return all rows by their key, each checked.
+
+        Raises
+        ------
+        StoreError
+            If a row is not as a sweep writes it, or is no case of the design.
+        """
+        known = {case.key for case in expand(self._design)}
+        query = f"SELECT {', '.join(StoredCase.model_fields)} FROM case_row"  # noqa: S608
+        found = {}
+        for number, values in enumerate(self._connection.execute(query), start=1):
+            where = f"case_row {number}"
+            try:
+                row = StoredCase.model_validate(
+                    dict(zip(StoredCase.model_fields, values, strict=True))
+                )
+            except ValidationError as error:
+                first = error.errors(include_url=False)[0]
+                place = ".".join(map(str, first["loc"]))
+                raise damaged(self.file, f"{where}, {place}: {first['msg']}") from None
+            if row.case_key not in known or row.case_key != _key_of(row):
+                raise damaged(self.file, f"{where} is no case of its design")
+            found[row.case_key] = row
+        return found
+
+    def add(
+        self,
+        outcome: CaseOutcome,
+        overrides: Mapping[str, Any],
+        *,
+        is_parent: bool,
+        spent: str = "",
+        outdated: Iterable[str] = (),
+    ) -> None:
+        """Commit the row of a case that ended, in place of the one it may have.
+
+        Parameters
+        ----------
+        outcome : CaseOutcome
+            The row.
+        overrides : mapping
+            Scenario field -> value.
+        is_parent : bool
+            Whether cases still to come start from this one.
+        spent : str
+            Key of a case whose warm start no case needs any more, empty for none.
+        outdated : iterable of str
+            Keys of cases whose rows are to be made again.
+
+        Raises
+        ------
+        StoreError
+            If the disk is full or the file has gone.
+        """
+        row = (
+            outcome.key,
+            json.dumps(dict(overrides), sort_keys=True),
+            outcome.status.value,
+            outcome.reason,
+            json.dumps(dict(outcome.values)),
+            outcome.seconds,
+            outcome.worker,
+            datetime.now(UTC).isoformat(timespec="seconds"),
+        )
+        try:
+            with self._connection:
+                for key in outdated:
+                    self._connection.execute("DELETE FROM case_row WHERE case_key = ?", (key,))
+                    self._connection.execute(_FORGET, (key,))
+                self._connection.execute("REPLACE INTO case_row VALUES (?,?,?,?,?,?,?,?)", row)
+                self._connection.execute(_FORGET, (spent,))
+                if is_parent:
+                    self._connection.execute(
+                        "REPLACE INTO warm_start VALUES (?,?)", (outcome.key, outcome.warm_start)
+                    )
+        except sqlite3.DatabaseError as error:
+            raise StoreError(
+                f"{self.file}: cannot be written ({error}); finished cases are kept; free the "
+                f"place and run the same command again."
+            ) from error
+
+    def warm_start(self, key: str) -> bytes | None:
+        """Return what a finished case left for its children.
+
+        Parameters
+        ----------
+        key : str
+            Key of the parent.
+
+        Returns
+        -------
+        bytes or None
+            None when it left nothing.
+        """
+        query = "SELECT arrays FROM warm_start WHERE case_key = ?"
+        found = self._connection.execute(query, (key,)).fetchone()
+        arrays = found[0] if found is not None else None
+        if arrays is not None and not isinstance(arrays, bytes):
+            raise damaged(self.file, "warm_start: arrays are no bytes")
+        return arrays
+
+    def _checked_design(self) -> SweepDesign:
+        try:
+            design = SweepDesign.from_json(self._note("design"))
+            design.refuse_impossible()
+        except ValueError as error:
+            self.refuse_other_version()
+            raise damaged(self.file, str(error).splitlines()[0]) from None
+        return design
+
+    def _note(self, name: str) -> str:
+        query = "SELECT value FROM sweep WHERE name = ?"
+        found = self._connection.execute(query, (name,)).fetchone()
+        if found is None or not isinstance(found[0], str):
+            raise damaged(self.file, f"table sweep has no {name}")
+        return found[0]
+
+
+def _key_of(row: StoredCase) -> str | None:
+    try:
+        return case_key(row.overrides)
+    except ValueError:
+        return None
+
+
+CASE_COLUMN = "case"
+STATUS_COLUMN = "status"
+REASON_COLUMN = "reason"
+
+
+def results_frame(store: ResultStore) -> pd.DataFrame:
+    """Return the rows of a store in the order of its design.
+
+    Parameters
+    ----------
+    store : ResultStore
+        Any store, also of a sweep that has not ended.
+
+    Returns
+    -------
+    DataFrame
+        Columns: case, the fields that vary, status, reason, then the outputs that the study
+        keeps.  Wall times are left out: everything here is the same for each run.
+    """
+    design, rows = store.design, store.rows()
+    ended = [(case, rows[case.key]) for case in expand(design) if case.key in rows]
+    outputs = _output_columns(design, [row for _, row in ended])
+    frame = pd.DataFrame([_record(case, row, outputs) for case, row in ended])
+    columns = [CASE_COLUMN, *design.paths, STATUS_COLUMN, REASON_COLUMN, *outputs]
+    return frame.reindex(columns=columns)
+
+
+def _record(case: Case, row: StoredCase, outputs: list[str]) -> dict[str, Any]:
+    fields = {path: cell_of(value) for path, value in case.overrides.items()}
+    return {
+        CASE_COLUMN: case.position,
+        **fields,
+        STATUS_COLUMN: row.status.value,
+        REASON_COLUMN: row.reason,
+        **{name: row.outputs[name] for name in outputs if name in row.outputs},
+    }
+
+
+def _output_columns(design: SweepDesign, rows: list[StoredCase]) -> list[str]:
+    kept = design.outputs or [name for row in rows for name in row.outputs]
+    return list(dict.fromkeys((*kept, *design.report_on)))
+
+
+_MOST_CHANGES = 5
+
+
+def adopt_design(store: ResultStore, design: SweepDesign) -> list[str]:
+    """Let a store go on with a design, if its rows fit.
+
+    Rows fit when all of them are cases of the design and were solved in the same way.
+
+    Parameters
+    ----------
+    store : ResultStore
+        Open for writing.
+    design : SweepDesign
+        What the study file says now.
+
+    Returns
+    -------
+    list of str
+        How the axes were extended, empty when they are the same.
+
+    Raises
+    ------
+    StoreError
+        If the rows do not fit; it says what changed.
+    """
+    stored = store.design
+    changes = list(design.changes_since(stored))
+    axis_changes = list(design.axis_changes_since(stored))
+    rows = store.statuses().keys()
+    if rows and not rows <= {case.key for case in expand(design)}:
+        changes += axis_changes
+    if rows and changes:
+        shown = "; ".join(changes[:_MOST_CHANGES])
+        more = len(changes) - _MOST_CHANGES
+        raise StoreError(
+            f"{store.file.parent}: holds {len(rows)} cases of a study that has changed since "
+            f"({shown}{f'; and {more} more' if more > 0 else ''}); start anew with --fresh, or "
+            f"choose another --out."
+        )
+    if stored != design:
+        store.replace_design(design, is_extended=bool(axis_changes))
+    return axis_changes

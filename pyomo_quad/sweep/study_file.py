@@ -1,0 +1,377 @@
+"""The study file: a base scenario, the axes over it, and what is wanted of each case."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from enum import StrEnum
+from math import prod
+from pathlib import Path as FilePath
+from typing import Any, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from pyomo_quad.scenario.fields import Part, Text, WholeNumber, quantity
+from pyomo_quad.scenario.loader import read_toml
+from pyomo_quad.scenario.messages import FeasibilityError, ScenarioError, complaint, shown
+from pyomo_quad.scenario.resolution import Origin
+from pyomo_quad.scenario.schema import Scenario
+from pyomo_quad.scenario.tables import Reference
+from pyomo_quad.scenario.tree import FieldPath, leaves, parse_path, spell
+from pyomo_quad.sweep.case import StudyTask, output_columns, unknown_column
+from pyomo_quad.sweep.design import MOST_CASES, Axis, Dimension, SweepDesign
+from pyomo_quad.sweep.errors import StudyError
+
+_MOST_SAMPLES = 100_000
+
+
+class SamplingMethod(StrEnum):
+    """How the unit cube is filled."""
+
+    RANDOM = "random"
+    LATIN_HYPERCUBE = "latin_hypercube"
+
+
+class Sampling(Part):
+    """How many samples are drawn, and how."""
+
+    count: WholeNumber = quantity("1", "number of samples", ge=1, le=_MOST_SAMPLES)
+    seed: WholeNumber = quantity("1", "seed of the generator", ge=0)
+    method: SamplingMethod = quantity(
+        "", "random or latin_hypercube", SamplingMethod.LATIN_HYPERCUBE
+    )
+
+    def draw(self, axis_count: int) -> np.ndarray:
+        """Draw points of the open unit cube.
+
+        Parameters
+        ----------
+        axis_count : int
+            Number of random axes.
+
+        Returns
+        -------
+        ndarray, shape (count, axis_count)
+            Strictly between 0 and 1.  A larger `count` keeps the first points of the method
+            ``random``, so that a study can be extended; a Latin hypercube is drawn anew.
+        """
+        generator = np.random.default_rng(self.seed)
+        if self.method is SamplingMethod.RANDOM:
+            draws = 1.0 - generator.random((self.count, axis_count))
+        else:
+            from scipy.stats import qmc  # noqa: PLC0415  takes half a second
+
+            draws = qmc.LatinHypercube(axis_count, seed=generator).random(self.count)
+        # At 0 and 1 a normal distribution has no finite value.
+        return np.clip(draws, np.nextafter(0.0, 1.0), np.nextafter(1.0, 0.0))
+
+
+_NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
+_MOST_AXES = 20
+_Table = TypeVar("_Table", bound=BaseModel)
+_DEFAULT_QUANTITY = "energy_J"
+
+
+class Study(Part):
+    """A study as its file says it, without the axes' values."""
+
+    name: Text = quantity("", "short name, also of the output folder", pattern=_NAME_PATTERN)
+    title: Text = quantity("", "title of the report", "", max_length=200)
+    about: Text = quantity("", "what the report says first", "", max_length=1000)
+    scenario: Text = quantity("", "scenario file of the base case, beside the study", min_length=1)
+    task: StudyTask = quantity(
+        "",
+        "optimise: a plan for each case; fly_plan: the controller flies the base case's plan",
+        StudyTask.OPTIMISE,
+    )
+    baselines: tuple[Reference, ...] = quantity(
+        "", "references that the controller flies in each case", (), max_length=len(Reference)
+    )
+    outputs: tuple[Text, ...] = quantity(
+        "", "columns kept in the tables, all when absent", (), max_length=100
+    )
+    report_on: tuple[Text, ...] = quantity(
+        "", "columns that the report draws", (_DEFAULT_QUANTITY,), min_length=1, max_length=10
+    )
+    fixed: dict[str, Any] = quantity("", "fields changed in the base scenario", {})
+    sampling: Sampling | None = quantity("", "how random axes are drawn", None)
+    axis: tuple[Axis, ...] = quantity("", "what varies", min_length=1, max_length=_MOST_AXES)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadedStudy:
+    """A validated study file with its base scenario.
+
+    Attributes
+    ----------
+    source : str
+        Name of the study file for messages.
+    study : Study
+        What the file says.
+    base : Scenario
+        The base scenario with the fixed fields set.
+    """
+
+    source: str
+    study: Study
+    base: Scenario
+
+
+def load_study(path: str | FilePath) -> LoadedStudy:
+    """Read and validate a study file and its base scenario.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file.
+
+    Returns
+    -------
+    LoadedStudy
+        The study; the values of its axes are not yet checked against the scenario.
+
+    Raises
+    ------
+    StudyError
+        If a field of the study is not allowed.
+    ScenarioError
+        If a file cannot be read, or the base scenario is not allowed.
+    """
+    source = str(path)
+    document = read_toml(FilePath(path))
+    # Tables in a list are checked one by one, so that a misspelt key is compared with the right
+    # table's keys.
+    listed = document.get("axis")
+    for index, table in enumerate(listed if isinstance(listed, list) else []):
+        _validate(Axis, table, source, ("axis", index))
+    study = _validate(Study, document, source)
+    _check_random_axes(study, source)
+    _check_columns(study, source)
+    return LoadedStudy(source=source, study=study, base=_base_scenario(study, FilePath(path)))
+
+
+def _validate(model: type[_Table], tables: object, source: str, place: FieldPath = ()) -> _Table:
+    try:
+        return model.model_validate(tables)
+    except ValidationError as error:
+        _, line = complaint(error, model, place)
+        raise StudyError(f"{source}: {line}") from None
+
+
+def _check_random_axes(study: Study, source: str) -> None:
+    random_axes = [axis.path for axis in study.axis if axis.is_random]
+    if random_axes and study.sampling is None:
+        raise StudyError(
+            f"{source}: axis {shown(random_axes[0])} is random; add a table [sampling] with "
+            f"count and seed."
+        )
+    if study.sampling is not None and not random_axes:
+        raise StudyError(f"{source}: [sampling] is given, but no axis is random; remove it.")
+
+
+def _check_columns(study: Study, source: str) -> None:
+    if study.baselines and study.task is not StudyTask.OPTIMISE:
+        raise StudyError(
+            f'{source}: baselines are flown beside a plan, and task = "{study.task}" makes none '
+            f'for a case; remove baselines, or give task = "{StudyTask.OPTIMISE}".'
+        )
+    for name in ("baselines", "outputs", "report_on"):
+        given = getattr(study, name)
+        for index, entry in enumerate(given):
+            if entry in given[:index]:
+                raise StudyError(f"{source}: {name}[{index}] repeats {shown(entry)}; give it once.")
+    for name in ("outputs", "report_on"):
+        wrong = unknown_column(getattr(study, name), study.task, study.baselines)
+        if wrong is not None:
+            known = output_columns(study.task, study.baselines)
+            near = get_close_matches(wrong, known, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"the outputs are {', '.join(known)}."
+            raise StudyError(f"{source}: {name}: no output is called {shown(wrong)}; {hint}")
+
+
+def _base_scenario(study: Study, file: FilePath) -> Scenario:
+    scenario_file = file.parent / study.scenario
+    source = str(file)
+    return Scenario.from_origin(
+        Origin(
+            source=str(scenario_file),
+            folder=scenario_file.parent,
+            document=read_toml(scenario_file),
+            assignments=_fixed_values(study.fixed, source),
+            label=source,
+        )
+    )
+
+
+def _fixed_values(tables: Mapping[str, Any], source: str) -> dict[FieldPath, Any]:
+    assignments: dict[FieldPath, Any] = {}
+    for steps, value in leaves(tables):
+        text = spell(steps)
+        path = parse_path(text)
+        if path is None:
+            raise ScenarioError(f"{source}: fixed: {shown(text)} is not the path of a field.")
+        assignments[path] = value
+    return assignments
+
+
+# More cases than this are more often a slip of the pen than a wish.
+CASE_LIMIT = 1_000
+
+
+def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> SweepDesign:
+    """Spell out and check the axes of a study.
+
+    Parameters
+    ----------
+    loaded : LoadedStudy
+        The study and its base scenario.
+    is_large_allowed : bool, optional
+        Whether more than `CASE_LIMIT` cases are meant.
+
+    Returns
+    -------
+    SweepDesign
+        Every axis value is allowed by the scenario's schema.
+
+    Raises
+    ------
+    StudyError
+        If axes contradict each other, or there are too many cases.
+    ScenarioError
+        If a path is unknown or a value is out of the field's range.
+    """
+    study, source = loaded.study, loaded.source
+    _check_paths(study, source)
+    _refuse_own_model(loaded)
+    _check_size(_case_count(study, source), source, is_large_allowed=is_large_allowed)
+    dimensions = tuple(_dimensions(study, loaded.base))
+    for dimension in dimensions:
+        _check_steps(dimension, loaded.base, source)
+    return SweepDesign(
+        name=study.name,
+        title=study.title,
+        about=study.about,
+        task=study.task,
+        baselines=study.baselines,
+        outputs=study.outputs,
+        report_on=study.report_on,
+        base=loaded.base.model_dump(mode="json"),
+        dimensions=dimensions,
+    )
+
+
+def _check_paths(study: Study, source: str) -> None:
+    seen: list[tuple[str | int, ...]] = []
+    for axis in study.axis:
+        path = parse_path(axis.path)
+        if path is None:
+            raise StudyError(
+                f"{source}: axis {shown(axis.path)} is not the path of a scenario field."
+            )
+        for other in seen:
+            shared = min(len(path), len(other))
+            if path[:shared] == other[:shared]:
+                raise StudyError(
+                    f"{source}: axis {shown(axis.path)} sets what another axis sets already; "
+                    f"keep one of them."
+                )
+        seen.append(path)
+
+
+def _refuse_own_model(loaded: LoadedStudy) -> None:
+    if loaded.base.model is not None or any(axis.path == "model" for axis in loaded.study.axis):
+        raise StudyError(
+            f"{loaded.source}: the scenario names a model builder of its own, which a sweep does "
+            f"not run; remove the field model."
+        )
+
+
+def _groups(study: Study) -> dict[str, list[Axis]]:
+    groups: dict[str, list[Axis]] = {}
+    for axis in study.axis:
+        name = "random" if axis.is_random else f"group {axis.group}" if axis.group else axis.path
+        groups.setdefault(name, []).append(axis)
+    return groups
+
+
+def _case_count(study: Study, source: str) -> int:
+    counts = []
+    for axes in _groups(study).values():
+        if axes[0].is_random:
+            counts.append(study.sampling.count if study.sampling is not None else 0)
+            continue
+        lengths = {axis.count for axis in axes}
+        if len(lengths) > 1:
+            raise StudyError(
+                f"{source}: axes of group {shown(axes[0].group)} have "
+                f"{' and '.join(str(axis.count) for axis in axes)} values; "
+                f"give each the same number."
+            )
+        counts.append(lengths.pop())
+    return prod(counts)
+
+
+def _check_size(count: int, source: str, *, is_large_allowed: bool) -> None:
+    if count > MOST_CASES:
+        raise StudyError(
+            f"{source}: the axes make {count} cases, at most {MOST_CASES} are allowed; "
+            f"take fewer values."
+        )
+    if count > CASE_LIMIT and not is_large_allowed:
+        raise StudyError(
+            f"{source}: the axes make {count} cases, more than {CASE_LIMIT}; "
+            f"take fewer values, or say --yes if they are meant."
+        )
+
+
+def _dimensions(study: Study, base: Scenario) -> Iterator[Dimension]:
+    tables = base.model_dump()
+    for axes in _groups(study).values():
+        if axes[0].is_random and study.sampling is not None:
+            draws = study.sampling.draw(len(axes))
+            columns = [axis.drawn_values(draws[:, index]) for index, axis in enumerate(axes)]
+        else:
+            columns = [axis.spaced_values() for axis in axes]
+        matched = [
+            [_as_field_type(value, tables, axis.path) for value in column]
+            for axis, column in zip(axes, columns, strict=True)
+        ]
+        yield Dimension(
+            paths=tuple(axis.path for axis in axes),
+            steps=tuple(zip(*matched, strict=True)),
+            is_random=axes[0].is_random,
+        )
+
+
+def _as_field_type(value: object, tables: Mapping[str, Any], path: str) -> Any:  # noqa: ANN401
+    """Give a number the type of its field, so that 10.0 serves where 10 elements are meant."""
+    present: Any = tables
+    for step in parse_path(path) or ():
+        is_inside = isinstance(present, Mapping | list | tuple)
+        try:
+            present = present[step] if is_inside else None
+        except (LookupError, TypeError):
+            return value
+    if isinstance(present, bool) or isinstance(value, bool):
+        return value
+    if isinstance(present, float) and isinstance(value, int):
+        return float(value)
+    if isinstance(present, int) and isinstance(value, float) and value.is_integer():
+        return int(value)
+    return value
+
+
+def _check_steps(dimension: Dimension, base: Scenario, source: str) -> None:
+    seen = set()
+    for step in dimension.steps:
+        spelled = repr(step)
+        if spelled in seen:
+            raise StudyError(
+                f"{source}: axis {dimension.paths[0]} repeats {shown(step[0])}; give it once."
+            )
+        seen.add(spelled)
+        try:
+            base.with_values(dict(zip(dimension.paths, step, strict=True)))
+        except FeasibilityError:
+            # Whether the vehicle can hover is a result of the case: its row will say so.
+            continue

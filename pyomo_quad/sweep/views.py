@@ -1,0 +1,396 @@
+"""What the rows of a sweep say: curves, fronts, maps and sensitivities, by plain arithmetic."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pyomo_quad.sweep.case import CaseStatus
+from pyomo_quad.sweep.design import Dimension, SweepDesign
+from pyomo_quad.sweep.store import CASE_COLUMN, STATUS_COLUMN
+
+# Random fields are compared over the middle nine tenths of their draws.
+_LOW_SHARE, _HIGH_SHARE = 0.05, 0.95
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """Rows that differ in one dimension only, in the order of its first field."""
+
+    fixed: dict[str, Any]
+    rows: pd.DataFrame
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensitivity:
+    """By how much a quantity changes with one field.
+
+    Attributes
+    ----------
+    field : str
+        The scenario field, the first of its dimension.
+    least, greatest : float
+        The quantity's range along the field, all else being as in the `central_case`.
+    least_at, greatest_at : float
+        Where in the field these are reached.
+    base : float
+        The quantity in the central case, of random fields in the middle of their draws; NaN where
+        that case failed.
+    """
+
+    field: str
+    least: float
+    greatest: float
+    least_at: float
+    greatest_at: float
+    base: float
+
+    @property
+    def swing(self) -> float:
+        """Width of the quantity's range."""
+        return self.greatest - self.least
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """From where to where a quantity goes over all finished cases.
+
+    Attributes
+    ----------
+    least, greatest : float
+        Its range.
+    least_case, greatest_case : int
+        The cases at its ends.
+    linear_share : float
+        Share of the variance that a plane over the random fields explains; NaN without such
+        fields, or too few cases for a plane.
+    """
+
+    least: float
+    greatest: float
+    least_case: int
+    greatest_case: int
+    linear_share: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Best:
+    """Where along a field a quantity is least, among the values tried.
+
+    Attributes
+    ----------
+    at, value : float
+        The best value of the field, and the quantity there.
+    below, above : float or None
+        The next values tried on either side; None where none was.
+    is_below_flown, is_above_flown : bool
+        Whether these cases finished, so that the best lies between values that are dearer.
+    """
+
+    at: float
+    value: float
+    below: float | None
+    above: float | None
+    is_below_flown: bool
+    is_above_flown: bool
+
+    @property
+    def is_inside(self) -> bool:
+        """Whether dearer cases finished on both sides."""
+        return self.is_below_flown and self.is_above_flown
+
+
+def finished_rows(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows whose case finished."""
+    return frame[frame[STATUS_COLUMN] == CaseStatus.FINISHED.value]
+
+
+def is_numeric(dimension: Dimension) -> bool:
+    """Return whether the first field of a dimension holds numbers."""
+    first = (step[0] for step in dimension.steps)
+    return all(isinstance(value, int | float) and not isinstance(value, bool) for value in first)
+
+
+def curves_along(design: SweepDesign, frame: pd.DataFrame, field: str) -> list[Curve]:
+    """Split rows into curves over one field.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        Its dimension with the field is the one along the curves.
+    frame : DataFrame
+        Rows of `results_frame`.
+    field : str
+        A field that varies.
+
+    Returns
+    -------
+    list of Curve
+        One for each combination of the other dimensions, in their order, empty ones left out.
+    """
+    others = [one.paths[0] for one in design.dimensions if field not in one.paths]
+    steps = [[step[0] for step in one.steps] for one in design.dimensions if field not in one.paths]
+    rows = finished_rows(frame)
+    curves = []
+    for values in product(*steps):
+        fixed = dict(zip(others, values, strict=True))
+        chosen = rows[_matches(rows, fixed)].sort_values(field)
+        if not chosen.empty:
+            curves.append(Curve(fixed=fixed, rows=chosen))
+    return curves
+
+
+def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
+    """Return the rows that no other row beats in both of two quantities to be small.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Any rows.
+    first, second : str
+        Columns.
+
+    Returns
+    -------
+    DataFrame
+        Sorted by the first column; the last row has the smallest second quantity of all.
+    """
+    ordered = rows.sort_values([first, second])
+    best_before = ordered[second].astype(float).cummin().shift(fill_value=np.inf)
+    return ordered[ordered[second] < best_before]
+
+
+def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) -> Best:
+    """Find where along a curve a quantity is least, and whether that is an edge.
+
+    Parameters
+    ----------
+    curve : Curve
+        Finished cases along the field.
+    field, quantity : str
+        Columns.
+    tried : sequence of float
+        All values of the field that cases were made for, finished or not.
+
+    Returns
+    -------
+    Best
+        Of equal cases the one with the smallest value of the field.
+    """
+    best = pareto_front(curve.rows, field, quantity).iloc[-1]
+    at, flown = float(best[field]), set(curve.rows[field])
+    below = max((value for value in tried if value < at), default=None)
+    above = min((value for value in tried if value > at), default=None)
+    return Best(
+        at=at,
+        value=float(best[quantity]),
+        below=below,
+        above=above,
+        is_below_flown=below in flown,
+        is_above_flown=above in flown,
+    )
+
+
+def central_case(design: SweepDesign) -> dict[str, Any]:
+    """Return the case of the grid through which maps and sensitivities go.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        Of the rows.
+
+    Returns
+    -------
+    dict
+        First field of each dimension that is not random -> the base scenario's value where it is
+        one of the steps, else the middle step.
+    """
+    return {one.paths[0]: _central(design, one) for one in design.dimensions if not one.is_random}
+
+
+def plane_of(
+    design: SweepDesign, frame: pd.DataFrame, across: Dimension, up: Dimension, quantity: str
+) -> pd.DataFrame:
+    """Return a quantity over two dimensions, all others being as in the `central_case`.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        Of the rows.
+    frame : DataFrame
+        Rows of `results_frame`.
+    across, up : Dimension
+        Columns and rows of the plane.
+    quantity : str
+        A column.
+
+    Returns
+    -------
+    DataFrame
+        Rows and columns rise; NaN where no case finished.
+    """
+    rest = _others(design, across, up)
+    rows = finished_rows(frame)
+    rows = rows[_matches(rows, rest)]
+    plane = rows.pivot_table(index=up.paths[0], columns=across.paths[0], values=quantity)
+    return plane.reindex(
+        index=sorted(up.values(up.paths[0])), columns=sorted(across.values(across.paths[0]))
+    )
+
+
+def sensitivities(design: SweepDesign, frame: pd.DataFrame, quantity: str) -> list[Sensitivity]:
+    """Compare how a quantity changes with each numeric dimension.
+
+    A field of a grid goes through all its steps, all others being as in the `central_case`; so an
+    angle that comes round to where it began is judged fairly.  Random fields go over the middle
+    nine tenths of their draws, along the plane fitted to the quantity by least squares.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        Of the rows.
+    frame : DataFrame
+        Rows of `results_frame`.
+    quantity : str
+        A column.
+
+    Returns
+    -------
+    list of Sensitivity
+        Largest swing first; fields along which fewer than two cases finished are left out.
+    """
+    rows = finished_rows(frame).dropna(subset=[quantity])
+    found: list[Sensitivity] = []
+    for dimension in design.dimensions:
+        if dimension.is_random:
+            found += _fitted(dimension.paths, rows[_matches(rows, central_case(design))], quantity)
+        elif is_numeric(dimension):
+            found += _across_grid(design, dimension, rows, quantity)
+    return sorted(found, key=lambda one: one.swing, reverse=True)
+
+
+def spread_of(design: SweepDesign, frame: pd.DataFrame, quantity: str) -> Spread:
+    """Return the range of a quantity over all finished cases, as it came out.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        Of the rows.
+    frame : DataFrame
+        Rows of `results_frame`, at least one of them finished.
+    quantity : str
+        A column.
+
+    Returns
+    -------
+    Spread
+        Its ends, the cases there, and how much of it the random fields explain linearly.
+    """
+    rows = finished_rows(frame).dropna(subset=[quantity]).sort_values(quantity, kind="stable")
+    least, greatest = rows.iloc[0], rows.iloc[-1]
+    centred = rows[_matches(rows, central_case(design))]
+    fields = [path for one in design.dimensions if one.is_random for path in one.paths]
+    plane = _plane(fields, centred, quantity) if fields else None
+    return Spread(
+        least=float(least[quantity]),
+        greatest=float(greatest[quantity]),
+        least_case=int(least[CASE_COLUMN]),
+        greatest_case=int(greatest[CASE_COLUMN]),
+        linear_share=np.nan if plane is None else plane.explained,
+    )
+
+
+def _across_grid(
+    design: SweepDesign, dimension: Dimension, rows: pd.DataFrame, quantity: str
+) -> Iterator[Sensitivity]:
+    field = dimension.paths[0]
+    chosen = rows[_matches(rows, _others(design, dimension))]
+    line = chosen.groupby(field)[quantity].mean()
+    steps, values = line.index.to_numpy(dtype=float), line.to_numpy(dtype=float)
+    if len(steps) > 1:
+        yield Sensitivity(
+            field=field,
+            least=float(values.min()),
+            greatest=float(values.max()),
+            least_at=float(steps[values.argmin()]),
+            greatest_at=float(steps[values.argmax()]),
+            base=float(line.get(_central(design, dimension), np.nan)),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Plane:
+    """A quantity fitted linearly over random fields, by least squares."""
+
+    fields: tuple[str, ...]
+    centre: pd.Series
+    middle: float
+    slopes: np.ndarray
+    explained: float
+
+
+def _plane(fields: Sequence[str], rows: pd.DataFrame, quantity: str) -> _Plane | None:
+    numbers = [field for field in fields if pd.api.types.is_numeric_dtype(rows[field])]
+    if len(rows) <= len(numbers) + 1:
+        return None
+    centre, values = rows[numbers].mean(), rows[quantity].to_numpy(dtype=float)
+    design_matrix = np.column_stack([np.ones(len(rows)), rows[numbers] - centre])
+    fit = np.linalg.lstsq(design_matrix, values, rcond=None)[0]
+    variance, rest = np.var(values), np.var(values - design_matrix @ fit)
+    return _Plane(
+        fields=tuple(numbers),
+        centre=centre,
+        middle=float(fit[0]),
+        slopes=fit[1:],
+        explained=float(1.0 - rest / variance) if variance > 0.0 else np.nan,
+    )
+
+
+def _fitted(fields: Sequence[str], rows: pd.DataFrame, quantity: str) -> Iterator[Sensitivity]:
+    plane = _plane(fields, rows, quantity)
+    if plane is None:
+        return
+    for field, slope in zip(plane.fields, plane.slopes, strict=True):
+        ends = [float(rows[field].quantile(share)) for share in (_LOW_SHARE, _HIGH_SHARE)]
+        reached = {float(plane.middle + slope * (end - plane.centre[field])): end for end in ends}
+        least, greatest = min(reached), max(reached)
+        yield Sensitivity(
+            field=field,
+            least=least,
+            greatest=greatest,
+            least_at=reached[least],
+            greatest_at=reached[greatest],
+            base=plane.middle,
+        )
+
+
+def _others(design: SweepDesign, *along: Dimension) -> dict[str, Any]:
+    """Return the central case without the fields of the dimensions that are gone along."""
+    free = {one.paths[0] for one in along}
+    return {field: value for field, value in central_case(design).items() if field not in free}
+
+
+def _central(design: SweepDesign, dimension: Dimension) -> Any:  # noqa: ANN401  a value of any field
+    base = tuple(_base_value(design, path) for path in dimension.paths)
+    if base in dimension.steps:
+        return base[0]
+    values = [step[0] for step in dimension.steps]
+    ordered = sorted(values) if is_numeric(dimension) else values
+    return ordered[len(ordered) // 2]
+
+
+def _base_value(design: SweepDesign, path: str) -> Any:  # noqa: ANN401  a value of any field
+    value: Any = design.base
+    for part in path.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
+
+
+def _matches(rows: pd.DataFrame, fixed: dict[str, Any]) -> pd.Series:
+    matching = pd.Series(data=True, index=rows.index)
+    for field, value in fixed.items():
+        matching &= rows[field] == value
+    return matching
