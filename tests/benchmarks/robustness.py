@@ -1,18 +1,25 @@
-"""How many of 200 random missions come out verified, infeasible with proof, or lost.
+"""How many random missions come out verified, infeasible with proof, or lost: 200 for each seed.
 
-    python -m tests.benchmarks.robustness [--missions N] [--seed S] [--workers N] [--minutes M]
+    python -m tests.benchmarks.robustness [--missions N] [--seeds S [S ...]] [--workers N]
+        [--minutes M] [--results FILE]
 
 Goals lie within 30 m, up and down; durations from 3 to 30 s; winds up to 6 m/s from anywhere in
 both couplings; payloads from 0 to 0.25 kg; every power model that is sound everywhere, which
 leaves out `efficiency`: below 858 rad/s it has no minimum to find.  No mission gets a guess.
+`constant_efficiency` is flown with credit for braking and, by every other mission of it, without.
+
+An outcome is written to the results as soon as it is known, and a mission that is there is not
+flown again: a run that was stopped goes on where it was.
 """
 
 import argparse
+import json
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from multiprocessing import get_context
-from time import perf_counter
+from pathlib import Path
+from time import perf_counter, process_time
 
 import numpy as np
 
@@ -22,10 +29,11 @@ from pyomo_quad.scenario.messages import FeasibilityError, PyomoQuadError
 
 BASE = "scenarios/paper_calm.toml"
 COUPLINGS = ("acceleration", "drag")
-# `constant_efficiency` without credit for braking has a corner at zero power, on which optima
-# come to lie: it counts among the models that are sound only with regeneration.
-REGENERATION = "power.regeneration=true"
 POWER_MODELS = ("motor", "shaft", "constant_efficiency", "motor_with_friction")
+# Without credit for braking it has a corner at zero power, on which optima come to lie.
+KINKED = "constant_efficiency"
+SEEDS = (2026, 1, 2)
+RESULTS = Path("reports/benchmarks/robustness.jsonl")
 FARTHEST_M = 30.0
 DURATIONS_S = (3.0, 30.0)
 STRONGEST_WIND_M_PER_S = 6.0
@@ -36,21 +44,24 @@ _PLANNERS: dict[None, Planner] = {}
 
 @dataclass(frozen=True)
 class Outcome:
+    seed: int
     number: int
     settings: tuple[str, ...]
     verdict: str
     detail: str
     attempts: tuple[str, ...]
+    processor_s: float
     wall_s: float
 
 
 def missions(count, seed):
-    """Draw missions as lists of scenario settings; equal seeds give equal missions."""
+    """Draw missions as tuples of scenario settings; equal seeds give equal missions."""
     random = np.random.default_rng(seed)
+    kinked = 0
     for number in range(count):
         direction = random.normal(size=3)
         goal = FARTHEST_M * random.uniform() ** (1 / 3) * direction / np.linalg.norm(direction)
-        yield (
+        settings = (
             f"name='random_{number:03d}'",
             f"mission.goal.position=[{', '.join(f'{x:.3f}' for x in goal)}]",
             f"mission.duration={random.uniform(*DURATIONS_S):.3f}",
@@ -59,36 +70,52 @@ def missions(count, seed):
             f"wind.direction={random.uniform(0, 2 * np.pi):.3f}",
             f"wind.coupling='{COUPLINGS[number % 2]}'",
             f"vehicle.payload={random.uniform(0, HEAVIEST_PAYLOAD_KG):.3f}",
-            f"power.model='{POWER_MODELS[random.integers(len(POWER_MODELS))]}'",
-            REGENERATION,
         )
+        model = POWER_MODELS[random.integers(len(POWER_MODELS))]
+        kinked += model == KINKED
+        has_credit = model != KINKED or kinked % 2 == 1
+        credit = f"power.regeneration={str(has_credit).lower()}"
+        yield (*settings, f"power.model='{model}'", credit)
 
 
-def fly(numbered):
-    number, settings = numbered
+def fly(mission):
+    seed, number, settings = mission
     planner = _PLANNERS.setdefault(None, Planner())
-    started = perf_counter()
+    started, processor = perf_counter(), process_time()
+    verdict, detail, attempts = _verdict(planner, settings)
+    return Outcome(
+        seed=seed,
+        number=number,
+        settings=settings,
+        verdict=verdict,
+        detail=detail,
+        attempts=attempts,
+        processor_s=process_time() - processor,
+        wall_s=perf_counter() - started,
+    )
+
+
+def _verdict(planner, settings):
     try:
         plan = planner.solve(load_scenario(BASE, settings))
     except FeasibilityError as error:
-        return Outcome(number, settings, INFEASIBLE, str(error), (), perf_counter() - started)
+        return INFEASIBLE, str(error), ()
     except PyomoQuadError as error:
-        return Outcome(number, settings, LOST, str(error), (), perf_counter() - started)
-    verdict, detail = LOST, f"{plan.status.value}: {plan.message}"
+        return LOST, str(error), ()
     if plan.status is PlanStatus.VERIFIED:
-        verdict, detail = VERIFIED, ""
-    elif plan.status is PlanStatus.INFEASIBLE:
-        verdict, detail = INFEASIBLE, next(iter(plan.failure.causes()), "")
-    return Outcome(number, settings, verdict, detail, plan.attempts, perf_counter() - started)
+        return VERIFIED, "", plan.attempts
+    if plan.status is PlanStatus.INFEASIBLE:
+        return INFEASIBLE, next(iter(plan.failure.causes()), ""), plan.attempts
+    return LOST, f"{plan.status.value}: {plan.message}", plan.attempts
 
 
 def table(outcomes):
     counts = Counter(outcome.verdict for outcome in outcomes)
     rescued = sum(bool(o.attempts) for o in outcomes if o.verdict == VERIFIED)
-    yield "| outcome | missions | share | median time | 95th percentile |"
+    yield "| outcome | missions | share | median processor time | 95th percentile |"
     yield "|---|---|---|---|---|"
     for verdict in (VERIFIED, INFEASIBLE, LOST):
-        times = [o.wall_s for o in outcomes if o.verdict == verdict]
+        times = [o.processor_s for o in outcomes if o.verdict == verdict]
         middle, high = "-", "-"
         if times:
             middle, high = (f"{t:.1f} s" for t in np.percentile(times, (50, 95)))
@@ -102,40 +129,60 @@ def table(outcomes):
             yield f"- {outcome.verdict}: {', '.join(outcome.settings)}: {outcome.detail} ({tried})"
 
 
+def finished(results):
+    """Return the outcomes that a results file holds."""
+    if not results.exists():
+        return []
+    lines = [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()]
+    return [
+        Outcome(**line | {key: tuple(line[key]) for key in ("settings", "attempts")})
+        for line in lines
+    ]
+
+
 def fly_all(arguments):
-    numbered = enumerate(missions(arguments.missions, arguments.seed))
+    """Fly every mission that the results do not hold, and write each down as it ends."""
+    known = {(outcome.seed, outcome.number) for outcome in finished(arguments.results)}
+    # Seed by seed in turn, so that a run that is stopped has flown as many of each.
+    wanted = sorted(
+        (number, seed, settings)
+        for seed in arguments.seeds
+        for number, settings in enumerate(missions(arguments.missions, seed))
+        if (seed, number) not in known
+    )
     deadline = perf_counter() + 60.0 * (arguments.minutes or np.inf)
-    outcomes = []
-    with ProcessPoolExecutor(arguments.workers, mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(fly, mission) for mission in numbered]
+    arguments.results.parent.mkdir(parents=True, exist_ok=True)
+    with (
+        ProcessPoolExecutor(arguments.workers, mp_context=get_context("spawn")) as pool,
+        arguments.results.open("a", encoding="utf-8") as file,
+    ):
+        futures = [pool.submit(fly, (seed, number, told)) for number, seed, told in wanted]
         for future in as_completed(futures):
             if future.cancelled():
                 continue
-            outcome = future.result()
-            outcomes.append(outcome)
-            if arguments.verbose:
-                print(outcome.number, f"{outcome.wall_s:.1f} s", outcome.verdict, outcome.detail)
-                print("   ", *outcome.settings[1:], *outcome.attempts, flush=True)
+            file.write(json.dumps(asdict(future.result())) + "\n")
+            file.flush()
             if perf_counter() > deadline:
                 for waiting in futures:
                     waiting.cancel()
-    return sorted(outcomes, key=lambda outcome: outcome.number)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--missions", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=2026)
+    parser.add_argument("--missions", type=int, default=200, help="For each seed.")
+    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--verbose", action="store_true", help="A line for each mission.")
     parser.add_argument("--minutes", type=float, help="Begin no mission after this long.")
+    parser.add_argument("--results", type=Path, default=RESULTS)
     arguments = parser.parse_args()
-    outcomes = fly_all(arguments)
-    print(
-        f"Seed {arguments.seed}, the first {len(outcomes)} of {arguments.missions} missions, "
-        f"{arguments.workers} workers:\n"
-    )
-    print("\n".join(table(outcomes)))
+    fly_all(arguments)
+    flown = sorted(finished(arguments.results), key=lambda o: (o.seed, o.number))
+    for seed in (*arguments.seeds, None):
+        outcomes = [o for o in flown if seed is None or o.seed == seed]
+        if outcomes:
+            name = "All seeds" if seed is None else f"Seed {seed}"
+            print(f"{name}, {len(outcomes)} missions:\n")
+            print("\n".join(table(outcomes)) + "\n")
 
 
 if __name__ == "__main__":
