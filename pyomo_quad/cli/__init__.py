@@ -8,19 +8,7 @@ __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        The command line without the program's name; that of the process by default, which then
-        belongs to the command: Ctrl-C and SIGTERM end it, and its streams are made safe.
-
-    Returns
-    -------
-    int
-        Exit status, see `ExitCode`.
-    """
+    """Run one command."""
     if arguments is None:
         end_on_signals()
     from pyomo_quad.cli import app  # noqa: PLC0415  see above

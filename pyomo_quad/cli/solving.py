@@ -91,20 +91,6 @@ class _CommandPlanner(Planner):
 def planner_for(scenario: Scenario, *, is_code_allowed: bool, is_quiet: bool) -> Planner:
     """Return a planner for the scenario's model, which shows its progress and heeds signals.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        May name a model builder of the user's own.
-    is_code_allowed : bool
-        Whether the user agreed to run code from a file.
-    is_quiet : bool
-        Show nothing.
-
-    Returns
-    -------
-    Planner
-        Nothing is built yet.
-
     Raises
     ------
     ScenarioError
@@ -118,11 +104,6 @@ def planner_for(scenario: Scenario, *, is_code_allowed: bool, is_quiet: bool) ->
 @contextmanager
 def report_folder(folder: Path) -> Iterator[Path]:
     """Give a folder to write a report into; a solve that is stopped leaves the old report alone.
-
-    Parameters
-    ----------
-    folder : Path
-        The final folder.
 
     Yields
     ------
@@ -155,18 +136,7 @@ def _kept(plan: Plan, folder: Path) -> str:
 
 
 def exit_code_of(plan: Plan) -> ExitCode:
-    """Return the exit status that tells how a solve ended.
-
-    Parameters
-    ----------
-    plan : Plan
-        Failed or not.
-
-    Returns
-    -------
-    ExitCode
-        See there.
-    """
+    """Return the exit status that tells how a solve ended."""
     return _EXIT_CODES[plan.status]
 
 
@@ -174,20 +144,7 @@ _FLIGHT_NAME = "flight.csv"
 
 
 def make_plan(planner: Planner, scenario: Scenario) -> Plan | ExitCode:
-    """Make the plan that a flight follows.
-
-    Parameters
-    ----------
-    planner : Planner
-        Of the scenario's model.
-    scenario : Scenario
-        The mission.
-
-    Returns
-    -------
-    Plan or ExitCode
-        The status to end with where there is no verified plan.
-    """
+    """Make the plan that a flight follows, or return the status to end with."""
     plan = planner.solve(scenario)
     status = exit_code_of(plan)
     if status is ExitCode.VERIFIED:
@@ -199,24 +156,7 @@ def make_plan(planner: Planner, scenario: Scenario) -> Plan | ExitCode:
 def make_flight(
     planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
 ) -> Flight | ExitCode:
-    """Fly.
-
-    Parameters
-    ----------
-    planner : Planner
-        Of the scenario's model.
-    scenario : Scenario
-        The mission.
-    reference : Reference or None
-        What the adaptive controller follows; None flies the plan in open loop.
-    plan : Plan or None
-        Where the flight needs one.
-
-    Returns
-    -------
-    Flight or ExitCode
-        The status to end with where the flight is out of control.
-    """
+    """Fly the adaptive controller along a reference or, without one, the plan in open loop."""
     dynamics = planner.dynamics(scenario)
     try:
         if reference is None and plan is not None:
@@ -238,21 +178,8 @@ def write_flight(
 
     Parameters
     ----------
-    folder : Path
-        An existing folder.
-    planner : Planner
-        Of the scenario's model.
-    scenario : Scenario
-        The mission flown.
-    flight : Flight
-        What to write.
     wall_s : mapping
         Seconds of each phase.
-
-    Returns
-    -------
-    dict
-        The summary.
     """
     summary = flight_summary(
         scenario,
@@ -267,20 +194,7 @@ def write_flight(
 
 
 def verdict(scenario: Scenario, flight: Flight) -> str:
-    """Return what became of a flight in one sentence.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission flown.
-    flight : Flight
-        The flight.
-
-    Returns
-    -------
-    str
-        One line.
-    """
+    """Return what became of a flight in one sentence."""
     end = "arrived" if has_arrived(flight) else "did not arrive"
     confirmed = "confirmed" if flight.is_verified else "not confirmed"
     return (
@@ -312,18 +226,7 @@ _SHOWN = {
 
 
 def verdict_lines(plan: Plan) -> Iterator[str]:
-    """Yield the answer, or what is known of a failure besides its causes.
-
-    Parameters
-    ----------
-    plan : Plan
-        Failed or not.
-
-    Yields
-    ------
-    str
-        Lines for standard output.
-    """
+    """Yield the answer, or what is known of a failure besides its causes."""
     if plan.is_verified:
         excess = plan.energy - plan.hover_energy_J
         yield (
@@ -341,17 +244,7 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
 
 
 def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
-    """Write on standard error what is wrong with a plan, one line for each matter.
-
-    Parameters
-    ----------
-    plan : Plan
-        Failed or not.
-    folder : Path
-        Where its report is.
-    cautions : sequence of str
-        What a reader should know beside the numbers.
-    """
+    """Write on standard error what is wrong with a plan, one line for each matter."""
     name = plan.scenario.name
     if not plan.is_verified:
         causes = () if plan.failure is None else tuple(plan.failure.causes())
@@ -364,18 +257,7 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
 
 
 def run_lines(result: RunResult) -> Iterator[str | Table]:
-    """Yield the answer of a run: the optimum, the flights beside it, and the certificate.
-
-    Parameters
-    ----------
-    result : RunResult
-        Of any status.
-
-    Yields
-    ------
-    str or Table
-        For standard output.
-    """
+    """Yield the answer of a run: the optimum, the flights beside it, and the certificate."""
     yield from verdict_lines(result.plan)
     if not result.comparison.empty:
         yield comparison_table(result.comparison)
@@ -399,11 +281,6 @@ def _certificate_lines(result: RunResult) -> Iterator[str]:
 def comparison_table(comparison: pd.DataFrame) -> Table:
     """Return the flights beside each other, for a terminal.
 
-    Parameters
-    ----------
-    comparison : DataFrame
-        Of `study.comparison`, of one scenario or many.
-
     Returns
     -------
     Table
@@ -426,21 +303,7 @@ def answer(
     is_quiet: bool,
     as_json: bool,
 ) -> None:
-    """Print the answer of a command in the form that was asked for.
-
-    Parameters
-    ----------
-    lines : iterable of str or Table
-        For people.
-    summary : mapping
-        For programs.
-    folder : Path
-        Where the report is.
-    is_quiet : bool
-        Say nothing.
-    as_json : bool
-        Print the summary and nothing else.
-    """
+    """Print the answer of a command in the form that was asked for."""
     if as_json:
         print(summary_text(summary), end="")
     elif not is_quiet:

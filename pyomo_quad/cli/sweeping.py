@@ -168,18 +168,7 @@ _SECONDS_OF_MEMORY = 60.0
 
 @contextmanager
 def follow_sweep(*, is_verbose: bool) -> Iterator[SweepListener]:
-    """Show how a sweep goes on while the block runs.
-
-    Parameters
-    ----------
-    is_verbose : bool
-        Write a line for each case.
-
-    Yields
-    ------
-    SweepListener
-        For the sweep.
-    """
+    """Show how a sweep goes on while the block runs."""
     console = error_console()
     if not console.is_terminal:
         yield _Lines(console, is_verbose=is_verbose)

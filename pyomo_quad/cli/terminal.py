@@ -26,36 +26,18 @@ _WIDTH_WITHOUT_TERMINAL = 140
 
 
 def result_console() -> Console:
-    """Return a console on standard output, wide enough for tables in a pipe.
-
-    Returns
-    -------
-    Console
-        Made anew, so that it writes to the present standard output.
-    """
+    """Return a console on standard output, wide enough for tables in a pipe."""
     width = None if sys.stdout.isatty() else _WIDTH_WITHOUT_TERMINAL
     return Console(width=width, highlight=False)
 
 
 def error_console() -> Console:
-    """Return a console on standard error.
-
-    Returns
-    -------
-    Console
-        Made anew, so that it writes to the present standard error.
-    """
+    """Return a console on standard error."""
     return Console(stderr=True, highlight=False)
 
 
 def complain(message: str) -> None:
-    """Write one line to standard error.
-
-    Parameters
-    ----------
-    message : str
-        Line breaks in it become spaces.
-    """
+    """Write one line to standard error."""
     try:
         print(" ".join(message.split()), file=sys.stderr, flush=True)
     except OSError:
@@ -63,13 +45,7 @@ def complain(message: str) -> None:
 
 
 def claim_streams() -> bool:
-    """Make the standard streams of this process safe to write to.
-
-    Returns
-    -------
-    bool
-        Whether there is a standard output at all.
-    """
+    """Make the standard streams of this process safe to write to."""
     for descriptor in (0, 1, 2):
         try:
             os.fstat(descriptor)
@@ -85,18 +61,7 @@ def claim_streams() -> bool:
 
 
 def gives_up_output(error: OSError) -> bool:
-    """Say whether an error is one of writing to standard output, and if so write no more to it.
-
-    Parameters
-    ----------
-    error : OSError
-        One of a file names the file.
-
-    Returns
-    -------
-    bool
-        Whether what was printed is lost.
-    """
+    """Say whether an error is one of writing to standard output, and if so write no more to it."""
     if error.filename is not None or error.errno not in _LOST:
         return False
     _send_to_nowhere(1)  # Python itself flushes once more at the end
@@ -115,11 +80,6 @@ _REFRESHES_PER_SECOND = 8
 @contextmanager
 def live_line(*, is_quiet: bool) -> Iterator[Callable[["Iteration"], None] | None]:
     """Show a line on the terminal that follows the solver.
-
-    Parameters
-    ----------
-    is_quiet : bool
-        Show nothing.
 
     Yields
     ------
@@ -164,35 +124,12 @@ AllowCode = Annotated[
 
 
 def folder_of(scenario: Scenario, output: Path | None) -> Path:
-    """Return where the report of a scenario goes.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Its name is safe as a folder's name.
-    output : Path or None
-        The folder asked for.
-
-    Returns
-    -------
-    Path
-        ``reports/NAME`` unless told otherwise.
-    """
+    """Return where the report of a scenario goes."""
     return output or Path("reports") / scenario.name
 
 
 def real_number(text: str) -> float:
     """Read an option that is a number.
-
-    Parameters
-    ----------
-    text : str
-        As given on the command line.
-
-    Returns
-    -------
-    float
-        The number.
 
     Raises
     ------
@@ -207,16 +144,6 @@ def real_number(text: str) -> float:
 
 def positive_count(text: str) -> int:
     """Read an option that counts something, from 1 on.
-
-    Parameters
-    ----------
-    text : str
-        As given on the command line.
-
-    Returns
-    -------
-    int
-        The count.
 
     Raises
     ------
@@ -237,13 +164,7 @@ class Stopwatch:
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Add the time of a block to a phase.
-
-        Parameters
-        ----------
-        name : str
-            The phase.
-        """
+        """Add the time of a block to a phase."""
         started = perf_counter()
         try:
             yield

@@ -50,11 +50,6 @@ class Part(BaseModel):
 def number_in_text(text: str) -> float:
     """Read a number written with the ASCII digits, point and exponent; blanks around it are none.
 
-    Parameters
-    ----------
-    text : str
-        From a table or a command line.
-
     Returns
     -------
     float
@@ -87,25 +82,10 @@ def quantity(
     ----------
     unit : str
         SI unit as a Pyomo unit string, ``"1"`` for a plain number, ``""`` for text.
-    description : str
-        One line for the documentation and for ``pyomo-quad check``.
     default : object, optional
         Value when neither the scenario nor the library gives one; none by default.
     allowed : str, optional
         What a text must be, in words, where a pattern would be hard to read.
-    example : str, optional
-        A value as TOML writes it, shown where a field without a default is missing.
-    other_names : tuple of str, optional
-        What people call the field elsewhere, so that a message can name it.
-    sound : Sound, optional
-        Beyond which no number can be meant, in a list each of its numbers.
-    **limits
-        Bounds as pydantic names them: ``gt``, ``ge``, ``lt``, ``le``, ``min_length``, ...
-
-    Returns
-    -------
-    FieldInfo
-        To stand on the right of an annotated attribute.
     """
     field = Field(
         default,
@@ -126,13 +106,6 @@ def quantity(
 def unit_of(model: type[BaseModel], name: str) -> str:
     """Return the unit declared for a field, empty for text and for tables.
 
-    Parameters
-    ----------
-    model : type of BaseModel
-        The table that holds the field.
-    name : str
-        The field's name in that table.
-
     Returns
     -------
     str
@@ -143,13 +116,6 @@ def unit_of(model: type[BaseModel], name: str) -> str:
 
 def allowed_text(model: type[BaseModel], name: str) -> str:
     """Return what a text field must be, in words.
-
-    Parameters
-    ----------
-    model : type of BaseModel
-        The table that holds the field.
-    name : str
-        The field's name in that table.
 
     Returns
     -------

@@ -101,16 +101,6 @@ def scenario_from_mapping(
 def read_toml(file: FilePath) -> dict[str, Any]:
     """Read a TOML file that may come from a stranger.
 
-    Parameters
-    ----------
-    file : Path
-        The file.
-
-    Returns
-    -------
-    dict
-        Its tables.
-
     Raises
     ------
     ScenarioError

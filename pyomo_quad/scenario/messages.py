@@ -44,20 +44,6 @@ def complaint(
     """Describe the first thing wrong with a scenario.
 
     Unknown keys come first, since a misspelt key also leaves a key missing.
-
-    Parameters
-    ----------
-    error : ValidationError
-        What pydantic found.
-    model : type of BaseModel
-        The table it was validated against.
-    prefix : tuple, optional
-        Path of that table in the scenario.
-
-    Returns
-    -------
-    tuple
-        Path of the culprit, and the line from the path on.
     """
     order = {"extra_forbidden": 0, "missing": 2}
     details = min(error.errors(), key=lambda found: order.get(found["type"], 1))
@@ -67,11 +53,6 @@ def complaint(
 
 def shown(value: object) -> str:
     """Write a value as TOML does, shortened, on one line.
-
-    Parameters
-    ----------
-    value : object
-        Any value found in a scenario.
 
     Returns
     -------
@@ -90,11 +71,6 @@ def shown(value: object) -> str:
 def printable(text: str) -> str:
     """Replace line breaks and control characters, so that a message stays one line.
 
-    Parameters
-    ----------
-    text : str
-        Any text.
-
     Returns
     -------
     str
@@ -104,20 +80,7 @@ def printable(text: str) -> str:
 
 
 def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[FieldPath]:
-    """Walk over the paths of all fields of a table and of the tables in it.
-
-    Parameters
-    ----------
-    model : type of BaseModel
-        The table.
-    prefix : tuple, optional
-        Path of the table.
-
-    Yields
-    ------
-    tuple
-        Path of a field; tables themselves are included.
-    """
+    """Walk over the paths of all fields of a table and of the tables in it."""
     for name in model.model_fields:
         yield (*prefix, name)
         nested = _table_of(model, name)
@@ -129,13 +92,6 @@ def declared_place(
     model: type[BaseModel], place: Sequence[str | int]
 ) -> tuple[type[BaseModel], str]:
     """Find the table that holds a place, and the unit of the field there.
-
-    Parameters
-    ----------
-    model : type of BaseModel
-        The outermost table.
-    place : sequence of str and int
-        Steps from there; the last may be an unknown key.
 
     Returns
     -------

@@ -165,8 +165,6 @@ def read_wind_file(
     ----------
     file : Path
         CSV file with the columns `WIND_COLUMNS`.
-    where : str
-        What a message starts with: the scenario and the field that names the file.
     duration, time_offset : object
         Duration of the mission and wind time at its start, s; anything that is not a number is
         left to the schema to refuse.
@@ -298,16 +296,6 @@ class Resolution:
 def resolve(origin: Origin) -> Resolution:
     """Complete a scenario's tables from the library.
 
-    Parameters
-    ----------
-    origin : Origin
-        The scenario as written.
-
-    Returns
-    -------
-    Resolution
-        Tables with every field that is not a plain default.
-
     Raises
     ------
     ScenarioError
@@ -328,22 +316,7 @@ def resolve(origin: Origin) -> Resolution:
 
 
 def whose(origin: Origin, provenance: Mapping[str, str], path: FieldPath) -> str:
-    """Name the source that a message about a field starts with.
-
-    Parameters
-    ----------
-    origin : Origin
-        The scenario as written.
-    provenance : mapping
-        Dotted field -> where it came from.
-    path : tuple
-        The field.
-
-    Returns
-    -------
-    str
-        The scenario's file, ``--set`` or a library name.
-    """
+    """Name the source that a message about a field starts with."""
     for length in range(len(path), 0, -1):
         said = provenance.get(spell(path[:length]))
         if said is not None:

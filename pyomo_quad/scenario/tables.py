@@ -509,8 +509,6 @@ def derived_limits(vehicle: Vehicle, rotor_speed_max: float) -> dict[str, float]
 
     Parameters
     ----------
-    vehicle : Vehicle
-        Gives arm and rotor coefficients.
     rotor_speed_max : float
         Largest rotor speed, rad/s.
 

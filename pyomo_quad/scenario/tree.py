@@ -14,11 +14,6 @@ _STEP = re.compile(r"([A-Za-z0-9_-]+)((?:\[[0-9]{1,3}\])*)")
 def parse_path(text: str) -> FieldPath | None:
     """Split `mission.goal.position[2]` into its steps.
 
-    Parameters
-    ----------
-    text : str
-        Dotted path; an index in brackets picks one number of a list.
-
     Returns
     -------
     tuple of str and int, or None
@@ -37,31 +32,13 @@ def parse_path(text: str) -> FieldPath | None:
 
 
 def spell(path: FieldPath) -> str:
-    """Write steps as `mission.goal.position[2]`.
-
-    Parameters
-    ----------
-    path : tuple of str and int
-        The steps.
-
-    Returns
-    -------
-    str
-        Dotted path.
-    """
+    """Write steps as `mission.goal.position[2]`."""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path)
     return text.removeprefix(".")
 
 
 def depth(value: object, allowed: int) -> int:
     """Measure how deep tables and lists are nested, stopping past what is allowed.
-
-    Parameters
-    ----------
-    value : object
-        A value as TOML gives it.
-    allowed : int
-        Depth past which there is no need to look further.
 
     Returns
     -------
@@ -83,20 +60,7 @@ def depth(value: object, allowed: int) -> int:
 
 
 def leaves(tree: Mapping[str, Any], prefix: FieldPath = ()) -> Iterator[tuple[FieldPath, Any]]:
-    """Walk over all values that are not tables.
-
-    Parameters
-    ----------
-    tree : mapping
-        Nested tables.
-    prefix : tuple, optional
-        Path of `tree` itself.
-
-    Yields
-    ------
-    tuple
-        Path and value.
-    """
+    """Walk over all values that are not tables."""
     for key, value in tree.items():
         if isinstance(value, Mapping):
             yield from leaves(value, (*prefix, key))
@@ -105,18 +69,7 @@ def leaves(tree: Mapping[str, Any], prefix: FieldPath = ()) -> Iterator[tuple[Fi
 
 
 def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
-    """Lay one nested table over another.
-
-    Parameters
-    ----------
-    lower, upper : mapping
-        Where both have a value, `upper` wins.
-
-    Returns
-    -------
-    dict
-        A new nested table; neither argument is changed.
-    """
+    """Return a copy of a nested table with another, which wins, laid over it."""
     merged = dict(lower)
     for key, value in upper.items():
         below = merged.get(key)
@@ -127,20 +80,6 @@ def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
 
 def set_value(tree: object, path: FieldPath, value: object) -> Any:  # noqa: ANN401
     """Return a copy of nested tables and lists with one value set.
-
-    Parameters
-    ----------
-    tree : mapping, list or tuple
-        Nested tables; they are not changed.
-    path : tuple of str and int
-        Where to set it; missing tables are made, missing list items are not.
-    value : object
-        The new value.
-
-    Returns
-    -------
-    dict or list
-        The copy.
 
     Raises
     ------

@@ -80,11 +80,6 @@ class ThrustMoments:
     def least_peak(self, axes: tuple[int, ...] = (0, 1, 2)) -> float:
         """Return a thrust that every flight of the mission must reach at some time.
 
-        Parameters
-        ----------
-        axes : tuple of int
-            World axes of which the thrust's components count; all by default.
-
         Returns
         -------
         float
@@ -196,11 +191,6 @@ class Certificate:
     def gap_percent(self, energy_J: float) -> float | None:
         """Return by how much any flight could undercut an energy, in per cent of it.
 
-        Parameters
-        ----------
-        energy_J : float
-            Energy of a flight of the same mission.
-
         Returns
         -------
         float or None
@@ -212,21 +202,7 @@ class Certificate:
 
 
 def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificate:
-    """Bound the energy of every flight of a mission from below.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission, in its true wind; ``scenario.as_forecast()`` gives the bound in the wind
-        that the optimiser is told.
-    planner : Planner, optional
-        One that may hold the compiled equations already.
-
-    Returns
-    -------
-    Certificate
-        Derived in the module's documentation.
-    """
+    """Bound the energy of every flight of a mission from below, in the wind that really blows."""
     planner = planner or Planner()
     hover_energy = planner.steady_flight(scenario).hover_power * scenario.mission.duration
     bound, reason = _bound(scenario, planner)

@@ -24,13 +24,6 @@ if TYPE_CHECKING:
 def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     """Yield what the battery cannot give, and which of its limits the flight must break.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    planner : Planner
-        Gives its vehicle.
-
     Yields
     ------
     Finding
@@ -106,20 +99,7 @@ _SAVING = 1e-3
 
 
 def power_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
-    """Yield where the power model leaves its sound range near the mission's hover.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    steady : SteadyFlight
-        Of its vehicle.
-
-    Yields
-    ------
-    Finding
-        Cautions: the numbers can be computed, but mean less.
-    """
+    """Yield where the power model leaves its sound range near the mission's hover."""
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield from _efficiency_findings(scenario, steady)
     yield from _voltage_findings(scenario, steady)
@@ -199,20 +179,7 @@ _MARGIN = 1e-3
 
 
 def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
-    """Yield what rules the flight out for want of thrust, tilt, rotor speed or yaw moment.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission in the wind that the optimiser is told.
-    planner : Planner
-        Gives its vehicle.
-
-    Yields
-    ------
-    Finding
-        Each names the limit and what the mission needs.
-    """
+    """Yield what rules the flight out for want of thrust, tilt, rotor speed or yaw moment."""
     steady = planner.steady_flight(scenario)
     if scenario.limits.rotor_speed_min > steady.hover_speed:
         yield _impossible(
@@ -379,13 +346,9 @@ def diagnose(
 
     Parameters
     ----------
-    scenario : Scenario
-        The mission; judged in the wind that the optimiser is told.
     builder : callable, optional
         Makes the Pyomo model. Of a model of the user's own the declarations alone are looked at:
         what its vehicle can do is not known.
-    planner : Planner, optional
-        One that may hold the compiled equations already, with a builder of its own.
 
     Returns
     -------
@@ -438,20 +401,7 @@ _EFFICIENCY = "power.efficiency_polynomial"
 
 
 def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[str, ...]:
-    """Say what stands between a plan and its being taken at its word.
-
-    Parameters
-    ----------
-    plan : Plan
-        As the planner made it, with its equations.
-    planner : Planner, optional
-        What made the plan.
-
-    Returns
-    -------
-    tuple of str
-        One line for each caution.
-    """
+    """Say what stands between a plan and its being taken at its word."""
     findings = diagnose(plan.scenario, planner=planner)
     told = tuple(finding.message for finding in findings)
     solved = () if plan.solution is None else plan.solution.warnings

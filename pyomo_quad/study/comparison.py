@@ -34,23 +34,7 @@ def adaptation_study(
     *,
     dynamics: Dynamics | None = None,
 ) -> pd.DataFrame:
-    """Fly a mission under the adaptive controller, with adaptation and without.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission, in its wind, which the controller is not told.
-    reference : Reference, optional
-        What the controller follows; any but the plan.
-    dynamics : Dynamics, optional
-        The vehicle in that wind, built when not given.
-
-    Returns
-    -------
-    DataFrame
-        `TIME`, the distance from the reference `ERROR_WITH` and `ERROR_WITHOUT` adaptation, and
-        the disturbance per mass, `ESTIMATED` and `TRUE`, of the flight with adaptation.
-    """
+    """Fly a mission under the adaptive controller, with adaptation and without."""
     vehicle = Planner().dynamics(scenario) if dynamics is None else dynamics
     with_it, without_it = (
         fly_reference(
@@ -121,18 +105,7 @@ class ComparisonColumn(StrEnum):
 
 
 def has_arrived(flight: Flight) -> bool:
-    """Say whether a flight ends at the goal and at rest.
-
-    Parameters
-    ----------
-    flight : Flight
-        With its terminal miss.
-
-    Returns
-    -------
-    bool
-        Within `ARRIVAL_DISTANCE_M` and `ARRIVAL_SPEED_M_PER_S`.
-    """
+    """Say whether a flight ends at the goal and at rest."""
     speed = np.linalg.norm([flight.terminal_miss.get(name, 0.0) for name in _VELOCITY_STATES])
     return bool(flight.terminal_miss_m <= ARRIVAL_DISTANCE_M and speed <= ARRIVAL_SPEED_M_PER_S)
 
@@ -144,17 +117,6 @@ def compare_flights(
     hover_energy_J: float,
 ) -> pd.DataFrame:
     """Compare the flights of one mission.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission flown.
-    flights : sequence of Flight
-        Any number; savings need one named `OPTIMAL`.
-    certificate : Certificate
-        Of the mission in the wind that really blows.
-    hover_energy_J : float
-        Energy of hovering for the same time.
 
     Returns
     -------
@@ -222,18 +184,7 @@ def settled_energy(flight: Flight) -> float:
 
 
 def combine(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Put the comparisons of many scenarios under each other.
-
-    Parameters
-    ----------
-    frames : sequence of DataFrame
-        Of `compare_flights`.
-
-    Returns
-    -------
-    DataFrame
-        All rows in the order given; no rows when there are no frames.
-    """
+    """Put the comparisons of many scenarios under each other."""
     if not frames:
         return pd.DataFrame(columns=[column.value for column in ComparisonColumn])
     return pd.concat(frames, ignore_index=True)

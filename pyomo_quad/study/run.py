@@ -67,23 +67,12 @@ def run_scenario(
     baselines: Sequence[Reference] | None = None,
     progress: Progress | None = None,
 ) -> RunResult:
-    """Solve, verify, fly every baseline, compare and certify.
+    """Solve, verify, fly every baseline, compare and certify; a failure of these is a result.
 
     Parameters
     ----------
-    scenario : Scenario
-        The mission.
-    planner : Planner, optional
-        One that may hold a compiled problem already.
-    baselines : sequence of Reference, optional
-        What the controller follows, those of the scenario by default.
     progress : callable, optional
         Called at each Ipopt iteration; returning False stops the solve.
-
-    Returns
-    -------
-    RunResult
-        A solve that fails and a baseline that cannot be flown are results, not exceptions.
     """
     planner = planner or Planner()
     references = scenario.baseline.references if baselines is None else tuple(baselines)

@@ -76,18 +76,7 @@ class CaseTask:
     warm_start: bytes | None = None
 
     def for_scenario(self, scenario: str) -> "CaseTask":
-        """Return the task with a scenario filled in.
-
-        Parameters
-        ----------
-        scenario : str
-            The complete scenario, JSON.
-
-        Returns
-        -------
-        CaseTask
-            A copy.
-        """
+        """Return the task with a scenario filled in."""
         return replace(self, scenario=scenario)
 
 
@@ -146,20 +135,7 @@ class CaseOutcome:
 
     @classmethod
     def failure(cls, task: CaseTask, reason: str) -> "CaseOutcome":
-        """Make the row of a case that gave no result.
-
-        Parameters
-        ----------
-        task : CaseTask
-            The case.
-        reason : str
-            One line.
-
-        Returns
-        -------
-        CaseOutcome
-            Children start from where this case started.
-        """
+        """Make the row of a case that gave no result."""
         return cls(
             position=task.position,
             key=task.key,
@@ -177,18 +153,7 @@ class CaseOutcome:
 
 
 def perform(task: CaseTask) -> CaseOutcome:
-    """Solve one case in the present process.
-
-    Parameters
-    ----------
-    task : CaseTask
-        The case.
-
-    Returns
-    -------
-    CaseOutcome
-        Its row; a case that cannot be solved is a failed row and never an exception.
-    """
+    """Solve one case in the present process; what goes wrong is a failed row, not an exception."""
     started = time.perf_counter()
     try:
         result = _case_solver(task.solver)(task)
@@ -374,18 +339,7 @@ def _meaningful(name: str, value: float) -> float:
 
 
 def pack(start: WarmStart) -> bytes:
-    """Write down where another solve can start.
-
-    Parameters
-    ----------
-    start : WarmStart
-        Of a solve that converged.
-
-    Returns
-    -------
-    bytes
-        For `unpack`.
-    """
+    """Write down where another solve can start."""
     target = BytesIO()
     np.savez(target, allow_pickle=False, **start.arrays())
     return target.getvalue()
@@ -393,11 +347,6 @@ def pack(start: WarmStart) -> bytes:
 
 def unpack(packed: bytes) -> WarmStart | None:
     """Read where a solve can start.
-
-    Parameters
-    ----------
-    packed : bytes
-        Written by `pack`.
 
     Returns
     -------
@@ -412,18 +361,7 @@ def unpack(packed: bytes) -> WarmStart | None:
 
 
 def solve_case(task: CaseTask) -> CaseResult:
-    """Solve one case.
-
-    Parameters
-    ----------
-    task : CaseTask
-        The case.
-
-    Returns
-    -------
-    CaseResult
-        Finished when its flights were verified; else the numbers are kept with the reason.
-    """
+    """Solve one case."""
     with _BENCH.lock:
         scenario = Scenario.model_validate_json(task.scenario)
         if task.task == StudyTask.FLY_PLAN:

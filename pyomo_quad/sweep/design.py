@@ -133,13 +133,7 @@ class Axis(Part):
         return spacing.count if spacing is not None else len(self.values or ())
 
     def spaced_values(self) -> tuple[Any, ...]:
-        """Return the values of an axis that is not random.
-
-        Returns
-        -------
-        tuple
-            In the order of the study file.
-        """
+        """Return the values of an axis that is not random."""
         if self.linear is not None:
             spacing = self.linear
             return rounded(np.linspace(spacing.first, spacing.last, spacing.count))
@@ -155,11 +149,6 @@ class Axis(Part):
         ----------
         probabilities : ndarray, shape (n,)
             Draws from the unit interval.
-
-        Returns
-        -------
-        tuple of float
-            One value for each draw.
         """
         spread = self.uniform or self.normal
         return rounded(spread.at(probabilities)) if spread is not None else ()
@@ -172,11 +161,6 @@ def rounded(numbers: np.ndarray) -> tuple[float, ...]:
     ----------
     numbers : ndarray, shape (n,)
         Any finite numbers.
-
-    Returns
-    -------
-    tuple of float
-        The numbers to twelve significant digits.
     """
     return tuple(float(f"{number:.{_SIGNIFICANT_DIGITS}g}") for number in numbers)
 
@@ -284,16 +268,6 @@ class SweepDesign:
     def from_json(cls, text: str) -> Self:
         """Read a design written by `to_json`.
 
-        Parameters
-        ----------
-        text : str
-            JSON text.
-
-        Returns
-        -------
-        SweepDesign
-            Equal to the one written.
-
         Raises
         ------
         ValueError
@@ -324,18 +298,7 @@ class SweepDesign:
             raise ValueError(f"not a sweep design: outputs: none is called {shown(wrong)}")
 
     def changes_since(self, older: "SweepDesign") -> Iterator[str]:
-        """Say what differs from an older design in a way that makes its rows unusable.
-
-        Parameters
-        ----------
-        older : SweepDesign
-            What the stored rows were made from.
-
-        Yields
-        ------
-        str
-            One difference; axes are compared case by case elsewhere.
-        """
+        """Say what differs from an older design in a way that makes its rows unusable."""
         for name in ("task", "baselines"):
             before, after = getattr(older, name), getattr(self, name)
             if before != after:
@@ -343,18 +306,7 @@ class SweepDesign:
         yield from _differences(older.base, self.base, "scenario")
 
     def axis_changes_since(self, older: "SweepDesign") -> Iterator[str]:
-        """Say how the axes differ from those of an older design.
-
-        Parameters
-        ----------
-        older : SweepDesign
-            What the stored rows were made from.
-
-        Yields
-        ------
-        str
-            One difference.
-        """
+        """Say how the axes differ from those of an older design."""
         before = {path: one.values(path) for one in older.dimensions for path in one.paths}
         after = {path: one.values(path) for one in self.dimensions for path in one.paths}
         for path in sorted(before.keys() | after.keys()):
@@ -424,18 +376,7 @@ class Case:
 
 
 def expand(design: SweepDesign) -> tuple[Case, ...]:
-    """Spell out all cases of a design.
-
-    Parameters
-    ----------
-    design : SweepDesign
-        Dimensions and their steps.
-
-    Returns
-    -------
-    tuple of Case
-        In row order: the last dimension varies fastest.
-    """
+    """Spell out all cases of a design."""
     parents = [_step_parents(dimension) for dimension in design.dimensions]
     sizes = [len(dimension.steps) for dimension in design.dimensions]
     is_solved = design.task == StudyTask.OPTIMISE
@@ -458,29 +399,13 @@ def expand(design: SweepDesign) -> tuple[Case, ...]:
 
 
 def case_key(overrides: Mapping[str, Any]) -> str:
-    """Hash the overrides of a case.
-
-    Parameters
-    ----------
-    overrides : mapping
-        Scenario field -> value.
-
-    Returns
-    -------
-    str
-        Hexadecimal digits, independent of the order of the fields.
-    """
+    """Hash the overrides of a case."""
     text = json.dumps(dict(overrides), sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:_KEY_LENGTH]
 
 
 def bisection_parents(count: int) -> list[int | None]:
     """Return the parents of a balanced bisection tree over consecutive ranks.
-
-    Parameters
-    ----------
-    count : int
-        Number of ranks.
 
     Returns
     -------

@@ -55,22 +55,7 @@ _LINE_POINTS = 11
 
 
 def draw_front(curves: Sequence[Curve], quantity: Quantity, tried: Sequence[float]) -> Figure:
-    """Draw a quantity against duration, and mark the Pareto front and the best duration.
-
-    Parameters
-    ----------
-    curves : sequence of Curve
-        Along the duration.
-    quantity : Quantity
-        What is to be small.
-    tried : sequence of float
-        All durations that cases were made for.
-
-    Returns
-    -------
-    Figure
-        Left: all durations. Right: the front, which ends at the best duration.
-    """
+    """Draw a quantity against duration, and mark the Pareto front and the best duration."""
     figure, panels = panel_grid(
         1,
         2,
@@ -95,15 +80,6 @@ def draw_front(curves: Sequence[Curve], quantity: Quantity, tried: Sequence[floa
 
 def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quantity]) -> Figure:
     """Draw quantities against one field, one panel each.
-
-    Parameters
-    ----------
-    curves : sequence of Curve
-        Along the field.
-    field : str
-        A numeric scenario field.
-    quantities : sequence of Quantity
-        One panel each.
 
     Returns
     -------
@@ -218,13 +194,6 @@ def draw_heat_map(plane: pd.DataFrame, quantity: Quantity) -> Figure:
     ----------
     plane : DataFrame
         Index and columns are the two fields, named by their paths; NaN where no case finished.
-    quantity : Quantity
-        What the plane holds.
-
-    Returns
-    -------
-    Figure
-        One cell per case; cells without a result are crossed.
     """
     across, up = field_quantity(str(plane.columns.name)), field_quantity(str(plane.index.name))
     height = min(5.0, _EDGES + _CELL * len(plane.index))
@@ -260,23 +229,7 @@ def _print_cells(axes: Axes, values: np.ndarray) -> None:
 
 
 def draw_wind_rose(curves: Sequence[Curve], field: str, quantity: Quantity) -> Figure:
-    """Draw a quantity around the compass.
-
-    Parameters
-    ----------
-    curves : sequence of Curve
-        Along the wind's direction.
-    field : str
-        The direction, an angle in rad.
-    quantity : Quantity
-        The distance from the centre.
-
-    Returns
-    -------
-    Figure
-        A polar panel, +x to the right and +y up, whose centre is the least value of all curves;
-        beside it a legend with the worst direction of each curve, which a star marks.
-    """
+    """Draw a quantity around the compass."""
     figure = Figure(figsize=(FULL_WIDTH, 4.2))
     axes = figure.add_axes((0.04, 0.07, 0.55, 0.76), projection="polar")
     least, greatest = rose_range(curves, quantity)
@@ -326,15 +279,8 @@ def sweep_drawings(design: SweepDesign, frame: pd.DataFrame) -> tuple[Drawing, .
 
     Parameters
     ----------
-    design : SweepDesign
-        Of the rows.
     frame : DataFrame
         Rows of `results_frame`, at least one of them finished.
-
-    Returns
-    -------
-    tuple of Drawing
-        Only those whose rows are there.
     """
     quantities = [output_quantity(column) for column in design.report_on]
     return (

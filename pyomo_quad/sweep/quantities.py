@@ -57,18 +57,7 @@ class Quantity:
 
 
 def field_quantity(path: str) -> Quantity:
-    """Return how a scenario field is printed.
-
-    Parameters
-    ----------
-    path : str
-        Dotted path of the field.
-
-    Returns
-    -------
-    Quantity
-        Named by the last two parts of the path; angles in degrees.
-    """
+    """Return how a scenario field is printed."""
     unit = field_unit(path)
     name = " ".join(path.split(".")[-2:]).replace("_", " ")
     if unit == "rad":
@@ -77,18 +66,7 @@ def field_quantity(path: str) -> Quantity:
 
 
 def output_quantity(column: str) -> Quantity:
-    """Return how a column of results is printed.
-
-    Parameters
-    ----------
-    column : str
-        Its name ends in its unit, as in ``energy_J``.
-
-    Returns
-    -------
-    Quantity
-        Angles in degrees.
-    """
+    """Return how a column of results is printed."""
     for suffix, unit in _SUFFIXES.items():
         if column.endswith(suffix):
             name = column.removesuffix(suffix).replace("_", " ")
@@ -99,18 +77,7 @@ def output_quantity(column: str) -> Quantity:
 
 
 def number(value: object) -> str:
-    """Return a result as a cell of a table.
-
-    Parameters
-    ----------
-    value : object
-        A number or a text.
-
-    Returns
-    -------
-    str
-        Numbers with four significant digits, without an exponent where it can be avoided.
-    """
+    """Return a result as a cell of a table."""
     if not isinstance(value, float):
         return str(value)
     if pd.isna(value):
@@ -122,36 +89,14 @@ def number(value: object) -> str:
 
 
 def setting(value: object) -> str:
-    """Return the value of a field, without zeros that say nothing.
-
-    Parameters
-    ----------
-    value : object
-        A number or a text.
-
-    Returns
-    -------
-    str
-        As `number` otherwise.
-    """
+    """Return the value of a field, without zeros that say nothing."""
     text = number(value)
     is_padded = isinstance(value, float) and "." in text and "e" not in text
     return text.rstrip("0").rstrip(".") if is_padded else text
 
 
 def settings_name(fixed: Mapping[str, Any]) -> str:
-    """Return what a curve is called, by the fields that are the same along it.
-
-    Parameters
-    ----------
-    fixed : mapping
-        Scenario field -> value.
-
-    Returns
-    -------
-    str
-        Numbers with their name and unit, texts by themselves.
-    """
+    """Return what a curve is called, by the fields that are the same along it."""
     parts = []
     for path, value in fixed.items():
         if isinstance(value, str):
@@ -171,11 +116,6 @@ def case_name(fields: Mapping[str, Any]) -> str:
     ----------
     fields : mapping
         Scenario field -> value; empty where all fields are random.
-
-    Returns
-    -------
-    str
-        Each field with its value and unit.
     """
     parts = []
     for path, value in fields.items():

@@ -54,20 +54,7 @@ _QUANTILES = (("5 %", 0.05), ("median", 0.5), ("95 %", 0.95))
 
 
 def design_blocks(design: SweepDesign, frame: pd.DataFrame) -> Iterator[Block]:
-    """Say what was varied.
-
-    Parameters
-    ----------
-    design : SweepDesign
-        Of the rows.
-    frame : DataFrame
-        Rows of `results_frame`.
-
-    Yields
-    ------
-    Block
-        Paragraphs and a table.
-    """
+    """Say what was varied."""
     if design.about:
         yield Paragraph([design.about])
     finished = len(finished_rows(frame))
@@ -84,21 +71,7 @@ def design_blocks(design: SweepDesign, frame: pd.DataFrame) -> Iterator[Block]:
 
 
 def answer_blocks(design: SweepDesign, frame: pd.DataFrame) -> Iterator[Block]:
-    """Say what came out.
-
-    Parameters
-    ----------
-    design : SweepDesign
-        Of the rows.
-    frame : DataFrame
-        Rows of `results_frame`.
-
-    Yields
-    ------
-    Block
-        What did not arrive, and a table of extremes; best durations and sensitivities where there
-        are any.
-    """
+    """Say what came out."""
     rows = finished_rows(frame)
     quantities = [output_quantity(column) for column in design.report_on]
     yield Heading("Results")
@@ -115,18 +88,7 @@ def answer_blocks(design: SweepDesign, frame: pd.DataFrame) -> Iterator[Block]:
 
 
 def failure_blocks(frame: pd.DataFrame) -> Iterator[Block]:
-    """Say which cases failed and why.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Rows of `results_frame`.
-
-    Yields
-    ------
-    Block
-        Nothing when all finished.
-    """
+    """Say which cases failed and why."""
     failed = frame.drop(finished_rows(frame).index)
     if failed.empty:
         return
@@ -145,20 +107,7 @@ def failure_blocks(frame: pd.DataFrame) -> Iterator[Block]:
 
 
 def all_cases(design: SweepDesign, frame: pd.DataFrame) -> Table:
-    """Return all rows as one table.
-
-    Parameters
-    ----------
-    design : SweepDesign
-        Of the rows.
-    frame : DataFrame
-        Rows of `results_frame`.
-
-    Returns
-    -------
-    Table
-        Fields, status, and the quantities that the study reports on.
-    """
+    """Return all rows as one table."""
     columns = [CASE_COLUMN, *design.paths, STATUS_COLUMN, *design.report_on]
     settings = len(columns) - len(design.report_on)
     return Table(
@@ -317,10 +266,6 @@ def write_sweep_report(folder: Path, design: SweepDesign, frame: pd.DataFrame) -
     ----------
     folder : Path
         An empty folder.
-    design : SweepDesign
-        Of the rows.
-    frame : DataFrame
-        Rows of `results_frame`.
     """
     design = design.in_cells()
     title = design.title or design.name

@@ -117,16 +117,6 @@ class Sweep:
     def run(self, workers: Workers) -> SweepSummary:
         """Solve all cases that have no settled row.
 
-        Parameters
-        ----------
-        workers : Workers
-            Who solves them.
-
-        Returns
-        -------
-        SweepSummary
-            Counts of rows.
-
         Raises
         ------
         ClusterError
@@ -245,27 +235,7 @@ class Sweep:
 def case_task(
     design: SweepDesign, base: Scenario, case: Case, solver: str, warm_start: bytes | None
 ) -> CaseTask | CaseOutcome:
-    """Spell out a case for a worker.
-
-    Parameters
-    ----------
-    design : SweepDesign
-        What is to be solved.
-    base : Scenario
-        The base scenario of the design.
-    case : Case
-        One of its cases.
-    solver : str
-        Case solver as ``module:function``.
-    warm_start : bytes or None
-        What the parent case left.
-
-    Returns
-    -------
-    CaseTask or CaseOutcome
-        A failed row at once where the case's values, each allowed by itself, ask together for the
-        impossible.
-    """
+    """Spell out a case for a worker; one that asks for the impossible is a failed row at once."""
     task = CaseTask(
         position=case.position,
         key=case.key,
@@ -315,24 +285,7 @@ class SweepEstimate:
 def estimate_sweep(
     design: SweepDesign, base: Scenario, folder: Path, solver: str = FLIGHT_SOLVER
 ) -> SweepEstimate:
-    """Estimate what is left of a sweep; nothing is written.
-
-    Parameters
-    ----------
-    design : SweepDesign
-        What is to be solved.
-    base : Scenario
-        Its base scenario.
-    folder : Path
-        Where its store is or would be: rows that are there tell how long a case takes.
-    solver : str, optional
-        Case solver; without rows, it solves the first case and one that starts from it.
-
-    Returns
-    -------
-    SweepEstimate
-        Measured, not guessed.
-    """
+    """Estimate what is left of a sweep; nothing is written."""
     cases = expand(design)
     if (folder / STORE_NAME).is_file():
         with ResultStore.reading(folder) as store:

@@ -23,23 +23,7 @@ _BELOW, _ABOVE = SERIES_STYLES[:2]
 
 
 def draw_tornado(found: Sequence[Sensitivity], spread: Spread, quantity: Quantity) -> Figure:
-    """Draw by how much a quantity swings over all cases, and with each field.
-
-    Parameters
-    ----------
-    found : sequence of Sensitivity
-        Largest swing first.
-    spread : Spread
-        Over all cases.
-    quantity : Quantity
-        What swings.
-
-    Returns
-    -------
-    Figure
-        One bar for all cases and one per field, with where its ends are reached; the colours meet
-        at the base case.
-    """
+    """Draw by how much a quantity swings over all cases, and with each field."""
     height = _EDGES + _ROW * (1 + len(found))
     figure = Figure(figsize=(FULL_WIDTH, height))
     axes = figure.subplots()
@@ -113,13 +97,6 @@ def _draw_bar(
 def draw_distributions(rows: pd.DataFrame, quantities: Sequence[Quantity]) -> Figure:
     """Draw histograms with the median and the middle nine tenths.
 
-    Parameters
-    ----------
-    rows : DataFrame
-        Finished cases.
-    quantities : sequence of Quantity
-        One panel each.
-
     Returns
     -------
     Figure
@@ -158,17 +135,8 @@ def draw_scatter(
 
     Parameters
     ----------
-    rows : DataFrame
-        Finished cases.
     fields : sequence of str
         Numeric fields, one column of panels each.
-    quantities : sequence of Quantity
-        One row of panels each.
-
-    Returns
-    -------
-    Figure
-        A grid of panels.
     """
     figure, panels = panel_grid(
         len(quantities),

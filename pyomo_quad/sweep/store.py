@@ -258,16 +258,6 @@ class ResultStore:
     def reading(cls, folder: str | Path) -> Iterator["ResultStore"]:
         """Open a store to read it, also while a sweep writes, and where nothing can be written.
 
-        Parameters
-        ----------
-        folder : str or Path
-            Output folder of a sweep.
-
-        Yields
-        ------
-        ResultStore
-            The store; it is closed at the end of the block.
-
         Raises
         ------
         StoreError
@@ -286,20 +276,6 @@ class ResultStore:
         cls, folder: str | Path, design: SweepDesign, *, is_fresh: bool = False
     ) -> Iterator["ResultStore"]:
         """Open a store to add rows, making it when there is none.
-
-        Parameters
-        ----------
-        folder : str or Path
-            Output folder; it is made.
-        design : SweepDesign
-            What a new store is for.
-        is_fresh : bool, optional
-            Whether to discard a store that is there.
-
-        Yields
-        ------
-        ResultStore
-            The store; it is closed at the end of the block.
 
         Raises
         ------
@@ -335,13 +311,8 @@ class ResultStore:
     def replace_design(self, design: SweepDesign, *, is_extended: bool) -> None:
         """Note that the rows belong to another design that holds all their cases.
 
-        Parameters
-        ----------
-        design : SweepDesign
-            The new design.
-        is_extended : bool
-            Whether it has other axes.  Its cases then have other parents: what those left before is
-            forgotten, so that no result hangs on how far the older design had come.
+        In an extended one the cases have other parents: what those left before is forgotten, so
+        that no result hangs on how far the older design had come.
         """
         with self._connection:
             self._connection.execute(
@@ -394,16 +365,8 @@ class ResultStore:
 
         Parameters
         ----------
-        outcome : CaseOutcome
-            The row.
-        overrides : mapping
-            Scenario field -> value.
-        is_parent : bool
-            Whether cases still to come start from this one.
         spent : str
             Key of a case whose warm start no case needs any more, empty for none.
-        outdated : iterable of str
-            Keys of cases whose rows are to be made again.
 
         Raises
         ------
@@ -439,11 +402,6 @@ class ResultStore:
 
     def warm_start(self, key: str) -> bytes | None:
         """Return what a finished case left for its children.
-
-        Parameters
-        ----------
-        key : str
-            Key of the parent.
 
         Returns
         -------
@@ -487,18 +445,9 @@ REASON_COLUMN = "reason"
 
 
 def results_frame(store: ResultStore) -> pd.DataFrame:
-    """Return the rows of a store in the order of its design.
+    """Return the rows of a store in the order of its design, the same for each run.
 
-    Parameters
-    ----------
-    store : ResultStore
-        Any store, also of a sweep that has not ended.
-
-    Returns
-    -------
-    DataFrame
-        Columns: case, the fields that vary, status, reason, then the outputs that the study
-        keeps.  Wall times are left out: everything here is the same for each run.
+    Columns: case, the fields that vary, status, reason, then the outputs that the study keeps.
     """
     design, rows = store.design, store.rows()
     ended = [(case, rows[case.key]) for case in expand(design) if case.key in rows]
@@ -531,13 +480,6 @@ def adopt_design(store: ResultStore, design: SweepDesign) -> list[str]:
     """Let a store go on with a design, if its rows fit.
 
     Rows fit when all of them are cases of the design and were solved in the same way.
-
-    Parameters
-    ----------
-    store : ResultStore
-        Open for writing.
-    design : SweepDesign
-        What the study file says now.
 
     Returns
     -------

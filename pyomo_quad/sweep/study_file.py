@@ -44,11 +44,6 @@ class Sampling(Part):
     def draw(self, axis_count: int) -> np.ndarray:
         """Draw points of the open unit cube.
 
-        Parameters
-        ----------
-        axis_count : int
-            Number of random axes.
-
         Returns
         -------
         ndarray, shape (count, axis_count)
@@ -119,16 +114,6 @@ class LoadedStudy:
 
 def load_study(path: str | FilePath) -> LoadedStudy:
     """Read and validate a study file and its base scenario.
-
-    Parameters
-    ----------
-    path : str or Path
-        A TOML file.
-
-    Returns
-    -------
-    LoadedStudy
-        The study; the values of its axes are not yet checked against the scenario.
 
     Raises
     ------
@@ -220,18 +205,6 @@ CASE_LIMIT = 1_000
 
 def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> SweepDesign:
     """Spell out and check the axes of a study.
-
-    Parameters
-    ----------
-    loaded : LoadedStudy
-        The study and its base scenario.
-    is_large_allowed : bool, optional
-        Whether more than `CASE_LIMIT` cases are meant.
-
-    Returns
-    -------
-    SweepDesign
-        Every axis value is allowed by the scenario's schema.
 
     Raises
     ------

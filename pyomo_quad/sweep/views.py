@@ -117,15 +117,6 @@ def is_numeric(dimension: Dimension) -> bool:
 def curves_along(design: SweepDesign, frame: pd.DataFrame, field: str) -> list[Curve]:
     """Split rows into curves over one field.
 
-    Parameters
-    ----------
-    design : SweepDesign
-        Its dimension with the field is the one along the curves.
-    frame : DataFrame
-        Rows of `results_frame`.
-    field : str
-        A field that varies.
-
     Returns
     -------
     list of Curve
@@ -146,13 +137,6 @@ def curves_along(design: SweepDesign, frame: pd.DataFrame, field: str) -> list[C
 def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     """Return the rows that no other row beats in both of two quantities to be small.
 
-    Parameters
-    ----------
-    rows : DataFrame
-        Any rows.
-    first, second : str
-        Columns.
-
     Returns
     -------
     DataFrame
@@ -164,22 +148,7 @@ def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
 
 
 def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) -> Best:
-    """Find where along a curve a quantity is least, and whether that is an edge.
-
-    Parameters
-    ----------
-    curve : Curve
-        Finished cases along the field.
-    field, quantity : str
-        Columns.
-    tried : sequence of float
-        All values of the field that cases were made for, finished or not.
-
-    Returns
-    -------
-    Best
-        Of equal cases the one with the smallest value of the field.
-    """
+    """Find where along a curve a quantity is least, and whether that is an edge."""
     best = pareto_front(curve.rows, field, quantity).iloc[-1]
     at, flown = float(best[field]), set(curve.rows[field])
     below = max((value for value in tried if value < at), default=None)
@@ -195,19 +164,7 @@ def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) 
 
 
 def central_case(design: SweepDesign) -> dict[str, Any]:
-    """Return the case of the grid through which maps and sensitivities go.
-
-    Parameters
-    ----------
-    design : SweepDesign
-        Of the rows.
-
-    Returns
-    -------
-    dict
-        First field of each dimension that is not random -> the base scenario's value where it is
-        one of the steps, else the middle step.
-    """
+    """Return the case of the grid through which maps and sensitivities go."""
     return {one.paths[0]: _central(design, one) for one in design.dimensions if not one.is_random}
 
 
@@ -218,14 +175,8 @@ def plane_of(
 
     Parameters
     ----------
-    design : SweepDesign
-        Of the rows.
-    frame : DataFrame
-        Rows of `results_frame`.
     across, up : Dimension
         Columns and rows of the plane.
-    quantity : str
-        A column.
 
     Returns
     -------
@@ -247,20 +198,6 @@ def sensitivities(design: SweepDesign, frame: pd.DataFrame, quantity: str) -> li
     A field of a grid goes through all its steps, all others being as in the `central_case`; so an
     angle that comes round to where it began is judged fairly.  Random fields go over the middle
     nine tenths of their draws, along the plane fitted to the quantity by least squares.
-
-    Parameters
-    ----------
-    design : SweepDesign
-        Of the rows.
-    frame : DataFrame
-        Rows of `results_frame`.
-    quantity : str
-        A column.
-
-    Returns
-    -------
-    list of Sensitivity
-        Largest swing first; fields along which fewer than two cases finished are left out.
     """
     rows = finished_rows(frame).dropna(subset=[quantity])
     found: list[Sensitivity] = []
@@ -277,17 +214,8 @@ def spread_of(design: SweepDesign, frame: pd.DataFrame, quantity: str) -> Spread
 
     Parameters
     ----------
-    design : SweepDesign
-        Of the rows.
     frame : DataFrame
         Rows of `results_frame`, at least one of them finished.
-    quantity : str
-        A column.
-
-    Returns
-    -------
-    Spread
-        Its ends, the cases there, and how much of it the random fields explain linearly.
     """
     rows = finished_rows(frame).dropna(subset=[quantity]).sort_values(quantity, kind="stable")
     least, greatest = rows.iloc[0], rows.iloc[-1]

@@ -173,16 +173,6 @@ def cluster_workers(address: str) -> Iterator[Workers]:
     Dask itself gives the cases of a lost worker to another one, and gives a case up that was lost
     several times.  When the scheduler goes, nothing can be saved but what is committed.
 
-    Parameters
-    ----------
-    address : str
-        Of the scheduler, such as ``tcp://10.0.0.1:8786``.
-
-    Yields
-    ------
-    Workers
-        Those behind the scheduler, which may come and go; all have this version of the package.
-
     Raises
     ------
     ClusterError
