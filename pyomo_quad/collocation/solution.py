@@ -21,7 +21,7 @@ from pyomo_quad.collocation.mesh import (
     radau_rule,
 )
 from pyomo_quad.collocation.program.bounds import control_limits
-from pyomo_quad.collocation.program.compiled import MappedFunction
+from pyomo_quad.collocation.program.compiled import CompiledModel, MappedFunction
 from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Multipliers, Status
 from pyomo_quad.collocation.reading.writer import symbol_names
 
@@ -30,11 +30,12 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.problem import Instance, Problem
     from pyomo_quad.collocation.program.bounds import Bounds, Scaling
     from pyomo_quad.collocation.program.transcription import Transcription
-    from pyomo_quad.collocation.reading.symbols import Declarations
 
 # Root mean square deviation, as a share of the Hamiltonian's size, that is no longer rounding
 # and mesh error.
 _SUSPICIOUS = 1e-2
+# Of the horizon: a point at an interior condition belongs to the part that it ends.
+_JUST_BEFORE = 1e-9
 
 
 def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
@@ -50,25 +51,36 @@ def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
     tuple of str
         Empty or one line.
     """
-    declared = solution.problem.compiled.declared
-    if not declared.states or _reads_time(declared):
+    compiled = solution.problem.compiled
+    if not compiled.declared.states or _reads_time(compiled):
         return ()
     held, weights = solution.costates.hamiltonian, solution.mesh.quadrature_weights
+    # It may jump where a condition holds at an interior time.
+    conditions = solution.problem.required_breakpoints(solution.instance)
+    part = np.searchsorted(conditions, solution.mesh.point_fractions - _JUST_BEFORE)
+    length = np.bincount(part, weights)
+    means = np.bincount(part, weights * held) / np.where(length > 0.0, length, 1.0)
+    spread = float(np.sqrt(weights @ (held - means[part]) ** 2))
     mean = float(weights @ held)
-    spread = float(np.sqrt(weights @ (held - mean) ** 2))
     start, end = solution.horizon
     size = abs(mean) + abs(solution.objective) / (end - start)
-    if spread <= _SUSPICIOUS * size:
+    if spread <= _SUSPICIOUS * size or compiled.declared.objective.is_constant():
         return ()
+    between = " between its conditions" if conditions else ""
     warning = (
-        f"Hamiltonian: varies by {spread:.2g} about {mean:.4g} although nothing depends on time; "
-        "solve to a tighter tolerance, or distrust the costates."
+        f"Hamiltonian: varies by {spread:.2g} about {mean:.4g}{between} although nothing depends "
+        "on time; solve to a tighter tolerance, or distrust the costates."
     )
     return (warning,)
 
 
-def _reads_time(declared: Declarations) -> bool:
+def _reads_time(compiled: CompiledModel) -> bool:
+    """Say whether an equation, an integrand or a limit reads time."""
+    declared = compiled.declared
     parts = [part for e in declared.equations for part in (e.expression, e.lower, e.upper)]
+    parts += [side for b in compiled.simple_path_bounds for side in (b.lower, b.upper)]
+    slots = (*declared.states, *declared.algebraics)
+    parts += [side for slot in slots for side in (slot.lower, slot.upper)]
     parts += [i.integrand for i in declared.integrals]
     read = symbol_names(casadi.vertcat(casadi.SX(0, 1), *parts))
     return declared.has_signals or declared.fraction.name() in read

@@ -7,12 +7,22 @@ from functools import partial
 from types import CellType, CodeType, FunctionType, MethodType
 from typing import TYPE_CHECKING, Any
 
-from pyomo.core.base.component import Component, ComponentData
+from pyomo.core.base.component import ActiveComponent, Component, ComponentData
 from pyomo.core.base.initializer import Initializer
 from pyomo.core.expr.compare import compare_expressions
 from pyomo.dae import ContinuousSet, DerivativeVar
 from pyomo.dae.misc import expand_components
-from pyomo.environ import Block, ComponentUID, Constraint, Expression, Param, SOSConstraint, Var
+from pyomo.environ import (
+    Block,
+    ComponentUID,
+    Constraint,
+    Expression,
+    Objective,
+    Param,
+    Suffix,
+    Var,
+)
+from pyomo.network import Port
 
 from pyomo_quad.collocation.errors import TranscriptionError
 
@@ -211,9 +221,39 @@ def _continuous_set(model: Any) -> Any:
     return sets[0] if sets else None
 
 
+# Active components whose meaning the engine knows; a port only names variables.
+_UNDERSTOOD = (Block, Constraint, Objective, Suffix, Port)
+# What to do about some of the others, by the name of their type.
+_INSTEAD = {
+    "Disjunction": "write the choice with smooth functions, or solve each case by itself",
+    "Disjunct": "write the choice with smooth functions, or solve each case by itself",
+    "Complementarity": "write it as inequalities: a >= 0, b >= 0 and a * b <= a small number",
+    "Arc": "apply the transformation network.expand_arcs first",
+}
+
+
+def _refuse_unknown(model: Any) -> None:
+    """Refuse every active component whose demands would be dropped."""
+    for block in model.block_data_objects(active=True, descend_into=True):
+        for component in block.component_objects(active=True, descend_into=False):
+            if isinstance(component, ActiveComponent) and component.ctype not in _UNDERSTOOD:
+                kind = component.ctype.__name__
+                instead = _INSTEAD.get(kind, "write it as a Constraint")
+                raise TranscriptionError(
+                    f"{component.name}: {kind} is not supported; {instead}, or deactivate it."
+                )
+
+
+def _drop_unknown(copy: Any, time: Any) -> None:
+    """Delete what is not active and what Pyomo could not give another time."""
+    for component in list(copy.component_objects(descend_into=True)):
+        is_unknown = isinstance(component, ActiveComponent) and component.ctype not in _UNDERSTOOD
+        if is_unknown and time in component.index_set().subsets():
+            component.parent_block().del_component(component)
+
+
 def _refuse_unsupported(model: Any, time: Any) -> None:
-    for constraint in model.component_objects(SOSConstraint, active=True, descend_into=True):
-        raise TranscriptionError(f"{constraint.name}: SOS constraints are not supported.")
+    _refuse_unknown(model)
     for variable in model.component_data_objects(Var, descend_into=True):
         if not variable.is_continuous():
             raise TranscriptionError(
@@ -262,6 +302,7 @@ def copy_with_template_time(model: Any) -> WorkingCopy:
     if time is None:
         return WorkingCopy(model=copy, time=None, template_time=0.0, declared_times=())
     refuse_changed_members(copy)
+    _drop_unknown(copy, time)
     _keep_parameters(copy, time)
     declared = tuple(float(t) for t in sorted(time))
     template = declared[0] + _TEMPLATE_FRACTION * (declared[-1] - declared[0])

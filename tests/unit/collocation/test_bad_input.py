@@ -4,18 +4,25 @@ import pytest
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.environ import (
     Binary,
+    Block,
+    BooleanVar,
     ConcreteModel,
     Constraint,
     Expr_if,
     Integers,
+    LogicalConstraint,
     Objective,
     Param,
+    SOSConstraint,
     Var,
     log,
     maximize,
     minimize,
     sqrt,
 )
+from pyomo.gdp import Disjunct, Disjunction
+from pyomo.mpec import Complementarity, complements
+from pyomo.network import Arc, Port
 
 from pyomo_quad.collocation import Mesh, TranscriptionError, compile, solve
 from pyomo_quad.collocation.program import ipopt
@@ -141,6 +148,65 @@ def test_partial_differential_equations(m):
     m.dw_ds = DerivativeVar(m.w, wrt=m.s)
     m.wave = Constraint(m.t, m.s, rule=lambda m, t, s: m.dw_dt[t, s] == m.dw_ds[t, s])
     refused(m, "continuous sets t, s: partial differential equations are not supported")
+
+
+def disjunction(m, b):
+    b.low, b.high = Disjunct(), Disjunct()
+    b.low.limit = Constraint(m.t, rule=lambda _b, t: m.x[t] <= 0.5)
+    b.high.limit = Constraint(m.t, rule=lambda _b, t: m.x[t] >= 0.8)
+    b.either = Disjunction(expr=[b.low, b.high])
+
+
+def complementarity(m, b):
+    b.contact = Complementarity(expr=complements(m.x[1] >= 0, m.u[1] <= 0))
+
+
+def complementarities(m, b):
+    b.contact = Complementarity(m.t, rule=lambda _b, t: complements(m.x[t] >= 0, m.u[t] <= 0))
+
+
+def logic(m, b):
+    b.is_on = BooleanVar()
+    b.rule = LogicalConstraint(expr=b.is_on)
+
+
+def arc(m, b):
+    b.inlet, b.outlet = Port(initialize={"x": m.x}), Port(initialize={"x": m.u})
+    b.pipe = Arc(source=b.inlet, destination=b.outlet)
+
+
+def special_ordered_set(m, b):
+    b.weight = Var([1, 2], bounds=(0, 1))
+    b.one = SOSConstraint(var=b.weight, sos=1)
+
+
+UNKNOWN = {
+    disjunction: r"(low|either): Disjunct(ion)? is not supported; write the choice with smooth",
+    complementarity: r"contact: Complementarity is not supported; write it as inequalities: a >",
+    complementarities: r"contact: Complementarity is not supported; write it as inequalities",
+    logic: r"rule: LogicalConstraint is not supported; write it as a Constraint, or deactivate",
+    arc: r"pipe: Arc is not supported; apply the transformation network.expand_arcs first, or",
+    special_ordered_set: r"one: SOSConstraint is not supported; write it as a Constraint, or",
+}
+
+
+@pytest.mark.parametrize("declare", UNKNOWN)
+@pytest.mark.parametrize("depth", [0, 1, 2])
+def test_a_component_that_would_be_dropped(m, declare, depth):
+    block, name = m, ""
+    for _ in range(depth):
+        block.part = Block([1])
+        block, name = block.part[1], rf"{name}part\[1\]\."
+    declare(m, block)
+    refused(m, "^" + name + UNKNOWN[declare])
+
+
+@pytest.mark.parametrize("declare", UNKNOWN)
+def test_a_component_that_is_not_active_is_left_alone(m, declare):
+    m.aside = Block()
+    declare(m, m.aside)
+    m.aside.deactivate()
+    compile(m)
 
 
 def test_integer_variable(m):
