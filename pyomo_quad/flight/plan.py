@@ -425,8 +425,17 @@ class Plan:
         """
         held = self.trajectories
         planned = dict(zip(held.state_names, held.states[-1].tolist(), strict=True))
-        prices = zip(held.costate_names, held.costates[-1].tolist(), strict=True)
-        return sum(price * (final[name] - planned[name]) for name, price in prices if name in final)
+        return sum(
+            price * (final[name] - planned[name])
+            for name, price in self.end_prices.items()
+            if name in final
+        )
+
+    @property
+    def end_prices(self) -> dict[str, float]:
+        """State name -> costate at the end: what an end further on spares."""
+        held = self.trajectories
+        return dict(zip(held.costate_names, held.costates[-1].tolist(), strict=True))
 
     def to_frame(self, rate_hz: float | None = None) -> pd.DataFrame:
         """Return the plan as a table: at the mesh's nodes, or at an even rate.

@@ -18,6 +18,7 @@ from pyomo_quad.report.render import (
     yes_no,
 )
 from pyomo_quad.scenario import PowerModel, Reference
+from pyomo_quad.study.comparison import settled_energy
 
 
 def bound_of_printed_optimum(study: PaperStudy) -> float:
@@ -317,15 +318,16 @@ def _saving(study: PaperStudy, experiment: Experiment) -> tuple[Piece, ...]:
     by_motor, of_excess = baseline_saving(study, motor)
     by_efficiency, _ = baseline_saving(study, efficiency)
     optimum = find_flight(study.flights, experiment, PowerModel.MOTOR)
+    spent = settled_energy(motor.priced_by(optimum))
     return (
         Strong(f"Not reproduced: the saving of {printed} % in experiment {experiment.value}."),
         " ",
         (
             f"Against the stand-in on a smooth reference the optimum saves {by_motor:.2f} % under "
-            f"the motors' power ({motor.flight.energy_J:.2f} to {optimum.flight.energy_J:.2f} J, "
+            f"the motors' power ({spent:.2f} to {optimum.flight.energy_J:.2f} J, "
             f"hovering {optimum.hover_energy_J:.2f} J), which is {of_excess:.0f} % of what is "
-            f"spent above hovering, and {by_efficiency:.2f} % under f_r. Both flights pay for "
-            "hovering, which no path can save."
+            f"spent above hovering, and {by_efficiency:.2f} % under f_r, as flown. Both flights "
+            "pay for hovering, which no path can save."
         ),
     )
 

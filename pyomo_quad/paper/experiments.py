@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from itertools import product
+from math import nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -90,6 +91,12 @@ class BaselineFlight:
     case: BaselineCase
     flight: Flight
 
+    def priced_by(self, optimum: "PaperFlight") -> Flight:
+        """Return the flight with what its end owes by the optimum's prices, NaN without any."""
+        prices, beyond = optimum.end_prices, self.flight.terminal_miss
+        owed = sum(price * beyond.get(name, 0.0) for name, price in prices.items())
+        return replace(self.flight, owed_energy_J=owed if prices else nan)
+
 
 def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
     """List the controlled flights of the report.
@@ -152,6 +159,7 @@ _STARTED_FROM_MOTOR: dict[PowerModel, dict[str, Any]] = {
 }
 # The kink of a power at zero is met by more points than the default tolerance asks for.
 _TIGHTER: dict[str, Any] = {"solver.tolerance": 3e-7}
+_OPTIMA = (PlanStatus.VERIFIED, PlanStatus.SOLVED)
 _COARSE: dict[str, Any] = {"solver.elements": 20, "solver.max_refinements": 0}
 
 
@@ -198,6 +206,8 @@ class PaperFlight:
         Of hovering for the same time under the same power model.
     cautions : tuple of str
         What the pack lacks.
+    end_prices : mapping
+        `Plan.end_prices` of a solve that found an optimum; empty of one that did not.
     """
 
     case: FlightCase
@@ -205,6 +215,7 @@ class PaperFlight:
     status: PlanStatus
     hover_energy_J: float
     cautions: tuple[str, ...]
+    end_prices: Mapping[str, float]
 
 
 def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
@@ -298,6 +309,7 @@ def fly_case(case: FlightCase) -> PaperFlight:
         status=plan.status,
         hover_energy_J=plan.hover_energy_J,
         cautions=battery_shortfalls(scenario, Planner().steady_flight(scenario)),
+        end_prices=plan.end_prices if plan.status in _OPTIMA else {},
     )
 
 

@@ -49,6 +49,7 @@ from pyomo_quad.report.report import REPORT_NAME
 from pyomo_quad.report.style import BATTERY, POWER
 from pyomo_quad.report.tables import write_table
 from pyomo_quad.scenario import PowerModel, WindCoupling
+from pyomo_quad.study.comparison import settled_energy
 
 _OTHER_POWERS = tuple(model for model in PowerModel if model is not PowerModel.MOTOR)
 
@@ -240,8 +241,9 @@ def baseline_blocks(study: PaperStudy) -> tuple[Block, ...]:
                 ") or a jump to the goal (",
                 Code("step"),
                 (
-                    "), and is not told the wind. A saving is the part of the controlled flight's "
-                    "energy that the optimum does not spend."
+                    "), and is not told the wind. A controlled flight is charged what its end "
+                    "state still owes, where an optimum prices it, which f_r has not; a saving is "
+                    "the part of that sum which the optimum does not spend."
                 ),
             )
         ),
@@ -255,8 +257,9 @@ def baseline_blocks(study: PaperStudy) -> tuple[Block, ...]:
 
 
 def _baseline_row(study: PaperStudy, flown: BaselineFlight) -> list[Piece]:
-    case, spent = flown.case, flown.flight.energy_J
+    case = flown.case
     optimum = find_flight(study.flights, case.experiment, case.power_model)
+    spent = settled_energy(flown.priced_by(optimum))
     saving, of_excess = baseline_saving(study, flown)
     return [
         str(case.experiment.value),

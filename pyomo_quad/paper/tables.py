@@ -28,6 +28,7 @@ from pyomo_quad.paper.study import PaperStudy
 from pyomo_quad.report.render import NOTHING, fixed, rough
 from pyomo_quad.report.style import BATTERY, POWER
 from pyomo_quad.scenario import PowerModel, Reference, describe_fields
+from pyomo_quad.study.comparison import settled_energy
 
 _KILO = 1e3
 _LARGEST_PLAIN = 1e6  # J
@@ -174,10 +175,12 @@ def baseline_saving(study: PaperStudy, flown: BaselineFlight) -> tuple[float, fl
     Returns
     -------
     saving, saving_of_excess : float
-        Percent of its energy, and of its energy above hovering.
+        Percent of its energy, with what its end state owes, and of that above hovering.  A power
+        without an optimum prices no end: its flights are taken as flown.
     """
     optimum = find_flight(study.flights, flown.case.experiment, flown.case.power_model)
-    spent, least = flown.flight.energy_J, optimum.flight.energy_J
+    least = optimum.flight.energy_J
+    spent = settled_energy(flown.priced_by(optimum))
     excess = spent - optimum.hover_energy_J
     return 100 * (1 - least / spent), 100 * (spent - least) / excess
 
@@ -254,13 +257,15 @@ def _baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, object]
     case = flown.case
     saving, saving_of_excess = baseline_saving(study, flown)
     optimum = find_flight(study.flights, case.experiment, case.power_model)
+    priced = flown.priced_by(optimum)
     return {
         "experiment": case.experiment.value,
         "power_model": case.power_model.value,
         "flight": flown.flight.name,
         ENERGY: flown.flight.energy_J,
+        "owed_energy_J": priced.owed_energy_J,
         "hover_energy_J": optimum.hover_energy_J,
-        "excess_energy_J": flown.flight.energy_J - optimum.hover_energy_J,
+        "excess_energy_J": settled_energy(priced) - optimum.hover_energy_J,
         "optimum_J": optimum.flight.energy_J,
         "saving_percent": saving,
         "saving_of_excess_percent": saving_of_excess,

@@ -6,10 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pyomo_quad.flight import Planner
+from pyomo_quad.flight import Flight, Planner
 from pyomo_quad.paper.claims import corrections
 from pyomo_quad.paper.examination import conclusion_blocks, examination_blocks
 from pyomo_quad.paper.experiments import (
+    BaselineCase,
+    BaselineFlight,
     Experiment,
     FlightCase,
     Reading,
@@ -19,6 +21,7 @@ from pyomo_quad.paper.experiments import (
     wind_cases,
 )
 from pyomo_quad.paper.figures import energy_chain
+from pyomo_quad.paper.tables import baseline_saving, find_baseline, find_flight
 from pyomo_quad.scenario import PowerModel, Reference
 from tests.paper.test_paper_study import DRAG, efficiency
 
@@ -28,14 +31,26 @@ HOVERING = {PowerModel.EFFICIENCY: 4868.0}
 def flown(case):
     hovering = HOVERING.get(case.power_model, 708.6)
     flight = SimpleNamespace(energy_J=1.001 * hovering, is_verified=True)
-    return SimpleNamespace(case=case, flight=flight, hover_energy_J=hovering)
+    has_optimum = case.power_model is not PowerModel.EFFICIENCY
+    prices = {"rigid_body.z": -12.0, "rigid_body.vz": 3.0} if has_optimum else {}
+    return SimpleNamespace(case=case, flight=flight, hover_energy_J=hovering, end_prices=prices)
 
 
 def controlled(experiment, model, reference):
-    case = SimpleNamespace(experiment=experiment, power_model=model, reference=reference)
-    return SimpleNamespace(
-        case=case, flight=SimpleNamespace(energy_J=1.01 * HOVERING.get(model, 708.6))
+    flight = Flight(
+        name=f"adaptive/{reference.value}",
+        frame=pd.DataFrame(),
+        energy_J=1.01 * HOVERING.get(model, 708.6),
+        duration_s=10.0,
+        terminal_miss={"rigid_body.z": -0.004, "rigid_body.vz": 0.01},
+        terminal_miss_m=0.004,
+        max_violation=0.0,
+        worst_constraint="",
+        is_verified=True,
+        wall_s=0.0,
     )
+    case = BaselineCase(experiment=experiment, power_model=model, reference=reference)
+    return BaselineFlight(case=case, flight=flight)
 
 
 def study(floor_J=3058.0):
@@ -149,3 +164,18 @@ def test_the_chain_of_figure_1_adds_up_and_its_remainder_is_that_of_the_constant
     product = vehicle.torque_constant * vehicle.voltage_constant
     assert chain.created == pytest.approx((1 - 1 / product) * np.trapezoid(shaft, time), rel=1e-9)
     assert chain.created > 1.0
+
+
+def test_a_controlled_flight_is_charged_what_its_end_owes_where_an_optimum_prices_it():
+    made = study()
+    by_motor = find_baseline(made, Experiment.CALM, PowerModel.MOTOR, Reference.QUINTIC)
+    # Four millimetres too low at 12 J/m, and 1 cm/s upward at 3 J s/m.
+    owed = 0.004 * 12.0 + 0.01 * 3.0
+    least, spent = 1.001 * 708.6, 1.01 * 708.6 + owed
+    assert baseline_saving(made, by_motor) == pytest.approx(
+        (100 * (1 - least / spent), 100 * (spent - least) / (spent - 708.6))
+    )
+    by_map = find_baseline(made, Experiment.CALM, PowerModel.EFFICIENCY, Reference.QUINTIC)
+    optimum = find_flight(made.flights, Experiment.CALM, PowerModel.EFFICIENCY)
+    assert np.isnan(by_map.priced_by(optimum).owed_energy_J)
+    assert baseline_saving(made, by_map)[0] == pytest.approx(100 * (1 - 1.001 / 1.01))
