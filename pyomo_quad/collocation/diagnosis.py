@@ -11,7 +11,8 @@ import numpy as np
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.program.bounds import Bounds, Scaling, limits_of
 from pyomo_quad.collocation.program.ipopt import Progress, SolverOptions, run
-from pyomo_quad.collocation.program.transcription import family_name, row_place
+from pyomo_quad.collocation.program.transcription import row_place
+from pyomo_quad.collocation.reading.model_source import family_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,8 +10,9 @@ import casadi
 import numpy as np
 import pandas as pd
 
-from pyomo_quad.collocation.dynamics import Dynamics, index_tuple
+from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.formulation import index_tuple
 from pyomo_quad.collocation.guess import TIME_COLUMN, WarmStart, warm_start_of
 from pyomo_quad.collocation.mesh import (
     FloatArray,
@@ -20,16 +21,16 @@ from pyomo_quad.collocation.mesh import (
     interpolate_rates,
     radau_rule,
 )
-from pyomo_quad.collocation.program.bounds import control_limits
 from pyomo_quad.collocation.program.compiled import CompiledModel, MappedFunction
 from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Multipliers, Status
 from pyomo_quad.collocation.reading.writer import symbol_names
 
 if TYPE_CHECKING:
+    from pyomo_quad.collocation.formulation import Formulation
     from pyomo_quad.collocation.mesh import Mesh
-    from pyomo_quad.collocation.problem import Instance, Problem
     from pyomo_quad.collocation.program.bounds import Bounds, Scaling
     from pyomo_quad.collocation.program.transcription import Transcription
+    from pyomo_quad.collocation.reading.values import Instance
 
 # Root mean square deviation, as a share of the Hamiltonian's size, that is no longer rounding
 # and mesh error.
@@ -186,7 +187,7 @@ class Solution:
         One entry per mesh solved on.
     """
 
-    problem: Problem
+    problem: Formulation
     program: Transcription
     instance: Instance
     status: Status
@@ -353,7 +354,7 @@ class Solution:
     @cached_property
     def algebraic_limits(self) -> tuple[FloatArray, FloatArray]:
         """Constant lower and upper bounds of the algebraic variables."""
-        return control_limits(self.problem, self.instance)
+        return self.problem.algebraic_limits(self.instance)
 
     def to_frame(self, times: Any = None) -> pd.DataFrame:
         """Return states, outputs and algebraic variables as columns over the nodes' times.
@@ -371,7 +372,7 @@ class Solution:
 
 
 def solution_from(
-    problem: Problem,
+    problem: Formulation,
     program: Transcription,
     instance: Instance,
     result: IpoptResult,

@@ -3,6 +3,9 @@
 import ast
 from pathlib import Path
 
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
 PACKAGE = Path(__file__).parents[2] / "pyomo_quad"
 FLOORS = {
     "scenario": 0,
@@ -15,6 +18,21 @@ FLOORS = {
     "sweep": 5,
 }
 TOP = 6
+# The same inside the engine; files of one floor may import each other one way.
+ENGINE = {
+    "errors": 0,
+    "mesh": 0,
+    "reading": 1,
+    "program": 2,
+    "formulation": 3,
+    "guess": 3,
+    "dynamics": 3,
+    "solution": 3,
+    "refining": 4,
+    "problem": 5,
+    "diagnosis": 6,
+    "pyomo_solver": 7,
+}
 # Library -> the parts of the package that may import it.
 HOMES = {
     "casadi": {"collocation"},
@@ -46,8 +64,7 @@ def modules_in(node):
         yield from (alias.name for alias in node.names)
     elif isinstance(node, ast.ImportFrom):
         assert node.level == 0, "imports are absolute"
-        yield node.module
-        # `from scipy import integrate` imports a module as well.
+        # `from scipy import integrate` imports a module.
         yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
@@ -72,6 +89,38 @@ def is_inside(module, library):
     return module == library or module.startswith(f"{library}.")
 
 
+def imports_by_module():
+    """Return the package's modules, each with those it imports anywhere in its file."""
+    found = dict(trees())
+    return {
+        module: {near for name in imports_of(tree) if (near := nearest(name, found)) is not None}
+        for module, tree in found.items()
+    }
+
+
+def nearest(name, modules):
+    """Return the module that a name from an import is or stands in, None outside the package."""
+    while name not in modules:
+        if "." not in name:
+            return None
+        name = name.rpartition(".")[0]
+    return name
+
+
+def circles(imports):
+    """Return the sets of modules that reach each other by imports."""
+    modules = sorted(imports)
+    edges = csr_array([[int(b in imports[a]) for b in modules] for a in modules])
+    count, labels = connected_components(edges, connection="strong")
+    found = ([m for m, at in zip(modules, labels, strict=True) if at == k] for k in range(count))
+    return [circle for circle in found if len(circle) > 1]
+
+
+def engine_floor(module):
+    steps = module.split(".")
+    return ENGINE.get(steps[2]) if steps[1:2] == ["collocation"] and len(steps) > 2 else None
+
+
 def test_no_floor_imports_a_higher_one():
     wrong = []
     for module, tree in trees():
@@ -82,6 +131,29 @@ def test_no_floor_imports_a_higher_one():
             there = part_of(imported)
             if there != here and FLOORS.get(there, TOP) >= FLOORS.get(here, TOP):
                 wrong.append(f"{module} imports {imported}")
+    assert wrong == []
+
+
+def test_no_module_imports_itself_through_others():
+    assert circles(imports_by_module()) == []
+
+
+def test_the_check_sees_a_circle():
+    through = {"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a", "d"}}
+    assert circles(through) == [["a", "b", "c"]]
+    assert circles({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
+
+
+def test_the_engine_has_floors_of_its_own():
+    imports = imports_by_module()
+    inside = {m for m in imports if m.startswith("pyomo_quad.collocation.")}
+    assert {m for m in inside if engine_floor(m) is None} == set()
+    wrong = [
+        f"{module} imports {imported}"
+        for module in sorted(inside)
+        for imported in sorted(imports[module])
+        if imported not in inside or engine_floor(imported) > engine_floor(module)
+    ]
     assert wrong == []
 
 

@@ -12,9 +12,9 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
+from pyomo_quad.collocation.reading.serialisation import Packed, packed
 from pyomo_quad.collocation.reading.symbols import Declarations, PathEquation, PointCondition, Slot
 from pyomo_quad.collocation.reading.writer import symbol_names
-from pyomo_quad.collocation.serialisation import Packed, packed
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -12,16 +13,45 @@ from pyomo.core.expr.numvalue import NumericValue
 from pyomo.environ import value
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.model_source import as_reading
+from pyomo_quad.collocation.reading.interpolants import Interpolant, interpolant
+from pyomo_quad.collocation.reading.model_source import as_reading
 from pyomo_quad.collocation.reading.schedules import BESIDE, jumps, one_sided, probes
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.model_source import LiveModel, ModelSnapshot
-    from pyomo_quad.collocation.problem import Instance
+    from pyomo_quad.collocation.reading.model_source import LiveModel, ModelSnapshot
     from pyomo_quad.collocation.reading.symbols import Declarations, Slot
 
 Overrides = Mapping[Any, float | Callable[[float], float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Instance:
+    """The numbers of one solve: parameters, horizon, fixed values and signals.
+
+    `jumps` are the fractions of the horizon where something that changes with time may jump.
+    """
+
+    parameters: FloatArray
+    horizon: tuple[float, float]
+    fixed: dict[tuple[str, float], float]
+    overrides: Mapping[str, float | Callable[[float], float]]
+    jumps: tuple[float, ...]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle functions of time as polynomials."""
+        return vars(self) | {"overrides": {n: self._kept(n, v) for n, v in self.overrides.items()}}
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Instance:
+        """Return itself: it never changes, and its functions are the caller's."""
+        return self
+
+    def _kept(self, name: str, given: float | Callable[[float], float]) -> float | Interpolant:
+        if not callable(given) or isinstance(given, Interpolant):
+            return given
+        start, end = self.horizon
+        at = [start + (end - start) * fraction for fraction in self.jumps]
+        return interpolant(name, lambda t: (float(given(t)),), self.horizon, at)
 
 
 class ModelValues:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pyomo_quad.collocation.mesh import Mesh
-from pyomo_quad.collocation.program.ipopt import Progress, SolverOptions, Status
+from pyomo_quad.collocation.program.ipopt import Status
 from pyomo_quad.collocation.refining.error import ErrorEstimate, estimate_error
 from pyomo_quad.collocation.refining.remeshing import (
     Marks,
@@ -21,11 +20,12 @@ from pyomo_quad.collocation.refining.remeshing import (
 from pyomo_quad.collocation.solution import MeshRecord, Solution
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
-    from pyomo_quad.collocation.guess import Guess, WarmStart
+    from pyomo_quad.collocation.guess import WarmStart
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.problem import Instance, Problem
     from pyomo_quad.collocation.program.compiled import CompiledModel
     from pyomo_quad.collocation.program.transcription import Transcription
 
@@ -160,16 +160,12 @@ _FIRMER, _FIRMEST = 5.0, 25.0
 
 
 def refine(
-    problem: Problem,
-    instance: Instance,
+    solve: Callable[[Mesh, WarmStart | None, Damping | None], Solution],
     *,
     mesh: Mesh | None,
     tolerance: float,
-    options: SolverOptions,
     refinement: RefinementOptions,
-    guess: Guess | None,
     warm_start: WarmStart | None,
-    progress: Progress | None,
 ) -> Solution:
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
 
@@ -183,18 +179,16 @@ def refine(
         or the status of the solve that failed.
     """
     mesh = mesh or Mesh.uniform(refinement.first_elements, refinement.first_degree)
-    options = options.suiting(tolerance)
     records: list[MeshRecord] = []
     damping: Damping | None = None
     firmness = 1.0
     while True:
-        solve = partial(problem.solve_on_mesh, mesh, instance, options, guess)
-        solved = solve(warm_start, progress, damping)
+        solved = solve(mesh, warm_start, damping)
         if solved.status is Status.NOT_CONVERGED and damping is not None:
             damping = damping.times(_FIRMEST)
-            solved = solve(warm_start, progress, damping)
+            solved = solve(mesh, warm_start, damping)
         if solved.status is Status.NOT_CONVERGED and warm_start is not None:
-            solved = solve(None, progress, damping)
+            solved = solve(mesh, None, damping)
         error = estimate_error(solved, tolerance=tolerance, allowance=refinement.allowance)
         records.append(_record(solved, error))
         solution = replace(solved, error_estimate=error.largest, history=tuple(records))

@@ -24,7 +24,8 @@ from pyomo.environ import (
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
-from pyomo_quad.collocation import Mesh, TranscriptionError, compile, interpolants, solve
+from pyomo_quad.collocation import Mesh, TranscriptionError, compile, solve
+from pyomo_quad.collocation.reading import interpolants
 from pyomo_quad.flight.verification import fly_controls
 
 SWITCHED = 1 / (2 * (0.5 * 1 + 0.5 * 4))

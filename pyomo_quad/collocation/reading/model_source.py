@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from pyomo.core.base.units_container import UnitsError
 from pyomo.dae import DerivativeVar
-from pyomo.environ import Constraint, Var, value
+from pyomo.environ import Constraint, Var, units, value
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.interpolants import Interpolant, interpolant
-from pyomo_quad.collocation.program.transcription import declared_unit, family_name
 from pyomo_quad.collocation.reading.copy import rule_of
+from pyomo_quad.collocation.reading.interpolants import Interpolant, interpolant
 from pyomo_quad.collocation.reading.schedules import Reading, jumps, probes
 from pyomo_quad.collocation.reading.symbols import AddressBook
 
@@ -21,6 +23,52 @@ if TYPE_CHECKING:
 
     from pyomo_quad.collocation.reading.schedules import Schedule
     from pyomo_quad.collocation.reading.symbols import Declarations, Slot
+
+# What a derived unit of the same size and dimension is called; a moment before a work.
+_CALLED = {
+    "N": units.N,
+    "N*m": units.get_units(units.N * units.m),
+    "W": units.W,
+    "V": units.V,
+    "A": units.A,
+}
+# An angle is a number: Pyomo keeps the radians of a squared speed, engineers do not.
+_ANGLES = (units.dimensionless, units.rad, units.rad**2)
+_ROUNDING = 1e-12
+_ANGLE_FACTOR = re.compile(r"\*rad(\*\*[\d.]+)?")
+
+
+def family_name(name: str) -> str:
+    """Return the component that a row, bound or condition belongs to."""
+    return name.split("[", 1)[0].split(" at time", 1)[0]
+
+
+def declared_unit(model: Any, name: str) -> str:
+    """Return the unit of a constraint's body or of a variable, "" where it has none."""
+    component = model.find_component(family_name(name))
+    data: Any = None if component is None else next(iter(component.values()), None)
+    try:
+        unit = units.get_units(data if data.is_variable_type() else data.body)
+    except (UnitsError, AttributeError):
+        return ""
+    return "" if unit is None or str(unit) == "dimensionless" else _spelled(unit)
+
+
+def _spelled(unit: Any) -> str:
+    """Return a unit as an engineer writes it: Pyomo's N*rad**2 of a thrust is N."""
+    text = str(unit)
+    if "*" not in text and "/" not in text:
+        return text
+    for angle, (called, plain) in product(_ANGLES, _CALLED.items()):
+        try:
+            factor = units.convert_value(
+                1.0, from_units=units.get_units(unit / angle), to_units=plain
+            )
+        except UnitsError:
+            continue
+        if abs(factor - 1.0) < _ROUNDING:
+            return called
+    return _ANGLE_FACTOR.sub("", text)
 
 
 class LiveModel:

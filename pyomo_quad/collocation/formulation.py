@@ -1,0 +1,407 @@
+"""A Pyomo.DAE model read and compiled: its equations, its numbers, its programs on meshes."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from typing import TYPE_CHECKING, Any, Self
+
+import casadi
+import numpy as np
+from scipy.sparse import bsr_matrix, csr_matrix, identity, kron
+from scipy.sparse.linalg import splu
+
+from pyomo_quad.collocation.errors import SolveError, TranscriptionError
+from pyomo_quad.collocation.program.compiled import (
+    CompiledModel,
+    MappedFunction,
+    compile_declarations,
+)
+from pyomo_quad.collocation.program.transcription import Data, Transcription
+from pyomo_quad.collocation.reading.model import read_declarations
+from pyomo_quad.collocation.reading.model_source import LiveModel
+from pyomo_quad.collocation.reading.schedules import BESIDE
+from pyomo_quad.collocation.reading.serialisation import Packed, packed
+from pyomo_quad.collocation.reading.values import Instance, ModelValues, Overrides
+from pyomo_quad.collocation.reading.writer import symbol_names
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pyomo_quad.collocation.mesh import FloatArray, Mesh
+    from pyomo_quad.collocation.program.sparsity import Layout
+    from pyomo_quad.collocation.reading.model_source import ModelSnapshot
+    from pyomo_quad.collocation.reading.symbols import Declarations
+    from pyomo_quad.collocation.reading.writer import TemplateWriter
+
+
+def index_tuple(index: Any) -> tuple[Any, ...]:
+    """Return a component's index without time as a tuple."""
+    if index is None:
+        return ()
+    return index if isinstance(index, tuple) else (index,)
+
+
+class WrittenComponents:
+    """A model's components over time, written before it was pickled; read like a writer.
+
+    Parameters
+    ----------
+    written : dict
+        By name and index beside time the expression, or why it cannot be written.
+    """
+
+    def __init__(self, written: dict[tuple[str, tuple[Any, ...]], Any]) -> None:
+        self._written = written
+
+    def components_over_time(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
+        """Yield name and index of all components."""
+        yield from self._written
+
+    def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
+        """Return a component's expression, None if there is none of the name."""
+        if all(name != known for known, _ in self._written):
+            return None
+        found = self._written[name, index]
+        if isinstance(found, str):
+            raise TranscriptionError(found)
+        return found
+
+
+class Evaluator:
+    """Writes components of the model as CasADi functions of a point, once each.
+
+    The inputs of a function are the rates, states and algebraic variables (outputs after the
+    states of the program), the static variables, and the data: fraction, signals, parameters.
+    """
+
+    def __init__(self, inputs: tuple[Any, ...], writer: TemplateWriter | WrittenComponents) -> None:
+        self._writer = writer
+        self.inputs = inputs
+        self._known = symbol_names(casadi.vertcat(*self.inputs))
+        self._functions: dict[tuple[tuple[str, Any], ...], Any] = {}
+
+    @classmethod
+    def of(cls, compiled: CompiledModel, writer: TemplateWriter) -> Evaluator:
+        """Return what evaluates the components of the model that was compiled."""
+        d = compiled.declared
+        states = (*d.states, *d.outputs)
+        inputs = (
+            _value_column([s.rate for s in states]),
+            _value_column([s.symbol for s in states]),
+            _value_column([s.symbol for s in d.algebraics]),
+            _value_column([s.symbol for s in d.statics]),
+            casadi.vertcat(*d.path_data),
+        )
+        return cls(inputs, writer)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the components written, each once."""
+        written: dict[tuple[str, tuple[Any, ...]], Any] = {}
+        for name, index in self._writer.components_over_time():
+            try:
+                written[name, index] = self._writer.over_time(name, index)
+            except TranscriptionError as error:
+                written[name, index] = str(error)
+        return _unpacked, (packed((self.inputs, written)),)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Evaluator:
+        """Return itself: it reads no number of the model."""
+        return self
+
+    def expression(self, component: Any, index: Any = None) -> Any:
+        """Return a component over time as a CasADi expression of the inputs.
+
+        Raises
+        ------
+        TranscriptionError
+            If the component is not a variable or expression over time of this model.
+        """
+        name = component if isinstance(component, str) else component.name
+        try:
+            written = self._writer.over_time(name, index_tuple(index))
+        except KeyError:
+            raise TranscriptionError(
+                f"{name}: has no index {index!r} beside time; give index= one of its set."
+            ) from None
+        if written is None:
+            raise TranscriptionError(
+                f"{name}: is not a variable or expression over time of the compiled model."
+            )
+        unknown = symbol_names(written) - self._known
+        if unknown:
+            raise TranscriptionError(
+                f"{name}: holds {', '.join(sorted(unknown))}, which takes no part in the problem."
+            )
+        return written
+
+    def function(self, keys: tuple[tuple[str, Any], ...]) -> Any:
+        """Return the CasADi function of some (name, index) pairs, compiled when first asked."""
+        if keys not in self._functions:
+            rows = casadi.vertcat(*[self.expression(name, index) for name, index in keys])
+            self._functions[keys] = casadi.Function(
+                "components", list(self.inputs), [casadi.densify(rows)]
+            )
+        return self._functions[keys]
+
+    def __call__(self, keys: tuple[tuple[str, Any], ...], *inputs: FloatArray) -> FloatArray:
+        """Evaluate components at n points.
+
+        Parameters
+        ----------
+        keys : tuple of (str, index)
+            Full names and indices beside time (None for none).
+        inputs : ndarray, shape (n, k)
+            Rates, states, algebraics, statics and data, one row per point.
+
+        Returns
+        -------
+        ndarray, shape (n, n_keys)
+        """
+        return MappedFunction(self.function(keys), inputs[0].shape[0])(*inputs)[0]
+
+
+def _unpacked(kept: Packed) -> Evaluator:
+    inputs, written = kept.unpacked()
+    return Evaluator(inputs, WrittenComponents(written))
+
+
+def _value_column(symbols: list[Any]) -> Any:
+    return casadi.vertcat(casadi.SX(0, 1), *symbols)
+
+
+_NEWTON_STEPS = 50
+_NEWTON_TOLERANCE = 1e-13
+
+
+class OutputStates:
+    """Compiled equations of the output states."""
+
+    def __init__(self, compiled: CompiledModel) -> None:
+        declared = compiled.declared
+        path_variables, path_data = compiled.symbols
+        self._slots = declared.outputs
+        rates = casadi.vertcat(casadi.SX(0, 1), *[s.rate for s in self._slots])
+        states = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in self._slots])
+        rows = casadi.vertcat(casadi.SX(0, 1), *[e.expression for e in declared.output_equations])
+        inputs = [rates, states, path_variables, path_data]
+        self._residual = casadi.Function(
+            "outputs",
+            inputs,
+            [
+                casadi.densify(rows),
+                casadi.densify(casadi.jacobian(rows, rates)),
+                casadi.densify(casadi.jacobian(rows, states)),
+            ],
+        )
+        self._starts = self._start_function(declared)
+
+    def __len__(self) -> int:
+        return len(self._slots)
+
+    @staticmethod
+    def _start_function(declared: Declarations) -> Any:
+        """Return a function of the parameters: the start value of each output, or NaN."""
+        parameters = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in declared.parameters])
+        values = []
+        for slot in declared.outputs:
+            found = casadi.SX(np.nan)
+            for condition in declared.output_starts:
+                for symbol in casadi.symvar(condition.expression):
+                    if symbol.name().startswith(f"{slot.component}["):
+                        slope = casadi.jacobian(condition.expression, symbol)
+                        offset = casadi.substitute(condition.expression, symbol, casadi.SX(0))
+                        found = (condition.lower - offset) / slope
+            values.append(found)
+        return casadi.Function(
+            "output_starts", [parameters], [casadi.vertcat(casadi.SX(0, 1), *values)]
+        )
+
+    def start(self, parameters: FloatArray, fixed: dict[tuple[str, float], float]) -> FloatArray:
+        """Return the values at the start of the horizon, shape (n_outputs,)."""
+        held = np.asarray(self._starts(parameters)).ravel()
+        return np.array(
+            [fixed.get((s.name, 0.0), held[k]) for k, s in enumerate(self._slots)], dtype=float
+        )
+
+    def solve(
+        self, layout: Layout, start: FloatArray, path_variables: FloatArray, data: FloatArray
+    ) -> FloatArray:
+        """Return the output states at the nodes, shape (n_points + 1, n_outputs).
+
+        Raises
+        ------
+        SolveError
+            If Newton's method does not converge.
+        """
+        n, points = len(self._slots), layout.points
+        function = MappedFunction(self._residual, points)
+        slope = kron(layout.slope_matrix[:, 1:], identity(n), format="csr")
+        states = np.tile(start, (points + 1, 1))
+        for _ in range(_NEWTON_STEPS):
+            rates = layout.slope_matrix @ states
+            rows, by_rate, by_state = function(rates, states[1:], path_variables, data)
+            jacobian = self._blocks(by_rate, n) @ slope + self._blocks(by_state, n)
+            step = splu(csr_matrix(jacobian).tocsc()).solve(rows.ravel()).reshape(points, n)
+            states[1:] -= step
+            if np.max(np.abs(step)) <= _NEWTON_TOLERANCE * (1.0 + np.max(np.abs(states))):
+                return states
+        names = ", ".join(s.name for s in self._slots)
+        raise SolveError(
+            f"{names}: Newton's method did not solve the equations of these output states; "
+            "check their equations and start values."
+        )
+
+    @staticmethod
+    def _blocks(values: FloatArray, n: int) -> csr_matrix:
+        # CasADi stores a point's matrix by columns.
+        matrices = values.reshape(-1, n, n).transpose(0, 2, 1)
+        count = len(matrices)
+        return bsr_matrix((matrices, np.arange(count), np.arange(count + 1))).tocsr()
+
+
+_CACHED_MESHES = 4
+# Fractions of the horizon at which a limit is compared with itself to see if it varies.
+_LOOKED_AT = (0.0, 0.2718, 0.5772, 1.0)
+
+
+class Formulation:
+    """A Pyomo.DAE model compiled for collocation; `Problem` says what is taken and refused."""
+
+    def __init__(self, model: Any, final_time: Any = None) -> None:
+        declared, reader = read_declarations(model, final_time)
+        compiled = compile_declarations(declared)
+        time = reader.copy.time
+        own_time = None if time is None else model.find_component(time.name)
+        source = LiveModel(model, own_time, tuple(reader.writer.schedules))
+        self._hold(compiled, source, Evaluator.of(compiled, reader.writer))
+
+    def _hold(
+        self, compiled: CompiledModel, source: LiveModel | ModelSnapshot, evaluator: Evaluator
+    ) -> None:
+        self.compiled = compiled
+        self.source = source
+        self.evaluator = evaluator
+        self.values = ModelValues(source, compiled.declared)
+        self.outputs = OutputStates(compiled)
+        declared = compiled.declared
+        statics = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in declared.statics])
+        parameters = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in declared.parameters])
+        self._horizon = casadi.Function(
+            "horizon", [statics, parameters], [declared.start, declared.start + declared.span]
+        )
+        self._programs: dict[Mesh | None, Transcription] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle equations and numbers; the Pyomo model stays behind."""
+        return _restored, (type(self), self.compiled, self.values.snapshot(), self.evaluator)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Copy the Pyomo model as well."""
+        memo[id(self)] = other = object.__new__(type(self))
+        vars(other).update(deepcopy(vars(self), memo))
+        return other
+
+    @property
+    def model(self) -> Any:
+        """The Pyomo model.
+
+        Raises
+        ------
+        TranscriptionError
+            If the problem was pickled, which leaves the model behind.
+        """
+        return self.source.model
+
+    @property
+    def has_horizon(self) -> bool:
+        """Whether the model has a continuous set at all."""
+        return self.compiled.declared.has_horizon
+
+    def required_breakpoints(self, instance: Instance) -> tuple[float, ...]:
+        """Return fractions of the horizon where an element must end: conditions and jumps."""
+        declared = self.compiled.declared
+        fractions = {p.fraction for p in declared.point_symbols} | {f for _, f in declared.fixed}
+        return tuple(sorted(f for f in fractions.union(instance.jumps) if 0.0 < f < 1.0))
+
+    def instance(
+        self, parameters: Overrides | None = None, horizon: tuple[float, float] | None = None
+    ) -> Instance:
+        """Read the numbers of one solve from the model and the caller."""
+        if horizon is not None and not horizon[1] > horizon[0]:
+            raise TranscriptionError(
+                f"horizon: end {horizon[1]:g} is not after start {horizon[0]:g}."
+            )
+        return Instance(
+            parameters=self.values.parameters(parameters, horizon),
+            horizon=horizon or self.values.declared_horizon,
+            fixed=self.values.fixed(),
+            overrides=self.values.by_name(parameters),
+            jumps=self.values.jumps(parameters, horizon),
+        )
+
+    def signals(self, instance: Instance, fractions: FloatArray) -> FloatArray:
+        """Return fraction and signals, one row per fraction."""
+        if not self.compiled.declared.has_signals:
+            return fractions[:, None]
+        at = self.values.signals(instance)
+        return np.array([[fraction, *at(fraction)] for fraction in fractions.tolist()])
+
+    def data_of(self, instance: Instance, fractions: FloatArray) -> Data:
+        """Return what the equations read at fractions of the horizon."""
+        return Data(parameters=instance.parameters, signals=self.signals(instance, fractions))
+
+    def data_at_starts(self, instance: Instance) -> FloatArray:
+        """Return what the equations read at the start and just after each jump, row by row."""
+        after = np.array(instance.jumps) + 2.0 * BESIDE
+        return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()
+
+    def program(self, mesh: Mesh | None, instance: Instance) -> Transcription:
+        """Return a nonlinear program on a mesh, made quickly where the mesh was used before."""
+        data = self.data_of(instance, mesh.point_fractions if mesh else np.zeros(0))
+        if mesh not in self._programs:
+            if len(self._programs) >= _CACHED_MESHES:
+                self._programs.pop(next(iter(self._programs)))
+            self._programs[mesh] = Transcription(self.compiled, mesh, data)
+        return self._programs[mesh].with_data(data)
+
+    def horizon_of(self, statics: FloatArray, instance: Instance) -> tuple[float, float]:
+        """Return start and end of the horizon, the end from the statics where it is free."""
+        start, end = self._horizon(statics, instance.parameters)
+        return float(start), float(end)
+
+    def algebraic_limits(self, instance: Instance) -> tuple[FloatArray, FloatArray]:
+        """Return lower and upper limits of the algebraic variables, shape (n_algebraics,) each.
+
+        Infinite where there is none, or where it varies with time.
+        """
+        at_each = [self._limits_at(instance, fraction) for fraction in _LOOKED_AT]
+        lower, upper = (np.array(side) for side in zip(*at_each, strict=True))
+        return (
+            np.where(np.all(lower == lower[0], axis=0), lower[0], -np.inf),
+            np.where(np.all(upper == upper[0], axis=0), upper[0], np.inf),
+        )
+
+    def _limits_at(self, instance: Instance, fraction: float) -> tuple[FloatArray, FloatArray]:
+        compiled = self.compiled
+        declared = compiled.declared
+        data = self.data_of(instance, np.array([fraction])).at_points()[0]
+        limits = [np.array(side).ravel() for side in compiled.variable_limits(data)]
+        lower, upper = (side[len(declared.states) :] for side in limits[:2])
+        names = [s.name for s in declared.algebraics]
+        for k, bound in enumerate(compiled.simple_path_bounds):
+            if bound.variable in names:
+                at = names.index(bound.variable)
+                lower[at] = max(lower[at], limits[2][k])
+                upper[at] = min(upper[at], limits[3][k])
+        return lower, upper
+
+
+def _restored(
+    kind: type[Formulation],
+    compiled: CompiledModel,
+    source: ModelSnapshot,
+    evaluator: Evaluator,
+) -> Formulation:
+    formulation = object.__new__(kind)
+    formulation._hold(compiled, source, evaluator)
+    return formulation
