@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import nan
 from typing import TYPE_CHECKING
 
@@ -159,6 +159,11 @@ class Flight:
     wall_s: float
     owed_energy_J: float = 0.0
     broken_limits: tuple[str, ...] = ()
+
+    def priced(self, end_prices: Mapping[str, float]) -> Flight:
+        """Return the flight with what its end owes at a plan's `end_prices`, NaN without any."""
+        owed = sum(price * self.terminal_miss.get(name, 0.0) for name, price in end_prices.items())
+        return replace(self, owed_energy_J=owed if end_prices else nan)
 
     @classmethod
     def from_flown(

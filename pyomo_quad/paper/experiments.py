@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from itertools import product
-from math import nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -93,9 +92,7 @@ class BaselineFlight:
 
     def priced_by(self, optimum: "PaperFlight") -> Flight:
         """Return the flight with what its end owes by the optimum's prices, NaN without any."""
-        prices, beyond = optimum.end_prices, self.flight.terminal_miss
-        owed = sum(price * beyond.get(name, 0.0) for name, price in prices.items())
-        return replace(self.flight, owed_energy_J=owed if prices else nan)
+        return self.flight.priced(optimum.end_prices)
 
 
 def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:

@@ -169,6 +169,10 @@ class Scenario(Part):
             return self
         return self.model_copy(update={"wind": self.wind.forecast})
 
+    def as_it_blows(self) -> Self:
+        """Return the scenario of an optimiser that is told the wind that blows."""
+        return self.model_copy(update={"wind": self.wind.model_copy(update={"forecast": None})})
+
     def _check_hover(self, source: str) -> None:
         if self.model is not None:
             return  # the user's own model need not hover

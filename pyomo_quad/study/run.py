@@ -80,6 +80,7 @@ def run_scenario(
     solved = perf_counter()
     dynamics = planner.dynamics(scenario)
     flights, failures = _fly_all(scenario, plan, dynamics, references)
+    flights = _priced(flights, scenario, planner, progress)
     adaptation = _adaptation(scenario, flights, dynamics)
     flown = perf_counter()
     certificate = certify(scenario, planner=planner)
@@ -97,6 +98,22 @@ def run_scenario(
         timings={**plan.timings, "fly": flown - solved, "certify": certified - flown},
         warnings=(*plan_cautions(plan, planner=planner), *failures),
     )
+
+
+def _priced(
+    flights: tuple[Flight, ...], scenario: Scenario, planner: Planner, progress: Progress | None
+) -> tuple[Flight, ...]:
+    """Return the flights with what their ends owe in the wind that blows.
+
+    A plan made for a forecast prices the ends of flights in that forecast; the others need the
+    optimum of one who was told.
+    """
+    if scenario.wind.forecast is None or not flights:
+        return flights
+    told = planner.solve(scenario.as_it_blows(), progress=progress)
+    prices = told.end_prices if told.verification is not None else {}
+    optimum, *others = flights
+    return (optimum, *(flight.priced(prices) for flight in others))
 
 
 def _adaptation(

@@ -12,6 +12,7 @@ from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.study.certificate import certify
 from pyomo_quad.study.comparison import ComparisonColumn as Column
 from pyomo_quad.study.comparison import compare_flights, has_arrived
+from pyomo_quad.study.run import run_scenario
 from tests.declared_model import ROTORS, scenario
 
 COARSE = {"elements": 16, "degree": 4, "max_refinements": 0}
@@ -129,6 +130,22 @@ def test_a_flight_without_a_plan_for_its_wind_has_no_price(planner):
     untold = fly_baseline(told, Reference.QUINTIC, dynamics=dynamics, plan=plan)
     alone = fly_baseline(coarse(), Reference.QUINTIC, dynamics=planner.dynamics(coarse()))
     assert [untold.owed_energy_J, alone.owed_energy_J] == pytest.approx([nan, nan], nan_ok=True)
+
+
+def test_flights_in_a_wind_that_the_plan_was_not_told_are_priced_by_who_was():
+    blowing = {"use": "constant", "speed": 1.0}
+    one = (Reference.QUINTIC,)
+    untold = run_scenario(coarse(wind=blowing | {"forecast": {"use": "calm"}}), baselines=one)
+    told = run_scenario(coarse(wind=blowing), baselines=one)
+    # The controller is told no wind at all: it flies the same in both.
+    sums = [
+        run.comparison.set_index(Column.FLIGHT)
+        .loc["adaptive/quintic", [Column.ENERGY, Column.OWED_ENERGY, Column.OPTIMALITY_GAP]]
+        .to_list()
+        for run in (untold, told)
+    ]
+    assert sums[0] == pytest.approx(sums[1], rel=1e-6)
+    assert sums[0][1] != 0.0
 
 
 def with_a_mast(told):
