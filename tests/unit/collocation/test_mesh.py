@@ -1,9 +1,11 @@
-"""The mesh: its arithmetic and what it refuses."""
+"""The mesh and its Radau rules: arithmetic, known digits, exactness, and what is refused."""
 
 import numpy as np
 import pytest
 
 from pyomo_quad.collocation import Mesh, TranscriptionError
+from pyomo_quad.collocation.mesh import interpolation_matrix, radau_rule
+from tests.agreement.stock import radau_points, radau_weights
 
 UNEVEN = Mesh(breakpoints=(0.0, 0.2, 0.5, 1.0), degrees=(3, 1, 4))
 
@@ -67,3 +69,97 @@ def test_refused(breakpoints, degrees, message):
 def test_no_elements_are_refused():
     with pytest.raises(TranscriptionError, match="0 elements; must be at least 1"):
         Mesh.uniform(0, 3)
+
+
+DEGREES = (1, 2, 3, 5, 8, 12, 20, 40)
+
+
+def test_points_of_degree_three_are_those_of_radau_iia():
+    # Hairer and Wanner (1996), table IV.5.6.
+    expected = [(4 - np.sqrt(6)) / 10, (4 + np.sqrt(6)) / 10, 1.0]
+    np.testing.assert_allclose(radau_rule(3).points, expected, rtol=1e-14)
+
+
+def test_weights_of_degree_three_are_those_of_radau_iia():
+    expected = [(16 - np.sqrt(6)) / 36, (16 + np.sqrt(6)) / 36, 1 / 9]
+    np.testing.assert_allclose(radau_rule(3).weights, expected, rtol=1e-14)
+
+
+def test_integration_matrix_of_degree_two_is_that_of_radau_iia():
+    expected = [[5 / 12, -1 / 12], [3 / 4, 1 / 4]]
+    np.testing.assert_allclose(radau_rule(2).integration, expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 5, 8])
+def test_points_and_weights_agree_with_legendre_zeros_and_moments(degree):
+    np.testing.assert_allclose(radau_rule(degree).points, radau_points(degree), atol=1e-14)
+    np.testing.assert_allclose(radau_rule(degree).weights, radau_weights(degree), atol=1e-13)
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+def test_points_lie_in_order_with_the_right_end_exact(degree):
+    rule = radau_rule(degree)
+    assert rule.points[0] > 0.0
+    assert np.all(np.diff(rule.nodes) > 0.0)
+    assert rule.points[-1] == 1.0
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+def test_quadrature_is_exact_to_degree_two_d_minus_two(degree):
+    rule = radau_rule(degree)
+    for power in range(2 * degree - 1):
+        assert rule.weights @ rule.points**power == pytest.approx(1 / (power + 1), rel=1e-12)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 5, 8])
+def test_quadrature_is_exact_no_further(degree):
+    rule = radau_rule(degree)
+    # Largest power that rounding lets be told apart: the error falls by 16 per degree.
+    power = 2 * degree - 1
+    assert abs(rule.weights @ rule.points**power - 1 / (power + 1)) > 1e-13
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+def test_differentiation_is_exact_for_the_element_polynomials(degree):
+    rule = radau_rule(degree)
+    for power in range(degree + 1):
+        expected = power * rule.points ** max(power - 1, 0)
+        found = rule.differentiation @ rule.nodes**power
+        np.testing.assert_allclose(found, expected, atol=1e-11 * degree**2)
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+def test_slope_at_start(degree):
+    rule = radau_rule(degree)
+    found = [rule.slope_at_start @ rule.nodes**power for power in range(degree + 1)]
+    np.testing.assert_allclose(found, np.eye(degree + 1)[1], atol=1e-11 * degree**2)
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+def test_integration_undoes_differentiation(degree):
+    rule = radau_rule(degree)
+    for power in range(degree):
+        expected = rule.points ** (power + 1) / (power + 1)
+        np.testing.assert_allclose(rule.integration @ rule.points**power, expected, atol=1e-12)
+    np.testing.assert_allclose(rule.integration[-1], rule.weights, atol=1e-12)
+
+
+@pytest.mark.parametrize("degree", DEGREES[1:])
+def test_interpolation_reproduces_polynomials_and_nodes(degree):
+    nodes = radau_rule(degree).nodes
+    targets = np.concatenate([np.linspace(0, 1, 17), nodes])
+    matrix = interpolation_matrix(nodes, targets)
+    for power in range(degree + 1):
+        np.testing.assert_allclose(matrix @ nodes**power, targets**power, atol=1e-12)
+    np.testing.assert_array_equal(matrix[17:], np.eye(degree + 1))
+
+
+@pytest.mark.parametrize("degree", [0, -1])
+def test_degree_below_one_is_refused(degree):
+    with pytest.raises(TranscriptionError, match=f"element degree = {degree}; must be at least 1"):
+        radau_rule(degree)
+
+
+def test_rules_cannot_be_changed_behind_the_cache():
+    with pytest.raises(ValueError, match="read-only"):
+        radau_rule(3).points[0] = 0.5

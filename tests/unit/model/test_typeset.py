@@ -1,11 +1,14 @@
-"""The declared equations as LaTeX: known texts, and all of it readable by a LaTeX reader."""
+"""The declared equations as LaTeX that a LaTeX reader reads; the paper's numbers lead to them."""
+
+import inspect
+from importlib import import_module
 
 import pytest
 from matplotlib.mathtext import MathTextParser
 from pyomo.environ import Constraint, units
 
 from pyomo_quad.model import build_model
-from pyomo_quad.model.typeset import typeset_equations
+from pyomo_quad.model.typeset import EQUATION_TABLE, typeset_equations
 from pyomo_quad.scenario import PowerModel, WindCoupling
 from tests.declared_model import scenario
 
@@ -68,3 +71,28 @@ def test_a_constraint_of_the_user_appears_under_its_name():
         model.time, rule=lambda m, t: m.rigid_body.z[t] <= 8.5 * units.m, doc="ceiling [m]"
     )
     assert texts(model)["ceiling"] == r"z \le 8.5"
+
+
+def test_every_numbered_equation_of_the_paper_is_listed():
+    assert tuple(EQUATION_TABLE) == tuple(range(1, 13))
+
+
+@pytest.mark.parametrize("number", EQUATION_TABLE)
+def test_the_functions_named_exist(number):
+    for name in EQUATION_TABLE[number]:
+        module, _, function = name.rpartition(".")
+        declared = getattr(import_module(module), function)
+        assert inspect.isfunction(declared)
+        # A name imported from elsewhere would send the reader to the wrong file.
+        assert declared.__module__ == module
+
+
+@pytest.mark.parametrize("number", EQUATION_TABLE)
+def test_the_declarations_of_those_modules_cite_the_equation(number):
+    model = build_model(scenario(power={"model": "efficiency"}))
+    cited = " ".join(e.description for e in typeset_equations(model))
+    sources = "".join(
+        inspect.getsource(import_module(name.rpartition(".")[0])) for name in EQUATION_TABLE[number]
+    )
+    assert f"eq. ({number})" in sources
+    assert f"eq. ({number})" in cited

@@ -1,0 +1,75 @@
+"""What a breach of a limit counts and what a local error becomes, against closed forms.
+
+The optimum of Bryson and Denham is 4 / (9 l) for a wall at l: moving it by d earns 4 / (9 l^2) d.
+"""
+
+import numpy as np
+import pytest
+
+from pyomo_quad import collocation
+from pyomo_quad.collocation import Allowance, Mesh
+from pyomo_quad.collocation.refining.error import estimate_error, final_misses
+from tests.problems import double_integrator, hyper_sensitive, implicit_dae
+from tests.problems.bryson_denham import WALL, build
+
+EARNED_PER_METRE = 4 / (9 * WALL**2)
+
+
+@pytest.fixture(scope="module")
+def solution():
+    return collocation.compile(build()).solve(mesh=Mesh.uniform(7, 3))
+
+
+@pytest.fixture(scope="module")
+def breach(solution):
+    """The worst breach at many times, in metres; the wall is below 1, hence relative to 1."""
+    return float(np.max(solution.value("x", np.linspace(0.0, 1.0, 20_001)))) - WALL
+
+
+def test_a_breach_counts_as_it_is_unless_it_is_forgiven(solution, breach):
+    assert breach > 1e-6
+    assert estimate_error(solution).violation.max() >= 0.9 * breach
+
+
+def test_a_forgiven_breach_counts_by_what_it_earns(solution, breach):
+    forgiven = estimate_error(solution, allowance=Allowance(limit_breach=2.0 * breach)).violation
+    relative = EARNED_PER_METRE * breach / solution.objective
+    assert 0.0 < forgiven.sum() <= 1.01 * relative
+
+
+def test_a_breach_above_what_is_forgiven_is_not(solution, breach):
+    strict, lax = (
+        estimate_error(solution, allowance=Allowance(limit_breach=b)) for b in (0.0, 0.5 * breach)
+    )
+    assert lax.violation.max() == pytest.approx(strict.violation.max())
+
+
+SIZE = 1e-3
+
+
+def misses_of(problem, mesh):
+    solution = collocation.compile(problem.build()).solve(mesh=mesh)
+    states = solution.problem.compiled.declared.states
+    errors = np.full((mesh.elements, len(states)), SIZE)
+    return solution, [s.name for s in states], final_misses(solution, errors)
+
+
+def test_an_error_of_speed_grows_with_the_time_that_is_left():
+    mesh = Mesh(breakpoints=(0.0, 0.2, 0.7, 1.0), degrees=(3, 2, 4))
+    _, names, misses = misses_of(double_integrator, mesh)
+    left = 1.0 - np.array(mesh.breakpoints[1:])
+    assert misses[:, names.index("x")] == pytest.approx(SIZE * (1.0 + left), rel=1e-10)
+    assert misses[:, names.index("v")] == pytest.approx(np.full(3, SIZE), rel=1e-10)
+
+
+def test_an_error_of_a_stable_state_decays():
+    mesh = Mesh.uniform(40, 4)
+    solution, _, misses = misses_of(hyper_sensitive, mesh)
+    left = solution.horizon[1] * (1.0 - np.array(mesh.breakpoints[1:]))
+    assert misses[:, 0] == pytest.approx(SIZE * np.exp(-left), rel=1e-3)
+
+
+def test_a_rate_inside_a_nonlinear_equation_is_solved_for():
+    # The force alone gives the rate: an error is neither damped nor amplified.
+    _, _, misses = misses_of(implicit_dae, Mesh.uniform(3, 3))
+    assert misses[:, 0] == pytest.approx(np.full(3, SIZE), rel=1e-10)
