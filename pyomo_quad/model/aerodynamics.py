@@ -37,8 +37,6 @@ def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
     ----------
     m : ConcreteModel
         With `time`, `vehicle`, `wind`; the velocities of `rigid_body` for the drag coupling.
-    scenario : Scenario
-        Chooses the coupling.
     """
     b = m.aerodynamics = Block(doc="aerodynamic force")
     if scenario.wind.coupling is WindCoupling.ACCELERATION:

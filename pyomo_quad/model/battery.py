@@ -79,8 +79,6 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
     ----------
     m : ConcreteModel
         With `time`, `power` and `scaling_factor`.
-    scenario : Scenario
-        Gives the values.
     """
     b = m.battery = Block(doc="battery pack, eq. (4)-(5)")
     declare_parameters(b, PARAMETERS, scenario)

@@ -66,18 +66,7 @@ def build_model(scenario: Scenario) -> ConcreteModel:
 
 
 def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
-    """Yield every table of numbers that the scenario's model declares.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Any scenario.
-
-    Yields
-    ------
-    tuple of str and tuple of Parameter
-        Name of the block that holds the numbers, and its rows.
-    """
+    """Yield every table of numbers that the scenario's model declares."""
     yield "vehicle", vehicle.PARAMETERS
     if scenario.wind.series is None:
         yield "wind", wind.PARAMETERS

@@ -40,11 +40,6 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     ----------
     scenario : Scenario
         A limit of None is not declared.
-
-    Returns
-    -------
-    tuple of Parameter
-        Named as in the scenario.
     """
     fields = type(scenario.limits).model_fields
     return tuple(
@@ -61,8 +56,6 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
     ----------
     m : ConcreteModel
         With `time`, `rigid_body`, `rotors` and `battery`.
-    scenario : Scenario
-        Gives the values and says which battery limits there are.
     """
     b = m.limits = Block(doc="limits, eq. (10)")
     declare_parameters(b, parameters_of(scenario), scenario)

@@ -47,8 +47,6 @@ def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
     ----------
     m : ConcreteModel
         With `time`, `vehicle`, `rigid_body` and `rotors`.
-    scenario : Scenario
-        Gives places and headings.
     """
     b = m.mission = Block(doc="boundary conditions, section 3 of the paper")
     declare_parameters(b, PARAMETERS, scenario)

@@ -26,17 +26,7 @@ class Parameter:
 
 
 def declare_parameters(b: Block, table: tuple[Parameter, ...], scenario: Scenario) -> None:
-    """Add one mutable parameter to a block for each row of a table.
-
-    Parameters
-    ----------
-    b : Block
-        Receives the parameters.
-    table : tuple of Parameter
-        What to declare.
-    scenario : Scenario
-        Gives the values.
-    """
+    """Add one mutable parameter to a block for each row of a table."""
     for row in table:
         sets = (list(row.index),) if row.index else ()
         component = Param(
@@ -54,10 +44,6 @@ def parameter_items(
     ----------
     block_name : str
         Name of the block that holds the parameters, as ``"wind.x"``.
-    table : tuple of Parameter
-        The rows that were declared there.
-    scenario : Scenario
-        Gives the values.
 
     Yields
     ------

@@ -49,8 +49,6 @@ def declare_motion(m: ConcreteModel, scenario: Scenario) -> None:
     ----------
     m : ConcreteModel
         With `time` and `scaling_factor`.
-    scenario : Scenario
-        Its mission gives initial values and magnitudes for scaling.
     """
     m.rigid_body = Block(doc="rigid body, eq. (6) and (9)")
     _declare_states(m, scenario)

@@ -46,8 +46,6 @@ def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
     ----------
     m : ConcreteModel
         With `time`, `vehicle` and `scaling_factor`.
-    scenario : Scenario
-        Its hover speed is the initial value and the magnitude for scaling.
     """
     b = m.rotors = Block(doc="rotors, eq. (7) and (9)")
     b.rotor = Set(initialize=range(1, ROTOR_COUNT + 1), doc="rotors as the paper numbers them")

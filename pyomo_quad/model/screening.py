@@ -58,11 +58,6 @@ def screen_model(model: ConcreteModel) -> tuple[Finding, ...]:
     ----------
     model : ConcreteModel
         Continuous, not discretised.
-
-    Returns
-    -------
-    tuple of Finding
-        One for each variable and kind, in the order of declaration.
     """
     intervals = _intervals(model)
     return (

@@ -203,11 +203,6 @@ def typeset_equations(model: ConcreteModel) -> tuple[TypesetEquation, ...]:
     ----------
     model : ConcreteModel
         A continuous model, as `build_model` declares it.
-
-    Returns
-    -------
-    tuple of TypesetEquation
-        In the order of declaration; one entry for all rotors, with the index j.
     """
     time = next(model.component_objects(ContinuousSet, descend_into=True))
     instant = sorted(time)[len(time) // 2]

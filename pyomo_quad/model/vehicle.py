@@ -108,14 +108,6 @@ PARAMETERS = (
 
 
 def declare_vehicle(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the vehicle's numbers as mutable parameters in block `vehicle`.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Receives the block.
-    scenario : Scenario
-        Gives the values.
-    """
+    """Declare the vehicle's numbers as mutable parameters in block `vehicle`."""
     m.vehicle = Block(doc="numbers of the vehicle")
     declare_parameters(m.vehicle, PARAMETERS, scenario)

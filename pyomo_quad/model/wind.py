@@ -94,8 +94,6 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
     ----------
     m : ConcreteModel
         With `time` and `clock`.
-    scenario : Scenario
-        Its wind is the one declared.
     """
     m.wind = Block(doc="wind, eq. (11)-(12)")
     series = scenario.wind.series
