@@ -92,50 +92,17 @@ def _horner(falling_coefficients: Sequence[float], x: float) -> float:
 
 
 def step(mission: Mission) -> StraightPath:
-    """Ask for the goal at once.
-
-    Parameters
-    ----------
-    mission : Mission
-        Gives the goal.
-
-    Returns
-    -------
-    StraightPath
-        The goal, at rest, at all times.
-    """
+    """Ask for the goal at once."""
     return StraightPath(mission, _STEP)
 
 
 def quintic(mission: Mission) -> StraightPath:
-    """Go from rest to rest with the least squared jerk.
-
-    Parameters
-    ----------
-    mission : Mission
-        Gives both ends and the duration.
-
-    Returns
-    -------
-    StraightPath
-        A polynomial of degree 5 in time.
-    """
+    """Go from rest to rest with the least squared jerk, a polynomial of degree 5 in time."""
     return StraightPath(mission, _QUINTIC)
 
 
 def minimum_snap(mission: Mission) -> StraightPath:
-    """Go from rest to rest with the least squared snap.
-
-    Parameters
-    ----------
-    mission : Mission
-        Gives both ends and the duration.
-
-    Returns
-    -------
-    StraightPath
-        A polynomial of degree 7 in time.
-    """
+    """Go from rest to rest with the least squared snap, a polynomial of degree 7 in time."""
     return StraightPath(mission, _MINIMUM_SNAP)
 
 

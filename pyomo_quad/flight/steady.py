@@ -99,10 +99,6 @@ class SteadyFlight:
         velocity : array_like, shape (3,), optional
             In world axes, m/s; hover by default.  In still air it is the airspeed too.
 
-        Returns
-        -------
-        Trim
-
         Raises
         ------
         SolveError

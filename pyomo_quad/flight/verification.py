@@ -41,24 +41,11 @@ def fly_controls(
 
     Parameters
     ----------
-    dynamics : Dynamics
-        Right-hand side of the vehicle in its wind.
-    mesh : Mesh
-        Elements of the control polynomials; the integration restarts at their boundaries,
-        where controls may jump.
     controls : ndarray, shape (n_points, n_controls)
         Controls at the collocation points.
     start : ndarray, shape (n_states,)
     horizon : (float, float)
         Start and end time [s].
-    samples_per_element : int, default 8
-        Samples kept of each element besides its start.
-    method : str, default "DOP853"
-        SciPy's name of the integrator.
-
-    Returns
-    -------
-    Flown
 
     Raises
     ------
@@ -198,19 +185,11 @@ def verify_controls(
 
     Parameters
     ----------
-    dynamics : Dynamics
-        Of the model that was optimised.
-    mesh : Mesh
     states : ndarray, shape (n_points + 1, n_states)
         Planned states at the nodes, in the order of `dynamics.state_names`.
     controls : ndarray, shape (n_points, n_controls)
-    horizon : (float, float)
     energy : float
         Objective of the plan [J].
-
-    Returns
-    -------
-    Verification, Flown
     """
     flown = fly_controls(dynamics, mesh, controls, states[0], horizon)
     planned = dict(zip(dynamics.state_names, states[-1], strict=True))

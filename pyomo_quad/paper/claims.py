@@ -136,18 +136,7 @@ class Correction:
 
 
 def corrections(study: PaperStudy) -> tuple[Correction, ...]:
-    """Return the corrections in the order of the paper's matters.
-
-    Parameters
-    ----------
-    study : PaperStudy
-        Gives the numbers.
-
-    Returns
-    -------
-    tuple of Correction
-        One row of a table each.
-    """
+    """Return the corrections in the order of the paper's matters."""
     return (*_of_equations(), *_of_numbers(), *_of_the_problem(study), *_of_results())
 
 

@@ -43,20 +43,7 @@ class Experiment(IntEnum):
 
 
 def paper_scenario(experiment: Experiment, values: Mapping[str, Any] | None = None) -> Scenario:
-    """Return an experiment of the paper, with fields changed.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Calm air or the wind of Table 2.
-    values : mapping, optional
-        Dotted field -> value.
-
-    Returns
-    -------
-    Scenario
-        From the origin to (6, 7, 8) m in 10 s, hover to hover.
-    """
+    """Return an experiment of the paper, with fields changed."""
     scenario = scenario_from_mapping(
         {
             "name": _NAME[experiment],
@@ -96,18 +83,7 @@ class BaselineFlight:
 
 
 def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
-    """List the controlled flights of the report.
-
-    Parameters
-    ----------
-    is_quick : bool
-        Only the smooth reference.
-
-    Returns
-    -------
-    tuple of BaselineCase
-        By experiment, power model and reference.
-    """
+    """List the controlled flights of the report."""
     references = (Reference.QUINTIC,) if is_quick else (Reference.QUINTIC, Reference.STEP)
     return tuple(
         BaselineCase(experiment=experiment, power_model=model, reference=reference)
@@ -118,18 +94,7 @@ def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
 
 
 def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
-    """Fly the adaptive controller through an experiment.
-
-    Parameters
-    ----------
-    case : BaselineCase
-        Experiment, power model and reference.
-
-    Returns
-    -------
-    BaselineFlight
-        Through the same declared equations as the optimum.
-    """
+    """Fly the adaptive controller through an experiment."""
     scenario = paper_scenario(case.experiment, {"power.model": case.power_model})
     dynamics = Planner().dynamics(scenario)
     return BaselineFlight(
@@ -216,18 +181,7 @@ class PaperFlight:
 
 
 def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List both experiments under every power model.
-
-    Parameters
-    ----------
-    is_quick : bool
-        On coarse meshes.
-
-    Returns
-    -------
-    tuple of FlightCase
-        By experiment.
-    """
+    """List both experiments under every power model."""
     return tuple(
         FlightCase(experiment=experiment, power_model=model, is_quick=is_quick)
         for experiment in Experiment
@@ -236,18 +190,7 @@ def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 
 
 def battery_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List the first experiment with both batteries.
-
-    Parameters
-    ----------
-    is_quick : bool
-        On coarse meshes.
-
-    Returns
-    -------
-    tuple of FlightCase
-        Under the motor's electrical power.
-    """
+    """List the first experiment with both batteries."""
     return tuple(
         FlightCase(
             experiment=Experiment.CALM,
@@ -260,18 +203,7 @@ def battery_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 
 
 def wind_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List the second experiment with both couplings and both readings of the frequencies.
-
-    Parameters
-    ----------
-    is_quick : bool
-        On coarse meshes.
-
-    Returns
-    -------
-    tuple of FlightCase
-        Under the motor's electrical power.
-    """
+    """List the second experiment with both couplings and both readings of the frequencies."""
     return tuple(
         FlightCase(
             experiment=Experiment.WIND,
@@ -286,18 +218,7 @@ def wind_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 
 
 def fly_case(case: FlightCase) -> PaperFlight:
-    """Plan one flight and verify it by flying.
-
-    Parameters
-    ----------
-    case : FlightCase
-        Experiment, power model and wind.
-
-    Returns
-    -------
-    PaperFlight
-        Of a solve that did not converge: the best flight found.
-    """
+    """Plan one flight and verify it by flying."""
     scenario = case.scenario
     plan = _plan(scenario)
     return PaperFlight(
@@ -346,42 +267,19 @@ class Reading(StrEnum):
     LITERAL = "literal"
 
     def values(self) -> dict[str, Any]:
-        """Return the fields of a scenario that choose this reading.
-
-        Returns
-        -------
-        dict
-            Dotted field -> value.
-        """
+        """Return the fields of a scenario that choose this reading."""
         return {
             "power.model": PowerModel.EFFICIENCY,
             "power.regeneration": self is Reading.LITERAL,
         }
 
     def planner(self) -> Planner:
-        """Return a planner whose model reads f_r in this way.
-
-        Returns
-        -------
-        Planner
-            Nothing is built yet.
-        """
+        """Return a planner whose model reads f_r in this way."""
         return Planner(literal_model if self is Reading.LITERAL else model_without_battery)
 
 
 def model_without_battery(scenario: Scenario) -> "ConcreteModel":
-    """Declare a mission without its battery, for which some powers of f_r have no current.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Without limits of the battery.
-
-    Returns
-    -------
-    ConcreteModel
-        The declared model, less one block that nothing else depends on.
-    """
+    """Declare a mission without its battery, for which some powers of f_r have no current."""
     m = build_model(scenario)
     m.del_component(m.battery)
     return m
@@ -394,11 +292,6 @@ def literal_model(scenario: Scenario) -> "ConcreteModel":
     ----------
     scenario : Scenario
         With `Reading.LITERAL.values`.
-
-    Returns
-    -------
-    ConcreteModel
-        The declared model with both floors of f_r taken out, and without its battery.
     """
     m = model_without_battery(scenario)
     m.power.torque_floor.set_value(_NO_FLOOR)
@@ -451,18 +344,7 @@ class TrialOutcome:
 
 
 def mesh_trials(*, is_quick: bool = False) -> tuple[MeshTrial, ...]:
-    """List the solves of the study.
-
-    Parameters
-    ----------
-    is_quick : bool
-        Only the coarsest meshes.
-
-    Returns
-    -------
-    tuple of MeshTrial
-        By reading, bound and mesh.
-    """
+    """List the solves of the study."""
     elements = _ELEMENTS[:1] if is_quick else _ELEMENTS
     return tuple(
         MeshTrial(reading=reading, bound=bound, elements=count)
@@ -471,18 +353,7 @@ def mesh_trials(*, is_quick: bool = False) -> tuple[MeshTrial, ...]:
 
 
 def run_trial(trial: MeshTrial) -> TrialOutcome:
-    """Solve on one mesh, without refinement, and fly what comes out.
-
-    Parameters
-    ----------
-    trial : MeshTrial
-        What to solve.
-
-    Returns
-    -------
-    TrialOutcome
-        Also of a solve that failed: of its best iterate.
-    """
+    """Solve on one mesh, without refinement, and fly what comes out."""
     scenario = paper_scenario(
         Experiment.CALM,
         trial.reading.values() | {"limits.rotor_acceleration_max": trial.bound},

@@ -53,13 +53,7 @@ class PackFacts:
 
 
 def pack_facts() -> tuple[PackFacts, ...]:
-    """Return the packs under the motor's power and under f_r.
-
-    Returns
-    -------
-    tuple of PackFacts
-        By power model and pack.
-    """
+    """Return the packs under the motor's power and under f_r."""
     models = (PowerModel.MOTOR, PowerModel.EFFICIENCY)
     planner = Planner()
     return tuple(
@@ -127,17 +121,8 @@ def rotor_map(
 
     Parameters
     ----------
-    dynamics : Dynamics
-        The declared vehicle.
     speed, acceleration : ndarray
         rad/s and rad/s².
-    efficiency : str or None
-        Name of the declared efficiency to sample.
-
-    Returns
-    -------
-    RotorMap
-        The four rotors share each sample.
     """
     count = speed.size * acceleration.size
     states = np.zeros((count, len(dynamics.state_names)))
@@ -193,8 +178,6 @@ def chattering_floors(
 
     Parameters
     ----------
-    reading : Reading
-        Of f_r.
     bounds : tuple of float
         Bounds on the rotor acceleration, rad/s².
 
@@ -220,10 +203,6 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
 
     Parameters
     ----------
-    scenario : Scenario
-        Gives weight and duration.
-    sampled : RotorMap
-        The rotor under the scenario's power model.
     bound : float
         rad/s².
 
@@ -303,13 +282,7 @@ class EfficiencyMap:
 
 
 def sample_efficiency_map() -> EfficiencyMap:
-    """Sample the recovered f_r as declared.
-
-    Returns
-    -------
-    EfficiencyMap
-        Over the speeds allowed.
-    """
+    """Sample the recovered f_r as declared."""
     scenario = paper_scenario(Experiment.CALM, Reading.LITERAL.values())
     dynamics = Reading.LITERAL.planner().dynamics(scenario)
     speed = np.linspace(0.0, scenario.limits.rotor_speed_max, _MAP_SPEEDS)

@@ -82,15 +82,8 @@ def run_paper_study(*, is_quick: bool = False, step: Step | None = None) -> Pape
 
     Parameters
     ----------
-    is_quick : bool
-        On coarse meshes, and fewer of them.
     step : callable, optional
         Told of each result as it arrives.
-
-    Returns
-    -------
-    PaperStudy
-        The same whatever the order in which results arrive.
     """
     tasks = _tasks(is_quick=is_quick)
     results: list[Any] = [None] * len(tasks)
