@@ -50,17 +50,3 @@ def whole_process(*arguments, repeats=1):
         spent = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
         best = min(best, spent)
     return best, finished.stdout.splitlines()[-1]
-
-
-def table(header, rows):
-    """Return a Markdown table."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
-
-
-def machine():
-    """Return what the numbers were measured on."""
-    return (
-        f"{os.cpu_count()} cores, Python {sys.version_info.major}.{sys.version_info.minor}, "
-        f"processor seconds of one thread, load {os.getloadavg()[0]:.1f} at the end"
-    )

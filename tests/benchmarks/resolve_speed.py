@@ -1,24 +1,20 @@
 """Whole jobs: refinement to a tolerance, re-solves, a long mission, growth, and a peer.
 
-    python -m tests.benchmarks.resolve_speed
+    python -m tests.benchmarks resolve
 
-prints three Markdown tables.  The peer, rockit, is not needed by the package:
-
-    pip install rockit-meco
-
-and is left out of the last table where it is not installed.
+The peer, rockit (`pip install rockit-meco`), is left out where it is not installed.
 """
 
 import importlib.util
 import sys
 
-from tests.benchmarks.measuring import (
-    in_own_process,
-    machine,
-    report,
-    seconds,
-    table,
-    whole_process,
+from tests.benchmarks.measuring import in_own_process, report, seconds, whole_process
+from tests.benchmarks.report import Table
+
+TITLE = "Whole jobs, growth and a peer"
+ABOUT = (
+    "What comes after the first solve, how cost grows with the mesh, and a peer as a whole "
+    "process. Processor seconds of one thread; all but whole processes leave imports out."
 )
 
 DEGREE = 3
@@ -182,7 +178,8 @@ def jobs():
             ),
         ]
     )
-    return table(["job", "s", "note"], rows)
+    header = ["job", "s", "note"]
+    return Table(name="resolve_jobs", title="Whole jobs", header=header, rows=rows)
 
 
 def growth():
@@ -203,7 +200,8 @@ def growth():
             ]
         )
     header = ["elements", "variables", "set-up s", "solve s", "iterations"]
-    return table([*header, "us per iteration and variable", "peak MiB"], rows)
+    header += ["us per iteration and variable", "peak MiB"]
+    return Table(name="resolve_growth", title="Growth with the mesh", header=header, rows=rows)
 
 
 def peers():
@@ -214,7 +212,9 @@ def peers():
         rows.append(["this engine", elements, *_whole(["-c", OURS.format(elements, DEGREE)])])
         if has_rockit:
             rows.append(["rockit", elements, *_whole(["-m", "tests.benchmarks.peer", elements])])
-    return table(["whole process", "elements", "s", "energy J"], rows)
+    header = ["whole process", "elements", "s", "energy J"]
+    title = "From the start of Python to the printed energy"
+    return Table(name="resolve_peer", title=title, header=header, rows=rows)
 
 
 def _whole(arguments):
@@ -222,13 +222,10 @@ def _whole(arguments):
     return [f"{spent:.1f}", f"{float(energy):.4f}"]
 
 
-def main():
-    print(f"{jobs()}\n\n{growth()}\n\n{peers()}")
-    print(f"\n{machine()}.")
+def measure(_arguments):
+    """Return the tables of jobs, growth and whole processes."""
+    return [jobs(), growth(), peers()]
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--measure"]:
-        MEASURES[sys.argv[2]](sys.argv[3])
-    else:
-        main()
+    MEASURES[sys.argv[2]](sys.argv[3])

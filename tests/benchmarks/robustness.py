@@ -1,24 +1,16 @@
 """How many random missions come out verified, infeasible with proof, or lost: 200 for each seed.
 
-    python -m tests.benchmarks.robustness [--missions N] [--seeds S [S ...]] [--workers N]
-        [--minutes M] [--results FILE]
-
-Goals lie within 30 m, up and down; durations from 3 to 30 s; winds up to 6 m/s from anywhere in
-both couplings; payloads from 0 to 0.25 kg; every power model that is sound everywhere, which
-leaves out `efficiency`: below 858 rad/s it has no minimum to find.  No mission gets a guess.
-`constant_efficiency` is flown with credit for braking and, by every other mission of it, without.
+    python -m tests.benchmarks robustness [--minutes M]
 
 An outcome is written to the results as soon as it is known, and a mission that is there is not
 flown again: a run that was stopped goes on where it was.
 """
 
-import argparse
 import json
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
-from pathlib import Path
 from time import perf_counter, process_time
 
 import numpy as np
@@ -26,14 +18,25 @@ import numpy as np
 from pyomo_quad.flight import Planner, PlanStatus
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.scenario.messages import FeasibilityError, PyomoQuadError
+from tests.benchmarks.report import FOLDER, Table
 
+TITLE = "Robustness"
+ABOUT = (
+    "Random missions, 200 of each seed: goals within 30 m, up and down; durations from 3 to 30 s; "
+    "winds up to 6 m/s from anywhere in both couplings; payloads up to 0.25 kg; every power model "
+    "that is sound everywhere, which leaves out `efficiency`: below 858 rad/s it has no minimum to "
+    "find. `constant_efficiency` is flown with credit for braking and, by every other mission of "
+    "it, without. No mission gets a guess."
+)
 BASE = "scenarios/paper_calm.toml"
 COUPLINGS = ("acceleration", "drag")
 POWER_MODELS = ("motor", "shaft", "constant_efficiency", "motor_with_friction")
 # Without credit for braking it has a corner at zero power, on which optima come to lie.
 KINKED = "constant_efficiency"
 SEEDS = (2026, 1, 2)
-RESULTS = Path("reports/benchmarks/robustness.jsonl")
+MISSIONS = 200
+WORKERS = 2
+RESULTS = FOLDER / "robustness.jsonl"
 FARTHEST_M = 30.0
 DURATIONS_S = (3.0, 30.0)
 STRONGEST_WIND_M_PER_S = 6.0
@@ -109,24 +112,16 @@ def _verdict(planner, settings):
     return LOST, f"{plan.status.value}: {plan.message}", plan.attempts
 
 
-def table(outcomes):
+def outcome_rows(seed, outcomes):
+    """Yield a row for each verdict, with processor seconds of its missions."""
     counts = Counter(outcome.verdict for outcome in outcomes)
-    rescued = sum(bool(o.attempts) for o in outcomes if o.verdict == VERIFIED)
-    yield "| outcome | missions | share | median processor time | 95th percentile |"
-    yield "|---|---|---|---|---|"
     for verdict in (VERIFIED, INFEASIBLE, LOST):
         times = [o.processor_s for o in outcomes if o.verdict == verdict]
         middle, high = "-", "-"
         if times:
-            middle, high = (f"{t:.1f} s" for t in np.percentile(times, (50, 95)))
+            middle, high = (f"{t:.1f}" for t in np.percentile(times, (50, 95)))
         share = counts[verdict] / len(outcomes)
-        yield f"| {verdict} | {counts[verdict]} | {share:.1%} | {middle} | {high} |"
-    yield ""
-    yield f"{rescued} of {counts[VERIFIED]} verified missions needed a fallback."
-    for outcome in outcomes:
-        if outcome.verdict == LOST or (outcome.verdict == VERIFIED and outcome.attempts):
-            tried = "; ".join(outcome.attempts)
-            yield f"- {outcome.verdict}: {', '.join(outcome.settings)}: {outcome.detail} ({tried})"
+        yield [seed, verdict, counts[verdict], f"{share:.1%}", middle, high]
 
 
 def finished(results):
@@ -140,21 +135,21 @@ def finished(results):
     ]
 
 
-def fly_all(arguments):
+def fly_all(minutes):
     """Fly every mission that the results do not hold, and write each down as it ends."""
-    known = {(outcome.seed, outcome.number) for outcome in finished(arguments.results)}
+    known = {(outcome.seed, outcome.number) for outcome in finished(RESULTS)}
     # Seed by seed in turn, so that a run that is stopped has flown as many of each.
     wanted = sorted(
         (number, seed, settings)
-        for seed in arguments.seeds
-        for number, settings in enumerate(missions(arguments.missions, seed))
+        for seed in SEEDS
+        for number, settings in enumerate(missions(MISSIONS, seed))
         if (seed, number) not in known
     )
-    deadline = perf_counter() + 60.0 * (arguments.minutes or np.inf)
-    arguments.results.parent.mkdir(parents=True, exist_ok=True)
+    deadline = perf_counter() + 60.0 * (np.inf if minutes is None else minutes)
+    RESULTS.parent.mkdir(parents=True, exist_ok=True)
     with (
-        ProcessPoolExecutor(arguments.workers, mp_context=get_context("spawn")) as pool,
-        arguments.results.open("a", encoding="utf-8") as file,
+        ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool,
+        RESULTS.open("a", encoding="utf-8") as file,
     ):
         futures = [pool.submit(fly, (seed, number, told)) for number, seed, told in wanted]
         for future in as_completed(futures):
@@ -167,23 +162,28 @@ def fly_all(arguments):
                     waiting.cancel()
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--missions", type=int, default=200, help="For each seed.")
-    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--minutes", type=float, help="Begin no mission after this long.")
-    parser.add_argument("--results", type=Path, default=RESULTS)
-    arguments = parser.parse_args()
-    fly_all(arguments)
-    flown = sorted(finished(arguments.results), key=lambda o: (o.seed, o.number))
-    for seed in (*arguments.seeds, None):
+def measure(arguments):
+    """Return a table of outcomes for each seed and for all, and the missions to look at."""
+    fly_all(arguments.minutes)
+    flown = sorted(finished(RESULTS), key=lambda o: (o.seed, o.number))
+    rows = []
+    for seed in (*SEEDS, None):
         outcomes = [o for o in flown if seed is None or o.seed == seed]
         if outcomes:
-            name = "All seeds" if seed is None else f"Seed {seed}"
-            print(f"{name}, {len(outcomes)} missions:\n")
-            print("\n".join(table(outcomes)) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+            rows += outcome_rows("all" if seed is None else seed, outcomes)
+    told = [o for o in flown if o.verdict == LOST or (o.verdict == VERIFIED and o.attempts)]
+    remarkable = [
+        [o.verdict, o.seed, o.number, ", ".join(o.settings[1:]), o.detail, "; ".join(o.attempts)]
+        for o in told
+    ]
+    outcome_header = ["seed", "outcome", "missions", "share", "median s", "95th percentile s"]
+    header = ["outcome", "seed", "number", "mission", "what happened", "tried before"]
+    return [
+        Table(name="robustness", title="Outcomes", header=outcome_header, rows=rows),
+        Table(
+            name="robustness_remarkable",
+            title="Lost, or verified only after a fallback",
+            header=header,
+            rows=remarkable,
+        ),
+    ]

@@ -1,7 +1,4 @@
-"""What a sweep costs, as a Markdown table: ``python -m tests.benchmarks.sweep_speed``.
-
-Times are processor seconds where a machine shared with other work would spoil the wall clock.
-"""
+"""What a sweep costs: ``python -m tests.benchmarks sweep``."""
 
 import os
 import resource
@@ -9,6 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,11 +26,17 @@ from pyomo_quad.sweep import (
 from pyomo_quad.sweep.case import CaseOutcome
 from pyomo_quad.sweep.design import Case, expand
 from pyomo_quad.sweep.runner import FLIGHT_SOLVER
+from tests.benchmarks.report import Table
 from tests.sweep.cluster import cluster
 from tests.sweep.stand_in import SOLVER
 from tests.sweep.studies import write_study
 from tests.sweep.sweeping import Here
 
+TITLE = "Sweeps"
+ABOUT = (
+    "A sweep keeps one compiled problem per worker and starts each case from a finished neighbour. "
+    "Times are processor seconds where a machine shared with other work would spoil the wall clock."
+)
 REPOSITORY = Path(__file__).parents[2]
 AXES = """
 [[axis]]
@@ -111,38 +115,45 @@ def solved_by(study: Path, count: int) -> dict[str, float]:
     return found
 
 
-def rows_of_real_cases(folder: Path) -> Iterator[str]:
+def rows_of_real_cases(folder: Path) -> Iterator[tuple[str, str]]:
     study = write_study(folder, AXES.format(**REAL))
     total = REAL["durations"] * REAL["speeds"]
     commands, here = independent(study)
     one, two = (solved_by(study, count) for count in (1, 2))
     with ResultStore.reading(folder / "workers_1") as store:
         warm = fmean(sorted(row.seconds for row in store.rows().values())[:-1])
-    yield f"independent `solve` commands, processor seconds per case | {commands['processor']:.2f}"
-    yield f"independent solves in one process, processor seconds per case | {here['processor']:.2f}"
+    yield (
+        "independent `solve` commands, processor seconds per case",
+        f"{commands['processor']:.2f}",
+    )
+    yield (
+        "independent solves in one process, processor seconds per case",
+        f"{here['processor']:.2f}",
+    )
     for count, found in ((1, one), (2, two)):
         workers = f"{count} worker{'s' if count > 1 else ''}"
-        yield f"sweep of {total}, {workers}: cases per second | {total / found['wall']:.2f}"
-        yield f"sweep of {total}, {workers}: processor s/case | {found['processor'] / total:.2f}"
+        yield f"sweep of {total}, {workers}: cases per second", f"{total / found['wall']:.2f}"
+        yield f"sweep of {total}, {workers}: processor s/case", f"{found['processor'] / total:.2f}"
     each = one["processor"] / total
-    yield f"gain of the sweep over independent commands | {commands['processor'] / each:.1f} times"
-    yield f"gain of the sweep over independent solves | {here['processor'] / each:.1f} times"
-    yield f"memory of a worker at its greatest | {one['megabytes']:.0f} MB"
+    yield (
+        "gain of the sweep over independent commands",
+        f"{commands['processor'] / each:.1f} times",
+    )
+    yield "gain of the sweep over independent solves", f"{here['processor'] / each:.1f} times"
+    yield "memory of a worker at its greatest", f"{one['megabytes']:.0f} MB"
     yield from rows_of_the_cluster(folder, warm)
 
 
-def rows_of_many_cases(folder: Path) -> Iterator[str]:
+def rows_of_many_cases(folder: Path) -> Iterator[tuple[str, str]]:
     study = write_study(folder, AXES.format(**MANY))
     marks = run(study, folder / "many", Here(), SOLVER).marks
     for name, low in (("first", 0), ("last", len(marks) - 1 - WINDOW)):
         milliseconds = 1e3 * (marks[low + WINDOW] - marks[low]) / WINDOW
-        yield (
-            f"sweep of {len(marks) - 1} stand-in cases, its {name} {WINDOW}: "
-            f"processor ms/case | {milliseconds:.2f}"
-        )
+        label = f"sweep of {len(marks) - 1} stand-in cases, its {name} {WINDOW}"
+        yield f"{label}: processor ms/case", f"{milliseconds:.2f}"
 
 
-def rows_of_the_cluster(folder: Path, seconds_per_case: float) -> Iterator[str]:
+def rows_of_the_cluster(folder: Path, seconds_per_case: float) -> Iterator[tuple[str, str]]:
     study = write_study(folder, AXES.format(**DASK))
     total = DASK["durations"] * DASK["speeds"]
     with cluster(folder) as dask, cluster_workers(dask.address) as workers:
@@ -153,13 +164,11 @@ def rows_of_the_cluster(folder: Path, seconds_per_case: float) -> Iterator[str]:
     parent = (marks[-1] - marks[0]) / total
     busiest = max(parent, scheduler)
     reached = min(WORKERS_OF_A_CLUSTER / seconds_per_case, 1.0 / busiest)
-    yield f"Dask, {total} stand-in cases: wall ms/case | {1e3 * wall:.1f}"
-    yield f"Dask: processor ms/case of this program | {1e3 * parent:.1f}"
-    yield f"Dask: processor ms/case of the scheduler | {1e3 * scheduler:.1f}"
-    yield (
-        f"{WORKERS_OF_A_CLUSTER} workers at {seconds_per_case:.2f} s/case, by that overhead: "
-        f"cases per second | {reached:.0f}"
-    )
+    yield f"Dask, {total} stand-in cases: wall ms/case", f"{1e3 * wall:.1f}"
+    yield "Dask: processor ms/case of this program", f"{1e3 * parent:.1f}"
+    yield "Dask: processor ms/case of the scheduler", f"{1e3 * scheduler:.1f}"
+    label = f"{WORKERS_OF_A_CLUSTER} workers at {seconds_per_case:.2f} s/case, by that overhead"
+    yield f"{label}: cases per second", f"{reached:.0f}"
 
 
 def processor_seconds(process: int) -> float:
@@ -167,13 +176,9 @@ def processor_seconds(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def main() -> None:
-    print(f"| load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores | |\n| --- | ---: |")
-    for rows in (rows_of_many_cases, rows_of_real_cases):
+def measure(_arguments: Namespace) -> list[Table]:
+    rows: list[tuple[str, str]] = []
+    for measured in (rows_of_many_cases, rows_of_real_cases):
         with tempfile.TemporaryDirectory() as folder:
-            for row in rows(Path(folder)):
-                print(f"| {row} |", flush=True)
-
-
-if __name__ == "__main__":
-    main()
+            rows += measured(Path(folder))
+    return [Table(name="sweep", title="Cost of a case", header=["what", "found"], rows=rows)]

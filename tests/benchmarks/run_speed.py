@@ -1,0 +1,80 @@
+"""Whole commands, side by side with those of another environment.
+
+    python -m tests.benchmarks run --against /path/to/another/.venv/bin/python
+
+The two take turns, so that what else the machine does weighs on both.
+"""
+
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from statistics import median
+
+from tests.benchmarks.measuring import ONE_THREAD
+from tests.benchmarks.report import Table
+
+TITLE = "Whole commands"
+ABOUT = (
+    "From the start of the process to its end, imports, figures and report included. Processor "
+    "seconds are those of the process and its children, user and system; the least, middle and "
+    "greatest of some runs. `before` is another environment, whose runs take turns with these."
+)
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+COMMANDS = (
+    ("run", "paper_calm.toml"),
+    ("run", "paper_wind.toml"),
+    ("solve", "paper_calm.toml", "--quiet"),
+)
+TIMES = 5
+
+
+def spent(python, command, scenario, *options):
+    """Return processor and wall seconds of one command in a folder of its own."""
+    arguments = [python, "-m", "pyomo_quad", command, str(SCENARIOS / scenario), *options]
+    with tempfile.TemporaryDirectory() as folder:
+        before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+        subprocess.run(
+            arguments, cwd=folder, capture_output=True, check=True, env=os.environ | ONE_THREAD
+        )
+        wall, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime, wall
+
+
+def measure(arguments):
+    """Return a row for each command and environment, and by how much this one is faster."""
+    pythons = {"now": sys.executable}
+    if arguments.against is not None:
+        pythons = {"before": str(arguments.against), **pythons}
+    rows, gains = [], []
+    for command in COMMANDS:
+        found = {name: [] for name in pythons}
+        for _ in range(TIMES):
+            for name, python in pythons.items():
+                found[name].append(spent(python, *command))
+        label = f"`{' '.join(command)}`"
+        for name, times in found.items():
+            kinds = [
+                f"{min(t):.2f}, {median(t):.2f}, {max(t):.2f}" for t in zip(*times, strict=True)
+            ]
+            rows.append([label, name, *kinds])
+        if "before" in found:
+            middles = {name: map(median, zip(*found[name], strict=True)) for name in found}
+            pairs = zip(middles["before"], middles["now"], strict=True)
+            gains.append([label, *(f"{before / now:.2f}" for before, now in pairs)])
+    tables = [
+        Table(
+            name="run",
+            title=f"Least, median and greatest of {TIMES} runs",
+            header=["command", "environment", "processor s", "wall s"],
+            rows=rows,
+        )
+    ]
+    if gains:
+        header = ["command", "processor, times as fast", "wall, times as fast"]
+        title = "Medians, before over now"
+        tables.append(Table(name="run_gain", title=title, header=header, rows=gains))
+    return tables
