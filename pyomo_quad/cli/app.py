@@ -9,7 +9,7 @@ import typer
 
 from pyomo_quad.cli.commands import compare, fly, run, solve
 from pyomo_quad.cli.endings import ExitCode, Stopped, before_the_end
-from pyomo_quad.cli.looking import check, library
+from pyomo_quad.cli.looking import check, library, schema
 from pyomo_quad.cli.paper import paper
 from pyomo_quad.cli.sweeping import sweep, sweep_report
 from pyomo_quad.cli.terminal import claim_streams, complain, gives_up_output
@@ -32,6 +32,7 @@ app.command()(solve)
 app.command()(compare)
 app.command()(check)
 app.command()(library)
+app.command()(schema)
 app.command()(fly)
 app.command()(paper)
 app.command()(sweep)

@@ -1,11 +1,13 @@
-"""`pyomo-quad check` and `library`: what a scenario resolves to, and what it can name."""
+"""`pyomo-quad check`, `library` and `schema`: what a scenario holds, can name and can say."""
 
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from pydantic import BaseModel
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
@@ -23,12 +25,14 @@ from pyomo_quad.scenario import (
     LIBRARY_KINDS,
     LibraryEntry,
     Scenario,
+    ScenarioError,
     describe_fields,
     field_unit,
     library_entry,
     library_names,
     load_scenario,
 )
+from pyomo_quad.scenario.description import editor_schema, writable_fields
 
 if TYPE_CHECKING:
     from pyomo_quad.model.inspection import ModelInspection
@@ -160,3 +164,49 @@ def _show_entry(entry: LibraryEntry, *, as_json: bool) -> None:
     for path, value in values.items():
         table.add_row(path, escape(str(value)), field_unit(path), escape(entry.sources[path]))
     result_console().print(table)
+
+
+_README = """# Scenarios and studies
+
+A scenario is one mission, run with `pyomo-quad run FILE`; a study varies fields of one, run with
+`pyomo-quad sweep FILE`. Any field of a scenario can also be set with `--set PATH=VALUE`. A field
+without a default must be given, by the file or by the entry of the library that a table names with
+`use`; `pyomo-quad check FILE` shows every value and where it came from, `pyomo-quad library` the
+entries. Editors that know JSON Schema complete and check these files by their first line.
+
+`pyomo-quad schema --out scenarios` writes this page and both schemas.
+"""
+_COLUMNS = ("field", "unit", "default", "allowed", "meaning")
+
+
+def schema(
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Where the three files go.")
+    ] = Path(),
+) -> int:
+    """Write the JSON Schemas of scenarios and studies, and a page that lists every field."""
+    from pyomo_quad.sweep.study_file import Study  # noqa: PLC0415  NumPy takes a moment
+
+    kinds: dict[str, tuple[type[BaseModel], tuple[str, ...]]] = {
+        "scenario": (Scenario, ("name", "mission")),
+        "study": (Study, ("name", "scenario", "axis")),
+    }
+    pages = {"README.md": _README}
+    for kind, (model, required) in kinds.items():
+        text = json.dumps(editor_schema(model, f"pyomo_quad {kind}", required), indent=1)
+        pages[f"{kind}.schema.json"] = f"{text}\n"
+        pages["README.md"] += f"\n## Fields of a {kind}\n\n" + "\n".join(_field_rows(model)) + "\n"
+    if not out.is_dir():
+        raise ScenarioError(f"--out {out}: is no folder; make it first.")
+    for name, page in pages.items():
+        (out / name).write_text(page, encoding="utf-8")
+        print(out / name)
+    return ExitCode.VERIFIED
+
+
+def _field_rows(model: type[BaseModel]) -> Iterator[str]:
+    yield f"| {' | '.join(_COLUMNS)} |"
+    yield "|---" * len(_COLUMNS) + "|"
+    for field in writable_fields(model):
+        cells = (f"`{field.path}`", field.unit, field.default, field.allowed, field.meaning)
+        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -1,6 +1,10 @@
-"""A resolved scenario as a list: each field with value, unit, meaning and origin."""
+"""What fields there are: those of a resolved scenario, and those that a file may have.
 
-from collections.abc import Iterator
+The second comes as a JSON Schema, by which editors complete and check TOML while one types, and
+as the rows of a table for people.
+"""
+
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -93,3 +97,126 @@ def _fields(table: BaseModel, prefix: FieldPath = ()) -> Iterator[tuple[FieldPat
             yield from _fields(value, (*prefix, name))
         else:
             yield (*prefix, name), table, value
+
+
+# What `quantity` notes beside a field for the messages; no editor knows it.
+_NOTES = ("unit", "allowed", "example", "other_names", "sound")
+# Read from a file that is named, never written by hand.
+_DERIVED = ("series",)
+_LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class WritableField:
+    """One field that a file may have, every column as text for people."""
+
+    path: str
+    unit: str
+    default: str
+    allowed: str
+    meaning: str
+
+
+def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...]) -> dict[str, Any]:
+    """Return the JSON Schema of a TOML file as it is written.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        The table at the top.
+    title : str
+        Of the schema.
+    required : tuple of str
+        What must stand at the top; anything below may come from the library.
+    """
+    schema = model.model_json_schema()
+    definitions = schema.get("$defs", {})
+    for table in (schema, *definitions.values()):
+        table.pop("required", None)
+        for name in _DERIVED:
+            table.get("properties", {}).pop(name, None)
+        for name, field in table.get("properties", {}).items():
+            table["properties"][name] = _for_editors(field)
+    definitions.pop("WindSeries", None)
+    return {
+        "$schema": "http://json-schema.org/draft-07/schema#",
+        **schema,
+        "title": title,
+        "required": list(required),
+    }
+
+
+def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
+    """List the fields that a file of a model may have, in the order of the schema."""
+    schema = model.model_json_schema()
+    return tuple(_writable(schema, schema.get("$defs", {}), ""))
+
+
+def _for_editors(field: dict[str, Any]) -> dict[str, Any]:
+    kept = {name: value for name, value in field.items() if name not in {*_NOTES, "title"}}
+    if field.get("unit", "") not in {"", "1"}:
+        kept["description"] = f"{field['description']} [{field['unit']}]"
+    if field.get("sound") is not None and field.get("type") in {"number", "integer"}:
+        low, high = field["sound"]["low"], field["sound"]["high"]
+        kept["minimum"] = max(low, kept.get("minimum", low))
+        kept["maximum"] = min(high, kept.get("maximum", high))
+    return kept
+
+
+def _writable(
+    table: Mapping[str, Any], definitions: Mapping[str, Any], prefix: str
+) -> Iterator[WritableField]:
+    for name, field in table["properties"].items():
+        path = f"{prefix}{name}"
+        below = _table_below(field, definitions)
+        if name in _DERIVED:
+            continue
+        if below is not None and below is not table:
+            each = "[]" if field.get("type") == "array" else ""
+            yield from _writable(below, definitions, f"{path}{each}.")
+            continue
+        unit = field.get("unit", "")
+        yield WritableField(
+            path=path,
+            unit="" if unit == "1" else unit,
+            default=_default(field),
+            allowed=_allowed(field, definitions),
+            meaning=field.get("description", ""),
+        )
+
+
+def _table_below(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> Any:  # noqa: ANN401
+    for option in (field, field.get("items", {}), *field.get("anyOf", ())):
+        held = definitions.get(option.get("$ref", "").rpartition("/")[2], {})
+        if "properties" in held:
+            return held
+    return None
+
+
+def _default(field: Mapping[str, Any]) -> str:
+    value = field.get("default")
+    if value is None or isinstance(value, dict):
+        return ""
+    if isinstance(value, bool | str | list):
+        return str(value).lower() if isinstance(value, bool) else str(value).replace("'", '"')
+    return f"{value:g}"
+
+
+def _allowed(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
+    words = [field["allowed"]] if field.get("allowed") else []
+    words += [_of_type(option, definitions) for option in (field, *field.get("anyOf", ()))]
+    sound = field.get("sound")
+    if sound is not None:
+        words.append(f"{sound['low']:g} to {sound['high']:g}: {sound['because']}")
+    return "; ".join(filter(None, words))
+
+
+def _of_type(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
+    """Say which values one type of a field allows, beyond being of that type."""
+    held = definitions.get(option.get("$ref", "").rpartition("/")[2], {})
+    if "enum" in held:
+        return ", ".join(map(str, held["enum"]))
+    if option.get("type") == "array" and "items" in option:
+        each = _of_type(option["items"], definitions)
+        return f"a list of {each}" if each else "a list"
+    return ", ".join(f"{sign} {option[key]:g}" for key, sign in _LIMITS.items() if key in option)

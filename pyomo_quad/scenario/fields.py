@@ -95,6 +95,7 @@ def quantity(
             "allowed": allowed,
             "example": example,
             "other_names": list(other_names),
+            "sound": None if sound is None else sound._asdict(),
         },
         **limits,
     )
