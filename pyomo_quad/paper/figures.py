@@ -66,11 +66,6 @@ def draw_floors(
         The paper's optimum, J.
     critical : float
         Bound from which f_r passes zero, rad/s².
-
-    Returns
-    -------
-    Figure
-        One panel.
     """
     figure, panels = panel_grid(1, 1, panel_height=2.9, left=0.6, legend_entries=12)
     axes = panels[0, 0]
@@ -141,18 +136,7 @@ class EnergyChain:
 
 
 def energy_chain(flown: PaperFlight) -> EnergyChain:
-    """Integrate the links of the chain over a flight under the motors' electrical power.
-
-    Parameters
-    ----------
-    flown : PaperFlight
-        The flight.
-
-    Returns
-    -------
-    EnergyChain
-        By the trapezoidal rule over the flight's table.
-    """
+    """Integrate the links of the chain over a flight under the motors' electrical power."""
     frame, scenario = flown.flight.frame, flown.case.scenario
     time = frame[TIME].to_numpy()
     pack = scenario.battery
@@ -183,19 +167,8 @@ def draw_loss_chain(
 
     Parameters
     ----------
-    chain : EnergyChain
-        Energies to write on the chain.
-    sampled : EfficiencyMap
-        f_r over torque and speed.
-    flown : PaperFlight
-        The flight whose rotors are drawn on the map.
     bound : float
         Acceleration at which f_r first passes zero, rad/s².
-
-    Returns
-    -------
-    Figure
-        The chain, the whole map, and the map where the flight is.
     """
     figure = Figure(figsize=(FULL_WIDTH, 5.4))
     _draw_chain(figure.add_axes((0.36, 0.735, 0.6, 0.225)), chain)
@@ -322,18 +295,7 @@ _MOTION_FIGURES = {Experiment.CALM: (3, 4), Experiment.WIND: (5, 6)}
 
 
 def paper_drawings(study: PaperStudy) -> tuple[Drawing, ...]:
-    """List the counterparts of the paper's figures.
-
-    Parameters
-    ----------
-    study : PaperStudy
-        The results.
-
-    Returns
-    -------
-    tuple of Drawing
-        In the paper's order.
-    """
+    """List the counterparts of the paper's figures."""
     return (
         *_power(study),
         *_motion(study, Experiment.CALM),
@@ -343,18 +305,7 @@ def paper_drawings(study: PaperStudy) -> tuple[Drawing, ...]:
 
 
 def floor_drawing(study: PaperStudy) -> Drawing:
-    """Return the figure of the least energy under f_r.
-
-    Parameters
-    ----------
-    study : PaperStudy
-        The results.
-
-    Returns
-    -------
-    Drawing
-        For the examination.
-    """
+    """Return the figure of the least energy under f_r."""
     hovering = find_flight(study.flights, Experiment.CALM, PowerModel.EFFICIENCY).hover_energy_J
     return Drawing(
         name="floors",

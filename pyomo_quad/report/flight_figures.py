@@ -1,4 +1,4 @@
-"""The figures of a plan or a run, one function each."""
+"""The figures of a plan or a run, one function each; of several flights the optimum is first."""
 
 from collections.abc import Sequence
 from math import isfinite
@@ -57,18 +57,7 @@ _WITHOUT = LineStyle(color=MUTED, dashes=(4.5, 1.6))
 
 
 def draw_adaptation(study: pd.DataFrame) -> Figure:
-    """Draw the distance from the reference, and the disturbance along x and y.
-
-    Parameters
-    ----------
-    study : DataFrame
-        Of `adaptation_study`.
-
-    Returns
-    -------
-    Figure
-        Three panels.
-    """
+    """Draw the distance from the reference, and the disturbance along x and y."""
     figure, (panels,) = panel_grid(1, 3, panel_height=1.8, legend_entries=2)
     error, *disturbances = panels
     time = TIME.of(study)
@@ -97,18 +86,7 @@ def _draw_disturbance(
 
 
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw what the flights ask of the pack.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        The flights to lay over each other, the optimum first.
-
-    Returns
-    -------
-    Figure
-        One panel per quantity.
-    """
+    """Draw what the flights ask of the pack."""
     figure, panels = panel_grid(1, 3, panel_height=1.7, legend_entries=len(flights))
     for axes, signal in zip(panels.flat, BATTERY, strict=True):
         for flight in flights:
@@ -121,18 +99,7 @@ def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
 
 
 def draw_controls(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw the acceleration of each rotor in its own panel, all on one scale.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        The flights to lay over each other, the optimum first.
-
-    Returns
-    -------
-    Figure
-        Four panels.
-    """
+    """Draw the acceleration of each rotor in its own panel, all on one scale."""
     figure, panels = panel_grid(2, 2, panel_height=1.25, legend_entries=len(flights))
     for axes, signal in zip(panels.flat, ROTOR_ACCELERATION, strict=True):
         for flight in flights:
@@ -169,18 +136,7 @@ _SMALLEST_POWER = 0.1  # W
 
 
 def costate_name(state: Signal) -> str:
-    """Return the name of a state in the plan's table of costates.
-
-    Parameters
-    ----------
-    state : Signal
-        One of the sixteen states.
-
-    Returns
-    -------
-    str
-        As the declared model names the state.
-    """
+    """Return the name of a state in the plan's table of costates."""
     return state.component if state.index is None else f"{state.component}[{state.index}]"
 
 
@@ -200,11 +156,6 @@ def draw_costates(costates: pd.DataFrame, duration: float) -> Figure:
         Time, one column per state and the Hamiltonian, at the collocation points.
     duration : float
         End of the flight, s.
-
-    Returns
-    -------
-    Figure
-        Six panels.
     """
     figure, panels = panel_grid(3, 2, panel_height=1.4, legend_entries=0)
     time = TIME.of(costates)
@@ -241,15 +192,8 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
 
     Parameters
     ----------
-    flights : sequence of StyledFlight
-        The flights, the optimum first.
     hover_energy_J : float
         Energy of hovering for as long as the mission lasts, J.
-
-    Returns
-    -------
-    Figure
-        Three panels; in the last the hover line is subtracted.
     """
     figure, panels = panel_grid(3, 1, panel_height=1.5, legend_entries=1 + len(flights))
     duration = flights[0].duration_s
@@ -275,10 +219,6 @@ def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W:
 
     Parameters
     ----------
-    axes : Axes
-        Where to.
-    flights : sequence of StyledFlight
-        The flights, the optimum first.
     hover_power_W : float
         Power of hovering, W.
     """
@@ -357,12 +297,8 @@ def draw_energy_split(
 
     Parameters
     ----------
-    flights : sequence of StyledFlight
-        The flights, the optimum first.
     hover_energy_J : float
         Energy of hovering for as long as the mission lasts, J.
-    absent : frozenset of str
-        Names of the flights that did not arrive.
 
     Returns
     -------
@@ -394,14 +330,8 @@ def draw_excess(
 
     Parameters
     ----------
-    axes : Axes
-        Where to.
-    flights : sequence of StyledFlight
-        The flights, the optimum first.
     hover_energy_J : float
         Energy of hovering for as long as the mission lasts, J.
-    absent : frozenset of str
-        Names of the flights that did not arrive.
     """
     excess = [flight.energy_J - hover_energy_J for flight in flights]
     for row, (flight, surplus) in enumerate(zip(flights, excess, strict=True)):
@@ -451,12 +381,6 @@ def draw_mesh(
 
     Parameters
     ----------
-    history : sequence of MeshRecord
-        The meshes solved on, in order.
-    mesh : Mesh
-        The last one.
-    tolerance : float
-        Error estimate asked for, relative.
     duration : float
         End of the flight, s.
 
@@ -523,17 +447,8 @@ def draw_overview(
 
     Parameters
     ----------
-    flights : sequence of StyledFlight
-        The flights, the optimum first.
     hover_energy_J : float
         Energy of hovering for as long as the mission lasts, J.
-    absent : frozenset of str
-        Names of the flights that did not arrive.
-
-    Returns
-    -------
-    Figure
-        Three panels.
     """
     figure = Figure(figsize=(FULL_WIDTH, _HEIGHT))
     draw_space(figure.add_axes((0.0, 0.12, 0.46, 0.88), projection="3d"), distinct_paths(flights))
@@ -548,18 +463,7 @@ def draw_overview(
 
 
 def draw_rotors(flight: StyledFlight) -> Figure:
-    """Draw the motors' mechanical and electrical quantities.
-
-    Parameters
-    ----------
-    flight : StyledFlight
-        The flight.
-
-    Returns
-    -------
-    Figure
-        One panel per quantity, four lines in each.
-    """
+    """Draw the motors' mechanical and electrical quantities."""
     figure, panels = panel_grid(2, 2, panel_height=1.45, legend_entries=len(ROTORS))
     for axes, signals in zip(panels.flat, MOTOR, strict=True):
         for rotor, signal, style in zip(ROTORS, signals, ROTOR_STYLES, strict=True):
@@ -572,18 +476,7 @@ def draw_rotors(flight: StyledFlight) -> Figure:
 
 
 def draw_states(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw all states, one panel each: rows for place, velocity, attitude and body rates.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        The flights to lay over each other, the optimum first.
-
-    Returns
-    -------
-    Figure
-        Sixteen panels.
-    """
+    """Draw all states, one panel each: rows for place, velocity, attitude and body rates."""
     figure, panels = panel_grid(
         4, 4, panel_height=1.15, gap=0.52, left=0.42, legend_entries=len(flights)
     )
@@ -605,20 +498,7 @@ _FORECAST = LineStyle(color=MUTED, dashes=(4.5, 1.6))
 
 
 def draw_wind(told: StyledFlight, flown: StyledFlight | None = None) -> Figure:
-    """Draw both components of the wind, and the forecast where one differs from it.
-
-    Parameters
-    ----------
-    told : StyledFlight
-        A flight in the wind that the optimiser was told.
-    flown : StyledFlight, optional
-        A flight in the real wind, when the optimiser was told another.
-
-    Returns
-    -------
-    Figure
-        One panel per axis.
-    """
+    """Draw both components of the wind, and the forecast where one differs from it."""
     figure, panels = panel_grid(1, 2, panel_height=1.5, legend_entries=0 if flown is None else 2)
     forecast = [] if flown is None else [("forecast", told, _FORECAST)]
     winds = [("wind", told if flown is None else flown, _WIND), *forecast]

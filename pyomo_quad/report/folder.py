@@ -21,11 +21,6 @@ _RENAME_EXCHANGE = 2
 def exchange_folders(one: Path, other: Path) -> bool:
     """Let two folders of one file system swap their names atomically.
 
-    Parameters
-    ----------
-    one, other : Path
-        Existing folders.
-
     Returns
     -------
     bool
@@ -56,11 +51,6 @@ _unfinished: set[Path] = set()
 @contextmanager
 def output_folder(path: str | Path) -> Iterator[Path]:
     """Give a folder to write into that takes its place when the block ends well.
-
-    Parameters
-    ----------
-    path : str or Path
-        The final folder; its parents are made.
 
     Yields
     ------
@@ -100,11 +90,6 @@ def output_folder(path: str | Path) -> Iterator[Path]:
 def refuse_output_folder(path: str | Path) -> None:
     """Refuse a folder that `output_folder` would refuse, without making anything.
 
-    Parameters
-    ----------
-    path : str or Path
-        The final folder.
-
     Raises
     ------
     OutputError
@@ -131,11 +116,6 @@ def discard_unfinished() -> None:
 
 def recover_folder(path: str | Path) -> None:
     """Finish a swap that a killed run left half done.
-
-    Parameters
-    ----------
-    path : str or Path
-        The final folder, about to be read.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""The paths in space: the paper's figures 4 and 6, and the interactive view of the page."""
+"""The paths in space: the paper's figures 4 and 6, and the interactive view of the page.
+
+The optimum is the first of the flights.
+"""
 
 import json
 from collections.abc import Sequence
@@ -37,34 +40,12 @@ _SMALLEST_SIDE = 0.2  # m
 
 
 def distinct_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Leave out the flights that stay on the optimum's path all the time.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        The flights, the optimum first.
-
-    Returns
-    -------
-    tuple of StyledFlight
-        The optimum, and those that are ever further from it than `COINCIDENT`.
-    """
+    """Leave out the flights that stay on the optimum's path all the time."""
     return (flights[0], *_further(flights, COINCIDENT))
 
 
 def draw_path(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw all paths in space, and seen along each axis.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        The flights, the optimum first.
-
-    Returns
-    -------
-    Figure
-        One view in space and three projections, all on equal scales.
-    """
+    """Draw all paths in space, and seen along each axis."""
     figure = Figure(figsize=(FULL_WIDTH, FULL_WIDTH))
     limits = _limits(flights)
     space: Axes3D = figure.add_axes((0.0, 0.53, 0.5, 0.46), projection="3d")
@@ -77,15 +58,7 @@ def draw_path(flights: Sequence[StyledFlight]) -> Figure:
 
 
 def draw_space(axes: Axes3D, flights: Sequence[StyledFlight]) -> None:
-    """Draw all paths in space.
-
-    Parameters
-    ----------
-    axes : Axes3D
-        Where to.
-    flights : sequence of StyledFlight
-        The flights, the optimum first.
-    """
+    """Draw all paths in space."""
     limits = _limits(flights)
     floor = limits[2, 0]
     for flight in flights:
@@ -115,18 +88,7 @@ def draw_space(axes: Axes3D, flights: Sequence[StyledFlight]) -> None:
 
 
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights that go so far astray that showing all of them would hide the others.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        The flights, the optimum first.
-
-    Returns
-    -------
-    tuple of StyledFlight
-        Those that are ever further from the optimum than `ASTRAY`.
-    """
+    """Return the flights that go so far astray that showing all of them would hide the others."""
     return _further(flights, ASTRAY)
 
 
@@ -234,13 +196,7 @@ _CONFIG = {
 
 
 def view_markup() -> str:
-    """Return the element that the view is drawn into.
-
-    Returns
-    -------
-    str
-        HTML, shown on a screen only.
-    """
+    """Return the element that the view is drawn into."""
     return (
         f'<div id="{VIEW_ELEMENT}" class="view screen" role="img" '
         'aria-label="Interactive view of the paths in space; the next figure shows the same '
@@ -253,18 +209,7 @@ def view_markup() -> str:
 
 
 def view_script(flights: Sequence[StyledFlight]) -> str:
-    """Return the program that draws the view, with all that it needs.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        The flights, the optimum first.
-
-    Returns
-    -------
-    str
-        JavaScript without any address to load from.
-    """
+    """Return the program that draws the view, with all that it needs."""
     shown = [f for f in distinct_paths(flights) if f not in leaving_paths(flights)]
     paths = [_path(flight, is_shown=flight in shown) for flight in flights]
     data = [*paths, *_end_marks(flights[0])]
