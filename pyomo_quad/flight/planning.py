@@ -28,12 +28,12 @@ from pyomo_quad.collocation import (
     WarmStart,
     compile,
     diagnose,
-    solve,
 )
 from pyomo_quad.flight.plan import Failure, Plan, PlanStatus, Trajectories
 from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.verification import MISS_TOLERANCE, VIOLATION_TOLERANCE, verify_controls
 from pyomo_quad.model import ask_for_least_time, build_model, parameter_values, structure_key
+from pyomo_quad.model.power import wider_smoothings
 from pyomo_quad.model.wind import still_air
 from pyomo_quad.scenario import Scenario
 
@@ -164,7 +164,10 @@ class Rescuer:
 
 
 _MESH = (10, 4)
-_OPTIONS = SolverOptions(tolerance=1e-7, max_iterations=300)
+_OPTIONS = SolverOptions(max_iterations=300)
+# Meshes that give the least time to a small part of the share of it that counts as close.
+_FEW_MESHES = 3
+_CLOSE = 2e-3
 # The multiples of the mission's duration between which the shortest flight is looked for, and
 # the slow, easy one that the search starts from.
 _RANGE = (0.01, 100.0)
@@ -173,6 +176,9 @@ _SLOW = 4.0
 
 def shortest_flight(model: Any, scenario: Scenario, progress: Progress | None) -> Solution | None:
     """Fly the mission of a model in the least time.
+
+    A few meshes do unless the mission's duration is close to what they give: then they are
+    refined to the mission's own tolerance.
 
     Parameters
     ----------
@@ -187,16 +193,25 @@ def shortest_flight(model: Any, scenario: Scenario, progress: Progress | None) -
     Solution or None
         Its objective is the time [s]; None when the solve failed.
     """
-    duration = scenario.mission.duration
+    duration, settings = scenario.mission.duration, scenario.solver
     bounds = (factor * duration for factor in _RANGE)
-    solution = solve(
-        model,
-        final_time=ask_for_least_time(model, bounds, _SLOW * duration),
-        mesh=Mesh.uniform(*_MESH),
-        options=_OPTIONS,
-        progress=progress,
-    )
-    return solution if solution.status is Status.CONVERGED else None
+    problem = compile(model, final_time=ask_for_least_time(model, bounds, _SLOW * duration))
+    shortest, start = None, None
+    for meshes in (_FEW_MESHES, settings.max_refinements + 1):
+        solution = problem.solve(
+            mesh=Mesh.uniform(*_MESH) if start is None else start.mesh,
+            tolerance=settings.tolerance,
+            warm_start=start,
+            options=_OPTIONS,
+            refinement=RefinementOptions(max_meshes=meshes),
+            progress=progress,
+        )
+        if solution.status not in _DONE:
+            break
+        shortest = start = solution
+        if abs(solution.objective - duration) > _CLOSE * duration:
+            break
+    return shortest
 
 
 Builder = Callable[[Scenario], Any]
@@ -206,6 +221,8 @@ _TIGHTENINGS = 3
 _TIGHTER = 0.1
 # The wind that the optimiser is told, and the one that blows.
 _KEPT = 2
+# How well, and on how many meshes, a kinked power is first solved with its corner rounded widely.
+_ROUGHLY = {"tolerance": 1e-2, "refinement": RefinementOptions(max_meshes=5)}
 # The verification allows twice as much.
 _ALLOWANCE = Allowance(
     control_breach=0.5 * VIOLATION_TOLERANCE,
@@ -401,11 +418,15 @@ class Planner:
     ) -> Solution:
         start = warm_start.warm_start if isinstance(warm_start, Plan) else warm_start
         arguments = self._arguments(told, progress)
+        easier = _easier(problem, told)
         if start is not None and start.fits(problem.compiled):
-            return problem.solve(**arguments | {"mesh": start.mesh}, warm_start=start)
+            solution = problem.solve(**arguments | {"mesh": start.mesh}, warm_start=start)
+            if not easier or solution.status is not Status.NOT_CONVERGED:
+                return solution
         if not isinstance(warm_start, Plan):
-            return problem.solve(**arguments)
-        return problem.solve(**arguments | {"mesh": warm_start.mesh}, guess=warm_start.guess())
+            return _by_way_of(easier, problem, arguments, None)
+        on_mesh = arguments | {"mesh": warm_start.mesh}
+        return _by_way_of(easier, problem, on_mesh, warm_start.guess())
 
     def _arguments(self, told: Scenario, progress: Progress | None) -> dict[str, Any]:
         settings = told.solver
@@ -423,14 +444,16 @@ class Planner:
 
     def _rescuer(self, problem: Problem, told: Scenario, progress: Progress | None) -> Rescuer:
         arguments = self._arguments(told, progress)
+        easier = _easier(problem, told)
+        easiest = _under(arguments, easier[0]) if easier else arguments
 
         def slowly(duration: float, guess: Trajectory | None) -> Solution:
-            other = arguments | {"horizon": (0.0, duration), "tolerance": None}
+            other = easiest | {"horizon": (0.0, duration), "tolerance": None}
             return problem.solve(**other, guess=guess)
 
         return Rescuer(
             duration=told.mission.duration,
-            solve=lambda trajectory: problem.solve(**arguments, guess=trajectory),
+            solve=lambda trajectory: _by_way_of(easier, problem, arguments, trajectory),
             solve_slowly=slowly,
             solve_shortest=lambda: shortest_flight(self._builder(told), told, progress),
             progress=progress,
@@ -473,6 +496,47 @@ def _plan_of(
 def _make_room(kept: dict[Any, Any]) -> None:
     while len(kept) >= _KEPT:
         kept.pop(next(iter(kept)))
+
+
+def _easier(problem: Problem, told: Scenario) -> tuple[dict[str, float], ...]:
+    """Return the easier numbers that a compiled problem has, the easiest first."""
+    held = {p.name for p in problem.compiled.declared.parameters}
+    return tuple(numbers for numbers in wider_smoothings(told) if numbers.keys() <= held)
+
+
+def _under(arguments: dict[str, Any], numbers: dict[str, float]) -> dict[str, Any]:
+    return arguments | {"parameters": (arguments["parameters"] or {}) | numbers}
+
+
+def _by_way_of(
+    easier: tuple[dict[str, float], ...],
+    problem: Problem,
+    arguments: dict[str, Any],
+    guess: Any,
+) -> Solution:
+    """Solve from a guess by way of easier numbers, each from the solution under the last."""
+    reached: Solution | None = None
+    for numbers in easier:
+        eased = _under(arguments, numbers)
+        if reached is None:
+            tried = problem.solve(**eased | _ROUGHLY, guess=guess)
+        else:
+            on_mesh = {"tolerance": None, "mesh": reached.mesh, "warm_start": reached}
+            tried = problem.solve(**eased | on_mesh)
+        if tried.status is Status.INTERRUPTED:
+            return _as_far_as(tried, problem, arguments)
+        if tried.status in _DONE:
+            reached = tried
+    if reached is None:
+        return problem.solve(**arguments, guess=guess)
+    return problem.solve(**arguments | {"mesh": reached.mesh}, warm_start=reached)
+
+
+def _as_far_as(stopped: Solution, problem: Problem, arguments: dict[str, Any]) -> Solution:
+    """Return a solve that was stopped under easier numbers, read under the mission's own."""
+    here = {"tolerance": None, "mesh": stopped.mesh, "options": SolverOptions(max_iterations=0)}
+    read = problem.solve(**arguments | here | {"progress": None}, warm_start=stopped)
+    return replace(read, status=stopped.status, message=stopped.message)
 
 
 def _trajectories(solution: Solution) -> Trajectories:

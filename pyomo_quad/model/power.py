@@ -34,6 +34,8 @@ _COLUMNS = ("a", "b", "c")
 # Half widths over which the floors of f_r are rounded: far below hover's 0.0187 N m and 0.14.
 TORQUE_FLOOR_WIDTH = 1e-4 * _TORQUE
 EFFICIENCY_FLOOR_WIDTH = 1e-3
+# Widths from which a corner at zero power is narrowed to the one asked for.
+_WIDER_SMOOTHINGS_W = (10.0, 3.0, 1.0, 0.3)
 
 _SMOOTHING = Parameter(
     name="smoothing",
@@ -101,6 +103,25 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
         case PowerModel.CONSTANT_EFFICIENCY:
             return (_CONSTANT_EFFICIENCY, *guard)
     return guard
+
+
+def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
+    """Return parameters under which a kinked power is easier to minimise, the easiest first.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Chooses the power model and its own width.
+
+    Returns
+    -------
+    tuple of mapping
+        Full component name to value [W]; empty where the power has no corner.
+    """
+    if _SMOOTHING not in parameters_of(scenario):
+        return ()
+    own = scenario.power.smoothing
+    return tuple({f"power.{_SMOOTHING.name}": w} for w in _WIDER_SMOOTHINGS_W if w > 2.0 * own)
 
 
 def declare_power(m: ConcreteModel, scenario: Scenario) -> None:

@@ -320,7 +320,24 @@ class Transcription:
             weights[integral] = -multipliers[self.first_integral_row + row]
         return weights
 
+    def path_curvatures(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
+        """Return how the Lagrangian curves in each variable of a point, per unit of the horizon.
+
+        Shape (n_points, n_variables), in the order of `path_variables`.
+        """
+        path = self.compiled.path
+        weights = self._path_weights(z, multipliers, self._sign)
+        held = self._path[2](self.path_variables(z), self._path_data, weights)[0]
+        curvatures = np.zeros((self.layout.points, path.values.size1_in(0)))
+        own = path.hessian_rows == path.hessian_columns
+        curvatures[:, path.hessian_rows[own]] = held[:, own]
+        return np.asarray(curvatures / self._weights()[:, None])
+
+    def integral_weights(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
+        """Return what each integral weighs in the Lagrangian, shape (n_integrals,)."""
+        return self._integral_weights(z, multipliers, self._sign)
+
     def lagrangian_density(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return integrands times what they weigh in the Lagrangian, shape (n_points,)."""
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
-        return np.asarray(densities @ self._integral_weights(z, multipliers, self._sign))
+        return np.asarray(densities @ self.integral_weights(z, multipliers))

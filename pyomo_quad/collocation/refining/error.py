@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 
 from pyomo_quad.collocation.mesh import FloatArray, radau_rule
 from pyomo_quad.collocation.program.compiled import MappedFunction
@@ -95,6 +97,8 @@ def _transition(solution: Solution, equations: Linearised, e: int) -> FloatArray
 
 # Samples per collocation point at which limits are checked.
 _SAMPLES = 4
+# Panels of an element on which integrals are computed anew.
+_PANELS = 4
 # Just inside an element's start, which itself belongs to the element before.
 _START = 1e-6
 
@@ -125,20 +129,30 @@ class ErrorEstimate:
     magnitude and its nominal one (1 unless declared); the others have shape (n_elements,).
     `violation` is that of path equations and bounds, relative to the larger of 1 and the
     bound.  `objective` is what an element's state errors change in the objective, which the
-    costates tell, times the number of elements and relative to the objective.  `miss` is
-    what they become at the end, as a share of what is allowed of which the tolerance is all.
+    costates tell, times the number of elements but never more than the sum over all of them,
+    and relative to the objective.  `integrals` is
+    the error of the quadrature likewise, of the objective and of every integral, the latter
+    relative to the larger of 1 and the integral.  `miss` is what the state errors become at the
+    end, as a share of what is allowed of which the tolerance is all.
     """
 
     states: FloatArray
     violation: FloatArray
     objective: FloatArray
+    integrals: FloatArray
     miss: FloatArray
 
     @property
     def per_element(self) -> FloatArray:
         """Largest of all, shape (n_elements,)."""
         return np.maximum.reduce(
-            [self.states.max(axis=1, initial=0.0), self.violation, self.objective, self.miss]
+            [
+                self.states.max(axis=1, initial=0.0),
+                self.violation,
+                self.objective,
+                self.integrals,
+                self.miss,
+            ]
         )
 
     @property
@@ -152,6 +166,10 @@ def estimate_error(
 ) -> ErrorEstimate:
     """Estimate the errors of a solution, element by element.
 
+    Polynomials may satisfy the differential equations while the weights at their points misjudge
+    an integrand, which is of a higher degree or has a corner between them: every integral is
+    computed again by Gauss' rule on panels of each element.
+
     Parameters
     ----------
     solution : Solution
@@ -164,11 +182,13 @@ def estimate_error(
     finer = _sampled(solution, [radau_rule(d + 1).points for d in degrees])
     # A limit is broken at the peaks of the polynomials, which lie anywhere between points.
     dense = _sampled(solution, [np.linspace(_START, 1.0, _SAMPLES * (d + 1) + 1) for d in degrees])
+    panels = _sampled(solution, [_panelled(d)[0] for d in degrees])
     moved = _state_corrections(solution, _slope_corrections(solution.program, finer))
     return ErrorEstimate(
         states=_relative(solution, moved),
         objective=_objective_errors(solution, moved),
         violation=_breaches(solution, dense, allowance),
+        integrals=_quadrature_errors(solution, panels),
         miss=_missed(solution, moved, tolerance / allowance.final_miss),
     )
 
@@ -181,6 +201,15 @@ class _Samples:
     data: FloatArray
     rows: FloatArray
     first_of_element: NDArray[np.intp]
+
+
+@lru_cache(maxsize=64)
+def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
+    """Return Gauss' points on panels of an element, its end beside them, and the weights."""
+    points, weights = leggauss(degree + 1)
+    inner = (np.arange(_PANELS)[:, None] + 0.5 * (1.0 + points)) / _PANELS
+    places = np.append(inner.ravel(), 1.0)
+    return places, np.append(np.tile(0.5 * weights / _PANELS, _PANELS), 0.0)
 
 
 def _sampled(solution: Solution, places: list[FloatArray]) -> _Samples:
@@ -241,7 +270,46 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
         return np.zeros(mesh.elements)
     ends = solution.costates.at_points[mesh.first_node[1:] - 1]
     changes = np.abs(np.sum(ends * np.array([m[-1] for m in moved]), axis=1))
-    return np.asarray(changes * mesh.elements / solution.nominal_objective)
+    return _of_all(changes / solution.nominal_objective)
+
+
+def _of_all(shares: FloatArray) -> FloatArray:
+    """Return what each element would make of a sum, were all like it, up to the sum itself."""
+    return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
+
+
+def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
+    """Return what each element's quadrature errs by in the objective or an integral, relative."""
+    program, mesh = solution.program, solution.mesh
+    first = program.compiled.n_equations
+    held = program.rows_at_points(solution.unknowns)[:, first:]
+    if held.shape[1] == 0:
+        return np.zeros(mesh.elements)
+    coarse = np.add.reduceat(mesh.quadrature_weights[:, None] * held, mesh.first_node[:-1])
+    weights = np.concatenate(
+        [width * _panelled(d)[1] for width, d in zip(mesh.widths, mesh.degrees, strict=True)]
+    )
+    densities = _integrands(program, samples)
+    missing = np.add.reduceat(weights[:, None] * densities, samples.first_of_element) - coarse
+    prices = program.integral_weights(solution.unknowns, solution.multipliers.rows)
+    own = np.maximum(1.0, np.abs(coarse.sum(axis=0)))
+    shares = np.column_stack([missing @ prices / solution.nominal_objective, missing / own])
+    return np.asarray(_of_all(np.abs(shares)).max(axis=1))
+
+
+def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
+    """Return the integrands, at variables within their limits where they have no value beyond."""
+    compiled, n = program.compiled, program.layout.n_states
+    densities = samples.rows[:, compiled.n_equations :]
+    if np.all(np.isfinite(densities)):
+        return densities
+    count = len(samples.variables)
+    low, high, *_ = MappedFunction(compiled.variable_limits, count)(samples.data)
+    variables = samples.variables.copy()
+    chosen = slice(n, 2 * n + program.layout.n_algebraics)
+    variables[:, chosen] = np.clip(variables[:, chosen], low, high)
+    rows = MappedFunction(compiled.path.values, count)(variables, samples.data)[0]
+    return np.nan_to_num(rows[:, compiled.n_equations :], nan=np.inf)
 
 
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:

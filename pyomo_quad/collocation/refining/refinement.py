@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from pyomo_quad.collocation.guess import WarmStart
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.program.compiled import CompiledModel
     from pyomo_quad.collocation.program.transcription import Transcription
 
 
@@ -67,7 +66,10 @@ class Damping:
 
 
 def damping_of(solution: Solution, weight: float) -> Damping | None:
-    """Return the damping toward a solution; None where it has no bounded linear control.
+    """Return the damping toward a solution; None where no bounded control is nearly linear.
+
+    Beside a corner of the cost, which curves at the corner alone, a control chatters like one that
+    enters linearly.
 
     Parameters
     ----------
@@ -77,20 +79,24 @@ def damping_of(solution: Solution, weight: float) -> Damping | None:
     """
     lower, upper = solution.algebraic_limits
     width = upper - lower
-    is_damped = _is_linear(solution.problem.compiled) & np.isfinite(width) & (width > 0.0)
-    controls = np.flatnonzero(is_damped)
-    if weight == 0.0 or controls.size == 0:
+    is_bounded = np.isfinite(width) & (width > 0.0)
+    if weight == 0.0 or not np.any(is_bounded):
         return None
-    prices = 2.0 * weight * solution.nominal_objective / width[controls] ** 2
-    return Damping(solution=solution, controls=controls, prices=prices)
+    prices = np.zeros(width.size)
+    prices[is_bounded] = 2.0 * weight * solution.nominal_objective / width[is_bounded] ** 2
+    controls = np.flatnonzero(is_bounded & (_least_curvatures(solution) < prices))
+    if controls.size == 0:
+        return None
+    return Damping(solution=solution, controls=controls, prices=prices[controls])
 
 
-def _is_linear(compiled: CompiledModel) -> NDArray[np.bool_]:
-    """Say of each algebraic variable if no equation or integrand over time curves in it."""
-    declared, path = compiled.declared, compiled.path
-    first = 2 * len(declared.states)
-    curved = path.hessian_columns[path.hessian_rows == path.hessian_columns]
-    return ~np.isin(first + np.arange(len(declared.algebraics)), curved)
+def _least_curvatures(solution: Solution) -> FloatArray:
+    """Return how little the Lagrangian curves in each algebraic variable, at any point."""
+    program = solution.program
+    first = 2 * program.layout.n_states
+    controls = slice(first, first + program.layout.n_algebraics)
+    curvatures = program.path_curvatures(solution.unknowns, solution.multipliers.rows)
+    return np.asarray(curvatures[:, controls].min(axis=0))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -118,6 +118,10 @@ _CORNER_PARTS = 3
 _CORNER_DEGREE = 4
 # A control that changes by more than this share of its range jumps.
 _JUMP_SHARE = 0.25
+# States that curve by less than this multiple of the breach of a limit curve on its account.
+_STRAIGHT = 3.0
+# One degree more lets the weights integrate polynomials of two degrees more.
+_QUADRATURE_GAIN = 2.0
 # Half the width of the sliver around a jump, as a share of the element.
 _SLIVER = 0.02
 
@@ -221,9 +225,17 @@ def _finer(
         return [_Piece(mesh.breakpoints[e + 1], degree, size, is_changed=True)]
     if size <= tolerance:
         return _parts(mesh, e, _CORNER_PARTS, min(degree, _CORNER_DEGREE), size)
+    sizes = _legendre_sizes(solution, e)
+    if degree == 2 and error.violation[e] == size and sizes[2] < _STRAIGHT * size:
+        # Straight lines keep the limits that their ends keep.
+        return _parts(mesh, e, 2, 1, size)
     decades = math.log10(size / (_AIM * tolerance))
-    decay = _decay(_legendre_sizes(solution, e))
-    wanted = degree + max(1, math.ceil(decades / max(decay, 1e-3)))
+    decay = _decay(sizes)
+    gain = decay
+    if error.integrals[e] == size:
+        decay = _decay(_integrand_sizes(solution, e))
+        gain = _QUADRATURE_GAIN * decay
+    wanted = degree + max(1, math.ceil(decades / max(gain, 1e-3)))
     if decay >= options.smooth_decay and wanted <= options.max_degree:
         return [_Piece(mesh.breakpoints[e + 1], wanted, size, is_changed=True)]
     parts = min(4, max(2, math.ceil(10.0 ** (decades / (degree + 1.0)))))
@@ -268,6 +280,18 @@ def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
     nominal = np.array([s.nominal or 1.0 for s in solution.problem.compiled.declared.states])
     size = np.maximum(np.abs(states).max(axis=0, initial=0.0), nominal)
     return np.asarray(np.abs(coefficients / size).max(axis=1), dtype=float)
+
+
+def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
+    """Return the relative sizes of the integrands' Legendre coefficients, worst integral each."""
+    mesh, program = solution.mesh, solution.program
+    points = slice(mesh.first_node[e], mesh.first_node[e + 1])
+    held = program.rows_at_points(solution.unknowns)[points, program.compiled.n_equations :]
+    degree = mesh.degrees[e]
+    matrix = legendre.legvander(2.0 * radau_rule(degree).points - 1.0, degree - 1)
+    size = np.abs(held).max(axis=0)
+    coefficients = np.linalg.solve(matrix, held / np.where(size > 0.0, size, 1.0))
+    return np.asarray(np.abs(coefficients).max(axis=1), dtype=float)
 
 
 def _decay(sizes: FloatArray) -> float:

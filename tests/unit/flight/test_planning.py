@@ -11,6 +11,7 @@ from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.collocation import Mesh, Status, Trajectory
 from pyomo_quad.flight import PlanStatus, planning
 from pyomo_quad.flight.planning import Rescuer, solve_scenario
+from pyomo_quad.model.power import wider_smoothings
 from tests.command import IMPOSSIBLE, PAPER_CALM
 
 TOO_SHORT = [setting.removeprefix("--set=") for setting in IMPOSSIBLE]
@@ -179,3 +180,39 @@ def test_an_interruption_ends_the_rescue(diagnosed):
     rescued = Solves(slowly=stopped).rescuer()(FAILED)
     assert rescued.solution is stopped
     assert rescued.failure is None
+
+
+KINKED = ["power.model='constant_efficiency'", "power.regeneration=false"]
+LOST_BEFORE = ["mission.goal.position=[4.187, -7.089, -35.413]", "mission.duration=13.389"]
+
+
+@pytest.mark.slow
+def test_a_kinked_power_is_reached_from_wider_corners():
+    plan = solve_scenario(load_scenario(PAPER_CALM, [*KINKED, *LOST_BEFORE]))
+    assert plan.is_verified
+    assert plan.attempts == ()
+    credited = [*KINKED[:1], "power.regeneration=true", *LOST_BEFORE]
+    assert plan.energy > solve_scenario(load_scenario(PAPER_CALM, credited)).energy
+
+
+def test_a_solve_stopped_on_the_way_has_the_mission_s_own_numbers():
+    scenario = load_scenario(PAPER_CALM, KINKED)
+    plan = solve_scenario(scenario, progress=lambda iteration: iteration.iteration < 3)
+    assert plan.status is PlanStatus.INTERRUPTED
+    assert plan.solution.instance.overrides["power.smoothing"] == scenario.power.smoothing
+
+
+@pytest.mark.parametrize(("value", "widths"), [(0.1, [10, 3, 1, 0.3]), (1.0, [10, 3]), (8.0, [])])
+def test_corners_are_narrowed_to_the_one_asked_for(value, widths):
+    scenario = load_scenario(PAPER_CALM, [*KINKED, f"power.smoothing={value}"])
+    assert wider_smoothings(scenario) == tuple({"power.smoothing": w} for w in widths)
+    assert wider_smoothings(load_scenario(PAPER_CALM)) == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("duration", "status"), [(3.41, "infeasible"), (3.44, "verified")])
+def test_the_least_time_parts_what_can_be_flown_from_what_cannot(duration, status):
+    plan = solve_scenario(load_scenario(PAPER_CALM, [f"mission.duration={duration}"]))
+    assert plan.status.value == status
+    if plan.failure is not None:
+        assert 3.41 < plan.failure.shortest_duration_s < 3.44
