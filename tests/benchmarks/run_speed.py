@@ -37,10 +37,17 @@ def spent(python, command, scenario, *options):
     arguments = [python, "-m", "pyomo_quad", command, str(SCENARIOS / scenario), *options]
     with tempfile.TemporaryDirectory() as folder:
         before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-        subprocess.run(
-            arguments, cwd=folder, capture_output=True, check=True, env=os.environ | ONE_THREAD
+        finished = subprocess.run(
+            arguments,
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+            env=os.environ | ONE_THREAD,
         )
         wall, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    if finished.returncode != 0:
+        raise SystemExit(f"{' '.join(arguments)} failed:\n{finished.stderr}")
     return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime, wall
 
 
