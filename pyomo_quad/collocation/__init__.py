@@ -9,6 +9,7 @@ from typing import Any
 from pyomo_quad.collocation.diagnosis import ActiveLimit, Diagnosis, Relaxation, Residual, diagnose
 from pyomo_quad.collocation.dynamics import Dynamics, Violation
 from pyomo_quad.collocation.errors import EngineError, SolveError, TranscriptionError
+from pyomo_quad.collocation.feedback import ClosedLoop, Law
 from pyomo_quad.collocation.guess import WarmStart
 from pyomo_quad.collocation.mesh import (
     Mesh,
@@ -27,10 +28,12 @@ from pyomo_quad.collocation.solution import MeshRecord, Solution
 __all__ = [
     "ActiveLimit",
     "Allowance",
+    "ClosedLoop",
     "Diagnosis",
     "Dynamics",
     "EngineError",
     "Iteration",
+    "Law",
     "Mesh",
     "MeshRecord",
     "Problem",

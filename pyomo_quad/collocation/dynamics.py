@@ -103,10 +103,25 @@ class Dynamics:
         """
         return t + 2.0 * BESIDE * self._span if self._instance.jumps else t
 
+    def moment(self, t: float) -> list[float]:
+        """Return what the equations read of a time: its share of the horizon, and the signals."""
+        fraction = (t - self.start) / self._span
+        return [fraction, *self._signals(fraction)]
+
+    def symbol(self, name: str, size: int) -> Any:
+        """Return a column of CasADi symbols of the kind that `written` takes."""
+        is_explicit = self._right_hand_side.is_a("SXFunction")
+        return (casadi.SX if is_explicit else casadi.MX).sym(name, size)
+
+    def written(self, moment: Any, x: Any, u: Any) -> tuple[Any, Any]:
+        """Return dx/dt and the objective's integrand as CasADi expressions of their symbols."""
+        data = casadi.vertcat(moment, self._instance.parameters)
+        unknowns, density = self._right_hand_side(x, u, self._statics, data)
+        return unknowns[: x.shape[0]] / self._span, density / self._span
+
     def _row(self, t: float) -> FloatArray:
-        self._data[0] = (t - self.start) / self._span
-        for k, number in enumerate(self._signals(float(self._data[0])), start=1):
-            self._data[k] = number
+        moment = self.moment(t)
+        self._data[: len(moment)] = moment
         return self._data
 
     def _solve(self, t: float, x: FloatArray, u: FloatArray) -> list[FloatArray]:

@@ -1,5 +1,6 @@
 """The flights that an optimum is compared with: a reference under feedback, the plan without."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from math import nan
@@ -9,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from pyomo_quad.collocation import Dynamics, SolveError
+from pyomo_quad.collocation import ClosedLoop, Dynamics, Law, SolveError
 from pyomo_quad.flight.controller import (
+    COMMAND_SIZE,
+    CONTROLLER_STATES,
     MEASURED_STATES,
     AdaptiveController,
     VehicleDynamics,
+    feedback_law,
     mixer_matrix,
-    rotor_columns,
 )
 from pyomo_quad.flight.flight import POSITION_STATES, Flight, Flown, flight_frame
 from pyomo_quad.flight.plan import Plan
@@ -160,7 +163,8 @@ def fly(
     Parameters
     ----------
     dynamics : VehicleDynamics
-        The declared equations, with the wind that really blows.
+        The declared equations, with the wind that really blows.  The controller's law is compiled
+        with the engine's own; any other vehicle is flown with the law evaluated in numbers.
     controller : AdaptiveController
         Starts with nothing learnt.
     reference : callable
@@ -183,7 +187,7 @@ def fly(
         If the integration breaks down before the last time, or takes so many evaluations that
         the vehicle must be tumbling.
     """
-    loop = _ClosedLoop(dynamics, controller, reference, duration=times[-1] - times[0])
+    loop = _Loop(dynamics, controller, reference, duration=times[-1] - times[0])
     solution = solve_ivp(
         loop.rates,
         (times[0], times[-1]),
@@ -201,7 +205,7 @@ def fly(
     return loop.flight(times, solution.y.T)
 
 
-class _ClosedLoop:
+class _Loop:
     """The right-hand side; its state is vehicle, controller, energy, one after the other."""
 
     def __init__(
@@ -212,12 +216,16 @@ class _ClosedLoop:
         *,
         duration: float,
     ) -> None:
-        self._dynamics = dynamics
         self._controller = controller
         self._reference = reference
         self._size = len(dynamics.state_names)
         self._body = [list(dynamics.state_names).index(name) for name in MEASURED_STATES]
-        self._rotors = rotor_columns(dynamics)
+        law = feedback_law(controller, dynamics)
+        self._system = (
+            ClosedLoop(dynamics, law, n_command=COMMAND_SIZE, n_own=len(CONTROLLER_STATES))
+            if isinstance(dynamics, Dynamics)
+            else _Interpreted(dynamics, law)
+        )
         self._evaluations = 0
         self._most_evaluations = _MOST_EVALUATIONS_PER_SECOND * max(1.0, duration)
 
@@ -235,32 +243,46 @@ class _ClosedLoop:
                 f"{self._most_evaluations:g} evaluations; check the gains and limits of the "
                 "scenario."
             )
-        alpha, controller_rates = self._law(t, joint)
-        rates, power = self._dynamics.rates_and_integrand(t, joint[: self._size], np.array(alpha))
-        return np.array([*rates.tolist(), *controller_rates, power])
+        return self._system.rates(t, joint, self._controller.command(self._reference, t))
 
     def flight(self, times: FloatArray, rows: FloatArray) -> ClosedLoopFlight:
         """Return a flight of the joint states at some times."""
+        commands = np.array([self._controller.command(self._reference, t) for t in times.tolist()])
         return ClosedLoopFlight(
             flown=Flown(
                 t=times,
                 states=rows[:, : self._size],
-                controls=np.array([self._law(t, y)[0] for t, y in zip(times, rows, strict=True)]),
+                controls=self._system.controls(times, rows, commands),
                 energy=rows[:, -1],
             ),
             controller_states=rows[:, self._size : -1],
             evaluations=self._evaluations,
         )
 
-    def _law(self, t: float, joint: FloatArray) -> tuple[list[float], list[float]]:
+
+class _Interpreted:
+    """A vehicle that is not compiled, under a law evaluated as it is written."""
+
+    def __init__(self, dynamics: VehicleDynamics, law: Law) -> None:
+        self._dynamics = dynamics
+        self._law = law
+        self._size = len(dynamics.state_names)
+
+    def rates(self, t: float, joint: FloatArray, command: Sequence[float]) -> FloatArray:
+        """Return the derivative of the joint state."""
+        alpha, own_rates = self._applied(joint, command)
+        rates, power = self._dynamics.rates_and_integrand(t, joint[: self._size], np.array(alpha))
+        return np.array([*rates.tolist(), *own_rates, power])
+
+    def controls(self, _times: FloatArray, rows: FloatArray, commands: FloatArray) -> FloatArray:
+        """Return what is applied at n times, shape (n, n_controls)."""
+        return np.array([self._applied(y, c)[0] for y, c in zip(rows, commands, strict=True)])
+
+    def _applied(
+        self, joint: FloatArray, command: Sequence[float]
+    ) -> tuple[Sequence[float], Sequence[float]]:
         values = joint.tolist()
-        return self._controller(
-            self._reference,
-            t,
-            [values[k] for k in self._body],
-            [values[k] for k in self._rotors],
-            values[self._size : -1],
-        )
+        return self._law(command, values[: self._size], values[self._size : -1])
 
 
 OPEN_LOOP = "open_loop/plan"

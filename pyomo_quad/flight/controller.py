@@ -1,13 +1,20 @@
-"""The adaptive controller that stands in for the one the paper cites."""
+"""The adaptive controller that stands in for the one the paper cites.
 
-from collections.abc import Sequence
+Its law is written once, with arithmetic and NumPy's functions of single numbers and without a
+branch on any of them: called with numbers it gives numbers, called with the engine's symbols it is
+compiled together with the vehicle.
+"""
+
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import asin, atan2, cos, exp, hypot, inf, sin, sqrt, tan, tanh
+from functools import reduce
+from math import exp, inf, tan
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pyomo_quad.collocation import Law
 from pyomo_quad.flight.references import ReferencePath, Setpoint
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Limits
@@ -118,20 +125,19 @@ class Allocation:
             Speeds within the limits, rad/s.
         """
         low, high = self._lowest, self._highest
-        roll = min(max(moments[0], -self._roll_max), self._roll_max)
-        pitch = min(max(moments[1], -self._pitch_max), self._pitch_max)
-        yaw = min(max(moments[2], -self._yaw_max), self._yaw_max)
-        tilting = [a * roll + b * pitch for a, b in zip(self._roll, self._pitch, strict=True)]
-        span = max(tilting) - min(tilting)
-        if span > high - low:
-            tilting = [(high - low) / span * change for change in tilting]
-        least, most = (low - min(tilting)) / self._share, (high - max(tilting)) / self._share
-        equal = self._share * max(least, min(most, thrust, self._thrust_max))
+        roll = _clipped(moments[0], -self._roll_max, self._roll_max)
+        pitch = _clipped(moments[1], -self._pitch_max, self._pitch_max)
+        yaw = _clipped(moments[2], -self._yaw_max, self._yaw_max)
+        wanted = [a * roll + b * pitch for a, b in zip(self._roll, self._pitch, strict=True)]
+        fitting = (high - low) / np.fmax(_largest(wanted) - _least(wanted), high - low)
+        tilting = [fitting * change for change in wanted]
+        least = (low - _least(tilting)) / self._share
+        most = (high - _largest(tilting)) / self._share
+        equal = self._share * np.fmax(least, _least((most, thrust, self._thrust_max)))
         squares = [change + equal for change in tilting]
-        yawing = [share * yaw for share in self._yaw]
-        fitting = min(1.0, _step_within(squares, yawing, low, high))
-        turned = (square + fitting * change for square, change in zip(squares, yawing, strict=True))
-        return [sqrt(min(max(square, low), high)) for square in turned]
+        yaw = _clipped(yaw, *_steps_within(squares, self._yaw, low, high))
+        turned = (square + share * yaw for square, share in zip(squares, self._yaw, strict=True))
+        return [np.sqrt(_clipped(square, low, high)) for square in turned]
 
     def tilting_moment_at(self, thrust: float) -> tuple[float, float]:
         """Return the largest roll and pitch moment that leave the thrust as it is.
@@ -147,25 +153,37 @@ class Allocation:
             Each available on its own, N m.
         """
         squares = [self._share * thrust] * len(self._roll)
-        roll = _step_within(squares, self._roll, self._lowest, self._highest)
-        pitch = _step_within(squares, self._pitch, self._lowest, self._highest)
+        _, roll = _steps_within(squares, self._roll, self._lowest, self._highest)
+        _, pitch = _steps_within(squares, self._pitch, self._lowest, self._highest)
         return min(roll, self._roll_max), min(pitch, self._pitch_max)
 
 
-def _step_within(
+def _steps_within(
     values: Sequence[float], direction: Sequence[float], low: float, high: float
-) -> float:
-    """Return how far values may go along a direction before the first meets a bound."""
-    rooms = (
-        ((high - value) if change > 0 else (low - value)) / change
-        for value, change in zip(values, direction, strict=True)
-        if change != 0.0
-    )
-    return max(0.0, min(rooms, default=inf))
+) -> tuple[float, float]:
+    """Return how far values may go back and forth along a direction, known when written."""
+    ways = [(value, share) for value, share in zip(values, direction, strict=True) if share != 0.0]
+    back = [((low if share > 0 else high) - value) / share for value, share in ways]
+    forth = [((high if share > 0 else low) - value) / share for value, share in ways]
+    return np.fmin(_largest(back), 0.0), np.fmax(_least(forth), 0.0)
+
+
+def _clipped(number: float, low: float, high: float) -> float:
+    return np.fmin(np.fmax(number, low), high)
+
+
+def _least(numbers: Iterable[float]) -> float:
+    return reduce(np.fmin, numbers)
+
+
+def _largest(numbers: Iterable[float]) -> float:
+    return reduce(np.fmax, numbers)
 
 
 # Below this share of the limit `bend` changes nothing, so that small signals stay linear.
 _LINEAR_SHARE = 0.8
+# Least value of a divisor that may vanish, far below any acceleration in m/s^2 that matters.
+_NOUGHT = 1e-12
 # Width of the layer below the bound in which `project` turns outward motion aside.
 _PROJECTION_LAYER = 0.1
 
@@ -187,12 +205,9 @@ def bend(magnitude: float, limit: float) -> float:
         derivatives are continuous.
     """
     straight = _LINEAR_SHARE * limit
-    excess = abs(magnitude) - straight
-    if excess <= 0:
-        return magnitude
     rest = limit - straight
-    bent = straight + rest * tanh(excess / rest)
-    return bent if magnitude > 0 else -bent
+    untouched = _clipped(magnitude, -straight, straight)
+    return untouched + rest * np.tanh((magnitude - untouched) / rest)
 
 
 def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
@@ -218,7 +233,7 @@ def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
     Along the returned curve the deceleration r dr/de equals a/2 q (2 + q) / (1 + q)^2 with
     q = gain^2 |e| / a: it never exceeds half of what is available, whatever the gain.
     """
-    return gain * error / sqrt(1 + gain**2 * abs(error) / acceleration_max)
+    return gain * error / np.sqrt(1 + gain**2 * np.abs(error) / acceleration_max)
 
 
 def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> list[float]:
@@ -244,10 +259,8 @@ def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> l
     outward = sum(d * r for d, r in zip(estimate, rate, strict=True))
     inner = bound * (1 - _PROJECTION_LAYER)
     size_squared = sum(d * d for d in estimate)
-    depth = (size_squared - inner**2) / (bound**2 - inner**2)
-    if depth <= 0 or outward <= 0:
-        return list(rate)
-    turned = min(depth, 1.0) * outward / size_squared
+    depth = _clipped((size_squared - inner**2) / (bound**2 - inner**2), 0.0, 1.0)
+    turned = depth * np.fmax(outward, 0.0) / np.fmax(size_squared, inner**2)
     return [r - turned * d for d, r in zip(estimate, rate, strict=True)]
 
 
@@ -259,8 +272,7 @@ STATES_PER_LOOP = 3 * _AXES
 class BacksteppingLoop:
     """Adaptive backstepping of three double integrators; see the module for law and proof.
 
-    Its states, in order: xi_p (3), xi_v (3), d_hat (3).  Plain floats: on three axes they are
-    several times as fast as arrays, and the loop is evaluated thousands of times in a flight.
+    Its states, in order: xi_p (3), xi_v (3), d_hat (3).
     """
 
     outer: tuple[float, float, float]
@@ -358,7 +370,7 @@ class BacksteppingLoop:
 def _shrink(vector: Sequence[float], reach: float) -> float:
     """Return sigma(v) / v."""
     a, b, c = vector
-    return 1 / sqrt(1 + (a * a + b * b + c * c) / reach**2)
+    return 1 / np.sqrt(1 + (a * a + b * b + c * c) / reach**2)
 
 
 # Share of the weight that the thrust must keep carrying: a falling quadrotor cannot steer.
@@ -378,11 +390,11 @@ def thrust_direction(roll: float, pitch: float, yaw: float) -> tuple[float, floa
     tuple of three floats
         In world axes.
     """
-    ahead, aside = cos(roll) * sin(pitch), sin(roll)
+    ahead, aside = np.cos(roll) * np.sin(pitch), np.sin(roll)
     return (
-        ahead * cos(yaw) + aside * sin(yaw),
-        ahead * sin(yaw) - aside * cos(yaw),
-        cos(roll) * cos(pitch),
+        ahead * np.cos(yaw) + aside * np.sin(yaw),
+        ahead * np.sin(yaw) - aside * np.cos(yaw),
+        np.cos(roll) * np.cos(pitch),
     )
 
 
@@ -401,9 +413,13 @@ def tilt_toward(force: Sequence[float], yaw: float) -> tuple[float, float]:
     roll, pitch : float
         Inverse of `thrust_direction`, rad.
     """
-    ahead = force[0] * cos(yaw) + force[1] * sin(yaw)
-    aside = force[0] * sin(yaw) - force[1] * cos(yaw)
-    return asin(aside / hypot(*force)), atan2(ahead, force[2])
+    ahead = force[0] * np.cos(yaw) + force[1] * np.sin(yaw)
+    aside = force[0] * np.sin(yaw) - force[1] * np.cos(yaw)
+    return np.arcsin(aside / _size(force)), np.arctan2(ahead, force[2])
+
+
+def _size(vector: Sequence[float]) -> float:
+    return np.sqrt(_dot(vector, vector))
 
 
 class ThrustEnvelope:
@@ -438,20 +454,18 @@ class ThrustEnvelope:
             Parallel to it and inside the envelope.
         """
         ax, ay, az = acceleration
-        size = hypot(ax, ay, az)
-        if size == 0.0:
-            return 0.0, 0.0, 0.0
-        share = bend(size, self._reach(hypot(ax, ay) / size, az / size)) / size
+        size = np.fmax(_size(acceleration), _NOUGHT)
+        share = bend(size, self._reach(_size((ax, ay)) / size, az / size)) / size
         return share * ax, share * ay, share * az
 
     def _reach(self, along: float, upward: float) -> float:
         """Return the largest acceleration along a unit vector, given by its two parts."""
         rising = self._gravity * upward
-        by_thrust = sqrt(rising**2 + self._reserve) - rising
-        leaning = along - self._slope * upward
-        by_tilt = self._slope * self._gravity / leaning if leaning > 0 else inf
-        by_fall = (1 - _LEAST_SUPPORT) * self._gravity / -upward if upward < 0 else inf
-        return min(by_thrust, by_tilt, by_fall)
+        by_thrust = np.sqrt(rising**2 + self._reserve) - rising
+        leaning = np.fmax(along - self._slope * upward, _NOUGHT)
+        by_tilt = self._slope * self._gravity / leaning
+        by_fall = (1 - _LEAST_SUPPORT) * self._gravity / np.fmax(-upward, _NOUGHT)
+        return _least((by_thrust, by_tilt, by_fall))
 
 
 MEASURED_STATES = tuple(
@@ -480,6 +494,12 @@ _HORIZONTAL = (0, 1)
 _POSITION = slice(0, STATES_PER_LOOP)
 _ATTITUDE = slice(STATES_PER_LOOP, 2 * STATES_PER_LOOP)
 _COMMAND = slice(2 * STATES_PER_LOOP, len(CONTROLLER_STATES))
+
+COMMAND_SIZE = 14
+"""What the controller follows: place, rate and acceleration of a setpoint, four numbers each, and
+the accelerations along world x and y to come once a tilt commanded now has come about."""
+_SETPOINT = slice(0, 4), slice(4, 8), slice(8, 12)
+_AHEAD = slice(12, COMMAND_SIZE)
 
 
 class AdaptiveController:
@@ -544,10 +564,16 @@ class AdaptiveController:
             *body_rates[:2],
         ]
 
+    def command(self, reference: ReferencePath, t: float) -> list[float]:
+        """Return what to follow at time t, s: `COMMAND_SIZE` numbers."""
+        # Little ahead at the start, where the vehicle is level.
+        lead = self._tilt_lag * (1 - exp(-t / self._tilt_lag))
+        place, rate, acceleration = reference(t)
+        return [*place, *rate, *acceleration, *reference(t + lead).acceleration[:2]]
+
     def __call__(
         self,
-        reference: ReferencePath,
-        t: float,
+        command: Sequence[float],
         body: Sequence[float],
         omega: Sequence[float],
         states: Sequence[float],
@@ -556,10 +582,8 @@ class AdaptiveController:
 
         Parameters
         ----------
-        reference : callable
-            Time in s -> Setpoint, known in advance.
-        t : float
-            Time since the start, s.
+        command : sequence of 14 floats
+            What to follow, as `command` gives it.
         body : sequence of twelve floats
             The `MEASURED_STATES`.
         omega : sequence of four floats
@@ -574,7 +598,7 @@ class AdaptiveController:
         rates : list of 22 floats
             Derivatives of the controller's states by time.
         """
-        setpoint = reference(t)
+        setpoint = Setpoint(*(command[part] for part in _SETPOINT))
         squares = [speed * speed for speed in omega]
         thrust, *achieved_moments = (_dot(row, squares) for row in self._mixer)
         direction = thrust_direction(*body[6:9])
@@ -590,26 +614,21 @@ class AdaptiveController:
             ),
             states[_POSITION],
         )
-        ahead = reference(t + self._lead(t)).acceleration
         for axis in _HORIZONTAL:
-            wanted[axis] += ahead[axis] - setpoint.acceleration[axis]
+            wanted[axis] += command[_AHEAD][axis] - setpoint.acceleration[axis]
         ax, ay, az = self._envelope.limited(wanted)
         force = (self._mass * ax, self._mass * ay, self._mass * (az + self._gravity))
         tilt_acceleration, command_rates = self._filtered(force, body[8], states[_COMMAND])
         moments, attitude_rates = self._moments(
             setpoint, tilt_acceleration, body, achieved_moments, states
         )
-        command = self._allocation.rotor_speeds(_dot(force, direction), moments)
+        targets = self._allocation.rotor_speeds(_dot(force, direction), moments)
         most = self._rotor_acceleration_max
         alpha = [
-            min(max(self._rotor_gain * (target - speed), -most), most)
-            for target, speed in zip(command, omega, strict=True)
+            _clipped(self._rotor_gain * (target - speed), -most, most)
+            for target, speed in zip(targets, omega, strict=True)
         ]
         return alpha, [*position_rates, *attitude_rates, *command_rates]
-
-    def _lead(self, t: float) -> float:
-        """Return how far ahead to look, s; little at the start, where the vehicle is level."""
-        return self._tilt_lag * (1 - exp(-t / self._tilt_lag))
 
     def _filtered(
         self, force: Sequence[float], yaw: float, command: Sequence[float]
@@ -642,6 +661,19 @@ class AdaptiveController:
             states[_ATTITUDE],
         )
         return [inertia * a for inertia, a in zip(self._inertia, demand, strict=True)], rates
+
+
+def feedback_law(controller: AdaptiveController, dynamics: VehicleDynamics) -> Law:
+    """Return the controller as a law of a vehicle's states, in their order."""
+    body = [list(dynamics.state_names).index(name) for name in MEASURED_STATES]
+    rotors = rotor_columns(dynamics)
+
+    def law(
+        command: Sequence[float], x: Sequence[float], own: Sequence[float]
+    ) -> tuple[list[float], list[float]]:
+        return controller(command, [x[k] for k in body], [x[k] for k in rotors], own)
+
+    return law
 
 
 def _difference(value: Sequence[float], reference: Sequence[float]) -> list[float]:

@@ -17,6 +17,7 @@ there afterwards; yaw follows the same polynomial.
    ICRA 2011.
 """
 
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -131,16 +132,19 @@ class SampledPath:
         disturbances: ArrayLike | None = None,
     ) -> None:
         knots = np.asarray(times, dtype=float)
-        self._first, self._last = float(knots[0]), float(knots[-1])
         samples = np.stack([np.asarray(rows, float) for rows in (values, rates, accelerations)], 1)
         place = PPoly.from_bernstein_basis(BPoly.from_derivatives(knots, samples))
         expected = np.zeros_like(samples[:, 0]) if disturbances is None else disturbances
+        degree, coordinates = len(place.c) - 1, place.c.shape[-1]
         # One polynomial for all twelve numbers, since evaluating one costs as much as one number.
-        rows = np.zeros((len(place.c), len(knots) - 1, 3, place.c.shape[-1]))
+        rows = np.zeros((degree + 1, len(knots) - 1, 3, coordinates))
         rows[:, :, 0] = place.c
         rows[1:, :, 1] = place.derivative().c
         rows[2:, :, 2] = place.derivative(2).c - CubicSpline(knots, expected).c
-        self._rows = PPoly(rows, knots)
+        self._knots = knots.tolist()
+        self._exponents = np.arange(degree, -1.0, -1.0)
+        self._pieces = [rows[:, k].reshape(degree + 1, -1) for k in range(len(knots) - 1)]
+        self._coordinates = coordinates
 
     def __call__(self, t: float) -> Setpoint:
         """Return the setpoint at time t, s.
@@ -148,6 +152,8 @@ class SampledPath:
         Beyond the samples the nearest place is held with the acceleration asked for there:
         whoever looks ahead over the end is asked for nothing new.
         """
-        held = min(max(t, self._first), self._last)
-        place, rate, acceleration = self._rows(held).tolist()
-        return Setpoint(place, rate if held == t else _AT_REST, acceleration)
+        held = min(max(t, self._knots[0]), self._knots[-1])
+        k = min(bisect_right(self._knots, held), len(self._pieces)) - 1
+        row = ((held - self._knots[k]) ** self._exponents @ self._pieces[k]).tolist()
+        n = self._coordinates
+        return Setpoint(row[:n], row[n : 2 * n] if held == t else _AT_REST, row[2 * n :])

@@ -1,10 +1,22 @@
-"""The controller's plant against the optimiser, and against a second, flat writing of it."""
+"""The controller's plant against the optimiser, and against a second, flat writing of it.
+
+The flat writing is not compiled, and the controller's law is evaluated there in plain numbers.
+"""
+
+from time import process_time
 
 import numpy as np
 import pytest
 
-from pyomo_quad.flight.baselines import fly, fly_open_loop
-from pyomo_quad.flight.controller import AdaptiveController, mixer_matrix
+from pyomo_quad.collocation import ClosedLoop
+from pyomo_quad.flight.baselines import fly, fly_open_loop, start_state
+from pyomo_quad.flight.controller import (
+    COMMAND_SIZE,
+    CONTROLLER_STATES,
+    AdaptiveController,
+    feedback_law,
+    mixer_matrix,
+)
 from pyomo_quad.flight.references import quintic
 from pyomo_quad.scenario.tables import Reference
 from tests import flights
@@ -37,3 +49,58 @@ def test_a_controlled_flight_costs_the_same_through_a_second_writing_of_the_vehi
     place = declared.frame[["x_m", "y_m", "z_m"]].to_numpy()[::100]
     assert np.abs(flight.flown.states[:, :3] - place).max() < 1e-6
     assert flight.flown.energy[-1] == pytest.approx(declared.energy_J, rel=1e-6)
+
+
+def looped(name):
+    """Return a vehicle, the controller's law of it, and both compiled together."""
+    dynamics = flights.vehicle(name)
+    controller = AdaptiveController(flights.scenario(name), mixer_matrix(dynamics))
+    law = feedback_law(controller, dynamics)
+    loop = ClosedLoop(dynamics, law, n_command=COMMAND_SIZE, n_own=len(CONTROLLER_STATES))
+    return dynamics, law, loop
+
+
+def in_numbers(dynamics, law, t, joint, command):
+    n = len(dynamics.state_names)
+    alpha, own_rates = law(command.tolist(), joint[:n].tolist(), joint[n:-1].tolist())
+    rates, power = dynamics.rates_and_integrand(t, joint[:n], np.array(alpha))
+    return np.array([*rates, *own_rates, power]), np.array(alpha)
+
+
+# From hover without any error, where divisors vanish, to errors that saturate every limit.
+@pytest.mark.parametrize("size", [0.0, 1e-3, 0.1, 1.0, 10.0])
+@pytest.mark.parametrize("name", ["paper_calm", "paper_wind"])
+def test_the_law_compiled_is_the_law_in_numbers(name, size):
+    dynamics, law, loop = looped(name)
+    hover = start_state(flights.scenario(name), dynamics)
+    rotors = [k for k, state in enumerate(dynamics.state_names) if "omega" in state]
+    rng = np.random.default_rng(3)
+    for t in np.linspace(0.0, 10.0, 21):
+        joint = np.concatenate([hover, np.zeros(len(CONTROLLER_STATES) + 1)])
+        joint += size * rng.uniform(-1.0, 1.0, joint.size)
+        joint[rotors] += 30.0 * size * rng.uniform(-1.0, 1.0, len(rotors))
+        command = size * rng.uniform(-1.0, 1.0, COMMAND_SIZE)
+        expected, alpha = in_numbers(dynamics, law, t, joint, command)
+        found = loop.rates(t, joint, command)
+        assert np.isfinite(found).all()
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        applied = loop.controls(np.array([t]), joint[None, :], command[None, :])[0]
+        assert applied == pytest.approx(alpha, rel=1e-9, abs=1e-9)
+
+
+def test_compiled_the_law_takes_a_small_part_of_the_time_it_takes_in_numbers():
+    dynamics, law, loop = looped("paper_wind")
+    joint = np.concatenate(
+        [start_state(flights.scenario("paper_wind"), dynamics), np.ones(len(CONTROLLER_STATES) + 1)]
+    )
+    command = np.ones(COMMAND_SIZE)
+
+    def seconds(evaluate):
+        began = process_time()
+        for _ in range(50):
+            evaluate()
+        return process_time() - began
+
+    compiled = min(seconds(lambda: loop.rates(1.0, joint, command)) for _ in range(5))
+    plain = min(seconds(lambda: in_numbers(dynamics, law, 1.0, joint, command)) for _ in range(5))
+    assert compiled < plain / 5

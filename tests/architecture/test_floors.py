@@ -27,6 +27,7 @@ ENGINE = {
     "formulation": 3,
     "guess": 3,
     "dynamics": 3,
+    "feedback": 3,
     "solution": 3,
     "refining": 4,
     "problem": 5,
