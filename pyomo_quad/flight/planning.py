@@ -238,16 +238,19 @@ _STATUS = {
 
 
 class _Deadline:
-    """Stops a solve, and all that follows it, at the scenario's time limit or when told to."""
+    """Stops a solve, and all that follows it, at the scenario's time limit or when told to.
+
+    The time is the processor's, so that what else the machine does changes no answer.
+    """
 
     def __init__(self, scenario: Scenario, progress: Progress | None) -> None:
         self._limit_s = scenario.solver.time_limit
-        self._end = time.monotonic() + self._limit_s
+        self._end = time.thread_time() + self._limit_s
         self._progress = progress
         self.is_over = False
 
     def __call__(self, iteration: Iteration) -> bool:
-        self.is_over = self.is_over or time.monotonic() > self._end
+        self.is_over = self.is_over or time.thread_time() > self._end
         if self.is_over:
             return False
         return self._progress is None or self._progress(iteration) is not False
@@ -355,7 +358,7 @@ class Planner:
         -------
         Plan
             With its status; a failure of the numerics is a result, not an exception. One that
-            takes longer than `solver.time_limit` of wall time is not converged and says so;
+            takes longer than `solver.time_limit` of processor time is not converged and says so;
             nothing else depends on how fast the machine is.
         """
         deadline = _Deadline(scenario, progress)

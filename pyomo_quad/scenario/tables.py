@@ -277,7 +277,7 @@ class Solver(Part):
     max_iterations: WholeNumber = quantity("1", "Ipopt iterations per mesh", 150, ge=1, le=100_000)
     time_limit: Number = quantity(
         "s",
-        "time after which a solve, its fallbacks and its diagnosis are given up",
+        "processor time after which a solve, its fallbacks and its diagnosis end",
         300.0,
         gt=0,
         le=1e6,

@@ -23,7 +23,7 @@ class IterationClock:
     def __init__(self):
         self.now = 0.0
 
-    def monotonic(self):
+    def thread_time(self):
         return self.now
 
     def perf_counter(self):
