@@ -86,11 +86,6 @@ _EFFICIENCY_FUNCTION = (
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the scenario's power model declares in block `power`.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Chooses the power model.
-
     Returns
     -------
     tuple of Parameter
@@ -107,11 +102,6 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
     """Return parameters under which a kinked power is easier to minimise, the easiest first.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Chooses the power model and its own width.
 
     Returns
     -------
@@ -131,8 +121,6 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
     ----------
     m : ConcreteModel
         With `time`, `vehicle` and `rotors`.
-    scenario : Scenario
-        Chooses the power model.
     """
     b = m.power = Block(doc="power, eq. (8)")
     declare_parameters(b, parameters_of(scenario), scenario)

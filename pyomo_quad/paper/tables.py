@@ -44,11 +44,6 @@ def kilojoules(energy: float, digits: int = 3) -> str:
         J.
     digits : int, default 3
         Decimals.
-
-    Returns
-    -------
-    str
-        Two significant digits where the energy is beyond all reason, words where infinite.
     """
     if energy == -float("inf"):
         return "no minimum"
@@ -64,11 +59,6 @@ def metres(distance: float) -> str:
     ----------
     distance : float
         m, not negative.
-
-    Returns
-    -------
-    str
-        Two decimals, or two significant digits where that would say zero.
     """
     return fixed(distance) if distance >= _SMALLEST_PLAIN else rough(distance)
 
@@ -89,18 +79,7 @@ TABLES = {
 
 
 def paper_tables(study: PaperStudy) -> dict[str, pd.DataFrame]:
-    """Return every table of the report.
-
-    Parameters
-    ----------
-    study : PaperStudy
-        The results.
-
-    Returns
-    -------
-    dict
-        File name without suffix -> table, in the order of `TABLES`.
-    """
+    """Return every table of the report."""
     made = {
         "parameters": _parameters(),
         "experiments": _experiments(study),
@@ -116,20 +95,7 @@ def paper_tables(study: PaperStudy) -> dict[str, pd.DataFrame]:
 def find_flight(
     flights: Iterable[PaperFlight], experiment: Experiment, model: PowerModel
 ) -> PaperFlight:
-    """Return the optimal flight of an experiment under a power model.
-
-    Parameters
-    ----------
-    flights : iterable of PaperFlight
-        Where to look.
-    experiment, model
-        What to look for.
-
-    Returns
-    -------
-    PaperFlight
-        The first that fits.
-    """
+    """Return the optimal flight of an experiment under a power model."""
     return next(
         flown
         for flown in flights
@@ -140,20 +106,7 @@ def find_flight(
 def find_baseline(
     study: PaperStudy, experiment: Experiment, model: PowerModel, reference: Reference
 ) -> BaselineFlight:
-    """Return a controlled flight.
-
-    Parameters
-    ----------
-    study : PaperStudy
-        The results.
-    experiment, model, reference
-        What to look for.
-
-    Returns
-    -------
-    BaselineFlight
-        The one that fits.
-    """
+    """Return a controlled flight."""
     return next(
         flown
         for flown in study.baselines
@@ -164,13 +117,6 @@ def find_baseline(
 
 def baseline_saving(study: PaperStudy, flown: BaselineFlight) -> tuple[float, float]:
     """Return what the optimum saves against a controlled flight.
-
-    Parameters
-    ----------
-    study : PaperStudy
-        Has the optimum.
-    flown : BaselineFlight
-        The controlled flight.
 
     Returns
     -------
