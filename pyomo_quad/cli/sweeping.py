@@ -20,12 +20,17 @@ from rich.progress import (
 from pyomo_quad.cli.endings import ExitCode, raise_on_interrupt
 from pyomo_quad.cli.terminal import complain, error_console, positive_count
 from pyomo_quad.report.folder import final_folder, output_folder, refuse_output_folder
-from pyomo_quad.sweep.case import CaseOutcome, CaseStatus
-from pyomo_quad.sweep.design import Case
-from pyomo_quad.sweep.runner import SweepListener
 
 if TYPE_CHECKING:
-    from pyomo_quad.sweep import SweepDesign, SweepEstimate, SweepSummary, Workers
+    from pyomo_quad.sweep import (
+        SweepDesign,
+        SweepEstimate,
+        SweepListener,
+        SweepSummary,
+        Workers,
+    )
+    from pyomo_quad.sweep.case import CaseOutcome
+    from pyomo_quad.sweep.design import Case
     from pyomo_quad.sweep.study_file import LoadedStudy
 
 _REPORT_FOLDER = "report"
@@ -167,7 +172,7 @@ _SECONDS_OF_MEMORY = 60.0
 
 
 @contextmanager
-def follow_sweep(*, is_verbose: bool) -> Iterator[SweepListener]:
+def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
     """Show how a sweep goes on while the block runs."""
     console = error_console()
     if not console.is_terminal:
@@ -197,11 +202,11 @@ class _Counter:
         """Hear how many cases there are, and how many need not be solved any more."""
         self.total, self.done = total, already_ended
 
-    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
+    def case_ended(self, case: "Case", outcome: "CaseOutcome", done: int) -> None:
         """Hear that a case's row has been committed, and how many cases are done now."""
         self.done = done
         self._solved += 1
-        self.failed += outcome.status is not CaseStatus.FINISHED
+        self.failed += not outcome.is_finished
         if self._is_verbose:
             self._console.print(_line(case, outcome), markup=False, soft_wrap=True)
 
@@ -221,7 +226,7 @@ class _Bar(_Counter):
         super().start(total, already_ended)
         self._progress.update(self._bar, total=total, completed=already_ended)
 
-    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
+    def case_ended(self, case: "Case", outcome: "CaseOutcome", done: int) -> None:
         super().case_ended(case, outcome, done)
         self._progress.update(self._bar, completed=done, failed=self.failed, rate=self.rate)
 
@@ -233,7 +238,7 @@ class _Lines(_Counter):
         super().start(total, already_ended)
         self._write()
 
-    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
+    def case_ended(self, case: "Case", outcome: "CaseOutcome", done: int) -> None:
         super().case_ended(case, outcome, done)
         is_due = monotonic() - self._written_at > _SECONDS_BETWEEN_LINES
         if is_due or self.done == self.total:
@@ -249,7 +254,7 @@ class _Lines(_Counter):
         )
 
 
-def _line(case: Case, outcome: CaseOutcome) -> str:
+def _line(case: "Case", outcome: "CaseOutcome") -> str:
     fields = ", ".join(f"{path} = {value}" for path, value in case.overrides.items())
     ending = f"{outcome.status.value} in {outcome.seconds:.2f} s by {outcome.worker or 'nobody'}"
     return f"case {case.position}: {fields}: {ending}" + (

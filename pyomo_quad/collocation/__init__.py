@@ -6,6 +6,7 @@ parameters, horizons and meshes without being built again.
 
 from typing import Any
 
+from pyomo_quad.collocation.deferral import pyomo_unaware
 from pyomo_quad.collocation.diagnosis import ActiveLimit, Diagnosis, Relaxation, Residual, diagnose
 from pyomo_quad.collocation.dynamics import Dynamics, Violation
 from pyomo_quad.collocation.errors import EngineError, SolveError, TranscriptionError
@@ -54,6 +55,7 @@ __all__ = [
     "control_polynomial",
     "diagnose",
     "interpolate",
+    "pyomo_unaware",
     "real_array",
     "solve",
 ]

@@ -1,6 +1,12 @@
 """Which figures a report holds, in which order, and what stands under them."""
 
+import multiprocessing
+import os
+import signal
+import sys
+import warnings
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -53,7 +59,7 @@ PATH_NAME = "path"
 class Drawing:
     """A figure that can be drawn, and how the report presents it.
 
-    ``needs`` names the columns that it shows.
+    ``needs`` names the columns that it shows; ``is_vector`` asks for SVG beside PNG.
     """
 
     name: str
@@ -61,6 +67,7 @@ class Drawing:
     caption: str
     needs: tuple[str, ...] = ()
     draw: Callable[[], Figure]
+    is_vector: bool = True
 
     @property
     def picture(self) -> Picture:
@@ -171,20 +178,72 @@ def adaptation_drawing(study: pd.DataFrame) -> Drawing:
     )
 
 
-def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
-    """Draw figures and write each as PNG and SVG.
+# No figure takes a hundredth of it.
+_PATIENCE_S = 60.0
+_PLACES = 256  # a place in the queue is one byte
 
-    Parameters
-    ----------
-    drawings : iterable of Drawing
-        What to draw.
-    folder : Path
-        The report's folder; the figures get one of their own in it.
-    """
-    figures = folder / FIGURE_FOLDER
-    figures.mkdir(exist_ok=True)
-    for drawing in drawings:
-        save_figure(drawing.draw, figures, drawing.name)
+
+def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
+    """Draw figures, on all cores, into a folder of their own in that of the report."""
+    wanted = tuple(drawings)
+    if not wanted:
+        return
+    target = folder / FIGURE_FOLDER
+    target.mkdir(exist_ok=True)
+
+    def save(drawing: Drawing) -> None:
+        save_figure(drawing.draw, target, drawing.name, is_vector=drawing.is_vector)
+
+    if not _save_side_by_side(wanted, save):
+        for drawing in wanted:
+            save(drawing)
+
+
+def _save_side_by_side(drawings: tuple[Drawing, ...], save: Callable[[Drawing], None]) -> bool:
+    """Draw in this process and in copies of it, one per further core; False if a copy failed."""
+    queue, entrance = os.pipe()
+    os.write(entrance, bytes(range(min(len(drawings), _PLACES))))
+    os.close(entrance)
+
+    def work() -> None:
+        while place := os.read(queue, 1):
+            for drawing in drawings[place[0] :: _PLACES]:
+                save(drawing)
+
+    def work_apart() -> None:
+        # What an interrupt leaves behind is for the first process to clear away, and what goes
+        # wrong for it to meet again and to explain.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_DFL)
+        with suppress(Exception):
+            work()
+            return
+        os._exit(1)
+
+    # A copy has all libraries and all flights already; nothing that it draws needs Ipopt or BLAS.
+    context = multiprocessing.get_context("fork")
+    processes = [context.Process(target=work_apart) for _ in range(_cores(len(drawings)) - 1)]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which lie idle
+            for process in processes:
+                process.start()
+        work()
+        for process in processes:
+            process.join(_PATIENCE_S)
+    finally:
+        os.close(queue)
+        for process in processes:
+            if process.is_alive():
+                process.kill()
+    return all(process.exitcode == 0 for process in processes)
+
+
+def _cores(most: int) -> int:
+    """Return how many processes can draw: one alone where copies of it are unsafe or forbidden."""
+    if sys.platform != "linux" or multiprocessing.current_process().daemon:
+        return 1
+    return min(len(os.sched_getaffinity(0)), most)
 
 
 def _path(flights: Sequence[StyledFlight]) -> tuple[Drawing]:

@@ -288,22 +288,18 @@ def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
     }
 
 
-def save_figure(draw: Callable[[], Figure], folder: Path, name: str) -> None:
-    """Draw a figure in the house style and write it as PNG and SVG.
+def save_figure(
+    draw: Callable[[], Figure], folder: Path, name: str, *, is_vector: bool = True
+) -> None:
+    """Draw a figure in the house style and write it as ``NAME.png`` and, if wanted, ``NAME.svg``.
 
-    Parameters
-    ----------
-    draw : callable
-        Makes the figure; called with the style in force.
-    folder : Path
-        Where ``NAME.png`` and ``NAME.svg`` go.
-    name : str
-        File name without suffix.
+    ``draw`` makes the figure; it is called with the style in force.
     """
     with mpl.rc_context(_RC):
         figure = draw()
         _save_png(figure, folder / f"{name}.png")
-        figure.savefig(folder / f"{name}.svg", metadata=_SVG_METADATA)
+        if is_vector:
+            figure.savefig(folder / f"{name}.svg", metadata=_SVG_METADATA)
 
 
 def _save_png(figure: Figure, path: Path) -> None:

@@ -9,14 +9,14 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-
-from pyomo_quad.flight.flight import Flight
-from pyomo_quad.scenario import Scenario
 from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
+    import pandas as pd
+
+    from pyomo_quad.flight.flight import Flight
     from pyomo_quad.flight.plan import Failure, Plan
+    from pyomo_quad.scenario import Scenario
     from pyomo_quad.study.run import RunResult
 
 _NUMBER_FORMAT = "%.12g"
@@ -42,7 +42,7 @@ def neutral_cell(value: object) -> object:
     return value
 
 
-def write_table(frame: pd.DataFrame, path: Path) -> None:
+def write_table(frame: "pd.DataFrame", path: Path) -> None:
     """Write a table as CSV.
 
     Parameters
@@ -52,6 +52,8 @@ def write_table(frame: pd.DataFrame, path: Path) -> None:
     path : Path
         The file.
     """
+    import pandas as pd  # noqa: PLC0415  takes a quarter of a second, and not all commands need it
+
     safe = frame.rename(columns=neutral_cell)
     texts = [name for name, kind in safe.dtypes.items() if not pd.api.types.is_numeric_dtype(kind)]
     safe = safe.assign(**{str(name): safe[name].map(neutral_cell) for name in texts})
@@ -59,8 +61,8 @@ def write_table(frame: pd.DataFrame, path: Path) -> None:
 
 
 def flight_summary(
-    scenario: Scenario,
-    flight: Flight,
+    scenario: "Scenario",
+    flight: "Flight",
     *,
     hover_energy_J: float,
     arrived: bool,

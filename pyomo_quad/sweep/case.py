@@ -133,6 +133,11 @@ class CaseOutcome:
     seconds: float = 0.0
     worker: str = ""
 
+    @property
+    def is_finished(self) -> bool:
+        """Whether the case has a result."""
+        return self.status is CaseStatus.FINISHED
+
     @classmethod
     def failure(cls, task: CaseTask, reason: str) -> "CaseOutcome":
         """Make the row of a case that gave no result."""

@@ -20,6 +20,7 @@ FLOORS = {
 TOP = 6
 # The same inside the engine; files of one floor may import each other one way.
 ENGINE = {
+    "deferral": 0,
     "errors": 0,
     "mesh": 0,
     "reading": 1,

@@ -52,10 +52,66 @@ def test_unknown_name():
         _ = pyomo_quad.fly
 
 
-def test_importing_the_package_imports_no_solver():
-    program = "import sys, pyomo_quad; print(*sys.modules)"
+def modules_after(program):
+    """Return what a new Python has imported once it has run a program."""
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+        [sys.executable, "-c", f"{program}\nimport sys; print(*sys.modules)"],
+        capture_output=True,
+        text=True,
+        check=True,
     )
+    return set(done.stdout.split())
+
+
+def test_importing_the_package_imports_no_solver():
     slow = {"pyomo", "casadi", "cyipopt", "scipy", "pandas", "numpy", "pydantic"}
-    assert slow.isdisjoint(done.stdout.split())
+    assert slow.isdisjoint(modules_after("import pyomo_quad"))
+
+
+def test_naming_the_commands_imports_no_solver():
+    slow = {"pyomo", "pint", "casadi", "cyipopt", "scipy", "pandas", "matplotlib", "plotly"}
+    assert slow.isdisjoint(modules_after("import pyomo_quad.cli.app"))
+
+
+@pytest.mark.parametrize("first", ["pass", "import pyomo.environ", "import pyomo.core"])
+def test_solving_imports_neither_statistics_nor_plots(first):
+    slow = {"scipy.stats", "matplotlib", "plotly"}
+    assert slow.isdisjoint(modules_after(f"{first}\nimport pyomo_quad.cli.solving"))
+
+
+def test_pyomo_still_finds_what_it_was_kept_from():
+    program = (
+        "import pyomo_quad.cli.solving\n"
+        "from pyomo.common.dependencies import scipy, scipy_available\n"
+        "if not scipy_available or scipy.stats.norm.cdf(0.0) != 0.5: raise SystemExit(1)"
+    )
+    assert "scipy.stats" in modules_after(program)
+
+
+def test_units_made_before_and_after_the_import_belong_together():
+    program = (
+        "from pyomo.environ import units\n"
+        "before = units.km\n"
+        "import pyomo_quad.collocation\n"
+        "if units.convert_value(1.0, before, units.m) != 1000.0: raise SystemExit(1)"
+    )
+    modules_after(program)
+
+
+@pytest.mark.parametrize("cache", ["/dev/null/none", "rubbish"])
+def test_units_need_no_cache(cache, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", cache if cache.startswith("/") else str(tmp_path))
+    use = (
+        "import pyomo_quad.collocation\n"
+        "from pyomo.environ import units\n"
+        "if units.convert_value(1.0, units.hr, units.s) != 3600.0: raise SystemExit(1)"
+    )
+    modules_after(use)
+    for file in tmp_path.rglob("*.*"):
+        file.write_text(cache, encoding="utf-8")
+    modules_after(use)
+
+
+def test_public_names_are_listed():
+    assert set(pyomo_quad.__all__) <= set(dir(pyomo_quad))
+    assert all(getattr(pyomo_quad, name) is not None for name in dir(pyomo_quad))
