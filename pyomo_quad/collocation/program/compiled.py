@@ -278,7 +278,9 @@ def _unpacked(parts: Packed) -> CompiledModel:
 
 def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile declarations to CasADi functions."""
-    declared = _with_integral_variables(set_outputs_aside(declared))
+    if symbol_names(declared.objective) & _point_symbols(declared).keys():
+        declared = set_outputs_aside(declared)
+    declared = _with_integral_variables(declared)
     path_variables = _path_symbols(declared)
     point_variables = _point_symbols(declared)
     equations, path_simple = split_simple_bounds(

@@ -16,6 +16,7 @@ from pyomo.environ import (
     Block,
     ComponentUID,
     Constraint,
+    ConstraintList,
     Expression,
     Objective,
     Param,
@@ -52,10 +53,16 @@ def transfer_rules(model: Any, copy: Any) -> None:
                 rule = getattr(rule, _INNER)
             if hasattr(rule, _FUNCTION):
                 setattr(rule, _FUNCTION, translator.translate(getattr(rule, _FUNCTION)))
+        if isinstance(component, DerivativeVar):
+            # What a discretisation in space wrote instead of the derivative.
+            formula = translator.translate(component.get_derivative_expression())
+            component.set_derivative_expression(formula)
 
 
 def rule_of(component: Any) -> Any:
     """Return the rule that makes a component's members, None if there is none."""
+    if isinstance(component, ConstraintList):
+        return None  # Its rule counts its calls and knows no index.
     rule = getattr(component, "_rule", None)
     if rule is None and isinstance(getattr(component, "_default_val", None), FunctionType):
         return Initializer(component._default_val)  # noqa: SLF001
@@ -244,11 +251,16 @@ def _refuse_unknown(model: Any) -> None:
                 )
 
 
+def _is_over(component: Any, time: Any) -> bool:
+    """Say whether a component is indexed by time itself, not by a set of equal members."""
+    return any(part is time for part in component.index_set().subsets())
+
+
 def _drop_unknown(copy: Any, time: Any) -> None:
     """Delete what is not active and what Pyomo could not give another time."""
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, ActiveComponent) and component.ctype not in _UNDERSTOOD
-        if is_unknown and time in component.index_set().subsets():
+        if is_unknown and _is_over(component, time):
             component.parent_block().del_component(component)
 
 
@@ -261,7 +273,7 @@ def _refuse_unsupported(model: Any, time: Any) -> None:
                 "are not supported."
             )
     for block in model.component_objects(Block, active=True, descend_into=True):
-        if time is not None and block.is_indexed() and time in block.index_set().subsets():
+        if block.is_indexed() and _is_over(block, time):
             raise TranscriptionError(
                 f"{block.name}: a block indexed by {time.name} is not supported; index the "
                 "variables and constraints inside one block by time."
@@ -278,7 +290,7 @@ def _refuse_unsupported(model: Any, time: Any) -> None:
 def _keep_parameters(copy: Any, time: Any) -> None:
     """Let parameters over time enter expressions as themselves, immutable ones too."""
     for parameter in copy.component_objects(Param, descend_into=True):
-        if time not in parameter.index_set().subsets() or parameter.mutable:
+        if parameter.mutable or not _is_over(parameter, time):
             continue
         held = dict(parameter.items())
         parameter._mutable = True  # noqa: SLF001

@@ -6,8 +6,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import casadi
+from pyomo.core.expr.visitor import identify_variables
 from pyomo.dae import DerivativeVar
 from pyomo.environ import Constraint, Expression, Objective, Suffix, maximize, value
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.reading.copy import (
@@ -27,6 +30,10 @@ from pyomo_quad.collocation.reading.writer import TemplateWriter, same_expressio
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+
+# Of 1 and a constraint's size: what rounding may leave of it where all is fixed.
+_MET = 1e-9
 
 
 class RelationReader:
@@ -114,7 +121,8 @@ class RelationReader:
         """
         added = []
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
-        if first in instances and self._states_only(equation):
+        is_met = first in instances and _is_met_as_fixed(instances[first])
+        if first in instances and self._states_only(equation) and not is_met:
             added.append(self._imposed(self._condition(instances[first])))
         if last in instances:
             condition = self._condition(instances[last])
@@ -209,6 +217,13 @@ class RelationReader:
         )
 
 
+def _is_met_as_fixed(data: Any) -> bool:
+    """Say whether a constraint holds nothing but fixed variables, and holds."""
+    if not all(v.fixed and v.value is not None for v in identify_variables(data.body)):
+        return False
+    return bool(data.slack() >= -_MET * (1.0 + abs(value(data.body))))
+
+
 def read_declarations(model: Any, final_time: Any = None) -> tuple[Declarations, ModelReader]:
     """Read what a Pyomo model declares.
 
@@ -248,8 +263,11 @@ class ModelReader:
         relations = RelationReader(self.writer)
         equations, conditions = relations.constraints()
         objective = self._objective()
-        cost = casadi.SX(self.writer.write(objective.expr, objective.name))
+        cost = casadi.SX(0)
+        if objective is not None:
+            cost = casadi.SX(self.writer.write(objective.expr, objective.name))
         self._require_dynamics(equations)
+        self._require_variables()
         fixed = relations.values_at_points(conditions)
         self._read_expressions()
         table = self.symbols
@@ -272,8 +290,8 @@ class ModelReader:
             integrals=tuple(self.writer.integrals.values()),
             objective=cost,
             fixed=tuple(fixed),
-            maximise=objective.sense == maximize,
-            objective_name=objective.name,
+            maximise=objective is not None and objective.sense == maximize,
+            objective_name="" if objective is None else objective.name,
             has_horizon=self.copy.time is not None,
             # Last, because bounds may have brought in further parameters.
             parameters=tuple(table.parameters.values()),
@@ -298,28 +316,59 @@ class ModelReader:
         return {name: s for name, s in self.symbols.algebraics.items() if name in used}
 
     def _objective(self) -> Any:
+        """Return the active objective, None where only the equations are to be met."""
         objectives = list(
             self.copy.model.component_data_objects(Objective, active=True, descend_into=True)
         )
-        if len(objectives) != 1:
-            names = ", ".join(o.name for o in objectives) or "none"
+        if len(objectives) > 1:
+            names = ", ".join(o.name for o in objectives)
             raise TranscriptionError(
-                f"objective: {len(objectives)} active ({names}); exactly one is needed; declare "
-                "or activate one Objective."
+                f"objective: {len(objectives)} active ({names}); at most one is allowed; "
+                "deactivate the others."
             )
-        return objectives[0]
+        return objectives[0] if objectives else None
+
+    def _require_variables(self) -> None:
+        table = self.symbols
+        if not (table.states or table.algebraics or table.statics):
+            raise TranscriptionError(
+                "model: nothing to solve for; declare a Var that is not fixed and an active "
+                "Constraint or Objective that holds it."
+            )
 
     def _require_dynamics(self, equations: list[PathEquation]) -> None:
-        used: set[str] = set()
-        for equation in equations:
-            if equation.is_equality:
-                used |= symbol_names(equation.expression)
-        for state in self.symbols.states.values():
-            if state.rate.name() not in used:
+        read = [symbol_names(e.expression) for e in equations if e.is_equality]
+        used = frozenset[str]().union(*read)
+        states = self.symbols.states.values()
+        still = [s for s in states if s.rate.name() not in used]
+        moving = {s.component for s in states if s.rate.name() in used}
+        said = self._said_without_rates(still, read)
+        for state in still:
+            # At the ends of a discretised space an equation may say it all, without a rate.
+            if state.component not in moving or state.name not in said:
                 raise TranscriptionError(
                     f"{self._derivative_name(state)}: no equation over time holds this "
                     "derivative; declare its dynamics as an equality constraint."
                 )
+
+    def _said_without_rates(self, states: list[Slot], read: list[frozenset[str]]) -> frozenset[str]:
+        """Return which states find an equation of their own among those without rates.
+
+        A derivative in space takes one as well: the equation that its discretisation wrote.
+        """
+        rates = {s.rate.name() for s in self.symbols.states.values()}
+        algebraic = [names for names in read if not names & rates]
+        in_space = {
+            name
+            for name, slot in self.symbols.algebraics.items()
+            if isinstance(self.copy.model.find_component(slot.component), DerivativeVar)
+        }
+        wanted = sorted(in_space & frozenset[str]().union(*algebraic)) + [s.name for s in states]
+        if not algebraic or not states:
+            return frozenset()
+        holds = csr_matrix([[name in names for names in algebraic] for name in wanted], dtype=int)
+        found = maximum_bipartite_matching(holds, perm_type="column")
+        return frozenset(name for name, row in zip(wanted, found, strict=True) if row >= 0)
 
     def _derivative_name(self, state: Slot) -> str:
         for derivative in self.copy.model.component_objects(DerivativeVar, descend_into=True):

@@ -14,7 +14,7 @@ from pyomo.common.log import LoggingIntercept
 from pyomo.core.base.constraint import ConstraintData
 from pyomo.core.base.units_container import _PyomoUnit
 from pyomo.core.expr import numeric_expr
-from pyomo.core.expr.numvalue import native_types
+from pyomo.core.expr.numvalue import NumericConstant, native_types
 from pyomo.core.expr.visitor import StreamBasedExpressionVisitor
 from pyomo.dae import DerivativeVar
 from pyomo.dae import Integral as PyomoIntegral
@@ -128,9 +128,7 @@ class ExpressionWriter:
         if child.__class__ in native_types:
             return False, child
         if not child.is_expression_type():
-            if isinstance(child, _PyomoUnit):
-                return False, 1.0
-            return False, self._leaf(child)
+            return False, self._atom(child)
         if isinstance(child, numeric_expr.Expr_ifExpression):
             raise self._unsupported("Expr_if")
         if not child.is_named_expression_type():
@@ -143,6 +141,11 @@ class ExpressionWriter:
                 replacement = self._visitor.walk_expression(replacement)
             self._named[id(child)] = replacement
         return False, self._named[id(child)]
+
+    def _atom(self, child: Any) -> Any:
+        if isinstance(child, _PyomoUnit):
+            return 1.0
+        return child.value if isinstance(child, NumericConstant) else self._leaf(child)
 
     def _exit_node(self, node: Any, arguments: list[Any]) -> Any:
         if node.is_named_expression_type():
@@ -395,7 +398,7 @@ class TemplateWriter:
         component = expression.parent_component()
         if component is None:
             return None
-        if component.ctype is PyomoIntegral:
+        if component.ctype is PyomoIntegral and component.get_continuousset() is self.copy.time:
             return self._integral(component, expression.index())
         address = self.addresses.split(component, expression.index())
         rule = rule_of(component)
