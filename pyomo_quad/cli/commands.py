@@ -156,7 +156,7 @@ def compare(
     missions = [load_scenario(file, overrides or ()) for file in scenarios]
     refuse_output_folder(out)
     from pyomo_quad.cli import solving  # noqa: PLC0415  takes a second, see there
-    from pyomo_quad.report.comparison import write_comparison  # noqa: PLC0415
+    from pyomo_quad.report.report import write_comparison  # noqa: PLC0415
     from pyomo_quad.study.comparison import combine  # noqa: PLC0415
     from pyomo_quad.study.run import run_scenario  # noqa: PLC0415
 

@@ -33,7 +33,7 @@ from pyomo_quad.report.flight_figures import (
     is_calm,
 )
 from pyomo_quad.report.paths import BEAT_COUNT, distinct_paths, draw_path, leaving_paths
-from pyomo_quad.report.render import FIGURE_FOLDER, Picture, fixed
+from pyomo_quad.report.render import FIGURE_FOLDER, fixed
 from pyomo_quad.report.style import (
     BATTERY,
     ENERGY,
@@ -68,11 +68,6 @@ class Drawing:
     needs: tuple[str, ...] = ()
     draw: Callable[[], Figure]
     is_vector: bool = True
-
-    @property
-    def picture(self) -> Picture:
-        """The figure in a document."""
-        return Picture(name=self.name, title=self.title, caption=self.caption)
 
 
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:

@@ -1,17 +1,25 @@
-"""A report's content as Markdown and as one HTML file that needs nothing else."""
+"""Templates filled in as Markdown, and the same Markdown as one self-contained HTML file."""
 
-import html
 import re
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from functools import cache
+from html import escape
+from itertools import pairwise
 from math import degrees, isfinite
-from typing import assert_never
+from pathlib import Path
 from unicodedata import category
 
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markdown_it import MarkdownIt
+from markdown_it.renderer import RendererHTML
+from markdown_it.token import Token
+from markdown_it.utils import EnvType
+from markupsafe import Markup
+
 from pyomo_quad.flight import PlanStatus
-from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.tables import Hover, PowerModel, WindCoupling
+from pyomo_quad.scenario.tables import PowerModel, WindCoupling
 
 #: Stands where a table has no number.
 NOTHING = "n/a"
@@ -39,105 +47,21 @@ STATUS_WORDS = {
 
 
 def fixed(value: float, digits: int = 2) -> str:
-    """Return a number with a fixed count of decimals.
-
-    Parameters
-    ----------
-    value : float
-        Any number.
-    digits : int, default 2
-        Decimals.
-
-    Returns
-    -------
-    str
-        `NOTHING` for what is not finite; never minus zero.
-    """
+    """Return a number with a fixed count of decimals: never minus zero, `NOTHING` if not finite."""
     if not isfinite(value):
         return NOTHING
     text = f"{value:.{digits}f}"
     return text.removeprefix("-") if float(text) == 0.0 else text
 
 
-def rough(value: float) -> str:
-    """Return a small number with two significant digits.
-
-    Parameters
-    ----------
-    value : float
-        Any number, such as an error.
-
-    Returns
-    -------
-    str
-        `NOTHING` for what is not finite.
-    """
-    return f"{value:.2g}" if isfinite(value) else NOTHING
-
-
-def seconds(value: float) -> str:
-    """Return a duration with its unit.
-
-    Parameters
-    ----------
-    value : float
-        Seconds.
-
-    Returns
-    -------
-    str
-        Without zeros that say nothing.
-    """
-    return f"{value:.6g} s"
+def rough(value: float, digits: int = 2) -> str:
+    """Return a number with so many significant digits, `NOTHING` if it is not finite."""
+    return f"{value:.{digits}g}" if isfinite(value) else NOTHING
 
 
 def yes_no(value: object) -> str:
-    """Return a truth value in a word.
-
-    Parameters
-    ----------
-    value : object
-        Taken as a boolean.
-
-    Returns
-    -------
-    str
-        "yes" or "no".
-    """
+    """Return a truth value in a word."""
     return "yes" if value else "no"
-
-
-def hover_place(hover: Hover) -> str:
-    """Return a place and a heading.
-
-    Parameters
-    ----------
-    hover : Hover
-        Start or goal.
-
-    Returns
-    -------
-    str
-        In metres and degrees.
-    """
-    place = ", ".join(f"{axis:.6g}" for axis in hover.position)
-    return f"({place}) m, yaw {degrees(hover.yaw):.4g}°"
-
-
-def title_of(scenario: Scenario) -> str:
-    """Return what a report about a scenario is called.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Any scenario.
-
-    Returns
-    -------
-    str
-        Its title, or its name when it has none.
-    """
-    return scenario.title or scenario.name
 
 
 FIGURE_FOLDER = "figures"
@@ -176,85 +100,6 @@ def _is_seen(letter: str) -> bool:
     return letter.isprintable() and not _BLANK.match(letter)
 
 
-@dataclass(frozen=True)
-class Code:
-    """A name from a program: of a flight, a file, a field, a command."""
-
-    text: str
-
-
-@dataclass(frozen=True)
-class Strong:
-    """Words that carry the sentence."""
-
-    text: str
-
-
-Piece = str | Code | Strong
-
-
-@dataclass(frozen=True)
-class Heading:
-    """A heading below the title."""
-
-    text: str
-
-
-@dataclass(frozen=True)
-class Paragraph:
-    """Running text."""
-
-    pieces: Sequence[Piece]
-
-
-@dataclass(frozen=True)
-class Bullets:
-    """A list of short texts."""
-
-    items: Sequence[Sequence[Piece]]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Verdict:
-    """The answer, set apart from all else."""
-
-    is_good: bool
-    pieces: Sequence[Piece]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Table:
-    """A table whose first column names the rows.
-
-    ``numeric`` holds the positions of the columns that are aligned to the right.
-    """
-
-    caption: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[Piece]]
-    numeric: frozenset[int] = frozenset()
-
-
-@dataclass(frozen=True, kw_only=True)
-class Picture:
-    """A figure, by the name of its files without suffix."""
-
-    name: str
-    title: str
-    caption: str
-
-
-Block = Heading | Paragraph | Bullets | Verdict | Table | Picture
-
-
-@dataclass(frozen=True, kw_only=True)
-class Document:
-    """A title and what stands below it."""
-
-    title: str
-    blocks: Sequence[Block]
-
-
 _ENTITIES = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 _SPECIAL = re.compile(r"([\\`*_\[\]#|~$])")
 # What would start a list or draw a line.
@@ -282,163 +127,97 @@ def escape_markdown(text: str) -> str:
     return _LINE_START.sub(lambda found: _entities(found[0]), unlinked)
 
 
-def render_markdown(document: Document) -> str:
-    """Return a document as Markdown.
-
-    Parameters
-    ----------
-    document : Document
-        The content.
-
-    Returns
-    -------
-    str
-        The file's text; pictures are linked as PNG in the folder of figures.
-    """
-    parts = [f"# {escape_markdown(document.title)}", *map(_block, document.blocks)]
-    return "\n\n".join(parts) + "\n"
-
-
 def _entities(text: str) -> str:
     return "".join(f"&#{ord(character)};" for character in text)
 
 
-def _block(block: Block) -> str:
-    match block:
-        case Heading(text=text):
-            return f"## {escape_markdown(text)}"
-        case Paragraph(pieces=pieces):
-            return _text(pieces)
-        case Verdict(pieces=pieces):
-            return f"> {_text(pieces)}"
-        case Bullets(items=items):
-            return "\n".join(f"- {_text(item)}" for item in items)
-        case Table():
-            return _table(block)
-        case Picture(name=name, title=title, caption=caption):
-            address = f"{FIGURE_FOLDER}/{name}"
-            return (
-                f"![{escape_markdown(title)}]({address}.png)\n\n"
-                f"*{escape_markdown(caption)}* ([SVG]({address}.svg))"
-            )
-        case _:
-            assert_never(block)
+def _written(text: str) -> Markup:
+    """Mark text as written for the reader's program, to be escaped no more."""
+    return Markup(text)  # noqa: S704  every caller has escaped what is not its own
 
 
-def _table(table: Table) -> str:
-    rules = ["---:" if column in table.numeric else "---" for column in range(len(table.header))]
-    lines = [[escape_markdown(name) for name in table.header], rules]
-    lines += [[_piece(cell) for cell in row] for row in table.rows]
-    rows = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    return f"**{escape_markdown(table.caption)}**\n\n{rows}"
-
-
-def _text(pieces: Sequence[Piece]) -> str:
-    return "".join(_piece(piece) for piece in pieces)
-
-
-def _piece(piece: Piece) -> str:
-    match piece:
-        case Code(text=text):
-            return _code(text)
-        case Strong(text=text):
-            return f"**{escape_markdown(text)}**"
-        case str():
-            return _keep_edges(piece)
-        case _:
-            assert_never(piece)
-
-
-def _keep_edges(text: str) -> str:
-    before = " " if text[:1].isspace() else ""
-    after = " " if text[-1:].isspace() and text.strip() else ""
-    return f"{before}{escape_markdown(text)}{after}"
-
-
-def _code(text: str) -> str:
+def _code(text: str) -> Markup:
+    """Return a name from a program: of a flight, a file, a field, a command."""
     # Inside a code span nothing can be escaped: a text that would end it stands outside one.
     if set(visible(text)) & set("`|\\\n\r") or text != text.strip() or not text:
-        return escape_markdown(text)
-    return f"`{text}`"
+        return _written(escape_markdown(text))
+    return _written(f"`{text}`")
 
 
-STYLE_SHEET = """
-:root { color-scheme: light; --ink: #1b1b1b; --muted: #555; --line: #d5d5d5; --good: #00664b;
-  --bad: #9b2c00; }
-* { box-sizing: border-box; }
-html { -webkit-text-size-adjust: 100%; }
-body { margin: 0 auto; max-width: 58rem; padding: 1rem; background: #fff; color: var(--ink);
-  font: 1rem/1.55 system-ui, -apple-system, "Segoe UI", "DejaVu Sans", sans-serif; }
-h1 { font-size: 1.7rem; line-height: 1.2; margin: .4rem 0 1rem; overflow-wrap: anywhere; }
-h2 { font-size: 1.2rem; line-height: 1.3; margin: 2.4rem 0 .6rem; padding-top: .6rem;
-  border-top: 1px solid var(--line); }
-p, li, figcaption { overflow-wrap: break-word; max-width: 46rem; }
-a { color: #00558a; }
-a:focus-visible, .scroll:focus-visible { outline: 3px solid #e69f00; outline-offset: 2px; }
-code { font: .92em ui-monospace, "DejaVu Sans Mono", monospace; overflow-wrap: anywhere; }
-.verdict { border-left: .4rem solid var(--bad); background: #fdf3ee; padding: .8rem 1rem;
-  font-size: 1.1rem; }
-.verdict p { margin: 0; max-width: none; }
-.verdict strong { color: var(--bad); }
-.verdict.good { border-color: var(--good); background: #eef7f4; }
-.verdict.good strong { color: var(--good); }
-nav ul { display: flex; flex-wrap: wrap; gap: 0 1rem; list-style: none; margin: 1rem 0;
-  padding: 0; }
-nav a { display: inline-block; padding: .35rem 0; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .92em; }
-caption { text-align: left; font-weight: 600; padding: .3rem 0; }
-th, td { border-bottom: 1px solid var(--line); padding: .35rem .9rem .35rem 0; text-align: left;
-  vertical-align: top; }
-th.number { min-width: 4.6rem; }
-thead th { border-bottom: 2px solid var(--muted); vertical-align: bottom; }
-tbody th { font-weight: 400; white-space: nowrap; position: sticky; left: 0; background: #fff; }
-th.number, td.number { text-align: right; }
-td.number { white-space: nowrap; }
-figure { margin: 1rem 0; }
-figure img { display: block; width: 100%; min-width: 40rem; height: auto; }
-figcaption, .note { color: var(--muted); font-size: .9em; }
-.view { width: 100%; height: min(70vh, 34rem); min-height: 20rem;
-  overflow: hidden; }
-.skip { position: absolute; left: -999rem; }
-.skip:focus { position: static; }
-footer { margin: 2rem 0 1rem; color: var(--muted); font-size: .9rem; }
-@media print {
-  @page { size: A4; margin: 15mm; }
-  body { max-width: none; padding: 0; font-size: 9.5pt; }
-  h1 { font-size: 16pt; }
-  h2 { font-size: 12pt; margin-top: 1.4rem; break-after: avoid; }
-  table { font-size: 8pt; }
-  th, td { padding: .15rem .5rem .15rem 0; }
-  th.number { min-width: 0; }
-  figure, table, .verdict { break-inside: avoid; }
-  figure img { min-width: 0; max-height: 225mm; object-fit: contain; object-position: left; }
-  .scroll { overflow: visible; }
-  .verdict { border: 1.5pt solid; background: none; font-size: 10.5pt; }
-  nav, .skip, .screen { display: none; }
-  a { color: inherit; text-decoration: none; }
-}
-"""
+def _finalize(value: object) -> Markup:
+    """Escape what a template prints, unless a template or a filter made it."""
+    return value if isinstance(value, Markup) else _written(escape_markdown(str(value)))
 
 
-# The browser itself keeps the page from loading or sending anything.
-_POLICY = (
-    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
-    "img-src data: blob:; base-uri 'none'; form-action 'none'"
-)
+@cache
+def environment() -> Environment:
+    """Return Jinja's settings: every value escaped for Markdown, none missing."""
+    made = Environment(
+        loader=FileSystemLoader(Path(__file__).parents[1]),
+        # With it, what a macro or a block returns is known as written by a template.
+        autoescape=True,
+        finalize=_finalize,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    made.filters |= {
+        "code": _code,
+        "degrees": degrees,
+        "fixed": fixed,
+        "one_line": lambda text: _written(" ".join(text.split())),
+        "rough": rough,
+        "seconds": lambda value: f"{value:.6g} s",
+        "yes_no": yes_no,
+    }
+    made.tests["known"] = pd.notna
+    made.globals |= {
+        "COUPLING_WORDS": COUPLING_WORDS,
+        "FIGURE_FOLDER": FIGURE_FOLDER,
+        "POWER_WORDS": POWER_WORDS,
+        "STATUS_WORDS": STATUS_WORDS,
+    }
+    return made
 
 
-def render_html(
-    document: Document, pictures: Mapping[str, bytes], views: Mapping[str, str], script: str
-) -> str:
-    """Return a document as an HTML page.
+def render_markdown(template: str, **values: object) -> str:
+    """Return a template filled in, as Markdown with one blank line between blocks.
 
     Parameters
     ----------
-    document : Document
-        The content.
+    template : str
+        Path of a template below the package.
+    **values : object
+        What the template speaks of; it prints every text so that Markdown does not act on it.
+
+    Returns
+    -------
+    str
+        The file's text.
+    """
+    text = environment().get_template(template).render(values)
+    return re.sub(r"\n{3,}", "\n\n", text).strip() + "\n"
+
+
+def render_html(
+    markdown: str,
+    *,
+    is_good: bool,
+    pictures: Mapping[str, bytes],
+    views: Mapping[str, str],
+    script: str,
+) -> str:
+    """Return a report as an HTML page that loads nothing.
+
+    Parameters
+    ----------
+    markdown : str
+        The report, as `render_markdown` returns it.
+    is_good : bool
+        Whether its verdict is to look so.
     pictures : mapping of str to bytes
-        SVG of each picture of the document, by name.
+        SVG of each picture of the report, by name.
     views : mapping of str to str
         HTML of what stands above a picture on a screen, by the picture's name.
     script : str
@@ -449,106 +228,105 @@ def render_html(
     str
         The file's text.
     """
-    title = _escape(document.title)
-    body = "\n".join(_html_block(block, document, pictures, views) for block in document.blocks)
-    scripts = f"<script>{script}</script>\n" if script else ""
+    parser = MarkdownIt("commonmark", {"html": False}, renderer_cls=_PageRenderer).enable("table")
+    tokens = parser.parse(markdown)
+    settings = {"is_good": is_good, "pictures": pictures, "views": views}
+    body = parser.renderer.render(tokens, parser.options, settings)
     return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<title>{title}</title>\n<link rel="icon" href="data:,">\n'
-        f"<style>{STYLE_SHEET}</style>\n</head>\n"
-        '<body>\n<a class="skip" href="#content">Skip to the content</a>\n'
-        f'<main id="content">\n<h1>{title}</h1>\n{body}\n</main>\n{scripts}</body>\n</html>\n'
+        environment()
+        .get_template("report/page.html.j2")
+        .render(title=_written(_label(tokens[1])), body=_written(body), script=_written(script))
     )
 
 
-def _escape(text: str) -> str:
-    """Return text that HTML prints as it stands, with what would not be seen spelled out."""
-    return html.escape(visible(text))
+def _label(inline: Token) -> str:
+    """Return the words of a line of Markdown, as HTML without tags."""
+    return escape("".join(child.content for child in inline.children or ()))
 
 
-def _html_block(
-    block: Block, document: Document, pictures: Mapping[str, bytes], views: Mapping[str, str]
-) -> str:
-    match block:
-        case Heading(text=text):
-            return f'<h2 id="{_anchor(text)}">{_escape(text)}</h2>'
-        case Paragraph(pieces=pieces):
-            return f"<p>{_html_text(pieces)}</p>"
-        case Verdict(is_good=is_good, pieces=pieces):
-            kind = "verdict good" if is_good else "verdict"
-            return f'<div class="{kind}"><p>{_html_text(pieces)}</p></div>\n{_navigation(document)}'
-        case Bullets(items=items):
-            return f"<ul>{''.join(f'<li>{_html_text(item)}</li>' for item in items)}</ul>"
-        case Table():
-            return _html_table(block)
-        case Picture(name=name):
-            return views.get(name, "") + _figure(block, pictures[name])
-        case _:
-            assert_never(block)
-
-
-def _navigation(document: Document) -> str:
-    headings = [block.text for block in document.blocks if isinstance(block, Heading)]
-    links = "".join(f'<li><a href="#{_anchor(text)}">{_escape(text)}</a></li>' for text in headings)
-    return f'<nav aria-label="Contents"><ul>{links}</ul></nav>'
-
-
-def _figure(picture: Picture, svg: bytes) -> str:
-    data = b64encode(svg).decode("ascii")
-    return (
-        f"<figure>{_scrolled(picture.title)}"
-        f'<img alt="{_escape(picture.title)}. {_escape(picture.caption)}" '
-        f'src="data:image/svg+xml;base64,{data}"></div>'
-        f"<figcaption>{_escape(picture.caption)}</figcaption></figure>"
-    )
-
-
-def _html_table(table: Table) -> str:
-    header = "".join(
-        f'<th scope="col"{_alignment(table, column)}>{_escape(name)}</th>'
-        for column, name in enumerate(table.header)
-    )
-    rows = "".join(f"<tr>{_row(table, row)}</tr>" for row in table.rows)
-    return (
-        f"{_scrolled(table.caption)}<table><caption>{_escape(table.caption)}</caption>"
-        f"<thead><tr>{header}</tr></thead><tbody>{rows}</tbody></table></div>"
-    )
-
-
-def _row(table: Table, row: Sequence[Piece]) -> str:
-    first, *others = row
-    cells = "".join(
-        f"<td{_alignment(table, column)}>{_html_piece(cell)}</td>"
-        for column, cell in enumerate(others, start=1)
-    )
-    return f'<th scope="row">{_html_piece(first)}</th>{cells}'
-
-
-def _alignment(table: Table, column: int) -> str:
-    return ' class="number"' if column in table.numeric else ""
+def _role(tokens: Sequence[Token], at: int) -> str:
+    """Say what the paragraph that starts here is for: a picture, its caption, or a table's."""
+    if [child.type for child in tokens[at + 1].children or ()] == ["image"]:
+        return "picture"
+    if at >= 3 and tokens[at - 3].type == "paragraph_open" and _role(tokens, at - 3) == "picture":
+        return "figcaption"
+    return "caption" if tokens[at + 3 : at + 4] and tokens[at + 3].type == "table_open" else "p"
 
 
 def _scrolled(label: str) -> str:
     # What is wider than a phone scrolls by itself, also with the keyboard.
-    return f'<div class="scroll" tabindex="0" role="group" aria-label="{_escape(label)}">'
+    return f'<div class="scroll" tabindex="0" role="group" aria-label="{label}">'
 
 
-def _html_text(pieces: Sequence[Piece]) -> str:
-    return "".join(_html_piece(piece) for piece in pieces)
+class _PageRenderer(RendererHTML):
+    """Writes captions into their tables and figures, and sets the verdict apart.
+
+    The methods are markdown-it's rules: one for each kind of token, named after it.
+    """
+
+    def paragraph_open(self, tokens: Sequence[Token], idx: int, _: object, env: EnvType) -> str:
+        role, inline = _role(tokens, idx), tokens[idx + 1]
+        children = inline.children or []
+        if role == "picture":
+            return f"{env['views'].get(_name(children[0]), '')}<figure>{_scrolled(_label(inline))}"
+        if role == "caption":
+            return f"{_scrolled(_label(inline))}<table><caption>"
+        if role == "figcaption":
+            # The link to the file beside the report would lead nowhere once the page is sent.
+            end = [child.type for child in children].index("em_close")
+            del children[end + 1 :]
+        return f"<{role}>"
+
+    def paragraph_close(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
+        role = _role(tokens, idx - 2)
+        return {"picture": "</div>", "figcaption": "</figcaption></figure>\n"}.get(
+            role, f"</{role}>\n"
+        )
+
+    def image(self, tokens: Sequence[Token], idx: int, _: object, env: EnvType) -> str:
+        data = b64encode(env["pictures"][_name(tokens[idx])]).decode("ascii")
+        return f'<img alt="{_label(tokens[idx])}" src="data:image/svg+xml;base64,{data}">'
+
+    def heading_open(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
+        tag = tokens[idx].tag
+        return f'<{tag} id="{_anchor(tokens[idx + 1].content)}">' if tag == "h2" else f"<{tag}>"
+
+    def blockquote_open(self, _: Sequence[Token], __: int, ___: object, env: EnvType) -> str:
+        return f'<div class="verdict{" good" if env["is_good"] else ""}">'
+
+    def blockquote_close(self, tokens: Sequence[Token], *_: object) -> str:
+        links = "".join(
+            f'<li><a href="#{_anchor(inline.content)}">{_label(inline)}</a></li>'
+            for heading, inline in pairwise(tokens)
+            if heading.type == "heading_open" and heading.tag == "h2"
+        )
+        return f'</div>\n<nav aria-label="Contents"><ul>{links}</ul></nav>\n'
+
+    def table_open(self, *_: object) -> str:
+        return ""  # by its caption
+
+    def table_close(self, *_: object) -> str:
+        return "</table></div>\n"
+
+    def th_open(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
+        return f'<th scope="col"{_alignment(tokens[idx])}>'
+
+    def td_open(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
+        # The first column names the rows.
+        if tokens[idx - 1].type == "tr_open":
+            return '<th scope="row">'
+        return f"<td{_alignment(tokens[idx])}>"
+
+    def td_close(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
+        return "</th>" if tokens[idx - 3].type == "tr_open" else "</td>"
 
 
-def _html_piece(piece: Piece) -> str:
-    match piece:
-        case Code(text=text):
-            return f"<code>{_escape(text)}</code>"
-        case Strong(text=text):
-            return f"<strong>{_escape(text)}</strong>"
-        case str():
-            return _escape(piece)
-        case _:
-            assert_never(piece)
+def _name(image: Token) -> str:
+    return Path(str(image.attrs["src"])).stem
+
+
+def _alignment(cell: Token) -> str:
+    return ' class="number"' if cell.attrs.get("style") == "text-align:right" else ""
 
 
 def _anchor(text: str) -> str:

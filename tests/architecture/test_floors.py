@@ -44,6 +44,8 @@ HOMES = {
     "matplotlib": {"report", "paper", "sweep"},
     "mpl_toolkits": {"report"},
     "plotly": {"report"},
+    "jinja2": {"report"},
+    "markdown_it": {"report"},
     "typer": {"cli"},
     "rich": {"cli"},
 }

@@ -8,7 +8,7 @@ import pytest
 
 from pyomo_quad.flight import Flight, Planner
 from pyomo_quad.paper.claims import corrections
-from pyomo_quad.paper.examination import conclusion_blocks, examination_blocks
+from pyomo_quad.paper.examination import examination
 from pyomo_quad.paper.experiments import (
     BaselineCase,
     BaselineFlight,
@@ -22,6 +22,7 @@ from pyomo_quad.paper.experiments import (
 )
 from pyomo_quad.paper.figures import energy_chain
 from pyomo_quad.paper.tables import baseline_saving, find_baseline, find_flight
+from pyomo_quad.report.render import render_markdown
 from pyomo_quad.scenario import PowerModel, Reference
 from tests.paper.test_paper_study import DRAG, efficiency
 
@@ -81,23 +82,19 @@ def study(floor_J=3058.0):
     )
 
 
-def text_of(blocks):
-    def words(piece):
-        if isinstance(piece, str):
-            return piece
-        if isinstance(piece, list | tuple):
-            return "".join(map(words, piece))
-        parts = (getattr(piece, name, ()) for name in ("text", "pieces", "items", "caption"))
-        return "".join(map(words, parts))
+def text_of(template, values):
+    return render_markdown(f"paper/{template}.md.j2", **values).replace("\\", "")
 
-    return "\n".join(map(words, blocks))
+
+def conclusion(made):
+    return text_of("conclusion", examination(made))
 
 
 def test_a_flight_in_two_tables_is_counted_once():
-    assert "13 of 13 distinct planned flights" in text_of(conclusion_blocks(study()))
+    assert "13 of 13 distinct planned flights" in conclusion(study())
     one_lost = study()
     one_lost.flights[0].flight.is_verified = False
-    assert "12 of 13 distinct planned flights" in text_of(conclusion_blocks(one_lost))
+    assert "12 of 13 distinct planned flights" in conclusion(one_lost)
 
 
 def test_the_energy_of_all_rotors_at_full_speed_is_that_of_the_polynomial():
@@ -110,7 +107,7 @@ def test_the_energy_of_all_rotors_at_full_speed_is_that_of_the_polynomial():
 
 
 def test_both_printed_adaptive_flights_are_judged():
-    text = text_of(conclusion_blocks(study()))
+    text = conclusion(study())
     assert "Plausible: the adaptive flight of 5.77 kJ." in text
     assert "Not plausible: the adaptive flight of 9.74 kJ." in text
     assert "base of the 78.85 % and 100 % above hovering" in text
@@ -119,7 +116,7 @@ def test_both_printed_adaptive_flights_are_judged():
 
 @pytest.mark.parametrize(("floor_J", "side"), [(3058.0, "is below"), (1500.0, "is not below")])
 def test_the_floor_is_said_of_its_reading_and_its_bound_alone(floor_J, side):
-    text = text_of(examination_blocks(study(floor_J)))
+    text = text_of("examination", examination(study(floor_J)))
     assert (
         f"with f_r so regularised and |alpha| at most 20000 rad/s² the printed energy {side} what "
         "any flight can do."
@@ -127,7 +124,9 @@ def test_the_floor_is_said_of_its_reading_and_its_bound_alone(floor_J, side):
 
 
 def test_the_note_on_braking_names_the_models_that_the_declared_power_credits():
-    (note,) = (row.here for row in corrections(study()) if row.paper.startswith("braking"))
+    told = text_of("corrections", {**examination(study()), **corrections(study())})
+    (row,) = (line for line in told.splitlines() if line.startswith("| braking"))
+    note = row.split(" | ")[2]
     without, with_it = note.split(" counts")[0].split("; ")
     for model in PowerModel:
         steady = Planner().steady_flight(paper_scenario(Experiment.CALM, {"power.model": model}))
