@@ -161,7 +161,9 @@ class ClosedLoop:
         columns = [casadi.vertcat(casadi.SX(0, 1), *map(_expression, result)) for result in results]
         return casadi.Function("law", [joint, command], columns)
 
-    def rates(self, t: float, joint: FloatArray, command: Sequence[float]) -> FloatArray:
+    def rates(
+        self, t: float, joint: FloatArray, command: Sequence[float] | FloatArray
+    ) -> FloatArray:
         """Return the derivative of the joint state by time, shape (n_joint,)."""
         self._moment[:] = self._dynamics.moment(t)
         self._joint[:] = joint

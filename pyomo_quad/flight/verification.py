@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from pyomo_quad.collocation import Dynamics, Mesh, SolveError, control_polynomial
+from pyomo_quad.collocation import ClosedLoop, Dynamics, Mesh, SolveError, control_polynomial
 from pyomo_quad.flight.flight import (
     VIOLATION_TOLERANCE,
     FloatArray,
@@ -20,7 +20,7 @@ from pyomo_quad.flight.flight import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
 
 RELATIVE_TOLERANCE = 1e-12
@@ -53,13 +53,17 @@ def fly_controls(
         If the integrator gives up.
     """
     times = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
+    flow = ClosedLoop(
+        dynamics, lambda command, _x, _own: (command, ()), n_command=controls.shape[1], n_own=0
+    )
     state = np.append(start, 0.0)
     parts_t, parts_y, parts_u = [times[:1]], [state[:, None]], []
     for element in range(mesh.elements):
         first, last = times[element], times[element + 1]
         polynomial = control_polynomial(mesh, controls, element, first, last)
         samples = np.linspace(first, last, samples_per_element + 1)[1:]
-        flown = _integrate(dynamics, polynomial, state, first, samples, method)
+        inside = dynamics.just_after(first)
+        flown = _integrate(flow, polynomial, state, inside, (first, *samples), method)
         state = flown[:, -1]
         if element == 0:
             parts_u.append(polynomial(first)[None, :])
@@ -76,32 +80,29 @@ def fly_controls(
 
 
 def _integrate(
-    dynamics: Dynamics,
+    flow: ClosedLoop,
     control: Callable[[float], FloatArray],
     state: FloatArray,
-    first: float,
-    samples: FloatArray,
+    inside: float,
+    times: Sequence[float],
     method: str,
 ) -> FloatArray:
-    """Return states, the energy last, at the samples of one element that starts at `first`."""
-    inside = dynamics.just_after(first)
+    """Return states, the energy last, at the times of one element but the first.
 
-    def slope(t: float, y: FloatArray) -> FloatArray:
-        rates, power = dynamics.rates_and_integrand(max(t, inside), y[:-1], control(t))
-        return np.append(rates, power)
-
+    Its equations hold from `inside` on.
+    """
     flown = solve_ivp(
-        slope,
-        (first, samples[-1]),
+        lambda t, y: flow.rates(max(t, inside), y, control(t)),
+        (times[0], times[-1]),
         state,
         method=method,
-        t_eval=samples,
+        t_eval=times[1:],
         rtol=RELATIVE_TOLERANCE,
         atol=ABSOLUTE_TOLERANCE,
     )
     if not flown.success:
         raise SolveError(
-            f"flight: the integration stopped at {flown.t[-1] if flown.t.size else first:.4g} "
+            f"flight: the integration stopped at {flown.t[-1] if flown.t.size else times[0]:.4g} "
             f"s: {flown.message} Look at the plan's controls there."
         )
     return np.asarray(flown.y)
