@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,24 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.reading.symbols import Declarations, PointSymbol
 
 IndexArray = NDArray[np.intp]
+# As Ipopt counts; half the memory of large meshes.
+Places = NDArray[np.int32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Elements:
+    """The elements of one degree, of which each repeats the pattern of the first.
+
+    An index of theirs is a pair: what it is at node 0, and what it grows by from node to node.
+    """
+
+    degree: int
+    first_nodes: Places
+    widths: FloatArray
+
+    def everywhere(self, places: Places) -> Places:
+        """Return indices, shape (n, 2), in each element: shape (n_elements, n)."""
+        return places[:, 0] + self.first_nodes[:, None] * places[:, 1]
 
 
 @dataclass(frozen=True)
@@ -47,13 +65,17 @@ class Layout:
         """Number of static variables."""
         return len(self.declared.statics)
 
+    @property
+    def stride(self) -> int:
+        """What columns grow by from node to node: algebraics of the point, then states."""
+        return self.n_states + self.n_algebraics
+
     @cached_property
     def state_columns(self) -> IndexArray:
         """Columns of the states at the nodes, shape (n_points + 1, n_states)."""
         if self.mesh is None:
             return np.zeros((0, 0), dtype=np.intp)
-        stride = self.n_states + self.n_algebraics
-        starts = np.concatenate(([0], self.n_states + stride * np.arange(self.points)))
+        starts = self.stride * np.arange(self.points + 1)
         return (starts[:, None] + np.arange(self.n_states)[None, :]).astype(np.intp)
 
     @cached_property
@@ -61,8 +83,7 @@ class Layout:
         """Columns of the algebraic variables at the points, shape (n_points, n_algebraics)."""
         if self.mesh is None:
             return np.zeros((0, 0), dtype=np.intp)
-        stride = self.n_states + self.n_algebraics
-        starts = 2 * self.n_states + stride * np.arange(self.points)
+        starts = self.n_states + self.stride * np.arange(self.points)
         return (starts[:, None] + np.arange(self.n_algebraics)[None, :]).astype(np.intp)
 
     @cached_property
@@ -80,27 +101,77 @@ class Layout:
         return varying + self.n_statics
 
     @cached_property
-    def stencil(self) -> tuple[IndexArray, IndexArray, FloatArray]:
-        """Points, nodes and weights of the slope of the states: rate = sum weight * state."""
+    def elements(self) -> tuple[Elements, ...]:
+        """The elements by degree."""
         if self.mesh is None:
-            empty = np.zeros(0, dtype=np.intp)
-            return empty, empty, np.zeros(0)
-        points, nodes, weights = [], [], []
-        firsts, degrees = self.mesh.first_node, np.asarray(self.mesh.degrees)
-        for degree in np.unique(degrees):
-            chosen = np.flatnonzero(degrees == degree)
-            slope = radau_rule(int(degree)).differentiation
-            row, column = np.indices(slope.shape)
-            points.append((firsts[chosen][:, None, None] + row).ravel())
-            nodes.append((firsts[chosen][:, None, None] + column).ravel())
-            weights.append((slope[None] / self.mesh.widths[chosen][:, None, None]).ravel())
-        return np.concatenate(points), np.concatenate(nodes), np.concatenate(weights)
+            return ()
+        firsts, degrees = np.asarray(self.mesh.first_node), np.asarray(self.mesh.degrees)
+        return tuple(
+            Elements(
+                degree=degree,
+                first_nodes=firsts[:-1][degrees == degree].astype(np.int32),
+                widths=self.mesh.widths[degrees == degree],
+            )
+            for degree in np.unique(degrees).tolist()
+        )
 
     @cached_property
     def slope_matrix(self) -> csr_matrix:
         """Matrix from states at the nodes to rates at the points."""
-        points, nodes, weights = self.stencil
-        return csr_matrix((weights, (points, nodes)), shape=(self.points, self.points + 1))
+        parts = [
+            tuple(
+                array.ravel()
+                for array in np.broadcast_arrays(
+                    radau_rule(e.degree).differentiation / e.widths[:, None, None],
+                    (e.first_nodes[:, None] + np.arange(e.degree))[:, :, None],
+                    (e.first_nodes[:, None] + np.arange(e.degree + 1))[:, None, :],
+                )
+            )
+            for e in self.elements
+        ]
+        slopes, points, nodes = _joined(parts, 3)
+        return csr_matrix((slopes, (points, nodes)), shape=(self.points, self.points + 1))
+
+    def states_in(self, elements: Elements, states: IndexArray) -> Places:
+        """Return the columns of states at the nodes of elements, shape (degree + 1, n, 2)."""
+        nodes = np.arange(elements.degree + 1)[:, None]
+        return _places(self.stride * nodes + states, self.stride)
+
+    def variables_in(self, elements: Elements, variables: IndexArray) -> Places:
+        """Return the columns of states, algebraics and statics at points, shape (degree, n, 2)."""
+        points = np.arange(elements.degree)[:, None]
+        nodes = points + (variables < self.n_states)
+        is_static = variables >= self.stride
+        first_static = self.unknowns - self.n_statics
+        return _places(
+            np.where(is_static, first_static - self.stride, self.stride * nodes) + variables,
+            np.where(is_static, 0, self.stride),
+        )
+
+    @cached_property
+    def _met(self) -> dict[int, NDArray[np.bool_]]:
+        """Say by degree of each column of an element if others or conditions may hold it."""
+        met = np.zeros(self.unknowns, dtype=bool)
+        met[self.point_values.indices] = True
+        for elements in self.elements:
+            ends = elements.first_nodes[:, None] + np.array([0, elements.degree])
+            met[self.state_columns[ends]] = True
+        return {
+            elements.degree: np.any(
+                met[
+                    self.stride * elements.first_nodes[:, None]
+                    + np.arange(elements.degree * self.stride + self.n_states)
+                ],
+                axis=0,
+            )
+            for elements in self.elements
+        }
+
+    def is_met(self, elements: Elements, places: Places) -> NDArray[np.bool_]:
+        """Say of columns, shape (..., 2), if in any element others may hold them as well."""
+        is_static = places[..., 1] == 0
+        met = self._met[elements.degree][np.where(is_static, 0, places[..., 0])]
+        return np.where(is_static, True, met)
 
     @cached_property
     def point_values(self) -> csr_matrix:
@@ -144,46 +215,106 @@ def _nonzero(columns: IndexArray, weights: FloatArray) -> tuple[IndexArray, Floa
     return columns[kept], weights[kept]
 
 
+def _places(starts: Any, step: Any) -> Places:
+    """Return indices as pairs: what they are at node 0, and what they grow by at the next."""
+    return np.stack(np.broadcast_arrays(starts, step), axis=-1).astype(np.int32)
+
+
 class Contributions:
-    """Collects entries (row, column) += weight * source until a `Scatter` is made of them."""
+    """Collects entries (row, column) += weight * source until a `Scatter` is made of them.
+
+    What repeats in each element is sorted once.
+    """
 
     def __init__(self) -> None:
-        self._parts: list[tuple[IndexArray, IndexArray, IndexArray, FloatArray]] = []
+        self._whole: list[tuple[NDArray[Any], ...]] = []
+        self._repeated: dict[int, tuple[Elements, list[tuple[NDArray[Any], ...]]]] = {}
 
-    def add(
-        self,
-        rows: IndexArray,
-        columns: IndexArray,
-        sources: IndexArray,
-        weights: FloatArray | float,
-    ) -> None:
+    def add(self, rows: Any, columns: Any, sources: Any, weights: FloatArray | float) -> None:
         """Add entries; the arrays broadcast against each other."""
-        rows, columns, sources, weights = np.broadcast_arrays(rows, columns, sources, weights)
-        self._parts.append((rows.ravel(), columns.ravel(), sources.ravel(), weights.ravel()))
+        entries = np.broadcast_arrays(rows, columns, sources, weights)
+        kept = entries[3] != 0.0
+        places = (entry[kept].astype(np.int32) for entry in entries[:3])
+        self._whole.append((*places, entries[3][kept]))
+
+    def repeat(
+        self,
+        elements: Elements,
+        rows: Places,
+        columns: Places,
+        sources: Places,
+        weights: FloatArray,
+        power: int,
+        is_met: NDArray[np.bool_],
+    ) -> None:
+        """Add entries of each element, the weights times a power of its width.
+
+        The arrays broadcast against each other; `is_met` marks entries that others may meet in
+        the same place.
+        """
+        shape = np.broadcast_shapes(
+            *(p.shape[:-1] for p in (rows, columns, sources)), weights.shape
+        )
+        places = [np.broadcast_to(p, (*shape, 2)).reshape(-1, 2) for p in (rows, columns, sources)]
+        factors = np.broadcast_to(weights, shape).ravel()
+        is_met = np.broadcast_to(is_met, shape).ravel() & (factors != 0.0)
+        rows, columns, sources = (elements.everywhere(p[is_met]) for p in places)
+        here = elements.widths[:, None] ** power * factors[is_met]
+        self.add(rows, columns, sources, here)
+        own = ~is_met & (factors != 0.0)
+        parts = self._repeated.setdefault(elements.degree, (elements, []))[1]
+        parts.append((*(p[own] for p in places), factors[own], np.full(own.sum(), power)))
 
     def scatter(self, n_columns: int, n_sources: int) -> Scatter:
         """Return the pattern and the map from sources to its values."""
-        if not self._parts:
-            empty = np.zeros(0, dtype=np.intp)
-            return Scatter(rows=empty, columns=empty, matrix=csr_matrix((0, n_sources)))
-        rows, columns, sources, weights = (
-            np.concatenate([part[k] for part in self._parts]) for k in range(4)
-        )
-        keys, entries = np.unique(rows.astype(np.int64) * n_columns + columns, return_inverse=True)
-        matrix = csr_matrix((weights, (entries, sources)), shape=(len(keys), n_sources))
-        return Scatter(
-            rows=(keys // n_columns).astype(np.intp),
-            columns=(keys % n_columns).astype(np.intp),
-            matrix=matrix,
-        )
+        pieces = [_tiled(*held, n_columns) for held in self._repeated.values()]
+        rows, columns, sources, weights = _joined(self._whole, 4)
+        firsts, counts, order = _sorted(rows, columns, n_columns)
+        pieces.append((rows[firsts], columns[firsts], counts, sources[order], weights[order]))
+        rows, columns, counts, sources, weights = _joined(pieces, 5)
+        starts = np.zeros(len(rows) + 1, dtype=np.int32)
+        np.cumsum(counts, out=starts[1:], dtype=np.int32)
+        matrix = csr_matrix((weights, sources, starts), shape=(len(rows), n_sources))
+        return Scatter(rows=rows, columns=columns, matrix=matrix)
+
+
+def _tiled(
+    elements: Elements, parts: list[tuple[NDArray[Any], ...]], n_columns: int
+) -> tuple[NDArray[Any], ...]:
+    """Return rows, columns and number of sources of each nonzero, and these sources."""
+    rows, columns, sources, factors, powers = _joined(parts, 5)
+    row, column = (elements.everywhere(places)[0] for places in (rows, columns))
+    firsts, counts, order = _sorted(row, column, n_columns)
+    widths = elements.widths[:, None] ** np.arange(-2, 2)
+    found = (
+        elements.everywhere(rows[firsts]),
+        elements.everywhere(columns[firsts]),
+        np.broadcast_to(counts, (len(elements.widths), counts.size)),
+        elements.everywhere(sources[order]),
+        widths[:, powers[order] + 2] * factors[order],
+    )
+    return tuple(entries.ravel() for entries in found)
+
+
+def _joined(parts: list[tuple[NDArray[Any], ...]], count: int) -> list[NDArray[Any]]:
+    empty = np.zeros(0, dtype=np.int32)
+    return [np.concatenate([part[k] for part in parts] or [empty]) for k in range(count)]
+
+
+def _sorted(rows: Places, columns: Places, n_columns: int) -> tuple[IndexArray, Places, IndexArray]:
+    """Return where each place stands first, how often it stands, and the order of all."""
+    keys = rows.astype(np.int64) * n_columns + columns
+    order = np.argsort(keys, kind="stable")
+    _, firsts, counts = np.unique(keys[order], return_index=True, return_counts=True)
+    return order[firsts], counts.astype(np.int32), order
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scatter:
     """A sparsity pattern and the matrix that takes source values to its nonzeros."""
 
-    rows: IndexArray
-    columns: IndexArray
+    rows: Places
+    columns: Places
     matrix: csr_matrix
 
     def values(self, sources: FloatArray) -> FloatArray:
@@ -223,35 +354,37 @@ class JacobianScatter:
         return dense
 
 
-def path_columns(layout: Layout) -> IndexArray:
-    """Return the columns of a point's states, algebraics and statics, one row per point."""
-    statics = np.broadcast_to(layout.static_columns, (layout.points, layout.n_statics))
-    return np.hstack([layout.state_columns[1:], layout.algebraic_columns, statics])
-
-
-def _add_path_row(
-    into: Contributions,
+def _add_path_rows(
     compiled: CompiledModel,
     layout: Layout,
-    entry: int,
-    row: IndexArray,
-    weight: FloatArray,
+    elements: Elements,
+    into: Contributions,
+    entries: NDArray[np.intp],
+    rows: Places,
+    weights: FloatArray,
+    power: int,
 ) -> None:
-    """Add one nonzero of the point Jacobian, at every point, to rows of the program."""
-    columns = path_columns(layout)
-    n_sources = len(compiled.path.jacobian_rows)
-    column = int(compiled.path.jacobian_columns[entry])
-    if column >= layout.n_states:
-        points = np.arange(layout.points)
-        into.add(row, columns[:, column - layout.n_states], points * n_sources + entry, weight)
-        return
-    points, nodes, slopes = layout.stencil
-    into.add(
-        row[points],
-        layout.state_columns[nodes, column],
-        points * n_sources + entry,
-        slopes * weight[points],
+    """Add nonzeros of the point Jacobian, at every point, to rows of the program.
+
+    The rows' shape is (degree, n_entries, 2), that of weights (degree,).
+    """
+    n_sources, slopes = (
+        len(compiled.path.jacobian_rows),
+        radau_rule(elements.degree).differentiation,
     )
+    sources = _places(n_sources * np.arange(elements.degree)[:, None] + entries, n_sources)
+    columns = compiled.path.jacobian_columns[entries]
+    by_rate = columns < layout.n_states
+    at = layout.variables_in(elements, columns[~by_rate] - layout.n_states)
+    is_met = (rows[:, ~by_rate, 1] == 0) & layout.is_met(elements, at)
+    into.repeat(
+        elements, rows[:, ~by_rate], at, sources[:, ~by_rate], weights[:, None], power, is_met
+    )
+    at = layout.states_in(elements, columns[by_rate])[None]
+    rows, sources = rows[:, None, by_rate], sources[:, None, by_rate]
+    is_met = (rows[..., 1] == 0) & layout.is_met(elements, at)
+    by_node = (slopes * weights[:, None])[:, :, None]
+    into.repeat(elements, rows, at, sources, by_node, power - 1, is_met)
 
 
 def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter:
@@ -263,26 +396,29 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
     n_path = layout.points * len(compiled.path.jacobian_rows)
     n_sources = n_path + len(compiled.points.jacobian_rows) + 1
     n, n_conditions = compiled.n_equations, len(compiled.declared.conditions)
-    all_points = np.arange(layout.points)
-    ones = np.ones(layout.points)
-    quadrature = layout.mesh.quadrature_weights if layout.mesh else np.zeros(0)
     rows, objective = Contributions(), Contributions()
     integrals = [Contributions() for _ in compiled.row_integrals]
     first_integral_row = layout.points * n + n_conditions
     defined = list(compiled.static_of_integral)
-    for entry, path_row in enumerate(compiled.path.jacobian_rows if layout.points else []):
-        integral = int(path_row) - n
-        if integral < 0:
-            _add_path_row(rows, compiled, layout, entry, all_points * n + path_row, ones)
-        elif integral in defined:
-            row = np.full(layout.points, first_integral_row + defined.index(integral))
-            _add_path_row(rows, compiled, layout, entry, row, -quadrature)
-        else:
-            target = integrals[compiled.row_integrals.index(integral)]
-            _add_path_row(target, compiled, layout, entry, 0 * all_points, quadrature)
+    for elements in layout.elements:
+        add = partial(_add_path_rows, compiled, layout, elements)
+        quadrature, points = (
+            radau_rule(elements.degree).weights,
+            np.arange(elements.degree)[:, None],
+        )
+        entries = np.flatnonzero(compiled.path.jacobian_rows < n)
+        at = _places(n * points + compiled.path.jacobian_rows[entries], n)
+        add(rows, entries, at, np.ones(elements.degree), 0)
+        for integral in (*defined, *compiled.row_integrals):
+            entries = np.flatnonzero(compiled.path.jacobian_rows == n + integral)
+            is_row = integral in defined
+            row = first_integral_row + defined.index(integral) if is_row else 0
+            target = rows if is_row else integrals[compiled.row_integrals.index(integral)]
+            at = _places(row + 0 * (points + entries), 0)
+            add(target, entries, at, -quadrature if is_row else quadrature, 1)
     for position, integral in enumerate(defined):
-        column = layout.static_columns[compiled.static_of_integral[integral]]
-        rows.add(np.array([first_integral_row + position]), column, np.array([n_sources - 1]), 1.0)
+        column = layout.static_columns[[compiled.static_of_integral[integral]]]
+        rows.add(first_integral_row + position, column, n_sources - 1, 1.0)
     slope_sources, slope_integrals = _add_conditions(
         compiled, layout, rows, objective, layout.points * n, n_path
     )
@@ -339,75 +475,67 @@ def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
     into = Contributions()
     n_path = layout.points * len(compiled.path.hessian_rows)
     n_sources = n_path + len(compiled.points.hessian_rows)
-    entries = zip(compiled.path.hessian_rows, compiled.path.hessian_columns, strict=True)
-    for entry, (i, j) in enumerate(entries if layout.points else []):
-        _add_path_entry(into, compiled, layout, entry, int(i), int(j))
+    for elements in layout.elements:
+        _add_path_hessian(into, compiled, layout, elements)
     entries = zip(compiled.points.hessian_rows, compiled.points.hessian_columns, strict=True)
     for entry, (i, j) in enumerate(entries):
         first, first_weights = _expand(layout, int(i))
         second, second_weights = _expand(layout, int(j))
         a, b = (m.ravel() for m in np.meshgrid(first, second, indexing="ij"))
-        weights = np.outer(first_weights, second_weights).ravel()
-        _add_symmetric(into, a, b, np.full(a.size, n_path + entry), weights, is_square=i == j)
+        weights = _in_triangle(
+            a, b, np.outer(first_weights, second_weights).ravel(), is_square=i == j
+        )
+        into.add(np.maximum(a, b), np.minimum(a, b), n_path + entry, weights)
     return into.scatter(layout.unknowns, n_sources)
 
 
-def _add_path_entry(
-    into: Contributions, compiled: CompiledModel, layout: Layout, entry: int, i: int, j: int
+def _add_path_hessian(
+    into: Contributions, compiled: CompiledModel, layout: Layout, elements: Elements
 ) -> None:
-    """Add one nonzero (i >= j) of the point Hessian at every point.
+    """Add the nonzeros (i, j) of the point Hessian at every point, with i >= j.
 
     Rates come first among a point's variables, so j is a rate whenever i is one.
     """
-    columns = path_columns(layout)
-    n_sources = len(compiled.path.hessian_rows)
-    states = layout.n_states
-    if j >= states:
-        points = np.arange(layout.points)
-        a, b, weights = columns[:, i - states], columns[:, j - states], np.ones(layout.points)
-    elif i >= states:
-        points, nodes, weights = layout.stencil
-        a, b = columns[points, i - states], layout.state_columns[nodes, j]
-    else:
-        points, a, b, weights = _rate_pairs(layout, i, j)
-    _add_symmetric(into, a, b, points * n_sources + entry, weights, is_square=i == j)
+    every_i, every_j = compiled.path.hessian_rows, compiled.path.hessian_columns
+    n_sources, n = len(every_i), layout.n_states
+    slopes = radau_rule(elements.degree).differentiation[:, :, None]
+    # By the number of rates among the two: 0, 1 or 2, each with an axis of nodes behind it.
+    for power in range(3):
+        entries = np.flatnonzero((every_i < n).astype(int) + (every_j < n) == power)
+        i, j = every_i[entries], every_j[entries]
+        sources = _places(n_sources * np.arange(elements.degree)[:, None] + entries, n_sources)
+        if power == 0:
+            a, b = (layout.variables_in(elements, k - n) for k in (i, j))
+            weights = np.ones((elements.degree, 1))
+        elif power == 1:
+            a = layout.variables_in(elements, i - n)[:, None]
+            b = layout.states_in(elements, j)[None]
+            sources, weights = sources[:, None], slopes
+        else:
+            a = layout.states_in(elements, i)[None, :, None]
+            b = layout.states_in(elements, j)[None, None]
+            sources, weights = sources[:, None, None], slopes[:, :, None] * slopes[:, None]
+        a, b = np.broadcast_arrays(a, b)
+        # In every element the order of two unknowns is that in the first.
+        first, second = (p[..., 0] + elements.first_nodes[0] * p[..., 1] for p in (a, b))
+        is_lower = (first >= second)[..., None]
+        into.repeat(
+            elements,
+            np.where(is_lower, a, b),
+            np.where(is_lower, b, a),
+            sources,
+            _in_triangle(first, second, weights, is_square=i == j),
+            -power,
+            layout.is_met(elements, a) & layout.is_met(elements, b),
+        )
 
 
-def _rate_pairs(
-    layout: Layout, i: int, j: int
-) -> tuple[IndexArray, IndexArray, IndexArray, FloatArray]:
-    """Return all pairs of nodes behind the rates i and j of each point."""
-    matrix = layout.slope_matrix
-    lengths = np.diff(matrix.indptr)
-    points = np.repeat(np.arange(layout.points), lengths**2)
-    first, second = [], []
-    for point, length in enumerate(lengths):
-        span = np.arange(matrix.indptr[point], matrix.indptr[point] + length)
-        first.append(np.repeat(span, length))
-        second.append(np.tile(span, length))
-    p, q = np.concatenate(first), np.concatenate(second)
-    a = layout.state_columns[matrix.indices[p], i]
-    b = layout.state_columns[matrix.indices[q], j]
-    return points, a, b, matrix.data[p] * matrix.data[q]
+def _in_triangle(
+    a: NDArray[Any], b: NDArray[Any], weights: FloatArray, *, is_square: Any
+) -> FloatArray:
+    """Return what the term h * variable_a * variable_b weighs in the lower triangle.
 
-
-def _add_symmetric(
-    into: Contributions,
-    a: IndexArray,
-    b: IndexArray,
-    sources: IndexArray,
-    weights: FloatArray,
-    *,
-    is_square: bool,
-) -> None:
-    """Add weight * h to the lower triangle for the term h * variable_a * variable_b.
-
-    A square term lists every pair of unknowns twice, so half of them are kept; a mixed term
+    A square term lists every pair of unknowns twice, so half of them are dropped; a mixed term
     that meets itself on the diagonal counts twice.
     """
-    if is_square:
-        kept = a >= b
-        into.add(a[kept], b[kept], sources[kept], weights[kept])
-        return
-    doubled = np.where(a == b, 2.0 * weights, weights)
-    into.add(np.maximum(a, b), np.minimum(a, b), sources, doubled)
+    return np.where(is_square, np.where(a >= b, weights, 0.0), np.where(a == b, 2.0, 1.0) * weights)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,6 @@ from pyomo_quad.collocation.program.sparsity import (
     Layout,
     hessian_scatter,
     jacobian_scatter,
-    path_columns,
 )
 
 if TYPE_CHECKING:
@@ -114,7 +112,6 @@ class Transcription:
         self.mesh = mesh
         self.layout = Layout(compiled.declared, mesh)
         self._sign = -1.0 if compiled.declared.maximise else 1.0
-        self._columns = path_columns(self.layout)
         self._jacobian = jacobian_scatter(compiled, self.layout)
         self._hessian = hessian_scatter(compiled, self.layout)
         self._map()
@@ -126,8 +123,10 @@ class Transcription:
 
     def with_data(self, data: Data) -> Transcription:
         """Return a program of its own on the same mesh for other numbers."""
-        other = copy(self)
-        other._hold(data)  # noqa: SLF001  of its own class
+        # Not `copy`, which would build all anew as a pickle does.
+        other = object.__new__(type(self))
+        vars(other).update(vars(self))
+        other._hold(data)
         return other
 
     def _hold(self, data: Data) -> None:
