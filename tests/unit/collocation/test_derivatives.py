@@ -84,3 +84,13 @@ def test_hessian_is_the_slope_of_the_lagrangians_gradient(program, point):
     shape = point.size, point.size
     lower = filled(structure, program.hessian(point, multipliers, 0.7), shape)
     assert_close(lower, np.tril(differences(gradient, point)))
+
+
+def test_other_numbers_share_the_pattern_of_their_mesh(program):
+    again = program.with_data(program.data)
+    for shared, own in zip(
+        (*again.jacobianstructure(), *again.hessianstructure()),
+        (*program.jacobianstructure(), *program.hessianstructure()),
+        strict=True,
+    ):
+        assert shared is own
