@@ -45,15 +45,6 @@ _STATE_OF_CHARGE = "battery.state_of_charge"
 def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None) -> FloatArray:
     """Return the state in which a flight starts: that of the plan, or hover as declared.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Gives the place and the state of charge.
-    dynamics : Dynamics
-        The vehicle to be flown.
-    plan : Plan, optional
-        Its first state is taken where there is one.
-
     Returns
     -------
     ndarray, shape (n_states,)
@@ -87,20 +78,7 @@ def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
 
 
 def wanted_at_goal(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
-    """Return the final values that the mission wants: hover at the goal.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Gives the goal.
-    dynamics : Dynamics
-        The vehicle flown.
-
-    Returns
-    -------
-    dict
-        State name -> value, of rigid body and rotors.
-    """
+    """Return the final values that the mission wants: hover at the goal."""
     return _hovering(scenario, scenario.mission.goal, dynamics)
 
 
@@ -160,26 +138,17 @@ def fly(
 ) -> ClosedLoopFlight:
     """Fly a reference under feedback.
 
+    The law is compiled with the engine's own dynamics; any other vehicle is flown with the law
+    evaluated in numbers.
+
     Parameters
     ----------
-    dynamics : VehicleDynamics
-        The declared equations, with the wind that really blows.  The controller's law is compiled
-        with the engine's own; any other vehicle is flown with the law evaluated in numbers.
-    controller : AdaptiveController
-        Starts with nothing learnt.
     reference : callable
         Time in s -> Setpoint.
     initial_state : ndarray, shape (n_states,)
         State of the vehicle at the first time.
     times : ndarray, shape (n,)
         Rising times at which the flight is returned, s.
-    integrator : Integrator, optional
-        What steps through time.
-
-    Returns
-    -------
-    ClosedLoopFlight
-        The flight.
 
     Raises
     ------
@@ -304,43 +273,18 @@ _AIR_FORCE = tuple(f"aerodynamics.force_{axis}" for axis in "xyz")
 
 
 def baseline_name(reference: Reference) -> str:
-    """Return the name of a controlled flight.
-
-    Parameters
-    ----------
-    reference : Reference
-        What the controller followed.
-
-    Returns
-    -------
-    str
-        As in the comparison's first columns.
-    """
+    """Return the name of a controlled flight."""
     return f"adaptive/{reference.value}"
 
 
 def fly_baseline(
     scenario: Scenario, reference: Reference, *, dynamics: Dynamics, plan: Plan | None = None
 ) -> Flight:
-    """Fly a mission under the adaptive controller.
+    """Fly a mission under the adaptive controller, in the wind that `dynamics` has.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Mission, gains, and the vehicle that the controller believes in.
-    reference : Reference
-        What the controller follows.
-    dynamics : Dynamics
-        The vehicle in the wind that really blows, of `Planner.dynamics`.
-    plan : Plan, optional
-        Gives the start; needed to follow `Reference.PLAN`.
-
-    Returns
-    -------
-    Flight
-        Named by `baseline_name`.  It is verified when a flight by another integrator, which
-        shares no code with the first, ends at the same place and has spent the same energy,
-        within the tolerances that plans are held to, and the battery can give its power.
+    It is verified when a flight by another integrator, which shares no code with the first, ends
+    at the same place and has spent the same energy, within the tolerances that plans are held to,
+    and the battery can give its power.
 
     Raises
     ------
@@ -383,18 +327,8 @@ def fly_reference(
 
     Parameters
     ----------
-    scenario : Scenario
-    reference : Reference
-    dynamics : Dynamics
-    plan : Plan, optional
-    integrator : Integrator, optional
     rate_hz : float, optional
         Samples per second; both ends are always kept.
-
-    Returns
-    -------
-    ClosedLoopFlight
-        Sampled at an even rate.
     """
     _refuse_other_vehicles(scenario, dynamics)
     duration = scenario.mission.duration
@@ -412,15 +346,6 @@ def reference_path(
     scenario: Scenario, reference: Reference, plan: Plan | None = None
 ) -> ReferencePath:
     """Return where the controller should be at each time.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Gives the mission.
-    reference : Reference
-        What to follow.
-    plan : Plan, optional
-        Needed for `Reference.PLAN`.
 
     Returns
     -------
@@ -443,22 +368,7 @@ def reference_path(
 
 
 def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
-    """Fly the plan's own rotor accelerations without feedback.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Its mission says where the flight should end.
-    plan : Plan
-        Made for the wind that the optimiser was told.
-    dynamics : Dynamics
-        The vehicle in the wind that really blows.
-
-    Returns
-    -------
-    Flight
-        Named `OPEN_LOOP`; verified as `fly_baseline` says.
-    """
+    """Fly the plan's own rotor accelerations without feedback."""
     began = perf_counter()
     held = plan.trajectories
     start = start_state(scenario, dynamics, plan)

@@ -25,33 +25,14 @@ _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "�
 
 
 def neutral_cell(value: object) -> object:
-    """Return a cell that a spreadsheet shows and does not run.
-
-    Parameters
-    ----------
-    value : object
-        Any cell; only text is changed.
-
-    Returns
-    -------
-    object
-        Text that would be a formula gets a leading apostrophe, all else is returned as it is.
-    """
+    """Return a cell that a spreadsheet shows and does not run."""
     if isinstance(value, str) and value.lstrip(" ").startswith(_FORMULA_STARTS):
         return f"'{value}"
     return value
 
 
 def write_table(frame: "pd.DataFrame", path: Path) -> None:
-    """Write a table as CSV.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Any table; the index is left out.
-    path : Path
-        The file.
-    """
+    """Write a table as CSV."""
     import pandas as pd  # noqa: PLC0415  takes a quarter of a second, and not all commands need it
 
     safe = frame.rename(columns=neutral_cell)
@@ -72,21 +53,8 @@ def flight_summary(
 
     Parameters
     ----------
-    scenario : Scenario
-        The mission flown.
-    flight : Flight
-        Controlled or not.
-    hover_energy_J : float
-        Energy of hovering for the same time.
-    arrived : bool
-        Whether it ends at the goal.
     wall_s : mapping
         Seconds of each phase.
-
-    Returns
-    -------
-    dict
-        Only what JSON can hold.
     """
     return {
         "scenario": scenario.name,
@@ -116,10 +84,6 @@ def write_plan_table(folder: Path, plan: "Plan", rate_hz: float | None = None) -
 
     Parameters
     ----------
-    folder : Path
-        An existing folder.
-    plan : Plan
-        Of any status; each row of a solve that failed is marked with its status.
     rate_hz : float, optional
         Rows per second; one per node of the mesh without.
     """
@@ -150,12 +114,8 @@ def plan_summary(
 
     Parameters
     ----------
-    plan : Plan
-        Verified or not, failed or not.
     wall_s : mapping
         Seconds of the phases that the plan's own timings do not hold.
-    warnings : sequence of str, optional
-        What a reader should know beside the numbers.
 
     Returns
     -------
@@ -197,15 +157,8 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
 
     Parameters
     ----------
-    result : RunResult
-        Of any status.
     wall_s : mapping
         Seconds of the phases that the result's own timings do not hold.
-
-    Returns
-    -------
-    dict
-        As `plan_summary`, with the flights and the certificate.
     """
     summary = plan_summary(result.plan, wall_s=wall_s, warnings=result.warnings)
     summary["wall_s"] |= {phase: _number(result.timings[phase]) for phase in ("fly", "certify")}
@@ -232,47 +185,17 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
 
 
 def compare_summary(results: Sequence["RunResult"]) -> dict[str, Any]:
-    """Summarise runs of many scenarios.
-
-    Parameters
-    ----------
-    results : sequence of RunResult
-        In the order of the table.
-
-    Returns
-    -------
-    dict
-        The summaries of the runs, in order.
-    """
+    """Summarise runs of many scenarios."""
     return {"runs": [run_summary(result, wall_s={}) for result in results]}
 
 
 def summary_text(summary: Mapping[str, Any]) -> str:
-    """Return a summary as JSON text.
-
-    Parameters
-    ----------
-    summary : mapping
-        As `plan_summary` makes it.
-
-    Returns
-    -------
-    str
-        Indented, ending in a line break.
-    """
+    """Return a summary as JSON text."""
     return json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
-    """Write `summary.json` into a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        Existing folder.
-    summary : mapping
-        As `plan_summary` makes it.
-    """
+    """Write `summary.json` into a folder."""
     (folder / SUMMARY_NAME).write_text(summary_text(summary), encoding="utf-8")
 
 
