@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,14 @@ from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.formulation import Formulation
 from pyomo_quad.collocation.guess import Guess, WarmStart, initial_point, transfer
 from pyomo_quad.collocation.program.bounds import bounds_of, refuse_unsolvable, scaling_of
-from pyomo_quad.collocation.program.ipopt import Progress, SolverOptions, run
+from pyomo_quad.collocation.program.ipopt import (
+    TIME_LIMIT_CODE,
+    Deadline,
+    Progress,
+    SolverOptions,
+    Status,
+    run,
+)
 from pyomo_quad.collocation.refining.refinement import RefinementOptions, refine
 from pyomo_quad.collocation.solution import Solution, solution_from
 
@@ -95,19 +103,24 @@ class Problem(Formulation):
             raise TranscriptionError(f"tolerance: {tolerance:g}; must be above 0.")
         instance = self.instance(parameters, horizon)
         options = options or SolverOptions()
+        deadline = None
+        if options.max_wall_s is not None:
+            progress = deadline = Deadline(limit_s=options.max_wall_s, progress=progress)
         start = warm_start.warm_start if isinstance(warm_start, Solution) else warm_start
         if tolerance is None and mesh is None:
             tolerance = DEFAULT_TOLERANCE
         solve_on = partial(self.solve_on_mesh, instance=instance, guess=guess, progress=progress)
         if not self.has_horizon or tolerance is None:
-            return solve_on(mesh, start, options=options)
-        return refine(
-            partial(solve_on, options=options.suiting(tolerance)),
-            mesh=mesh or (start.mesh if start is not None else None),
-            tolerance=tolerance,
-            refinement=refinement or RefinementOptions(),
-            warm_start=start,
-        )
+            solution = solve_on(mesh, start, options=options)
+        else:
+            solution = refine(
+                partial(solve_on, options=options.suiting(tolerance)),
+                mesh=mesh or (start.mesh if start is not None else None),
+                tolerance=tolerance,
+                refinement=refinement or RefinementOptions(),
+                warm_start=start,
+            )
+        return solution if deadline is None else _in_time(solution, deadline)
 
     def solve_on_mesh(
         self,
@@ -174,3 +187,17 @@ class Problem(Formulation):
             for slot in (*declared.states, *declared.outputs, *declared.algebraics):
                 self.values.load(slot, fraction, float(frame[slot.name]))
             self.values.load_rates(fraction, partial(solution.value, t=time))
+        totals = solution.program.integrals(solution.unknowns).tolist()
+        names = [integral.name for integral in declared.integrals]
+        self.values.load_integrals(dict(zip(names, totals, strict=True)))
+
+
+def _in_time(solution: Solution, deadline: Deadline) -> Solution:
+    """Return a solution that says so where the deadline ended its solve."""
+    if not deadline.is_over or solution.status is not Status.INTERRUPTED:
+        return solution
+    message = (
+        f"stopped at the time limit of {deadline.limit_s:g} s, on mesh "
+        f"{len(solution.history) or 1}; allow more time or a larger tolerance."
+    )
+    return replace(solution, ipopt_code=TIME_LIMIT_CODE, message=message)

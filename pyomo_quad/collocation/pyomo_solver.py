@@ -7,7 +7,11 @@ time: a plain nonlinear program.
 from __future__ import annotations
 
 import sys
-from typing import Any, Self
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import mkstemp
+from typing import TYPE_CHECKING, Any, Self
+from weakref import WeakKeyDictionary
 
 from pyomo.opt import (
     ProblemSense,
@@ -17,8 +21,15 @@ from pyomo.opt import (
     TerminationCondition,
 )
 
+from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.problem import Problem
 from pyomo_quad.collocation.program.ipopt import Iteration, SolverOptions, Status
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pyomo_quad.collocation.guess import WarmStart
+    from pyomo_quad.collocation.solution import Solution
 
 _TERMINATION = {
     Status.CONVERGED: (SolverStatus.ok, TerminationCondition.optimal),
@@ -26,6 +37,13 @@ _TERMINATION = {
     Status.NOT_CONVERGED: (SolverStatus.warning, TerminationCondition.unknown),
     Status.TOLERANCE_NOT_MET: (SolverStatus.warning, TerminationCondition.other),
     Status.INTERRUPTED: (SolverStatus.aborted, TerminationCondition.userInterrupt),
+}
+# What Ipopt's own return codes say more, of a solve that did not converge.
+_BY_CODE = {
+    -1: (SolverStatus.warning, TerminationCondition.maxIterations),
+    -4: (SolverStatus.aborted, TerminationCondition.maxTimeLimit),
+    -5: (SolverStatus.aborted, TerminationCondition.maxTimeLimit),
+    4: (SolverStatus.warning, TerminationCondition.unbounded),
 }
 
 
@@ -43,7 +61,8 @@ class PyomoSolver:
 
     def __init__(self, **options: Any) -> None:
         options.pop("solver_io", None)
-        self.options: dict[str, Any] = options
+        self.options: dict[str, Any] = {**options.pop("options", {}), **options}
+        self._last: WeakKeyDictionary[Any, WarmStart] = WeakKeyDictionary()
 
     @staticmethod
     def available(*, exception_flag: bool = False) -> bool:
@@ -62,6 +81,10 @@ class PyomoSolver:
         model: Any,
         *,
         tee: bool = False,
+        logfile: str | Path | None = None,
+        keepfiles: bool = False,
+        timelimit: float | None = None,
+        warmstart: bool = False,
         options: dict[str, Any] | None = None,
         load_solutions: bool = True,
         final_time: Any = None,
@@ -74,10 +97,19 @@ class PyomoSolver:
         model : ConcreteModel
         tee : bool, optional
             Print a line for each iteration.
+        logfile : str or Path, optional
+            File that gets these lines.
+        keepfiles : bool, optional
+            Write them to a temporary file, whose name is printed, where no `logfile` is given.
+        timelimit : float, optional
+            Seconds on the clock for all meshes together; so is the option `max_wall_time`.
+        warmstart : bool, optional
+            Start from the trajectory and multipliers that this solver last found for the
+            model; the values that its variables hold are the first point in any case.
         options : dict, optional
             Ipopt options by name.
         load_solutions : bool, optional
-            Whether the variables of the model take the solution's values.
+            Whether the model takes the solution's values, integrals included.
         final_time : Var, optional
             See `Problem`.
         **arguments
@@ -92,34 +124,68 @@ class PyomoSolver:
         Raises
         ------
         TranscriptionError
-            If the model declares something incomplete or unsupported.
+            If the model declares something incomplete or unsupported, or the time limit is
+            not above 0.
         """
-        settings = SolverOptions(extra=tuple({**self.options, **(options or {})}.items()))
+        chosen = {**self.options, **(options or {})}
+        limit = chosen.pop("max_wall_time", None) if timelimit is None else timelimit
+        chosen.pop("max_wall_time", None)
+        if limit is not None and not limit > 0.0:
+            raise TranscriptionError(f"timelimit: {limit:g} s; must be above 0.")
+        if warmstart and model in self._last:
+            arguments.setdefault("warm_start", self._last[model])
         problem = Problem(model, final_time)
-        solution = problem.solve(
-            options=settings, progress=_print_iteration if tee else None, **arguments
-        )
+        with ExitStack() as files:
+            writers = [sys.stdout.write] if tee else []
+            if keepfiles and logfile is None:
+                _, logfile = mkstemp(prefix="pyomo_quad_", suffix=".log")
+                sys.stdout.write(f"Solver log file: '{logfile}'\n")
+            if logfile is not None:
+                file = files.enter_context(Path(logfile).open("w", encoding="utf-8"))
+                writers.append(file.write)
+            solution = problem.solve(
+                options=SolverOptions(max_wall_s=limit, extra=tuple(chosen.items())),
+                progress=_printed(writers) if writers else None,
+                **arguments,
+            )
         if load_solutions:
             problem.load(solution)
-        results = SolverResults()
-        results.solver.name = "pyomo_quad"
-        results.solver.status, results.solver.termination_condition = _TERMINATION[solution.status]
-        results.solver.message = solution.message
-        results.solver.wallclock_time = solution.wall_s
-        results.problem.number_of_variables = solution.unknowns.size
-        results.problem.number_of_constraints = solution.program.n_rows
-        is_maximised = problem.compiled.declared.maximise
-        results.problem.sense = ProblemSense.maximize if is_maximised else ProblemSense.minimize
-        if is_maximised:
-            results.problem.lower_bound = solution.objective
-        else:
-            results.problem.upper_bound = solution.objective
-        results.solution_on_mesh = solution
-        return results
+        if solution.is_converged:
+            self._last[model] = solution.warm_start
+        return _results(problem, solution)
 
 
-def _print_iteration(line: Iteration) -> None:
-    sys.stdout.write(
-        f"{line.iteration:5d}  objective {line.objective:.8e}  "
-        f"infeasibility {line.infeasibility:.2e}  dual {line.dual_infeasibility:.2e}\n"
-    )
+def _results(problem: Problem, solution: Solution) -> SolverResults:
+    """Return what Pyomo wants to know of a solution."""
+    results = SolverResults()
+    results.solver.name = "pyomo_quad"
+    ended = _TERMINATION[solution.status]
+    if solution.status in (Status.NOT_CONVERGED, Status.INTERRUPTED):
+        ended = _BY_CODE.get(solution.ipopt_code, ended)
+    results.solver.status, results.solver.termination_condition = ended
+    results.solver.message = solution.message
+    results.solver.wallclock_time = solution.wall_s
+    results.problem.number_of_variables = solution.unknowns.size
+    results.problem.number_of_constraints = solution.program.n_rows
+    is_maximised = problem.compiled.declared.maximise
+    results.problem.sense = ProblemSense.maximize if is_maximised else ProblemSense.minimize
+    if is_maximised:
+        results.problem.lower_bound = solution.objective
+    else:
+        results.problem.upper_bound = solution.objective
+    results.solution_on_mesh = solution
+    return results
+
+
+def _printed(writers: list[Callable[[str], Any]]) -> Callable[[Iteration], None]:
+    """Return a progress callback that gives every writer a line."""
+
+    def write(line: Iteration) -> None:
+        text = (
+            f"{line.iteration:5d}  objective {line.objective:.8e}  "
+            f"infeasibility {line.infeasibility:.2e}  dual {line.dual_infeasibility:.2e}\n"
+        )
+        for writer in writers:
+            writer(text)
+
+    return write

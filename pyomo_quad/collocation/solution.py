@@ -175,6 +175,8 @@ class Solution:
     program : Transcription
         The nonlinear program of the last mesh, with this solution's own data.
     status : Status
+    ipopt_code : int
+        Ipopt's own return code of the last solve.
     message : str
         Why the solve ended, in one sentence.
     objective : float
@@ -191,6 +193,7 @@ class Solution:
     program: Transcription
     instance: Instance
     status: Status
+    ipopt_code: int
     message: str
     objective: float
     trajectory: Trajectory
@@ -393,6 +396,7 @@ def solution_from(
         program=program,
         instance=instance,
         status=result.status,
+        ipopt_code=result.code,
         message=result.message,
         objective=program.user_objective(z),
         trajectory=program.trajectory(z),

@@ -31,11 +31,12 @@ class SolverOptions:
     """Ipopt's settings that a caller may change.
 
     `tolerance` is Ipopt's `tol` on the scaled problem, chosen to suit the tolerance of the
-    mesh where it is None; `extra` passes any Ipopt option.
+    mesh where it is None; `max_wall_s` limits all meshes together; `extra` passes any Ipopt option.
     """
 
     tolerance: float | None = None
     max_iterations: int = 500
+    max_wall_s: float | None = None
     extra: tuple[tuple[str, Any], ...] = ()
 
     def suiting(self, tolerance: float) -> SolverOptions:
@@ -88,11 +89,37 @@ class _Program(Protocol):
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray: ...
 
 
+@dataclass(kw_only=True)
+class Deadline:
+    """A progress callback that ends all solves together after a time.
+
+    Attributes
+    ----------
+    limit_s : float
+        On the clock, from when it was made.
+    """
+
+    limit_s: float
+    progress: Progress | None
+    is_over: bool = False
+
+    def __post_init__(self) -> None:
+        self.started = time.perf_counter()
+
+    def __call__(self, line: Iteration) -> bool | None:
+        """Return False once the time is up, else what the caller's own callback returns."""
+        self.is_over = time.perf_counter() - self.started > self.limit_s
+        if self.is_over:
+            return False
+        return None if self.progress is None else self.progress(line)
+
+
 @dataclass(frozen=True, kw_only=True)
 class IpoptResult:
-    """Point, multipliers and how Ipopt got there."""
+    """Point, multipliers and how Ipopt got there; `code` is Ipopt's own return code."""
 
     status: Status
+    code: int
     message: str
     z: FloatArray
     multipliers: Multipliers
@@ -214,6 +241,8 @@ _WARM: dict[str, Any] = {
 }
 
 _SOLVED, _INFEASIBLE, _STOPPED = 0, 2, 5
+#: Ipopt's return code for a solve that took longer than it may.
+TIME_LIMIT_CODE = -5
 
 
 def run(
@@ -283,6 +312,7 @@ def _result(
     message = info["status_msg"]
     return IpoptResult(
         status=status,
+        code=code,
         message=message.decode() if isinstance(message, bytes) else str(message),
         z=z,
         multipliers=Multipliers(

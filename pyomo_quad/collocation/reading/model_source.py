@@ -9,7 +9,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from pyomo.core.base.units_container import UnitsError
-from pyomo.dae import DerivativeVar
+from pyomo.dae import DerivativeVar, Integral
 from pyomo.environ import Constraint, Var, units, value
 
 from pyomo_quad.collocation.errors import TranscriptionError
@@ -19,7 +19,7 @@ from pyomo_quad.collocation.reading.schedules import Reading, jumps, probes
 from pyomo_quad.collocation.reading.symbols import AddressBook
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from pyomo_quad.collocation.reading.schedules import Schedule
     from pyomo_quad.collocation.reading.symbols import Declarations, Slot
@@ -176,6 +176,13 @@ class LiveModel:
                     number = rate(derivative.name, index=address.index)
                     derivative[position].set_value(number, skip_validation=True)
 
+    def load_integrals(self, totals: Mapping[str, float]) -> None:
+        """Let integrals, by full name, be worth their totals; their rules keep the integrands."""
+        for integral in self.model.component_objects(Integral, descend_into=True):
+            for data in integral.values():
+                if data.name in totals:
+                    data.set_value(totals[data.name])
+
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:
         """Return what the model holds now; what changes with time, over a horizon."""
         varying = (*declared.states, *declared.algebraics, *declared.outputs)
@@ -257,6 +264,10 @@ class ModelSnapshot:
 
     def load_rates(self, time: float, rate: Callable[..., float]) -> NoReturn:  # noqa: ARG002
         """Refuse to load rates: there is no model."""
+        _refuse_without_model()
+
+    def load_integrals(self, totals: Mapping[str, float]) -> NoReturn:  # noqa: ARG002
+        """Refuse to load totals: there is no model."""
         _refuse_without_model()
 
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:  # noqa: ARG002

@@ -221,6 +221,10 @@ class ModelValues:
         """Put solved rates, by component and index, into the model's derivatives at a time."""
         self._source.load_rates(self._declared_time(*self.declared_horizon, fraction), rate)
 
+    def load_integrals(self, totals: Mapping[str, float]) -> None:
+        """Let the model's integrals, by full name, be worth their solved totals."""
+        self._source.load_integrals(totals)
+
     def snapshot(self) -> ModelSnapshot:
         """Return what the model holds, over the widest horizon that was asked for so far."""
         return self._source.snapshot(self._declared, self._widest)

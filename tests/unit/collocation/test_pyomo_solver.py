@@ -1,6 +1,11 @@
 """The engine as a Pyomo solver, on continuous, discretised and plain models."""
 
+import itertools
+import tempfile
+import time
+
 import pytest
+from pyomo.dae import Integral
 from pyomo.environ import (
     ConcreteModel,
     Constraint,
@@ -15,8 +20,9 @@ from pyomo.environ import (
 )
 from pyomo.opt import TerminationCondition
 
-import pyomo_quad.collocation  # noqa: F401  registers the solver
-from tests.problems import double_integrator
+from pyomo_quad.collocation import TranscriptionError
+from pyomo_quad.collocation.program import ipopt
+from tests.problems import bryson_denham, double_integrator, hyper_sensitive
 
 
 @pytest.fixture
@@ -108,3 +114,98 @@ def test_rates_are_loaded_too(solver):
     solver.solve(m, tolerance=1e-8)
     assert value(m.dv_dt[0]) == pytest.approx(6.0, abs=1e-6)
     assert value(m.dx_dt[1]) == pytest.approx(0.0, abs=1e-8)
+
+
+def test_a_time_limit_ends_all_meshes_together(solver):
+    m = bryson_denham.build()
+    began = time.perf_counter()
+    results = solver.solve(m, timelimit=1e-3, tolerance=1e-8)
+    assert results.solver.termination_condition is TerminationCondition.maxTimeLimit
+    assert results.solver.message.startswith("stopped at the time limit of 0.001 s, on mesh 1;")
+    assert time.perf_counter() - began < 5.0
+    by_option = solver.solve(m, options={"max_wall_time": 1e-3}, tolerance=1e-8)
+    assert by_option.solver.termination_condition is TerminationCondition.maxTimeLimit
+
+
+def test_a_time_limit_counts_on_from_mesh_to_mesh(solver, monkeypatch):
+    # A clock that moves by a second when it is asked.
+    clock = itertools.count()
+    monkeypatch.setattr(ipopt.time, "perf_counter", lambda: float(next(clock)))
+    whole = solver.solve(bryson_denham.build(), tolerance=1e-8).solution_on_mesh
+    assert len(whole.history) > 1
+    first = whole.history[0].iterations
+    results = solver.solve(bryson_denham.build(), tolerance=1e-8, timelimit=2.0 * first + 6.0)
+    assert results.solver.termination_condition is TerminationCondition.maxTimeLimit
+    assert len(results.solution_on_mesh.history) > 1
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0])
+def test_a_time_limit_that_is_no_time_is_refused(solver, limit):
+    with pytest.raises(TranscriptionError, match=r"timelimit: .* s; must be above 0"):
+        solver.solve(hock_schittkowski_71(), timelimit=limit)
+
+
+def test_the_log_goes_to_a_file(solver, tmp_path, capsys):
+    solver.solve(hock_schittkowski_71(), logfile=tmp_path / "solve.log")
+    assert "infeasibility" in (tmp_path / "solve.log").read_text()
+    assert capsys.readouterr().out == ""
+
+
+def test_a_kept_log_is_named(solver, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    solver.solve(hock_schittkowski_71(), keepfiles=True)
+    (log,) = tmp_path.glob("*.log")
+    assert capsys.readouterr().out == f"Solver log file: '{log}'\n"
+    assert "infeasibility" in log.read_text()
+
+
+def test_a_warm_start_takes_fewer_iterations(solver):
+    m = bryson_denham.build()
+    cold = solver.solve(m, tolerance=1e-6).solution_on_mesh
+    warm = solver.solve(m, tolerance=1e-6, warmstart=True).solution_on_mesh
+    assert sum(r.iterations for r in warm.history) < sum(r.iterations for r in cold.history)
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-6)
+
+
+def test_options_of_the_factory():
+    limited = SolverFactory("pyomo_quad", options={"max_iter": 1})
+    assert limited.options == {"max_iter": 1}
+    results = limited.solve(hock_schittkowski_71())
+    assert results.solver.termination_condition is TerminationCondition.maxIterations
+
+
+def test_an_unbounded_program_says_so(solver):
+    m = ConcreteModel()
+    m.x = Var(initialize=1.0)
+    m.loss = Objective(expr=m.x)
+    results = solver.solve(m)
+    assert results.solver.termination_condition is TerminationCondition.unbounded
+
+
+@pytest.mark.parametrize("problem", [bryson_denham, hyper_sensitive])
+def test_objective_and_integrals_are_worth_what_was_solved(solver, problem):
+    m = problem.build()
+    expected = problem.objective()
+    for _ in range(2):
+        solver.solve(m, tolerance=1e-8)
+        assert value(m.objective) == pytest.approx(expected, rel=1e-7)
+    (integral,) = m.component_objects(Integral)
+    assert value(integral) == pytest.approx(expected, rel=1e-7)
+
+
+def test_integrals_are_left_alone_when_asked(solver):
+    m = hyper_sensitive.build()
+    for t in m.t:
+        m.x[t].set_value(1.0)
+        m.u[t].set_value(0.0)
+    before = value(m.objective)
+    solver.solve(m, load_solutions=False)
+    assert value(m.objective) == before
+
+
+def test_a_loaded_model_can_be_discretised_by_pyomo(solver):
+    m = double_integrator.build()
+    solver.solve(m)
+    TransformationFactory("dae.collocation").apply_to(m, nfe=6, ncp=3, scheme="LAGRANGE-RADAU")
+    results = solver.solve(m)
+    assert value(m.objective) == pytest.approx(results.problem.upper_bound, rel=1e-9)
