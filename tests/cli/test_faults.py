@@ -1,10 +1,10 @@
 """Interrupts, kills and bad disks through the real command: a whole report, or the old one."""
 
+import json
 import os
 import re
 import resource
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
@@ -19,7 +19,7 @@ from pyomo_quad import Plan
 from pyomo_quad.cli import main, solving
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.report.folder import output_folder
-from tests.command import COMMAND, ENVIRONMENT, PAPER_CALM, QUICK, solve, start
+from tests.command import COMMAND, ENVIRONMENT, PAPER_CALM, QUICK, start
 from tests.scenario_files import write_scenario
 
 PATIENCE_S = 120
@@ -34,6 +34,16 @@ def begin(folder, *arguments, **options):
         assert time.monotonic() < deadline
         time.sleep(0.01)
     return process
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Give a folder with an older report, of which only that it stays is looked at."""
+    with output_folder(tmp_path / "report") as aside:
+        (aside / "report.md").write_text("# An older report\n")
+        (aside / "figures").mkdir()
+        (aside / "figures" / "path.svg").write_text("<svg/>")
+    return tmp_path / "report"
 
 
 def content(folder):
@@ -87,18 +97,16 @@ def handles(process, number):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_at_work_keeps_the_old_report(tmp_path, calm, number):
-    folder = tmp_path / "report"
-    shutil.copytree(calm.folder, folder)
+def test_a_signal_at_work_keeps_the_old_report(folder, number):
+    before = content(folder)
     process = begin(folder, *QUICK)
     assert_interrupted(interrupt(process, number))
-    assert content(folder) == content(calm.folder)
+    assert content(folder) == before
     assert set(leftovers(folder)) <= {"report-interrupted"}
 
 
-def test_a_signal_while_the_report_is_written_keeps_the_old_one(tmp_path, calm):
-    folder = tmp_path / "report"
-    shutil.copytree(calm.folder, folder)
+def test_a_signal_while_the_report_is_written_keeps_the_old_one(tmp_path, folder):
+    before = content(folder)
     process = begin(folder, *QUICK)
     while not [file for file in tmp_path.glob(".report.new-*/*") if file.name[0] != "."]:
         assert process.poll() is None
@@ -106,27 +114,26 @@ def test_a_signal_while_the_report_is_written_keeps_the_old_one(tmp_path, calm):
     ended = interrupt(process, signal.SIGINT)
     assert_interrupted(ended)
     assert ended[2] == LINE
-    assert content(folder) == content(calm.folder)
+    assert content(folder) == before
     assert leftovers(folder) == []
 
 
 def test_a_stopped_solve_leaves_its_best_iterate_beside_the_report(
-    tmp_path, calm, monkeypatch, capsys
+    tmp_path, folder, monkeypatch, capsys
 ):
     def stop_when_it_is_good(now):
         if now.infeasibility < 1e-6:
             signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(solving, "live_line", lambda **_: nullcontext(stop_when_it_is_good))
-    folder = tmp_path / "report"
-    shutil.copytree(calm.folder, folder)
+    before = content(folder)
     assert main(["solve", PAPER_CALM, "--out", str(folder)]) == ExitCode.INTERRUPTED
     beside = tmp_path / "report-interrupted"
     assert capsys.readouterr() == (
         "",
         f"paper_calm: interrupted; its best iterate is in {beside}, and {folder} is as it was.\n",
     )
-    assert content(folder) == content(calm.folder)
+    assert content(folder) == before
     assert set(pd.read_csv(beside / "plan.csv")["status"]) == {"interrupted"}
     assert Plan.load(beside / "plan.npz").energy > 0.0
 
@@ -139,32 +146,30 @@ def test_a_solve_stopped_early_leaves_nothing(tmp_path, monkeypatch, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_kill_leaves_the_old_report_and_the_next_run_cleans_up(tmp_path, calm):
-    folder = tmp_path / "report"
-    shutil.copytree(calm.folder, folder)
+def test_kill_leaves_the_old_report_and_the_next_run_cleans_up(folder):
+    before = content(folder)
     process = begin(folder, *QUICK)
     process.kill()
     process.communicate()
-    assert content(folder) == content(calm.folder)
-    done = solve(folder, *QUICK, "--quiet")
-    assert done.status == ExitCode.VERIFIED
-    assert done.summary["scenario_resolved"]["mission"]["duration"] == 4.0
+    assert content(folder) == before
+    assert main(["solve", PAPER_CALM, *QUICK, "--out", str(folder), "--quiet"]) == 0
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["scenario_resolved"]["mission"]["duration"] == 4.0
     assert leftovers(folder) == []
 
 
-def test_full_disk_is_one_line_and_keeps_the_old_report(tmp_path, calm):
+def test_full_disk_is_one_line_and_keeps_the_old_report(folder):
     def allow_small_files_only():
         resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 
-    folder = tmp_path / "report"
-    shutil.copytree(calm.folder, folder)
+    before = content(folder)
     process = begin(folder, *QUICK, preexec_fn=allow_small_files_only)
     out, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, out) == (ExitCode.FAULT, "")
     message = f"{folder}: cannot be written (File too large); free the place or choose another"
     assert err.startswith(message)
     assert len(err.splitlines()) == 1
-    assert content(folder) == content(calm.folder)
+    assert content(folder) == before
     assert leftovers(folder) == []
 
 

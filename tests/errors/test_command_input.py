@@ -1,10 +1,10 @@
-"""Bad input through the real command: status 2, one line, nothing written; by file and by --set."""
+"""Bad input through the command: status 2, one line, nothing written; by file and by --set."""
 
 import pytest
 
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
-from tests.command import run, start
+from tests.command import start
 from tests.scenario_files import write_scenario
 
 # A line of the scenario, or a --set -> what the message says of it.
@@ -18,41 +18,45 @@ REFUSED = {
 }
 
 
-def assert_refused(done, folder, message):
-    assert done.status == ExitCode.BAD_INPUT
-    assert message in done.err
-    assert len(done.err.splitlines()) == 1
-    assert done.out == ""
-    assert not (folder / "reports").exists()
+@pytest.fixture
+def refused(tmp_path, monkeypatch, capsys):
+    """Give a function that solves in a folder of its own and returns the one line of refusal."""
+    monkeypatch.chdir(tmp_path)
+
+    def solve(scenario, *arguments):
+        assert main(["solve", str(scenario), *arguments]) == ExitCode.BAD_INPUT
+        said = capsys.readouterr()
+        assert (said.out, len(said.err.splitlines())) == ("", 1)
+        assert not (tmp_path / "reports").exists()
+        return said.err
+
+    return solve
 
 
 @pytest.mark.parametrize("line", REFUSED)
-def test_refused_in_the_file(line, tmp_path):
-    done = run("solve", str(write_scenario(tmp_path, line)), cwd=tmp_path)
-    assert_refused(done, tmp_path, REFUSED[line])
-    assert str(tmp_path / "hop.toml") in done.err
+def test_refused_in_the_file(line, tmp_path, refused):
+    said = refused(write_scenario(tmp_path, line))
+    assert REFUSED[line] in said
+    assert str(tmp_path / "hop.toml") in said
 
 
 @pytest.mark.parametrize("line", REFUSED)
-def test_refused_in_set(line, tmp_path):
-    done = run("solve", str(write_scenario(tmp_path)), "--set", line, cwd=tmp_path)
-    assert_refused(done, tmp_path, REFUSED[line])
+def test_refused_in_set(line, tmp_path, refused):
+    assert REFUSED[line] in refused(write_scenario(tmp_path), "--set", line)
 
 
-def test_missing_file(tmp_path):
-    done = run("solve", "no.toml", cwd=tmp_path)
-    assert_refused(done, tmp_path, "no.toml: cannot be read (No such file or directory)")
+def test_missing_file(refused):
+    assert "no.toml: cannot be read (No such file or directory)" in refused("no.toml")
 
 
-def test_broken_toml(tmp_path):
+def test_broken_toml(tmp_path, refused):
     (tmp_path / "broken.toml").write_text('name = "hop\n')
-    done = run("solve", "broken.toml", cwd=tmp_path)
-    assert_refused(done, tmp_path, "broken.toml: not valid TOML")
+    assert "broken.toml: not valid TOML" in refused("broken.toml")
 
 
-def test_set_that_is_not_toml(tmp_path):
-    done = run("solve", str(write_scenario(tmp_path)), "--set=mission.duration=[1", cwd=tmp_path)
-    assert_refused(done, tmp_path, "--set: mission.duration = [1; must be a TOML value")
+def test_set_that_is_not_toml(tmp_path, refused):
+    said = refused(write_scenario(tmp_path), "--set=mission.duration=[1")
+    assert "--set: mission.duration = [1; must be a TOML value" in said
 
 
 @pytest.mark.parametrize(
@@ -77,16 +81,15 @@ def test_numbers_that_only_python_reads(arguments, capsys):
     assert f"'{option}': \"{found}\" {allowed[option]}" in lines[0]
 
 
-def test_missing_file_named_in_set(tmp_path):
-    file = write_scenario(tmp_path)
-    done = run("solve", str(file), "--set", 'wind.file="no.csv"', cwd=tmp_path)
-    assert_refused(done, tmp_path, '--set: wind.file = "no.csv"; cannot be read (No such file')
+def test_missing_file_named_in_set(tmp_path, refused):
+    said = refused(write_scenario(tmp_path), "--set", 'wind.file="no.csv"')
+    assert '--set: wind.file = "no.csv"; cannot be read (No such file' in said
 
 
-def test_code_needs_to_be_allowed(tmp_path):
+def test_code_needs_to_be_allowed(tmp_path, refused):
     (tmp_path / "own.py").write_text("raise SystemExit('ran')")
-    done = run("solve", str(write_scenario(tmp_path, 'model = "own.py:build"')), cwd=tmp_path)
-    assert_refused(done, tmp_path, "model = 'own.py:build' runs code from a file; allow it with")
+    said = refused(write_scenario(tmp_path, 'model = "own.py:build"'))
+    assert "model = 'own.py:build' runs code from a file; allow it with" in said
 
 
 def test_reader_that_closes_the_pipe_gets_no_traceback():
