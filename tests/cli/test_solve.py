@@ -9,7 +9,7 @@ import pytest
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.flight.flight import COLUMNS, TIME
-from tests.command import PAPER_CALM, QUICK
+from tests.command import IMPOSSIBLE, PAPER_CALM, QUICK, solve
 
 SUMMARY_KEYS = [
     "scenario",
@@ -29,6 +29,18 @@ SUMMARY_KEYS = [
 SHORTEST_WITH_INSTANT_ROTORS_S = sqrt(2 * 8 / 9.81 * (1 + 1 / ((1047.2 / 912.32) ** 2 - 1)))
 # By hand: four motors at 912.32 rad/s with 1.802160 A at 9.830057 V, for 10 s.
 HOVER_ENERGY_J = 4 * 1.8021601 * 9.8300573 * 10.0
+
+
+@pytest.fixture(scope="module")
+def calm(tmp_path_factory):
+    """The paper's calm mission, solved."""
+    return solve(tmp_path_factory.mktemp("calm") / "report")
+
+
+@pytest.fixture(scope="module")
+def impossible(tmp_path_factory):
+    """A mission that cannot be flown: 8 m up in 0.3 s."""
+    return solve(tmp_path_factory.mktemp("impossible") / "report", *IMPOSSIBLE, "--json")
 
 
 def test_paper_calm_is_verified(calm):
@@ -129,3 +141,14 @@ def test_refinement_that_gives_up_says_so(tmp_path, capsys):
     assert summary["solver"]["status"] == "tolerance_not_met"
     said = capsys.readouterr().err
     assert said.startswith("paper_calm: solved but not verified: refinement stopped")
+
+
+def test_two_runs_write_the_same_tables_and_documents(tmp_path, calm):
+    # Of all that is written only summary.json knows the time.
+    again = solve(tmp_path / "report", "--quiet")
+    names = sorted(str(file.relative_to(calm.folder)) for file in calm.folder.rglob("*"))
+    assert names == sorted(str(file.relative_to(again.folder)) for file in again.folder.rglob("*"))
+    texts = [name for name in names if name.endswith((".csv", ".md", ".html", ".svg"))]
+    assert {"plan.csv", "report.md", "figures/states.svg"} <= set(texts)
+    for name in texts:
+        assert again.read(name) == calm.read(name), name
