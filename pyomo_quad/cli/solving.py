@@ -289,7 +289,7 @@ def comparison_table(comparison: pd.DataFrame) -> Table:
     table = Table(box=SIMPLE_HEAD)
     for column, (heading, _) in _SHOWN.items():
         is_text = column in (ComparisonColumn.SCENARIO, ComparisonColumn.FLIGHT)
-        table.add_column(heading, justify="left" if is_text else "right")
+        table.add_column(heading, justify="left" if is_text else "right", no_wrap=is_text)
     for _, row in comparison.iterrows():
         table.add_row(*(escape(_cell(row[column], form)) for column, (_, form) in _SHOWN.items()))
     return table
