@@ -14,6 +14,7 @@ from pyomo_quad.collocation.feedback import ClosedLoop, Law
 from pyomo_quad.collocation.guess import WarmStart
 from pyomo_quad.collocation.mesh import (
     Mesh,
+    Summarised,
     Trajectory,
     control_polynomial,
     interpolate,
@@ -47,6 +48,7 @@ __all__ = [
     "SolveError",
     "SolverOptions",
     "Status",
+    "Summarised",
     "Trajectory",
     "TranscriptionError",
     "Violation",

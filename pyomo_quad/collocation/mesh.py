@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -278,8 +279,31 @@ def control_polynomial(
 _HIGHEST_DEGREE = 100
 
 
-@dataclass(frozen=True, kw_only=True)
-class Mesh:
+class Summarised:
+    """What shows itself in one line, and as a small table in a notebook."""
+
+    @property
+    def summary(self) -> dict[str, str]:
+        """What is worth knowing at a glance, by its name."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        """Return the summary in one line."""
+        told = ", ".join(f"{name}: {text}" for name, text in self.summary.items())
+        return f"<{type(self).__name__} {told}>"
+
+    def _repr_html_(self) -> str:
+        """Return the summary as a table."""
+        rows = "".join(
+            f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>"
+            for name, text in self.summary.items()
+        )
+        caption = f"<caption>{type(self).__name__}</caption>"
+        return f"<table>{caption}{rows}</table>"
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Mesh(Summarised):
     """Elements of any widths and degrees on the horizon, measured as fractions from 0 to 1.
 
     Parameters
@@ -315,6 +339,17 @@ class Mesh:
             if degree != int(degree):
                 raise TranscriptionError(f"mesh: degree {degree}; must be a whole number.")
             radau_rule(degree)
+
+    @property
+    def summary(self) -> dict[str, str]:
+        """Elements, points and degrees."""
+        low, high = min(self.degrees), max(self.degrees)
+        degrees = f"{low}" if low == high else f"{low} to {high}"
+        return {
+            "elements": f"{self.elements}",
+            "points": f"{self.points}",
+            "degrees": degrees,
+        }
 
     @classmethod
     def uniform(cls, elements: int, degree: int) -> Mesh:

@@ -12,6 +12,7 @@ from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.formulation import Formulation
 from pyomo_quad.collocation.guess import Guess, WarmStart, initial_point, transfer
+from pyomo_quad.collocation.mesh import Summarised
 from pyomo_quad.collocation.program.bounds import bounds_of, refuse_unsolvable, scaling_of
 from pyomo_quad.collocation.program.ipopt import (
     TIME_LIMIT_CODE,
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 DEFAULT_TOLERANCE = 1e-6
 
 
-class Problem(Formulation):
+class Problem(Summarised, Formulation):
     """A Pyomo.DAE model compiled for collocation.
 
     It can be pickled.  What is restored solves and evaluates as before, with the numbers that the
@@ -52,6 +53,24 @@ class Problem(Formulation):
     TranscriptionError
         If the declarations are incomplete or unsupported; the message names the component.
     """
+
+    @property
+    def summary(self) -> dict[str, str]:
+        """How many of each kind the model declares."""
+        declared = self.compiled.declared
+        counts = {
+            "states": declared.states,
+            "outputs": declared.outputs,
+            "algebraic variables": declared.algebraics,
+            "static variables": declared.statics,
+            "equations over time": declared.equations,
+            "conditions": declared.conditions,
+            "parameters": declared.parameters,
+        }
+        sense = "maximise" if declared.maximise else "minimise"
+        name = declared.objective_name
+        goal = {"objective": f"{sense} {name}" if name else "none"}
+        return goal | {name: f"{len(held)}" for name, held in counts.items() if held}
 
     def solve(
         self,

@@ -16,6 +16,7 @@ from pyomo_quad.collocation.formulation import index_tuple
 from pyomo_quad.collocation.guess import TIME_COLUMN, WarmStart, warm_start_of
 from pyomo_quad.collocation.mesh import (
     FloatArray,
+    Summarised,
     Trajectory,
     interpolate,
     interpolate_rates,
@@ -166,8 +167,8 @@ class MeshRecord:
     wall_s: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class Solution:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Solution(Summarised):
     """A solved (or failed) transcription.
 
     Attributes
@@ -211,6 +212,23 @@ class Solution:
     def mesh(self) -> Mesh:
         """The last mesh."""
         return self.trajectory.mesh
+
+    @property
+    def summary(self) -> dict[str, str]:
+        """Status, objective, error and size."""
+        size = {}
+        if self.problem.has_horizon:
+            size = {
+                "estimated error": f"{self.error_estimate:.2g}",
+                "mesh": f"{self.mesh.points} points in {self.mesh.elements} elements",
+                "meshes": f"{len(self.history) or 1}",
+            }
+        return {
+            "status": self.status.value,
+            "objective": f"{self.objective:.10g}",
+            **size,
+            "message": self.message,
+        }
 
     @property
     def nominal_objective(self) -> float:

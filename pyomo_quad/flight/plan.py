@@ -18,6 +18,7 @@ from pydantic import AllowInfNan, ConfigDict, ValidationError
 from pyomo_quad.collocation import (
     Mesh,
     MeshRecord,
+    Summarised,
     TranscriptionError,
     WarmStart,
     interpolate,
@@ -333,8 +334,8 @@ def _not_a_plan(path: Path) -> str:
 FloatArray = NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Plan:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Plan(Summarised):
     """The minimum-energy flight of a scenario, or the best iterate of a solve that failed.
 
     Attributes
@@ -384,6 +385,18 @@ class Plan:
     warm_start: WarmStart | None = field(default=None, compare=False, repr=False)
     solution: Solution | None = field(default=None, compare=False, repr=False)
     flown: Flown | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def summary(self) -> dict[str, str]:
+        """Scenario, status, energy, error and size."""
+        return {
+            "scenario": self.scenario.name,
+            "status": self.status.value,
+            "energy": f"{self.energy:.1f} J (hover: {self.hover_energy_J:.1f} J)",
+            "estimated error": f"{self.error_estimate:.2g}",
+            "mesh": f"{self.mesh.points} points in {self.mesh.elements} elements",
+            "message": self.message,
+        }
 
     @property
     def mesh(self) -> Mesh:

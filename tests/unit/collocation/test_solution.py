@@ -3,13 +3,14 @@
 import pickle
 from copy import deepcopy
 from functools import cache
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pandas as pd
 import pytest
 from pyomo.environ import Constraint, Param, value
 
-from pyomo_quad.collocation import Mesh, TranscriptionError, compile, solve
+from pyomo_quad.collocation import Mesh, Summarised, TranscriptionError, compile, solve
 from tests.problems import bang_bang, dido, double_integrator, mass_chain, saving, waypoint
 
 MESH = Mesh.uniform(6, 4)
@@ -199,3 +200,38 @@ def test_a_pickled_problem_leaves_the_model_behind():
         restored.problem.load(restored)
     with pytest.raises(TranscriptionError, match="model: a pickled problem keeps the model's"):
         _ = restored.problem.model
+
+
+@pytest.mark.parametrize(
+    ("shown", "facts"),
+    [
+        (lambda s: s.mesh, ["elements: 6", "points: 24", "degrees: 4>"]),
+        (lambda s: s.problem, ["objective: minimise objective", "states: 2"]),
+        (lambda s: s, ["status: converged", "objective: 6", "24 points in 6 elements"]),
+    ],
+)
+def test_what_is_shown_is_one_short_line_and_a_table(shown, facts):
+    held = shown(solution())
+    line, table = repr(held), held._repr_html_()
+    assert "\n" not in line
+    assert len(line) < 400
+    assert all(fact in line for fact in facts)
+    assert line.startswith(f"<{type(held).__name__} ")
+    rows = ET.fromstring(table).findall("tr")
+    assert {row.find("th").text: row.find("td").text for row in rows} == held.summary
+
+
+def test_a_mesh_of_several_degrees_and_a_problem_without_objective_are_shown():
+    assert "degrees: 2 to 5" in repr(Mesh(breakpoints=(0.0, 0.5, 1.0), degrees=(5, 2)))
+    m = double_integrator.build()
+    m.objective.deactivate()
+    assert "objective: none" in repr(compile(m))
+
+
+def test_a_name_is_escaped_in_a_notebook():
+    class Named(Summarised):
+        @property
+        def summary(self):
+            return {"name": "<b> & c"}
+
+    assert "<td>&lt;b&gt; &amp; c</td>" in Named()._repr_html_()

@@ -36,6 +36,13 @@ def parts(saved):
         return {name: held[name] for name in held.files}
 
 
+def test_a_plan_is_shown_in_one_short_line():
+    line = repr(plan("paper_calm", *COARSE))
+    assert line.startswith("<Plan scenario: paper_calm, status: verified, energy: ")
+    assert "\n" not in line
+    assert len(line) < 400
+
+
 def test_all_that_is_saved_comes_back(saved):
     fresh, loaded = plan("paper_calm", *COARSE), Plan.load(saved)
     for name in ("scenario", "status", "message", "energy", "verification", "history", "attempts"):
