@@ -10,6 +10,7 @@ from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.cli.terminal import (
     AllowCode,
     AsJson,
+    FigureChoice,
     Output,
     Overrides,
     Quiet,
@@ -18,6 +19,7 @@ from pyomo_quad.cli.terminal import (
     folder_of,
     real_number,
 )
+from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import output_folder, refuse_output_folder
 from pyomo_quad.report.tables import (
     compare_summary,
@@ -118,6 +120,7 @@ def run(
     *,
     out: Output = None,
     overrides: Overrides = None,
+    figures: FigureChoice = Figures.ALL,
     quiet: Quiet = False,
     as_json: AsJson = False,
     allow_code: AllowCode = False,
@@ -135,7 +138,7 @@ def run(
     with solving.report_folder(folder) as aside:
         result = run_scenario(resolved, planner=planner)
         with watch.phase("report"):
-            write_run_report(aside, result)
+            write_run_report(aside, result, figures)
         summary = run_summary(result, wall_s=watch.seconds)
         write_summary(aside, summary)
     solving.answer(solving.run_lines(result), summary, folder, is_quiet=quiet, as_json=as_json)
@@ -197,6 +200,7 @@ def solve(
     out: Output = None,
     rate: Rate = None,
     overrides: Overrides = None,
+    figures: FigureChoice = Figures.ALL,
     quiet: Quiet = False,
     as_json: AsJson = False,
     allow_code: AllowCode = False,
@@ -215,7 +219,7 @@ def solve(
         plan = planner.solve(resolved)
         cautions = plan_cautions(plan, planner=planner)
         with watch.phase("report"):
-            write_solve_report(aside, plan, cautions, rate)
+            write_solve_report(aside, plan, cautions, rate, figures)
         summary = plan_summary(plan, wall_s=watch.seconds, warnings=cautions)
         write_summary(aside, summary)
     solving.answer(solving.verdict_lines(plan), summary, folder, is_quiet=quiet, as_json=as_json)

@@ -9,7 +9,8 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from pyomo_quad.cli.endings import ExitCode
-from pyomo_quad.cli.terminal import Quiet, error_console
+from pyomo_quad.cli.terminal import FigureChoice, Quiet, error_console
+from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import output_folder, refuse_output_folder
 
 _FOLDER = Path("reports/paper")
@@ -20,7 +21,13 @@ Folder = Annotated[
 Quick = Annotated[bool, typer.Option("--quick", help="Coarse meshes, and fewer of them.")]
 
 
-def paper(*, out: Folder = _FOLDER, quick: Quick = False, quiet: Quiet = False) -> int:
+def paper(
+    *,
+    out: Folder = _FOLDER,
+    quick: Quick = False,
+    figures: FigureChoice = Figures.ALL,
+    quiet: Quiet = False,
+) -> int:
     """Reproduce and examine the paper: every experiment, table, figure and equation."""
     refuse_output_folder(out)
     # A second to import, and not needed to refuse a misspelt option.
@@ -30,7 +37,7 @@ def paper(*, out: Folder = _FOLDER, quick: Quick = False, quiet: Quiet = False) 
     with output_folder(out) as aside:
         with _follow(is_quiet=quiet) as step:
             study = run_paper_study(is_quick=quick, step=step)
-        write_paper_report(aside, study)
+        write_paper_report(aside, study, figures)
     if not quiet:
         print(f"Written to {out}.")
     return ExitCode.VERIFIED

@@ -18,7 +18,8 @@ from rich.progress import (
 )
 
 from pyomo_quad.cli.endings import ExitCode, raise_on_interrupt
-from pyomo_quad.cli.terminal import complain, error_console, positive_count
+from pyomo_quad.cli.terminal import FigureChoice, complain, error_console, positive_count
+from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import final_folder, output_folder, refuse_output_folder
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ def sweep(
     dry_run: DryRun = False,
     fresh: Fresh = False,
     yes: Yes = False,
+    figures: FigureChoice = Figures.ALL,
     verbose: Verbose = False,
 ) -> int:
     """Solve all cases of a study, or those still missing, and write the report."""
@@ -92,12 +94,14 @@ def sweep(
     print(_summary_line(design, summary, folder))
     if summary.is_interrupted:
         return ExitCode.INTERRUPTED
-    sweep_report(folder)
+    sweep_report(folder, figures=figures)
     has_result = summary.already_finished + summary.finished > 0
     return ExitCode.VERIFIED if has_result else ExitCode.NOT_SOLVED
 
 
-def sweep_report(folder: SweepFolder, *, out: ReportOutput = None) -> int:
+def sweep_report(
+    folder: SweepFolder, *, out: ReportOutput = None, figures: FigureChoice = Figures.ALL
+) -> int:
     """Write tables and figures of a sweep from its store; nothing is solved."""
     from pyomo_quad.sweep import (  # noqa: PLC0415
         ResultStore,
@@ -112,7 +116,7 @@ def sweep_report(folder: SweepFolder, *, out: ReportOutput = None) -> int:
         return ExitCode.BAD_INPUT
     target = out or folder / _REPORT_FOLDER
     with output_folder(target) as aside:
-        write_sweep_report(aside, design, frame)
+        write_sweep_report(aside, design, frame, figures)
     print(f"Report written to {target}.")
     return ExitCode.VERIFIED
 

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from pyomo_quad.report import Figures
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.fields import number_in_text
 from pyomo_quad.scenario.messages import shown
@@ -118,6 +119,9 @@ Overrides = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress and no summary.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+FigureChoice = Annotated[
+    Figures, typer.Option("--figures", help="What to draw: PNG and SVG, PNG alone, or nothing.")
+]
 AllowCode = Annotated[
     bool, typer.Option("--allow-code", help="Let the scenario run its own model builder.")
 ]

@@ -22,7 +22,8 @@ from pyomo_quad.paper.experiments import BaselineFlight, Experiment, PaperFlight
 from pyomo_quad.paper.figures import floor_drawing, paper_drawings
 from pyomo_quad.paper.study import PaperStudy
 from pyomo_quad.paper.tables import TABLES, baseline_saving, find_flight, paper_tables
-from pyomo_quad.report.gallery import save_drawings
+from pyomo_quad.report import Figures
+from pyomo_quad.report.gallery import save_drawings, wanted_drawings
 from pyomo_quad.report.render import render_markdown
 from pyomo_quad.report.report import REPORT_NAME
 from pyomo_quad.report.style import BATTERY, POWER
@@ -78,7 +79,7 @@ TOLERANCES = (
 TIMES_NAME = "timings.json"
 
 
-def write_paper_report(folder: Path, study: PaperStudy) -> None:
+def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figures.ALL) -> None:
     """Write `report.md`, tables and figures of the paper's study.
 
     Parameters
@@ -87,6 +88,8 @@ def write_paper_report(folder: Path, study: PaperStudy) -> None:
         An existing folder, empty of reports.
     study : PaperStudy
         The results.
+    figures : Figures, optional
+        What is drawn.
 
     Notes
     -----
@@ -95,12 +98,13 @@ def write_paper_report(folder: Path, study: PaperStudy) -> None:
     tables = paper_tables(study)
     for name, frame in tables.items():
         write_table(frame, folder / f"{name}.csv")
-    drawings, floors = paper_drawings(study), floor_drawing(study)
-    save_drawings((*drawings, floors), folder)
+    drawings = wanted_drawings(paper_drawings(study), figures)
+    floors = wanted_drawings([floor_drawing(study)], figures)
+    save_drawings((*drawings, *floors), folder)
     text = render_markdown(
         "paper/report.md.j2",
         **{**examination(study), **corrections(study), **_flights(study)},
-        floor_drawing=floors,
+        floor_drawings=floors,
         drawings=drawings,
         parameters=_by_place(tables["parameters"]),
         equations=list(_equations()),

@@ -17,7 +17,6 @@ from pyomo_quad.report.style import (
     BATTERY,
     BODY_RATE,
     ENERGY,
-    FAIR_BASELINE,
     FULL_WIDTH,
     INK,
     MOTOR,
@@ -43,7 +42,13 @@ from pyomo_quad.report.style import (
     legend_below,
     panel_grid,
 )
-from pyomo_quad.study.comparison import ERROR_WITH, ERROR_WITHOUT, ESTIMATED, TRUE
+from pyomo_quad.study.comparison import (
+    ERROR_WITH,
+    ERROR_WITHOUT,
+    ESTIMATED,
+    FAIR_BASELINE,
+    TRUE,
+)
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation import Mesh, MeshRecord

@@ -7,7 +7,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from pyomo_quad.report import Figures
 from pyomo_quad.report.flight_figures import (
     COSTATES,
     coinciding_flights,
@@ -32,7 +33,14 @@ from pyomo_quad.report.flight_figures import (
     draw_wind,
     is_calm,
 )
-from pyomo_quad.report.paths import BEAT_COUNT, distinct_paths, draw_path, leaving_paths
+from pyomo_quad.report.paths import (
+    BEAT_COUNT,
+    distinct_paths,
+    draw_path,
+    leaving_paths,
+    view_markup,
+    view_script,
+)
 from pyomo_quad.report.render import FIGURE_FOLDER, fixed
 from pyomo_quad.report.style import (
     BATTERY,
@@ -46,11 +54,15 @@ from pyomo_quad.report.style import (
     Signal,
     StyledFlight,
     fair_pair,
+    plan_flight,
     save_figure,
+    styled_flights,
 )
+from pyomo_quad.study.comparison import ComparisonColumn
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
+    from pyomo_quad.study.run import RunResult
 
 PATH_NAME = "path"
 
@@ -68,6 +80,11 @@ class Drawing:
     needs: tuple[str, ...] = ()
     draw: Callable[[], Figure]
     is_vector: bool = True
+
+    @property
+    def shown_file(self) -> str:
+        """The file that a page holds."""
+        return f"{self.name}.{'svg' if self.is_vector else 'png'}"
 
 
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
@@ -171,6 +188,58 @@ def adaptation_drawing(study: pd.DataFrame) -> Drawing:
         "what adaptation made of it.",
         draw=lambda: draw_adaptation(study),
     )
+
+
+def draw_plan(folder: Path, plan: "Plan", figures: Figures) -> tuple[Drawing, ...]:
+    """Draw a plan into its report's folder, and return what is there to show."""
+    drawings = wanted_drawings(plan_drawings(plan, styled_flights([plan_flight(plan)])), figures)
+    save_drawings(drawings, folder)
+    return drawings
+
+
+def draw_run(
+    folder: Path, result: "RunResult", figures: Figures
+) -> tuple[tuple[Drawing, ...], tuple[Drawing, ...], tuple[Drawing, ...]]:
+    """Draw a run into its report's folder, and return what is there to show.
+
+    That is the flights beside each other, what adaptation is worth, and the plan.
+    """
+    flights = _styled(result)
+    compared, studied, planned = (
+        wanted_drawings(part, figures)
+        for part in (
+            _comparison(result, flights),
+            () if result.adaptation is None else (adaptation_drawing(result.adaptation),),
+            plan_drawings(result.plan, flights),
+        )
+    )
+    save_drawings((*compared, *studied, *planned), folder)
+    return compared, studied, planned
+
+
+def view_of_paths(result: "RunResult") -> tuple[dict[str, str], str]:
+    """Return the view of the paths to turn, by the picture that it stands above, and its script."""
+    return {PATH_NAME: view_markup()}, view_script(_styled(result))
+
+
+def _styled(result: "RunResult") -> tuple[StyledFlight, ...]:
+    return styled_flights(result.flights or [plan_flight(result.plan)])
+
+
+def _comparison(result: "RunResult", flights: tuple[StyledFlight, ...]) -> tuple[Drawing, ...]:
+    comparison = result.comparison
+    if comparison.empty:
+        return ()
+    arrived = comparison[ComparisonColumn.ARRIVED].astype(bool)
+    absent = frozenset(comparison.loc[~arrived, ComparisonColumn.FLIGHT])
+    return comparison_drawings(flights, result.plan.hover_energy_J, absent)
+
+
+def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Drawing, ...]:
+    """Return what is to be drawn: all of it, all without SVG, or nothing."""
+    if figures is Figures.NONE:
+        return ()
+    return tuple(replace(drawing, is_vector=figures is Figures.ALL) for drawing in drawings)
 
 
 # No figure takes a hundredth of it.

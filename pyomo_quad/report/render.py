@@ -65,6 +65,7 @@ def yes_no(value: object) -> str:
 
 
 FIGURE_FOLDER = "figures"
+_PNG_START = b"\x89PNG"
 
 # Characters that are printed as nothing although Python calls them printable: fillers, joiners and
 # selectors (Unicode's Default_Ignorable_Code_Point without its format characters).
@@ -217,7 +218,7 @@ def render_html(
     is_good : bool
         Whether its verdict is to look so.
     pictures : mapping of str to bytes
-        SVG of each picture of the report, by name.
+        SVG or PNG of each picture of the report, by name.
     views : mapping of str to str
         HTML of what stands above a picture on a screen, by the picture's name.
     script : str
@@ -284,8 +285,10 @@ class _PageRenderer(RendererHTML):
         )
 
     def image(self, tokens: Sequence[Token], idx: int, _: object, env: EnvType) -> str:
-        data = b64encode(env["pictures"][_name(tokens[idx])]).decode("ascii")
-        return f'<img alt="{_label(tokens[idx])}" src="data:image/svg+xml;base64,{data}">'
+        picture = env["pictures"][_name(tokens[idx])]
+        kind = "png" if picture.startswith(_PNG_START) else "svg+xml"
+        data = b64encode(picture).decode("ascii")
+        return f'<img alt="{_label(tokens[idx])}" src="data:image/{kind};base64,{data}">'
 
     def heading_open(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
         tag = tokens[idx].tag

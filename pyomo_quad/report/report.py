@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from pyomo_quad.collocation import pyomo_unaware
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
@@ -13,22 +15,14 @@ from pyomo_quad.flight.verification import (
     MISS_TOLERANCE,
     VIOLATION_TOLERANCE,
 )
-from pyomo_quad.report.gallery import (
-    PATH_NAME,
-    Drawing,
-    adaptation_drawing,
-    comparison_drawings,
-    plan_drawings,
-    save_drawings,
-)
-from pyomo_quad.report.paths import view_markup, view_script
+from pyomo_quad.report import Figures
 from pyomo_quad.report.render import FIGURE_FOLDER, STATUS_WORDS, render_html, render_markdown
-from pyomo_quad.report.style import FAIR_BASELINE, StyledFlight, plan_flight, styled_flights
 from pyomo_quad.report.tables import PLAN_NAME, SUMMARY_NAME, write_plan_table, write_table
 from pyomo_quad.scenario import Reference
 from pyomo_quad.study.comparison import (
     ARRIVAL_DISTANCE_M,
     ARRIVAL_SPEED_M_PER_S,
+    FAIR_BASELINE,
     INSIDE_DISTANCE_M,
     ComparisonColumn,
 )
@@ -36,6 +30,7 @@ from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
+    from pyomo_quad.report.gallery import Drawing
     from pyomo_quad.study.run import RunResult
 
 REPORT_NAME = "report.md"
@@ -45,7 +40,11 @@ COMPARISON_REPORT_NAME = "comparison.md"
 
 
 def write_solve_report(
-    folder: Path, plan: "Plan", warnings: Sequence[str] = (), rate_hz: float | None = None
+    folder: Path,
+    plan: "Plan",
+    warnings: Sequence[str] = (),
+    rate_hz: float | None = None,
+    figures: Figures = Figures.ALL,
 ) -> None:
     """Write what there is to say of a plan.
 
@@ -59,18 +58,18 @@ def write_solve_report(
         What a reader should know beside the numbers, one line each.
     rate_hz : float, optional
         Rows per second of the table; one per node of the mesh without.
+    figures : Figures, optional
+        What is drawn.
     """
-    flights = styled_flights([plan_flight(plan)])
-    drawings = plan_drawings(plan, flights)
     write_plan_table(folder, plan, rate_hz)
-    save_drawings(drawings, folder)
+    drawings = () if figures is Figures.NONE else _gallery().draw_plan(folder, plan, figures)
     text = render_markdown(
         "report/solve.md.j2", **_of_plan(plan), drawings=drawings, warnings=warnings
     )
     (folder / REPORT_NAME).write_text(text, encoding="utf-8")
 
 
-def write_run_report(folder: Path, result: "RunResult") -> None:
+def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figures.ALL) -> None:
     """Write all there is to say of a run: tables, figures, `report.md` and `report.html`.
 
     Parameters
@@ -79,16 +78,16 @@ def write_run_report(folder: Path, result: "RunResult") -> None:
         An existing folder, empty of reports.
     result : RunResult
         Of any status; one whose plan is not verified is called so in title and text.
+    figures : Figures, optional
+        What is drawn; without, the page has no paths to turn either.
     """
-    flights = styled_flights(result.flights or [plan_flight(result.plan)])
-    drawings = plan_drawings(result.plan, flights)
-    compared = _comparison_drawings(result, flights)
-    studied = () if result.adaptation is None else (adaptation_drawing(result.adaptation),)
     write_plan_table(folder, result.plan)
     if not result.comparison.empty:
         write_comparison(folder, result.comparison, _title(result.plan))
-    shown = (*compared, *studied, *drawings)
-    save_drawings(shown, folder)
+    parts: tuple[tuple[Drawing, ...], ...] = ((), (), ())
+    if figures is not Figures.NONE:
+        parts = _gallery().draw_run(folder, result, figures)
+    compared, studied, drawings = parts
     text = render_markdown(
         "report/run.md.j2",
         **_of_plan(result.plan),
@@ -98,7 +97,7 @@ def write_run_report(folder: Path, result: "RunResult") -> None:
         drawings=drawings,
     )
     (folder / REPORT_NAME).write_text(text, encoding="utf-8")
-    page = _page(folder, text, flights, shown, is_good=_is_good(result))
+    page = _page(folder, text, result, (*compared, *studied, *drawings))
     (folder / PAGE_NAME).write_text(page, encoding="utf-8")
 
 
@@ -203,31 +202,22 @@ def _is_good(result: "RunResult") -> bool:
     return result.plan.is_verified and (not is_untold or bool(arrived.all()))
 
 
-def _comparison_drawings(
-    result: "RunResult", flights: tuple[StyledFlight, ...]
-) -> tuple[Drawing, ...]:
-    comparison = result.comparison
-    if comparison.empty:
-        return ()
-    arrived = comparison[ComparisonColumn.ARRIVED].astype(bool)
-    absent = frozenset(comparison.loc[~arrived, ComparisonColumn.FLIGHT])
-    return comparison_drawings(flights, result.plan.hover_energy_J, absent)
+def _gallery() -> ModuleType:
+    """Import matplotlib, which takes longer than a solve, where there is something to draw."""
+    with pyomo_unaware():
+        from pyomo_quad.report import gallery  # noqa: PLC0415
+    return gallery
 
 
-def _page(
-    folder: Path,
-    text: str,
-    flights: tuple[StyledFlight, ...],
-    drawings: Sequence[Drawing],
-    *,
-    is_good: bool,
-) -> str:
-    names = [drawing.name for drawing in drawings]
-    has_paths = PATH_NAME in names
+def _page(folder: Path, text: str, result: "RunResult", drawings: "Sequence[Drawing]") -> str:
+    views: dict[str, str] = {}
+    script = ""
+    if drawings and _gallery().PATH_NAME in [drawing.name for drawing in drawings]:
+        views, script = _gallery().view_of_paths(result)
     return render_html(
         text,
-        is_good=is_good,
-        pictures={n: (folder / FIGURE_FOLDER / f"{n}.svg").read_bytes() for n in names},
-        views={PATH_NAME: view_markup()} if has_paths else {},
-        script=view_script(flights) if has_paths else "",
+        is_good=_is_good(result),
+        pictures={d.name: (folder / FIGURE_FOLDER / d.shown_file).read_bytes() for d in drawings},
+        views=views,
+        script=script,
     )

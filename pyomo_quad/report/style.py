@@ -19,7 +19,7 @@ from PIL import Image
 from pyomo_quad.flight import flight
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.scenario.tables import Reference
-from pyomo_quad.study.comparison import OPTIMAL, settled_energy
+from pyomo_quad.study.comparison import FAIR_BASELINE, OPTIMAL, settled_energy
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Flight, Plan
@@ -441,7 +441,6 @@ def legend_below(figure: Figure, axes: Axes) -> None:
         figure.legend(handles, labels, loc="lower center", ncols=min(LEGEND_COLUMNS, len(labels)))
 
 
-FAIR_BASELINE = baseline_name(Reference.QUINTIC)
 _FAILED_PLAN = "best iterate"
 
 

@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Dynamics
 from pyomo_quad.flight import Planner
-from pyomo_quad.flight.baselines import ClosedLoopFlight, fly_reference, reference_path
+from pyomo_quad.flight.baselines import (
+    ClosedLoopFlight,
+    baseline_name,
+    fly_reference,
+    reference_path,
+)
 from pyomo_quad.flight.controller import CONTROLLER_STATES
 from pyomo_quad.flight.flight import COLUMNS, POSITION_STATES, ROTORS, TIME, Flight
 from pyomo_quad.scenario import Scenario
@@ -66,6 +71,8 @@ def _error(
 
 
 OPTIMAL = "optimal"
+FAIR_BASELINE = baseline_name(Reference.QUINTIC)
+"""Flies the same mission smoothly, and needs no plan."""
 ARRIVAL_DISTANCE_M = 0.05
 """Miss beyond which a flight has not arrived: a seventh of the paper's vehicle from rotor to
 rotor, and so little of a flight of metres that leaving it out saves no energy worth naming."""

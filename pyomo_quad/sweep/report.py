@@ -6,7 +6,8 @@ from typing import Any
 
 import pandas as pd
 
-from pyomo_quad.report.gallery import save_drawings
+from pyomo_quad.report import Figures
+from pyomo_quad.report.gallery import save_drawings, wanted_drawings
 from pyomo_quad.report.render import render_markdown
 from pyomo_quad.report.report import REPORT_NAME
 from pyomo_quad.report.tables import write_table
@@ -42,7 +43,12 @@ _TABLE, _PARQUET, _CASES = "results.csv", "results.parquet", "results.md"
 _PRINTED = {"number": number, "setting": setting, "field_quantity": field_quantity}
 
 
-def write_sweep_report(folder: Path, design: SweepDesign, frame: pd.DataFrame) -> None:
+def write_sweep_report(
+    folder: Path,
+    design: SweepDesign,
+    frame: pd.DataFrame,
+    figures: Figures = Figures.ALL,
+) -> None:
     """Write tables (CSV, Parquet, Markdown), figures and the report.
 
     Parameters
@@ -58,9 +64,8 @@ def write_sweep_report(folder: Path, design: SweepDesign, frame: pd.DataFrame) -
     (folder / _CASES).write_text(cases, encoding="utf-8")
     finished = finished_rows(frame)
     told = {} if finished.empty else _results(design, frame)
-    drawings = () if finished.empty else sweep_drawings(design, frame)
-    if drawings:
-        save_drawings(drawings, folder)
+    drawings = () if finished.empty else wanted_drawings(sweep_drawings(design, frame), figures)
+    save_drawings(drawings, folder)
     failed = frame.drop(finished.index)
     text = render_markdown(
         "sweep/report.md.j2",

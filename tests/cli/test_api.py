@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 
 import pyomo_quad
-from tests.command import PAPER_CALM
+import pyomo_quad.cli
+from tests.command import PAPER_CALM, QUICK
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +78,20 @@ def test_naming_the_commands_imports_no_solver():
 def test_solving_imports_neither_statistics_nor_plots(first):
     slow = {"scipy.stats", "matplotlib", "plotly"}
     assert slow.isdisjoint(modules_after(f"{first}\nimport pyomo_quad.cli.solving"))
+
+
+def test_a_solve_without_figures_imports_nothing_that_draws(tmp_path):
+    arguments = ["solve", PAPER_CALM, *QUICK, "--quiet", "--figures", "none", "--out"]
+    program = f"from pyomo_quad.cli import main\nmain({[*arguments, str(tmp_path / 'report')]!r})"
+    slow = {"matplotlib", "plotly", "PIL", "scipy.stats"}
+    assert slow.isdisjoint(modules_after(program))
+    assert (tmp_path / "report" / "summary.json").exists()
+    assert not (tmp_path / "report" / "figures").exists()
+
+
+def test_unknown_figures_are_refused(capsys):
+    assert pyomo_quad.cli.main(["run", PAPER_CALM, "--figures", "svg"]) == 2
+    assert "'svg' is not one of 'all', 'png', 'none'" in capsys.readouterr().err
 
 
 def test_pyomo_still_finds_what_it_was_kept_from():

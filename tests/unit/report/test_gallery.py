@@ -2,11 +2,14 @@
 
 import hashlib
 import os
+import re
+from pathlib import Path
 
 import pytest
 
-from pyomo_quad.report import gallery
+from pyomo_quad.report import Figures, gallery
 from pyomo_quad.report.gallery import Drawing, plan_drawings, save_drawings
+from pyomo_quad.report.report import write_run_report, write_solve_report
 from pyomo_quad.report.style import styled_flights
 from tests.synthetic_run import synthetic_run
 
@@ -62,3 +65,45 @@ def test_a_fault_of_another_process_is_met_again_here(tmp_path, monkeypatch, cap
 def test_more_figures_than_places_in_the_queue(drawings, tmp_path, monkeypatch):
     monkeypatch.setattr(gallery, "_PLACES", 2)
     assert len(drawn(drawings, tmp_path / "many")) == 2 * len(drawings)
+
+
+@pytest.fixture
+def _few_figures(drawings, monkeypatch):
+    path = Drawing(
+        name=gallery.PATH_NAME, title="Path", caption="The path.", draw=drawings[-1].draw
+    )
+    monkeypatch.setattr(gallery, "plan_drawings", lambda *_: (path, *drawings[1:]))
+    monkeypatch.setattr(gallery, "comparison_drawings", lambda *_: ())
+
+
+LINK = re.compile(r"\]\((figures/[^)]*)\)")
+KINDS = {Figures.ALL: {".png", ".svg"}, Figures.PNG: {".png"}, Figures.NONE: set()}
+
+
+@pytest.mark.usefixtures("_few_figures")
+@pytest.mark.parametrize("figures", Figures)
+def test_documents_show_the_figures_that_there_are(figures, tmp_path):
+    result = synthetic_run(flights=("optimal", "adaptive/quintic"))
+    write_run_report(tmp_path, result, figures)
+    files = {f"figures/{file.name}" for file in tmp_path.glob("figures/*")}
+    assert {Path(file).suffix for file in files} == KINDS[figures]
+    text = (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert set(LINK.findall(text)) == files
+    assert ("figures/" in text) == bool(files)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page.count("<img ") == len({Path(file).stem for file in files})
+    shown = {Figures.ALL: "svg+xml", Figures.PNG: "png", Figures.NONE: None}[figures]
+    assert set(re.findall(r'<img [^>]* src="data:image/([^;]*);base64', page)) == (
+        {shown} if shown else set()
+    )
+    assert ("Plotly.newPlot" in page) == (figures is not Figures.NONE)
+
+
+@pytest.mark.parametrize("figures", [Figures.PNG, Figures.NONE])
+@pytest.mark.usefixtures("_few_figures")
+def test_a_solve_shows_the_figures_that_there_are(figures, tmp_path):
+    write_solve_report(tmp_path, synthetic_run(flights=("optimal",)).plan, figures=figures)
+    files = {f"figures/{file.name}" for file in tmp_path.glob("figures/*")}
+    text = (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert set(LINK.findall(text)) == files
+    assert bool(files) == (figures is Figures.PNG)

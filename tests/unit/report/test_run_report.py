@@ -49,8 +49,8 @@ def report(tmp_path_factory):
 @pytest.fixture
 def _no_figures(monkeypatch):
     # Drawing is tested once above; here only the text counts.
-    monkeypatch.setattr("pyomo_quad.report.report.save_drawings", lambda *_: None)
-    monkeypatch.setattr("pyomo_quad.report.report._page", lambda *_, **__: "")
+    monkeypatch.setattr("pyomo_quad.report.gallery.save_drawings", lambda *_: None)
+    monkeypatch.setattr("pyomo_quad.report.report._page", lambda *_: "")
 
 
 def test_answer_comes_first(report):

@@ -33,7 +33,7 @@ def report(run, tmp_path_factory):
 
 @pytest.fixture
 def _no_figures(monkeypatch):
-    monkeypatch.setattr("pyomo_quad.report.report.save_drawings", lambda *_: None)
+    monkeypatch.setattr("pyomo_quad.report.gallery.save_drawings", lambda *_: None)
 
 
 def test_every_figure_is_drawn_twice_and_linked(report):
