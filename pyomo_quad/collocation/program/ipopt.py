@@ -229,10 +229,13 @@ _DEFAULTS: dict[str, Any] = {
     "acceptable_iter": 0,
 }
 
+# A barrier problem counts as solved when one step has brought it near: waiting for more of a start
+# that is good costs an iteration, and saves none of one that is not.
 _WARM: dict[str, Any] = {
     "warm_start_init_point": "yes",
     "mu_strategy": "monotone",
     "mu_init": 1e-7,
+    "barrier_tol_factor": 1e3,
     "warm_start_bound_push": 1e-9,
     "warm_start_bound_frac": 1e-9,
     "warm_start_slack_bound_push": 1e-9,

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from pyomo.dae import ContinuousSet, DerivativeVar
+from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.environ import (
     ComponentMap,
     ConcreteModel,
     Constraint,
     Objective,
+    Param,
     Var,
     cos,
     sin,
@@ -224,3 +225,31 @@ def test_infeasible_is_told_from_not_converged():
     m.hurry = Constraint(expr=m.duration <= 1.5)
     solution = solve(m, mesh=MESH)
     assert solution.status is Status.INFEASIBLE
+
+
+def test_a_good_start_is_not_polished_for_a_barrier_that_falls_next():
+    """Two of Newton's steps: the first meets the new start, the second its curvature."""
+    m = swing_up()
+    problem = compile(m)
+    first = problem.solve(mesh=MESH)
+    warm = problem.solve(mesh=MESH, parameters={"start": 0.02}, warm_start=first)
+    cold = problem.solve(mesh=MESH, parameters={"start": 0.02})
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-8)
+    assert warm.iterations[-1].iteration <= 2
+
+
+def swing_up():
+    """A pendulum from near rest to one radian in two seconds with a bounded torque."""
+    m = ConcreteModel()
+    m.t = ContinuousSet(bounds=(0, 2))
+    m.start = Param(initialize=0.0, mutable=True)
+    m.angle, m.speed, m.torque = Var(m.t), Var(m.t), Var(m.t, bounds=(-5, 5))
+    m.dangle, m.dspeed = DerivativeVar(m.angle, wrt=m.t), DerivativeVar(m.speed, wrt=m.t)
+    m.motion = Constraint(m.t, rule=lambda m, t: m.dangle[t] == m.speed[t])
+    m.swing = Constraint(m.t, rule=lambda m, t: m.dspeed[t] == m.torque[t] - sin(m.angle[t]))
+    m.begin = Constraint(expr=m.angle[0] == m.start)
+    m.speed[0].fix(0)
+    m.angle[2].fix(1)
+    m.effort = Integral(m.t, rule=lambda m, t: m.torque[t] ** 2)
+    m.cost = Objective(expr=m.effort)
+    return m
