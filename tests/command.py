@@ -54,7 +54,7 @@ def start(*arguments, **options):
 def run(*arguments, out=Path("reports"), cwd=None):
     """Run the command with `--out` when a folder for it is given as `out`."""
     process = start(*arguments, cwd=cwd)
-    said, complained = process.communicate(timeout=120)
+    said, complained = process.communicate(timeout=300)
     return Run(status=process.returncode, out=said, err=complained, folder=Path(out))
 
 

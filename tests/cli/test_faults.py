@@ -22,7 +22,7 @@ from pyomo_quad.report.folder import output_folder
 from tests.command import COMMAND, ENVIRONMENT, PAPER_CALM, QUICK, start
 from tests.scenario_files import write_scenario
 
-PATIENCE_S = 120
+PATIENCE_S = 300
 
 
 def begin(folder, *arguments, **options):

@@ -3,6 +3,7 @@
 As a program: ``python -m tests.sweep.sweeping STUDY FOLDER WORKERS``.
 """
 
+import signal
 import sys
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
@@ -52,6 +53,12 @@ class _InThisProcess(Executor):
         future.set_result(perform(task))
         self._solved.append(task.key)
         return future
+
+
+def press_ctrl_c() -> None:
+    """Do to this process what Ctrl-C does, also if it was started in the background, deaf to it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.raise_signal(signal.SIGINT)
 
 
 class AfterCases(SilentListener):

@@ -62,7 +62,7 @@ def test_three_kills_end_with_every_row_and_none_solved_twice(tmp_path):
         assert kept.isdisjoint(log.read_text().split()[solved_before:])
         kept = kept_now
     solved_before = len(log.read_text().split())
-    assert start(study, folder, log).wait(timeout=60) == 0
+    assert start(study, folder, log).wait(timeout=300) == 0
     solved_last = log.read_text().split()[solved_before:]
     assert len(solved_last) == 200 - len(kept)
     assert kept.isdisjoint(solved_last)

@@ -18,7 +18,7 @@ from pyomo_quad.sweep.design import expand
 from pyomo_quad.sweep.workers import Crew
 from tests.sweep import stand_in
 from tests.sweep.studies import write_study
-from tests.sweep.sweeping import AfterCases, Here, rows, sweep
+from tests.sweep.sweeping import AfterCases, Here, press_ctrl_c, rows, sweep
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -152,7 +152,7 @@ def test_resume_that_is_interrupted_amid_the_rows_made_again_heals_as_well(
 ):
     folder = tmp_path / "out"
     sweep(study, folder, Alone({with_children: 2}))
-    interrupt = AfterCases(2, lambda: os.kill(os.getpid(), signal.SIGINT))
+    interrupt = AfterCases(2, press_ctrl_c)
     assert sweep(study, folder, Here(), interrupt).is_interrupted
     sweep(study, folder, Here())
     assert rows(folder).equals(expected)

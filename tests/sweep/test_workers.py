@@ -1,14 +1,11 @@
 """Who does the work does not show in the rows, and the death of a worker loses no case."""
 
-import os
-import signal
-
 import pytest
 
 from pyomo_quad.sweep import process_workers
 from tests.sweep import stand_in
 from tests.sweep.studies import write_study
-from tests.sweep.sweeping import AfterCases, Here, rows, sweep
+from tests.sweep.sweeping import AfterCases, Here, press_ctrl_c, rows, sweep
 
 
 @pytest.fixture
@@ -61,7 +58,7 @@ def test_impossible_combination_is_a_row_with_its_reason(study, tmp_path):
 
 def test_interrupt_keeps_what_is_finished_and_the_next_run_goes_on(study, tmp_path):
     folder = tmp_path / "out"
-    interrupt = AfterCases(12, lambda: os.kill(os.getpid(), signal.SIGINT))
+    interrupt = AfterCases(12, press_ctrl_c)
     summary = sweep(study, folder, Here(), interrupt)
     assert summary.is_interrupted
     assert summary.missing >= 37
