@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pyomo_quad.collocation import Status, compile, control_polynomial
+from tests.problems import __main__ as table
 
 TOLERANCE = 1e-8
 # Of the states: what the error estimate promises, times what an unseen control error adds.
@@ -37,6 +38,7 @@ GATES = (
     "saving",
     "scalar_regulator",
     "singular_arc",
+    "steering",
     "stiff_tracking",
     "waypoint",
 )
@@ -151,3 +153,15 @@ def test_controls_flown_by_scipy_pass_the_same_states(name):
         )
         x = flown.y[:, -1]
         assert np.max(np.abs(x - path.states[mesh.first_node[e + 1]]) / size) <= STATE_TOLERANCE
+
+
+def test_the_table_lists_every_problem_and_none_is_wronger_than_it_claims(capsys):
+    assert sorted(table.names()) == sorted(GATES)
+    table.main(["double_integrator", "steering"])
+    header, *lines = capsys.readouterr().out.splitlines()
+    assert header.split()[:2] == ["problem", "published"]
+    for line, name in zip(lines, ("double_integrator", "steering"), strict=True):
+        cells = line.split()
+        assert cells[0] == name
+        off, claimed = float(cells[4]), float(cells[5])
+        assert off <= 2 * max(claimed, TOLERANCE)

@@ -8,4 +8,6 @@ Each module states its problem and offers
   name and index) to its values at times ``t``; the costate is the derivative of the optimum
   with respect to the state, of a maximum that of its negative;
 - ``KINKS``: the times where one of these jumps or bends.
+
+``python -m tests.problems`` solves them all and prints a table.
 """
