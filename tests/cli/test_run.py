@@ -80,6 +80,7 @@ def test_run_writes_every_document(wind):
     assert {"fly", "certify", "solve", "report"} <= set(wind.summary["wall_s"])
 
 
+@pytest.mark.slow
 def test_run_of_an_impossible_mission_compares_nothing(tmp_path, capsys):
     folder = tmp_path / "report"
     status = main(["run", PAPER_CALM, *IMPOSSIBLE, "--out", str(folder), "--json"])

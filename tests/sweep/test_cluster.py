@@ -39,6 +39,7 @@ def test_rows_are_those_of_one_process_though_a_worker_is_lost(study, tmp_path, 
         assert rows(tmp_path / "maimed").equals(expected)
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_dies_stops_the_sweep_and_keeps_its_rows(study, tmp_path, expected):
     folder = tmp_path / "out"
     with (

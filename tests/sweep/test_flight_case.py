@@ -38,6 +38,7 @@ def test_all_cases_are_verified(solved_here):
     assert (solved_here["excess_energy_J"] > 0.0).all()
 
 
+@pytest.mark.slow
 def test_rows_are_the_same_numbers_from_two_processes(study, solved_here):
     folder = study.parent / "two"
     with process_workers(2) as workforce:
@@ -77,6 +78,7 @@ def test_a_plan_flown_in_another_world_than_its_own_misses_and_costs_more(tmp_pa
     assert heavier["energy_J"] == pytest.approx(expected, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_a_case_that_cannot_be_flown_is_a_failed_row(tmp_path):
     # 11.8 m in 1.5 s is beyond thrust and rotor limits.
     hopeless = '[[axis]]\npath = "mission.duration"\nvalues = [1.5]\n'

@@ -8,6 +8,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 from pyomo_quad.sweep import ResultStore, StoreError
 from tests.sweep import stand_in
 from tests.sweep.studies import write_study
@@ -42,7 +44,7 @@ def stored(folder: Path) -> set[str]:
 def kill_after(process: subprocess.Popen, folder: Path, count: int, delay: float) -> set[str]:
     """Kill a sweep some moment after it has stored so many cases; return what is stored then."""
     while len(stored(folder)) < count and process.poll() is None:
-        time.sleep(0.002)
+        time.sleep(0.01)
     time.sleep(delay)
     assert process.poll() is None, "the sweep ended before it could be killed"
     process.send_signal(signal.SIGKILL)
@@ -50,6 +52,7 @@ def kill_after(process: subprocess.Popen, folder: Path, count: int, delay: float
     return stored(folder)
 
 
+@pytest.mark.slow
 def test_three_kills_end_with_every_row_and_none_solved_twice(tmp_path):
     study, folder, log = write_study(tmp_path, AXES), tmp_path / "out", tmp_path / "log"
     moments = random.Random(20)

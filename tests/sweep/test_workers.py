@@ -23,6 +23,7 @@ def test_one_and_two_processes_give_the_rows_of_none(study, tmp_path):
         assert rows(folder).equals(rows(tmp_path / "none"))
 
 
+@pytest.mark.slow
 def test_a_case_that_kills_its_worker_is_one_lost_row(study, tmp_path, monkeypatch):
     monkeypatch.setenv(stand_in.FATAL_PAYLOAD, "0.2")
     study.write_text(study.read_text().replace("count = 10", "count = 1"))

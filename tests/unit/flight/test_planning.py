@@ -40,6 +40,7 @@ def solve(monkeypatch, limit):
     return solve_scenario(scenario, progress=clock.tick), clock.now
 
 
+@pytest.mark.slow
 def test_every_part_of_a_failing_solve_keeps_the_limit(monkeypatch):
     """The first solve, the elastic one, the shortest flight and each remedy are all stopped."""
     whole, iterations = solve(monkeypatch, 1e6)
