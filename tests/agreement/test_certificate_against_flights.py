@@ -55,6 +55,7 @@ def random_mission(generator, power, coupling):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("power", "coupling", "count"),
     [("motor", "acceleration", 5), ("motor", "drag", 4), ("motor_with_friction", "drag", 1)],

@@ -45,6 +45,7 @@ def test_an_unknown_reference_is_refused_with_what_is_allowed(capsys):
     assert "minimum_snap" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_without_a_plan_nothing_is_written(tmp_path, capsys):
     out = tmp_path / "flight"
     command = ["fly", PAPER_CALM, *IMPOSSIBLE, "--reference", "plan", "--quiet"]

@@ -23,6 +23,7 @@ def expected(study, tmp_path):
     return rows(tmp_path / "expected")
 
 
+@pytest.mark.slow
 def test_rows_are_those_of_one_process_though_a_worker_is_lost(study, tmp_path, expected):
     with (
         cluster(tmp_path, seconds="0.02") as dask,
