@@ -66,7 +66,9 @@ class Workers:
         self._crew = crew
         self._executor: Executor | None = None
         self._under_way: dict[Future[CaseOutcome], CaseTask] = {}
+        # Cases to try alone, and those of all that were in a worker's hands when one died.
         self._suspects: deque[CaseTask] = deque()
+        self._accused: set[str] = set()
         self._is_alone = False
 
     @property
@@ -97,7 +99,7 @@ class Workers:
             done, _ = wait(self._under_way, _WATCH_SECONDS, FIRST_COMPLETED)
             if not done:
                 self._crew.count()
-            for future in done:
+            for future in [one for one in self._under_way if one in done]:
                 outcomes += self._collect(future)
             self._is_alone = self._is_alone and bool(self._under_way)
         return outcomes
@@ -127,18 +129,23 @@ class Workers:
             return self._suspect(task, error)
 
     def _suspect(self, task: CaseTask, error: Exception) -> list[CaseOutcome]:
-        was_alone = self._is_alone
-        if not was_alone:
-            self._suspects.append(task)
+        # One that no worker ever had before may be tried alone a second time.
+        is_lost = self._is_alone and task.key in self._accused
+        if not is_lost:
+            self._accuse(task)
         if isinstance(error, BrokenExecutor):
             self._suspect_all()
-        return [CaseOutcome.loss(task)] if was_alone else []
+        return [CaseOutcome.loss(task)] if is_lost else []
+
+    def _accuse(self, task: CaseTask) -> None:
+        self._suspects.append(task)
+        self._accused.add(task.key)
 
     def _suspect_all(self) -> None:
         """Set aside all cases under way on a broken executor: nobody can say which one broke it."""
         for future, task in list(self._under_way.items()):
             if not future.done() or future.exception() is not None:
-                self._suspects.append(task)
+                self._accuse(task)
                 del self._under_way[future]
         self._abandon()
 

@@ -119,8 +119,9 @@ def with_children(study):
     return next(one.key for one in cases if one.parent is not None and one.position in parents)
 
 
-def test_workers_that_die_once_change_no_row(study, tmp_path, expected, keys):
-    deaths = dict.fromkeys(keys[::7], 1)
+@pytest.mark.parametrize("step", [7, 1])
+def test_workers_that_die_once_change_no_row(study, tmp_path, expected, keys, step):
+    deaths = dict.fromkeys(keys[::step], 1)
     summary = sweep(study, tmp_path / "out", Alone(deaths))
     assert (summary.finished, summary.failed, summary.lost, summary.missing) == (50, 0, 0, 0)
     assert rows(tmp_path / "out").equals(expected)
