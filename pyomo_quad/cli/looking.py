@@ -174,6 +174,10 @@ without a default must be given, by the file or by the entry of the library that
 `use`; `pyomo-quad check FILE` shows every value and where it came from, `pyomo-quad library` the
 entries. Editors that know JSON Schema complete and check these files by their first line.
 
+A `use` that ends with `.toml` is a file of one's own, beside the scenario, with the sections
+`[fields]` and, for a vehicle, `[limits]`: each number bare, or as a table of `value` and `source`.
+A `use` at the top of that file names the entry of the library that gives the rest.
+
 `pyomo-quad schema --out scenarios` writes this page and both schemas.
 """
 _COLUMNS = ("field", "unit", "default", "allowed", "meaning")

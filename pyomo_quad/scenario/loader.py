@@ -1,28 +1,21 @@
 """Read a scenario file: data only, bounded in size and depth."""
 
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
+from pyomo_quad.scenario.document import (
+    DEEPEST_NESTING,
+    parse_toml,
+    read_toml,
+    refuse_deep,
+)
 from pyomo_quad.scenario.messages import ScenarioError, printable, shown
 from pyomo_quad.scenario.resolution import Origin
 from pyomo_quad.scenario.schema import Scenario
 from pyomo_quad.scenario.tree import FieldPath, depth, leaves, parse_path, spell
 
-LARGEST_FILE_BYTES = 1_000_000
-DEEPEST_NESTING = 8
-# More brackets open at once, or a key of more parts, is an attack on the parser: it takes them one
-# inside the other, or all anew for each.
-_MOST_OPEN = 64
-_MOST_KEY_PARTS = 32
-# Comments, texts closed or not, and the signs that nest or join; no part is read twice.
-_SIGNS = re.compile(
-    r"""#[^\n]*+|\"{3}(?:[^"\\]++|\\.|"(?!""))*+(?:\"{3})?|'{3}(?:[^']++|'(?!''))*+(?:'{3})?"""
-    r"""|"(?:[^"\\\n]++|\\.)*+"?|'[^'\n]*+'?|[\[\]{}.,=\n]""",
-    re.DOTALL,
-)
 # What messages call a scenario that no file holds.
 _MAPPING = "scenario"
 _BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
@@ -58,7 +51,7 @@ def load_scenario(
     written = _mapped(overrides) if isinstance(overrides, Mapping) else _parsed(overrides)
     label = "overrides" if is_mapping else "--set"
     if isinstance(path, Mapping):
-        _refuse_deep(path, _MAPPING)
+        refuse_deep(path, _MAPPING)
         source, folder, document = _MAPPING, FilePath(), path
     else:
         file = FilePath(path)
@@ -94,38 +87,8 @@ def scenario_from_mapping(
     FeasibilityError
         If the rotors cannot carry the vehicle.
     """
-    _refuse_deep(tables, source)
+    refuse_deep(tables, source)
     return _from_written(Origin(source=source, folder=folder or FilePath(), document=tables))
-
-
-def read_toml(file: FilePath) -> dict[str, Any]:
-    """Read a TOML file that may come from a stranger.
-
-    Raises
-    ------
-    ScenarioError
-        If it is missing, too large, nested too deep or not TOML.
-    """
-    source = printable(str(file))
-    try:
-        with file.open("rb") as stream:
-            content = stream.read(LARGEST_FILE_BYTES + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ScenarioError(
-            f"{source}: cannot be read ({reason}); give an existing TOML file."
-        ) from None
-    if len(content) > LARGEST_FILE_BYTES:
-        raise ScenarioError(
-            f"{source}: larger than {LARGEST_FILE_BYTES} bytes; a scenario is a short file."
-        )
-    try:
-        tables = _parse_toml(content.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        reason = printable(" ".join(str(error).split())[:120])
-        raise ScenarioError(f"{source}: not valid TOML ({reason}); correct it.") from None
-    _refuse_deep(tables, source)
-    return tables
 
 
 def _from_written(origin: Origin) -> Scenario:
@@ -140,30 +103,13 @@ def _from_written(origin: Origin) -> Scenario:
     return Scenario.from_origin(origin)
 
 
-def _parse_toml(text: str) -> dict[str, Any]:
-    open_brackets, key_parts = 0, 1
-    for sign in _SIGNS.finditer(text):
-        match sign[0]:
-            case "[" | "{":
-                open_brackets, key_parts = open_brackets + 1, 1
-            case "]" | "}":
-                open_brackets, key_parts = max(open_brackets - 1, 0), 1
-            case ".":
-                key_parts += 1
-            case "," | "=" | "\n":
-                key_parts = 1
-        if open_brackets > _MOST_OPEN or key_parts > _MOST_KEY_PARTS:
-            raise ValueError("nested too deep")
-    return tomllib.loads(text)
-
-
 def _parsed(overrides: Sequence[str]) -> dict[FieldPath, Any]:
     texts = (overrides,) if isinstance(overrides, str) else overrides
     return dict(_parse_override(text) for text in texts)
 
 
 def _mapped(overrides: Mapping[str, Any]) -> dict[FieldPath, Any]:
-    _refuse_deep(overrides, "overrides")
+    refuse_deep(overrides, "overrides")
     assignments: dict[FieldPath, Any] = {}
     for steps, value in leaves(overrides):
         path = parse_path(".".join(str(step) for step in steps))
@@ -184,7 +130,7 @@ def _parse_override(text: str) -> tuple[FieldPath, Any]:
             f"--set: {shown(text)} is not PATH=VALUE; write for example mission.duration=12.0."
         )
     try:
-        parsed = _parse_toml(f"value = {right}")
+        parsed = parse_toml(f"value = {right}")
     except (ValueError, RecursionError):
         parsed = {"value": right.strip()} if _BARE_WORD.fullmatch(right.strip()) else {}
     if parsed.keys() != {"value"} or depth(parsed, DEEPEST_NESTING) > DEEPEST_NESTING:
@@ -193,10 +139,3 @@ def _parse_override(text: str) -> tuple[FieldPath, Any]:
             f'such as 12.0, [1.0, 2.0, 3.0] or "text".'
         )
     return path, parsed["value"]
-
-
-def _refuse_deep(tables: Mapping[str, Any], source: str) -> None:
-    if depth(tables, DEEPEST_NESTING) > DEEPEST_NESTING:
-        raise ScenarioError(
-            f"{source}: nested deeper than {DEEPEST_NESTING} levels; a scenario is a shallow file."
-        )

@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 
 from pydantic import ValidationError
 
+from pyomo_quad.scenario.document import read_toml
 from pyomo_quad.scenario.fields import number_in_text
 from pyomo_quad.scenario.messages import ScenarioError, complaint, shown
 from pyomo_quad.scenario.tables import (
@@ -32,6 +33,12 @@ from pyomo_quad.scenario.tree import FieldPath, leaves, merge, set_value, spell
 LIBRARY_KINDS: Mapping[str, str] = MappingProxyType(
     {"vehicles": "vehicle", "batteries": "battery", "winds": "wind"}
 )
+
+_FIELDS, _VALUE, _SOURCE = "fields", "value", "source"
+_LABELS = (_VALUE, _SOURCE)
+_SECTIONS: Mapping[str, tuple[str, ...]] = {"vehicles": (_FIELDS, "limits")}
+# What tells a file of one's own from a name of the library.
+_SUFFIX = ".toml"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,9 +97,9 @@ def library_names(kind: str) -> tuple[str, ...]:
     folder = resources.files("pyomo_quad.scenario").joinpath("library", kind)
     return tuple(
         sorted(
-            file.name.removesuffix(".toml")
+            file.name.removesuffix(_SUFFIX)
             for file in folder.iterdir()
-            if file.name.endswith(".toml")
+            if file.name.endswith(_SUFFIX)
         )
     )
 
@@ -127,20 +134,56 @@ def library_entry(kind: str, name: str) -> LibraryEntry:
             f"there are {_listed(names)}; {hint}"
         )
     folder = resources.files("pyomo_quad.scenario").joinpath("library", kind)
-    written = tomllib.loads(folder.joinpath(f"{name}.toml").read_text(encoding="utf-8"))
+    written = tomllib.loads(folder.joinpath(f"{name}{_SUFFIX}").read_text(encoding="utf-8"))
+    return _entry(kind, name, written, {})
+
+
+def _entry(
+    kind: str, name: str, written: Mapping[str, Any], base: Mapping[str, Any]
+) -> LibraryEntry:
+    """Return the entry that sections of numbers, bare or with their sources, make over a base."""
     table = LIBRARY_KINDS[kind]
-    tables: dict[str, Any] = {table: {"use": name}}
+    tables: dict[str, Any] = set_value(base, (table, "use"), name)
     sources: dict[str, str] = {}
     for path, value in leaves(written):
-        section, *field, column = path
-        target: FieldPath = (table if section == "fields" else section, *field)
-        if column == "value":
-            tables = set_value(tables, target, value)
-        else:
+        section, *field = path
+        is_labelled = field[-1] in _LABELS
+        place = field[:-1] if is_labelled else field
+        target: FieldPath = (table if section == _FIELDS else section, *place)
+        if is_labelled and field[-1] == _SOURCE:
             sources[spell(target)] = value
+        else:
+            tables = set_value(tables, target, value)
     return LibraryEntry(
         kind=kind, name=name, tables=MappingProxyType(tables), sources=MappingProxyType(sources)
     )
+
+
+def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
+    """Read a set of one's own from a file written as the library's are.
+
+    It has the sections `fields` and, for a vehicle, `limits`, with each number bare or as a table
+    of `value` and `source`; `use` at its top names the set of the library that gives the rest.
+
+    Raises
+    ------
+    ScenarioError
+        If the file cannot be read, or has anything else in it.
+    """
+    written = dict(read_toml(folder / name))
+    use = written.pop("use", None)
+    if use is not None and not isinstance(use, str):
+        raise ScenarioError(f"{name}: use = {shown(use)}; must be text in quotes.")
+    sections = _SECTIONS.get(kind, (_FIELDS,))
+    for section, content in written.items():
+        if section not in sections:
+            raise ScenarioError(
+                f"{name}: unknown key {shown(section)[1:-1]}; a file of {kind} has "
+                f"{' and '.join(f'[{known}]' for known in sections)}, and perhaps use."
+            )
+        if not isinstance(content, Mapping):
+            raise ScenarioError(f"{name}: {section} = {shown(content)}; must be a table.")
+    return _entry(kind, name, written, {} if use is None else library_entry(kind, use).tables)
 
 
 def _listed(names: object) -> str:
@@ -283,6 +326,7 @@ class Origin:
     document: Mapping[str, Any]
     assignments: Mapping[FieldPath, Any] = field(default_factory=dict)
     label: str = "--set"
+    is_resolved: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -360,18 +404,22 @@ def _add_library(
     if not isinstance(name, str):
         return tables  # validation says it better
     use = (*place, "use")
+    if origin.is_resolved and use not in origin.assignments:
+        return tables
+    is_file = name.endswith(_SUFFIX)
     try:
-        entry = library_entry(kind, name)
+        entry = read_entry(kind, name, origin.folder) if is_file else library_entry(kind, name)
     except ScenarioError as error:
         reason = str(error).removeprefix("library: ")
         where = whose(origin, provenance, use)
         raise ScenarioError(f"{where}: {spell(use)} = {shown(name)}; {reason}") from None
     provenance.setdefault(spell(use), "default")
     table = LIBRARY_KINDS[kind]
+    said = f"file {shown(name)[1:-1]}" if is_file else f"library {name}"
     for path, value in leaves(entry.tables):
         full = (*place, *path[1:]) if path[0] == table else path
         tables = set_value(tables, full, value)
-        provenance.setdefault(spell(full), f"library {name}")
+        provenance.setdefault(spell(full), said)
     return tables
 
 

@@ -138,7 +138,10 @@ class Scenario(Part):
             If the rotors cannot carry the changed vehicle.
         """
         origin = self._origin or Origin(
-            source=self.name, folder=self.folder, document=self.model_dump(mode="json")
+            source=self.name,
+            folder=self.folder,
+            document=self.model_dump(mode="json"),
+            is_resolved=True,
         )
         assignments = dict(origin.assignments)
         for text, value in values.items():
@@ -154,6 +157,7 @@ class Scenario(Part):
                 document=origin.document,
                 assignments=assignments,
                 label=origin.label,
+                is_resolved=origin.is_resolved,
             )
         )
 

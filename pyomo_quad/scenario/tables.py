@@ -127,7 +127,7 @@ _VOLTAGE = Sound(0, 100, "the cells of all chemistries have 1 to 5 V")
 class Battery(Part):
     """Cell constants of the Tremblay-Dessaint model and the number of cells."""
 
-    use: Text = quantity("", "name of the battery in the library")
+    use: Text = quantity("", "name of the battery in the library, or a file of its own, NAME.toml")
     title: Text = quantity(
         "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
     )
@@ -316,7 +316,7 @@ class EfficiencyMap(Part):
 class Vehicle(Part):
     """A quadrotor: four equal rotors on arms along body x and y, numbered as in the paper."""
 
-    use: Text = quantity("", "name of the vehicle in the library")
+    use: Text = quantity("", "name of the vehicle in the library, or a file of its own, NAME.toml")
     title: Text = quantity(
         "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
     )
@@ -578,7 +578,7 @@ class WindSeries(Part):
 class Wind(Part):
     """The horizontal wind in world axes."""
 
-    use: Text = quantity("", "name of the wind in the library")
+    use: Text = quantity("", "name of the wind in the library, or a file of its own, NAME.toml")
     title: Text = quantity(
         "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
     )

@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
+from pyomo_quad.scenario.document import read_toml
 from pyomo_quad.scenario.fields import Part, Text, WholeNumber, quantity
-from pyomo_quad.scenario.loader import read_toml
 from pyomo_quad.scenario.messages import FeasibilityError, ScenarioError, complaint, shown
 from pyomo_quad.scenario.resolution import Origin
 from pyomo_quad.scenario.schema import Scenario

@@ -7,7 +7,7 @@ import pytest
 from pydantic import BaseModel
 
 from pyomo_quad.scenario import FeasibilityError, PyomoQuadError, ScenarioError, load_scenario
-from pyomo_quad.scenario.loader import LARGEST_FILE_BYTES
+from pyomo_quad.scenario.document import LARGEST_FILE_BYTES
 from pyomo_quad.scenario.tree import merge, spell
 from tests.scenario_files import write_scenario, write_wind
 

@@ -6,7 +6,7 @@ from time import process_time
 
 import pytest
 
-from pyomo_quad.scenario.loader import read_toml
+from pyomo_quad.scenario.document import read_toml
 from pyomo_quad.scenario.messages import ScenarioError
 from tests.command import ENVIRONMENT
 from tests.fuzz.hostile import hostile_files

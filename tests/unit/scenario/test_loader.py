@@ -148,3 +148,69 @@ def test_scenario_cannot_be_changed(tmp_path):
     scenario = load_scenario(write_scenario(tmp_path))
     with pytest.raises(ValueError, match="frozen"):
         scenario.gravity = 1.0
+
+
+OWN_VEHICLE = """
+use = "dji_phantom_2"
+[fields]
+title = "Mine"
+drag_linear = 0.3
+[fields.mass]
+value = 1.1
+source = "weighed"
+[limits]
+roll_max = 0.6
+"""
+
+
+def test_vehicle_from_a_file_beside_the_scenario(tmp_path):
+    (tmp_path / "mine.toml").write_text(OWN_VEHICLE)
+    file = write_scenario(tmp_path, 'vehicle.use = "mine.toml"', "vehicle.drag_linear = 0.4")
+    scenario = load_scenario(file)
+    assert scenario.vehicle.use == "mine.toml"
+    assert scenario.vehicle.mass == 1.1
+    assert scenario.vehicle.drag_linear == 0.4
+    assert scenario.vehicle.Ix == 0.081
+    assert scenario.limits.roll_max == 0.6
+    assert scenario.provenance["vehicle.mass"] == "file mine.toml"
+    # A stored scenario is complete: its vehicle's file may have gone.
+    stored = Scenario.model_validate_json(scenario.model_dump_json())
+    (tmp_path / "mine.toml").unlink()
+    assert stored.with_values({"vehicle.payload": 0.2}).vehicle.total_mass == pytest.approx(1.3)
+
+
+def test_a_copy_of_the_librarys_file_is_the_same_vehicle(tmp_path):
+    from importlib import resources
+
+    library = resources.files("pyomo_quad.scenario").joinpath("library")
+    for kind, name in (("vehicles", "dji_phantom_2"), ("batteries", "paper_cell")):
+        text = library.joinpath(kind, f"{name}.toml").read_text(encoding="utf-8")
+        (tmp_path / f"{name}.toml").write_text(text)
+    named = write_scenario(tmp_path, 'battery.use = "paper_cell"')
+    library_own = load_scenario(named)
+    uses = {"vehicle.use": "dji_phantom_2.toml", "battery.use": "paper_cell.toml"}
+    own = load_scenario(named, uses)
+    assert own.limits == library_own.limits
+    for table in ("vehicle", "battery"):
+        ours, theirs = getattr(own, table), getattr(library_own, table)
+        assert ours.model_copy(update={"use": theirs.use}) == theirs
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, r'vehicle.use = "mine.toml"; .*mine.toml: cannot be read \(No such file'),
+        ("mass = 1.0", r"unknown key mass; a file of vehicles has \[fields\] and \[limits\]"),
+        ("fields = 3", r"mine.toml: fields = 3; must be a table"),
+        ("use = 3", r"mine.toml: use = 3; must be text in quotes"),
+        ('use = "drone"', r"no vehicle named 'drone'"),
+        ('use = "dji_phantom_2"\n[fields]\nmass = -1.0', r"mine.toml: vehicle.mass = -1 kg; must"),
+        ("[fields]\nmass = 1.0", r"vehicle.title is missing; give it"),
+        ("[fields", r"mine.toml: not valid TOML"),
+    ],
+)
+def test_a_vehicle_file_that_is_none(tmp_path, text, message):
+    if text is not None:
+        (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(ScenarioError, match=message):
+        load_scenario(write_scenario(tmp_path, 'vehicle.use = "mine.toml"'))
