@@ -27,6 +27,7 @@ from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop
 from pyomo_quad.flight.planning import Builder
 from pyomo_quad.model import model_builder
 from pyomo_quad.report.folder import output_folder
+from pyomo_quad.report.report import RunRecord
 from pyomo_quad.report.tables import (
     flight_summary,
     summary_text,
@@ -37,7 +38,7 @@ from pyomo_quad.report.tables import (
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.study.comparison import ComparisonColumn, has_arrived
-from pyomo_quad.study.run import RunResult
+from pyomo_quad.study.run import RunResult, run_scenario
 
 # An iterate that breaks the equations by less, relative, is worth keeping.
 _WORTH_KEEPING = 1e-4
@@ -138,6 +139,13 @@ def _kept(plan: Plan, folder: Path) -> str:
 def exit_code_of(plan: Plan) -> ExitCode:
     """Return the exit status that tells how a solve ended."""
     return _EXIT_CODES[plan.status]
+
+
+def make_run(planner: Planner, scenario: Scenario, folder: Path) -> tuple[RunRecord, ExitCode]:
+    """Run a scenario, complain about what is wrong with it, and return it with its exit status."""
+    result = run_scenario(scenario, planner=planner)
+    complain_about(result.plan, folder, result.warnings)
+    return RunRecord.of(result), exit_code_of(result.plan)
 
 
 _FLIGHT_NAME = "flight.csv"

@@ -1,6 +1,8 @@
 """The reports of a solve, of a run and of a comparison: their numbers, templates and files."""
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -17,7 +19,14 @@ from pyomo_quad.flight.verification import (
 )
 from pyomo_quad.report import Figures
 from pyomo_quad.report.render import FIGURE_FOLDER, STATUS_WORDS, render_html, render_markdown
-from pyomo_quad.report.tables import PLAN_NAME, SUMMARY_NAME, write_plan_table, write_table
+from pyomo_quad.report.tables import (
+    PLAN_NAME,
+    SUMMARY_NAME,
+    installed_versions,
+    run_summary,
+    write_plan_table,
+    write_table,
+)
 from pyomo_quad.scenario import Reference
 from pyomo_quad.study.comparison import (
     ARRIVAL_DISTANCE_M,
@@ -31,6 +40,7 @@ from pyomo_quad.version import __version__
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
     from pyomo_quad.report.gallery import Drawing
+    from pyomo_quad.scenario import Scenario
     from pyomo_quad.study.run import RunResult
 
 REPORT_NAME = "report.md"
@@ -117,6 +127,49 @@ def write_comparison(folder: Path, comparison: pd.DataFrame, title: str = "Compa
     if not comparison.empty:
         text = render_markdown("report/comparison.md.j2", title=title, **_of_flights(comparison))
         (folder / COMPARISON_REPORT_NAME).write_text(text, encoding="utf-8")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRecord:
+    """What is kept of a run: its summary, and its flights beside each other."""
+
+    summary: Mapping[str, Any]
+    comparison: pd.DataFrame
+
+    @classmethod
+    def of(cls, result: "RunResult") -> "RunRecord":
+        """Return the record of a run that was just made."""
+        return cls(summary=run_summary(result, wall_s={}), comparison=result.comparison)
+
+
+def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
+    """Return the verified run of exactly this scenario that a folder holds, if it does.
+
+    A run by other versions may differ in its numbers, and the code of a model of one's own may
+    have changed since: neither is taken.
+    """
+    if scenario.model is not None:
+        return None
+    flags = (ComparisonColumn.ARRIVED, ComparisonColumn.LIMITS_KEPT, ComparisonColumn.VERIFIED)
+    texts = (ComparisonColumn.SCENARIO, ComparisonColumn.FLIGHT, ComparisonColumn.BROKEN_LIMITS)
+    kinds = dict.fromkeys(ComparisonColumn, float) | dict.fromkeys(flags, bool)
+    try:
+        summary = json.loads((folder / SUMMARY_NAME).read_text(encoding="utf-8"))
+        comparison = pd.read_csv(
+            folder / COMPARISON_NAME,
+            usecols=lambda name: name in kinds,
+            dtype=kinds | dict.fromkeys(texts, str),
+        )
+        comparison = comparison[list(ComparisonColumn)].fillna(dict.fromkeys(texts, ""))
+    except (OSError, ValueError, KeyError):
+        return None
+    expected = {
+        "verified": True,
+        "versions": installed_versions(),
+        "scenario_resolved": scenario.model_dump(mode="json"),
+    }
+    is_same = isinstance(summary, dict) and expected.items() <= summary.items()
+    return RunRecord(summary=summary, comparison=comparison) if is_same else None
 
 
 def _title(plan: "Plan") -> str:

@@ -144,7 +144,7 @@ def plan_summary(
             "degrees": list(plan.mesh.degrees),
         },
         "wall_s": {phase: _number(timings.get(phase)) for phase in _PHASES},
-        "versions": _versions(),
+        "versions": installed_versions(),
         "warnings": list(warnings),
         "attempts": list(plan.attempts),
         "failure": None if plan.failure is None else _failure(plan.failure),
@@ -184,11 +184,6 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
     return summary
 
 
-def compare_summary(results: Sequence["RunResult"]) -> dict[str, Any]:
-    """Summarise runs of many scenarios."""
-    return {"runs": [run_summary(result, wall_s={}) for result in results]}
-
-
 def summary_text(summary: Mapping[str, Any]) -> str:
     """Return a summary as JSON text."""
     return json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
@@ -216,7 +211,8 @@ def _number(value: float | None) -> float | None:
     return float(value) if value is not None and math.isfinite(value) else None
 
 
-def _versions() -> dict[str, str]:
+def installed_versions() -> dict[str, str]:
+    """Return the versions of all that can change a number, by distribution."""
     found = {name: _version(names) for name, names in _DISTRIBUTIONS.items()}
     return {"pyomo_quad": __version__, "python": platform.python_version(), **found}
 

@@ -1,6 +1,7 @@
 """`pyomo-quad run` and `compare` through the command: optimum, baselines, proof, documents."""
 
 import json
+import shutil
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 
@@ -9,6 +10,8 @@ import pytest
 
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.report.report import find_run
+from pyomo_quad.scenario import load_scenario
 from tests.command import IMPOSSIBLE, PAPER_CALM, QUICK, SCENARIOS, Run
 
 FIRST_COLUMNS = [
@@ -119,6 +122,44 @@ def test_compare_makes_one_table(tmp_path, capsys):
     assert frame["flight"].tolist() == flights * 2
     assert "adaptive/quintic" in capsys.readouterr().out
     assert (folder / "comparison.md").exists()
+
+
+def test_compare_takes_a_finished_run_that_matches_from_its_folder(
+    wind, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(wind.folder, tmp_path / "reports" / "paper_wind")
+    assert main(["compare", str(SCENARIOS / "paper_wind.toml")]) == ExitCode.VERIFIED
+    said = capsys.readouterr().out
+    assert "paper_wind: taken from reports/paper_wind, which holds this very run." in said
+    made = tmp_path / "reports" / "comparison" / "comparison.csv"
+    assert made.read_text() == (wind.folder / "comparison.csv").read_text()
+
+
+def replace_in(file, old, new):
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("summary.json", '"duration": 10.0', '"duration": 9.0'),
+        ("summary.json", '"verified": true,\n  "energy_J"', '"verified": false,\n  "energy_J"'),
+        ("summary.json", '"pyomo_quad": "', '"pyomo_quad": "0.'),
+        ("summary.json", "{", "["),
+        ("comparison.csv", "energy_J", "energy_kJ"),
+        ("comparison.csv", "True", "perhaps"),
+    ],
+)
+def test_a_run_of_something_else_or_a_damaged_one_is_not_taken(wind, tmp_path, name, old, new):
+    folder = shutil.copytree(wind.folder, tmp_path / "run")
+    scenario = load_scenario(SCENARIOS / "paper_wind.toml")
+    assert find_run(folder, scenario) is not None
+    assert find_run(folder, scenario.with_values({"mission.duration": 9.0})) is None
+    replace_in(folder / name, old, new)
+    assert find_run(folder, scenario) is None
 
 
 def test_compare_refuses_before_it_solves(tmp_path, capsys):
