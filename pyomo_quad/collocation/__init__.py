@@ -23,6 +23,7 @@ from pyomo_quad.collocation.mesh import (
 from pyomo_quad.collocation.problem import Problem
 from pyomo_quad.collocation.program.ipopt import Iteration, Progress, SolverOptions, Status
 from pyomo_quad.collocation.pyomo_solver import PyomoSolver
+from pyomo_quad.collocation.reading.tables import Table
 from pyomo_quad.collocation.refining.error import Allowance
 from pyomo_quad.collocation.refining.refinement import RefinementOptions
 from pyomo_quad.collocation.solution import MeshRecord, Solution
@@ -49,6 +50,7 @@ __all__ = [
     "SolverOptions",
     "Status",
     "Summarised",
+    "Table",
     "Trajectory",
     "TranscriptionError",
     "Violation",

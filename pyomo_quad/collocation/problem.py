@@ -23,7 +23,7 @@ from pyomo_quad.collocation.program.ipopt import (
     run,
 )
 from pyomo_quad.collocation.refining.refinement import RefinementOptions, refine
-from pyomo_quad.collocation.solution import Solution, solution_from
+from pyomo_quad.collocation.solution import Solution, outside_tables, solution_from
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray, Mesh
@@ -139,6 +139,7 @@ class Problem(Summarised, Formulation):
                 refinement=refinement or RefinementOptions(),
                 warm_start=start,
             )
+        solution = _within_tables(solution)
         return solution if deadline is None else _in_time(solution, deadline)
 
     def solve_on_mesh(
@@ -209,6 +210,16 @@ class Problem(Summarised, Formulation):
         totals = solution.program.integrals(solution.unknowns).tolist()
         names = [integral.name for integral in declared.integrals]
         self.values.load_integrals(dict(zip(names, totals, strict=True)))
+
+
+def _within_tables(solution: Solution) -> Solution:
+    """Return a solution that says so where it reads a table beyond its range."""
+    line = outside_tables(solution)
+    if not line:
+        return solution
+    if not solution.is_converged:
+        return replace(solution, message=f"{solution.message} {line}")
+    return replace(solution, status=Status.NOT_CONVERGED, message=line)
 
 
 def _in_time(solution: Solution, deadline: Deadline) -> Solution:

@@ -88,6 +88,38 @@ def _reads_time(compiled: CompiledModel) -> bool:
     return declared.has_signals or declared.fraction.name() in read
 
 
+# Of a table's range, by how much an argument may leave it.
+_RANGE_SLACK = 1e-6
+
+
+def outside_tables(solution: Solution) -> str:
+    """Return one line that names the argument farthest outside its table's range, or nothing."""
+    program, z = solution.program, solution.unknowns
+    tables = program.compiled.tables
+    found = []
+    if tables.over_time and program.n_points:
+        at_points = program.path_variables(z), program.data.at_points()
+        mapped = MappedFunction(tables.path, program.n_points)
+        found.append((tables.over_time, mapped(*at_points)[0]))
+    if tables.in_conditions:
+        once = program.point_variables(z), program.data.parameters[None, :]
+        found.append((tables.in_conditions, MappedFunction(tables.points, 1)(*once)[0]))
+    worst, line = _RANGE_SLACK, ""
+    for uses, held in found:
+        for use, arguments in zip(uses, held.T, strict=True):
+            beyond = np.maximum(use.lower - arguments, arguments - use.upper)
+            k = int(np.argmax(beyond))
+            if beyond[k] > worst * (use.upper - use.lower):
+                worst = beyond[k] / (use.upper - use.lower)
+                when = f" at time {solution.times[k + 1]:.6g}" if len(arguments) > 1 else ""
+                line = (
+                    f"{use.name} is {arguments[k]:.6g}{when}, outside its range "
+                    f"[{use.lower:g}, {use.upper:g}]; give more of the table, or bound what "
+                    "stands there."
+                )
+    return line
+
+
 @dataclass(frozen=True, kw_only=True)
 class Costates:
     """Costates per element: per_element[e] has shape (degree + 1, n_states), left end first.

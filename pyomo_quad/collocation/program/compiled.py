@@ -18,6 +18,7 @@ from pyomo_quad.collocation.reading.writer import symbol_names
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
+    from pyomo_quad.collocation.reading.tables import TableUse
 
 # Points evaluated in one call of CasADi: a map over more costs time and memory to set up.
 _CHUNK = 512
@@ -226,6 +227,16 @@ class DerivedFunctions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TableArguments:
+    """Arguments of tables over time and in conditions: what they are, and functions of them."""
+
+    over_time: tuple[TableUse, ...]
+    path: Any
+    in_conditions: tuple[TableUse, ...]
+    points: Any
+
+
+@dataclass(frozen=True, kw_only=True)
 class CompiledModel:
     """Functions of one point, functions of the conditions, and what their entries mean."""
 
@@ -241,6 +252,7 @@ class CompiledModel:
     static_limits: Any
     row_integrals: tuple[int, ...]
     symbols: tuple[Any, Any]
+    tables: TableArguments
     static_of_integral: dict[int, int] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -314,12 +326,31 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
         static_limits=_limits("static_limits", parameters, declared.statics, "lower", "upper"),
         row_integrals=direct,
         symbols=(_stack(path_variables.values()), path_data),
+        tables=_table_arguments(declared, path_variables, point_variables),
         static_of_integral={
             i: [s.name for s in declared.statics].index(integral.name)
             for i, integral in enumerate(declared.integrals)
             if i not in direct
         },
     )
+
+
+def _table_arguments(
+    declared: Declarations, path_variables: dict[str, Any], point_variables: dict[str, Any]
+) -> TableArguments:
+    parameters = _symbols(declared.parameters)
+    made: list[Any] = []
+    for variables, data in (
+        (path_variables, casadi.vertcat(*declared.path_data)),
+        (point_variables, parameters),
+    ):
+        symbols = _stack(variables.values())
+        known = symbol_names(casadi.vertcat(symbols, data))
+        # What sits in an equation that was dropped holds symbols of its own.
+        uses = tuple(u for u in declared.table_uses if symbol_names(u.expression) <= known)
+        rows = _stack([u.expression for u in uses])
+        made += [uses, casadi.Function("table_arguments", [symbols, data], [rows])]
+    return TableArguments(over_time=made[0], path=made[1], in_conditions=made[2], points=made[3])
 
 
 def _anonymous(function: Any) -> str:

@@ -226,13 +226,14 @@ class Transcription:
         return self._sign * direct @ self._objective_slopes(z)
 
     def _objective_slopes(self, z: FloatArray) -> FloatArray:
-        sources = self._point[1](self._point_variables(z), self._point_data)[0].ravel()
+        sources = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
         return self._jacobian.objective_slopes(sources)
 
     def _weights(self) -> FloatArray:
         return self.mesh.quadrature_weights if self.mesh else np.zeros(0)
 
-    def _point_variables(self, z: FloatArray) -> FloatArray:
+    def point_variables(self, z: FloatArray) -> FloatArray:
+        """Return values at declared times, statics and integrals, as one row."""
         layout = self.layout
         direct = self.integrals(z)[list(self.compiled.row_integrals)]
         values = layout.point_values @ z
@@ -240,7 +241,7 @@ class Transcription:
 
     def user_objective(self, z: FloatArray) -> float:
         """Return the objective as declared, not negated for a maximum."""
-        return float(self._point[0](self._point_variables(z), self._point_data)[0][0, -1])
+        return float(self._point[0](self.point_variables(z), self._point_data)[0][0, -1])
 
     def objective(self, z: FloatArray) -> float:
         """Return what Ipopt minimises."""
@@ -249,7 +250,7 @@ class Transcription:
     def constraints(self, z: FloatArray) -> FloatArray:
         """Return the value of every row."""
         n = self.compiled.n_equations
-        conditions = self._point[0](self._point_variables(z), self._point_data)[0][0, :-1]
+        conditions = self._point[0](self.point_variables(z), self._point_data)[0][0, :-1]
         integrals = self.integrals(z)
         definitions = [
             z[self.layout.static_columns[s]] - integrals[i]
@@ -268,7 +269,7 @@ class Transcription:
         path = np.zeros(0)
         if self.layout.points:
             path = self._path[1](self.path_variables(z), self._path_data)[0].ravel()
-        point = self._point[1](self._point_variables(z), self._point_data)[0].ravel()
+        point = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
         return np.concatenate([path, point, [1.0]])
 
     def gradient(self, z: FloatArray) -> FloatArray:
@@ -298,7 +299,7 @@ class Transcription:
             path = self._path[2](self.path_variables(z), self._path_data, weights)[0].ravel()
         conditions = multipliers[self.first_condition_row : self.first_integral_row]
         point_weights = np.append(conditions, factor)[None, :]
-        point = self._point[2](self._point_variables(z), self._point_data, point_weights)[0]
+        point = self._point[2](self.point_variables(z), self._point_data, point_weights)[0]
         return self._hessian.values(np.concatenate([path, point.ravel()]))
 
     def _path_weights(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:

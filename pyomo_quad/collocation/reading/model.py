@@ -293,6 +293,7 @@ class ModelReader:
             maximise=objective is not None and objective.sense == maximize,
             objective_name="" if objective is None else objective.name,
             has_horizon=self.copy.time is not None,
+            table_uses=tuple(self.writer.table_uses),
             # Last, because bounds may have brought in further parameters.
             parameters=tuple(table.parameters.values()),
         )

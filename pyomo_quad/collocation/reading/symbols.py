@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pyomo.dae import ContinuousSet
 
     from pyomo_quad.collocation.reading.copy import WorkingCopy
+    from pyomo_quad.collocation.reading.tables import TableUse
 
 
 class TimeSymbol:
@@ -370,6 +371,7 @@ class Declarations:
     output_starts: tuple[PointCondition, ...] = ()
     objective_name: str = ""
     has_horizon: bool = True
+    table_uses: tuple[TableUse, ...] = ()
 
     @property
     def has_signals(self) -> bool:

@@ -14,7 +14,7 @@ from pyomo.common.log import LoggingIntercept
 from pyomo.core.base.constraint import ConstraintData
 from pyomo.core.base.units_container import _PyomoUnit
 from pyomo.core.expr import numeric_expr
-from pyomo.core.expr.numvalue import NumericConstant, native_types
+from pyomo.core.expr.numvalue import NonNumericValue, NumericConstant, native_types
 from pyomo.core.expr.visitor import StreamBasedExpressionVisitor
 from pyomo.dae import DerivativeVar
 from pyomo.dae import Integral as PyomoIntegral
@@ -34,6 +34,7 @@ from pyomo_quad.collocation.reading.symbols import (
     integrand,
     time_parameter,
 )
+from pyomo_quad.collocation.reading.tables import TableUse, external
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -103,6 +104,7 @@ class ExpressionWriter:
         self._replace = named or (lambda _expression: None)
         self._named: dict[int, Any] = {}
         self._owner = ""
+        self.table_uses: list[TableUse] = []
         self._visitor = StreamBasedExpressionVisitor(
             beforeChild=self._before_child,
             exitNode=self._exit_node,
@@ -145,6 +147,8 @@ class ExpressionWriter:
     def _atom(self, child: Any) -> Any:
         if isinstance(child, _PyomoUnit):
             return 1.0
+        if isinstance(child, NonNumericValue) and isinstance(child.value, TimeSymbol):
+            return self._leaf(child.value.as_numeric())
         return child.value if isinstance(child, NumericConstant) else self._leaf(child)
 
     def _exit_node(self, node: Any, arguments: list[Any]) -> Any:
@@ -162,6 +166,8 @@ class ExpressionWriter:
         for kind, operation in _OPERATIONS:
             if isinstance(node, kind):
                 return operation(*arguments)
+        if isinstance(node, numeric_expr.ExternalFunctionExpression):
+            return external(node, arguments, self._owner, self.table_uses)
         if isinstance(node, numeric_expr.UnaryFunctionExpression) and node.name in _UNARY:
             return _UNARY[node.name](arguments[0])
         is_function = isinstance(node, numeric_expr.UnaryFunctionExpression)
@@ -206,6 +212,8 @@ class TemplateWriter:
     ----------
     integrals : dict
         The integrals met so far, by name.
+    table_uses : list
+        Arguments of tables met so far.
     schedules : list
         What rules say that are no formula of time.
     """
@@ -220,6 +228,7 @@ class TemplateWriter:
         self._clock = time_parameter()
         self._is_end_free = final_time is not None
         self._writer = ExpressionWriter(self._leaf, self._named)
+        self.table_uses = self._writer.table_uses
         self._in_path = False
 
     def write(self, expression: Any, owner: str, *, over_time: bool = False) -> Any:

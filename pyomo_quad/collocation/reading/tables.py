@@ -1,0 +1,297 @@
+"""Functions of states known by their values: tables, and what Pyomo calls external functions."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import TYPE_CHECKING, Any, Self
+
+import casadi
+import numpy as np
+from pyomo.contrib.fbbt.fbbt import compute_bounds_on_expr
+from pyomo.core.base.external import PythonCallbackFunction
+from scipy.interpolate import make_interp_spline
+
+from pyomo_quad.collocation.errors import TranscriptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from pyomo_quad.collocation.mesh import FloatArray
+
+_CUBIC, _QUINTIC = 3, 5
+# Samples along each axis that are tried in turn for a function that is known by calls alone, and
+# how far, relative to its largest value, an interpolant through them may miss it between them.
+_SAMPLES = {1: (17, 33, 65, 129, 257), 2: (9, 17, 33, 65)}
+_ACCURACY = 1e-7
+_COMPARED = 40
+# Points at which what a function makes of symbols must be what it makes of numbers.
+_CHECKED = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spline:
+    """A tensor product of B-splines without knots beside its ends; beyond its range, linear.
+
+    `knots` has one array for each argument, `coefficients` one axis for each.
+    """
+
+    knots: tuple[FloatArray, ...]
+    coefficients: FloatArray
+    degree: int
+
+    @classmethod
+    def through(cls, points: Sequence[FloatArray], values: FloatArray, degree: int) -> Self:
+        """Return the spline through values on a grid."""
+        held, knots = np.asarray(values, dtype=float), []
+        for axis, at in enumerate(points):
+            spline = make_interp_spline(at, np.moveaxis(held, axis, 0), k=degree)
+            held = np.moveaxis(spline.c, 0, axis)
+            knots.append(np.asarray(spline.t))
+        return cls(knots=tuple(knots), coefficients=held, degree=degree)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Return itself: it never changes."""
+        return self
+
+    @property
+    def ranges(self) -> tuple[tuple[float, float], ...]:
+        """First and last point of each argument."""
+        return tuple((float(t[0]), float(t[-1])) for t in self.knots)
+
+    def written(self, arguments: Sequence[Any]) -> Any:
+        """Return the value at CasADi expressions."""
+        held = casadi.DM(self.coefficients.reshape(-1, self.coefficients.shape[-1]))
+        shape = self.coefficients.shape
+        for axis in reversed(range(len(shape))):
+            basis = _basis(self.knots[axis], self.degree, casadi.SX(arguments[axis]))
+            column = casadi.mtimes(held, basis)
+            # CasADi stores matrices by columns, NumPy by rows.
+            held = casadi.reshape(column, shape[axis - 1] if axis else 1, -1).T
+        return held
+
+    @cached_property
+    def function(self) -> Any:
+        """The CasADi function of value, gradient and Hessian."""
+        arguments = casadi.SX.sym("arguments", len(self.knots))
+        written = self.written(casadi.vertsplit(arguments))
+        hessian, gradient = casadi.hessian(written, arguments)
+        return casadi.Function("spline", [arguments], [written, gradient, hessian])
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the compiled function behind."""
+        return {name: part for name, part in vars(self).items() if name != "function"}
+
+
+def _basis(knots: FloatArray, degree: int, argument: Any) -> Any:
+    """Return all basis functions at an argument, by de Boor's recurrence between its knots."""
+    inner = knots[degree + 1 : -degree - 1]
+    # Of the interval that holds the argument, its knots: steps at each inner knot.
+    at = casadi.SX.sym("at")
+    steps = casadi.vertcat(1.0, *[at >= t for t in inner], 0.0)
+    is_in = steps[:-1] - steps[1:]
+    n = inner.size + 1
+    near = [casadi.dot(casadi.DM(knots[k + 1 : k + 1 + n]), is_in) for k in range(2 * degree)]
+    local = [casadi.SX(1.0)]
+    for p in range(1, degree + 1):
+        left, right = near[degree - p : degree], near[degree : degree + p]
+        shares = [local[k] / (right[k] - left[k]) for k in range(p)]
+        rising = [casadi.SX(0.0), *((at - left[k]) * shares[k] for k in range(p))]
+        falling = [*((right[k] - at) * shares[k] for k in range(p)), casadi.SX(0.0)]
+        local = [up + down for up, down in zip(rising, falling, strict=True)]
+    column = casadi.vertcat(*local)
+    within = casadi.fmin(casadi.fmax(argument, knots[0]), knots[-1])
+    column = column + casadi.jacobian(column, at) * (argument - within)
+    column, is_in = casadi.substitute([column, is_in], [at], [within])
+    basis = casadi.SX(n + degree, 1)
+    for k in range(degree + 1):
+        basis[k : k + n] += is_in * column[k]
+    return basis
+
+
+class Table(PythonCallbackFunction):
+    """Values on a grid as a smooth function of states: ``m.density = Table(heights, densities)``.
+
+    Called in a rule, as ``m.density(m.h[t])``, it is the cubic spline through the values (without
+    knots beside the ends), twice differentiable.  Two tables of points and a matrix make a
+    function of two arguments, and so on.
+
+    Parameters
+    ----------
+    *grid : array_like
+        For each argument its points, rising, at least four; last the values, with one axis for
+        each argument.
+    units, arg_units : optional
+        Pyomo units of value and arguments.
+
+    Raises
+    ------
+    TranscriptionError
+        If points are too few or do not rise, or the values do not fit them.
+    """
+
+    def __init__(self, *grid: Any, **keywords: Any) -> None:
+        *points, values = (np.asarray(part, dtype=float) for part in grid)
+        _refuse_unfit(points, values)
+        self.spline = Spline.through(points, values, _CUBIC)
+        super().__init__(fgh=self._at, **keywords)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Return the Pyomo expression of its value at expressions or numbers."""
+        if len(arguments) != len(self.spline.knots):
+            raise TranscriptionError(
+                f"{self.name or 'Table'}: called with {len(arguments)} arguments; it has points "
+                f"for {len(self.spline.knots)}."
+            )
+        return super().__call__(*arguments)
+
+    def _at(self, arguments: Any, _order: int, _fixed: Any) -> tuple[float, list[float], Any]:
+        """Return value, gradient and upper triangle of the Hessian, as Pyomo asks for them."""
+        value, gradient, hessian = self.spline.function(arguments)
+        upper = [float(hessian[i, j]) for j in range(len(arguments)) for i in range(j + 1)]
+        return float(value), [float(gradient[k]) for k in range(len(arguments))], upper
+
+
+def _refuse_unfit(points: Sequence[FloatArray], values: FloatArray) -> None:
+    for axis, at in enumerate(points, start=1):
+        if at.ndim != 1 or at.size <= _CUBIC:
+            raise TranscriptionError(
+                f"Table: {at.size} points along axis {axis}; at least {_CUBIC + 1} in one row are "
+                "needed."
+            )
+        if not np.all(np.isfinite(at)) or np.any(np.diff(at) <= 0.0):
+            k = int(np.argmin(np.diff(at)))
+            raise TranscriptionError(
+                f"Table: points along axis {axis} do not rise, {at[k]:g} before {at[k + 1]:g}; "
+                "sort them and leave out repeated ones."
+            )
+    wanted = tuple(at.size for at in points)
+    if not points or values.shape != wanted:
+        raise TranscriptionError(
+            f"Table: values of shape {values.shape} for points of shape {wanted}; give the points "
+            "of each argument, then values with one axis for each."
+        )
+    if not np.all(np.isfinite(values)):
+        raise TranscriptionError("Table: some values are not finite; leave those points out.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableUse:
+    """An argument of a table in an equation, and the range that it must stay in."""
+
+    name: str
+    expression: Any
+    lower: float
+    upper: float
+
+
+def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUse]) -> Any:
+    """Return the CasADi expression of a call of an external function; note the ranges it has.
+
+    A table is its spline, a Python function that takes symbols is what it returns, and any other
+    the spline through its samples between the bounds of its arguments.
+    """
+    function = node._fcn  # noqa: SLF001
+    is_python = isinstance(function, PythonCallbackFunction)
+    # Pyomo appends a number by which it finds a Python function.
+    count = node.nargs() - is_python
+    inputs, stated = list(arguments[:count]), [node.arg(k) for k in range(count)]
+    if isinstance(function, Table):
+        spline = function.spline
+    else:
+        written = _symbolic(function, inputs) if is_python else None
+        if written is not None:
+            return written
+        spline = _sampled(function, stated, owner)
+    for place, (argument, (lower, upper)) in enumerate(
+        zip(inputs, spline.ranges, strict=True), start=1
+    ):
+        which = "its argument" if count == 1 else f"its argument {place}"
+        uses.append(
+            TableUse(
+                name=f"{function.name} in {owner}: {which}",
+                expression=casadi.SX(argument),
+                lower=lower,
+                upper=upper,
+            )
+        )
+    return spline.written(inputs)
+
+
+def _symbolic(function: Any, inputs: Sequence[Any]) -> Any:
+    """Return what a Python function makes of symbols, None if it needs numbers."""
+    if function._fcn is None:  # noqa: SLF001
+        return None
+    symbols = casadi.SX.sym("arguments", len(inputs))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            said = casadi.SX(function._fcn(*casadi.vertsplit(symbols)))  # noqa: SLF001
+        found = casadi.Function("function", [symbols], [said])
+        places = np.random.default_rng(seed=0).uniform(0.1, 0.9, (_CHECKED, len(inputs)))
+        # CasADi makes a NaN of a symbol that is asked for its number.
+        is_same = all(
+            np.isclose(float(found(at)), function._fcn(*at.tolist()), rtol=1e-9)  # noqa: SLF001
+            for at in places
+        )
+    except Exception:  # noqa: BLE001  the function is the user's: it may raise anything
+        return None
+    return None if not is_same else casadi.substitute(said, symbols, casadi.vertcat(*inputs))
+
+
+def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
+    """Return the spline through samples of a function that can only be called with numbers."""
+    name = function.name
+    if len(stated) not in _SAMPLES:
+        raise TranscriptionError(
+            f"{name} in {owner}: its function takes {len(stated)} numbers and no symbols; up to 2 "
+            "can be tabulated. Write it with functions that take CasADi symbols, as NumPy's."
+        )
+    ranges = []
+    for place, argument in enumerate(stated, start=1):
+        lower, upper = compute_bounds_on_expr(argument)
+        if lower is None or upper is None or not upper > lower:
+            raise TranscriptionError(
+                f"{name} in {owner}: its function takes no symbols, and argument {place} has no "
+                f"finite bounds to tabulate it between ({lower}, {upper}); bound the variables in "
+                "it, or give points and values as a Table."
+            )
+        ranges.append((float(lower), float(upper)))
+
+    extra = [function._fcn_id] if isinstance(function, PythonCallbackFunction) else []  # noqa: SLF001
+
+    def call(*numbers: float) -> float:
+        return float(function.evaluate([*numbers, *extra]))
+
+    for count in _SAMPLES[len(ranges)]:
+        points = [np.linspace(lower, upper, count) for lower, upper in ranges]
+        values = _on_grid(call, points)
+        if not np.all(np.isfinite(values)):
+            raise TranscriptionError(
+                f"{name} in {owner}: its function is not finite everywhere between the bounds of "
+                "its arguments; tighten them."
+            )
+        spline = Spline.through(points, values, _QUINTIC)
+        miss = _miss(call, spline, float(np.abs(values).max(initial=0.0)))
+        if miss <= _ACCURACY:
+            return spline
+    raise TranscriptionError(
+        f"{name} in {owner}: a smooth interpolant through {count} samples of each argument misses "
+        f"its function by {miss:.1e} of its size; give the points that it bends at as a Table."
+    )
+
+
+def _on_grid(call: Callable[..., float], points: Sequence[FloatArray]) -> FloatArray:
+    values = [call(*numbers) for numbers in product(*(at.tolist() for at in points))]
+    return np.array(values).reshape([at.size for at in points])
+
+
+def _miss(call: Callable[..., float], spline: Spline, size: float) -> float:
+    """Return how far a spline misses its function at points between the samples, relative."""
+    generator = np.random.default_rng(seed=0)
+    lower, upper = np.transpose(spline.ranges)
+    places = generator.uniform(lower, upper, (_COMPARED, len(spline.ranges)))
+    misses = [abs(float(spline.function(at)[0]) - call(*at.tolist())) for at in places]
+    return max(misses) / (size or 1.0)
