@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pyomo_quad.collocation.duals import load_suffixes
 from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.formulation import Formulation
@@ -196,7 +197,10 @@ class Problem(Summarised, Formulation):
         return Dynamics(self, self.instance(parameters, horizon), statics)
 
     def load(self, solution: Solution) -> None:
-        """Put a solution's values into the Pyomo model, at the times it declares."""
+        """Put a solution's values into the Pyomo model, at the times it declares.
+
+        So are duals, reduced costs and costates into suffixes of these names, if it has them.
+        """
         declared = self.compiled.declared
         for slot, number in zip(declared.statics, solution.trajectory.statics, strict=True):
             self.values.load(slot, None, float(number))
@@ -210,6 +214,7 @@ class Problem(Summarised, Formulation):
         totals = solution.program.integrals(solution.unknowns).tolist()
         names = [integral.name for integral in declared.integrals]
         self.values.load_integrals(dict(zip(names, totals, strict=True)))
+        load_suffixes(solution)
 
 
 def _within_tables(solution: Solution) -> Solution:

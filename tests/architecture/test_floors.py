@@ -30,6 +30,7 @@ ENGINE = {
     "dynamics": 3,
     "feedback": 3,
     "solution": 3,
+    "duals": 4,
     "refining": 4,
     "problem": 5,
     "diagnosis": 6,

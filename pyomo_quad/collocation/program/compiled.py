@@ -155,10 +155,11 @@ def _held_at_start_only(declared: Declarations, slot: Slot) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class SimpleBound:
-    """Limits of one variable; `variable` is the symbol's name."""
+    """Limits of one variable, whose symbol's name is `variable`; `slope` is its factor."""
 
     name: str
     variable: str
+    slope: float
     lower: Any
     upper: Any
 
@@ -202,7 +203,8 @@ def _as_simple_bound(
     offset = casadi.substitute(relation.expression, symbol, casadi.SX(0))
     sides = [(side - offset) / coefficient for side in (relation.lower, relation.upper)]
     lower, upper = sides if float(coefficient) > 0.0 else reversed(sides)
-    return SimpleBound(name=relation.name, variable=name, lower=lower, upper=upper)
+    slope = float(coefficient)
+    return SimpleBound(name=relation.name, variable=name, slope=slope, lower=lower, upper=upper)
 
 
 IndexArray = NDArray[np.intp]

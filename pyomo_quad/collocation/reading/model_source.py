@@ -183,6 +183,22 @@ class LiveModel:
                 if data.name in totals:
                     data.set_value(totals[data.name])
 
+    def load_suffix(
+        self,
+        suffix: Any,
+        kind: type,
+        over_time: Mapping[str, Callable[[float], float]],
+        once: Mapping[str, float],
+    ) -> None:
+        """Give the members of constraints or variables, by name, their numbers in a suffix."""
+        for component in self.model.component_objects(kind, active=True, descend_into=True):
+            for index, data in component.items():
+                address = self._addresses.split(component, index)
+                if data.name in once:
+                    suffix[data] = once[data.name]
+                elif address.time is not None and address.name in over_time:
+                    suffix[data] = over_time[address.name](address.time)
+
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:
         """Return what the model holds now; what changes with time, over a horizon."""
         varying = (*declared.states, *declared.algebraics, *declared.outputs)

@@ -1,0 +1,123 @@
+"""What moving a limit by one unit would change in the objective: duals, reduced costs, costates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pyomo.core.base.suffix import active_import_suffix_generator
+from pyomo.environ import Constraint, Var
+
+from pyomo_quad.collocation.mesh import interpolate
+from pyomo_quad.collocation.program.bounds import limits_of
+from pyomo_quad.collocation.reading.model_source import LiveModel
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pyomo_quad.collocation.mesh import FloatArray
+    from pyomo_quad.collocation.solution import Solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prices:
+    """Slopes of the declared objective: densities at the points, and single numbers, by name."""
+
+    over_time: dict[str, FloatArray] = field(default_factory=dict)
+    once: dict[str, float] = field(default_factory=dict)
+
+
+def load_suffixes(solution: Solution) -> None:
+    """Fill the model's suffixes `dual`, `rc` and `costate`, where it imports them.
+
+    They are the change of the objective, as declared, with a constraint's constant side, with a
+    bound of a variable, and with a state; over time, per unit of time.
+    """
+    problem, source = solution.problem, solution.problem.source
+    if not isinstance(source, LiveModel):
+        return
+    wanted = dict(active_import_suffix_generator(source.model))
+    if not wanted.keys() & {"dual", "rc", "costate"}:
+        return
+    dual, reduced = _prices(solution)
+    costates = Prices()
+    if problem.has_horizon and problem.compiled.declared.states:
+        names = [s.name for s in problem.compiled.declared.states]
+        sign = -1.0 if solution.program.is_negated else 1.0
+        held = dict(zip(names, sign * solution.costates.at_points.T, strict=True))
+        costates = Prices(over_time=held)
+    for name, prices, kind in (
+        ("dual", dual, Constraint),
+        ("rc", reduced, Var),
+        ("costate", costates, Var),
+    ):
+        if name in wanted:
+            wanted[name].clear()
+            at = {key: _function(solution, held) for key, held in prices.over_time.items()}
+            source.load_suffix(wanted[name], kind, at, prices.once)
+
+
+def _function(solution: Solution, density: FloatArray) -> Callable[[float], float]:
+    first, last = solution.problem.values.declared_horizon
+
+    def at(time: float) -> float:
+        fractions = np.array([(time - first) / (last - first)])
+        return float(
+            interpolate(solution.mesh, density[:, None], fractions, with_start=False)[0, 0]
+        )
+
+    return at
+
+
+def _prices(solution: Solution) -> tuple[Prices, Prices]:
+    """Return the prices of constraints and those of bounds."""
+    program, multipliers = solution.program, solution.multipliers
+    declared = program.compiled.declared
+    sign = -1.0 if program.is_negated else 1.0
+    dual, reduced = Prices(), Prices()
+    rows = -sign * multipliers.rows
+    if program.mesh is not None:
+        over_time = rows[: program.first_condition_row].reshape(program.n_points, -1)
+        for equation, held in zip(declared.equations, over_time.T, strict=True):
+            dual.over_time[equation.name] = held / _widths(solution)
+    conditions = rows[program.first_condition_row : program.first_integral_row]
+    for condition, held in zip(declared.conditions, conditions.tolist(), strict=True):
+        dual.once[condition.name] = held
+    _share_bounds(solution, sign, dual, reduced)
+    return dual, reduced
+
+
+def _widths(solution: Solution) -> FloatArray:
+    """Return the time that each collocation point stands for."""
+    start, end = solution.horizon
+    return np.asarray((end - start) * solution.mesh.quadrature_weights)
+
+
+def _share_bounds(solution: Solution, sign: float, dual: Prices, reduced: Prices) -> None:
+    """Give the multipliers of bounds to the variables and constraints that state them."""
+    program, bounds = solution.program, solution.bounds
+    compiled = program.compiled
+    simple = (*compiled.simple_path_bounds, *compiled.simple_point_bounds)
+    slopes = {bound.name: bound.slope for bound in simple}
+    # A variable that is bounded at one time only has a limit there of its own name.
+    find = solution.problem.model.find_component
+    of_constraints = slopes.keys() - {
+        b.name for b in compiled.simple_point_bounds if find(b.name).ctype is Var
+    }
+    left = {"lower": np.array(solution.multipliers.lower), "upper": -solution.multipliers.upper}
+    start_data = solution.problem.data_at_starts(solution.instance)
+    for limit in limits_of(program, start_data, solution.instance.fixed):
+        total = np.zeros(limit.columns.size)
+        for side, rest in left.items():
+            # Where two declarations say the same, the first has it all.
+            is_own = getattr(limit, side) == getattr(bounds, side)[limit.columns]
+            total += np.where(is_own, rest[limit.columns], 0.0)
+            rest[limit.columns[is_own]] = 0.0
+        prices = sign * total / slopes.get(limit.name, 1.0)
+        table = dual if limit.name in of_constraints else reduced
+        if program.mesh is not None and prices.size >= program.n_points > 1:
+            own = prices[-program.n_points :]
+            table.over_time[limit.name] = own / _widths(solution)
+        elif prices.size == 1:
+            table.once[limit.name] = float(prices[0])
