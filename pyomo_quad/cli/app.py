@@ -9,6 +9,7 @@ import typer
 
 from pyomo_quad.cli.commands import compare, fly, run, solve
 from pyomo_quad.cli.endings import ExitCode, Stopped, before_the_end
+from pyomo_quad.cli.exporting import export
 from pyomo_quad.cli.looking import check, library, schema
 from pyomo_quad.cli.paper import paper
 from pyomo_quad.cli.sweeping import sweep, sweep_report
@@ -34,6 +35,7 @@ app.command()(check)
 app.command()(library)
 app.command()(schema)
 app.command()(fly)
+app.command()(export)
 app.command()(paper)
 app.command()(sweep)
 app.command()(sweep_report)

@@ -18,6 +18,7 @@ from pyomo_quad.collocation.mesh import (
     Trajectory,
     control_polynomial,
     interpolate,
+    interpolate_rates,
     real_array,
 )
 from pyomo_quad.collocation.problem import Problem
@@ -59,6 +60,7 @@ __all__ = [
     "control_polynomial",
     "diagnose",
     "interpolate",
+    "interpolate_rates",
     "pyomo_unaware",
     "real_array",
     "solve",

@@ -1,4 +1,4 @@
-"""Output folders that appear whole or not at all."""
+"""Output folders and files that appear whole or not at all."""
 
 import ctypes
 import errno
@@ -83,6 +83,32 @@ def output_folder(path: str | Path) -> Iterator[Path]:
                 with suppress(OSError):
                     _remove(aside)
                 _unfinished.discard(aside)
+    except OSError as error:
+        _refuse(path, error)
+
+
+@contextmanager
+def output_file(path: str | Path) -> Iterator[Path]:
+    """Give a file to write that takes its place, whole, when the block ends well.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written there.
+    """
+    final = final_folder(path)
+    aside = _hidden(final, f"new-{os.getpid()}")
+    try:
+        if final.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        final.parent.mkdir(parents=True, exist_ok=True)
+        _unfinished.add(aside)
+        try:
+            yield aside
+            aside.replace(final)
+        finally:
+            aside.unlink(missing_ok=True)
+            _unfinished.discard(aside)
     except OSError as error:
         _refuse(path, error)
 

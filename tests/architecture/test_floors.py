@@ -14,6 +14,7 @@ FLOORS = {
     "flight": 2,
     "study": 3,
     "report": 4,
+    "exports": 5,
     "paper": 5,
     "sweep": 5,
 }
@@ -47,6 +48,7 @@ HOMES = {
     "plotly": {"report"},
     "jinja2": {"report"},
     "markdown_it": {"report"},
+    "rosbags": {"exports"},
     "typer": {"cli"},
     "rich": {"cli"},
 }

@@ -1,0 +1,7 @@
+"""Plans as autopilots, swarms, simulators and ROS read them, each within a stated error."""
+
+from pyomo_quad.exports.formats import Export, Format, export_plan
+from pyomo_quad.exports.motion import Motion
+from pyomo_quad.exports.polynomials import PolynomialTrajectory
+
+__all__ = ["Export", "Format", "Motion", "PolynomialTrajectory", "export_plan"]

@@ -1,0 +1,146 @@
+"""`pyomo-quad export` through the command's own entry: one line for bad input, nothing written."""
+
+import json
+import sys
+
+import pytest
+
+from pyomo_quad.cli import main
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.cli.exporting import Reader
+from pyomo_quad.exports import Format
+from tests.command import SCENARIOS
+
+REPORT = str(SCENARIOS.parent / "reports" / "paper_calm")
+
+
+def test_a_committed_report_is_exported_under_its_own_name(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", REPORT, "--to", "px4"]) == ExitCode.VERIFIED
+    assert (
+        "Written to paper_calm_px4.csv: 501 setpoints, never more than" in capsys.readouterr().out
+    )
+    command = ["export", REPORT, "--to", "qgroundcontrol", "--origin", "-12,-77,150", "--json"]
+    assert main(command) == ExitCode.VERIFIED
+    said = json.loads(capsys.readouterr().out)
+    assert (said["path"], said["what"]) == ("paper_calm.plan", "waypoints")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "paper_calm.plan",
+        "paper_calm_px4.csv",
+    ]
+
+
+def test_the_command_names_every_format():
+    assert [reader.value for reader in Reader] == [reader.value for reader in Format]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--to", "qgroundcontrol"], "needs --origin LAT,LON,ALT"),
+        (
+            ["--to", "qgroundcontrol", "--origin", "91,8,400"],
+            "--origin: latitude = 91 deg; must be from -90 to 90 deg",
+        ),
+        (
+            ["--to", "qgroundcontrol", "--origin", "47,-180.5,400"],
+            "--origin: longitude = -180.5 deg; must be from -180 to 180 deg",
+        ),
+        (
+            ["--to", "qgroundcontrol", "--origin", "47,8,1e6"],
+            "--origin: altitude = 1e+06 m; must be from -500 to 9000 m",
+        ),
+        (["--to", "qgroundcontrol", "--origin", "47,8,nan"], "altitude = nan m"),
+        (["--to", "qgroundcontrol", "--origin", "47,8"], 'origin "47,8": must be LAT,LON,ALT'),
+        (["--to", "qgroundcontrol", "--origin", "a,b,c"], "must be LAT,LON,ALT"),
+        (["--to", "px4", "--origin", "47,8,400"], "--origin means nothing to px4"),
+        (["--to", "px4", "--path-error", "0.1"], "it is for qgroundcontrol and crazyflie and"),
+        (["--to", "crazyflie", "--rate", "10"], "--rate means nothing to crazyflie"),
+        (["--to", "px4", "--rate", "2"], "PX4's offboard mode must have more than 2 Hz"),
+        (["--to", "px4", "--rate", "nan"], "--rate = nan Hz"),
+        (["--to", "ros2", "--rate", "0"], "--rate = 0 Hz; must be above 0"),
+        (["--to", "rotorpy", "--path-error", "0"], "--path-error = 0 m; must be from 1e-06 to"),
+        (["--to", "rotorpy", "--path-error", "nan"], "--path-error = nan m"),
+        (["--to", "airsim"], "is not one of"),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_written(tmp_path, capsys, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", REPORT, *arguments]) == ExitCode.BAD_INPUT
+    complaint = capsys.readouterr().err
+    assert said in complaint
+    assert complaint.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_extra_to_install_is_named(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    out = tmp_path / "bag"
+    assert main(["export", REPORT, "--to", "ros2", "--out", str(out)]) == ExitCode.BAD_INPUT
+    assert "rosbags is not installed; install it with pip install 'pyomo_quad[ros]'" in (
+        capsys.readouterr().err
+    )
+    assert not out.exists()
+
+
+def damaged(folder, *, summary=None, table=None):
+    """Write what looks like a report."""
+    good = {"scenario": "hop", "status": "verified", "mesh": {"degrees": [1]}}
+    rows = "time_s,x_m,y_m,z_m,vx_m_per_s,vy_m_per_s,vz_m_per_s\n"
+    rows += "0,0,0,0,0,0,0\n4,1,0,0,0,0,0\n"
+    folder.mkdir()
+    (folder / "summary.json").write_text(json.dumps(good) if summary is None else summary)
+    (folder / "plan.csv").write_text(rows if table is None else table)
+    return str(folder)
+
+
+@pytest.mark.parametrize(
+    ("parts", "said"),
+    [
+        ({"summary": "{"}, "summary.json: is not valid JSON"),
+        ({"summary": "[1]"}, "is not the summary of a solve"),
+        ({"summary": '{"runs": []}'}, "is not the summary of a solve"),
+        (
+            {"summary": '{"scenario": "hop", "status": "infeasible", "mesh": {"degrees": [1]}}'},
+            'hop: status = "infeasible"; must be verified',
+        ),
+        ({"table": "x_m\n0\n"}, "has no column time_s"),
+        ({"table": "time_s,x_m\n0,a\n1,b\n"}, "holds texts among its numbers"),
+        ({"table": "time_s,x_m\n0,0\n1,nan\n"}, "holds no flight of finite numbers"),
+        ({"table": "time_s,x_m\n0,0\n0,1\n"}, "does not increase"),
+        ({"table": "time_s,x_m\n0,0\n1,1\n2,2\n"}, "has 3 rows, not one for each of the mesh's 2"),
+        ({"table": ""}, "is not a CSV table"),
+    ],
+)
+def test_a_damaged_report_is_refused(tmp_path, capsys, parts, said):
+    folder = damaged(tmp_path / "report", **parts)
+    out = tmp_path / "x.plan"
+    command = ["export", folder, "--to", "qgroundcontrol", "--origin", "1,2,3", "--out", str(out)]
+    assert main(command) == ExitCode.BAD_INPUT
+    complaint = capsys.readouterr().err
+    assert said in complaint
+    assert complaint.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_report_without_attitude_serves_formats_that_need_none(tmp_path, capsys):
+    folder, out = damaged(tmp_path / "report"), tmp_path / "x.plan"
+    command = ["export", folder, "--to", "qgroundcontrol", "--origin", "1,2,3", "--out", str(out)]
+    assert main(command) == ExitCode.VERIFIED
+    assert main(["export", folder, "--to", "px4", "--out", str(out)]) == ExitCode.BAD_INPUT
+    assert "hop: the plan has no rigid_body.psi, which PX4's offboard mode needs" in (
+        capsys.readouterr().err
+    )
+    assert json.loads(out.read_text())["fileType"] == "Plan"
+
+
+@pytest.mark.parametrize("place", ["nowhere", "nowhere/plan.npz"])
+def test_a_plan_that_is_not_there(tmp_path, capsys, place):
+    assert main(["export", str(tmp_path / place), "--to", "px4"]) == ExitCode.BAD_INPUT
+    assert "cannot be read" in capsys.readouterr().err
+
+
+def test_a_folder_is_no_file_to_write(tmp_path, capsys):
+    assert main(["export", REPORT, "--to", "px4", "--out", str(tmp_path)]) == ExitCode.FAULT
+    assert "cannot be written (Is a directory)" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
