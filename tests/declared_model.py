@@ -10,6 +10,23 @@ from pyomo_quad.model import build_model
 from pyomo_quad.scenario import scenario_from_mapping
 
 MISSION = {"goal": {"position": [6.0, 7.0, 8.0]}, "duration": 10.0}
+AIRSPACE = {
+    "floor": -1.0,
+    "ceiling": 9.0,
+    "clearance": 0.1,
+    "keep_out": [
+        {
+            "name": "mast",
+            "shape": "cylinder",
+            "centre": [3, 5],
+            "radius": 0.5,
+            "bottom": 0,
+            "top": 9,
+        },
+        {"name": "balloon", "shape": "sphere", "centre": [1.0, 5.0, 7.0], "radius": 1.0},
+        {"name": "hall", "shape": "box", "low": [4.0, 0.0, 0.0], "high": [6.0, 2.0, 3.0]},
+    ],
+}
 ROTORS = (1, 2, 3, 4)
 RIGID_BODY = ("x", "y", "z", "vx", "vy", "vz", "phi", "theta", "psi", "p", "q", "r")
 

@@ -31,7 +31,12 @@ from pyomo_quad.collocation import (
 )
 from pyomo_quad.flight.plan import Failure, Plan, PlanStatus, Trajectories
 from pyomo_quad.flight.steady import SteadyFlight
-from pyomo_quad.flight.verification import MISS_TOLERANCE, VIOLATION_TOLERANCE, verify_controls
+from pyomo_quad.flight.verification import (
+    MISS_TOLERANCE,
+    VIOLATION_TOLERANCE,
+    split_at_breaches,
+    verify_controls,
+)
 from pyomo_quad.model import ask_for_least_time, build_model, parameter_values, structure_key
 from pyomo_quad.model.power import wider_smoothings
 from pyomo_quad.model.wind import still_air
@@ -401,7 +406,11 @@ class Planner:
             started = time.perf_counter()
             tighter = problem.solve(
                 **self._arguments(told, progress)
-                | {"tolerance": tolerance, "mesh": solution.mesh, "warm_start": solution}
+                | {
+                    "tolerance": tolerance,
+                    "mesh": _split_where_broken(plan),
+                    "warm_start": solution,
+                }
             )
             if tighter.status is not Status.CONVERGED:
                 break
@@ -565,7 +574,13 @@ def _verified(plan: Plan, solution: Solution) -> Plan:
     held = plan.trajectories
     try:
         verification, flown = verify_controls(
-            plan.dynamics, held.mesh, held.states, held.controls, held.horizon, plan.energy
+            plan.dynamics,
+            held.mesh,
+            held.states,
+            held.controls,
+            held.horizon,
+            plan.energy,
+            plan.scenario.airspace,
         )
     except SolveError as error:
         return replace(plan, status=PlanStatus.SOLVED, message=str(error))
@@ -578,6 +593,14 @@ def _verified(plan: Plan, solution: Solution) -> Plan:
         flown=flown,
         timings=timings,
     )
+
+
+def _split_where_broken(plan: Plan) -> Mesh:
+    """Return the mesh of a plan, finer where its flight broke a limit."""
+    held = plan.trajectories
+    if plan.flown is None:
+        return held.mesh
+    return split_at_breaches(plan.dynamics, plan.flown, held.mesh, held.horizon)
 
 
 def solve_scenario(

@@ -5,7 +5,7 @@ from collections.abc import Hashable, Iterable, Iterator
 from pyomo.dae import ContinuousSet, Integral
 from pyomo.environ import ConcreteModel, Objective, Param, Suffix, Var, minimize, units
 
-from pyomo_quad.model import aerodynamics, battery, limits, mission, power, vehicle, wind
+from pyomo_quad.model import aerodynamics, airspace, battery, limits, mission, power, vehicle, wind
 from pyomo_quad.model.parameters import Parameter, parameter_items
 from pyomo_quad.model.rigid_body import declare_balances, declare_motion
 from pyomo_quad.model.rotors import declare_motors, declare_rotors
@@ -25,8 +25,8 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     ConcreteModel
         With ``time`` (start, one interior point, end; not discretised), ``clock`` and the
         blocks ``vehicle, rigid_body, rotors, wind, aerodynamics, power, battery, limits,
-        mission``, the integral ``energy`` and the ``objective``.  Suffix ``scaling_factor``
-        holds one over the usual magnitude of each variable.
+        airspace, mission``, the integral ``energy`` and the ``objective``.  Suffix
+        ``scaling_factor`` holds one over the usual magnitude of each variable.
 
     Examples
     --------
@@ -58,6 +58,7 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     power.declare_power(m, scenario)
     battery.declare_battery(m, scenario)
     limits.declare_limits(m, scenario)
+    airspace.declare_airspace(m, scenario)
     mission.declare_mission(m, scenario)
     # A lambda: Integral writes its rule's signature anew and cannot spell annotations.
     m.energy = Integral(m.time, wrt=m.time, rule=lambda m, t: m.power.total[t], doc="eq. (8) [J]")
@@ -77,6 +78,7 @@ def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter,
     yield "power", power.parameters_of(scenario)
     yield "battery", battery.PARAMETERS
     yield "limits", limits.parameters_of(scenario)
+    yield "airspace", airspace.parameters_of(scenario)
     yield "mission", mission.PARAMETERS
 
 
@@ -121,6 +123,7 @@ def structure_key(scenario: Scenario) -> Hashable:
         scenario.wind.coupling,
         None if series is None else (series, scenario.wind.time_offset),
         tuple(row.name for row in limits.parameters_of(scenario)),
+        airspace.structure_of(scenario),
     )
 
 

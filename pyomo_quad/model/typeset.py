@@ -115,6 +115,18 @@ _LIMITS = {
     "state_of_charge_min": r"\mathrm{SoC}_{min}",
     "battery_current_max": "i_{max}",
     "battery_voltage_min": "V_{min}",
+    "speed": "v",
+    "speed_max": "v_{max}",
+}
+_AIRSPACE = {
+    "floor": "z_{min}",
+    "ceiling": "z_{max}",
+    "clearance": "c",
+    "centre": "c",
+    "radius": "R",
+    "beyond": "d",
+    "rounding": r"\varepsilon_r",
+    "edge_width": "w",
 }
 
 
@@ -149,6 +161,7 @@ _BLOCKS = {
     "power": _POWER_SYMBOL,
     "battery": _BATTERY,
     "limits": _LIMITS,
+    "airspace": _AIRSPACE,
 }
 
 # Full component name (with index where the symbol depends on it) to its symbol.

@@ -60,7 +60,7 @@ def describe_fields(scenario: Scenario) -> tuple[FieldDescription, ...]:
             path=spell(path),
             value=value,
             unit=_unit(table, path),
-            origin=provenance.get(spell(path), "default"),
+            origin=_origin(provenance, path),
             meaning=type(table).model_fields[str(path[-1])].description or "",
         )
         for path, table, value in _fields(scenario)
@@ -85,6 +85,12 @@ def field_unit(path: str) -> str:
     return "" if unit == "1" else unit
 
 
+def _origin(provenance: Mapping[str, str], path: FieldPath) -> str:
+    """Return where a field came from, or the list of tables that it is in."""
+    held = (provenance.get(spell(path[:length])) for length in range(len(path), 0, -1))
+    return next(filter(None, held), "default")
+
+
 def _unit(table: BaseModel, path: FieldPath) -> str:
     unit = unit_of(type(table), str(path[-1]))
     return "" if unit == "1" else unit
@@ -95,6 +101,9 @@ def _fields(table: BaseModel, prefix: FieldPath = ()) -> Iterator[tuple[FieldPat
         value = getattr(table, name)
         if isinstance(value, BaseModel):
             yield from _fields(value, (*prefix, name))
+        elif isinstance(value, tuple) and value and isinstance(value[0], BaseModel):
+            for number, row in enumerate(value):
+                yield from _fields(row, (*prefix, name, number))
         else:
             yield (*prefix, name), table, value
 

@@ -85,7 +85,8 @@ def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[Fiel
         yield (*prefix, name)
         nested = _table_of(model, name)
         if nested is not None and nested is not model:
-            yield from field_paths(nested, (*prefix, name))
+            is_list = get_origin(model.model_fields[name].annotation) is tuple
+            yield from field_paths(nested, (*prefix, name, *((0,) if is_list else ())))
 
 
 def declared_place(
@@ -186,7 +187,8 @@ def _example(model: type[BaseModel], name: str) -> str:
 def _table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
     field = model.model_fields.get(name)
     annotation: Any = field.annotation if field is not None else None
-    choices = get_args(annotation) if get_origin(annotation) in {Union, UnionType} else [annotation]
+    is_many = get_origin(annotation) in {Union, UnionType, tuple}
+    choices = get_args(annotation) if is_many else [annotation]
     for choice in choices:
         if isinstance(choice, type) and issubclass(choice, BaseModel):
             return choice

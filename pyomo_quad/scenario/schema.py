@@ -7,8 +7,9 @@ from typing import Any, Self
 
 from pydantic import PrivateAttr, ValidationError
 
+from pyomo_quad.scenario.airspace import Airspace
 from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Sound, Text, quantity
-from pyomo_quad.scenario.messages import FeasibilityError, ScenarioError, complaint
+from pyomo_quad.scenario.messages import FeasibilityError, ScenarioError, complaint, shown
 from pyomo_quad.scenario.resolution import Origin, resolve, whose
 from pyomo_quad.scenario.tables import (
     Baseline,
@@ -60,6 +61,7 @@ class Scenario(Part):
     wind: Wind = quantity("", "the wind")
     power: Power = quantity("", "the power model", Power())
     mission: Mission = quantity("", "the mission")
+    airspace: Airspace = quantity("", "where the flight may be", Airspace())
     solver: Solver = quantity("", "solver settings", Solver())
     baseline: Baseline = quantity("", "the controller to compare with", Baseline())
 
@@ -96,6 +98,7 @@ class Scenario(Part):
         scenario._origin = origin  # noqa: SLF001
         scenario._provenance = resolution.provenance  # noqa: SLF001
         scenario._check_hover(origin.source)  # noqa: SLF001
+        scenario._check_airspace(origin.source)  # noqa: SLF001
         return scenario
 
     def __eq__(self, other: object) -> bool:
@@ -176,6 +179,13 @@ class Scenario(Part):
     def as_it_blows(self) -> Self:
         """Return the scenario of an optimiser that is told the wind that blows."""
         return self.model_copy(update={"wind": self.wind.model_copy(update={"forecast": None})})
+
+    def _check_airspace(self, source: str) -> None:
+        for end in ("start", "goal"):
+            place = getattr(self.mission, end).position
+            for complaint_of_place in self.airspace.complaints(place):
+                where = f"mission.{end}.position = {shown(list(place))} m"
+                raise ScenarioError(f"{source}: {where} {complaint_of_place}.")
 
     def _check_hover(self, source: str) -> None:
         if self.model is not None:

@@ -485,6 +485,13 @@ class Limits(Part):
         gt=0,
         sound=_MOMENT,
     )
+    speed_max: Number | None = quantity(
+        "m/s",
+        "largest speed over ground, no limit when absent",
+        None,
+        gt=0,
+        sound=Sound(1e-2, 1e3, "nothing with rotors flies at the speed of sound"),
+    )
     state_of_charge_min: Number | None = quantity(
         "percent", "lowest state of charge, no limit when absent", None, ge=0, lt=100
     )

@@ -238,8 +238,17 @@ def _bound(scenario: Scenario, planner: Planner) -> tuple[float | None, str]:
     return found, (
         "momentum balance and displacement fix two means of the thrust vector, and steady power "
         f"under power.model {scenario.power.model.value} bounds what they cost; holds for every "
-        "flight that meets the boundary conditions within the rotor speed limits."
+        "flight that meets the boundary conditions within the rotor speed limits"
+        f"{_less_room(scenario)}."
     )
+
+
+def _less_room(scenario: Scenario) -> str:
+    """Say why an airspace leaves the bound what it is, where there is one."""
+    airspace = scenario.airspace
+    if not airspace.keep_out and airspace.floor is None and airspace.ceiling is None:
+        return ""
+    return ", and so for those of them that stay within the airspace too"
 
 
 def _obstacle(scenario: Scenario) -> str:

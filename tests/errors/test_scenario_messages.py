@@ -70,6 +70,10 @@ REFUSED = {
     "limits.state_of_charge_min = 100.0": (
         "limits.state_of_charge_min = 100 percent; must be < 100."
     ),
+    "limits.speed_max = 0": "limits.speed_max = 0 m/s; must be > 0.",
+    "airspace.clearance = -1": "airspace.clearance = -1 m; must be >= 0.",
+    "zone.bottom = 9": "unknown key zone; known keys here: name, title, gravity, model, vehicle, "
+    "limits, battery, wind, power, mission, airspace, solver, baseline.",
     "limits.rotor_speed_max = -1.0": "limits.rotor_speed_max = -1 rad/s; must be > 0.",
     'baseline.references = ["step", "spline"]': (
         "baseline.references[1] = \"spline\"; must be one of 'step', 'quintic', "
@@ -86,6 +90,90 @@ REFUSED = {
         "give an existing CSV file."
     ),
 }
+
+_MAST = 'name = "mast", shape = "cylinder", radius = 0.5, bottom = 0'
+_BOX = 'name = "hall", shape = "box", low = [4, 0, 0]'
+# Keep-out as written -> message after the list's own name.
+ZONES_REFUSED = {
+    f"{{ {_MAST}, centre = [3, 5] }}": (
+        "[0]: cylinder mast has centre, radius, bottom, top; give top."
+    ),
+    f"{{ {_MAST}, centre = [3, 5], top = 9, low = [0, 0, 0] }}": (
+        "[0]: cylinder mast has centre, radius, bottom, top; remove low."
+    ),
+    f"{{ {_MAST}, centre = [3, 5, 0], top = 9 }}": (
+        "[0]: cylinder mast has centre, radius, bottom, top; its centre must be 2 numbers."
+    ),
+    f"{{ {_MAST}, centre = [3, 5], top = -1 }}": (
+        "[0]: cylinder mast has centre, radius, bottom, top; top must be above bottom."
+    ),
+    f"{{ {_BOX}, high = [5, 0, 3] }}": (
+        "[0]: box hall has low, high; high[1] must be above low[1]."
+    ),
+    '{ name = "balloon", shape = "sphere", centre = [3, 5], radius = 1 }': (
+        "[0]: sphere balloon has centre, radius; its centre must be 3 numbers."
+    ),
+    '{ name = "balloon", shape = "sphere", centre = [3, 5, 6], radius = 0 }': (
+        "[0].radius = 0 m; must be > 0."
+    ),
+    '{ name = "balloon", shape = "ball", centre = [3, 5, 6], radius = 1 }': (
+        "[0].shape = \"ball\"; must be one of 'cylinder', 'sphere' or 'box'."
+    ),
+    '{ shape = "sphere", centre = [3, 5, 6], radius = 1 }': (
+        '[0].name is missing; give it. For example: airspace.keep_out[0].name = "church"'
+    ),
+    '{ name = "a b", shape = "sphere", centre = [3, 5, 6], radius = 1 }': (
+        "[0].name = \"a b\"; must be 1 to 64 letters, digits, '_', '-' or '.', starting with a "
+        "letter or digit."
+    ),
+    f"{{ {_BOX}, hight = [5, 2, 3] }}": (
+        "unknown key airspace.keep_out[0].hight; did you mean airspace.keep_out[0].high?"
+    ),
+}
+
+
+@pytest.mark.parametrize(("zone", "message"), ZONES_REFUSED.items())
+def test_a_keep_out_that_is_none(tmp_path, zone, message):
+    whole = message if message.startswith("unknown") else f"airspace.keep_out{message}"
+    with pytest.raises(ScenarioError, match=re.escape(whole)) as caught:
+        load_scenario(write_scenario(tmp_path, f"airspace.keep_out = [{zone}]"))
+    assert one_line(caught).endswith(f": {whole}")
+
+
+_BALLOON = 'name = "balloon", shape = "sphere", radius = 1'
+# Lines of the scenario, which flies from (0, 0, 0) to (1, 2, 3) -> message.
+OUTSIDE = {
+    ("airspace.floor = 0.5",): (
+        "mission.start.position = [0.0, 0.0, 0.0] m is below airspace.floor = 0.5 m; raise it or "
+        "lower the floor."
+    ),
+    ("airspace.ceiling = 2.5",): (
+        "mission.goal.position = [1.0, 2.0, 3.0] m is above airspace.ceiling = 2.5 m; lower it or "
+        "raise the ceiling."
+    ),
+    (f"airspace.keep_out = [{{ {_BALLOON}, centre = [1, 2, 3.75] }}]",): (
+        "mission.goal.position = [1.0, 2.0, 3.0] m is inside keep-out balloon by 0.25 m; move one "
+        "of them."
+    ),
+    (f"airspace.keep_out = [{{ {_BALLOON}, centre = [0, 1.5, 0] }}]", "airspace.clearance = 0.6"): (
+        "mission.start.position = [0.0, 0.0, 0.0] m is inside keep-out balloon with its clearance "
+        "of 0.6 m by 0.1 m; move one of them."
+    ),
+    ("airspace.floor = 5.0", "airspace.ceiling = 5.0"): (
+        "airspace: floor = 5 m; must be below ceiling = 5 m."
+    ),
+    ("airspace.keep_out = [{0}, {0}]".format(f"{{ {_BALLOON}, centre = [9, 9, 9] }}"),): (
+        "airspace: keep_out has two zones named balloon; name each zone once."
+    ),
+}
+
+
+@pytest.mark.parametrize(("lines", "message"), OUTSIDE.items())
+def test_places_outside_of_the_airspace(tmp_path, lines, message):
+    with pytest.raises(ScenarioError, match=re.escape(message)) as caught:
+        load_scenario(write_scenario(tmp_path, *lines))
+    assert one_line(caught).endswith(f": {message}")
+
 
 INFEASIBLE = {
     "limits.rotor_speed_max = 800.0": (

@@ -4,13 +4,14 @@ import pytest
 from pyomo.environ import Param, value
 
 from pyomo_quad.model import build_model, inspect_model, parameter_values, structure_key
-from tests.declared_model import ROTORS, Instant, scenario
+from tests.declared_model import AIRSPACE, ROTORS, Instant, scenario
 
 VARIANTS = [
     {},
     {"power": {"model": "efficiency"}},
     {"power": {"model": "constant_efficiency"}, "wind": {"use": "calm", "coupling": "drag"}},
-    {"limits": {"battery_current_max": 30.0}},
+    {"limits": {"battery_current_max": 30.0, "speed_max": 5.0}},
+    {"airspace": AIRSPACE},
 ]
 
 
@@ -97,19 +98,22 @@ def test_limits_of_eq_10_follow_from_the_rotors():
 
 
 def test_only_structure_forces_a_rebuild():
-    told = scenario()
+    told = scenario(airspace=AIRSPACE)
     for path, number in {
         "mission.duration": 12.0,
         "mission.goal.position": [1.0, 1.0, 1.0],
         "vehicle.payload": 0.1,
         "wind.x.mean": 2.0,
         "battery.cells_parallel": 2,
+        "airspace.keep_out[0].radius": 0.7,
     }.items():
         assert structure_key(told.with_values({path: number})) == structure_key(told)
     for path, choice in {
         "power.model": "shaft",
         "wind.coupling": "drag",
         "limits.battery_current_max": 20.0,
+        "limits.speed_max": 9.0,
+        "airspace.keep_out": [],
     }.items():
         assert structure_key(told.with_values({path: choice})) != structure_key(told)
 

@@ -9,12 +9,13 @@ from pyomo_quad.model import aerodynamics, build_model, inspect_model
 from pyomo_quad.model.build import parameter_tables
 from pyomo_quad.scenario import PowerModel, WindCoupling
 from pyomo_quad.scenario.fields import unit_of
-from tests.declared_model import scenario
+from tests.declared_model import AIRSPACE, scenario
 
 EVERY_LIMIT = {
     "state_of_charge_min": 20.0,
     "battery_current_max": 30.0,
     "battery_voltage_min": 9.0,
+    "speed_max": 5.0,
 }
 
 
@@ -24,6 +25,10 @@ def test_every_equation_is_consistent(power, coupling):
     wind = {"use": "paper_table_2", "coupling": coupling.value}
     model = build_model(scenario(power={"model": power.value}, wind=wind, limits=EVERY_LIMIT))
     assert inspect_model(model).unit_errors == ()
+
+
+def test_the_airspace_is_consistent():
+    assert inspect_model(build_model(scenario(airspace=AIRSPACE))).unit_errors == ()
 
 
 def test_the_wind_coupling_as_printed_is_flagged(monkeypatch):

@@ -68,8 +68,23 @@ def test_what_the_loader_refuses_an_editor_marks(table, field, value):
 def test_every_field_of_a_scenario_is_listed():
     held = {field.path for field in describe_fields(load_scenario(SCENARIOS / "paper_calm.toml"))}
     listed = {field.path: field for field in writable_fields(Scenario)}
-    # Read from wind.file, never written by hand.
-    assert held - set(listed) == {"wind.series"}
+    # One is read from wind.file, never written by hand; the other is an empty list of tables.
+    assert held - set(listed) == {"wind.series", "airspace.keep_out"}
     assert listed["mission.duration"].unit == "s"
     assert listed["solver.tolerance"].default == "1e-06"
     assert all(field.meaning for field in listed.values())
+
+
+def test_fields_of_a_list_of_tables_are_described_one_by_one():
+    told = load_scenario(
+        SCENARIOS / "paper_calm.toml",
+        {
+            "airspace.keep_out": [
+                {"name": "mast", "shape": "sphere", "centre": [3, 3, 9], "radius": 1}
+            ]
+        },
+    ).with_values({"airspace.keep_out[0].radius": 2.0})
+    held = {field.path: field for field in describe_fields(told)}
+    radius = held["airspace.keep_out[0].radius"]
+    assert (radius.value, radius.unit, radius.meaning) == (2.0, "m", "cylinder, sphere: radius")
+    assert radius.origin == held["airspace.keep_out[0].centre"].origin == "overrides"

@@ -16,7 +16,13 @@ ENOUGH = settings(
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
-VALID = {"name": "hop", "mission": {"duration": 5.0, "goal": {"position": [1.0, 2.0, 3.0]}}}
+VALID = {
+    "name": "hop",
+    "mission": {"duration": 5.0, "goal": {"position": [1.0, 2.0, 3.0]}},
+    "airspace": {
+        "keep_out": [{"name": "balloon", "shape": "sphere", "centre": [9.0, 9.0, 9.0], "radius": 1}]
+    },
+}
 PATHS = sorted(field_paths(Scenario))
 
 toml_values = st.recursive(

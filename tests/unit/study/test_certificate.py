@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pyomo_quad.study.certificate import ThrustMoments, certify
-from tests.declared_model import Instant, momentum_demand, scenario
+from tests.declared_model import AIRSPACE, Instant, momentum_demand, scenario
 
 # Of a fit to seven values, relative to the largest of them.
 ROUNDING = 1e-12
@@ -80,6 +80,12 @@ def test_where_there_is_none_the_reason_is_given(tables, reason):
 
 def own_model():
     return scenario().with_values({"model": "own.py:build"})
+
+
+def test_zones_leave_the_bound_what_it_is_and_it_says_so():
+    free, kept_out = certify(scenario()), certify(scenario(airspace=AIRSPACE))
+    assert kept_out.lower_bound_J == free.lower_bound_J
+    assert kept_out.reason.endswith(", and so for those of them that stay within the airspace too.")
 
 
 def test_the_gap_is_relative_to_the_energy():

@@ -1,0 +1,152 @@
+"""The airspace: floor, ceiling, and zones that the flight keeps out of.
+
+symbol | name | unit | meaning
+c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes that it has
+R_k | radius[zone, ball] | m | its radius
+c | clearance | m | distance kept from every zone
+d_k | beyond[zone, ball] | m | distance from the ball, with its clearance
+w | edge_width | m | width over which two faces of a zone are joined
+
+A zone is where some balls overlap (`scenario.airspace.Ball`): a disk and an interval of height in
+a cylinder, three intervals in a box.  Being outside is being beyond one of them, the largest of
+the d_k being positive.  That largest is joined smoothly and from below, so that no place inside a
+zone is allowed: near an edge, where two of the d_k agree to about w, places up to 0.14 w = 14 mm
+outside (0.28 w = 28 mm beside the corners of a box) are forbidden too; elsewhere, and on the edge
+itself, the zone is exact.  Faces move out by the clearance, so that edges stay sharp.
+"""
+
+from collections.abc import Callable, Hashable
+from functools import reduce
+
+from pyomo.core.expr import NumericExpression, RelationalExpression
+from pyomo.environ import Block, ConcreteModel, sqrt, units
+
+from pyomo_quad.model.parameters import Parameter, declare_parameters
+from pyomo_quad.model.rigid_body import PLACE
+from pyomo_quad.model.smoothing import saturated
+from pyomo_quad.scenario import Scenario
+
+AXES = PLACE[:3]
+EDGE_WIDTH_M = 0.1
+# The distance from a centre has no derivative there; the surface stays where it is.
+_ROUNDING_M = 1e-3
+
+
+def structure_of(scenario: Scenario) -> Hashable:
+    """Return what two airspaces must share to share one compiled model."""
+    told = scenario.airspace
+    zones = tuple((zone.name, tuple(ball.axes for ball in zone.balls)) for zone in told.keep_out)
+    return told.floor is None, told.ceiling is None, zones
+
+
+def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
+    """Return the numbers of the airspace that the scenario sets, as parameters of its block."""
+    told = scenario.airspace
+    fields = type(told).model_fields
+    heights = tuple(
+        Parameter(name=name, units=units.m, value=_reader(name), doc=fields[name].description or "")
+        for name in ("floor", "ceiling")
+        if getattr(told, name) is not None
+    )
+    return heights + _zone_parameters(scenario) if told.keep_out else heights
+
+
+def _reader(name: str) -> Callable[[Scenario], float]:
+    return lambda scenario: getattr(scenario.airspace, name)
+
+
+def _zone_parameters(scenario: Scenario) -> tuple[Parameter, ...]:
+    return (
+        Parameter(
+            name="clearance",
+            units=units.m,
+            value=_reader("clearance"),
+            doc="distance kept from every keep-out",
+        ),
+        Parameter(
+            name="edge_width",
+            units=units.m,
+            value=lambda _s: EDGE_WIDTH_M,
+            doc="width over which two faces of a zone are joined",
+        ),
+        Parameter(
+            name="rounding",
+            units=units.m,
+            value=lambda _s: _ROUNDING_M,
+            doc="where the distance from a centre is rounded",
+        ),
+        Parameter(
+            name="centre",
+            units=units.m,
+            value=_centres,
+            doc="centres of the balls that overlap in a zone",
+            index=tuple(_centres(scenario)),
+        ),
+        Parameter(
+            name="radius",
+            units=units.m,
+            value=_radii,
+            doc="radii of the balls that overlap in a zone",
+            index=tuple(_radii(scenario)),
+        ),
+    )
+
+
+def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
+    return {
+        (zone.name, number, AXES[axis]): coordinate
+        for zone in scenario.airspace.keep_out
+        for number, ball in enumerate(zone.balls, start=1)
+        for axis, coordinate in zip(ball.axes, ball.centre, strict=True)
+    }
+
+
+def _radii(scenario: Scenario) -> dict[tuple[str, int], float]:
+    return {
+        (zone.name, number): ball.radius
+        for zone in scenario.airspace.keep_out
+        for number, ball in enumerate(zone.balls, start=1)
+    }
+
+
+def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare floor, ceiling and keep-outs as path constraints in block `airspace`.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With `time` and `rigid_body`.
+    """
+    b = m.airspace = Block(doc="airspace")
+    declare_parameters(b, parameters_of(scenario), scenario)
+    if scenario.airspace.floor is not None:
+
+        @b.Constraint(m.time, doc="least height [m]")
+        def floor_limit(b: Block, t: float) -> RelationalExpression:
+            return b.parent_block().rigid_body.z[t] >= b.floor
+
+    if scenario.airspace.ceiling is not None:
+
+        @b.Constraint(m.time, doc="largest height [m]")
+        def ceiling_limit(b: Block, t: float) -> RelationalExpression:
+            return b.parent_block().rigid_body.z[t] <= b.ceiling
+
+    if scenario.airspace.keep_out:
+        _declare_keep_outs(b, m, scenario)
+
+
+def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
+    @b.Expression(list(_radii(scenario)), m.time, doc="distance beyond a ball of a zone [m]")
+    def beyond(b: Block, zone: str, ball: int, t: float) -> NumericExpression:
+        body = b.parent_block().rigid_body
+        axes = [axis for axis in AXES if (zone, ball, axis) in b.centre]
+        away = sum((body.component(axis)[t] - b.centre[zone, ball, axis]) ** 2 for axis in axes)
+        radius = b.radius[zone, ball] + b.clearance
+        return sqrt(away + b.rounding**2) - sqrt(radius**2 + b.rounding**2)
+
+    @b.Constraint(
+        [zone.name for zone in scenario.airspace.keep_out], m.time, doc="outside of a zone [m]"
+    )
+    def keep_out(b: Block, zone: str, t: float) -> RelationalExpression:
+        distances = [b.beyond[index, t] for index in b.radius if index[0] == zone]
+        return reduce(lambda one, other: saturated(one, other, b.edge_width), distances) >= 0

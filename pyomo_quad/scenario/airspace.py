@@ -1,0 +1,156 @@
+"""The table `airspace`: how low and high a flight may go, and the zones that it keeps out of."""
+
+from collections.abc import Iterator, Sequence
+from enum import StrEnum
+from math import dist
+from typing import NamedTuple, Self
+
+from pydantic import model_validator
+
+from pyomo_quad.scenario.fields import Number, Part, Sound, Text, Triple, quantity
+
+_FAR = Sound(-1e5, 1e5, "a quadrotor flies tens of kilometres, in metres")
+_WIDE = Sound(1e-2, 1e5, "the thinnest masts measure centimetres")
+_ZONE_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
+_MOST_ZONES = 64
+
+
+class Shape(StrEnum):
+    """What a zone looks like."""
+
+    CYLINDER = "cylinder"
+    SPHERE = "sphere"
+    BOX = "box"
+
+
+class Ball(NamedTuple):
+    """All places whose coordinates on some axes lie within a radius of a centre.
+
+    Every shape is where some balls overlap: a cylinder where a disk of x and y meets an interval
+    of z, a sphere one ball of all three axes, a box one interval of each.
+    """
+
+    axes: tuple[int, ...]
+    centre: tuple[float, ...]
+    radius: float
+
+    def depth(self, place: Sequence[float]) -> float:
+        """Return how far inside a place lies, negative outside [m]."""
+        return self.radius - dist(self.centre, [place[axis] for axis in self.axes])
+
+
+_FIELDS = {
+    Shape.CYLINDER: ("centre", "radius", "bottom", "top"),
+    Shape.SPHERE: ("centre", "radius"),
+    Shape.BOX: ("low", "high"),
+}
+_COORDINATES = {Shape.CYLINDER: 2, Shape.SPHERE: 3}
+
+
+class KeepOut(Part):
+    """A zone that the flight keeps out of; which fields it has depends on its shape."""
+
+    name: Text = quantity(
+        "",
+        "name of the zone",
+        pattern=_ZONE_PATTERN,
+        allowed="1 to 64 letters, digits, '_', '-' or '.', starting with a letter or digit",
+        example='"church"',
+    )
+    shape: Shape = quantity("", "shape of the zone", example='"cylinder"')
+    centre: tuple[Number, ...] | None = quantity(
+        "m",
+        "cylinder: x, y of its axis; sphere: x, y, z",
+        None,
+        min_length=2,
+        max_length=3,
+        sound=_FAR,
+    )
+    radius: Number | None = quantity("m", "cylinder, sphere: radius", None, gt=0, sound=_WIDE)
+    bottom: Number | None = quantity("m", "cylinder: height where it begins", None, sound=_FAR)
+    top: Number | None = quantity("m", "cylinder: height where it ends", None, sound=_FAR)
+    low: Triple | None = quantity("m", "box: corner of least x, y and z", None, sound=_FAR)
+    high: Triple | None = quantity("m", "box: corner of largest x, y and z", None, sound=_FAR)
+
+    @model_validator(mode="after")
+    def _has_the_fields_of_its_shape(self) -> Self:
+        wanted = _FIELDS[self.shape]
+        fields = {name for names in _FIELDS.values() for name in names}
+        given = {name for name in fields if getattr(self, name) is not None}
+        what = f"{self.shape.value} {self.name} has {', '.join(wanted)}"
+        for name in wanted:
+            if name not in given:
+                raise ValueError(f"{what}; give {name}")
+        for name in sorted(given.difference(wanted)):
+            raise ValueError(f"{what}; remove {name}")
+        count = _COORDINATES.get(self.shape)
+        if self.centre is not None and len(self.centre) != count:
+            raise ValueError(f"{what}; its centre must be {count} numbers")
+        for axis, ball in enumerate(self.balls):
+            if ball.radius <= 0.0:
+                ends = ("bottom", "top") if self.shape is Shape.CYLINDER else ("low", "high")
+                place = "" if self.shape is Shape.CYLINDER else f"[{axis}]"
+                raise ValueError(f"{what}; {ends[1]}{place} must be above {ends[0]}{place}")
+        return self
+
+    @property
+    def balls(self) -> tuple[Ball, ...]:
+        """The balls that overlap in the zone."""
+        if self.low is not None and self.high is not None:
+            sides = enumerate(zip(self.low, self.high, strict=True))
+            return tuple(_interval(axis, low, high) for axis, (low, high) in sides)
+        centre, radius = self.centre or (), self.radius or 0.0
+        round_part = Ball(tuple(range(len(centre))), centre, radius)
+        if self.bottom is None or self.top is None:
+            return (round_part,)
+        return (round_part, _interval(2, self.bottom, self.top))
+
+    def depth(self, place: Sequence[float]) -> float:
+        """Return how far a place must move to leave the zone at its nearest face [m].
+
+        Negative outside, where it is the distance beyond the face that is farthest behind.
+        """
+        return min(ball.depth(place) for ball in self.balls)
+
+
+def _interval(axis: int, low: float, high: float) -> Ball:
+    return Ball((axis,), ((low + high) / 2,), (high - low) / 2)
+
+
+class Airspace(Part):
+    """Where a flight may be."""
+
+    floor: Number | None = quantity("m", "least height, none when absent", None, sound=_FAR)
+    ceiling: Number | None = quantity("m", "largest height, none when absent", None, sound=_FAR)
+    clearance: Number = quantity(
+        "m",
+        "distance kept from every keep-out",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e4, "farther from a zone it is another zone"),
+    )
+    keep_out: tuple[KeepOut, ...] = quantity("", "zones to keep out of", (), max_length=_MOST_ZONES)
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Self:
+        if self.floor is not None and self.ceiling is not None and self.floor >= self.ceiling:
+            raise ValueError(
+                f"floor = {self.floor:g} m; must be below ceiling = {self.ceiling:g} m"
+            )
+        names = [zone.name for zone in self.keep_out]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise ValueError(f"keep_out has two zones named {twice}; name each zone once")
+        return self
+
+    def complaints(self, place: Sequence[float]) -> Iterator[str]:
+        """Yield why a place is not in the airspace: which limit it breaks, and what to do."""
+        if self.floor is not None and place[2] < self.floor:
+            yield f"is below airspace.floor = {self.floor:g} m; raise it or lower the floor"
+        if self.ceiling is not None and place[2] > self.ceiling:
+            yield f"is above airspace.ceiling = {self.ceiling:g} m; lower it or raise the ceiling"
+        for zone in self.keep_out:
+            depth = zone.depth(place) + self.clearance
+            if depth > 0.0:
+                near = f" with its clearance of {self.clearance:g} m" if self.clearance else ""
+                yield f"is inside keep-out {zone.name}{near} by {depth:.3g} m; move one of them"
