@@ -15,7 +15,7 @@ from pyomo.environ import Block, ConcreteModel, sqrt, units
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.tables import WindCoupling
+from pyomo_quad.scenario.wind import WindCoupling
 
 # The norm of the airspeed has no derivative at zero; at 1 m/s this changes it by 5e-7.
 AIRSPEED_SMOOTHING = 1e-3 * units.m / units.s

@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.tables import FrequencyUnit, WindAxis, WindSeries
+from pyomo_quad.scenario.wind import FrequencyUnit, WindAxis, WindSeries
 
 HARMONICS = (1, 2, 3)
 _SPEED = units.get_units(units.m / units.s)

@@ -19,7 +19,7 @@ from markdown_it.utils import EnvType
 from markupsafe import Markup
 
 from pyomo_quad.flight import PlanStatus
-from pyomo_quad.scenario.tables import PowerModel, WindCoupling
+from pyomo_quad.scenario import PowerModel, WindCoupling
 
 #: Stands where a table has no number.
 NOTHING = "n/a"

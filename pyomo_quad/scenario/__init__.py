@@ -11,14 +11,11 @@ from pyomo_quad.scenario.messages import (
 from pyomo_quad.scenario.resolution import LIBRARY_KINDS, LibraryEntry, library_entry, library_names
 from pyomo_quad.scenario.schema import Scenario
 from pyomo_quad.scenario.tables import (
-    FrequencyUnit,
     PowerModel,
     Reference,
     Vehicle,
-    Wind,
-    WindAxis,
-    WindCoupling,
 )
+from pyomo_quad.scenario.wind import FrequencyUnit, Wind, WindAxis, WindCoupling
 
 __all__ = [
     "LIBRARY_KINDS",

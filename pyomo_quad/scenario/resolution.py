@@ -21,13 +21,11 @@ from pyomo_quad.scenario.fields import number_in_text
 from pyomo_quad.scenario.messages import ScenarioError, complaint, shown
 from pyomo_quad.scenario.tables import (
     FASTEST_ROTOR,
-    LARGEST_WIND,
-    LATEST_TIME,
-    STRONGEST_GUST,
     Vehicle,
     derived_limits,
 )
 from pyomo_quad.scenario.tree import FieldPath, leaves, merge, set_value, spell
+from pyomo_quad.scenario.wind import LARGEST_WIND, LATEST_TIME, STRONGEST_GUST
 
 # Folder of the library -> table of the scenario that it fills.
 LIBRARY_KINDS: Mapping[str, str] = MappingProxyType(

@@ -19,9 +19,9 @@ from pyomo_quad.scenario.tables import (
     Power,
     Solver,
     Vehicle,
-    Wind,
 )
 from pyomo_quad.scenario.tree import leaves, parse_path, spell
+from pyomo_quad.scenario.wind import Wind
 
 # Names become folder names: no separator, no leading dot, nothing that leaves the output folder.
 _NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"

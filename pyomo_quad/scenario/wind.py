@@ -1,0 +1,108 @@
+"""The table `wind`: a formula in time, or a measured series, and how it enters the balance."""
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Self
+
+from pydantic import model_validator
+
+from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Sound, Text, Triple, quantity
+
+#: m/s. Beyond the strongest gust measured, on Barrow Island in 1996 (WMO), by a third.
+LARGEST_WIND = 150.0
+STRONGEST_GUST = "the strongest gust measured on earth had 113 m/s"
+#: s. Thirty years; a number of that size still tells a microsecond.
+LATEST_TIME = 1e9
+_WIND = Sound(-LARGEST_WIND, LARGEST_WIND, STRONGEST_GUST)
+_FAST = Sound(-1e4, 1e4, "no gust changes within a millisecond")
+
+
+class WindCoupling(StrEnum):
+    """How the wind enters the momentum balance."""
+
+    ACCELERATION = "acceleration"
+    DRAG = "drag"
+
+
+class FrequencyUnit(StrEnum):
+    """How the harmonic frequencies of Table 2 are read."""
+
+    RADIAN_PER_SECOND = "rad/s"
+    HERTZ = "hz"
+
+
+class WindAxis(Part):
+    """One axis of eq. (11)-(12): mean, three harmonics, gust."""
+
+    mean: Number = quantity("m/s", "mean value (v0)", sound=_WIND)
+    amplitudes: Triple = quantity("m/s", "amplitudes of the harmonics (A_k)", sound=_WIND)
+    frequencies: Triple = quantity(
+        "rad/s", "frequencies of the harmonics, see frequency_unit", sound=_FAST
+    )
+    gust_amplitude: Number = quantity("m/s", "gust amplitude (v_gmax)", sound=_WIND)
+    gust_period: Number = quantity(
+        "s",
+        "gust period (T_g)",
+        gt=0,
+        sound=Sound(1e-3, 1e6, "a gust lasts for seconds or minutes"),
+    )
+
+
+class WindSeries(Part):
+    """A measured wind, read and validated from `wind.file`."""
+
+    times: tuple[Number, ...] = quantity("s", "times from the start of the mission")
+    wind_x: tuple[Number, ...] = quantity("m/s", "wind toward +x")
+    wind_y: tuple[Number, ...] = quantity("m/s", "wind toward +y")
+
+
+class Wind(Part):
+    """The horizontal wind in world axes."""
+
+    use: Text = quantity("", "name of the wind in the library, or a file of its own, NAME.toml")
+    title: Text = quantity(
+        "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
+    )
+    coupling: WindCoupling = quantity(
+        "", "acceleration (eq. 9 as printed) or drag", WindCoupling.ACCELERATION
+    )
+    acceleration_coefficient: Number = quantity(
+        "1/s",
+        "turns wind velocity into acceleration, eq. (9)",
+        1.0,
+        ge=0,
+        sound=Sound(0, 1e3, "nothing that flies is carried along within a millisecond"),
+    )
+    frequency_unit: FrequencyUnit = quantity(
+        "", "unit of the frequencies: rad/s (as eq. 11) or hz", FrequencyUnit.RADIAN_PER_SECOND
+    )
+    speed: Number = quantity("m/s", "steady wind added to the means", 0.0, ge=0, sound=_WIND)
+    direction: Number = quantity(
+        "rad",
+        "where the steady wind blows to, 0 is +x",
+        0.0,
+        sound=Sound(-1e4, 1e4, "a turn is 6.283 rad"),
+    )
+    time_offset: Number = quantity(
+        "s",
+        "wind time at the start of the mission",
+        0.0,
+        sound=Sound(-LATEST_TIME, LATEST_TIME, "wind is not known for more than thirty years"),
+    )
+    file: Text | None = quantity(
+        "", "CSV file time_s,wind_x_m_per_s,wind_y_m_per_s in place of eq. (11)-(12)", None
+    )
+    series: WindSeries | None = quantity("", "the wind read from file", None)
+    x: WindAxis = quantity("", "wind toward +x")
+    y: WindAxis = quantity("", "wind toward +y")
+    forecast: Self | None = quantity(
+        "", "the wind that the optimiser is told, the true one when absent", None
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _forecast_has_no_forecast(cls, tables: object) -> object:
+        forecast = tables.get("forecast") if isinstance(tables, Mapping) else None
+        if isinstance(forecast, Mapping) and forecast.get("forecast") is not None:
+            raise ValueError("forecast.forecast is not allowed; remove it")
+        return tables
