@@ -15,6 +15,7 @@ from pyomo_quad.collocation.guess import WarmStart
 from pyomo_quad.collocation.mesh import (
     Mesh,
     Summarised,
+    Timeline,
     Trajectory,
     control_polynomial,
     interpolate,
@@ -24,6 +25,7 @@ from pyomo_quad.collocation.mesh import (
 from pyomo_quad.collocation.problem import Problem
 from pyomo_quad.collocation.program.ipopt import Iteration, Progress, SolverOptions, Status
 from pyomo_quad.collocation.pyomo_solver import PyomoSolver
+from pyomo_quad.collocation.reading.clock import FreeTimes
 from pyomo_quad.collocation.reading.tables import Table
 from pyomo_quad.collocation.refining.error import Allowance
 from pyomo_quad.collocation.refining.refinement import RefinementOptions
@@ -36,6 +38,7 @@ __all__ = [
     "Diagnosis",
     "Dynamics",
     "EngineError",
+    "FreeTimes",
     "Iteration",
     "Law",
     "Mesh",
@@ -52,6 +55,7 @@ __all__ = [
     "Status",
     "Summarised",
     "Table",
+    "Timeline",
     "Trajectory",
     "TranscriptionError",
     "Violation",
@@ -67,17 +71,25 @@ __all__ = [
 ]
 
 
-def compile(model: Any, *, final_time: Any = None) -> Problem:  # noqa: A001  as casadi, re and builtins do
+def compile(  # noqa: A001  as casadi, re and builtins do
+    model: Any, *, final_time: Any = None, times: FreeTimes | None = None
+) -> Problem:
     """Compile a Pyomo.DAE model; see `Problem`."""
-    return Problem(model, final_time)
+    return Problem(model, final_time, times)
 
 
-def solve(model: Any, *, final_time: Any = None, **arguments: Any) -> Solution:
+def solve(
+    model: Any,
+    *,
+    final_time: Any = None,
+    times: FreeTimes | None = None,
+    **arguments: Any,
+) -> Solution:
     """Compile and solve a Pyomo.DAE model; the arguments are those of `Problem.solve`.
 
     The solution's values are also loaded into the model, at the times it declares.
     """
-    problem = Problem(model, final_time)
+    problem = Problem(model, final_time, times)
     solution = problem.solve(**arguments)
     problem.load(solution)
     return solution

@@ -57,8 +57,8 @@ class Dynamics:
         self.controls, self._determined = _controls(formulation)
         self.state_names = tuple(s.name for s in states)
         self.control_names = tuple(s.name for s in self.controls)
-        self.start, end = formulation.horizon_of(self._statics, instance)
-        self._span = end - self.start
+        self._timeline = formulation.timeline(self._statics, instance)
+        self.start = float(self._timeline.times[0])
         self._right_hand_side = self._compile(states)
         self._at_one = MappedFunction(self._right_hand_side, 1)
         self._signals = formulation.values.signals(instance)
@@ -70,7 +70,10 @@ class Dynamics:
         return type(self), (self._formulation, self._instance, self._statics)
 
     def _compile(self, states: tuple[Slot, ...]) -> Any:
-        """Return the function (x, u, statics, data) -> slopes, algebraics, integrand."""
+        """Return the function (x, u, statics, data) -> slopes and algebraics, (integrand, span).
+
+        Slopes and integrand are per share of the horizon, of which the span makes time.
+        """
         declared = self._formulation.compiled.declared
         equations = [e for e in declared.equations if e.is_equality]
         rows = casadi.vertcat(*[e.expression for e in (*equations, *declared.output_equations)])
@@ -86,26 +89,26 @@ class Dynamics:
             _column([s.symbol for s in declared.statics]),
             casadi.vertcat(*declared.path_data),
         ]
-        density = _objective_density(self._formulation)
+        rest = casadi.vertcat(_objective_density(self._formulation), declared.clock.span)
         jacobian = casadi.jacobian(rows, unknowns)
         if not symbol_names(jacobian) & symbol_names(unknowns):
             zero = casadi.DM.zeros(unknowns.shape[0])
             offset = casadi.substitute(rows, unknowns, zero)
             solved = _solve_linear(jacobian, -offset)
-            outputs = casadi.substitute([unknowns, density], [unknowns], [solved])
+            outputs = casadi.substitute([unknowns, rest], [unknowns], [solved])
             return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
-        return _implicit(rows, unknowns, inputs, density)
+        return _implicit(rows, unknowns, inputs, rest)
 
     def just_after(self, t: float) -> float:
         """Return a time at which the equations are what they are after t.
 
         Where they jump, t itself belongs to what is before.
         """
-        return t + 2.0 * BESIDE * self._span if self._instance.jumps else t
+        return t + 2.0 * BESIDE * float(self._timeline.spans.max()) if self._instance.jumps else t
 
     def moment(self, t: float) -> list[float]:
         """Return what the equations read of a time: its share of the horizon, and the signals."""
-        fraction = (t - self.start) / self._span
+        fraction = float(self._timeline.fraction(t))
         return [fraction, *self._signals(fraction)]
 
     def symbol(self, name: str, size: int) -> Any:
@@ -116,8 +119,8 @@ class Dynamics:
     def written(self, moment: Any, x: Any, u: Any) -> tuple[Any, Any]:
         """Return dx/dt and the objective's integrand as CasADi expressions of their symbols."""
         data = casadi.vertcat(moment, self._instance.parameters)
-        unknowns, density = self._right_hand_side(x, u, self._statics, data)
-        return unknowns[: x.shape[0]] / self._span, density / self._span
+        unknowns, rest = self._right_hand_side(x, u, self._statics, data)
+        return unknowns[: x.shape[0]] / rest[1], rest[0] / rest[1]
 
     def _row(self, t: float) -> FloatArray:
         moment = self.moment(t)
@@ -130,23 +133,23 @@ class Dynamics:
 
     def rates(self, t: float, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return dx/dt, shape (n_states,)."""
-        return self._solve(t, x, u)[0][0, : x.size] / self._span
+        return self.rates_and_integrand(t, x, u)[0]
 
     def rates_and_integrand(
         self, t: float, x: FloatArray, u: FloatArray
     ) -> tuple[FloatArray, float]:
         """Return dx/dt and the objective's integrand in one evaluation."""
-        unknowns, density = self._solve(t, x, u)
-        return unknowns[0, : x.size] / self._span, float(density[0, 0]) / self._span
+        unknowns, ((density, span),) = self._solve(t, x, u)
+        return unknowns[0, : x.size] / span, float(density / span)
 
     def integrand(self, t: float, x: FloatArray, u: FloatArray) -> float:
         """Return the objective's integrand per unit of physical time."""
-        return float(self._solve(t, x, u)[1][0, 0]) / self._span
+        return self.rates_and_integrand(t, x, u)[1]
 
     def _inputs(self, t: FloatArray, states: FloatArray, controls: FloatArray) -> list[FloatArray]:
         """Return what an `Evaluator` reads, for n times at once."""
         n = len(t)
-        fractions = (np.asarray(t, dtype=float) - self.start) / self._span
+        fractions = self._timeline.fraction(np.asarray(t, dtype=float))
         signals = self._formulation.signals(self._instance, fractions)
         parameters = np.broadcast_to(self._instance.parameters, (n, self._instance.parameters.size))
         data = np.hstack([signals, parameters])
@@ -323,12 +326,12 @@ def _solve_linear(matrix: Any, right: Any) -> Any:
     return casadi.solve(matrix, right)
 
 
-def _implicit(rows: Any, unknowns: Any, inputs: list[Any], density: Any) -> Any:
+def _implicit(rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> Any:
     """Return the right-hand side of equations that are nonlinear in the slopes."""
     parameters = casadi.vertcat(*inputs)
     residual = casadi.Function("residual", [unknowns, parameters], [rows])
     newton = casadi.rootfinder("slopes", "newton", residual, {"abstol": 1e-13})
-    integrand = casadi.Function("integrand", [unknowns, parameters], [density])
+    integrand = casadi.Function("integrand", [unknowns, parameters], [rest])
     symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
     stacked = casadi.vertcat(*symbols)
     solved = newton(casadi.MX.zeros(unknowns.shape[0]), stacked)

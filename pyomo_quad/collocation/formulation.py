@@ -11,6 +11,7 @@ from scipy.sparse import bsr_matrix, csr_matrix, identity, kron
 from scipy.sparse.linalg import splu
 
 from pyomo_quad.collocation.errors import SolveError, TranscriptionError
+from pyomo_quad.collocation.mesh import Timeline
 from pyomo_quad.collocation.program.compiled import (
     CompiledModel,
     MappedFunction,
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from pyomo_quad.collocation.mesh import FloatArray, Mesh
     from pyomo_quad.collocation.program.sparsity import Layout
+    from pyomo_quad.collocation.reading.clock import FreeTimes
     from pyomo_quad.collocation.reading.model_source import ModelSnapshot
     from pyomo_quad.collocation.reading.symbols import Declarations
     from pyomo_quad.collocation.reading.writer import TemplateWriter
@@ -267,8 +269,13 @@ _LOOKED_AT = (0.0, 0.2718, 0.5772, 1.0)
 class Formulation:
     """A Pyomo.DAE model compiled for collocation; `Problem` says what is taken and refused."""
 
-    def __init__(self, model: Any, final_time: Any = None) -> None:
-        declared, reader = read_declarations(model, final_time)
+    def __init__(
+        self,
+        model: Any,
+        final_time: Any = None,
+        times: FreeTimes | None = None,
+    ) -> None:
+        declared, reader = read_declarations(model, final_time, times)
         compiled = compile_declarations(declared)
         time = reader.copy.time
         own_time = None if time is None else model.find_component(time.name)
@@ -283,12 +290,6 @@ class Formulation:
         self.evaluator = evaluator
         self.values = ModelValues(source, compiled.declared)
         self.outputs = OutputStates(compiled)
-        declared = compiled.declared
-        statics = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in declared.statics])
-        parameters = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in declared.parameters])
-        self._horizon = casadi.Function(
-            "horizon", [statics, parameters], [declared.start, declared.start + declared.span]
-        )
         self._programs: dict[Mesh | None, Transcription] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -364,10 +365,10 @@ class Formulation:
             self._programs[mesh] = Transcription(self.compiled, mesh, data)
         return self._programs[mesh].with_data(data)
 
-    def horizon_of(self, statics: FloatArray, instance: Instance) -> tuple[float, float]:
-        """Return start and end of the horizon, the end from the statics where it is free."""
-        start, end = self._horizon(statics, instance.parameters)
-        return float(start), float(end)
+    def timeline(self, statics: FloatArray, instance: Instance) -> Timeline:
+        """Return the times of the horizon, from the statics where they are free."""
+        times = np.array(self.compiled.times(statics, instance.parameters)).ravel()
+        return Timeline(fractions=np.array(self.compiled.declared.clock.fractions), times=times)
 
     def algebraic_limits(self, instance: Instance) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper limits of the algebraic variables, shape (n_algebraics,) each.

@@ -77,6 +77,7 @@ def initial_point(
     for column, slot in zip(layout.static_columns, declared.statics, strict=True):
         held = given.get(slot.name, values.static_value(slot))
         z[column] = _inside(0.0 if held is None else float(np.asarray(held)), bounds, int(column))
+    _order_times(program, bounds, values, given, z)
     z = np.clip(z, bounds.lower, bounds.upper)
     integrals = program.integrals(z)
     for integral, static in program.compiled.static_of_integral.items():
@@ -103,6 +104,33 @@ def _function_of_time(
         return np.full(len(fractions), middle)
     at = np.array(sorted(known))
     return np.interp(fractions, at, np.array([known[f] for f in at]))
+
+
+def _order_times(
+    program: Transcription,
+    bounds: Bounds,
+    values: ModelValues,
+    given: Mapping[str, Any] | pd.DataFrame,
+    z: FloatArray,
+) -> None:
+    """Let free times that nobody gave a value begin as declared, and all follow each other."""
+    statics, clock = program.compiled.declared.statics, program.compiled.declared.clock
+    slots = {slot.name: k for k, slot in enumerate(statics)}
+    columns = program.layout.static_columns
+    free = {k: slots[t.name()] for k, t in enumerate(clock.times) if str(t) in slots}
+    for k, static in free.items():
+        if values.static_value(statics[static]) is None and statics[static].name not in given:
+            z[columns[static]] = _inside(clock.declared[k], bounds, int(columns[static]))
+    times = program.times(z)
+    latest = program.times(bounds.upper)
+    latest = np.minimum.accumulate(latest[::-1])[::-1]
+    for k, static in free.items():
+        column = columns[static]
+        if k > 0 and not times[k - 1] < times[k] < np.append(latest, np.inf)[k + 1]:
+            earliest = max(times[k - 1], bounds.lower[column])
+            room = (latest[k] - earliest) / (len(times) - k)
+            step = room if np.isfinite(room) else clock.declared[k] - clock.declared[k - 1]
+            times[k] = z[column] = earliest + step
 
 
 def _given(

@@ -186,6 +186,44 @@ class Trajectory:
         return interpolate(self.mesh, self.algebraics, fractions, with_start=False)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Timeline:
+    """Times of some shares of the declared horizon, between which time runs evenly.
+
+    Shapes: fractions (n,) from 0 to 1, times (n,), both increasing.  A time that ends one phase
+    and begins the next belongs to the one that it ends.
+    """
+
+    fractions: FloatArray
+    times: FloatArray
+
+    @property
+    def spans(self) -> FloatArray:
+        """Change of time with the share of the horizon in each phase, shape (n - 1,)."""
+        return np.diff(self.times) / np.diff(self.fractions)
+
+    def span_at(self, fractions: FloatArray) -> FloatArray:
+        """Return the change of time with the share of the horizon."""
+        return self.spans[np.searchsorted(self.fractions[1:-1], fractions)]
+
+    def time(self, fractions: Any) -> Any:
+        """Return the times of shares of the declared horizon, of their shape."""
+        phase = np.searchsorted(self.fractions[1:-1], fractions)
+        inside = self.spans[phase] * (fractions - self.fractions[phase])
+        ends = fractions == self.fractions[phase + 1]
+        return np.where(ends, self.times[phase + 1], self.times[phase] + inside)
+
+    def fraction(self, times: Any) -> Any:
+        """Return times as shares of the declared horizon, of their shape."""
+        if len(self.times) == 2:
+            return (times - self.times[0]) / (self.times[1] - self.times[0])
+        phase = np.searchsorted(self.times[1:-1], times)
+        first, last = self.fractions[phase], self.fractions[phase + 1]
+        inside = (times - self.times[phase]) / np.diff(self.times)[phase] * (last - first)
+        is_last = phase == len(self.times) - 2
+        return np.where(is_last, first + inside, np.minimum(first + inside, last))
+
+
 def _by_element(mesh: Mesh, fractions: FloatArray) -> list[tuple[int, np.ndarray, FloatArray]]:
     """Return (element, positions, local coordinates) for each element that is asked for."""
     elements = mesh.locate(fractions)

@@ -48,6 +48,9 @@ class Problem(Summarised, Formulation):
     final_time : Var, optional
         A static variable of the model that is to be the end of the horizon; the continuous
         set's own end then only fixes where boundary conditions are declared.
+    times : mapping, optional
+        Declared time -> static variable of the model that it is to be, as {1.0: m.T1}; other
+        declared times keep their share of the phase that they lie in.
 
     Raises
     ------
@@ -204,9 +207,8 @@ class Problem(Summarised, Formulation):
         declared = self.compiled.declared
         for slot, number in zip(declared.statics, solution.trajectory.statics, strict=True):
             self.values.load(slot, None, float(number))
-        start, end = solution.horizon
         for fraction in self.values.declared_fractions():
-            time = start + (end - start) * fraction
+            time = float(solution.timeline.time(np.float64(fraction)))
             frame = solution.to_frame([time]).iloc[0]
             for slot in (*declared.states, *declared.outputs, *declared.algebraics):
                 self.values.load(slot, fraction, float(frame[slot.name]))

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pyomo_quad.collocation.guess import WarmStart
+    from pyomo_quad.collocation.reading.clock import FreeTimes
     from pyomo_quad.collocation.solution import Solution
 
 _TERMINATION = {
@@ -88,6 +89,7 @@ class PyomoSolver:
         options: dict[str, Any] | None = None,
         load_solutions: bool = True,
         final_time: Any = None,
+        times: FreeTimes | None = None,
         **arguments: Any,
     ) -> SolverResults:
         """Solve a model and load the solution into it.
@@ -111,6 +113,7 @@ class PyomoSolver:
         load_solutions : bool, optional
             Whether the model takes the solution's values, integrals included.
         final_time : Var, optional
+        times : mapping, optional
             See `Problem`.
         **arguments
             See `Problem.solve`: `tolerance`, `mesh`, `guess` and so on.
@@ -134,7 +137,7 @@ class PyomoSolver:
             raise TranscriptionError(f"timelimit: {limit:g} s; must be above 0.")
         if warmstart and model in self._last:
             arguments.setdefault("warm_start", self._last[model])
-        problem = Problem(model, final_time)
+        problem = Problem(model, final_time, times)
         with ExitStack() as files:
             writers = [sys.stdout.write] if tee else []
             if keepfiles and logfile is None:

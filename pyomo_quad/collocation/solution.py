@@ -16,7 +16,9 @@ from pyomo_quad.collocation.formulation import index_tuple
 from pyomo_quad.collocation.guess import TIME_COLUMN, WarmStart, warm_start_of
 from pyomo_quad.collocation.mesh import (
     FloatArray,
+    Mesh,
     Summarised,
+    Timeline,
     Trajectory,
     interpolate,
     interpolate_rates,
@@ -28,7 +30,6 @@ from pyomo_quad.collocation.reading.writer import symbol_names
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.formulation import Formulation
-    from pyomo_quad.collocation.mesh import Mesh
     from pyomo_quad.collocation.program.bounds import Bounds, Scaling
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance
@@ -77,7 +78,7 @@ def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
 
 
 def _reads_time(compiled: CompiledModel) -> bool:
-    """Say whether an equation, an integrand or a limit reads time."""
+    """Say whether an equation, an integrand or a limit reads time, other than its phase."""
     declared = compiled.declared
     parts = [part for e in declared.equations for part in (e.expression, e.lower, e.upper)]
     parts += [side for b in compiled.simple_path_bounds for side in (b.lower, b.upper)]
@@ -85,7 +86,8 @@ def _reads_time(compiled: CompiledModel) -> bool:
     parts += [side for slot in slots for side in (slot.lower, slot.upper)]
     parts += [i.integrand for i in declared.integrals]
     read = symbol_names(casadi.vertcat(casadi.SX(0, 1), *parts))
-    return declared.has_signals or declared.fraction.name() in read
+    is_varying = declared.signals or len(declared.scheduled) > len(declared.clock.phases)
+    return bool(is_varying) or declared.clock.fraction.name() in read
 
 
 # Of a table's range, by how much an argument may leave it.
@@ -137,7 +139,7 @@ class Costates:
 
 
 def costates_of(
-    program: Transcription, z: FloatArray, multipliers: FloatArray, span: float
+    program: Transcription, z: FloatArray, multipliers: FloatArray, timeline: Timeline
 ) -> Costates:
     """Map the multipliers of the path equations to costates and Hamiltonian.
 
@@ -148,8 +150,8 @@ def costates_of(
         The solution.
     multipliers : ndarray
         Of all rows, as Ipopt returns them for the unscaled program.
-    span : float
-        Length of the horizon in physical time.
+    timeline : Timeline
+        Physical times of the horizon.
     """
     mesh, compiled = program.mesh, program.compiled
     if mesh is None:
@@ -167,7 +169,8 @@ def costates_of(
     states = z[program.layout.state_columns]
     rates = program.layout.slope_matrix @ states
     density = program.lagrangian_density(z, multipliers)
-    hamiltonian = (density + np.sum(inner * rates, axis=1)) / span
+    spans = timeline.span_at(mesh.point_fractions)
+    hamiltonian = (density + np.sum(inner * rates, axis=1)) / spans
     return Costates(per_element=tuple(values), hamiltonian=hamiltonian)
 
 
@@ -273,9 +276,28 @@ class Solution(Summarised):
         return self.status is Status.CONVERGED
 
     @cached_property
+    def timeline(self) -> Timeline:
+        """Physical times of the declared ones that are free, and of start and end."""
+        return self.problem.timeline(self.trajectory.statics, self.instance)
+
+    @property
     def horizon(self) -> tuple[float, float]:
-        """Start and end in physical time, the solved end where it was free."""
-        return self.problem.horizon_of(self.trajectory.statics, self.instance)
+        """Start and end in physical time, as solved for where they were free."""
+        times = self.timeline.times
+        return float(times[0]), float(times[-1])
+
+    @cached_property
+    def mesh_in_time(self) -> Mesh:
+        """The mesh with its boundaries as shares of the horizon in physical time.
+
+        The trajectory's values on it are the same polynomials; other than `mesh` only where
+        interior times are free.
+        """
+        if len(self.timeline.times) == 2:
+            return self.mesh
+        (start, end), times = self.horizon, self.timeline.time(np.array(self.mesh.breakpoints))
+        shares = ((times[1:-1] - start) / (end - start)).tolist()
+        return Mesh(breakpoints=(0.0, *shares, 1.0), degrees=self.mesh.degrees)
 
     @cached_property
     def warm_start(self) -> WarmStart:
@@ -290,8 +312,7 @@ class Solution(Summarised):
     @cached_property
     def times(self) -> FloatArray:
         """Physical times of the nodes, shape (n_points + 1,)."""
-        start, end = self.horizon
-        return start + (end - start) * self.mesh.node_fractions
+        return np.asarray(self.timeline.time(self.mesh.node_fractions))
 
     def fractions(self, times: Any) -> FloatArray:
         """Return times as fractions of the horizon.
@@ -302,7 +323,7 @@ class Solution(Summarised):
             If a time lies outside the horizon.
         """
         start, end = self.horizon
-        fractions = (np.asarray(times, dtype=float).ravel() - start) / (end - start)
+        fractions = self.timeline.fraction(np.asarray(times, dtype=float).ravel())
         slack = 1e-9
         if (
             np.any(fractions < -slack)
@@ -365,8 +386,7 @@ class Solution(Summarised):
         """Costates per element and Hamiltonian at the points; see `collocation.costates`."""
         if not self.problem.compiled.declared.states or not self.problem.has_horizon:
             raise TranscriptionError("costate: the model has no states over time.")
-        start, end = self.horizon
-        return costates_of(self.program, self.unknowns, self.multipliers.rows, end - start)
+        return costates_of(self.program, self.unknowns, self.multipliers.rows, self.timeline)
 
     def costate(self, state: Any, t: Any, index: Any = None) -> Any:
         """Return the costate of a state at times; p is the slope of the optimum in the state."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pyomo_quad.collocation import Status, compile, control_polynomial
+from pyomo_quad.collocation import Status, control_polynomial
 from tests.problems import __main__ as table
 
 TOLERANCE = 1e-8
@@ -31,6 +31,7 @@ GATES = (
     "diode_charging",
     "double_integrator",
     "floor_constraint",
+    "goddard",
     "hyper_sensitive",
     "implicit_dae",
     "jacobson",
@@ -50,7 +51,7 @@ def textbook(name):
 
 @cache
 def solved(name):
-    return compile(textbook(name).build()).solve(tolerance=TOLERANCE)
+    return table.compiled(textbook(name)).solve(tolerance=TOLERANCE)
 
 
 def times_away_from_kinks(name, count=201):

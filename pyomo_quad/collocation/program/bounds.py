@@ -57,8 +57,9 @@ def bounds_of(
     Raises
     ------
     TranscriptionError
-        If a lower bound exceeds an upper bound; the message names the variable.
+        If a lower bound exceeds an upper bound, or free times cross; the message names them.
     """
+    _refuse_crossed_times(program)
     lower = np.full(program.layout.unknowns, -np.inf)
     upper = np.full(program.layout.unknowns, np.inf)
     for limit in limits_of(program, start_data, fixed):
@@ -182,6 +183,23 @@ def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray
         raise TranscriptionError(
             f"{unknown_place(program, worst)}: lower bound {lower[worst]:g} is "
             f"above upper bound {upper[worst]:g}; relax one of the two."
+        )
+
+
+def _refuse_crossed_times(program: Transcription) -> None:
+    """Raise if the bounds of free times leave no time between two of them."""
+    compiled, clock = program.compiled, program.compiled.declared.clock
+    parameters = program.data.parameters
+    lower, upper = (np.array(side).ravel() for side in compiled.static_limits(parameters))
+    earliest, latest = (np.array(compiled.times(s, parameters)).ravel() for s in (lower, upper))
+    before = np.maximum.accumulate(earliest)
+    crossed = np.flatnonzero(before[:-1] >= latest[1:])
+    if clock.is_free and crossed.size:
+        after = int(crossed[0]) + 1
+        first = int(np.argmax(earliest[:after]))
+        raise TranscriptionError(
+            f"{clock.label(after)}: is at most {latest[after]:g}, but {clock.label(first)} before "
+            f"it is at least {earliest[first]:g}; relax the bounds of one of these times."
         )
 
 

@@ -252,6 +252,7 @@ class CompiledModel:
     simple_point_limits: Any
     condition_limits: Any
     static_limits: Any
+    times: Any
     row_integrals: tuple[int, ...]
     symbols: tuple[Any, Any]
     tables: TableArguments
@@ -326,6 +327,9 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
         simple_point_limits=_limits("point_limits", parameters, point_simple, "lower", "upper"),
         condition_limits=_limits("condition_limits", parameters, conditions, "lower", "upper"),
         static_limits=_limits("static_limits", parameters, declared.statics, "lower", "upper"),
+        times=casadi.Function(
+            "times", [_symbols(declared.statics), parameters], [_stack(declared.clock.times)]
+        ),
         row_integrals=direct,
         symbols=(_stack(path_variables.values()), path_data),
         tables=_table_arguments(declared, path_variables, point_variables),

@@ -183,9 +183,9 @@ class Transcription:
 
     @property
     def horizon(self) -> tuple[float, float] | None:
-        """Start and end given by parameters; None where the end is a variable."""
+        """Start and end given by parameters; None where one of them is a variable."""
         names = [p.name for p in self.compiled.declared.parameters]
-        if "horizon.end" not in names:
+        if not {"horizon.start", "horizon.end"} <= set(names):
             return None
         start, end = (names.index(f"horizon.{side}") for side in ("start", "end"))
         return float(self.data.parameters[start]), float(self.data.parameters[end])
@@ -194,6 +194,11 @@ class Transcription:
         """Return physical time, or the fraction itself where the end is a variable."""
         start, end = self.horizon or (0.0, 1.0)
         return start + (end - start) * fraction
+
+    def times(self, z: FloatArray) -> FloatArray:
+        """Return start, interior free times and end of the horizon at a point."""
+        statics = z[self.layout.static_columns]
+        return np.array(self.compiled.times(statics, self.data.parameters)).ravel()
 
     def path_variables(self, z: FloatArray) -> FloatArray:
         """Return rates, states, algebraics and statics at the points, one row per point."""

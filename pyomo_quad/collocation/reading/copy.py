@@ -217,7 +217,7 @@ class WorkingCopy:
     declared_times: tuple[float, ...]
 
 
-def _continuous_set(model: Any) -> Any:
+def continuous_set(model: Any) -> Any:
     """Return the model's one continuous set, or None for a model without time."""
     sets = [
         s
@@ -314,7 +314,7 @@ def copy_with_template_time(model: Any) -> WorkingCopy:
     """
     copy = model.clone()
     transfer_rules(model, copy)
-    time = _continuous_set(copy)
+    time = continuous_set(copy)
     _refuse_unsupported(copy, time)
     if time is None:
         return WorkingCopy(model=copy, time=None, template_time=0.0, declared_times=())

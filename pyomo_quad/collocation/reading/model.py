@@ -13,9 +13,11 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.reading.clock import FreeTimes, free_times
 from pyomo_quad.collocation.reading.copy import (
     WorkingCopy,
     bounds_rule_of,
+    continuous_set,
     copy_with_template_time,
     rule_of,
 )
@@ -142,8 +144,9 @@ class RelationReader:
         One that branches on its time may hold other numbers at that instant, which has no length.
         """
         table = self.symbols
-        fraction = table.fraction_of(time)
-        old, new = [table.fraction], [casadi.SX(fraction)]
+        clock = table.clock
+        fraction = clock.fraction_of(time)
+        old, new = [clock.fraction], [casadi.SX(fraction)]
         for (name, at, is_rate), point in table.points.items():
             if at == fraction:
                 slot = table.states.get(name) or table.algebraics[name]
@@ -155,10 +158,8 @@ class RelationReader:
             old.append(slot.symbol)
             new.append(table.signal_points.get((name, fraction), casadi.SX(number)))
         # Pyomo has folded the declared times into the condition: compare at just those.
-        old.extend(table.horizon)
-        new.extend(
-            casadi.SX(t) for t in (self.copy.declared_times[0], self.copy.declared_times[-1])
-        )
+        old.extend(clock.times)
+        new.extend(casadi.SX(t) for t in clock.declared)
         numbers = self._writer.scheduled_before(time)
         moved, held = casadi.substitute(
             [casadi.SX(equation.expression), casadi.SX(condition.expression)],
@@ -181,7 +182,7 @@ class RelationReader:
                 if data.fixed and data.value is None:
                     raise TranscriptionError(f"{data.name}: is fixed without a value; give it one.")
                 if data.fixed and slot.rate is not None:
-                    fixed.append((slot.name, table.fraction_of(time)))
+                    fixed.append((slot.name, table.clock.fraction_of(time)))
                 elif data.fixed:
                     conditions.append(self._held(data))
                 elif data.bounds != self._bounds_over_time(variable, slot, time):
@@ -224,7 +225,9 @@ def _is_met_as_fixed(data: Any) -> bool:
     return bool(data.slack() >= -_MET * (1.0 + abs(value(data.body))))
 
 
-def read_declarations(model: Any, final_time: Any = None) -> tuple[Declarations, ModelReader]:
+def read_declarations(
+    model: Any, final_time: Any = None, times: FreeTimes | None = None
+) -> tuple[Declarations, ModelReader]:
     """Read what a Pyomo model declares.
 
     Parameters
@@ -233,6 +236,8 @@ def read_declarations(model: Any, final_time: Any = None) -> tuple[Declarations,
         With one ContinuousSet that is not discretised, or with none at all.
     final_time : Var, optional
         A static variable of the model that is to be the end of the horizon.
+    times : mapping, optional
+        Declared time -> static variable that it is to be.
 
     Returns
     -------
@@ -245,16 +250,17 @@ def read_declarations(model: Any, final_time: Any = None) -> tuple[Declarations,
     TranscriptionError
         If the model declares something unsupported or incomplete; the message names it.
     """
-    reader = ModelReader(copy_with_template_time(model), final_time)
+    free = free_times(continuous_set(model), final_time, times)
+    reader = ModelReader(copy_with_template_time(model), free)
     return reader.read(), reader
 
 
 class ModelReader:
     """Reads one working copy; one call to `read`."""
 
-    def __init__(self, copy: WorkingCopy, final_time: Any) -> None:
+    def __init__(self, copy: WorkingCopy, free: dict[float, Any]) -> None:
         self.copy = copy
-        self.writer = TemplateWriter(copy, final_time)
+        self.writer = TemplateWriter(copy, free)
         self.addresses = self.writer.addresses
         self.symbols = self.writer.symbols
 
@@ -269,6 +275,12 @@ class ModelReader:
         self._require_dynamics(equations)
         self._require_variables()
         fixed = relations.values_at_points(conditions)
+        conditions.extend(
+            PointCondition(
+                name=name, expression=order, lower=casadi.SX(0), upper=casadi.SX(casadi.inf)
+            )
+            for name, order in self.symbols.clock.orders()
+        )
         self._read_expressions()
         table = self.symbols
         nominal = self._nominal_magnitudes()
@@ -281,9 +293,7 @@ class ModelReader:
             statics=self._finished(table.statics, nominal, self._bounds),
             signals=tuple(table.signals.values()),
             scheduled=tuple(slot for s in self.writer.schedules for slot in s.slots),
-            fraction=table.fraction,
-            span=table.span,
-            start=table.start,
+            clock=table.clock,
             equations=tuple(equations),
             conditions=tuple(conditions),
             point_symbols=tuple(p for p in table.points.values() if p.symbol.name() in used),

@@ -21,7 +21,7 @@ from pyomo_quad.collocation.reading.symbols import AddressBook
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from pyomo_quad.collocation.reading.schedules import Schedule
+    from pyomo_quad.collocation.reading.schedules import Phases, Schedule
     from pyomo_quad.collocation.reading.symbols import Declarations, Slot
 
 # What a derived unit of the same size and dimension is called; a moment before a work.
@@ -79,11 +79,11 @@ class LiveModel:
     model : ConcreteModel
     time : ContinuousSet or None
         The model's continuous set.
-    schedules : tuple of Schedule
+    schedules : tuple of Schedule or Phases
         What gives the declarations' `scheduled` their values.
     """
 
-    def __init__(self, model: Any, time: Any, schedules: tuple[Schedule, ...]) -> None:
+    def __init__(self, model: Any, time: Any, schedules: tuple[Schedule | Phases, ...]) -> None:
         self.model = model
         self.schedules = schedules
         self._time = time

@@ -24,6 +24,8 @@ from pyomo_quad.collocation.reading.symbols import Slot
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from pyomo_quad.collocation.reading.clock import Clock
+
 # Times, besides the declared ones, at which a rule is asked before anything is compiled.
 _PROBES = 64
 # Forms beyond which a rule is taken to say something else at every time.
@@ -216,6 +218,26 @@ class Schedule:
             for parts, silent in zip(forms, is_silent, strict=True):
                 if silent and _is_linear(body):
                     parts[1] = body
+
+
+class Phases:
+    """Which phase of a clock holds, read like a `Schedule`."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.name = clock.name
+        self.slots = tuple(
+            Slot(name=phase.name(), component=clock.name, index=(), symbol=phase)
+            for phase in clock.phases
+        )
+        self._clock = clock
+
+    def reading(self, time: float) -> Reading:
+        """Return which phase holds at a declared time."""
+        return Reading(self._clock.phase_of(time), ())
+
+    def row(self, time: float) -> list[float]:
+        """Return the values of the slots at a declared time."""
+        return [float(k == self._clock.phase_of(time)) for k in range(len(self.slots))]
 
 
 def _is_linear(expression: Any) -> bool:

@@ -12,10 +12,11 @@ from pyomo.dae import DerivativeVar
 from pyomo.environ import ConcreteModel, Param, value
 
 from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.reading.clock import Clock
 from pyomo_quad.collocation.reading.copy import rule_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from pyomo.dae import ContinuousSet
 
@@ -356,9 +357,7 @@ class Declarations:
     parameters: tuple[Slot, ...]
     signals: tuple[Slot, ...]
     scheduled: tuple[Slot, ...]
-    fraction: Any
-    span: Any
-    start: Any
+    clock: Clock
     equations: tuple[PathEquation, ...]
     conditions: tuple[PointCondition, ...]
     point_symbols: tuple[PointSymbol, ...]
@@ -382,7 +381,7 @@ class Declarations:
     def path_data(self) -> tuple[Any, ...]:
         """Symbols of the data of a point, in order: fraction, signals, schedules, parameters."""
         slots = (*self.signals, *self.scheduled, *self.parameters)
-        return (self.fraction, *(s.symbol for s in slots))
+        return (self.clock.fraction, *(s.symbol for s in slots))
 
 
 class SymbolTable:
@@ -392,7 +391,9 @@ class SymbolTable:
     else a variable at a time becomes a point symbol.
     """
 
-    def __init__(self, copy: WorkingCopy, addresses: AddressBook, final_time: Any) -> None:
+    def __init__(
+        self, copy: WorkingCopy, addresses: AddressBook, free: Mapping[float, Any]
+    ) -> None:
         self._copy = copy
         self._addresses = addresses
         self.states: dict[str, Slot] = {}
@@ -402,40 +403,39 @@ class SymbolTable:
         self.signals: dict[str, Slot] = {}
         self.points: dict[tuple[str, float, bool], PointSymbol] = {}
         self.signal_points: dict[tuple[str, float], Any] = {}
-        self.fraction = casadi.SX.sym("fraction")
         self._derivatives = {
             d.get_state_var().name: d
             for d in copy.model.component_objects(DerivativeVar, descend_into=True)
         }
-        self.start = self._horizon("horizon.start", 0)
-        self.end = self._end(final_time)
-        self.span = self.end - self.start
+        self.clock = self._clock(free)
 
-    def _horizon(self, name: str, position: int) -> Any:
+    def _clock(self, free: Mapping[float, Any]) -> Clock:
+        """Return the clock of the model, whose times may be static variables."""
+        declared = self._copy.declared_times or (0.0, 1.0)
+        ends = {declared[0]: "horizon.start", declared[-1]: "horizon.end"}
+        times = tuple(sorted(ends.keys() | free.keys()))
+        name = "" if self._copy.time is None else self._copy.time.name
+        starts = times[:-1] if len(times) > 2 else ()
+        return Clock(
+            name=name,
+            declared=times,
+            times=tuple(
+                self._static(self._copy.model.find_component(free[time].name))
+                if time in free
+                else self._horizon(ends[time], time)
+                for time in times
+            ),
+            fraction=casadi.SX.sym("fraction"),
+            phases=tuple(casadi.SX.sym(f"{name} from {start:g}") for start in starts),
+            is_free=bool(free),
+        )
+
+    def _horizon(self, name: str, time: float) -> Any:
         if self._copy.time is None:
-            return casadi.SX(position)
+            return casadi.SX(time)
         symbol = casadi.SX.sym(name)
-        self.parameters[name] = Slot(name=name, component=name, index=(position,), symbol=symbol)
+        self.parameters[name] = Slot(name=name, component=name, index=(), symbol=symbol)
         return symbol
-
-    def _end(self, final_time: Any) -> Any:
-        if final_time is None:
-            return self._horizon("horizon.end", 1)
-        if final_time.is_indexed() or not final_time.is_variable_type():
-            raise TranscriptionError(
-                f"{final_time.name}: the final time must be a static variable, a Var without index."
-            )
-        return self._static(self._copy.model.find_component(final_time.name))
-
-    @property
-    def horizon(self) -> tuple[Any, Any]:
-        """Symbols of start and end."""
-        return self.start, self.end
-
-    @property
-    def time(self) -> Any:
-        """Physical time at the template point."""
-        return self.start + self.span * self.fraction
 
     def leaf(self, data: Any) -> Any:
         """Return the symbol of a Pyomo variable or mutable parameter."""
@@ -492,7 +492,7 @@ class SymbolTable:
             return self._physical_time(address.time)
         name = address.name
         if address.time != self._copy.template_time:
-            key = (name, self.fraction_of(address.time))
+            key = (name, self.clock.fraction_of(address.time))
             return self.signal_points.setdefault(key, casadi.SX.sym(data.name))
         if name not in self.signals:
             self.signals[name] = Slot(
@@ -504,14 +504,7 @@ class SymbolTable:
         return self.signals[name].symbol
 
     def _physical_time(self, time: float) -> Any:
-        if time == self._copy.template_time:
-            return self.time
-        return self.start + self.span * self.fraction_of(time)
-
-    def fraction_of(self, time: float) -> float:
-        """Return a declared time as a fraction of the declared horizon."""
-        first, last = self._copy.declared_times[0], self._copy.declared_times[-1]
-        return (time - first) / (last - first)
+        return self.clock.time if time == self._copy.template_time else self.clock.time_at(time)
 
     def _varying(self, data: Any, address: Any) -> Any:
         component = data.parent_component()
@@ -522,15 +515,15 @@ class SymbolTable:
             first = self._addresses.join(variable, address.index, self._copy.declared_times[0])
             return self._scalar(self.parameters, variable[first], variable[first].name)
         if address.time == self._copy.template_time:
-            return slot.rate / self.span if is_rate else slot.symbol
-        key = (slot.name, self.fraction_of(address.time), is_rate)
+            return slot.rate / self.clock.span if is_rate else slot.symbol
+        key = (slot.name, self.clock.fraction_of(address.time), is_rate)
         if key not in self.points:
             symbol = casadi.SX.sym(data.name)
             self.points[key] = PointSymbol(
                 slot=slot.name, fraction=key[1], is_rate=is_rate, symbol=symbol
             )
         symbol = self.points[key].symbol
-        return symbol / self.span if is_rate else symbol
+        return symbol / self.clock.span_at(address.time) if is_rate else symbol
 
     def _slot(self, variable: Any, address: Any) -> Slot | None:
         """Return the slot of a function of time, None if it is fixed throughout."""

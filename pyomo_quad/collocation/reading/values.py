@@ -62,9 +62,6 @@ class ModelValues:
         self._declared = declared
         # Names already looked up: parsing them again costs a warm re-solve a tenth of its time.
         self._known: set[str] = set()
-        self._is_end_free = declared.has_horizon and all(
-            p.name != "horizon.end" for p in declared.parameters
-        )
         self._widest = self.declared_horizon
 
     @property
@@ -96,9 +93,9 @@ class ModelValues:
             else str(key): float(value(v)) if isinstance(v, NumericValue) else v
             for key, v in (overrides or {}).items()
         }
-        if self._is_end_free and any(callable(v) for v in named.values()):
+        if self._declared.clock.is_free and any(callable(v) for v in named.values()):
             raise TranscriptionError(
-                "parameters: a function of time cannot be given where the end time is free, which "
+                "parameters: a function of time cannot be given where the times are free, which "
                 "moves it; declare it as the parameter's rule."
             )
         for name in named.keys() - self._known:
@@ -156,8 +153,8 @@ class ModelValues:
         return tuple(f for k, f in enumerate(fractions) if k == 0 or f - fractions[k - 1] > BESIDE)
 
     def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
-        """Return the horizon in the time of rules: a free end stretches the declared times."""
-        found = self.declared_horizon if self._is_end_free else horizon
+        """Return the horizon in the time of rules: the declared one where any time is free."""
+        found = self.declared_horizon if self._declared.clock.is_free else horizon
         self._widest = min(self._widest[0], found[0]), max(self._widest[1], found[1])
         return found
 

@@ -22,7 +22,7 @@ from pyomo.environ import Constraint, Expression, Param, Var
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.reading.copy import bounds_rule_of, rule_of
-from pyomo_quad.collocation.reading.schedules import BESIDE, Schedule, Statement
+from pyomo_quad.collocation.reading.schedules import BESIDE, Phases, Schedule, Statement
 from pyomo_quad.collocation.reading.symbols import (
     AddressBook,
     Instant,
@@ -37,7 +37,7 @@ from pyomo_quad.collocation.reading.symbols import (
 from pyomo_quad.collocation.reading.tables import TableUse, external
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from pyomo_quad.collocation.reading.copy import WorkingCopy
     from pyomo_quad.collocation.reading.symbols import Address, Slot
@@ -215,18 +215,18 @@ class TemplateWriter:
     table_uses : list
         Arguments of tables met so far.
     schedules : list
-        What rules say that are no formula of time.
+        What is no formula of time: what rules say, and which phase holds.
     """
 
-    def __init__(self, copy: WorkingCopy, final_time: Any) -> None:
+    def __init__(self, copy: WorkingCopy, free: Mapping[float, Any]) -> None:
         self.copy = copy
         self.addresses = AddressBook(copy.time)
-        self.symbols = SymbolTable(copy, self.addresses, final_time)
+        self.symbols = SymbolTable(copy, self.addresses, free)
         self.integrals: dict[str, Integral] = {}
-        self.schedules: list[Schedule] = []
+        clock = self.symbols.clock
+        self.schedules: list[Schedule | Phases] = [Phases(clock)] if clock.phases else []
         self._by_rule: dict[str, Any] = {}
         self._clock = time_parameter()
-        self._is_end_free = final_time is not None
         self._writer = ExpressionWriter(self._leaf, self._named)
         self.table_uses = self._writer.table_uses
         self._in_path = False
@@ -307,7 +307,7 @@ class TemplateWriter:
     def _said(self, name: str, say: Callable[[Any], Statement], time: float) -> Statement:
         """Return what a rule says at one time."""
         template = self.copy.template_time
-        if self._is_end_free:
+        if self.symbols.clock.is_free:
             declared = self.copy.declared_times
             index: Any = TimeSymbol(template, self._clock, declared, self._within(time))
         else:
@@ -322,9 +322,9 @@ class TemplateWriter:
                 f"{name}: its rule fails at a time that the model did not declare, {time:g} "
                 f"({what}); let it read nothing but its time and components of the model."
             ) from error
-        if self._is_end_free and index.is_read:
+        if self.symbols.clock.is_free and index.is_read:
             raise TranscriptionError(
-                f"{name}: its rule reads its time as a number, which a free end time moves; "
+                f"{name}: its rule reads its time as a number, which a free time moves; "
                 "compare it with declared times only, and calculate with Pyomo's functions."
             )
         return statement
@@ -391,9 +391,9 @@ class TemplateWriter:
 
     def _leaf(self, data: Any) -> Any:
         if data is self._clock:
-            return self.symbols.time
+            return self.symbols.clock.time
         address = self.addresses.of(data)
-        if self._is_end_free and data.is_parameter_type():
+        if self.symbols.clock.is_free and data.is_parameter_type():
             return self._parameter_over_time(data, address)
         symbol = self.symbols.leaf(data)
         if self._in_path and address.time not in (None, self.copy.template_time):
@@ -437,8 +437,9 @@ class TemplateWriter:
         if address.time == self.copy.template_time:
             return over_time
         numbers = self.scheduled_before(address.time).values()
-        old = casadi.vertcat(self.symbols.fraction, *(symbol for symbol, _ in numbers))
-        new = [self.symbols.fraction_of(address.time), *(number for _, number in numbers)]
+        clock = self.symbols.clock
+        old = casadi.vertcat(clock.fraction, *(symbol for symbol, _ in numbers))
+        new = [clock.fraction_of(address.time), *(number for _, number in numbers)]
         return casadi.substitute(over_time, old, casadi.SX(new))
 
     def _integral(self, component: Any, index: Any) -> Any:
@@ -456,7 +457,7 @@ class TemplateWriter:
             (density,), _ = self._over_time(name, say)
             symbol = casadi.SX.sym(name)
             self.integrals[name] = Integral(
-                name=name, symbol=symbol, integrand=density * self.symbols.span
+                name=name, symbol=symbol, integrand=density * self.symbols.clock.span
             )
         return self.integrals[name].symbol
 

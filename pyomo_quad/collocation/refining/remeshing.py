@@ -20,11 +20,24 @@ if TYPE_CHECKING:
 
 
 def junction_elements(solution: Solution) -> frozenset[int]:
-    """Return the elements in or beside which the activity of a limit changes."""
+    """Return the elements in or beside which the activity of a limit changes.
+
+    A change where the equations themselves may change is where it has to be.
+    """
     active = _active_limits(solution)
-    changes = np.flatnonzero(np.any(active[1:] != active[:-1], axis=1))
     element = solution.mesh.element_of_point
+    is_known = np.isin(element[1:], np.flatnonzero(_known_boundaries(solution))) & (
+        element[1:] > element[:-1]
+    )
+    changes = np.flatnonzero(np.any(active[1:] != active[:-1], axis=1) & ~is_known)
     return frozenset(element[changes].tolist()) | frozenset(element[changes + 1].tolist())
+
+
+def _known_boundaries(solution: Solution) -> NDArray[np.bool_]:
+    """Say of each element and the end whether it starts at a condition or a jump."""
+    required = solution.problem.required_breakpoints(solution.instance)
+    starts = np.asarray(solution.mesh.breakpoints)
+    return np.any(np.abs(starts[:, None] - np.array([0.0, *required, 1.0])) < _SAME, axis=1)
 
 
 def _active_limits(solution: Solution) -> NDArray[np.bool_]:
@@ -122,6 +135,8 @@ _JUMP_SHARE = 0.25
 _STRAIGHT = 3.0
 # One degree more lets the weights integrate polynomials of two degrees more.
 _QUADRATURE_GAIN = 2.0
+# Shares of the horizon that are the same but for rounding.
+_SAME = 1e-12
 # Half the width of the sliver around a jump, as a share of the element.
 _SLIVER = 0.02
 
@@ -261,7 +276,7 @@ def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[
             degree = max(last.degree, piece.degree)
             ratio = (piece.end - starts[-1]) / min(piece.end - start, start - starts[-1])
             predicted = max(last.error, piece.error) * ratio ** (degree + 1)
-            needed = any(abs(start - b) < 1e-12 for b in required)
+            needed = any(abs(start - b) < _SAME for b in required)
             if predicted < _MARGIN * tolerance and not needed:
                 merged[-1] = _Piece(piece.end, degree, predicted, is_changed=False)
                 continue
@@ -309,7 +324,7 @@ def _decay(sizes: FloatArray) -> float:
 def _jump(solution: Solution, e: int) -> float | None:
     """Return where in an element a bounded control jumps, as a fraction of the horizon."""
     mesh = solution.mesh
-    if e in (0, mesh.elements - 1):
+    if _known_boundaries(solution)[e : e + 2].any():
         return None
     controls = solution.trajectory.algebraics
     lower, upper = solution.algebraic_limits

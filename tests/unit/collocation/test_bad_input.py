@@ -298,7 +298,7 @@ def test_conditions_that_cross(m):
 
 
 def test_final_time_over_time(m):
-    with pytest.raises(TranscriptionError, match="x: the final time must be a static variable"):
+    with pytest.raises(TranscriptionError, match=r"x: .*must be a static variable"):
         compile(m, final_time=m.x)
 
 

@@ -12,10 +12,11 @@ from pyomo_quad.collocation import Mesh, compile
 def model_where_all_meets():
     """Rates, states, controls and statics, each times each, in every kind of row."""
     m = ConcreteModel()
-    m.t = ContinuousSet(bounds=(0, 1))
+    m.t = ContinuousSet(initialize=[0, 0.25, 1])
     m.x, m.v = Var(m.t), Var(m.t)
     m.u, m.p = Var(m.t, bounds=(-9, 9)), Var(initialize=1.5, bounds=(1, 2))
     m.T = Var(initialize=1.0, bounds=(0.5, 2))
+    m.half = Var(initialize=0.3, bounds=(0.1, 0.4))
     m.dx_dt, m.dv_dt = DerivativeVar(m.x, wrt=m.t), DerivativeVar(m.v, wrt=m.t)
     m.motion = Constraint(
         m.t, rule=lambda m, t: m.dx_dt[t] * (1 + m.dx_dt[t] ** 2 * m.p) == m.v[t] * m.p
@@ -34,17 +35,20 @@ def model_where_all_meets():
     return m
 
 
-@pytest.fixture(scope="module")
-def program():
+@pytest.fixture(scope="module", params=["the end is free", "two times are free"])
+def program(request):
     m = model_where_all_meets()
-    problem = compile(m, final_time=m.T)
+    interior = {0.25: m.half} if request.param == "two times are free" else {}
+    problem = compile(m, times=interior | {1: m.T})
     mesh = Mesh(breakpoints=(0.0, 0.1, 0.25, 0.5, 0.6, 1.0), degrees=(3, 1, 5, 3, 1))
     return problem.program(mesh, problem.instance())
 
 
 @pytest.fixture(scope="module")
 def point(program):
-    return 1.0 + 0.1 * np.random.default_rng(5).normal(size=program.layout.unknowns)
+    z = 1.0 + 0.1 * np.random.default_rng(5).normal(size=program.layout.unknowns)
+    z[program.layout.static_columns[-1]] *= 0.3  # the earlier time, where it is one
+    return z
 
 
 def differences(function, z):
