@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.reading.values import Instance
 
 
+# Residual at which Newton's method stops.
+_NEWTON_TOLERANCE = 1e-13
+
+
 @dataclass(frozen=True)
 class Violation:
     """The worst breach of one limit: its name, size in its own unit, bound and time."""
@@ -54,7 +58,7 @@ class Dynamics:
         self._statics = np.asarray(statics, dtype=float)
         declared = formulation.compiled.declared
         states = (*declared.states, *declared.outputs)
-        self.controls, self._determined = _controls(formulation)
+        self.controls, self._determined = split_algebraics(formulation)
         self.state_names = tuple(s.name for s in states)
         self.control_names = tuple(s.name for s in self.controls)
         self._timeline = formulation.timeline(self._statics, instance)
@@ -278,7 +282,7 @@ def _column(symbols: list[Any]) -> Any:
     return casadi.vertcat(casadi.SX(0, 1), *symbols)
 
 
-def _controls(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
+def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
     """Split the algebraic variables into controls and those that equations determine.
 
     Equality equations without rates determine algebraic variables; which ones follows from a
@@ -327,12 +331,48 @@ def _solve_linear(matrix: Any, right: Any) -> Any:
 
 
 def _implicit(rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> Any:
-    """Return the right-hand side of equations that are nonlinear in the slopes."""
+    """Return the right-hand side of equations that are nonlinear in the slopes or algebraics.
+
+    Newton's method solves only those equations that no others have to be solved for before; where
+    the others are linear in what is left, it is solved symbolically.
+    """
+    core, others = _nonlinear_core(rows, unknowns)
     parameters = casadi.vertcat(*inputs)
-    residual = casadi.Function("residual", [unknowns, parameters], [rows])
-    newton = casadi.rootfinder("slopes", "newton", residual, {"abstol": 1e-13})
-    integrand = casadi.Function("integrand", [unknowns, parameters], [rest])
+    inner = casadi.vertcat(*[unknowns[k] for k in core[1]])
+    residual = casadi.Function(
+        "residual", [inner, parameters], [casadi.vertcat(*[rows[k] for k in core[0]])]
+    )
+    newton = casadi.rootfinder("slopes", "newton", residual, {"abstol": _NEWTON_TOLERANCE})
+    solved, left = unknowns, casadi.vertcat(*[unknowns[k] for k in others[1]])
+    if others[0]:
+        linear = casadi.vertcat(*[rows[k] for k in others[0]])
+        offset = casadi.substitute(linear, left, casadi.DM.zeros(len(others[1])))
+        outer = _solve_linear(casadi.jacobian(linear, left), -offset)
+        solved = casadi.substitute(unknowns, left, outer)
+        rest = casadi.substitute(rest, left, outer)
+    outputs = [casadi.densify(solved), casadi.densify(rest)]
+    known = casadi.Function("known", [inner, parameters], outputs)
     symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
     stacked = casadi.vertcat(*symbols)
-    solved = newton(casadi.MX.zeros(unknowns.shape[0]), stacked)
-    return casadi.Function("right_hand_side", symbols, [solved, integrand(solved, stacked)])
+    found = newton(casadi.MX.zeros(inner.shape[0]), stacked)
+    return casadi.Function("right_hand_side", symbols, list(known(found, stacked)))
+
+
+def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:
+    """Return equations and unknowns that Newton's method has to solve, and those left linear.
+
+    All of them go to Newton's method where the unknowns that enter nonlinearly have not as many
+    equations of their own.
+    """
+    everything = list(range(unknowns.shape[0]))
+    jacobian = casadi.jacobian(rows, unknowns)
+    names = symbol_names(jacobian)
+    inner = [k for k in everything if unknowns[k].name() in names]
+    held: dict[int, set[int]] = {k: set() for k in everything}
+    for row, column in zip(*jacobian.sparsity().get_triplet(), strict=True):
+        held[row].add(column)
+    own = [k for k in everything if held[k] <= set(inner)]
+    if len(own) != len(inner):
+        return (everything, everything), ([], [])
+    others = [k for k in everything if k not in own], [k for k in everything if k not in inner]
+    return (own, inner), others

@@ -28,6 +28,7 @@ from pyomo_quad.collocation import (
     WarmStart,
     compile,
     diagnose,
+    split_algebraics,
 )
 from pyomo_quad.flight.plan import Failure, Plan, PlanStatus, Trajectories
 from pyomo_quad.flight.steady import SteadyFlight
@@ -554,14 +555,18 @@ def _as_far_as(stopped: Solution, problem: Problem, arguments: dict[str, Any]) -
 def _trajectories(solution: Solution) -> Trajectories:
     declared = solution.problem.compiled.declared
     costates = solution.costates
+    # What equations determine is no command: a flight solves for it.
+    controls, _ = split_algebraics(solution.problem)
+    names = {slot.name for slot in controls}
+    is_control = [slot.name in names for slot in declared.algebraics]
     return Trajectories(
         mesh=solution.mesh,
         horizon=solution.horizon,
         state_names=tuple(s.name for s in (*declared.states, *declared.outputs)),
-        control_names=tuple(s.name for s in declared.algebraics),
+        control_names=tuple(s.name for s in controls),
         costate_names=tuple(s.name for s in declared.states),
         states=np.hstack([solution.trajectory.states, solution.output_states]),
-        controls=solution.trajectory.algebraics,
+        controls=solution.trajectory.algebraics[:, is_control],
         energy=solution.running_objective,
         costates=costates.at_points,
         hamiltonian=costates.hamiltonian,

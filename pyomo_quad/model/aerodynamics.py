@@ -15,6 +15,7 @@ from pyomo.environ import Block, ConcreteModel, sqrt, units
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.tables import PowerModel
 from pyomo_quad.scenario.wind import WindCoupling
 
 # The norm of the airspeed has no derivative at zero; at 1 m/s this changes it by 5e-7.
@@ -39,12 +40,14 @@ def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
         With `time`, `vehicle`, `wind`; the velocities of `rigid_body` for the drag coupling.
     """
     b = m.aerodynamics = Block(doc="aerodynamic force")
-    if scenario.wind.coupling is WindCoupling.ACCELERATION:
+    is_drag = scenario.wind.coupling is WindCoupling.DRAG
+    if is_drag or scenario.power.model is PowerModel.MOMENTUM:
+        _declare_airspeed(b, m)
+    if is_drag:
+        _declare_drag(b, m)
+    else:
         declare_parameters(b, PARAMETERS, scenario)
         _declare_acceleration(b, m)
-    else:
-        _declare_airspeed(b, m)
-        _declare_drag(b, m)
 
 
 def _declare_acceleration(b: Block, m: ConcreteModel) -> None:
@@ -78,6 +81,8 @@ def _declare_airspeed(b: Block, m: ConcreteModel) -> None:
     def airspeed_z(b: Block, t: float) -> NumericExpression:
         return b.parent_block().rigid_body.vz[t]
 
+
+def _declare_drag(b: Block, m: ConcreteModel) -> None:
     @b.Expression(m.time, doc="drag over airspeed [kg/s]")
     def drag_coefficient(b: Block, t: float) -> NumericExpression:
         vehicle = b.parent_block().vehicle
@@ -89,8 +94,6 @@ def _declare_airspeed(b: Block, m: ConcreteModel) -> None:
         )
         return vehicle.drag_linear + vehicle.drag_quadratic * airspeed
 
-
-def _declare_drag(b: Block, m: ConcreteModel) -> None:
     @b.Expression(m.time, doc="drag along world x [N]")
     def force_x(b: Block, t: float) -> NumericExpression:
         return -b.drag_coefficient[t] * b.airspeed_x[t]

@@ -1,4 +1,4 @@
-"""The electrical power of the rotors, by five models of which a scenario chooses one.
+"""The electrical power of the rotors, by six models of which a scenario chooses one.
 
 Each is a function that declares the power of every rotor before anything is said of braking;
 regeneration then says what braking earns, all of it or nothing.  The energy of the flight is the
@@ -11,8 +11,9 @@ motor_with_friction | v i with friction in the torque | yes | no
 shaft | tau omega | yes, linear | yes
 constant_efficiency | tau omega / eta | yes | yes
 efficiency | tau omega / f_r(tau, omega) | no | no
+momentum | induced, profile and axial, in moving air: see `model.momentum` | yes | yes
 
-By default the first three earn what braking gives: v i and tau omega are balances that hold
+By default the first three and the last earn what braking gives: theirs are balances that hold
 whichever way the energy flows.  The others do not: a braking power divided by an efficiency
 would earn more than it gave.
 """
@@ -22,6 +23,7 @@ from collections.abc import Callable
 from pyomo.core.expr import NumericExpression
 from pyomo.environ import Block, ConcreteModel, Expression, units
 
+from pyomo_quad.model import momentum
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.model.smoothing import floored, positive_part
 from pyomo_quad.scenario import Scenario
@@ -97,6 +99,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
             return _EFFICIENCY_FUNCTION + guard
         case PowerModel.CONSTANT_EFFICIENCY:
             return (_CONSTANT_EFFICIENCY, *guard)
+        case PowerModel.MOMENTUM:
+            return momentum.PARAMETERS + guard
     return guard
 
 
@@ -120,7 +124,7 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `vehicle` and `rotors`.
+        With `time`, `vehicle` and `rotors`; for `momentum`, with the airspeeds too.
     """
     b = m.power = Block(doc="power, eq. (8)")
     declare_parameters(b, parameters_of(scenario), scenario)
@@ -132,7 +136,10 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
 
     @b.Expression(m.time, doc="eq. (8): power of the four rotors [W]")
     def total(b: Block, t: float) -> NumericExpression:
-        return sum(b.rotor_power[j, t] for j in b.parent_block().rotors.rotor)
+        of_rotors = sum(b.rotor_power[j, t] for j in b.parent_block().rotors.rotor)
+        if scenario.power.model is PowerModel.MOMENTUM:
+            return of_rotors + b.electronics_power
+        return of_rotors
 
 
 def declare_motor_power(m: ConcreteModel, name: str) -> None:
@@ -293,4 +300,5 @@ _MODELS: dict[PowerModel, Callable[[ConcreteModel, str], None]] = {
     PowerModel.CONSTANT_EFFICIENCY: declare_constant_efficiency_power,
     PowerModel.EFFICIENCY: declare_efficiency_power,
     PowerModel.MOTOR_WITH_FRICTION: declare_motor_power_with_friction,
+    PowerModel.MOMENTUM: momentum.declare_momentum_power,
 }

@@ -13,7 +13,7 @@ contradicts in sign and in order of derivative.  Balances are undivided, as prin
 
 from collections.abc import Callable
 
-from pyomo.core.expr import RelationalExpression
+from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
 from pyomo.environ import Block, ConcreteModel, Var, cos, sin, units
 
@@ -117,25 +117,33 @@ def _declare_kinematics(b: Block, m: ConcreteModel) -> None:
         return b.dpsi_dt[t] == b.r[t]
 
 
+def thrust_axis(b: Block, t: float) -> tuple[NumericExpression, ...]:
+    """Return body z, along which the rotors push, in world axes."""
+    phi, theta, psi = b.phi[t], b.theta[t], b.psi[t]
+    return (
+        cos(phi) * sin(theta) * cos(psi) + sin(phi) * sin(psi),
+        cos(phi) * sin(theta) * sin(psi) - sin(phi) * cos(psi),
+        cos(phi) * cos(theta),
+    )
+
+
 def _declare_force_balances(b: Block, m: ConcreteModel) -> None:
     @b.Constraint(m.time, doc="eq. (6) row 1: force balance along world x [N]")
     def x_momentum_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
-        phi, theta, psi = b.phi[t], b.theta[t], b.psi[t]
-        thrust = (cos(phi) * sin(theta) * cos(psi) + sin(phi) * sin(psi)) * m.rotors.total_thrust[t]
+        thrust = thrust_axis(b, t)[0] * m.rotors.total_thrust[t]
         return m.vehicle.mass * b.dvx_dt[t] == thrust + m.aerodynamics.force_x[t]
 
     @b.Constraint(m.time, doc="eq. (6) row 2: force balance along world y [N]")
     def y_momentum_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
-        phi, theta, psi = b.phi[t], b.theta[t], b.psi[t]
-        thrust = (cos(phi) * sin(theta) * sin(psi) - sin(phi) * cos(psi)) * m.rotors.total_thrust[t]
+        thrust = thrust_axis(b, t)[1] * m.rotors.total_thrust[t]
         return m.vehicle.mass * b.dvy_dt[t] == thrust + m.aerodynamics.force_y[t]
 
     @b.Constraint(m.time, doc="eq. (6) row 3: vertical force balance [N]")
     def z_momentum_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
-        thrust = cos(b.phi[t]) * cos(b.theta[t]) * m.rotors.total_thrust[t]
+        thrust = thrust_axis(b, t)[2] * m.rotors.total_thrust[t]
         weight = m.vehicle.mass * m.vehicle.gravity
         return m.vehicle.mass * b.dvz_dt[t] == thrust - weight + m.aerodynamics.force_z[t]
 

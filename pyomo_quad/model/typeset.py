@@ -75,6 +75,22 @@ _POWER_SYMBOL = {
     "torque_floor": r"\tau_{min}",
     "smoothing": r"\varepsilon",
     "torque_with_friction": r"\tau^{f}",
+    "rotor_radius": "R",
+    "air_density": r"\rho",
+    "disc_area": "A",
+    "induced_power_factor": "k_i",
+    "profile_power_coefficient": "c_0",
+    "profile_advance_factor": "K",
+    "climb_power_factor": "k_c",
+    "descent_power_factor": "k_d",
+    "electronics_power": "P_e",
+    "induced_velocity": "v_i",
+    "axial_airspeed": "v_a",
+    "in_plane_airspeed_squared": "v_p^2",
+    "axial_power_over_thrust": r"\kappa v_a",
+    "acceleration_power": r"P_\alpha",
+    "rotor_thrust": "T",
+    "profile_power": "P_0",
     **{
         f"efficiency_map[{row},{column}]": f"{column}_{number}"
         for number, row in enumerate(("cubic", "quadratic", "linear", "constant"), start=1)

@@ -30,6 +30,7 @@ POWER_WORDS = {
     PowerModel.SHAFT: "shaft power",
     PowerModel.CONSTANT_EFFICIENCY: "shaft power over a constant efficiency",
     PowerModel.MOTOR_WITH_FRICTION: "electrical power of the motors, with their friction",
+    PowerModel.MOMENTUM: "momentum theory, blade drag and climb in moving air",
 }
 
 COUPLING_WORDS = {

@@ -17,6 +17,7 @@ from pyomo_quad.scenario.tables import (
     Limits,
     Mission,
     Power,
+    PowerModel,
     Solver,
     Vehicle,
 )
@@ -190,6 +191,11 @@ class Scenario(Part):
     def _check_hover(self, source: str) -> None:
         if self.model is not None:
             return  # the user's own model need not hover
+        if self.power.model is PowerModel.MOMENTUM and self.vehicle.rotor_radius is None:
+            raise ScenarioError(
+                f"{source}: vehicle.rotor_radius is missing; power.model momentum needs the radius "
+                "of one rotor in m."
+            )
         needed = self.vehicle.hover_speed(self.gravity)
         if needed > self.limits.rotor_speed_max:
             raise FeasibilityError(

@@ -209,11 +209,17 @@ class PowerModel(StrEnum):
     SHAFT = "shaft"
     CONSTANT_EFFICIENCY = "constant_efficiency"
     MOTOR_WITH_FRICTION = "motor_with_friction"
+    MOMENTUM = "momentum"
 
 
 # Their power is a balance that holds whichever way the energy flows; to divide a braking power by
 # an efficiency would make braking earn more than it gave.
-_REGENERATING = (PowerModel.MOTOR, PowerModel.SHAFT, PowerModel.MOTOR_WITH_FRICTION)
+_REGENERATING = (
+    PowerModel.MOTOR,
+    PowerModel.SHAFT,
+    PowerModel.MOTOR_WITH_FRICTION,
+    PowerModel.MOMENTUM,
+)
 
 
 class Power(Part):
@@ -235,6 +241,13 @@ class Power(Part):
         gt=0,
         le=1,
         sound=Sound(1e-4, 1, "less would mean a power of thousands of times the useful one"),
+    )
+    air_density: Number = quantity(
+        "kg/m^3",
+        "momentum: density of the air",
+        1.225,
+        gt=0,
+        sound=Sound(1e-3, 100, "it is 1.225 at sea level and 0.02 on Mars"),
     )
     regeneration: Flag = quantity(
         "", "whether braking earns energy back, default by power model", False
@@ -415,6 +428,38 @@ class Vehicle(Part):
         sound=Sound(0, 1e3, "a hundred square metres across the flow have about 1e2"),
     )
     efficiency_map: EfficiencyMap = quantity("", "the recovered efficiency function f_r")
+    rotor_radius: Number | None = quantity(
+        "m",
+        "momentum: radius of one rotor (R)",
+        None,
+        gt=0,
+        sound=Sound(1e-3, 100, "rotors reach from a millimetre to a hundred metres"),
+    )
+    induced_power_factor: Number = quantity(
+        "1", "momentum: induced power over that of an ideal rotor", 1.0, ge=1, le=10
+    )
+    profile_power_coefficient: Number = quantity(
+        "1", "momentum: profile power over thrust^1.5 / sqrt(density * disc area)", 0.0, ge=0, le=10
+    )
+    profile_advance_factor: Number = quantity(
+        "1", "momentum: growth of profile power with the advance ratio squared", 4.65, ge=0, le=100
+    )
+    climb_power_factor: Number = quantity(
+        "1", "momentum: power over thrust times axial airspeed, in climb", 1.0, ge=0, le=10
+    )
+    descent_power_factor: Number = quantity(
+        "1", "momentum: power over thrust times axial airspeed, in descent", 1.0, ge=0, le=10
+    )
+    electronics_power: Number = quantity(
+        "W",
+        "momentum: power of all but the motors",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e5, "electronics in flight draw milliwatts to kilowatts"),
+    )
+    anemometer_factor: Number = quantity(
+        "1", "logs: true airspeed over the reading of the vehicle's anemometer", 1.0, gt=0, le=10
+    )
 
     @property
     def total_mass(self) -> float:

@@ -259,6 +259,11 @@ def _obstacle(scenario: Scenario) -> str:
             "power.model efficiency has no bound: its power is not convex in the rotor "
             "acceleration, so flights that accelerate and coast in turn can undercut it."
         )
+    if scenario.power.model is PowerModel.MOMENTUM:
+        return (
+            "power.model momentum has no bound: its power depends on the airspeed, so the least "
+            "power of hover bounds no flight."
+        )
     if scenario.limits.rotor_speed_min >= scenario.limits.rotor_speed_max:
         return _IMPOSSIBLE
     return ""

@@ -126,3 +126,49 @@ def battery(charge, power, cell, series, parallel):
     current = np.min(np.roots([pack_resistance, -open_circuit, power]).real)
     voltage = open_circuit - pack_resistance * current
     return 100 * (1 - drawn / capacity), open_circuit, voltage, current
+
+
+# A Matrice 100, for the momentum model: mass, thrust and drag of a rotor, drum and motor.
+M100 = {
+    "mass": 3.715, "kb": 3.7e-5, "radius": 0.1651, "density": 1.17, "induced": 1.12,
+    "profile": 0.55, "advance": 4.65, "climb": 1.03, "descent": 0.47, "electronics": 10.0,
+    "drum": 1.4e-4, "kt": 0.0273, "resistance": 0.12,
+}  # fmt: skip
+
+
+def airflow(body, wind_velocity):
+    """Airspeed along the thrust and the size of that across it."""
+    air = body[3:6] - wind_velocity
+    axis = rotation(*body[6:9]) @ UP
+    return axis @ air, np.linalg.norm(air - (axis @ air) * axis)
+
+
+def induced_velocity(thrust, axial, in_plane, density, disc_area):
+    """Glauert's equation with a term of the descent that leaves one root, by bisection."""
+    sinking = 0.5 * (np.sqrt(axial**2 + 1e-4) - axial)
+
+    def excess(v):
+        flow = np.sqrt(in_plane**2 + (axial + v) ** 2 + sinking**2 / 7.67 + 1e-4)
+        return 2 * density * disc_area * flow * v - thrust
+
+    low, high = 0.0, 1e3
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if excess(middle) < 0 else (low, middle)
+    return 0.5 * (low + high)
+
+
+def momentum_power(body, omega, alpha, wind_velocity, craft):
+    """Power of each rotor, and of all with the electronics, with v_i; SI units throughout."""
+    axial, in_plane = airflow(body, wind_velocity)
+    thrusts, area = craft["kb"] * omega**2, np.pi * craft["radius"] ** 2
+    v_i = induced_velocity(thrusts.sum(), axial, in_plane, craft["density"], 4 * area)
+    climbing = 0.5 * (1 + axial / np.hypot(axial, 0.5))
+    factor = craft["climb"] * climbing + craft["descent"] * (1 - climbing)
+    advance_ratio = in_plane / (omega * craft["radius"])
+    profile = craft["profile"] * thrusts**1.5 / np.sqrt(craft["density"] * area)
+    profile *= 1 + craft["advance"] * advance_ratio**2
+    torque = craft["drum"] * alpha
+    accelerating = torque * omega + craft["resistance"] * (torque / craft["kt"]) ** 2
+    each = thrusts * (craft["induced"] * v_i + factor * axial) + profile + accelerating
+    return each, each.sum() + craft["electronics"], v_i

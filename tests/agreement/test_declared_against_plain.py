@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from pyomo.environ import Constraint
+from pyomo.environ import Constraint, units, value
+from pyomo.util.check_units import assert_units_consistent, assert_units_equivalent
 
 from pyomo_quad.model import build_model
 from tests.agreement import plain_quadrotor as plain
@@ -104,6 +105,56 @@ def test_power_of_each_rotor(power, expected):
         size = np.maximum(np.abs(plain.shaft_torque(omega, alpha) * omega), 1.0)
         assert np.all(np.abs(found - expected(omega, alpha)) <= AGREEMENT * 20 * size)
         assert instant.read("power.total") == pytest.approx(found.sum(), rel=AGREEMENT)
+
+
+def momentum_instant():
+    craft = plain.M100
+    vehicle = {
+        "use": "dji_matrice_100",
+        "mass": craft["mass"],
+        "rotor_radius": craft["radius"],
+        "thrust_coefficient": craft["kb"],
+        "induced_power_factor": craft["induced"],
+        "profile_power_coefficient": craft["profile"],
+        "profile_advance_factor": craft["advance"],
+        "climb_power_factor": craft["climb"],
+        "descent_power_factor": craft["descent"],
+        "electronics_power": craft["electronics"],
+        "rotor_inertia": craft["drum"],
+        "torque_constant": craft["kt"],
+        "motor_resistance": craft["resistance"],
+    }
+    return Instant.of(
+        vehicle=vehicle,
+        wind={"use": "paper_table_2", "coupling": "drag"},
+        power={"model": "momentum", "air_density": craft["density"]},
+    )
+
+
+def test_momentum_power():
+    instant = momentum_instant()
+    for body, omega, alpha in random_states(5):
+        # Without the smooth floor at zero that only other models have.
+        each, total, v_i = plain.momentum_power(
+            body, omega, alpha, plain.wind(instant.t), plain.M100
+        )
+        instant.set(body, omega, alpha)
+        instant.model.power.induced_velocity[instant.t].set_value(v_i)
+        size = max(1.0, float(np.max(np.abs(each))))
+        np.testing.assert_allclose(
+            instant.rotors("power.rotor_power"), each, atol=10 * AGREEMENT * size
+        )
+        assert instant.read("power.total") == pytest.approx(total, abs=10 * AGREEMENT * size)
+        balance = instant.model.power.induced_velocity_balance[instant.t]
+        assert value(balance.body) == pytest.approx(value(balance.upper), abs=100 * AGREEMENT)
+
+
+def test_units_of_momentum_power():
+    model = momentum_instant().model
+    assert_units_consistent(model)
+    t, power = model.time.first(), model.power
+    assert_units_equivalent(power.total[t], units.W)
+    assert_units_equivalent(power.induced_velocity[t], units.m / units.s)
 
 
 def test_motor_current_and_voltage():

@@ -36,7 +36,7 @@ REFUSED = {
     "duration = 4.0": "unknown key duration; did you mean mission.duration?",
     "power.zzz = 1": (
         "unknown key power.zzz; known keys here: model, efficiency, torque_floor, "
-        "efficiency_floor, regeneration, smoothing."
+        "efficiency_floor, air_density, regeneration, smoothing."
     ),
     "vehicle.mass = -1.3": "vehicle.mass = -1.3 kg; must be > 0.",
     "vehicle.payload = -0.1": "vehicle.payload = -0.1 kg; must be >= 0.",
@@ -44,11 +44,11 @@ REFUSED = {
     "vehicle.use = 7": "vehicle.use = 7; must be text in quotes.",
     'vehicle.use = "dji_phantom"': (
         "vehicle.use = \"dji_phantom\"; no vehicle named 'dji_phantom'; "
-        "there are dji_phantom_2; did you mean dji_phantom_2?"
+        "there are dji_matrice_100, dji_phantom_2; did you mean dji_phantom_2?"
     ),
     'battery.use = "lead"': (
         "battery.use = \"lead\"; no battery named 'lead'; "
-        "there are paper_cell, phantom_2_pack; choose one of these."
+        "there are matrice_100_pack, paper_cell, phantom_2_pack; choose one of these."
     ),
     'wind.forecast.use = "paper_table"': (
         "wind.forecast.use = \"paper_table\"; no wind named 'paper_table'; "
@@ -60,7 +60,7 @@ REFUSED = {
     ),
     'power.model = "motr"': (
         "power.model = \"motr\"; must be one of 'motor', 'efficiency', 'shaft', "
-        "'constant_efficiency' or 'motor_with_friction'."
+        "'constant_efficiency', 'motor_with_friction' or 'momentum'."
     ),
     "mission.target = 1": "unknown key mission.target; did you mean mission.goal?",
     "power.regeneration = 1": "power.regeneration = 1; must be true or false.",
@@ -185,6 +185,16 @@ INFEASIBLE = {
         "raise the limit or lower the mass."
     ),
 }
+
+
+def test_momentum_needs_a_radius(tmp_path):
+    file = write_scenario(tmp_path, 'power.model = "momentum"')
+    with pytest.raises(ScenarioError, match=r"vehicle\.rotor_radius is missing") as caught:
+        load_scenario(file)
+    assert one_line(caught) == (
+        f"{file}: vehicle.rotor_radius is missing; power.model momentum needs the radius of one "
+        "rotor in m."
+    )
 
 
 def one_line(caught):

@@ -23,7 +23,10 @@ EVERY_LIMIT = {
 @pytest.mark.parametrize("power", list(PowerModel))
 def test_every_equation_is_consistent(power, coupling):
     wind = {"use": "paper_table_2", "coupling": coupling.value}
-    model = build_model(scenario(power={"model": power.value}, wind=wind, limits=EVERY_LIMIT))
+    vehicle = {"rotor_radius": 0.12}
+    model = build_model(
+        scenario(power={"model": power.value}, wind=wind, limits=EVERY_LIMIT, vehicle=vehicle)
+    )
     assert inspect_model(model).unit_errors == ()
 
 

@@ -11,8 +11,8 @@ ENTRIES = [(kind, name) for kind in LIBRARY_KINDS for name in library_names(kind
 
 
 def test_names():
-    assert library_names("vehicles") == ("dji_phantom_2",)
-    assert library_names("batteries") == ("paper_cell", "phantom_2_pack")
+    assert library_names("vehicles") == ("dji_matrice_100", "dji_phantom_2")
+    assert library_names("batteries") == ("matrice_100_pack", "paper_cell", "phantom_2_pack")
     assert library_names("winds") == ("calm", "constant", "paper_table_2")
 
 

@@ -62,6 +62,10 @@ def test_momentum_demand_is_read_off_the_declared_balance():
     [
         ({"power": {"model": "efficiency"}}, "power.model efficiency has no bound"),
         (
+            {"vehicle": {"use": "dji_matrice_100"}, "power": {"model": "momentum"}},
+            "power.model momentum has no bound",
+        ),
+        (
             {"wind": {"use": "calm", "coupling": "drag"}, "vehicle": {"drag_quadratic": 0.01}},
             "vehicle.drag_quadratic = 0.01 kg/m: with quadratic drag",
         ),
