@@ -1,38 +1,56 @@
 """Minimum-energy quadrotor flight in wind, declared, solved, verified and compared.
 
-`load_scenario` reads a scenario, `solve` returns its `Plan`, and `build_model` returns the Pyomo
-model that is solved.
+`load_scenario` reads a scenario, `solve` returns its `Plan`, `run_scenario` flies the baselines
+beside it, `export_plan` hands it to an autopilot, and `build_model` returns the Pyomo model that is
+solved.
 """
 
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from pyomo_quad.exports import export_plan
     from pyomo_quad.flight import Plan
     from pyomo_quad.model import build_model
     from pyomo_quad.scenario import Scenario, load_scenario
+    from pyomo_quad.study.run import run_scenario
 
-__all__ = ["Plan", "Scenario", "__version__", "build_model", "load_scenario", "solve"]
+__all__ = [
+    "Plan",
+    "Scenario",
+    "__version__",
+    "build_model",
+    "export_plan",
+    "load_scenario",
+    "run_scenario",
+    "solve",
+]
 
 # Pyomo, CasADi and SciPy take over a second to import: only who uses them waits for them.
 _HOMES = {
     "Plan": "pyomo_quad.flight",
     "Scenario": "pyomo_quad.scenario",
     "build_model": "pyomo_quad.model",
+    "export_plan": "pyomo_quad.exports",
     "load_scenario": "pyomo_quad.scenario",
+    "run_scenario": "pyomo_quad.study.run",
 }
 
 
-def solve(scenario: "Scenario | str | Path", *, allow_code: bool = False) -> "Plan":
+def solve(
+    scenario: "Scenario | str | Path | Mapping[str, Any]", *, allow_code: bool = False
+) -> "Plan":
     """Solve a scenario and verify the plan by flying it.
 
     Parameters
     ----------
-    scenario : Scenario, str or Path
-        A scenario, or the TOML file of one.
+    scenario : Scenario, str, Path or mapping
+        A scenario, the TOML file of one, or nested mappings that say what one would.
     allow_code : bool, default False
         Whether a model builder that the scenario names may run.
 
@@ -50,9 +68,9 @@ def solve(scenario: "Scenario | str | Path", *, allow_code: bool = False) -> "Pl
     """
     from pyomo_quad.flight.planning import solve_scenario  # noqa: PLC0415
     from pyomo_quad.model import model_builder  # noqa: PLC0415
-    from pyomo_quad.scenario import load_scenario  # noqa: PLC0415
+    from pyomo_quad.scenario import Scenario, load_scenario  # noqa: PLC0415
 
-    resolved = load_scenario(scenario) if isinstance(scenario, str | Path) else scenario
+    resolved = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     builder = model_builder(resolved, is_code_allowed=allow_code)
     return solve_scenario(resolved, builder=builder)
 
@@ -64,4 +82,4 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401  as wide as the names it serv
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

@@ -10,8 +10,9 @@ import typer
 from pyomo_quad.cli.commands import compare, fly, run, solve
 from pyomo_quad.cli.endings import ExitCode, Stopped, before_the_end
 from pyomo_quad.cli.exporting import export
-from pyomo_quad.cli.looking import check, library, schema
+from pyomo_quad.cli.looking import check, init, library, schema
 from pyomo_quad.cli.paper import paper
+from pyomo_quad.cli.plotting import plot
 from pyomo_quad.cli.sweeping import sweep, sweep_report
 from pyomo_quad.cli.terminal import claim_streams, complain, gives_up_output
 from pyomo_quad.report.folder import discard_unfinished
@@ -24,10 +25,10 @@ _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 app = typer.Typer(
     name="pyomo-quad",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     help="Minimum-energy quadrotor flight in wind: solve, verify, compare, report.",
 )
+app.command()(init)
 app.command()(run)
 app.command()(solve)
 app.command()(compare)
@@ -36,6 +37,7 @@ app.command()(library)
 app.command()(schema)
 app.command()(fly)
 app.command()(export)
+app.command()(plot)
 app.command()(paper)
 app.command()(sweep)
 app.command()(sweep_report)

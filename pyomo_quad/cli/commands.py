@@ -150,18 +150,19 @@ def compare(
     *,
     out: ComparisonOutput = _COMPARISON_FOLDER,
     overrides: Overrides = None,
+    figures: FigureChoice = Figures.ALL,
     quiet: Quiet = False,
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Put the flights of many scenarios into one table.
+    """Put the flights of many scenarios into one table, with a figure and a page.
 
     A finished run that matches is taken from its folder.
     """
     missions = [load_scenario(file, overrides or ()) for file in scenarios]
     refuse_output_folder(out)
     from pyomo_quad.cli import solving  # noqa: PLC0415  takes a second, see there
-    from pyomo_quad.report.report import find_run, write_comparison  # noqa: PLC0415
+    from pyomo_quad.report.report import find_run, write_compare_report  # noqa: PLC0415
     from pyomo_quad.study.comparison import combine  # noqa: PLC0415
 
     is_quiet = quiet or as_json
@@ -181,7 +182,9 @@ def compare(
                 print(f"{mission.name}: taken from {folder}, which holds this very run.")
             records.append(record)
         comparison = combine([record.comparison for record in records])
-        write_comparison(aside, comparison)
+        write_compare_report(
+            aside, comparison, is_good=status is ExitCode.VERIFIED, figures=figures
+        )
         summary = {"runs": [record.summary for record in records]}
         write_summary(aside, summary)
     lines = [solving.comparison_table(comparison)]

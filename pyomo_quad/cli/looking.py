@@ -1,4 +1,4 @@
-"""`pyomo-quad check`, `library` and `schema`: what a scenario holds, can name and can say."""
+"""`pyomo-quad init`, `check`, `library`, `schema`: begin a scenario, and see what it can say."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -33,6 +33,7 @@ from pyomo_quad.scenario import (
     load_scenario,
 )
 from pyomo_quad.scenario.description import editor_schema, writable_fields
+from pyomo_quad.scenario.shipped import shipped_scenarios, started_scenario
 
 if TYPE_CHECKING:
     from pyomo_quad.model.inspection import ModelInspection
@@ -166,6 +167,53 @@ def _show_entry(entry: LibraryEntry, *, as_json: bool) -> None:
     result_console().print(table)
 
 
+def init(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="Of the scenario and of its file.")
+    ] = None,
+    *,
+    template: Annotated[
+        str,
+        typer.Option(
+            "--from",
+            metavar="NAME",
+            help="A shipped scenario: paper, paper_wind, ...",
+            autocompletion=lambda: list(shipped_scenarios()),
+        ),
+    ] = "paper",
+    quiet: Quiet = False,
+) -> int:
+    """Write a commented scenario that runs, and the schema by which editors complete it."""
+    own = template if name is None else name
+    text = started_scenario(template, own)
+    schema_file = Path("scenario.schema.json")
+    for file, content in (
+        (Path(f"{own}.toml"), text),
+        (schema_file, _schema_text(Scenario, "scenario", _REQUIRED)),
+    ):
+        if file == schema_file and file.exists():
+            continue
+        _write_new(file, content)
+    if not quiet:
+        print(f"Written to {own}.toml. Fly it: pyomo-quad run {own}.toml")
+    return ExitCode.VERIFIED
+
+
+def _write_new(file: Path, text: str) -> None:
+    try:
+        with file.open("x", encoding="utf-8", newline="\n") as stream:
+            stream.write(text)
+    except FileExistsError:
+        raise ScenarioError(f"{file}: is there already; give another NAME or move it.") from None
+
+
+_REQUIRED = ("name", "mission")
+
+
+def _schema_text(model: type[BaseModel], kind: str, required: tuple[str, ...]) -> str:
+    return f"{json.dumps(editor_schema(model, f'pyomo_quad {kind}', required), indent=1)}\n"
+
+
 _README = """# Scenarios and studies
 
 A scenario is one mission, run with `pyomo-quad run FILE`; a study varies fields of one, run with
@@ -192,13 +240,12 @@ def schema(
     from pyomo_quad.sweep.study_file import Study  # noqa: PLC0415  NumPy takes a moment
 
     kinds: dict[str, tuple[type[BaseModel], tuple[str, ...]]] = {
-        "scenario": (Scenario, ("name", "mission")),
+        "scenario": (Scenario, _REQUIRED),
         "study": (Study, ("name", "scenario", "axis")),
     }
     pages = {"README.md": _README}
     for kind, (model, required) in kinds.items():
-        text = json.dumps(editor_schema(model, f"pyomo_quad {kind}", required), indent=1)
-        pages[f"{kind}.schema.json"] = f"{text}\n"
+        pages[f"{kind}.schema.json"] = _schema_text(model, kind, required)
         pages["README.md"] += f"\n## Fields of a {kind}\n\n" + "\n".join(_field_rows(model)) + "\n"
     if not out.is_dir():
         raise ScenarioError(f"--out {out}: is no folder; make it first.")

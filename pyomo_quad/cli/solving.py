@@ -29,6 +29,7 @@ from pyomo_quad.model import model_builder
 from pyomo_quad.report.folder import output_folder
 from pyomo_quad.report.report import RunRecord
 from pyomo_quad.report.tables import (
+    FLIGHT_NAME,
     flight_summary,
     summary_text,
     write_plan_table,
@@ -148,9 +149,6 @@ def make_run(planner: Planner, scenario: Scenario, folder: Path) -> tuple[RunRec
     return RunRecord.of(result), exit_code_of(result.plan)
 
 
-_FLIGHT_NAME = "flight.csv"
-
-
 def make_plan(planner: Planner, scenario: Scenario) -> Plan | ExitCode:
     """Make the plan that a flight follows, or return the status to end with."""
     plan = planner.solve(scenario)
@@ -196,7 +194,7 @@ def write_flight(
         arrived=has_arrived(flight),
         wall_s=wall_s,
     )
-    write_table(flight.frame, folder / _FLIGHT_NAME)
+    write_table(flight.frame, folder / FLIGHT_NAME)
     write_summary(folder, summary)
     return summary
 

@@ -76,34 +76,53 @@ def _send_to_nowhere(descriptor: int) -> None:
 
 
 _REFRESHES_PER_SECOND = 8
+_SECONDS_BETWEEN_LINES = 10.0  # in a log; of a solve that is shorter it says nothing
 
 
 @contextmanager
 def live_line(*, is_quiet: bool) -> Iterator[Callable[["Iteration"], None] | None]:
     """Show a line on the terminal that follows the solver.
 
+    Where standard error is no terminal, a plain line follows it every few seconds instead.
+
     Yields
     ------
     callable or None
-        To call at each iteration; None when quiet or when standard error is no terminal.
+        To call at each iteration; None when quiet.
     """
-    console = error_console()
-    if is_quiet or not console.is_terminal:
+    if is_quiet:
         yield None
         return
+    console = error_console()
     started = perf_counter()
+    if not console.is_terminal:
+        yield _plain_lines(started)
+        return
     with Live(console=console, refresh_per_second=_REFRESHES_PER_SECOND, transient=True) as live:
 
         def follow(now: "Iteration") -> None:
-            live.update(
-                Text(
-                    f"iteration {now.iteration:4d}   energy {now.objective:10.3f} J   "
-                    f"infeasibility {now.infeasibility:8.1e}   {now.mesh_points} points   "
-                    f"{perf_counter() - started:5.1f} s"
-                )
-            )
+            live.update(Text(_state_of(now, perf_counter() - started)))
 
         yield follow
+
+
+def _plain_lines(started: float) -> Callable[["Iteration"], None]:
+    next_at = started + _SECONDS_BETWEEN_LINES
+
+    def follow(now: "Iteration") -> None:
+        nonlocal next_at
+        if (moment := perf_counter()) >= next_at:
+            next_at = moment + _SECONDS_BETWEEN_LINES
+            complain(_state_of(now, moment - started))
+
+    return follow
+
+
+def _state_of(now: "Iteration", elapsed_s: float) -> str:
+    return (
+        f"iteration {now.iteration:4d}   energy {now.objective:10.3f} J   "
+        f"infeasibility {now.infeasibility:8.1e}   {now.mesh_points} points   {elapsed_s:5.1f} s"
+    )
 
 
 _MOST_DIGITS = 9

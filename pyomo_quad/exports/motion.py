@@ -1,21 +1,19 @@
 """What a plan says of the vehicle's motion, at any time: read from a plan or from its report."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NoReturn, Self
+from typing import Self
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pyomo_quad.collocation import Mesh, TranscriptionError, interpolate, interpolate_rates
 from pyomo_quad.flight import COLUMNS, Plan, PlanStatus
 from pyomo_quad.flight.flight import POSITION_STATES, TIME
-from pyomo_quad.report.tables import PLAN_NAME, SUMMARY_NAME
+from pyomo_quad.report.tables import PLAN_NAME, SUMMARY_NAME, read_report, refuse_report
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.messages import printable, shown
 
@@ -25,8 +23,6 @@ VELOCITY_STATES = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")
 ATTITUDE_STATES = ("rigid_body.phi", "rigid_body.theta", "rigid_body.psi")
 RATE_STATES = ("rigid_body.p", "rigid_body.q", "rigid_body.r")
 
-# Of a report's table or summary: what a run of a day would write is far below.
-_LARGEST_FILE = 256 * 1024 * 1024
 _AGAIN = "solve the scenario again"
 
 
@@ -86,19 +82,18 @@ class Motion:
 
     @classmethod
     def _of_report(cls, folder: Path) -> Self:
-        summary = _summary(folder)
+        summary, frame = read_report(folder)
         name, status, degrees = (summary.get(key) for key in ("scenario", "status", "mesh"))
         degrees = degrees.get("degrees") if isinstance(degrees, dict) else None
         is_whole = isinstance(degrees, list) and all(type(degree) is int for degree in degrees)
         if not isinstance(name, str) or not isinstance(status, str) or not is_whole:
-            _refuse(folder / SUMMARY_NAME, "is not the summary of a solve")
+            refuse_report(folder / SUMMARY_NAME, "is not the summary of a solve")
         _refuse_unverified(printable(name), printable(status))
-        frame = _table(folder / PLAN_NAME)
         shown_states = [c for c in COLUMNS if c.index is None and c.name in frame]
         states = frame[[column.name for column in shown_states]].to_numpy(dtype=float)
         times = frame[TIME].to_numpy(dtype=float)
         if len(times) != sum(degrees or ()) + 1:
-            _refuse(
+            refuse_report(
                 folder / PLAN_NAME,
                 f"has {len(times)} rows, not one for each of the mesh's {sum(degrees or ()) + 1} "
                 "nodes, as --rate makes it",
@@ -113,7 +108,7 @@ class Motion:
         try:
             _ = motion.mesh
         except TranscriptionError as error:
-            _refuse(folder, f"holds no mesh ({str(error).rstrip('.')})")
+            refuse_report(folder, f"holds no mesh ({str(error).rstrip('.')})")
         return motion
 
     @cached_property
@@ -195,48 +190,3 @@ def _refuse_unverified(name: str, status: str) -> None:
             f"{name}: status = {shown(status)}; must be verified, for nothing else is to be flown; "
             f"{_AGAIN}."
         )
-
-
-def _summary(folder: Path) -> dict[str, Any]:
-    file = folder / SUMMARY_NAME
-    try:
-        summary = json.loads(_read(file))
-    except (ValueError, RecursionError):
-        _refuse(file, "is not valid JSON")
-    return summary if isinstance(summary, dict) else {}
-
-
-def _table(file: Path) -> pd.DataFrame:
-    _read(file)
-    try:
-        frame = pd.read_csv(file)
-    except (ValueError, pd.errors.ParserError):
-        _refuse(file, "is not a CSV table")
-    if TIME not in frame:
-        _refuse(file, f"has no column {TIME}")
-    numbers = frame[[TIME, *(column.name for column in COLUMNS if column.name in frame)]]
-    if any(kind.kind not in "fi" for kind in numbers.dtypes):
-        _refuse(file, "holds texts among its numbers")
-    if len(numbers) < 2 or not np.isfinite(numbers.to_numpy(dtype=float)).all():
-        _refuse(file, "holds no flight of finite numbers")
-    if not (np.diff(numbers[TIME]) > 0.0).all():
-        _refuse(file, f"{TIME} does not increase from row to row")
-    return numbers
-
-
-def _read(file: Path) -> bytes:
-    try:
-        with file.open("rb") as stream:
-            content = stream.read(_LARGEST_FILE + 1)
-    except OSError as error:
-        raise ScenarioError(
-            f"{file}: cannot be read ({error.strerror or error}); give a file of Plan.save, or the "
-            "report folder of a run or a solve."
-        ) from None
-    if len(content) > _LARGEST_FILE:
-        _refuse(file, f"holds more than {_LARGEST_FILE} bytes")
-    return content
-
-
-def _refuse(file: Path, what: str) -> NoReturn:
-    raise ScenarioError(f"{printable(str(file))}: {what}; {_AGAIN}.") from None

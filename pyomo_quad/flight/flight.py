@@ -10,6 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from pyomo_quad.collocation import Summarised
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -117,8 +119,8 @@ class Flown:
     energy: FloatArray
 
 
-@dataclass(frozen=True, kw_only=True)
-class Flight:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Flight(Summarised):
     """One flight of a mission.
 
     Attributes
@@ -159,6 +161,17 @@ class Flight:
     wall_s: float
     owed_energy_J: float = 0.0
     broken_limits: tuple[str, ...] = ()
+
+    @property
+    def summary(self) -> dict[str, str]:
+        """Name, energy, end and duration."""
+        return {
+            "flight": self.name,
+            "energy": f"{self.energy_J:.2f} J",
+            "duration": f"{self.duration_s:g} s",
+            "miss of the goal": f"{self.terminal_miss_m:.2g} m",
+            "verified": "yes" if self.is_verified else "no",
+        }
 
     def priced(self, end_prices: Mapping[str, float]) -> Flight:
         """Return the flight with what its end owes at a plan's `end_prices`, NaN without any."""

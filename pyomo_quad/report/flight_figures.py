@@ -48,6 +48,7 @@ from pyomo_quad.study.comparison import (
     ESTIMATED,
     FAIR_BASELINE,
     TRUE,
+    ComparisonColumn,
 )
 
 if TYPE_CHECKING:
@@ -292,6 +293,8 @@ def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
 
 _ROW, _EDGES = 0.32, 0.95  # inches
 _BAR = 0.62  # of the row
+_ABSENT = 0.35  # opacity
+_TITLE = 0.35  # inches
 _NUMBER_ROOM = 1.28  # the axis goes on past the longest bar for the numbers beside the bars
 
 
@@ -347,6 +350,32 @@ def draw_excess(
     axes.invert_yaxis()
 
 
+def draw_excess_by_scenario(comparison: pd.DataFrame) -> Figure:
+    """Draw one bar per flight for its energy above hovering, a panel per scenario, one scale."""
+    scenarios = list(comparison.groupby(ComparisonColumn.SCENARIO, sort=False))
+    counts = [len(rows) for _, rows in scenarios]
+    height = _EDGES + _ROW * sum(counts) + _TITLE * len(counts)
+    figure = Figure(figsize=(FULL_WIDTH, height))
+    panels = figure.subplots(len(counts), 1, sharex=True, squeeze=False, height_ratios=counts)
+    figure.subplots_adjust(
+        left=0.24, right=0.99, top=1 - 0.3 / height, bottom=0.5 / height, hspace=0.35
+    )
+    for axes, (name, rows) in zip(panels.flat, scenarios, strict=True):
+        names = tuple(rows[ComparisonColumn.FLIGHT])
+        excess = rows[ComparisonColumn.EXCESS_ENERGY].to_numpy(dtype=float)
+        arrived = rows[ComparisonColumn.ARRIVED].astype(bool)
+        for row, style in enumerate(flight_styles(names).values()):
+            opacity = 1.0 if arrived.iloc[row] else _ABSENT
+            axes.barh(row, excess[row], color=style.color, height=_BAR, alpha=opacity)
+        axes.set_yticks(range(len(names)), names)
+        axes.invert_yaxis()
+        axes.set_title(str(name))
+        _write_values(axes, excess.tolist())
+    _make_room(panels[-1, 0], comparison[ComparisonColumn.EXCESS_ENERGY].tolist())
+    panels[-1, 0].set_xlabel("Energy above hovering (J)")
+    return figure
+
+
 def _look(flight: StyledFlight) -> dict[str, Any]:
     style = flight.style
     return {
@@ -359,6 +388,11 @@ def _look(flight: StyledFlight) -> dict[str, Any]:
 
 
 def _annotate(axes: Axes, values: Sequence[float]) -> None:
+    _write_values(axes, values)
+    _make_room(axes, values)
+
+
+def _write_values(axes: Axes, values: Sequence[float]) -> None:
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)
     for row, value in enumerate(values):
@@ -370,6 +404,9 @@ def _annotate(axes: Axes, values: Sequence[float]) -> None:
             va="center",
             color=INK,
         )
+
+
+def _make_room(axes: Axes, values: Sequence[float]) -> None:
     low, high = min(0.0, *values), max(0.0, *values)
     axes.set_xlim(low * _NUMBER_ROOM, low + (high - low) * _NUMBER_ROOM)
     if low < 0.0:
@@ -494,6 +531,16 @@ def draw_states(flights: Sequence[StyledFlight]) -> Figure:
     keep_span(panels[:, -1], STATE_GRID[0][-1].smallest_span)
     label_time(panels[-1], flights[0].duration_s)
     legend_below(figure, panels[0, 0])
+    return figure
+
+
+def draw_column(flight: StyledFlight, column: str) -> Figure:
+    """Draw one column of a flight's table, in its own unit."""
+    figure, panels = panel_grid(1, 1, panel_height=2.6)
+    (axes,) = panels.flat
+    axes.plot(TIME.of(flight.frame), flight.frame[column], label=flight.name, **flight.style.line)
+    axes.set_title(column)
+    label_time([axes], flight.duration_s)
     return figure
 
 

@@ -22,10 +22,12 @@ from pyomo_quad.report.flight_figures import (
     cut_flights,
     draw_adaptation,
     draw_battery,
+    draw_column,
     draw_controls,
     draw_costates,
     draw_energy,
     draw_energy_split,
+    draw_excess_by_scenario,
     draw_mesh,
     draw_overview,
     draw_rotors,
@@ -105,13 +107,8 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
     """
     has_forecast = plan.scenario.wind.forecast is not None
     blowing = flights[1] if has_forecast and len(flights) > 1 else None
-    frame = flights[0].frame
-    finite = {name for name in frame if np.isfinite(frame[name]).all()}
-    drawings = (
-        *(_path(flights) if finite.issuperset(_columns(POSITION)) else ()),
-        *_motion(flights),
-        *_supply(flights, plan.hover_energy_J),
-        *_wind(flights[0], blowing),
+    return (
+        *flight_drawings(flights, plan.hover_energy_J, blowing),
         *(_costates(plan) if plan.verification is not None else ()),
         Drawing(
             name="mesh",
@@ -122,7 +119,26 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
             ),
         ),
     )
+
+
+def flight_drawings(
+    flights: Sequence[StyledFlight], hover_energy_J: float, blowing: StyledFlight | None = None
+) -> tuple[Drawing, ...]:
+    """List the figures that the tables of flights hold; ``blowing`` met another wind than told."""
+    frame = flights[0].frame
+    finite = {name for name in frame if np.isfinite(frame[name]).all()}
+    drawings = (
+        *(_path(flights) if finite.issuperset(_columns(POSITION)) else ()),
+        *_motion(flights),
+        *_supply(flights, hover_energy_J),
+        *_wind(flights[0], blowing),
+    )
     return tuple(drawing for drawing in drawings if finite.issuperset(drawing.needs))
+
+
+def column_drawing(flight: StyledFlight, column: str) -> Drawing:
+    """Return the figure of one column of a flight's table against time."""
+    return Drawing(name=column, title=column, caption="", draw=lambda: draw_column(flight, column))
 
 
 def comparison_drawings(
@@ -215,6 +231,20 @@ def draw_run(
     )
     save_drawings((*compared, *studied, *planned), folder)
     return compared, studied, planned
+
+
+def draw_compared(folder: Path, comparison: pd.DataFrame, figures: Figures) -> tuple[Drawing, ...]:
+    """Draw the energies of many scenarios' flights into their report's folder."""
+    drawing = Drawing(
+        name="energy_compared",
+        title="Energy of each flight",
+        caption="Energy above hovering for the same time, with what the end state owes: one panel "
+        "for each scenario. A flight that did not arrive is pale.",
+        draw=lambda: draw_excess_by_scenario(comparison),
+    )
+    drawings = wanted_drawings([drawing], figures)
+    save_drawings(drawings, folder)
+    return drawings
 
 
 def view_of_paths(result: "RunResult") -> tuple[dict[str, str], str]:

@@ -125,7 +125,9 @@ def write_comparison(folder: Path, comparison: pd.DataFrame, title: str = "Compa
     """
     write_table(comparison, folder / COMPARISON_NAME)
     if not comparison.empty:
-        text = render_markdown("report/comparison.md.j2", title=title, **_of_flights(comparison))
+        text = render_markdown(
+            "report/comparison.md.j2", title=title, **_of_flights(comparison), drawings=()
+        )
         (folder / COMPARISON_REPORT_NAME).write_text(text, encoding="utf-8")
 
 
@@ -170,6 +172,41 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     }
     is_same = isinstance(summary, dict) and expected.items() <= summary.items()
     return RunRecord(summary=summary, comparison=comparison) if is_same else None
+
+
+def write_compare_report(
+    folder: Path, comparison: pd.DataFrame, *, is_good: bool, figures: Figures = Figures.ALL
+) -> None:
+    """Write the flights of many scenarios beside each other: tables, a figure and a page.
+
+    Parameters
+    ----------
+    folder : Path
+        An existing folder, empty of reports.
+    comparison : DataFrame
+        One row per flight, columns of `ComparisonColumn`.
+    is_good : bool
+        Whether every plan was verified.
+    figures : Figures, optional
+        What is drawn.
+    """
+    write_table(comparison, folder / COMPARISON_NAME)
+    if comparison.empty:
+        return
+    drawings: tuple[Drawing, ...] = ()
+    if figures is not Figures.NONE:
+        drawings = _gallery().draw_compared(folder, comparison, figures)
+    text = render_markdown(
+        "report/comparison.md.j2",
+        title="Comparison",
+        **_of_flights(comparison),
+        drawings=drawings,
+    )
+    (folder / COMPARISON_REPORT_NAME).write_text(text, encoding="utf-8")
+    page = render_html(
+        text, is_good=is_good, pictures=_pictures(folder, drawings), views={}, script=""
+    )
+    (folder / PAGE_NAME).write_text(page, encoding="utf-8")
 
 
 def _title(plan: "Plan") -> str:
@@ -270,7 +307,11 @@ def _page(folder: Path, text: str, result: "RunResult", drawings: "Sequence[Draw
     return render_html(
         text,
         is_good=_is_good(result),
-        pictures={d.name: (folder / FIGURE_FOLDER / d.shown_file).read_bytes() for d in drawings},
+        pictures=_pictures(folder, drawings),
         views=views,
         script=script,
     )
+
+
+def _pictures(folder: Path, drawings: "Sequence[Drawing]") -> dict[str, bytes]:
+    return {d.name: (folder / FIGURE_FOLDER / d.shown_file).read_bytes() for d in drawings}

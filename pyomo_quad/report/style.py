@@ -302,13 +302,24 @@ def save_figure(
             figure.savefig(folder / f"{name}.svg", metadata=_SVG_METADATA)
 
 
+def write_figure(draw: Callable[[], Figure], path: Path, ending: str) -> None:
+    """Draw a figure in the house style and write it to one file of the kind of an ending."""
+    with mpl.rc_context(_RC):
+        figure = draw()
+        if ending == ".png":
+            _save_png(figure, path)
+        else:
+            dated = {"Date": None} if ending == ".svg" else {"CreationDate": None}
+            figure.savefig(path, format=ending.removeprefix("."), metadata=dated)
+
+
 def _save_png(figure: Figure, path: Path) -> None:
     # A palette picture is a third of the size, and lines and labels need few colours.
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
     picture.quantize(_PNG_COLORS, dither=Image.Dither.NONE).save(
-        path, dpi=(_DOTS_PER_INCH, _DOTS_PER_INCH)
+        path, format="PNG", dpi=(_DOTS_PER_INCH, _DOTS_PER_INCH)
     )
 
 
@@ -494,6 +505,19 @@ def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
             style=styles[flight.name],
         )
         for flight in flights
+    )
+
+
+def flight_of_table(name: str, frame: pd.DataFrame) -> StyledFlight:
+    """Return a flight of which nothing but its table is left."""
+    time = TIME.of(frame)
+    has_energy = ENERGY.column in frame
+    return StyledFlight(
+        name=name,
+        frame=frame,
+        duration_s=float(time[-1] - time[0]),
+        energy_J=float(ENERGY.of(frame)[-1]) if has_energy else 0.0,
+        style=flight_styles((name,))[name],
     )
 
 

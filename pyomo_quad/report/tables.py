@@ -6,9 +6,11 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
+from pyomo_quad.scenario.messages import ScenarioError, printable
 from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
@@ -224,3 +226,85 @@ def _version(names: Sequence[str]) -> str:
         except PackageNotFoundError:
             continue
     return "unknown"
+
+
+FLIGHT_NAME = "flight.csv"
+# Of a table or a summary: what a run of a day would write is far below.
+_LARGEST_FILE = 256 * 1024 * 1024
+
+
+def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "pd.DataFrame"]:
+    """Read the summary and a table of a report that may come from a stranger.
+
+    Parameters
+    ----------
+    table : str, optional
+        The table's file.
+
+    Returns
+    -------
+    dict
+        The summary, as it is there.
+    DataFrame
+        `TIME`, which increases, and those of `COLUMNS` that the table has; all are finite.
+
+    Raises
+    ------
+    ScenarioError
+        If one is missing, too large, damaged or no flight.
+    """
+    file = folder / SUMMARY_NAME
+    content = _content(file)
+    try:
+        summary = json.loads(content)
+    except (ValueError, RecursionError):
+        refuse_report(file, "is not valid JSON")
+    return summary if isinstance(summary, dict) else {}, _read_table(folder / table)
+
+
+def refuse_report(file: Path, what: str) -> NoReturn:
+    """Say in one line what is wrong with a report.
+
+    Raises
+    ------
+    ScenarioError
+        Always.
+    """
+    raise ScenarioError(f"{printable(str(file))}: {what}; solve the scenario again.") from None
+
+
+def _read_table(file: Path) -> "pd.DataFrame":
+    import numpy as np  # noqa: PLC0415  see `write_table`
+    import pandas as pd  # noqa: PLC0415
+
+    from pyomo_quad.flight.flight import COLUMNS, TIME  # noqa: PLC0415
+
+    content = _content(file)
+    try:
+        frame = pd.read_csv(BytesIO(content))
+    except ValueError:
+        refuse_report(file, "is not a CSV table")
+    if TIME not in frame:
+        refuse_report(file, f"has no column {TIME}")
+    numbers = frame[[TIME, *(column.name for column in COLUMNS if column.name in frame)]]
+    if any(kind.kind not in "fi" for kind in numbers.dtypes):
+        refuse_report(file, "holds texts among its numbers")
+    if len(numbers) < 2 or not np.isfinite(numbers.to_numpy(dtype=float)).all():
+        refuse_report(file, "holds no flight of finite numbers")
+    if not (np.diff(numbers[TIME]) > 0.0).all():
+        refuse_report(file, f"{TIME} does not increase from row to row")
+    return numbers
+
+
+def _content(file: Path) -> bytes:
+    try:
+        with file.open("rb") as stream:
+            content = stream.read(_LARGEST_FILE + 1)
+    except OSError as error:
+        raise ScenarioError(
+            f"{printable(str(file))}: cannot be read ({error.strerror or error}); give the report "
+            "folder of a run, a solve or a flight."
+        ) from None
+    if len(content) > _LARGEST_FILE:
+        refuse_report(file, f"holds more than {_LARGEST_FILE} bytes")
+    return content

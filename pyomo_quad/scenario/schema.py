@@ -25,7 +25,7 @@ from pyomo_quad.scenario.tree import leaves, parse_path, spell
 from pyomo_quad.scenario.wind import Wind
 
 # Names become folder names: no separator, no leading dot, nothing that leaves the output folder.
-_NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
+NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 _MODEL_PATTERN = r"^[^:\x00]+\.py:[A-Za-z_][A-Za-z0-9_]*$"
 
 
@@ -35,7 +35,7 @@ class Scenario(Part):
     name: Text = quantity(
         "",
         "short name, also of the output folder",
-        pattern=_NAME_PATTERN,
+        pattern=NAME_PATTERN,
         allowed="1 to 64 letters, digits, '_', '-' or '.', starting with a letter or digit",
         example='"delivery"',
     )

@@ -7,7 +7,7 @@ from time import perf_counter
 
 import pandas as pd
 
-from pyomo_quad.collocation import Dynamics, EngineError, Progress
+from pyomo_quad.collocation import Dynamics, EngineError, Progress, Summarised
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name, fly_baseline, fly_open_loop
 from pyomo_quad.flight.flight import WIND
@@ -17,8 +17,8 @@ from pyomo_quad.study.check import plan_cautions
 from pyomo_quad.study.comparison import OPTIMAL, adaptation_study, combine, compare_flights
 
 
-@dataclass(frozen=True, kw_only=True)
-class RunResult:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class RunResult(Summarised):
     """All there is to report of a scenario.
 
     Attributes
@@ -48,6 +48,17 @@ class RunResult:
     adaptation: pd.DataFrame | None
     timings: Mapping[str, float]
     warnings: tuple[str, ...]
+
+    @property
+    def summary(self) -> dict[str, str]:
+        """Scenario, status, the energy of each flight and the bound."""
+        bound = self.certificate.lower_bound_J
+        return {
+            "scenario": self.scenario.name,
+            "status": self.plan.status.value,
+            **{flight.name: f"{flight.energy_J:.2f} J" for flight in self.flights},
+            "no flight below": "unknown" if bound is None else f"{bound:.2f} J",
+        }
 
     @property
     def gap_percent(self) -> float | None:

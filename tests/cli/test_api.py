@@ -48,6 +48,17 @@ def test_a_path_is_a_scenario(tmp_path):
         pyomo_quad.solve(tmp_path / "no.toml")
 
 
+def test_nested_mappings_are_a_scenario():
+    mission = {"goal": {"position": [1.0, 0.0, 0.5]}, "duration": 4.0}
+    with pytest.raises(pyomo_quad.scenario.ScenarioError, match=r"unknown key mission\.durations"):
+        pyomo_quad.solve({"name": "hop", "mission": mission | {"durations": 4.0}})
+
+
+def test_only_public_names_are_shown():
+    assert dir(pyomo_quad) == sorted(pyomo_quad.__all__)
+    assert all(getattr(pyomo_quad, name) is not None for name in pyomo_quad.__all__)
+
+
 def test_unknown_name():
     with pytest.raises(AttributeError, match="module 'pyomo_quad' has no attribute 'fly'"):
         _ = pyomo_quad.fly

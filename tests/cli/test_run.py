@@ -121,7 +121,10 @@ def test_compare_makes_one_table(tmp_path, capsys):
     assert frame["scenario"].tolist() == ["paper_calm"] * 3 + ["paper_wind"] * 3
     assert frame["flight"].tolist() == flights * 2
     assert "adaptive/quintic" in capsys.readouterr().out
-    assert (folder / "comparison.md").exists()
+    assert "(figures/energy_compared.png)" in (folder / "comparison.md").read_text()
+    page = (folder / "report.html").read_text()
+    assert page.count("<img") == 1
+    assert page.count("adaptive/quintic") >= 4
 
 
 def test_compare_takes_a_finished_run_that_matches_from_its_folder(

@@ -1,0 +1,70 @@
+"""`pyomo-quad plot`: a figure of a run, a solve or a flight, from the tables of its report."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.cli.terminal import Quiet
+from pyomo_quad.report.folder import output_file
+from pyomo_quad.report.tables import (
+    FLIGHT_NAME,
+    PLAN_NAME,
+    SUMMARY_NAME,
+    read_report,
+    refuse_report,
+)
+from pyomo_quad.scenario.messages import ScenarioError, printable, shown
+
+if TYPE_CHECKING:
+    from pyomo_quad.report.style import StyledFlight
+
+_ENDINGS = (".png", ".svg", ".pdf")
+
+
+def plot(
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Report folder of a run, a solve or a flight.")
+    ],
+    what: Annotated[
+        str, typer.Argument(metavar="[WHAT]", help="A figure, or a column of the table.")
+    ] = "path",
+    *,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="Ends in .png, .svg or .pdf; RUN_WHAT.png."),
+    ] = None,
+    quiet: Quiet = False,
+) -> int:
+    """Draw a figure of a finished run: path, states, energy, battery, ... or any column."""
+    if out is not None and out.suffix not in _ENDINGS:
+        raise ScenarioError(f"--out {out}: must end in {', '.join(_ENDINGS)}.")
+    flight, hover_energy_J = _flight(run)
+    from pyomo_quad.report.gallery import column_drawing, flight_drawings  # noqa: PLC0415
+    from pyomo_quad.report.style import write_figure  # noqa: PLC0415  matplotlib takes a second
+
+    drawings = {drawing.name: drawing for drawing in flight_drawings([flight], hover_energy_J)}
+    if what not in drawings and what not in flight.frame:
+        raise ScenarioError(
+            f"WHAT = {shown(what)}; must be one of {', '.join(drawings)}, or a column of the table:"
+            f" {', '.join(map(str, flight.frame.columns))}."
+        )
+    drawing = drawings.get(what) or column_drawing(flight, what)
+    path = out or Path(f"{run.resolve().name}_{what}.png")
+    with output_file(path) as aside:
+        write_figure(drawing.draw, aside, path.suffix)
+    if not quiet:
+        print(f"Written to {path}. Others: {', '.join(name for name in drawings if name != what)}.")
+    return ExitCode.VERIFIED
+
+
+def _flight(run: Path) -> "tuple[StyledFlight, float]":
+    is_flight = (run / FLIGHT_NAME).is_file()
+    summary, frame = read_report(run, FLIGHT_NAME if is_flight else PLAN_NAME)
+    name, hover_energy_J = summary.get("flight", "optimal"), summary.get("hover_energy_J")
+    if not isinstance(name, str) or not isinstance(hover_energy_J, int | float):
+        refuse_report(run / SUMMARY_NAME, "is not the summary of a run, a solve or a flight")
+    from pyomo_quad.report.style import flight_of_table  # noqa: PLC0415
+
+    return flight_of_table(printable(name), frame), float(hover_energy_J)

@@ -1,0 +1,29 @@
+"""The worked scripts run as they stand, and say what they promise."""
+
+import runpy
+import shutil
+
+import pandas as pd
+import pytest
+
+from tests.command import SCENARIOS
+
+
+def test_a_mission_of_ones_own(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(SCENARIOS / "worked_mission.py"))
+    said = capsys.readouterr().out
+    assert "<Plan scenario: worked_mission, status: verified" in said
+    rows = pd.read_csv("worked_mission_px4.csv")
+    # North, east, down: the plan's x is east.
+    assert rows[["x", "y", "z"]].iloc[-1].tolist() == pytest.approx([0.0, 20.0, -5.0], abs=1e-5)
+
+
+@pytest.mark.slow
+def test_a_comparison(tmp_path, capsys):
+    for name in ("worked_comparison.py", "paper_wind.toml"):
+        shutil.copy(SCENARIOS / name, tmp_path)
+    runpy.run_path(str(tmp_path / "worked_comparison.py"))
+    said = capsys.readouterr().out
+    assert "<RunResult scenario: paper_wind, status: verified, optimal: " in said
+    assert "bound" in said
