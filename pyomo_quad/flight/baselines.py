@@ -30,7 +30,7 @@ from pyomo_quad.flight.verification import (
     battery_imbalance,
     fly_controls,
 )
-from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario import Attitude, Scenario, ScenarioError
 from pyomo_quad.scenario.tables import Hover, Reference
 
 FloatArray = NDArray[np.float64]
@@ -267,8 +267,10 @@ _RATE_HZ = 100.0
 _PLAN_RATE_HZ = 5.0
 # Place, its rate and the rate of that, as the declared model names them.
 _PLACE = (*POSITION_STATES, "rigid_body.psi")
-_RATE = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz", "rigid_body.r")
-_ACCELERATION = tuple(name.replace("body.", "body.d") + "_dt" for name in _RATE)
+_RATE = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz", "rigid_body.dpsi_dt")
+_ACCELERATION = tuple(f"rigid_body.d{name}_dt" for name in ("vx", "vy", "vz", "r"))
+# s, over which the planned yaw rate is differentiated along the flight.
+_INSTANT = 1e-4
 _AIR_FORCE = tuple(f"aerodynamics.force_{axis}" for axis in "xyz")
 
 
@@ -424,7 +426,21 @@ def _planned_path(plan: Plan) -> SampledPath:
         forces = plan.dynamics.table(tuple((name, None) for name in _AIR_FORCE), *flown)
         air[:, : len(_AIR_FORCE)] = forces / plan.scenario.vehicle.total_mass
     values, rates, accelerations = np.split(rows, 3, axis=1)
+    if plan.scenario.vehicle.attitude is Attitude.EULER:
+        accelerations[:, -1] = _yaw_acceleration(plan.dynamics, *flown)
     return SampledPath(times, values, rates, accelerations, air)
+
+
+def _yaw_acceleration(
+    dynamics: Dynamics, times: FloatArray, states: FloatArray, controls: FloatArray
+) -> FloatArray:
+    """Return the rate of the planned yaw rate [rad/s^2], which the body rates give no longer."""
+    steps = _INSTANT * np.array(
+        [dynamics.rates(t, x, u) for t, x, u in zip(times.tolist(), states, controls, strict=True)]
+    )
+    key = ((_RATE[-1], None),)
+    before, after = (dynamics.table(key, times, states + s * steps, controls) for s in (-1, 1))
+    return np.asarray((after - before)[:, 0] / (2 * _INSTANT))
 
 
 def _agree(dynamics: Dynamics, first: Flown, second: Flown) -> bool:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Law
+from pyomo_quad.flight.attitude import KINEMATICS
 from pyomo_quad.flight.references import ReferencePath, Setpoint
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Limits
@@ -515,6 +516,7 @@ class AdaptiveController:
 
     def __init__(self, believed: Scenario, mixer: FloatArray) -> None:
         vehicle, limits, gains = believed.vehicle, believed.limits, believed.baseline.gains
+        self._kinematics = KINEMATICS[vehicle.attitude]
         self._mass = vehicle.total_mass
         self._gravity = believed.gravity
         self._inertia = (vehicle.Ix, vehicle.Iy, vehicle.Iz)
@@ -553,15 +555,16 @@ class AdaptiveController:
             The `CONTROLLER_STATES`.
         """
         position, velocity, attitude, body_rates = body[0:3], body[3:6], body[6:9], body[9:12]
+        angle_rates = self._kinematics.angle_rates(attitude, body_rates)
         yaw_error = attitude[2] - setpoint.place[3]
-        yaw_rate_error = body_rates[2] - setpoint.rate[3]
+        yaw_rate_error = angle_rates[2] - setpoint.rate[3]
         return [
             *self._position_loop.started(
                 _difference(position, setpoint.place[:3]), _difference(velocity, setpoint.rate[:3])
             ),
             *self._attitude_loop.started((0.0, 0.0, yaw_error), (0.0, 0.0, yaw_rate_error)),
             *attitude[:2],
-            *body_rates[:2],
+            *angle_rates[:2],
         ]
 
     def command(self, reference: ReferencePath, t: float) -> list[float]:
@@ -652,15 +655,22 @@ class AdaptiveController:
         states: Sequence[float],
     ) -> tuple[list[float], list[float]]:
         """Return the moments to ask for and the rates of the attitude loop's states."""
-        command = states[_COMMAND]
+        command, attitude, body_rates = states[_COMMAND], body[6:9], body[9:12]
+        turning = [
+            moment / inertia for moment, inertia in zip(achieved, self._inertia, strict=True)
+        ]
         demand, rates = self._attitude_loop(
-            _difference(body[6:9], (*command[:2], setpoint.place[3])),
-            _difference(body[9:12], (*command[2:], setpoint.rate[3])),
+            _difference(attitude, (*command[:2], setpoint.place[3])),
+            _difference(
+                self._kinematics.angle_rates(attitude, body_rates),
+                (*command[2:], setpoint.rate[3]),
+            ),
             (*tilt_acceleration, setpoint.acceleration[3]),
-            [moment / inertia for moment, inertia in zip(achieved, self._inertia, strict=True)],
+            self._kinematics.angle_accelerations(attitude, body_rates, turning),
             states[_ATTITUDE],
         )
-        return [inertia * a for inertia, a in zip(self._inertia, demand, strict=True)], rates
+        wanted = self._kinematics.body_accelerations(attitude, body_rates, demand)
+        return [inertia * a for inertia, a in zip(self._inertia, wanted, strict=True)], rates
 
 
 def feedback_law(controller: AdaptiveController, dynamics: VehicleDynamics) -> Law:

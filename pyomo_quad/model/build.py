@@ -54,7 +54,7 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     declare_motors(m)
     declare_motion(m, scenario)
     aerodynamics.declare_aerodynamics(m, scenario)
-    declare_balances(m)
+    declare_balances(m, scenario)
     power.declare_power(m, scenario)
     battery.declare_battery(m, scenario)
     limits.declare_limits(m, scenario)
@@ -118,6 +118,7 @@ def structure_key(scenario: Scenario) -> Hashable:
     series = scenario.wind.series
     return (
         scenario.model,
+        scenario.vehicle.attitude,
         scenario.power.model,
         scenario.power.regeneration,
         scenario.wind.coupling,

@@ -6,18 +6,23 @@ x', y', z' | vx, vy, vz | m/s | velocity in world axes
 phi, theta, psi | phi, theta, psi | rad | roll, pitch, yaw; yaw-pitch-roll order
 phi', theta', psi' | p, q, r | rad/s | body rates
 
-Assumptions: the Euler rates equal the body rates, as the paper writes them (true to first
-order in the tilt).  The gyroscopic terms of the rotors are those of eq. (6), which eq. (9)
-contradicts in sign and in order of derivative.  Balances are undivided, as printed.
+`vehicle.attitude` says how the angles follow from the body rates.  `euler` is exact: the Euler
+rates of Beard and McLain (2012), eq. (3.3), singular at a pitch of 90 degrees, and in the yaw
+balance the reaction of the body to the rotors' acceleration.  `paper` is as printed: the Euler
+rates equal the body rates, true to first order in the tilt, and no such reaction.
+
+The gyroscopic terms of the rotors are those of eq. (6), which eq. (9) contradicts in sign and in
+order of derivative.  Balances are undivided, as printed.
 """
 
 from collections.abc import Callable
 
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
-from pyomo.environ import Block, ConcreteModel, Var, cos, sin, units
+from pyomo.environ import Block, ConcreteModel, Var, cos, sin, tan, units
 
 from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.vehicle import Attitude
 
 _SPEED = units.m / units.s
 _RATE = units.rad / units.s
@@ -52,10 +57,15 @@ def declare_motion(m: ConcreteModel, scenario: Scenario) -> None:
     """
     m.rigid_body = Block(doc="rigid body, eq. (6) and (9)")
     _declare_states(m, scenario)
-    _declare_kinematics(m.rigid_body, m)
+    _declare_translation(m.rigid_body, m)
+    match scenario.vehicle.attitude:
+        case Attitude.EULER:
+            _declare_euler_rates(m.rigid_body, m)
+        case Attitude.PAPER:
+            _declare_equated_rates(m.rigid_body, m)
 
 
-def declare_balances(m: ConcreteModel) -> None:
+def declare_balances(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the force and moment balances in block `rigid_body`.
 
     Parameters
@@ -64,7 +74,12 @@ def declare_balances(m: ConcreteModel) -> None:
         With `vehicle`, `rotors`, `aerodynamics` and the states of `rigid_body`.
     """
     _declare_force_balances(m.rigid_body, m)
-    _declare_moment_balances(m.rigid_body, m)
+    _declare_tilting_balances(m.rigid_body, m)
+    match scenario.vehicle.attitude:
+        case Attitude.EULER:
+            _declare_yaw_balance_with_reaction(m.rigid_body, m)
+        case Attitude.PAPER:
+            _declare_yaw_balance(m.rigid_body, m)
 
 
 def _straight_line(start: float, goal: float, duration: float) -> Callable[[Block, float], float]:
@@ -91,7 +106,7 @@ def _declare_states(m: ConcreteModel, scenario: Scenario) -> None:
         m.scaling_factor[state] = 1.0 / nominal[name]
 
 
-def _declare_kinematics(b: Block, m: ConcreteModel) -> None:
+def _declare_translation(b: Block, m: ConcreteModel) -> None:
     @b.Constraint(m.time, doc="eq. (9) row 1: velocity along world x [m/s]")
     def x_kinematics(b: Block, t: float) -> RelationalExpression:
         return b.dx_dt[t] == b.vx[t]
@@ -104,6 +119,26 @@ def _declare_kinematics(b: Block, m: ConcreteModel) -> None:
     def z_kinematics(b: Block, t: float) -> RelationalExpression:
         return b.dz_dt[t] == b.vz[t]
 
+
+def _declare_euler_rates(b: Block, m: ConcreteModel) -> None:
+    # What turns the vehicle about the world's vertical, as seen from body y and z.
+    def turning(b: Block, t: float) -> NumericExpression:
+        return b.q[t] * sin(b.phi[t]) + b.r[t] * cos(b.phi[t])
+
+    @b.Constraint(m.time, doc="Beard and McLain (2012), eq. (3.3) row 1: roll angle [rad/s]")
+    def roll_kinematics(b: Block, t: float) -> RelationalExpression:
+        return b.dphi_dt[t] == b.p[t] + turning(b, t) * tan(b.theta[t])
+
+    @b.Constraint(m.time, doc="Beard and McLain (2012), eq. (3.3) row 2: pitch angle [rad/s]")
+    def pitch_kinematics(b: Block, t: float) -> RelationalExpression:
+        return b.dtheta_dt[t] == b.q[t] * cos(b.phi[t]) - b.r[t] * sin(b.phi[t])
+
+    @b.Constraint(m.time, doc="Beard and McLain (2012), eq. (3.3) row 3: yaw angle [rad/s]")
+    def yaw_kinematics(b: Block, t: float) -> RelationalExpression:
+        return b.dpsi_dt[t] == turning(b, t) / cos(b.theta[t])
+
+
+def _declare_equated_rates(b: Block, m: ConcreteModel) -> None:
     @b.Constraint(m.time, doc="eq. (9) row 3: roll rate [rad/s]")
     def roll_kinematics(b: Block, t: float) -> RelationalExpression:
         return b.dphi_dt[t] == b.p[t]
@@ -148,7 +183,7 @@ def _declare_force_balances(b: Block, m: ConcreteModel) -> None:
         return m.vehicle.mass * b.dvz_dt[t] == thrust - weight + m.aerodynamics.force_z[t]
 
 
-def _declare_moment_balances(b: Block, m: ConcreteModel) -> None:
+def _declare_tilting_balances(b: Block, m: ConcreteModel) -> None:
     @b.Constraint(m.time, doc="eq. (6) row 4: moment balance about body x [N m]")
     def roll_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
@@ -165,8 +200,21 @@ def _declare_moment_balances(b: Block, m: ConcreteModel) -> None:
             m.vehicle.Iy * b.dq_dt[t] == airframe_coupling - rotor_drum + m.rotors.pitch_moment[t]
         )
 
+
+def _declare_yaw_balance(b: Block, m: ConcreteModel) -> None:
     @b.Constraint(m.time, doc="eq. (6) row 6: moment balance about body z [N m]")
     def yaw_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         airframe_coupling = (m.vehicle.Ix - m.vehicle.Iy) * b.p[t] * b.q[t]
         return m.vehicle.Iz * b.dr_dt[t] == airframe_coupling + m.rotors.yaw_moment[t]
+
+
+def _declare_yaw_balance_with_reaction(b: Block, m: ConcreteModel) -> None:
+    @b.Constraint(m.time, doc="eq. (6) row 6 with the rotors' reaction: body z [N m]")
+    def yaw_balance(b: Block, t: float) -> RelationalExpression:
+        m = b.parent_block()
+        airframe_coupling = (m.vehicle.Ix - m.vehicle.Iy) * b.p[t] * b.q[t]
+        rotor_reaction = m.vehicle.rotor_inertia * m.rotors.acceleration_imbalance[t]
+        return (
+            m.vehicle.Iz * b.dr_dt[t] == airframe_coupling + m.rotors.yaw_moment[t] + rotor_reaction
+        )

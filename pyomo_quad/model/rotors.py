@@ -5,7 +5,7 @@ from pyomo.dae import DerivativeVar
 from pyomo.environ import Block, ConcreteModel, Set, Var, units
 
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.tables import ROTOR_COUNT
+from pyomo_quad.scenario.vehicle import ROTOR_COUNT, Attitude
 
 
 def declare_motors(m: ConcreteModel) -> None:
@@ -51,6 +51,8 @@ def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
     b.rotor = Set(initialize=range(1, ROTOR_COUNT + 1), doc="rotors as the paper numbers them")
     _declare_speeds(b, m, scenario)
     _declare_mixer(b, m)
+    if scenario.vehicle.attitude is Attitude.EULER:
+        _declare_acceleration_imbalance(b, m)
 
 
 def _declare_speeds(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
@@ -95,3 +97,9 @@ def _declare_mixer(b: Block, m: ConcreteModel) -> None:
     @b.Expression(m.time, doc="eq. (6): speed imbalance of the rotors [rad/s]")
     def speed_imbalance(b: Block, t: float) -> NumericExpression:
         return b.omega[1, t] - b.omega[2, t] + b.omega[3, t] - b.omega[4, t]
+
+
+def _declare_acceleration_imbalance(b: Block, m: ConcreteModel) -> None:
+    @b.Expression(m.time, doc="rate of the speed imbalance of the rotors [rad/s^2]")
+    def acceleration_imbalance(b: Block, t: float) -> NumericExpression:
+        return b.alpha[1, t] - b.alpha[2, t] + b.alpha[3, t] - b.alpha[4, t]

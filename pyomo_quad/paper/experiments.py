@@ -16,6 +16,7 @@ from pyomo_quad.flight.steady import battery_shortfalls
 from pyomo_quad.flight.verification import fly_controls, verify_controls
 from pyomo_quad.model import build_model
 from pyomo_quad.scenario import (
+    Attitude,
     FrequencyUnit,
     PowerModel,
     Reference,
@@ -47,7 +48,7 @@ def paper_scenario(experiment: Experiment, values: Mapping[str, Any] | None = No
     scenario = scenario_from_mapping(
         {
             "name": _NAME[experiment],
-            "vehicle": {"use": "dji_phantom_2"},
+            "vehicle": {"use": "dji_phantom_2", "attitude": Attitude.PAPER},
             "wind": {"use": _WIND[experiment]},
             "mission": {"duration": 10.0, "goal": {"position": [6.0, 7.0, 8.0], "yaw": 0.0}},
         },

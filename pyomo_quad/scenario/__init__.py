@@ -13,12 +13,13 @@ from pyomo_quad.scenario.schema import Scenario
 from pyomo_quad.scenario.tables import (
     PowerModel,
     Reference,
-    Vehicle,
 )
+from pyomo_quad.scenario.vehicle import Attitude, Vehicle
 from pyomo_quad.scenario.wind import FrequencyUnit, Wind, WindAxis, WindCoupling
 
 __all__ = [
     "LIBRARY_KINDS",
+    "Attitude",
     "FeasibilityError",
     "FieldDescription",
     "FrequencyUnit",

@@ -109,7 +109,7 @@ def _fields(table: BaseModel, prefix: FieldPath = ()) -> Iterator[tuple[FieldPat
 
 
 # What `quantity` notes beside a field for the messages; no editor knows it.
-_NOTES = ("unit", "allowed", "example", "other_names", "sound")
+_NOTES = ("unit", "allowed", "example", "other_names", "sound", "is_late")
 # Read from a file that is named, never written by hand.
 _DERIVED = ("series",)
 _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}

@@ -4,7 +4,15 @@ import re
 from functools import partial
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    Strict,
+    model_serializer,
+)
 from pydantic_core import PydanticCustomError
 
 # Strict, so that "10" and true are refused where a number is meant; an integer still serves as one.
@@ -46,6 +54,16 @@ class Part(BaseModel):
         protected_namespaces=(),
     )
 
+    @model_serializer(mode="wrap")
+    def _record(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Write the table down without what it has as it was before there was a field for it."""
+        written: dict[str, Any] = dump(self)
+        for name, field in type(self).model_fields.items():
+            is_late = _declared_with(type(self), name, "is_late")
+            if is_late and getattr(self, name) == field.default:
+                written.pop(name, None)
+        return written
+
 
 def number_in_text(text: str) -> float:
     """Read a number written with the ASCII digits, point and exponent; blanks around it are none.
@@ -74,6 +92,8 @@ def quantity(
     example: str = "",
     other_names: tuple[str, ...] = (),
     sound: Sound | None = None,
+    is_late: bool = False,
+    initial: object = None,
     **limits: Any,  # noqa: ANN401
 ) -> Any:  # noqa: ANN401
     """Declare a field with its unit.
@@ -86,7 +106,13 @@ def quantity(
         Value when neither the scenario nor the library gives one; none by default.
     allowed : str, optional
         What a text must be, in words, where a pattern would be hard to read.
+    is_late : bool, optional
+        Whether there are records older than the field: its default is what they mean by saying
+        nothing, and records leave it out while it has that value.
+    initial : object, optional
+        What a scenario file means that says nothing, where that is not what a record means.
     """
+    declared: dict[str, Any] = {} if initial is None else {"default": initial}
     field = Field(
         default,
         description=description,
@@ -96,6 +122,8 @@ def quantity(
             "example": example,
             "other_names": list(other_names),
             "sound": None if sound is None else sound._asdict(),
+            "is_late": is_late,
+            **declared,
         },
         **limits,
     )
@@ -134,6 +162,11 @@ def example_of(model: type[BaseModel], name: str) -> str:
 def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
     """Return what people call a field elsewhere."""
     return tuple(_declared_with(model, name, "other_names"))
+
+
+def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
+    """Return what a scenario file means by not saying a field, None where that is its default."""
+    return _declared_with(model, name, "default") or None
 
 
 def _declared_with(model: type[BaseModel], name: str, item: str) -> Any:  # noqa: ANN401

@@ -14,17 +14,23 @@ from pathlib import Path as FilePath
 from types import MappingProxyType
 from typing import Any, NoReturn
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from pyomo_quad.scenario.document import read_toml
-from pyomo_quad.scenario.fields import number_in_text
-from pyomo_quad.scenario.messages import ScenarioError, complaint, shown
+from pyomo_quad.scenario.fields import initial_of, number_in_text
+from pyomo_quad.scenario.messages import (
+    ScenarioError,
+    complaint,
+    declared_place,
+    field_paths,
+    shown,
+)
 from pyomo_quad.scenario.tables import (
     FASTEST_ROTOR,
-    Vehicle,
     derived_limits,
 )
 from pyomo_quad.scenario.tree import FieldPath, leaves, merge, set_value, spell
+from pyomo_quad.scenario.vehicle import Vehicle
 from pyomo_quad.scenario.wind import LARGEST_WIND, LATEST_TIME, STRONGEST_GUST
 
 # Folder of the library -> table of the scenario that it fills.
@@ -335,8 +341,8 @@ class Resolution:
     provenance: Mapping[str, str]
 
 
-def resolve(origin: Origin) -> Resolution:
-    """Complete a scenario's tables from the library.
+def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
+    """Complete the tables of a scenario, whose fields the model declares, from the library.
 
     Raises
     ------
@@ -346,7 +352,7 @@ def resolve(origin: Origin) -> Resolution:
     own = _with_assignments(origin, origin.document, indexed=False)
     provenance = {spell(path): "scenario" for path, _ in leaves(origin.document)}
     provenance |= {spell(path): origin.label for path in origin.assignments}
-    tables: dict[str, Any] = {}
+    tables = {} if origin.is_resolved else _initial_values(model)
     for kind, table in LIBRARY_KINDS.items():
         tables = _add_library(origin, tables, own, provenance, (table,), kind)
     if isinstance(own.get("wind"), Mapping) and isinstance(own["wind"].get("forecast"), Mapping):
@@ -355,6 +361,17 @@ def resolve(origin: Origin) -> Resolution:
     tables = _with_assignments(origin, merge(tables, own), indexed=True)
     tables = _add_wind_series(origin, tables, provenance)
     return Resolution(tables=_add_derived_limits(origin, tables, provenance), provenance=provenance)
+
+
+def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
+    """Return what files mean that say nothing, where stored scenarios mean something else."""
+    tables: dict[str, Any] = {}
+    for path in field_paths(model):
+        table, _ = declared_place(model, path[:-1])
+        initial = initial_of(table, str(path[-1]))
+        if initial is not None:
+            tables = set_value(tables, path, initial)
+    return tables
 
 
 def whose(origin: Origin, provenance: Mapping[str, str], path: FieldPath) -> str:

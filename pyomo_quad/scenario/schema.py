@@ -19,9 +19,9 @@ from pyomo_quad.scenario.tables import (
     Power,
     PowerModel,
     Solver,
-    Vehicle,
 )
 from pyomo_quad.scenario.tree import leaves, parse_path, spell
+from pyomo_quad.scenario.vehicle import Vehicle
 from pyomo_quad.scenario.wind import Wind
 
 # Names become folder names: no separator, no leading dot, nothing that leaves the output folder.
@@ -62,7 +62,7 @@ class Scenario(Part):
     wind: Wind = quantity("", "the wind")
     power: Power = quantity("", "the power model", Power())
     mission: Mission = quantity("", "the mission")
-    airspace: Airspace = quantity("", "where the flight may be", Airspace())
+    airspace: Airspace = quantity("", "where the flight may be", Airspace(), is_late=True)
     solver: Solver = quantity("", "solver settings", Solver())
     baseline: Baseline = quantity("", "the controller to compare with", Baseline())
 
@@ -90,7 +90,7 @@ class Scenario(Part):
         FeasibilityError
             If the rotors cannot carry the vehicle.
         """
-        resolution = resolve(origin)
+        resolution = resolve(origin, cls)
         try:
             scenario = cls.model_validate(resolution.tables)
         except ValidationError as error:

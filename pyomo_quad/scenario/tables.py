@@ -1,8 +1,8 @@
-"""The tables of a scenario: vehicle, battery, mission, limits, power, baseline, solver."""
+"""The tables of a scenario beside vehicle and wind: battery, mission, limits, power, solver."""
 
 from collections.abc import Mapping
 from enum import StrEnum
-from math import pi, sqrt
+from math import pi
 from typing import Any, Self
 
 from pydantic import model_validator
@@ -18,6 +18,7 @@ from pyomo_quad.scenario.fields import (
     WholeNumber,
     quantity,
 )
+from pyomo_quad.scenario.vehicle import ROTOR_COUNT, Vehicle
 
 _MILLISECONDS = "no loop is faster than the milliseconds of motors and sensors"
 _RATE = Sound(1e-3, 1e4, _MILLISECONDS)
@@ -248,6 +249,7 @@ class Power(Part):
         1.225,
         gt=0,
         sound=Sound(1e-3, 100, "it is 1.225 at sea level and 0.02 on Mars"),
+        is_late=True,
     )
     regeneration: Flag = quantity(
         "", "whether braking earns energy back, default by power model", False
@@ -309,179 +311,6 @@ class Solver(Part):
         return self
 
 
-ROTOR_COUNT = 4
-
-_INERTIA = Sound(1e-9, 1e6, "a gram at a millimetre has 1e-9, ten tonnes at ten metres have 1e6")
-_FITTED = Sound(-1e9, 1e9, "f_r is a share and its arguments are not tiny")
-
-
-class EfficiencyMap(Part):
-    """Coefficients of f_r(tau, omega), each row (a, b, c) of a omega^2 + b omega + c."""
-
-    cubic: Triple = quantity(
-        "", "row of tau^3; f_r is a pure number, tau in N m, omega in rad/s", sound=_FITTED
-    )
-    quadratic: Triple = quantity("", "row of tau^2", sound=_FITTED)
-    linear: Triple = quantity("", "row of tau", sound=_FITTED)
-    constant: Triple = quantity("", "row without tau", sound=_FITTED)
-
-
-class Vehicle(Part):
-    """A quadrotor: four equal rotors on arms along body x and y, numbered as in the paper."""
-
-    use: Text = quantity("", "name of the vehicle in the library, or a file of its own, NAME.toml")
-    title: Text = quantity(
-        "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
-    )
-    mass: Number = quantity(
-        "kg",
-        "mass without payload",
-        gt=0,
-        sound=Sound(1e-3, 1e4, "flying machines weigh from a gram to ten tonnes"),
-    )
-    payload: Number = quantity(
-        "kg",
-        "mass carried, at the centre of mass",
-        0.0,
-        ge=0,
-        sound=Sound(0, 1e4, "flying machines weigh from a gram to ten tonnes"),
-    )
-    arm_length: Number = quantity(
-        "m",
-        "centre of mass to rotor shaft (l)",
-        gt=0,
-        sound=Sound(1e-3, 100, "rotors stand from a millimetre to a hundred metres out"),
-    )
-    Ix: Number = quantity("kg*m^2", "moment of inertia about body x", gt=0, sound=_INERTIA)
-    Iy: Number = quantity("kg*m^2", "moment of inertia about body y", gt=0, sound=_INERTIA)
-    Iz: Number = quantity("kg*m^2", "moment of inertia about body z", gt=0, sound=_INERTIA)
-    thrust_coefficient: Number = quantity(
-        "N*s^2",
-        "thrust over rotor speed squared (kb)",
-        gt=0,
-        sound=Sound(
-            1e-12, 100, "a rotor of a centimetre has about 1e-10, one of ten metres about 10"
-        ),
-    )
-    drag_torque_coefficient: Number = quantity(
-        "N*m*s^2",
-        "drag torque over rotor speed squared (kappa)",
-        gt=0,
-        sound=Sound(
-            1e-15, 100, "a rotor of a centimetre has about 1e-13, one of ten metres about 1"
-        ),
-    )
-    rotor_inertia: Number = quantity(
-        "kg*m^2",
-        "inertia of rotor and propeller (Ir)",
-        gt=0,
-        sound=Sound(
-            1e-12, 1e4, "a rotor of a centimetre has about 1e-11, one of ten metres about 1e3"
-        ),
-    )
-    torque_constant: Number = quantity(
-        "N*m/A",
-        "motor torque over current (kt)",
-        gt=0,
-        sound=Sound(
-            1e-6, 100, "motors for flight give from micronewton metres to newton metres per ampere"
-        ),
-    )
-    voltage_constant: Number = quantity(
-        "rad/s/V",
-        "motor speed over voltage (kv)",
-        gt=0,
-        sound=Sound(1e-2, 1e5, "motors for flight turn by 0.1 to 10,000 rad/s per volt"),
-    )
-    motor_resistance: Number = quantity(
-        "ohm",
-        "winding resistance (R)",
-        gt=0,
-        sound=Sound(1e-6, 1e3, "windings have from micro-ohms to hundreds of ohms"),
-    )
-    friction_torque: Number = quantity(
-        "N*m",
-        "dry friction of one motor (Tf)",
-        0.0,
-        ge=0,
-        sound=Sound(0, 100, "bearings of a rotor are nearly free"),
-    )
-    viscous_damping: Number = quantity(
-        "N*m*s",
-        "viscous friction of one motor (Df)",
-        0.0,
-        ge=0,
-        sound=Sound(0, 1, "bearings of a rotor are nearly free"),
-    )
-    drag_linear: Number = quantity(
-        "kg/s",
-        "linear drag on the relative airspeed",
-        0.0,
-        ge=0,
-        sound=Sound(0, 1e4, "a hundred square metres across the flow have about 1e3"),
-    )
-    drag_quadratic: Number = quantity(
-        "kg/m",
-        "quadratic drag on the relative airspeed",
-        0.0,
-        ge=0,
-        sound=Sound(0, 1e3, "a hundred square metres across the flow have about 1e2"),
-    )
-    efficiency_map: EfficiencyMap = quantity("", "the recovered efficiency function f_r")
-    rotor_radius: Number | None = quantity(
-        "m",
-        "momentum: radius of one rotor (R)",
-        None,
-        gt=0,
-        sound=Sound(1e-3, 100, "rotors reach from a millimetre to a hundred metres"),
-    )
-    induced_power_factor: Number = quantity(
-        "1", "momentum: induced power over that of an ideal rotor", 1.0, ge=1, le=10
-    )
-    profile_power_coefficient: Number = quantity(
-        "1", "momentum: profile power over thrust^1.5 / sqrt(density * disc area)", 0.0, ge=0, le=10
-    )
-    profile_advance_factor: Number = quantity(
-        "1", "momentum: growth of profile power with the advance ratio squared", 4.65, ge=0, le=100
-    )
-    climb_power_factor: Number = quantity(
-        "1", "momentum: power over thrust times axial airspeed, in climb", 1.0, ge=0, le=10
-    )
-    descent_power_factor: Number = quantity(
-        "1", "momentum: power over thrust times axial airspeed, in descent", 1.0, ge=0, le=10
-    )
-    electronics_power: Number = quantity(
-        "W",
-        "momentum: power of all but the motors",
-        0.0,
-        ge=0,
-        sound=Sound(0, 1e5, "electronics in flight draw milliwatts to kilowatts"),
-    )
-    anemometer_factor: Number = quantity(
-        "1", "logs: true airspeed over the reading of the vehicle's anemometer", 1.0, gt=0, le=10
-    )
-
-    @property
-    def total_mass(self) -> float:
-        """Mass in flight, kg."""
-        return self.mass + self.payload
-
-    def hover_speed(self, gravity: float) -> float:
-        """Return the rotor speed at which the thrust balances the weight.
-
-        Parameters
-        ----------
-        gravity : float
-            Acceleration of gravity, m/s^2.
-
-        Returns
-        -------
-        float
-            Speed of each rotor, rad/s.
-        """
-        return sqrt(self.total_mass * gravity / (ROTOR_COUNT * self.thrust_coefficient))
-
-
 #: rad/s.
 FASTEST_ROTOR = 1e5
 _ANGLE = Sound(1e-4, 2, "the angle is in radians")
@@ -534,6 +363,7 @@ class Limits(Part):
         "m/s",
         "largest speed over ground, no limit when absent",
         None,
+        is_late=True,
         gt=0,
         sound=Sound(1e-2, 1e3, "nothing with rotors flies at the speed of sound"),
     )

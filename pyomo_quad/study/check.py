@@ -6,16 +6,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
-from pyomo_quad.flight.flight import ROTORS
+from pyomo_quad.flight.flight import ROTORS, position_miss, terminal_miss_of
 from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight, battery_shortfalls
+from pyomo_quad.flight.verification import fly_controls
 from pyomo_quad.model import build_model
 from pyomo_quad.model.custom import Builder
 from pyomo_quad.model.screening import Finding, Severity, screen_model
-from pyomo_quad.scenario import PowerModel, Scenario, describe_fields
+from pyomo_quad.scenario import Attitude, PowerModel, Scenario, describe_fields
 from pyomo_quad.scenario.fields import unit_of
 from pyomo_quad.scenario.tables import derived_limits
 from pyomo_quad.study.certificate import ThrustMoments, certify
+from pyomo_quad.study.comparison import ARRIVAL_DISTANCE_M
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
@@ -405,7 +408,34 @@ def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[st
     findings = diagnose(plan.scenario, planner=planner)
     told = tuple(finding.message for finding in findings)
     solved = () if plan.solution is None else plan.solution.warnings
-    return (*told, *solved, *_efficiency_map_cautions(plan.scenario, plan))
+    doubts = (*_efficiency_map_cautions(plan.scenario, plan), *_attitude_cautions(plan, planner))
+    return (*told, *solved, *doubts)
+
+
+def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> tuple[str, ...]:
+    """Say where a plan ends that takes body rates for Euler rates, if it does not arrive."""
+    told = plan.scenario.as_forecast()
+    is_printed = told.vehicle.attitude is Attitude.PAPER
+    if not is_printed or plan.solution is None or plan.verification is None:
+        return ()
+    vehicle = told.vehicle.model_copy(update={"attitude": Attitude.EULER})
+    exact = (planner or Planner()).dynamics(told.model_copy(update={"vehicle": vehicle}))
+    held = plan.trajectories
+    planned = dict(zip(held.state_names, held.states[-1].tolist(), strict=True))
+    try:
+        flown = fly_controls(exact, held.mesh, held.controls, held.states[0], held.horizon)
+    except SolveError:
+        miss = inf
+    else:
+        miss = position_miss(terminal_miss_of(exact, flown.states[-1], planned))
+    if miss <= ARRIVAL_DISTANCE_M:
+        return ()
+    astray = (
+        f'vehicle.attitude = "paper": its body rates taken for Euler rates hold for this plan no '
+        f"longer: flown with exact attitude it ends {miss:.3g} m astray, more than "
+        f'{ARRIVAL_DISTANCE_M:g} m; set vehicle.attitude = "euler".'
+    )
+    return (astray,)
 
 
 def _efficiency_map_cautions(scenario: Scenario, plan: "Plan") -> tuple[str, ...]:

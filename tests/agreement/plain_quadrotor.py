@@ -61,8 +61,19 @@ def wind(t, hertz=False):
     return np.array([*components, 0.0])
 
 
-def rates(body, omega, alpha, wind_velocity, drag=None):
-    """Time derivative of the 16 states; `drag` = (linear, quadratic) replaces (9)'s W."""
+def angle_rates(phi, theta, spin):
+    """Roll, pitch and yaw rates of which each turns about its own axis, together the spin."""
+    level = rotation(phi, 0, 0).T
+    axes = [[1, 0, 0], level @ [0, 1, 0], level @ rotation(0, theta, 0).T @ UP]
+    return np.linalg.solve(np.transpose(axes), spin)
+
+
+def rates(body, omega, alpha, wind_velocity, drag=None, is_exact=False):
+    """Time derivative of the 16 states; `drag` = (linear, quadratic) replaces (9)'s W.
+
+    Exact attitude, unlike (9)'s, tells the angles' rates from the spin and has the body turn
+    against rotors that gather speed.
+    """
     velocity, (phi, theta, psi), spin = body[3:6], body[6:9], body[9:12]
     thrusts = KB * omega**2
     force = rotation(phi, theta, psi) @ (thrusts.sum() * UP) - MASS * GRAVITY * UP
@@ -75,9 +86,12 @@ def rates(body, omega, alpha, wind_velocity, drag=None):
         acceleration = (force - drag[0] * air - drag[1] * speed * air) / MASS
     moment = np.cross(POSITIONS, thrusts[:, None] * UP).sum(axis=0)
     moment += (SPIN * KAPPA * omega**2).sum() * UP
+    if is_exact:
+        moment += IR * (SPIN * alpha).sum() * UP
     drum = IR * (SPIN * omega).sum() * np.cross(spin, UP)
     angular = np.linalg.solve(INERTIA, moment + drum - np.cross(spin, INERTIA @ spin))
-    return np.concatenate([velocity, acceleration, spin, angular, alpha])
+    turning = angle_rates(phi, theta, spin) if is_exact else spin
+    return np.concatenate([velocity, acceleration, turning, angular, alpha])
 
 
 def shaft_torque(omega, alpha):

@@ -1,11 +1,21 @@
 """A scenario is completed from default, library, file and overrides, in this order."""
 
+import json
 import pickle
 
 import pytest
 
-from pyomo_quad.scenario import Scenario, ScenarioError, load_scenario, scenario_from_mapping
+from pyomo_quad.scenario import (
+    Attitude,
+    Scenario,
+    ScenarioError,
+    load_scenario,
+    scenario_from_mapping,
+)
+from tests.command import SCENARIOS
 from tests.scenario_files import write_scenario, write_wind
+
+REPORTS = SCENARIOS.parent / "reports"
 
 
 def test_layers_in_order(tmp_path):
@@ -214,3 +224,25 @@ def test_a_vehicle_file_that_is_none(tmp_path, text, message):
         (tmp_path / "mine.toml").write_text(text)
     with pytest.raises(ScenarioError, match=message):
         load_scenario(write_scenario(tmp_path, 'vehicle.use = "mine.toml"'))
+
+
+@pytest.mark.parametrize("name", ["paper_calm", "paper_wind", "wind_untold"])
+def test_records_of_the_papers_scenarios_stay_as_they_were_written(name):
+    written = json.loads((REPORTS / name / "summary.json").read_text())["scenario_resolved"]
+    scenario = load_scenario(SCENARIOS / f"{name}.toml")
+    assert scenario.vehicle.attitude is Attitude.PAPER
+    assert scenario.model_dump(mode="json") == written
+    assert Scenario.model_validate(written) == scenario
+
+
+def test_attitude_is_exact_unless_the_file_or_an_older_record_means_another(tmp_path):
+    scenario = load_scenario(write_scenario(tmp_path))
+    assert scenario.vehicle.attitude is Attitude.EULER
+    assert scenario.provenance["vehicle.attitude"] == "default"
+    record = scenario.model_dump(mode="json")
+    assert record["vehicle"]["attitude"] == "euler"
+    assert Scenario.model_validate(record) == scenario
+    del record["vehicle"]["attitude"]
+    older = Scenario.model_validate(record)
+    assert older.vehicle.attitude is Attitude.PAPER
+    assert older.with_values({"gravity": 9.8}).vehicle.attitude is Attitude.PAPER

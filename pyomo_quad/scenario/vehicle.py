@@ -1,0 +1,219 @@
+"""The vehicle's table of a scenario."""
+
+from enum import StrEnum
+from math import sqrt
+
+from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Sound, Text, Triple, quantity
+
+ROTOR_COUNT = 4
+
+_INERTIA = Sound(1e-9, 1e6, "a gram at a millimetre has 1e-9, ten tonnes at ten metres have 1e6")
+_FITTED = Sound(-1e9, 1e9, "f_r is a share and its arguments are not tiny")
+
+
+class EfficiencyMap(Part):
+    """Coefficients of f_r(tau, omega), each row (a, b, c) of a omega^2 + b omega + c."""
+
+    cubic: Triple = quantity(
+        "", "row of tau^3; f_r is a pure number, tau in N m, omega in rad/s", sound=_FITTED
+    )
+    quadratic: Triple = quantity("", "row of tau^2", sound=_FITTED)
+    linear: Triple = quantity("", "row of tau", sound=_FITTED)
+    constant: Triple = quantity("", "row without tau", sound=_FITTED)
+
+
+class Attitude(StrEnum):
+    """How the angles of the attitude follow from the body rates."""
+
+    EULER = "euler"
+    PAPER = "paper"
+
+
+class Vehicle(Part):
+    """A quadrotor: four equal rotors on arms along body x and y, numbered as in the paper."""
+
+    use: Text = quantity("", "name of the vehicle in the library, or a file of its own, NAME.toml")
+    title: Text = quantity(
+        "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
+    )
+    mass: Number = quantity(
+        "kg",
+        "mass without payload",
+        gt=0,
+        sound=Sound(1e-3, 1e4, "flying machines weigh from a gram to ten tonnes"),
+    )
+    payload: Number = quantity(
+        "kg",
+        "mass carried, at the centre of mass",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e4, "flying machines weigh from a gram to ten tonnes"),
+    )
+    arm_length: Number = quantity(
+        "m",
+        "centre of mass to rotor shaft (l)",
+        gt=0,
+        sound=Sound(1e-3, 100, "rotors stand from a millimetre to a hundred metres out"),
+    )
+    Ix: Number = quantity("kg*m^2", "moment of inertia about body x", gt=0, sound=_INERTIA)
+    Iy: Number = quantity("kg*m^2", "moment of inertia about body y", gt=0, sound=_INERTIA)
+    Iz: Number = quantity("kg*m^2", "moment of inertia about body z", gt=0, sound=_INERTIA)
+    thrust_coefficient: Number = quantity(
+        "N*s^2",
+        "thrust over rotor speed squared (kb)",
+        gt=0,
+        sound=Sound(
+            1e-12, 100, "a rotor of a centimetre has about 1e-10, one of ten metres about 10"
+        ),
+    )
+    drag_torque_coefficient: Number = quantity(
+        "N*m*s^2",
+        "drag torque over rotor speed squared (kappa)",
+        gt=0,
+        sound=Sound(
+            1e-15, 100, "a rotor of a centimetre has about 1e-13, one of ten metres about 1"
+        ),
+    )
+    rotor_inertia: Number = quantity(
+        "kg*m^2",
+        "inertia of rotor and propeller (Ir)",
+        gt=0,
+        sound=Sound(
+            1e-12, 1e4, "a rotor of a centimetre has about 1e-11, one of ten metres about 1e3"
+        ),
+    )
+    torque_constant: Number = quantity(
+        "N*m/A",
+        "motor torque over current (kt)",
+        gt=0,
+        sound=Sound(
+            1e-6, 100, "motors for flight give from micronewton metres to newton metres per ampere"
+        ),
+    )
+    voltage_constant: Number = quantity(
+        "rad/s/V",
+        "motor speed over voltage (kv)",
+        gt=0,
+        sound=Sound(1e-2, 1e5, "motors for flight turn by 0.1 to 10,000 rad/s per volt"),
+    )
+    motor_resistance: Number = quantity(
+        "ohm",
+        "winding resistance (R)",
+        gt=0,
+        sound=Sound(1e-6, 1e3, "windings have from micro-ohms to hundreds of ohms"),
+    )
+    friction_torque: Number = quantity(
+        "N*m",
+        "dry friction of one motor (Tf)",
+        0.0,
+        ge=0,
+        sound=Sound(0, 100, "bearings of a rotor are nearly free"),
+    )
+    viscous_damping: Number = quantity(
+        "N*m*s",
+        "viscous friction of one motor (Df)",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1, "bearings of a rotor are nearly free"),
+    )
+    drag_linear: Number = quantity(
+        "kg/s",
+        "linear drag on the relative airspeed",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e4, "a hundred square metres across the flow have about 1e3"),
+    )
+    drag_quadratic: Number = quantity(
+        "kg/m",
+        "quadratic drag on the relative airspeed",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e3, "a hundred square metres across the flow have about 1e2"),
+    )
+    efficiency_map: EfficiencyMap = quantity("", "the recovered efficiency function f_r")
+    rotor_radius: Number | None = quantity(
+        "m",
+        "momentum: radius of one rotor (R)",
+        None,
+        gt=0,
+        sound=Sound(1e-3, 100, "rotors reach from a millimetre to a hundred metres"),
+        is_late=True,
+    )
+    induced_power_factor: Number = quantity(
+        "1", "momentum: induced power over that of an ideal rotor", 1.0, ge=1, le=10, is_late=True
+    )
+    profile_power_coefficient: Number = quantity(
+        "1",
+        "momentum: profile power over thrust^1.5 / sqrt(density * disc area)",
+        0.0,
+        ge=0,
+        le=10,
+        is_late=True,
+    )
+    profile_advance_factor: Number = quantity(
+        "1",
+        "momentum: growth of profile power with the advance ratio squared",
+        4.65,
+        ge=0,
+        le=100,
+        is_late=True,
+    )
+    climb_power_factor: Number = quantity(
+        "1",
+        "momentum: power over thrust times axial airspeed, in climb",
+        1.0,
+        ge=0,
+        le=10,
+        is_late=True,
+    )
+    descent_power_factor: Number = quantity(
+        "1",
+        "momentum: power over thrust times axial airspeed, in descent",
+        1.0,
+        ge=0,
+        le=10,
+        is_late=True,
+    )
+    electronics_power: Number = quantity(
+        "W",
+        "momentum: power of all but the motors",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e5, "electronics in flight draw milliwatts to kilowatts"),
+        is_late=True,
+    )
+    anemometer_factor: Number = quantity(
+        "1",
+        "logs: true airspeed over the reading of the vehicle's anemometer",
+        1.0,
+        gt=0,
+        le=10,
+        is_late=True,
+    )
+    attitude: Attitude = quantity(
+        "",
+        "exact kinematics and the rotors' yaw reaction, or eq. (9) and (6) as printed",
+        Attitude.PAPER,
+        is_late=True,
+        initial=Attitude.EULER,
+    )
+
+    @property
+    def total_mass(self) -> float:
+        """Mass in flight, kg."""
+        return self.mass + self.payload
+
+    def hover_speed(self, gravity: float) -> float:
+        """Return the rotor speed at which the thrust balances the weight.
+
+        Parameters
+        ----------
+        gravity : float
+            Acceleration of gravity, m/s^2.
+
+        Returns
+        -------
+        float
+            Speed of each rotor, rad/s.
+        """
+        return sqrt(self.total_mass * gravity / (ROTOR_COUNT * self.thrust_coefficient))
