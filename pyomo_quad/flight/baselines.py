@@ -30,7 +30,7 @@ from pyomo_quad.flight.verification import (
     battery_imbalance,
     fly_controls,
 )
-from pyomo_quad.scenario import Attitude, Scenario, ScenarioError
+from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.tables import Hover, Reference
 
 FloatArray = NDArray[np.float64]
@@ -269,6 +269,7 @@ _PLAN_RATE_HZ = 5.0
 _PLACE = (*POSITION_STATES, "rigid_body.psi")
 _RATE = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz", "rigid_body.dpsi_dt")
 _ACCELERATION = tuple(f"rigid_body.d{name}_dt" for name in ("vx", "vy", "vz", "r"))
+_YAW_REACTION = "rotors.yaw_reaction"
 # s, over which the planned yaw rate is differentiated along the flight.
 _INSTANT = 1e-4
 _AIR_FORCE = tuple(f"aerodynamics.force_{axis}" for axis in "xyz")
@@ -426,7 +427,10 @@ def _planned_path(plan: Plan) -> SampledPath:
         forces = plan.dynamics.table(tuple((name, None) for name in _AIR_FORCE), *flown)
         air[:, : len(_AIR_FORCE)] = forces / plan.scenario.vehicle.total_mass
     values, rates, accelerations = np.split(rows, 3, axis=1)
-    if plan.scenario.vehicle.attitude is Attitude.EULER:
+    if plan.dynamics.has(_YAW_REACTION):
+        # Rotors that gather speed turn the body more than their drag does; the law knows only that.
+        reaction = plan.dynamics.table(((_YAW_REACTION, None),), *flown)[:, 0]
+        air[:, -1] = reaction / plan.scenario.vehicle.Iz
         accelerations[:, -1] = _yaw_acceleration(plan.dynamics, *flown)
     return SampledPath(times, values, rates, accelerations, air)
 

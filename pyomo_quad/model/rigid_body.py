@@ -214,7 +214,5 @@ def _declare_yaw_balance_with_reaction(b: Block, m: ConcreteModel) -> None:
     def yaw_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         airframe_coupling = (m.vehicle.Ix - m.vehicle.Iy) * b.p[t] * b.q[t]
-        rotor_reaction = m.vehicle.rotor_inertia * m.rotors.acceleration_imbalance[t]
-        return (
-            m.vehicle.Iz * b.dr_dt[t] == airframe_coupling + m.rotors.yaw_moment[t] + rotor_reaction
-        )
+        moment = m.rotors.yaw_moment[t] + m.rotors.yaw_reaction[t]
+        return m.vehicle.Iz * b.dr_dt[t] == airframe_coupling + moment

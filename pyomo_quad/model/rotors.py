@@ -52,7 +52,7 @@ def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
     _declare_speeds(b, m, scenario)
     _declare_mixer(b, m)
     if scenario.vehicle.attitude is Attitude.EULER:
-        _declare_acceleration_imbalance(b, m)
+        _declare_yaw_reaction(b, m)
 
 
 def _declare_speeds(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
@@ -99,7 +99,8 @@ def _declare_mixer(b: Block, m: ConcreteModel) -> None:
         return b.omega[1, t] - b.omega[2, t] + b.omega[3, t] - b.omega[4, t]
 
 
-def _declare_acceleration_imbalance(b: Block, m: ConcreteModel) -> None:
-    @b.Expression(m.time, doc="rate of the speed imbalance of the rotors [rad/s^2]")
-    def acceleration_imbalance(b: Block, t: float) -> NumericExpression:
-        return b.alpha[1, t] - b.alpha[2, t] + b.alpha[3, t] - b.alpha[4, t]
+def _declare_yaw_reaction(b: Block, m: ConcreteModel) -> None:
+    @b.Expression(m.time, doc="moment on the body of rotors that gather speed [N m]")
+    def yaw_reaction(b: Block, t: float) -> NumericExpression:
+        gathering = b.alpha[1, t] - b.alpha[2, t] + b.alpha[3, t] - b.alpha[4, t]
+        return b.parent_block().vehicle.rotor_inertia * gathering

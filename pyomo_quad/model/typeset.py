@@ -49,6 +49,7 @@ _ROTORS = {
     "pitch_moment": "u_3",
     "yaw_moment": "u_4",
     "speed_imbalance": r"\varpi",
+    "yaw_reaction": "u_r",
     "motor_torque": r"\tau",
     "motor_current": "i",
     "motor_voltage": "v",

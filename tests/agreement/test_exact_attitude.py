@@ -13,7 +13,8 @@ from scipy.integrate import solve_ivp
 
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.attitude import KINEMATICS
-from pyomo_quad.scenario import Attitude, load_scenario
+from pyomo_quad.flight.baselines import fly_baseline
+from pyomo_quad.scenario import Attitude, Reference, load_scenario
 from pyomo_quad.study.check import plan_cautions
 from tests import flights
 from tests.agreement import plain_quadrotor as plain
@@ -152,3 +153,11 @@ def test_the_controller_knows_the_declared_kinematics(attitude):
         np.testing.assert_allclose(accelerations, slope, rtol=1e-6, atol=1e-6)
         back = kinematics.body_accelerations(at, spin, accelerations)
         np.testing.assert_allclose(back, turning, rtol=1e-9, atol=1e-12)
+
+
+def test_feedback_follows_a_quarter_turn_at_the_cost_of_its_plan():
+    plan = planned("euler", *YAW.items())
+    flight = fly_baseline(plan.scenario, Reference.PLAN, dynamics=plan.dynamics, plan=plan)
+    assert flight.is_verified
+    assert flight.terminal_miss_m < 0.01
+    assert flight.energy_J + flight.owed_energy_J == pytest.approx(plan.energy, abs=0.3)
