@@ -1,0 +1,220 @@
+"""Reactors and processes, and the like of them in fisheries, mines and medicine."""
+
+from pyomo.environ import exp, log
+
+from tests.problems.published.statement import (
+    Case,
+    guessed,
+    maximised,
+    minimised,
+    posed,
+    total,
+)
+
+COPS = "Dolan, More and Munson (2004), COPS 3.0, ANL/MCS-TM-273"
+PSOPT = "PSOPT 5, doc/SQP_ALL_EXAMPLES.csv"
+DADEBO = "Dadebo and McAuley (1995), Computers & Chemical Engineering 19"
+
+
+def catalyst_mixing(end=1.0):
+    m = posed(
+        "catalyst mixing",
+        {"a": (1, None, 0, 1), "b": (0, None, 0, 1)},
+        {"u": (0, 1)},
+        lambda m, t: {
+            "a": m.u[t] * (10 * m.b[t] - m.a[t]),
+            "b": m.u[t] * (m.a[t] - 10 * m.b[t]) - (1 - m.u[t]) * m.b[t],
+        },
+        end=end,
+    )
+    guessed(m, a=lambda _s: 1, b=lambda _s: 0)
+    return maximised(m, 1 - m.a[end] - m.b[end])
+
+
+def long_catalyst_mixing():
+    return catalyst_mixing(4.0)
+
+
+def parallel_reactions():
+    m = posed(
+        "parallel reactions",
+        {"a": (1, None, 0, 1), "b": (0, None, 0, 1)},
+        {"u": (0, 5)},
+        lambda m, t: {"a": -(m.u[t] + m.u[t] ** 2 / 2) * m.a[t], "b": m.u[t] * m.a[t]},
+    )
+    return maximised(m, m.b[1])
+
+
+def batch_reactor():
+    def rates(m, t):
+        k1, k2 = 4e3 * exp(-2500 / m.kelvin[t]), 6.2e5 * exp(-5000 / m.kelvin[t])
+        lost = k1 * m.a[t] ** 2
+        return {"a": -lost, "b": lost - k2 * m.b[t]}
+
+    m = posed(
+        "batch reactor",
+        {"a": (1, None, 0, 1), "b": (0, None, 0, 1)},
+        {"kelvin": (298, 398)},
+        rates,
+    )
+    return maximised(m, m.b[1])
+
+
+def stirred_tank():
+    def rates(m, t):
+        heat = (m.y[t] + 0.5) * exp(25 * m.x[t] / (m.x[t] + 2))
+        return {
+            "x": -(2 + m.u[t]) * (m.x[t] + 0.25) + heat,
+            "y": 0.5 - m.y[t] - heat,
+        }
+
+    m = posed(
+        "stirred tank",
+        {"x": (0.05, None, -1, 1), "y": (0, None, -1, 1)},
+        {"u": (-5, 5)},
+        rates,
+        end=0.78,
+    )
+    return minimised(m, total(m, lambda m, t: m.x[t] ** 2 + m.y[t] ** 2 + 0.1 * m.u[t] ** 2))
+
+
+def mine():
+    m = posed(
+        "mine", {"x": (10, None, 0.01, 10)}, {"u": (0, 20)}, lambda m, t: {"x": -m.u[t]}, end=3
+    )
+    guessed(m, x=lambda s: 10 - 9 * s)
+    return maximised(m, total(m, lambda m, t: 2 * m.u[t] - m.u[t] ** 2 / m.x[t]))
+
+
+def fishing():
+    m = posed(
+        "fishing",
+        {"prey": (0.5, None, 0, 3), "hunter": (0.7, None, 0, 3)},
+        {"w": (0, 1)},
+        lambda m, t: {
+            "prey": m.prey[t] - m.prey[t] * m.hunter[t] - 0.4 * m.prey[t] * m.w[t],
+            "hunter": -m.hunter[t] + m.prey[t] * m.hunter[t] - 0.2 * m.hunter[t] * m.w[t],
+        },
+        end=12,
+    )
+    guessed(m, prey=lambda _s: 1, hunter=lambda _s: 1)
+    return minimised(m, total(m, lambda m, t: (m.prey[t] - 1) ** 2 + (m.hunter[t] - 1) ** 2))
+
+
+# Of a tumour that nothing treats.
+SIZE = ((5.85 - 0.02) / 0.00873) ** 1.5
+
+
+def tumour():
+    m = posed(
+        "tumour",
+        {"p": (SIZE / 2, None, 1, SIZE), "q": (SIZE / 4, None, 1, SIZE), "y": (0, None, 0, 15)},
+        {"u": (0, 75)},
+        lambda m, t: {
+            "p": -0.084 * m.p[t] * log(m.p[t] / m.q[t]),
+            "q": m.q[t] * (5.85 - 0.02 - 0.00873 * m.p[t] ** (2 / 3) - 0.15 * m.u[t]),
+            "y": m.u[t],
+        },
+        free=(0.1, 5, 1.2),
+    )
+    guessed(m, p=lambda s: (0.5 - 0.1 * s) * SIZE, q=lambda _s: SIZE / 4, y=lambda s: 15 * s)
+    return minimised(m, m.p[1])
+
+
+def oil_shale():
+    laws = ((8.86, 20300.0), (24.25, 37400.0), (23.67, 33800.0), (18.75, 28200.0), (20.70, 31000.0))
+
+    def rates(m, t):
+        k1, k2, k3, k4, k5 = (exp(a - b / 1.9872 / m.kelvin[t]) for a, b in laws)
+        a, b = m.kerogen[t], m.bitumen[t]
+        return {
+            "kerogen": -k1 * a - (k3 + k4 + k5) * a * b,
+            "bitumen": k1 * a - k2 * b + k3 * a * b,
+        }
+
+    m = posed(
+        "oil shale",
+        {"kerogen": (1, None, 0, 1), "bitumen": (0, None, 0, 1)},
+        {"kelvin": (698.15, 748.15)},
+        rates,
+        free=(1, 30, 10),
+    )
+    return maximised(m, m.bitumen[1])
+
+
+def lee_ramirez():
+    def rates(m, t):
+        s, x = m.x3[t], m.x2[t]
+        t1 = 14.35 + s + s**2 / 111.5
+        t2 = 0.22 + m.x5[t]
+        t3 = m.x6[t] + 0.22 / t2 * m.x7[t]
+        growth = s / t1 * t3
+        protein = 0.233 * s / t1 * (0.0005 + m.x5[t]) / (0.022 + m.x5[t])
+        decay = 0.09 * m.x5[t] / (0.034 + m.x5[t])
+        flow = m.u1[t] + m.u2[t]
+        return {
+            "x1": flow,
+            "x2": growth * x - flow * x / m.x1[t],
+            "x3": 100 * m.u1[t] / m.x1[t] - flow * s / m.x1[t] - growth * x / 0.51,
+            "x4": protein * x - flow * m.x4[t] / m.x1[t],
+            "x5": 4 * m.u2[t] / m.x1[t] - flow * m.x5[t] / m.x1[t],
+            "x6": -decay * m.x6[t],
+            "x7": decay * (1 - m.x7[t]),
+        }
+
+    m = posed(
+        "Lee-Ramirez",
+        {
+            "x1": (1, None, 0.5, 10),
+            "x2": (0.1, None, 0, 50),
+            "x3": (40, None, 0, 60),
+            "x4": (0, None, 0, 20),
+            "x5": (0, None, 0, 10),
+            "x6": (1, None, 0, 1),
+            "x7": (0, None, 0, 1),
+        },
+        {"u1": (0, 1), "u2": (0, 1)},
+        rates,
+        end=10,
+    )
+    guessed(m, x1=lambda s: 1 + s, x3=lambda s: 40 - 35 * s)
+    return maximised(m, m.x1[10] * m.x4[10])
+
+
+CASES = (
+    Case(name="catalyst_mixing", build=catalyst_mixing, published="0.0480557", source=COPS),
+    Case(
+        name="long_catalyst_mixing",
+        build=long_catalyst_mixing,
+        published="0.192",
+        source="BOCOP 2.0.5 examples, Jackson",
+    ),
+    Case(name="parallel_reactions", build=parallel_reactions, published="0.5735", source=DADEBO),
+    Case(name="batch_reactor", build=batch_reactor, published="0.6108", source=DADEBO),
+    Case(
+        name="stirred_tank",
+        build=stirred_tank,
+        published="0.0266",
+        source="Kirk (1970), Optimal Control Theory, section 6.2",
+    ),
+    Case(
+        name="mine",
+        build=mine,
+        published=10 * 2**2 * 3 / (4 + 2 * 3),
+        source="Dorroh and Ferreyra (1994), JOTA 80",
+    ),
+    Case(
+        name="fishing",
+        build=fishing,
+        published="1.34408",
+        source="Sager (2012), A benchmark library of mixed-integer optimal control",
+    ),
+    Case(
+        name="tumour",
+        build=tumour,
+        published="7571.67",
+        source="Betts (2010), example 8.17, after Ledzewicz and Schaettler (2007)",
+    ),
+    Case(name="oil_shale", build=oil_shale, published="0.354", source="Luus (2000), section 9.4"),
+    Case(name="lee_ramirez", build=lee_ramirez, published="6.16", source="Banga et al. (2005)"),
+)

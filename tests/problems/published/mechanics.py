@@ -1,0 +1,387 @@
+"""Masses, springs, arms, cranes and landers."""
+
+import numpy as np
+from pyomo.dae import ContinuousSet, DerivativeVar, Integral
+from pyomo.environ import ConcreteModel, Constraint, Var, cos, log, sin
+from scipy.optimize import brentq
+
+from tests.problems.published.statement import (
+    Case,
+    guessed,
+    maximised,
+    minimised,
+    posed,
+    total,
+)
+
+COPS = "Dolan, More and Munson (2004), COPS 3.0, ANL/MCS-TM-273"
+PSOPT = "PSOPT 5, doc/SQP_ALL_EXAMPLES.csv"
+BETTS = "Betts (2010), Practical Methods for Optimal Control"
+
+
+def oscillator():
+    m = posed(
+        "oscillator",
+        {"x": (1, 0), "v": (0, 0)},
+        {"u": (-1, 1)},
+        lambda m, t: {"x": m.v[t], "v": m.u[t] - m.x[t]},
+        free=(0.5, 5, 2),
+    )
+    return minimised(m, m.T)
+
+
+def soft_landing():
+    m = posed(
+        "soft landing",
+        {"h": (10, 0), "v": (-2, 0)},
+        {"u": (0, 3)},
+        lambda m, t: {"h": m.v[t], "v": m.u[t] - 1.5},
+        free=(1, 10, 4),
+    )
+    return minimised(m, total(m, lambda m, t: m.T * m.u[t]))
+
+
+def _landing_fuel():
+    """Fall freely for s, then brake with 3 for (2 + 1.5 s) / 1.5."""
+    # 10 - 2 s - 0.75 s^2 = (2 + 1.5 s)^2 / 3
+    s = max(np.roots([1.5, 4.0, 4 / 3 - 10]))
+    return float(2 * (2 + 1.5 * s))
+
+
+def moon_landing():
+    m = posed(
+        "moon landing",
+        {"h": (1, 0), "v": (-0.783, 0), "mass": (1, None, 0.1, 1)},
+        {"u": (0, 1.227)},
+        lambda m, t: {"h": m.v[t], "v": m.u[t] / m.mass[t] - 1, "mass": -m.u[t] / 2.349},
+        free=(0.5, 10, 1.5),
+    )
+    guessed(m, mass=lambda s: 1 - 0.5 * s)
+    return minimised(m, total(m, lambda m, t: m.T * m.u[t]))
+
+
+def _moon_fuel():
+    """Fall freely for s, then brake with full thrust, whose burn follows Tsiolkovsky's equation."""
+    thrust, exhaust = 1.227, 2.349
+
+    def burn(s):
+        # v = -exhaust log(mass) - t - what gravity gave; the burn ends when it vanishes.
+        fall = 0.783 + s
+        return brentq(
+            lambda b: -exhaust * np.log(1 - thrust * b / exhaust) - b - fall, 0.01, 1.85, xtol=1e-15
+        )
+
+    def miss(s):
+        b, fall = burn(s), 0.783 + s
+        height = 1 - 0.783 * s - s**2 / 2
+        left = 1 - thrust * b / exhaust
+        gained = exhaust * (b + exhaust / thrust * left * np.log(left))
+        return height - fall * b - b**2 / 2 + gained
+
+    return float(thrust * burn(brentq(miss, 0.0, 0.8, xtol=1e-15)))
+
+
+def fuel_optimal():
+    m = posed(
+        "fuel optimal",
+        {"x": (0, 1), "v": (0, 0)},
+        {"push": (0, 1), "brake": (0, 1)},
+        lambda m, t: {"x": m.v[t], "v": m.push[t] - m.brake[t]},
+        end=4,
+    )
+    return minimised(m, total(m, lambda m, t: m.push[t] + m.brake[t]))
+
+
+def robot_arm():
+    def rates(m, t):
+        by_latitude = ((5 - m.rho[t]) ** 3 + m.rho[t] ** 3) / 3
+        return {
+            "rho": m.rho_rate[t],
+            "theta": m.theta_rate[t],
+            "phi": m.phi_rate[t],
+            "rho_rate": m.u_rho[t] / 5,
+            "theta_rate": m.u_theta[t] / (by_latitude * sin(m.phi[t]) ** 2),
+            "phi_rate": m.u_phi[t] / by_latitude,
+        }
+
+    m = posed(
+        "robot arm",
+        {
+            "rho": (4.5, 4.5, 0, 5),
+            "theta": (0, 2 * np.pi / 3, -np.pi, np.pi),
+            "phi": (np.pi / 4, np.pi / 4, 0, np.pi),
+            "rho_rate": (0, 0),
+            "theta_rate": (0, 0),
+            "phi_rate": (0, 0),
+        },
+        {f"u_{name}": (-1, 1) for name in ("rho", "theta", "phi")},
+        rates,
+        free=(1, 20, 10),
+    )
+    return minimised(m, m.T)
+
+
+def two_link_arm():
+    def rates(m, t):
+        c, s = cos(m.elbow[t]), sin(m.elbow[t])
+        first, second, u, w = m.a[t], m.b[t], m.u[t], m.w[t]
+        one = s * (9 / 4 * c * first**2 + 2 * second**2) + 4 / 3 * (u - w) - 3 / 2 * c * w
+        two = -(s * (7 / 2 * first**2 + 9 / 4 * c * second**2) - 7 / 3 * w + 3 / 2 * c * (u - w))
+        below = 31 / 36 + 9 / 4 * s**2
+        return {"a": one / below, "b": two / below, "elbow": second - first, "shoulder": first}
+
+    m = posed(
+        "two-link arm",
+        {
+            "a": (0, 0, -2, 2),
+            "b": (0, 0, -2, 2),
+            "elbow": (0.5, 0.5, -2, 2),
+            "shoulder": (0, 0.522, -2, 2),
+        },
+        {"u": (-1, 1), "w": (-1, 1)},
+        rates,
+        free=(1, 10, 3),
+    )
+    return minimised(m, m.T)
+
+
+def container_crane():
+    m = posed(
+        "container crane",
+        {
+            "x": (0, 10, -5, 15),
+            "y": (22, 14, -5, 25),
+            "angle": (0, 0, -5, 15),
+            "vx": (0, 2.5, -2.5, 2.5),
+            "vy": (-1, 0, -1, 1),
+            "spin": (0, 0, -5, 15),
+        },
+        {"u": (-2.83374, 2.83374), "w": (-0.80865, 0.71265)},
+        lambda m, t: {
+            "x": 9 * m.vx[t],
+            "y": 9 * m.vy[t],
+            "angle": 9 * m.spin[t],
+            "vx": 9 * (m.u[t] + 17.2656 * m.angle[t]),
+            "vy": 9 * m.w[t],
+            "spin": -9 / m.y[t] * (m.u[t] + 27.0756 * m.angle[t] + 2 * m.vy[t] * m.spin[t]),
+        },
+    )
+    return minimised(m, total(m, lambda m, t: 4.5 * (m.angle[t] ** 2 + m.spin[t] ** 2)))
+
+
+def free_flying_robot():
+    def rates(m, t):
+        first, second = m.a[t] - m.b[t], m.c[t] - m.d[t]
+        return {
+            "x": m.vx[t],
+            "y": m.vy[t],
+            "angle": m.spin[t],
+            "vx": (first + second) * cos(m.angle[t]),
+            "vy": (first + second) * sin(m.angle[t]),
+            "spin": 0.2 * (first - second),
+        }
+
+    m = posed(
+        "free-flying robot",
+        {
+            "x": (-10, 0),
+            "y": (-10, 0),
+            "angle": (np.pi / 2, 0),
+            "vx": (0, 0),
+            "vy": (0, 0),
+            "spin": (0, 0),
+        },
+        dict.fromkeys("abcd", (0, 1)),
+        rates,
+        end=12,
+    )
+    m.one = Constraint(m.t, rule=lambda m, t: m.a[t] + m.b[t] <= 1)
+    m.other = Constraint(m.t, rule=lambda m, t: m.c[t] + m.d[t] <= 1)
+    return minimised(m, total(m, lambda m, t: m.a[t] + m.b[t] + m.c[t] + m.d[t]))
+
+
+def cubic_hyper_sensitive():
+    m = posed(
+        "cubic hyper-sensitive",
+        {"x": (1.5, 1)},
+        {"u": (-50, 50)},
+        lambda m, t: {"x": m.u[t] - m.x[t] ** 3},
+        end=50,
+    )
+    return minimised(m, total(m, lambda m, t: (m.x[t] ** 2 + m.u[t] ** 2) / 2))
+
+
+def rayleigh():
+    m = posed(
+        "Rayleigh",
+        {"x": (-5, None, -10, 10), "v": (-5, None, -10, 10)},
+        {"u": (-10, 10)},
+        lambda m, t: {
+            "x": m.v[t],
+            "v": -m.x[t] + m.v[t] * (1.4 - 0.14 * m.v[t] ** 2) + 4 * m.u[t],
+        },
+        end=4.5,
+    )
+    m.current = Constraint(m.t, rule=lambda m, t: m.u[t] + m.x[t] / 6 <= 0)
+    return minimised(m, total(m, lambda m, t: m.u[t] ** 2 + m.x[t] ** 2))
+
+
+def van_der_pol(floor=None):
+    m = posed(
+        "van der Pol",
+        {"x": (0, None) if floor is None else (0, None, floor, None), "y": (1, None)},
+        {"u": (-0.3, 1)},
+        lambda m, t: {
+            "x": (1 - m.y[t] ** 2) * m.x[t] - m.y[t] + m.u[t],
+            "y": m.x[t],
+        },
+        end=5,
+    )
+    return minimised(m, total(m, lambda m, t: m.x[t] ** 2 + m.y[t] ** 2 + m.u[t] ** 2))
+
+
+def van_der_pol_above_a_floor():
+    return van_der_pol(-0.4)
+
+
+def isoperimetric():
+    m = posed(
+        "isoperimetric",
+        {"x": (1, 0, -10, 10)},
+        {"u": (-4, 4)},
+        lambda m, t: {"x": m.u[t] - sin(m.x[t])},
+    )
+    m.effort = Integral(m.t, wrt=m.t, rule=lambda m, t: m.u[t] ** 2)
+    m.budget = Constraint(expr=m.effort == 10)
+    return minimised(m, total(m, lambda m, t: m.x[t]))
+
+
+def aly_chan():
+    m = posed(
+        "Aly-Chan",
+        {"x": (0, None), "v": (1, None)},
+        {"u": (-1, 1)},
+        lambda m, t: {"x": m.v[t], "v": m.u[t]},
+        end=np.pi / 2,
+    )
+    return minimised(m, total(m, lambda m, t: (m.v[t] ** 2 - m.x[t] ** 2) / 2))
+
+
+def interior_point():
+    m = ConcreteModel(name="interior point")
+    m.t = ContinuousSet(initialize=[0, 0.75, 1])
+    m.x, m.u = Var(m.t), Var(m.t)
+    m.dx = DerivativeVar(m.x, wrt=m.t)
+    m.law = Constraint(m.t, rule=lambda m, t: m.dx[t] == m.u[t])
+    for t, x in ((0, 1), (0.75, 0.9), (1, 0.75)):
+        m.x[t].fix(x)
+    return minimised(m, total(m, lambda m, t: m.x[t] ** 2 + m.u[t] ** 2))
+
+
+def _interior_cost():
+    """Between fixed values x'' = x, and the cost is x x' between the ends."""
+    cost = 0.0
+    for width, a, b in ((0.75, 1, 0.9), (0.25, 0.9, 0.75)):
+        s, c = np.sinh(width), np.cosh(width)
+        cost += ((a**2 + b**2) * c - 2 * a * b) / s
+    return float(cost)
+
+
+def logarithmic():
+    m = posed(
+        "logarithmic",
+        {"y": (5, None, 0.05, 20)},
+        {"u": (-20, 20)},
+        lambda m, t: {"y": m.y[t] * log(m.y[t]) + m.y[t] * m.u[t]},
+        end=5,
+    )
+    return minimised(m, total(m, lambda m, t: (log(m.y[t]) ** 2 + m.u[t] ** 2) / 2))
+
+
+def _logarithmic_cost():
+    """A linear regulator in log y: P' = P^2 - 2 P - 1, P(5) = 0."""
+    p = 1 + np.sqrt(2) * np.tanh(5 * np.sqrt(2) + np.arctanh(-1 / np.sqrt(2)))
+    return float(p * np.log(5) ** 2 / 2)
+
+
+def hager():
+    m = posed(
+        "Hager",
+        {"x": (1, None)},
+        {"u": (-5, 5)},
+        lambda m, t: {"x": 2.5 * (-m.x[t] + m.x[t] * m.u[t] - m.u[t] ** 2)},
+        end=2,
+    )
+    guessed(m, x=lambda s: 1 - 0.5 * s, u=lambda s: 0.3)
+    return maximised(m, m.x[2])
+
+
+CASES = (
+    Case(
+        name="oscillator",
+        build=oscillator,
+        published=float(np.arccos(0.875) + np.arccos(0.25)),
+        source="Pontryagin et al. (1962), section 1.5",
+    ),
+    Case(
+        name="soft_landing",
+        build=soft_landing,
+        published=_landing_fuel(),
+        source="GPOPS 4 manual, Moon lander",
+    ),
+    Case(
+        name="moon_landing",
+        build=moon_landing,
+        published=_moon_fuel(),
+        source="Meditch (1964), IEEE TAC 9",
+    ),
+    Case(
+        name="fuel_optimal",
+        build=fuel_optimal,
+        published=4 - 2 * 3**0.5,
+        source="Athans and Falb (1966), section 8.5",
+    ),
+    Case(name="robot_arm", build=robot_arm, published="9.141", source=COPS),
+    Case(
+        name="two_link_arm",
+        build=two_link_arm,
+        published="2.98",
+        source="Luus (2000), section 12.4",
+    ),
+    Case(name="container_crane", build=container_crane, published="5.151e-3", source=PSOPT),
+    Case(name="free_flying_robot", build=free_flying_robot, published="7.910154646", source=BETTS),
+    Case(
+        name="cubic_hyper_sensitive",
+        build=cubic_hyper_sensitive,
+        published="1.3308",
+        source=PSOPT,
+    ),
+    Case(name="rayleigh", build=rayleigh, published="44.8044", source="Maurer and Augustin (2001)"),
+    Case(
+        name="van_der_pol",
+        build=van_der_pol,
+        published="2.867",
+        source="Vassiliadis, Sargent and Pantelides (1994), I&EC Research 33",
+    ),
+    Case(
+        name="van_der_pol_floor",
+        build=van_der_pol_above_a_floor,
+        published="2.954",
+        source="Vassiliadis, Sargent and Pantelides (1994), I&EC Research 33",
+    ),
+    Case(name="isoperimetric", build=isoperimetric, published="-0.3755", source=PSOPT),
+    Case(name="aly_chan", build=aly_chan, published=0.0, source="Aly and Chan (1973), IJC 17"),
+    Case(name="interior_point", build=interior_point, published=_interior_cost(), source=PSOPT),
+    Case(
+        name="logarithmic",
+        build=logarithmic,
+        published=_logarithmic_cost(),
+        source="Garg et al. (2010), Automatica 46",
+    ),
+    Case(
+        name="hager",
+        build=hager,
+        published=float(4 / (1 + 3 * np.exp(5))),
+        source="Hager, Hou and Rao (2016), JOTA 169",
+    ),
+)
