@@ -90,8 +90,8 @@ def _prices(solution: Solution) -> tuple[Prices, Prices]:
 
 def _widths(solution: Solution) -> FloatArray:
     """Return the time that each collocation point stands for."""
-    start, end = solution.horizon
-    return np.asarray((end - start) * solution.mesh.quadrature_weights)
+    mesh = solution.mesh
+    return np.asarray(solution.timeline.span_at(mesh.point_fractions) * mesh.quadrature_weights)
 
 
 def _share_bounds(solution: Solution, sign: float, dual: Prices, reduced: Prices) -> None:

@@ -85,6 +85,36 @@ def initial_point(
     return np.clip(z, bounds.lower, bounds.upper)
 
 
+# Random functions are straight between so many instants; bounds beyond this size are none.
+_INSTANTS = 4
+_LARGEST_BOUND = 1e6
+
+
+def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) -> FloatArray:
+    """Return a random point: between bounds where both are finite, else about a given point."""
+    generator = np.random.default_rng(seed)
+    layout, moved = program.layout, np.array(z)
+    groups = [(layout.static_columns[None, :], np.zeros(1))]
+    if program.mesh is not None:
+        groups += [
+            (layout.state_columns, program.mesh.node_fractions),
+            (layout.algebraic_columns, program.mesh.point_fractions),
+        ]
+    instants = np.linspace(0.0, 1.0, _INSTANTS)
+    for columns, fractions in groups:
+        for own in columns.T:
+            # Fixed values at the ends say nothing of what lies between.
+            lower, upper = (np.median(side[own]) for side in (bounds.lower, bounds.upper))
+            if max(abs(lower), abs(upper)) < _LARGEST_BOUND:
+                values = generator.uniform(lower, upper, _INSTANTS)
+                moved[own] = np.interp(fractions, instants, values)
+            else:
+                size = max(1.0, float(np.max(np.abs(z[own]), initial=0.0)))
+                values = generator.normal(scale=size, size=_INSTANTS)
+                moved[own] += np.interp(fractions, instants, values)
+    return np.clip(moved, bounds.lower, bounds.upper)
+
+
 def _function_of_time(
     program: Transcription,
     bounds: Bounds,

@@ -12,7 +12,7 @@ from pyomo_quad.collocation.duals import load_suffixes
 from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.formulation import Formulation
-from pyomo_quad.collocation.guess import Guess, WarmStart, initial_point, transfer
+from pyomo_quad.collocation.guess import Guess, WarmStart, initial_point, scattered, transfer
 from pyomo_quad.collocation.mesh import Summarised
 from pyomo_quad.collocation.program.bounds import bounds_of, refuse_unsolvable, scaling_of
 from pyomo_quad.collocation.program.ipopt import (
@@ -27,6 +27,8 @@ from pyomo_quad.collocation.refining.refinement import RefinementOptions, refine
 from pyomo_quad.collocation.solution import Solution, outside_tables, solution_from
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pyomo_quad.collocation.mesh import FloatArray, Mesh
     from pyomo_quad.collocation.reading.values import Instance, Overrides
     from pyomo_quad.collocation.refining.refinement import Damping
@@ -87,6 +89,7 @@ class Problem(Summarised, Formulation):
         warm_start: Solution | WarmStart | None = None,
         options: SolverOptions | None = None,
         refinement: RefinementOptions | None = None,
+        starts: int = 1,
         progress: Progress | None = None,
     ) -> Solution:
         """Solve on a given mesh, or refine the mesh until the error meets a tolerance.
@@ -109,6 +112,9 @@ class Problem(Summarised, Formulation):
             On any mesh: its trajectory and multipliers are the first point.
         options : SolverOptions, optional
         refinement : RefinementOptions, optional
+        starts : int, default 1
+            First points tried on the first mesh, all but one at random between the bounds; the
+            best optimum is kept.  No global optimum is promised.
         progress : callable, optional
             Called at each iteration; returning False stops the solve.
 
@@ -124,6 +130,8 @@ class Problem(Summarised, Formulation):
         """
         if tolerance is not None and not tolerance > 0.0:
             raise TranscriptionError(f"tolerance: {tolerance:g}; must be above 0.")
+        if starts < 1:
+            raise TranscriptionError(f"starts: {starts}; must be at least 1.")
         instance = self.instance(parameters, horizon)
         options = options or SolverOptions()
         deadline = None
@@ -132,19 +140,47 @@ class Problem(Summarised, Formulation):
         start = warm_start.warm_start if isinstance(warm_start, Solution) else warm_start
         if tolerance is None and mesh is None:
             tolerance = DEFAULT_TOLERANCE
-        solve_on = partial(self.solve_on_mesh, instance=instance, guess=guess, progress=progress)
-        if not self.has_horizon or tolerance is None:
-            solution = solve_on(mesh, start, options=options)
+        is_refined = self.has_horizon and tolerance is not None
+        solve_on = partial(
+            self.solve_on_mesh,
+            instance=instance,
+            guess=guess,
+            options=options.suiting(tolerance) if is_refined and tolerance else options,
+            progress=progress,
+        )
+        refinement = refinement or RefinementOptions()
+        if mesh is None and self.has_horizon:
+            mesh = refinement.first_mesh if start is None else start.mesh
+        if starts > 1:
+            best = self._best_of(starts, partial(solve_on, mesh), start)
+            start = start if best is None else best.warm_start
+        if not is_refined or tolerance is None:
+            solution = solve_on(mesh, start)
         else:
             solution = refine(
-                partial(solve_on, options=options.suiting(tolerance)),
-                mesh=mesh or (start.mesh if start is not None else None),
-                tolerance=tolerance,
-                refinement=refinement or RefinementOptions(),
-                warm_start=start,
+                solve_on, mesh=mesh, tolerance=tolerance, refinement=refinement, warm_start=start
             )
         solution = _within_tables(solution)
         return solution if deadline is None else _in_time(solution, deadline)
+
+    @staticmethod
+    def _best_of(
+        starts: int, solve: Callable[..., Solution], first: WarmStart | None
+    ) -> Solution | None:
+        """Return the best optimum from a first point and random ones, None if there is none."""
+        found = []
+        for seed in range(starts):
+            try:
+                solution = solve(first) if seed == 0 else solve(seed=seed)
+            except TranscriptionError:
+                if seed == 0:
+                    raise
+                continue  # A random point may lie where an equation has no value.
+            if solution.status is Status.INTERRUPTED:
+                break
+            if solution.is_converged:
+                found.append(solution)
+        return min(found, key=lambda s: s.program.objective(s.unknowns), default=None)
 
     def solve_on_mesh(
         self,
@@ -155,9 +191,13 @@ class Problem(Summarised, Formulation):
         instance: Instance,
         options: SolverOptions,
         guess: Guess | None = None,
+        seed: int = 0,
         progress: Progress | None = None,
     ) -> Solution:
-        """Solve once on one mesh; `solve` and `Damping` say what the arguments mean."""
+        """Solve once on one mesh; `solve` and `Damping` say what the arguments mean.
+
+        A `seed` above 0 starts at random between the bounds.
+        """
         if mesh is not None:
             mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
         program = self.program(mesh, instance)
@@ -166,6 +206,7 @@ class Problem(Summarised, Formulation):
         multipliers = None
         if warm_start is None:
             z = initial_point(program, bounds, self.values, guess)
+            z = scattered(program, bounds, z, seed) if seed else z
         else:
             z, multipliers = transfer(warm_start, program)
             z = np.clip(z, bounds.lower, bounds.upper)

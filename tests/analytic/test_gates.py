@@ -51,7 +51,7 @@ def textbook(name):
 
 @cache
 def solved(name):
-    return table.compiled(textbook(name)).solve(tolerance=TOLERANCE)
+    return table.compiled_case(table.textbook(name)).solve(tolerance=TOLERANCE)
 
 
 def times_away_from_kinks(name, count=201):
@@ -156,13 +156,24 @@ def test_controls_flown_by_scipy_pass_the_same_states(name):
         assert np.max(np.abs(x - path.states[mesh.first_node[e + 1]]) / size) <= STATE_TOLERANCE
 
 
-def test_the_table_lists_every_problem_and_none_is_wronger_than_it_claims(capsys):
-    assert sorted(table.names()) == sorted(GATES)
-    table.main(["double_integrator", "steering"])
-    header, *lines = capsys.readouterr().out.splitlines()
+def test_the_table_lists_every_problem(capsys):
+    listed = table.names()
+    assert set(GATES) <= set(listed)
+    assert len(set(listed)) == len(listed) >= 40
+    table.main(["--no-stock", "double_integrator", "steering"])
+    header, *lines, total = capsys.readouterr().out.splitlines()
     assert header.split()[:2] == ["problem", "published"]
     for line, name in zip(lines, ("double_integrator", "steering"), strict=True):
         cells = line.split()
         assert cells[0] == name
         off, claimed = float(cells[4]), float(cells[5])
         assert off <= 2 * max(claimed, TOLERANCE)
+    assert total.endswith("s at 1e-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", table.cases(), ids=table.names())
+def test_no_problem_is_wronger_than_twice_what_it_claims(case):
+    solution = table.compiled_case(case).solve(tolerance=1e-6)
+    assert solution.is_converged
+    assert table.off_by(case, solution.objective) <= 2 * solution.error_estimate

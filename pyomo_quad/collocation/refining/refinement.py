@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pyomo_quad.collocation.mesh import Mesh
 from pyomo_quad.collocation.program.ipopt import Status
 from pyomo_quad.collocation.refining.error import ErrorEstimate, estimate_error
 from pyomo_quad.collocation.refining.remeshing import (
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pyomo_quad.collocation.guess import WarmStart
-    from pyomo_quad.collocation.mesh import FloatArray
+    from pyomo_quad.collocation.mesh import FloatArray, Mesh
     from pyomo_quad.collocation.program.transcription import Transcription
 
 
@@ -157,6 +156,8 @@ class DampedProgram:
         return np.concatenate([held, factor * self.weights])
 
 
+# What a start from another mesh may have caused.
+_FAILED = (Status.NOT_CONVERGED, Status.INFEASIBLE)
 # The objective's last change, as a share of the tolerance, at which it counts as settled.
 _SETTLED = 0.5
 # A warm start that takes more iterations than this leaves its linear controls undetermined:
@@ -184,7 +185,7 @@ def refine(
         `converged`, or `tolerance_not_met` with the smallest error reached in its message,
         or the status of the solve that failed.
     """
-    mesh = mesh or Mesh.uniform(refinement.first_elements, refinement.first_degree)
+    mesh = mesh or refinement.first_mesh
     records: list[MeshRecord] = []
     damping: Damping | None = None
     firmness = 1.0
@@ -193,7 +194,7 @@ def refine(
         if solved.status is Status.NOT_CONVERGED and damping is not None:
             damping = damping.times(_FIRMEST)
             solved = solve(mesh, warm_start, damping)
-        if solved.status is Status.NOT_CONVERGED and warm_start is not None:
+        if solved.status in _FAILED and warm_start is not None:
             solved = solve(mesh, None, damping)
         error = estimate_error(solved, tolerance=tolerance, allowance=refinement.allowance)
         records.append(_record(solved, error))

@@ -119,6 +119,11 @@ class RefinementOptions:
     allowance: Allowance = field(default_factory=Allowance)
     damping: float = 100.0
 
+    @property
+    def first_mesh(self) -> Mesh:
+        """The mesh that a refinement begins on."""
+        return Mesh.uniform(self.first_elements, self.first_degree)
+
 
 # Errors are predicted from a fit, so the aim lies below the tolerance; elements are merged
 # or lowered only where a wide margin says that they will still meet it.

@@ -142,45 +142,6 @@ def oil_shale():
     return maximised(m, m.bitumen[1])
 
 
-def lee_ramirez():
-    def rates(m, t):
-        s, x = m.x3[t], m.x2[t]
-        t1 = 14.35 + s + s**2 / 111.5
-        t2 = 0.22 + m.x5[t]
-        t3 = m.x6[t] + 0.22 / t2 * m.x7[t]
-        growth = s / t1 * t3
-        protein = 0.233 * s / t1 * (0.0005 + m.x5[t]) / (0.022 + m.x5[t])
-        decay = 0.09 * m.x5[t] / (0.034 + m.x5[t])
-        flow = m.u1[t] + m.u2[t]
-        return {
-            "x1": flow,
-            "x2": growth * x - flow * x / m.x1[t],
-            "x3": 100 * m.u1[t] / m.x1[t] - flow * s / m.x1[t] - growth * x / 0.51,
-            "x4": protein * x - flow * m.x4[t] / m.x1[t],
-            "x5": 4 * m.u2[t] / m.x1[t] - flow * m.x5[t] / m.x1[t],
-            "x6": -decay * m.x6[t],
-            "x7": decay * (1 - m.x7[t]),
-        }
-
-    m = posed(
-        "Lee-Ramirez",
-        {
-            "x1": (1, None, 0.5, 10),
-            "x2": (0.1, None, 0, 50),
-            "x3": (40, None, 0, 60),
-            "x4": (0, None, 0, 20),
-            "x5": (0, None, 0, 10),
-            "x6": (1, None, 0, 1),
-            "x7": (0, None, 0, 1),
-        },
-        {"u1": (0, 1), "u2": (0, 1)},
-        rates,
-        end=10,
-    )
-    guessed(m, x1=lambda s: 1 + s, x3=lambda s: 40 - 35 * s)
-    return maximised(m, m.x1[10] * m.x4[10])
-
-
 CASES = (
     Case(name="catalyst_mixing", build=catalyst_mixing, published="0.0480557", source=COPS),
     Case(
@@ -216,5 +177,4 @@ CASES = (
         source="Betts (2010), example 8.17, after Ledzewicz and Schaettler (2007)",
     ),
     Case(name="oil_shale", build=oil_shale, published="0.354", source="Luus (2000), section 9.4"),
-    Case(name="lee_ramirez", build=lee_ramirez, published="6.16", source="Banga et al. (2005)"),
 )

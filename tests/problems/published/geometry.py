@@ -8,7 +8,6 @@ from scipy.optimize import brentq, fsolve
 from tests.problems.published.statement import Case, guessed, minimised, posed, total
 
 COPS = "Dolan, More and Munson (2004), COPS 3.0, ANL/MCS-TM-273"
-PSOPT = "PSOPT 5, doc/SQP_ALL_EXAMPLES.csv"
 
 
 def hanging_chain():
@@ -92,24 +91,6 @@ def _zermelo_time():
     return float(np.tan(b) - np.tan(a))
 
 
-def obstacles():
-    m = posed(
-        "obstacles",
-        {"x": (0, 1.2, 0, 2), "y": (0, 1.6, 0, 2)},
-        {"heading": (-10, 10, 0.8)},
-        lambda m, t: {"x": 2.138 * cos(m.heading[t]), "y": 2.138 * sin(m.heading[t])},
-    )
-    for name, x, y in (("first", 0.4, 0.5), ("second", 0.8, 1.5)):
-        m.add_component(
-            name,
-            Constraint(
-                m.t, rule=lambda m, t, x=x, y=y: (m.x[t] - x) ** 2 + (m.y[t] - y) ** 2 >= 0.1
-            ),
-        )
-    cost = total(m, lambda m, t: 2.138**2 * (cos(m.heading[t]) ** 2 + sin(m.heading[t]) ** 2))
-    return minimised(m, cost)
-
-
 CASES = (
     Case(name="hanging_chain", build=hanging_chain, published=_chain_energy(), source=COPS),
     Case(name="soap_film", build=soap_film, published=_soap_area(), source="catenoid"),
@@ -125,5 +106,4 @@ CASES = (
         published=_zermelo_time(),
         source="Bryson and Ho (1975), section 2.7",
     ),
-    Case(name="obstacles", build=obstacles, published="4.571044", source=PSOPT),
 )

@@ -145,30 +145,6 @@ def two_link_arm():
     return minimised(m, m.T)
 
 
-def container_crane():
-    m = posed(
-        "container crane",
-        {
-            "x": (0, 10, -5, 15),
-            "y": (22, 14, -5, 25),
-            "angle": (0, 0, -5, 15),
-            "vx": (0, 2.5, -2.5, 2.5),
-            "vy": (-1, 0, -1, 1),
-            "spin": (0, 0, -5, 15),
-        },
-        {"u": (-2.83374, 2.83374), "w": (-0.80865, 0.71265)},
-        lambda m, t: {
-            "x": 9 * m.vx[t],
-            "y": 9 * m.vy[t],
-            "angle": 9 * m.spin[t],
-            "vx": 9 * (m.u[t] + 17.2656 * m.angle[t]),
-            "vy": 9 * m.w[t],
-            "spin": -9 / m.y[t] * (m.u[t] + 27.0756 * m.angle[t] + 2 * m.vy[t] * m.spin[t]),
-        },
-    )
-    return minimised(m, total(m, lambda m, t: 4.5 * (m.angle[t] ** 2 + m.spin[t] ** 2)))
-
-
 def free_flying_robot():
     def rates(m, t):
         first, second = m.a[t] - m.b[t], m.c[t] - m.d[t]
@@ -348,7 +324,6 @@ CASES = (
         published="2.98",
         source="Luus (2000), section 12.4",
     ),
-    Case(name="container_crane", build=container_crane, published="5.151e-3", source=PSOPT),
     Case(name="free_flying_robot", build=free_flying_robot, published="7.910154646", source=BETTS),
     Case(
         name="cubic_hyper_sensitive",

@@ -95,3 +95,21 @@ def test_a_model_without_suffixes_gets_none():
     m = bryson_denham.build()
     solve(m)
     assert not list(m.component_objects(Suffix))
+
+
+def test_in_phases_of_free_length_they_are_per_unit_of_time_found():
+    m = with_suffixes(ConcreteModel())
+    m.t = ContinuousSet(initialize=[0, 1, 2])
+    m.x, m.u = Var(m.t), Var(m.t)
+    m.first, m.last = Var(bounds=(0.2, 5)), Var(bounds=(0.5, 9))
+    m.dx_dt = DerivativeVar(m.x, wrt=m.t)
+    m.law = Constraint(m.t, rule=lambda m, t: m.dx_dt[t] == m.u[t])
+    m.split = Constraint(expr=m.first == m.last / 4)
+    m.x[0].fix(0)
+    m.x[2].fix(3)
+    m.effort = Integral(m.t, wrt=m.t, rule=lambda m, t: m.u[t] ** 2)
+    m.cost = Objective(expr=m.effort + m.last)
+    solve(m, times={1: m.first, 2: m.last})
+    # u = 1 all the time, for 3; a push on x saves 2 u of effort a unit.
+    assert m.last.value == pytest.approx(3.0, rel=1e-6)
+    assert [m.dual[m.law[t]] for t in (0, 1, 2)] == pytest.approx([-2.0] * 3, rel=1e-5)

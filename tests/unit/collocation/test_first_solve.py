@@ -1,0 +1,67 @@
+"""The first solve: other first points, and a second try where a warm start misled."""
+
+from dataclasses import replace
+
+import pytest
+from pyomo.environ import ConcreteModel, Objective, Var
+
+from pyomo_quad.collocation import RefinementOptions, Status, TranscriptionError, compile
+from pyomo_quad.collocation.refining.refinement import refine
+from tests.problems import double_integrator
+from tests.problems.published.flight import f8
+
+
+def two_valleys():
+    """Valleys at -1 and 2, of which the right one, farther from the first point, is deeper."""
+    m = ConcreteModel()
+    m.x = Var(bounds=(-3, 3), initialize=-0.9)
+    m.cost = Objective(expr=(m.x + 1) ** 2 * (m.x - 2) ** 2 - m.x / 2)
+    return m
+
+
+def test_more_starts_find_the_deeper_valley():
+    problem = compile(two_valleys())
+    assert problem.solve().value("x") < 0
+    best = problem.solve(starts=6)
+    assert best.is_converged
+    assert best.value("x") == pytest.approx(2.0, abs=0.1)
+    assert best.objective < problem.solve().objective
+    with pytest.raises(TranscriptionError, match=r"starts: 0; must be at least 1\."):
+        problem.solve(starts=0)
+
+
+def test_random_starts_keep_what_is_fixed_and_the_bounds():
+    problem = compile(double_integrator.build())
+    assert problem.solve(starts=3).objective == pytest.approx(6.0, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_more_starts_find_the_quickest_manoeuvre():
+    m = f8()
+    for t in m.t:
+        m.w[t].set_value(None)
+    problem = compile(m)
+    assert problem.solve().objective > 5
+    assert problem.solve(starts=6).objective == pytest.approx(3.78086, abs=1e-5)
+
+
+def test_a_warm_start_that_ends_infeasible_is_tried_again_from_the_guess():
+    problem = compile(double_integrator.build())
+    first = problem.solve()
+    tried = []
+
+    def misled(mesh, warm_start, damping):
+        del damping
+        tried.append(warm_start)
+        solution = problem.solve(mesh=mesh)
+        return solution if warm_start is None else replace(solution, status=Status.INFEASIBLE)
+
+    solution = refine(
+        misled,
+        mesh=first.mesh,
+        tolerance=1e-6,
+        refinement=RefinementOptions(),
+        warm_start=first.warm_start,
+    )
+    assert [start is None for start in tried] == [False, True]
+    assert solution.is_converged
