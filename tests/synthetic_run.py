@@ -127,6 +127,7 @@ def synthetic_flight(scenario, name):
         wall_s=1.2345,
         owed_energy_J=0.0,
         broken_limits=(),
+        resolves=(),
     )
 
 

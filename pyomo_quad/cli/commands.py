@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -28,7 +28,10 @@ from pyomo_quad.report.tables import (
     write_summary,
 )
 from pyomo_quad.scenario import Scenario, load_scenario
-from pyomo_quad.scenario.tables import Reference
+from pyomo_quad.scenario.tables import Knowledge, Reference
+
+if TYPE_CHECKING:
+    from pyomo_quad.flight import Flight
 
 
 class Controller(StrEnum):
@@ -36,10 +39,19 @@ class Controller(StrEnum):
 
     ADAPTIVE = "adaptive"
     OPEN_LOOP = "open_loop"
+    MPC = "mpc"
 
 
 _Controller = Annotated[
-    Controller, typer.Option("--controller", help="Feedback, or the plan's controls without it.")
+    Controller,
+    typer.Option(
+        "--controller",
+        help="Feedback, the plan's controls without it, or the mission planned again in flight.",
+    ),
+]
+_Knowledge = Annotated[
+    Knowledge,
+    typer.Option("--knowledge", help="mpc: what re-planning knows of the wind."),
 ]
 _Reference = Annotated[
     Reference | None,
@@ -52,17 +64,20 @@ def fly(
     *,
     controller: _Controller = Controller.ADAPTIVE,
     reference: _Reference = None,
+    knowledge: _Knowledge = Knowledge.ESTIMATED,
     out: Output = None,
     overrides: Overrides = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Fly a scenario under the adaptive controller, or its plan in open loop."""
+    """Fly a scenario under feedback, its plan in open loop, or with its rest planned again."""
     watch = Stopwatch()
     followed = _followed(controller, reference)
     resolved = load_scenario(scenario, overrides or ())
-    folder = folder_of(resolved, out or _own_folder(resolved, controller, followed))
+    if controller is Controller.MPC and resolved.baseline.mpc is None:
+        resolved = resolved.with_values({"baseline.mpc": {}})
+    folder = folder_of(resolved, out or _own_folder(resolved, controller, followed or knowledge))
     refuse_output_folder(folder)
     with watch.phase("import"):
         from pyomo_quad.cli import solving  # noqa: PLC0415  take a second, see there
@@ -74,8 +89,12 @@ def fly(
         if isinstance(made, ExitCode):
             return made
         plan = made
-    reference = followed if controller is Controller.ADAPTIVE else None
-    flight = solving.make_flight(planner, resolved, reference, plan)
+    flight: Flight | ExitCode
+    if controller is Controller.MPC:
+        flight = solving.make_replanned_flight(planner, resolved, knowledge)
+    else:
+        reference = followed if controller is Controller.ADAPTIVE else None
+        flight = solving.make_flight(planner, resolved, reference, plan)
     if isinstance(flight, ExitCode):
         return flight
     with output_folder(folder) as aside:
@@ -88,9 +107,15 @@ def fly(
     return ExitCode.VERIFIED if flight.is_verified else ExitCode.NOT_VERIFIED
 
 
-def _followed(controller: Controller, reference: Reference | None) -> Reference:
+def _followed(controller: Controller, reference: Reference | None) -> Reference | None:
     if controller is Controller.ADAPTIVE:
         return reference or Reference.QUINTIC
+    if controller is Controller.MPC and reference is not None:
+        raise typer.BadParameter(
+            "--controller mpc makes its own plans and follows no --reference; leave it out."
+        )
+    if controller is Controller.MPC:
+        return None
     if reference not in {None, Reference.PLAN}:
         raise typer.BadParameter(
             f"--controller {controller.value} flies the plan's own controls and follows no "
@@ -99,7 +124,9 @@ def _followed(controller: Controller, reference: Reference | None) -> Reference:
     return Reference.PLAN
 
 
-def _own_folder(scenario: Scenario, controller: Controller, followed: Reference) -> Path:
+def _own_folder(
+    scenario: Scenario, controller: Controller, followed: Reference | Knowledge
+) -> Path:
     # Not that of the scenario's report, which a single flight must not replace.
     return Path("reports") / f"{scenario.name}-{controller.value}-{followed.value}"
 

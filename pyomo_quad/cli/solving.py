@@ -25,6 +25,7 @@ from pyomo_quad.collocation import (
 from pyomo_quad.flight import Flight, Plan, Planner, PlanStatus
 from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop
 from pyomo_quad.flight.planning import Builder
+from pyomo_quad.flight.replanning import fly_replanned
 from pyomo_quad.model import model_builder
 from pyomo_quad.report.folder import output_folder
 from pyomo_quad.report.report import RunRecord
@@ -37,7 +38,7 @@ from pyomo_quad.report.tables import (
     write_table,
 )
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.tables import Reference
+from pyomo_quad.scenario.tables import Knowledge, Reference
 from pyomo_quad.study.comparison import ComparisonColumn, has_arrived
 from pyomo_quad.study.run import RunResult, run_scenario
 
@@ -168,6 +169,18 @@ def make_flight(
         if reference is None and plan is not None:
             return fly_open_loop(scenario, plan, dynamics)
         return fly_baseline(scenario, reference or Reference.PLAN, dynamics=dynamics, plan=plan)
+    except SolveError as error:
+        complain(f"{scenario.name}: {error}")
+        return ExitCode.NOT_SOLVED
+
+
+def make_replanned_flight(
+    planner: Planner, scenario: Scenario, knowledge: Knowledge
+) -> Flight | ExitCode:
+    """Fly with the rest of the mission planned again and again."""
+    dynamics = planner.dynamics(scenario)
+    try:
+        return fly_replanned(scenario, knowledge, dynamics=dynamics, planner=planner)
     except SolveError as error:
         complain(f"{scenario.name}: {error}")
         return ExitCode.NOT_SOLVED

@@ -21,7 +21,7 @@ from pyomo_quad.flight.controller import (
     mixer_matrix,
 )
 from pyomo_quad.flight.flight import POSITION_STATES, Flight, Flown, flight_frame
-from pyomo_quad.flight.plan import Plan
+from pyomo_quad.flight.plan import Plan, Trajectories
 from pyomo_quad.flight.references import ReferencePath, SampledPath, minimum_snap, quintic, step
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
@@ -32,6 +32,7 @@ from pyomo_quad.flight.verification import (
 )
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.tables import Hover, Reference
+from pyomo_quad.scenario.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
 
@@ -306,13 +307,13 @@ def fly_baseline(
         integrator=Integrator.MULTISTEP,
         rate_hz=0.0,
     )
-    return _flight(
+    return assembled_flight(
         baseline_name(reference),
         scenario,
         dynamics,
         first.flown,
         plan,
-        is_verified=_agree(dynamics, first.flown, second.flown),
+        is_verified=agree(dynamics, first.flown, second.flown),
         wall_s=perf_counter() - began,
     )
 
@@ -333,14 +334,14 @@ def fly_reference(
     rate_hz : float, optional
         Samples per second; both ends are always kept.
     """
-    _refuse_other_vehicles(scenario, dynamics)
+    refuse_other_vehicles(scenario, dynamics)
     duration = scenario.mission.duration
     return fly(
         dynamics=dynamics,
         controller=AdaptiveController(scenario, mixer_matrix(dynamics)),
         reference=reference_path(scenario, reference, plan),
         initial_state=start_state(scenario, dynamics, plan),
-        times=_even_times(0.0, duration, rate_hz),
+        times=even_times(0.0, duration, rate_hz),
         integrator=integrator,
     )
 
@@ -379,18 +380,18 @@ def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
         fly_controls(dynamics, held.mesh, held.controls, start, held.horizon, method=method.value)
         for method in Integrator
     )
-    return _flight(
+    return assembled_flight(
         OPEN_LOOP,
         scenario,
         dynamics,
         first,
         plan,
-        is_verified=_agree(dynamics, first, second),
+        is_verified=agree(dynamics, first, second),
         wall_s=perf_counter() - began,
     )
 
 
-def _flight(
+def assembled_flight(
     name: str,
     scenario: Scenario,
     dynamics: Dynamics,
@@ -400,6 +401,7 @@ def _flight(
     is_verified: bool,
     wall_s: float,
 ) -> Flight:
+    """Return samples of a flight as a flight, priced at the plan's costates where there is one."""
     final = dict(zip(dynamics.state_names, flown.states[-1].tolist(), strict=True))
     # The costates of a flight through another wind price another mission's end.
     is_told = scenario.wind.forecast is None
@@ -416,22 +418,25 @@ def _flight(
 
 
 def _planned_path(plan: Plan) -> SampledPath:
-    """Return the plan as a reference, with accelerations and air of the equations it obeys."""
-    held = plan.trajectories
-    times = _even_times(*held.horizon, _PLAN_RATE_HZ)
+    return path_of(plan.trajectories, plan.dynamics, plan.scenario.vehicle)
+
+
+def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> SampledPath:
+    """Return a plan as a reference, with accelerations and air of the equations it obeys."""
+    times = even_times(*held.horizon, _PLAN_RATE_HZ)
     flown = times, held.states_at(times), held.controls_at(times)
     keys = tuple((name, None) for name in (*_PLACE, *_RATE, *_ACCELERATION))
-    rows = plan.dynamics.table(keys, *flown)
+    rows = dynamics.table(keys, *flown)
     air = np.zeros((len(times), len(_PLACE)))
-    if all(plan.dynamics.has(name) for name in _AIR_FORCE):
-        forces = plan.dynamics.table(tuple((name, None) for name in _AIR_FORCE), *flown)
-        air[:, : len(_AIR_FORCE)] = forces / plan.scenario.vehicle.total_mass
+    if all(dynamics.has(name) for name in _AIR_FORCE):
+        forces = dynamics.table(tuple((name, None) for name in _AIR_FORCE), *flown)
+        air[:, : len(_AIR_FORCE)] = forces / vehicle.total_mass
     values, rates, accelerations = np.split(rows, 3, axis=1)
-    if plan.dynamics.has(_YAW_REACTION):
+    if dynamics.has(_YAW_REACTION):
         # Rotors that gather speed turn the body more than their drag does; the law knows only that.
-        reaction = plan.dynamics.table(((_YAW_REACTION, None),), *flown)[:, 0]
-        air[:, -1] = reaction / plan.scenario.vehicle.Iz
-        accelerations[:, -1] = _yaw_acceleration(plan.dynamics, *flown)
+        reaction = dynamics.table(((_YAW_REACTION, None),), *flown)[:, 0]
+        air[:, -1] = reaction / vehicle.Iz
+        accelerations[:, -1] = _yaw_acceleration(dynamics, *flown)
     return SampledPath(times, values, rates, accelerations, air)
 
 
@@ -447,7 +452,8 @@ def _yaw_acceleration(
     return np.asarray((after - before)[:, 0] / (2 * _INSTANT))
 
 
-def _agree(dynamics: Dynamics, first: Flown, second: Flown) -> bool:
+def agree(dynamics: Dynamics, first: Flown, second: Flown) -> bool:
+    """Say whether two flights end at the same place and spend the same energy."""
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     apart = np.linalg.norm(first.states[-1, columns] - second.states[-1, columns])
     energy, other = first.energy[-1], second.energy[-1]
@@ -455,7 +461,8 @@ def _agree(dynamics: Dynamics, first: Flown, second: Flown) -> bool:
     return bool(apart <= MISS_TOLERANCE and is_same_energy)
 
 
-def _refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
+def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
+    """Refuse a model without the states that the controller measures."""
     missing = next((name for name in MEASURED_STATES if name not in dynamics.state_names), None)
     if missing is not None:
         raise ScenarioError(
@@ -464,5 +471,6 @@ def _refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
         )
 
 
-def _even_times(start: float, end: float, rate_hz: float) -> FloatArray:
+def even_times(start: float, end: float, rate_hz: float) -> FloatArray:
+    """Return times so many per second, both ends among them."""
     return np.linspace(start, end, max(2, round((end - start) * rate_hz) + 1))

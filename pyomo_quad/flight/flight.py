@@ -119,6 +119,20 @@ class Flown:
     energy: FloatArray
 
 
+@dataclass(frozen=True, kw_only=True)
+class Resolve:
+    """One solve of the remaining mission in flight, from the state measured at time t [s]."""
+
+    t: float
+    arrived_at: float
+    """When its plan came [s]."""
+    solve_s: float
+    """Processor time that it took, whatever the flight was charged."""
+    is_converged: bool
+    is_late: bool
+    """Whether its plan came after the moment that it was made for."""
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Flight(Summarised):
     """One flight of a mission.
@@ -147,6 +161,8 @@ class Flight(Summarised):
         costates; NaN where no plan prices it.
     broken_limits : tuple of str
         Every limit of the model that the flight breaks, and by how much, the worst first.
+    resolves : tuple of Resolve
+        The solves of a flight that was re-planned.
     """
 
     name: str
@@ -161,6 +177,7 @@ class Flight(Summarised):
     wall_s: float
     owed_energy_J: float = 0.0
     broken_limits: tuple[str, ...] = ()
+    resolves: tuple[Resolve, ...] = ()
 
     @property
     def summary(self) -> dict[str, str]:

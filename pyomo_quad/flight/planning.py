@@ -474,7 +474,7 @@ class Planner:
 
     def _hover_energy(self, told: Scenario, solution: Solution) -> float:
         """Return the energy of hovering through the mission, NaN for what cannot hover."""
-        held = _trajectories(solution)
+        held = trajectories_of(solution)
         known = dict(zip(held.state_names, held.states[0].tolist(), strict=True))
         try:
             power = self.steady_flight(told, known).hover_power
@@ -495,7 +495,7 @@ def _plan_of(
         message=solution.message,
         energy=solution.objective,
         hover_energy_J=hover_energy,
-        trajectories=_trajectories(solution),
+        trajectories=trajectories_of(solution),
         verification=None,
         error_estimate=solution.error_estimate,
         history=solution.history,
@@ -552,7 +552,8 @@ def _as_far_as(stopped: Solution, problem: Problem, arguments: dict[str, Any]) -
     return replace(read, status=stopped.status, message=stopped.message)
 
 
-def _trajectories(solution: Solution) -> Trajectories:
+def trajectories_of(solution: Solution) -> Trajectories:
+    """Return what a solution says over time, by name."""
     declared = solution.problem.compiled.declared
     costates = solution.costates
     # What equations determine is no command: a flight solves for it.

@@ -60,32 +60,68 @@ def fly_controls(
     SolveError
         If the integrator gives up.
     """
-    times = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
-    flow = ClosedLoop(
-        dynamics, lambda command, _x, _own: (command, ()), n_command=controls.shape[1], n_own=0
+    return OpenLoop(dynamics).fly(
+        mesh,
+        controls,
+        start,
+        horizon,
+        samples_per_element=samples_per_element,
+        method=method,
     )
-    counts = np.broadcast_to(samples_per_element, mesh.elements)
-    state = np.append(start, 0.0)
-    parts_t, parts_y, parts_u = [times[:1]], [state[:, None]], []
-    for element in range(mesh.elements):
-        first, last = times[element], times[element + 1]
-        polynomial = control_polynomial(mesh, controls, element, first, last)
-        samples = np.linspace(first, last, counts[element] + 1)[1:]
-        inside = dynamics.just_after(first)
-        flown = _integrate(flow, polynomial, state, inside, (first, *samples), method)
-        state = flown[:, -1]
-        if element == 0:
-            parts_u.append(polynomial(first)[None, :])
-        parts_t.append(samples)
-        parts_y.append(flown)
-        parts_u.append(np.array([polynomial(t) for t in samples]))
-    values = np.hstack(parts_y)
-    return Flown(
-        t=np.concatenate(parts_t),
-        states=values[:-1].T,
-        controls=np.vstack(parts_u),
-        energy=values[-1],
-    )
+
+
+class OpenLoop:
+    """A vehicle whose controls are given, ready to be flown over parts of a horizon."""
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        n_controls = len(dynamics.control_names)
+        self._just_after = dynamics.just_after
+        self._flow = ClosedLoop(
+            dynamics, lambda command, _x, _own: (command, ()), n_command=n_controls, n_own=0
+        )
+
+    def fly(
+        self,
+        mesh: Mesh,
+        controls: FloatArray,
+        start: FloatArray,
+        horizon: tuple[float, float],
+        *,
+        part: tuple[float, float] | None = None,
+        samples_per_element: int | Sequence[int] = SAMPLES_PER_ELEMENT,
+        method: str = "DOP853",
+    ) -> Flown:
+        """Fly piecewise polynomial controls, over a part of their horizon where one is given."""
+        borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
+        begin, end = horizon if part is None else part
+        counts = np.broadcast_to(samples_per_element, mesh.elements)
+        state = np.append(start, 0.0)
+        parts_t: list[FloatArray] = [np.array([begin])]
+        parts_y = [state[:, None]]
+        parts_u: list[FloatArray] = []
+        for element in range(mesh.elements):
+            first, last = max(borders[element], begin), min(borders[element + 1], end)
+            if first >= last:
+                continue
+            polynomial = control_polynomial(
+                mesh, controls, element, borders[element], borders[element + 1]
+            )
+            samples = np.linspace(first, last, counts[element] + 1)[1:]
+            inside = self._just_after(first)
+            flown = _integrate(self._flow, polynomial, state, inside, (first, *samples), method)
+            state = flown[:, -1]
+            if not parts_u:
+                parts_u.append(polynomial(first)[None, :])
+            parts_t.append(samples)
+            parts_y.append(flown)
+            parts_u.append(np.array([polynomial(t) for t in samples]))
+        values = np.hstack(parts_y)
+        return Flown(
+            t=np.concatenate(parts_t),
+            states=values[:-1].T,
+            controls=np.vstack(parts_u),
+            energy=values[-1],
+        )
 
 
 def _integrate(

@@ -1,6 +1,12 @@
 """The declared equations of the mission, each written once in Pyomo."""
 
-from pyomo_quad.model.build import ask_for_least_time, build_model, parameter_values, structure_key
+from pyomo_quad.model.build import (
+    ask_for_least_time,
+    build_model,
+    build_remaining,
+    parameter_values,
+    structure_key,
+)
 from pyomo_quad.model.custom import load_builder, model_builder
 from pyomo_quad.model.inspection import ModelInspection, inspect_model
 
@@ -8,6 +14,7 @@ __all__ = [
     "ModelInspection",
     "ask_for_least_time",
     "build_model",
+    "build_remaining",
     "inspect_model",
     "load_builder",
     "model_builder",

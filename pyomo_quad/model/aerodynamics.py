@@ -10,8 +10,10 @@ velocity has no part in it.
 drag) plus quadratic (parasitic drag).  Isotropic; sound at the few m/s of these missions.
 """
 
+from collections.abc import Callable
+
 from pyomo.core.expr import NumericExpression
-from pyomo.environ import Block, ConcreteModel, sqrt, units
+from pyomo.environ import Block, ConcreteModel, Expression, Param, sqrt, units
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
@@ -48,6 +50,43 @@ def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
     else:
         declare_parameters(b, PARAMETERS, scenario)
         _declare_acceleration(b, m)
+
+
+_HORIZONTAL = ("x", "y")
+_ACCELERATION = units.m / units.s**2
+
+
+def declare_unexplained(m: ConcreteModel) -> None:
+    """Add a constant horizontal acceleration that no equation explains to the force of the air.
+
+    It is the mutable `aerodynamics.unexplained`, by axis: what a vehicle observes of a wind that
+    it was not told.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With the forces of `aerodynamics`, which nothing refers to yet.
+    """
+    b = m.aerodynamics
+    b.unexplained = Param(
+        _HORIZONTAL, initialize=0.0, mutable=True, units=_ACCELERATION, doc="acceleration observed"
+    )
+    for axis in _HORIZONTAL:
+        explained = b.component(f"force_{axis}")
+        b.del_component(explained)
+        b.add_component(f"explained_force_{axis}", explained)
+        b.add_component(
+            f"force_{axis}",
+            Expression(m.time, rule=_all_of(axis), doc=f"force along world {axis} [N]"),
+        )
+
+
+def _all_of(axis: str) -> Callable[[Block, float], NumericExpression]:
+    def force(b: Block, t: float) -> NumericExpression:
+        unexplained = b.parent_block().vehicle.mass * b.unexplained[axis]
+        return b.component(f"explained_force_{axis}")[t] + unexplained
+
+    return force
 
 
 def _declare_acceleration(b: Block, m: ConcreteModel) -> None:

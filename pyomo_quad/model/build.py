@@ -37,6 +37,36 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     ...     model.time, rule=lambda m, t: m.rigid_body.z[t] <= 8.5 * units.m
     ... )  # doctest: +SKIP
     """
+    m = _vehicle_in_the_air(scenario)
+    _declare_flight(m, scenario)
+    return m
+
+
+def build_remaining(scenario: Scenario) -> ConcreteModel:
+    """Declare what is left of a mission, from wherever the vehicle is.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission and what is believed of it.
+
+    Returns
+    -------
+    ConcreteModel
+        As `build_model`, but for the start, whose states are mutable parameters of block `start`,
+        and for the mutable acceleration `aerodynamics.unexplained`, nought until something is
+        known of it.
+    """
+    m = _vehicle_in_the_air(scenario)
+    aerodynamics.declare_unexplained(m)
+    _declare_flight(m, scenario)
+    mission.start_where_measured(m)
+    mission.end_in_equilibrium(m)
+    return m
+
+
+def _vehicle_in_the_air(scenario: Scenario) -> ConcreteModel:
+    """Declare time, the vehicle's states and the forces of rotors and air."""
     m = ConcreteModel(name=scenario.name)
     duration = scenario.mission.duration
     m.time = ContinuousSet(initialize=(0.0, duration / 2, duration), doc="time [s]")
@@ -54,6 +84,11 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     declare_motors(m)
     declare_motion(m, scenario)
     aerodynamics.declare_aerodynamics(m, scenario)
+    return m
+
+
+def _declare_flight(m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare the balances, what the flight costs, its limits, its ends and its objective."""
     declare_balances(m, scenario)
     power.declare_power(m, scenario)
     battery.declare_battery(m, scenario)
@@ -63,7 +98,6 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     # A lambda: Integral writes its rule's signature anew and cannot spell annotations.
     m.energy = Integral(m.time, wrt=m.time, rule=lambda m, t: m.power.total[t], doc="eq. (8) [J]")
     m.objective = Objective(expr=m.energy, sense=minimize, doc="eq. (8): energy of the flight [J]")
-    return m
 
 
 def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:

@@ -4,10 +4,11 @@ The paper gives every rotor 912 rad/s at both ends, 0.07 % short of balancing th
 it is the exact speed at which 4 kappa_b omega^2 = m g.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Mapping
 
 from pyomo.core.expr import NumericExpression, RelationalExpression
-from pyomo.environ import Block, ConcreteModel, sqrt, units
+from pyomo.dae import DerivativeVar
+from pyomo.environ import Block, ConcreteModel, Constraint, Param, Var, sqrt, units
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.model.rigid_body import PLACE, STATES
@@ -94,3 +95,68 @@ def _declare_goal(b: Block, m: ConcreteModel) -> None:
     def goal_rotor_speed(b: Block, j: int) -> RelationalExpression:
         m = b.parent_block()
         return m.rotors.omega[j, m.time.last()] == b.hover_speed
+
+
+def start_where_measured(m: ConcreteModel) -> None:
+    """Replace what the mission says of the start by mutable parameters in block `start`.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With all its states and `mission`.
+    """
+    for said in (m.mission.start_place, m.mission.start_rest, m.mission.start_rotor_speed):
+        said.deactivate()
+    m.battery.initial_charge.deactivate()
+    m.start = Block(doc="where the rest of the mission starts")
+    for rate in m.component_objects(DerivativeVar, descend_into=True):
+        _start_measured(m.start, m.time.first(), rate.get_state_var())
+
+
+def _start_measured(b: Block, start: float, state: Var) -> None:
+    """Declare the measured value of a state, with its index beside time, and the condition."""
+    beside_time = [index[:-1] for index in state if isinstance(index, tuple) and index[-1] == start]
+    sets = (beside_time,) if beside_time else ()
+    measured = Param(
+        *sets, initialize=0.0, mutable=True, units=state.get_units(), doc=f"{state.doc} measured"
+    )
+    b.add_component(state.local_name, measured)
+
+    def is_measured(_b: Block, *index: Hashable) -> RelationalExpression:
+        if not beside_time:
+            return state[start] == measured
+        return state[(*index, start)] == measured[index]
+
+    condition = Constraint(*sets, rule=is_measured, doc=f"x(t) as measured: {state.doc}")
+    b.add_component(f"{state.local_name}_condition", condition)
+
+
+def end_in_equilibrium(m: ConcreteModel) -> None:
+    """End hovering in the air as it is, tilted against a wind, in place of level.
+
+    Level in a wind is a state that a vehicle passes through, by a swing that meets it at one
+    moment; in a wind that is not known to the last, it meets nothing.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With `rigid_body`, `rotors` and `mission`.
+    """
+    for state in ("phi", "theta"):
+        m.mission.goal_rest[state].deactivate()
+    m.mission.goal_rotor_speed.deactivate()
+    end = m.time.last()
+
+    @m.mission.Constraint(("x", "y", "z"), doc="x(t_f): no acceleration [m/s^2]")
+    def goal_balance(b: Block, axis: str) -> RelationalExpression:
+        return b.parent_block().rigid_body.component(f"dv{axis}_dt")[end] == 0
+
+    @m.mission.Constraint(list(m.rotors.rotor)[1:], doc="x(t_f): no moments [rad/s]")
+    def goal_moments(b: Block, j: int) -> RelationalExpression:
+        omega = b.parent_block().rotors.omega
+        return omega[j, end] == omega[m.rotors.rotor.first(), end]
+
+
+def measured_start(states: Mapping[str, float]) -> dict[str, float]:
+    """Return the parameters of a start where measured, by the full names of states."""
+    return {f"start.{name.rpartition('.')[2]}": value for name, value in states.items()}

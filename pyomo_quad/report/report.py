@@ -34,6 +34,8 @@ from pyomo_quad.study.comparison import (
     FAIR_BASELINE,
     INSIDE_DISTANCE_M,
     ComparisonColumn,
+    ReplanningColumn,
+    replanning_table,
 )
 from pyomo_quad.version import __version__
 
@@ -47,6 +49,7 @@ REPORT_NAME = "report.md"
 PAGE_NAME = "report.html"
 COMPARISON_NAME = "comparison.csv"
 COMPARISON_REPORT_NAME = "comparison.md"
+REPLANNING_NAME = "replanning.csv"
 
 
 def write_solve_report(
@@ -94,6 +97,8 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
     write_plan_table(folder, result.plan)
     if not result.comparison.empty:
         write_comparison(folder, result.comparison, _title(result.plan))
+    if result.scenario.baseline.mpc is not None:
+        write_table(replanning_table(result.flights), folder / REPLANNING_NAME)
     parts: tuple[tuple[Drawing, ...], ...] = ((), (), ())
     if figures is not Figures.NONE:
         parts = _gallery().draw_run(folder, result, figures)
@@ -255,6 +260,10 @@ def _of_run(result: "RunResult") -> dict[str, Any]:
         "certificate": certificate,
         "gap_percent": certificate.gap_percent(result.plan.energy),
         "warnings": result.warnings,
+        "replanned": replanning_table(result.flights).to_dict("records"),
+        "replanning": result.scenario.baseline.mpc,
+        "replanning_column": ReplanningColumn,
+        "REPLANNING_NAME": REPLANNING_NAME,
         "rival": _rival(comparison),
         "alone": by_name.get(OPEN_LOOP),
         "followed": followed,

@@ -70,6 +70,7 @@ def flight_summary(
         "max_violation": flight.max_violation,
         "worst_constraint": flight.worst_constraint,
         "broken_limits": list(flight.broken_limits),
+        "resolves": [asdict(resolve) for resolve in flight.resolves],
         "wall_s": {**wall_s, "fly": flight.wall_s},
         "scenario_resolved": scenario.model_dump(mode="json"),
     }

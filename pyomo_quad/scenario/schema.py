@@ -99,6 +99,7 @@ class Scenario(Part):
         scenario._origin = origin  # noqa: SLF001
         scenario._provenance = resolution.provenance  # noqa: SLF001
         scenario._check_hover(origin.source)  # noqa: SLF001
+        scenario._check_replanning(origin.source)  # noqa: SLF001
         scenario._check_airspace(origin.source)  # noqa: SLF001
         return scenario
 
@@ -187,6 +188,14 @@ class Scenario(Part):
             for complaint_of_place in self.airspace.complaints(place):
                 where = f"mission.{end}.position = {shown(list(place))} m"
                 raise ScenarioError(f"{source}: {where} {complaint_of_place}.")
+
+    def _check_replanning(self, source: str) -> None:
+        interval = None if self.baseline.mpc is None else self.baseline.mpc.interval
+        if interval is not None and interval >= self.mission.duration:
+            raise ScenarioError(
+                f"{source}: baseline.mpc.interval = {interval:g} s; must be below "
+                f"mission.duration = {self.mission.duration:g} s, or nothing is planned again."
+            )
 
     def _check_hover(self, source: str) -> None:
         if self.model is not None:

@@ -112,6 +112,52 @@ class Gains(Part):
     )
 
 
+class Knowledge(StrEnum):
+    """What re-planning knows of the wind: the one that blows, what it observes, nothing."""
+
+    TOLD = "told"
+    ESTIMATED = "estimated"
+    UNTOLD = "untold"
+
+
+class Clock(StrEnum):
+    """How long a solve takes in the simulated flight."""
+
+    STATED = "stated"
+    MEASURED = "measured"
+
+
+class Replanning(Part):
+    """Re-planning in flight: the rest of the mission solved again and again."""
+
+    interval: Number = quantity(
+        "s",
+        "time from one solve of the remaining mission to the next",
+        0.2,
+        gt=0,
+        sound=Sound(1e-2, 1e4, "no computer aboard solves a mission within milliseconds"),
+    )
+    solve_time: Number = quantity(
+        "s",
+        "time that a solve may take; its plan is for where the vehicle will be then",
+        0.06,
+        ge=0,
+        sound=Sound(0, 1e3, "a plan that is minutes old is of no use"),
+    )
+    clock: Clock = quantity(
+        "",
+        "how long a solve takes in flight: solve_time, which repeats, or as measured",
+        Clock.STATED,
+    )
+    knowledge: tuple[Knowledge, ...] = quantity(
+        "",
+        "what is known of the wind, one flight for each; but for told the forecast, or none, is "
+        "believed",
+        tuple(Knowledge),
+        max_length=len(Knowledge),
+    )
+
+
 class Baseline(Part):
     """Which references are flown, and how the controller is set."""
 
@@ -120,6 +166,7 @@ class Baseline(Part):
     )
     adaptation: Flag = quantity("", "whether the controller adapts", True)
     gains: Gains = quantity("", "controller gains", Gains())
+    mpc: Replanning | None = quantity("", "re-planning in flight, not flown when absent", None)
 
 
 _VOLTAGE = Sound(0, 100, "the cells of all chemistries have 1 to 5 V")

@@ -178,6 +178,51 @@ def compare_flights(
     return pd.DataFrame(rows, columns=[column.value for column in ComparisonColumn])
 
 
+class ReplanningColumn(StrEnum):
+    """Columns of the table of re-planned flights, in order."""
+
+    FLIGHT = "flight"
+    SETTLED_ENERGY = "settled_energy_J"
+    TERMINAL_MISS = "terminal_miss_m"
+    ARRIVED = "arrived"
+    SOLVES = "solves"
+    FAILED = "failed"
+    LATE = "late"
+    MEDIAN_SOLVE = "solve_median_s"
+    SLOW_SOLVE = "solve_95_percent_s"
+    LONGEST_SOLVE = "solve_longest_s"
+
+
+def replanning_table(flights: Sequence[Flight]) -> pd.DataFrame:
+    """Return what became of each re-planned flight, and how long its solves took here.
+
+    Returns
+    -------
+    DataFrame
+        One row for each flight with solves, columns of `ReplanningColumn`.
+    """
+    rows = []
+    for flight in flights:
+        if not flight.resolves:
+            continue
+        times = np.percentile([resolve.solve_s for resolve in flight.resolves], (50, 95, 100))
+        rows.append(
+            {
+                ReplanningColumn.FLIGHT: flight.name,
+                ReplanningColumn.SETTLED_ENERGY: settled_energy(flight),
+                ReplanningColumn.TERMINAL_MISS: flight.terminal_miss_m,
+                ReplanningColumn.ARRIVED: has_arrived(flight),
+                ReplanningColumn.SOLVES: len(flight.resolves),
+                ReplanningColumn.FAILED: sum(not r.is_converged for r in flight.resolves),
+                ReplanningColumn.LATE: sum(r.is_late for r in flight.resolves),
+                ReplanningColumn.MEDIAN_SOLVE: float(times[0]),
+                ReplanningColumn.SLOW_SOLVE: float(times[1]),
+                ReplanningColumn.LONGEST_SOLVE: float(times[2]),
+            }
+        )
+    return pd.DataFrame(rows, columns=[column.value for column in ReplanningColumn])
+
+
 def is_comparable(flight: Flight) -> bool:
     """Say whether a flight did what the mission asks, so that its energy answers the question."""
     is_priced = isfinite(flight.owed_energy_J)

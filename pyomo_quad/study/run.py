@@ -11,6 +11,7 @@ from pyomo_quad.collocation import Dynamics, EngineError, Progress, Summarised
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name, fly_baseline, fly_open_loop
 from pyomo_quad.flight.flight import WIND
+from pyomo_quad.flight.replanning import fly_replanned, replanned_name
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
 from pyomo_quad.study.certificate import Certificate, certify
 from pyomo_quad.study.check import plan_cautions
@@ -90,7 +91,7 @@ def run_scenario(
     plan = planner.solve(scenario, progress=progress)
     solved = perf_counter()
     dynamics = planner.dynamics(scenario)
-    flights, failures = _fly_all(scenario, plan, dynamics, references)
+    flights, failures = _fly_all(scenario, plan, planner, references)
     flights = _priced(flights, scenario, planner, progress)
     adaptation = _adaptation(scenario, flights, dynamics)
     flown = perf_counter()
@@ -142,13 +143,13 @@ def _adaptation(
 
 
 def _fly_all(
-    scenario: Scenario, plan: Plan, dynamics: Dynamics, references: Sequence[Reference]
+    scenario: Scenario, plan: Plan, planner: Planner, references: Sequence[Reference]
 ) -> tuple[tuple[Flight, ...], tuple[str, ...]]:
     """Return the flights that came about, the optimum first, and what became of the others."""
     if plan.verification is None:
         return (), ()
     flights, failures = [plan.flight(OPTIMAL)], []
-    for name, fly in _baselines(scenario, plan, dynamics, references):
+    for name, fly in _baselines(scenario, plan, planner, references):
         try:
             flights.append(fly())
         except (EngineError, ScenarioError) as error:
@@ -157,11 +158,15 @@ def _fly_all(
 
 
 def _baselines(
-    scenario: Scenario, plan: Plan, dynamics: Dynamics, references: Sequence[Reference]
+    scenario: Scenario, plan: Plan, planner: Planner, references: Sequence[Reference]
 ) -> Iterator[tuple[str, Callable[[], Flight]]]:
+    dynamics = planner.dynamics(scenario)
     for reference in references:
         yield (
             baseline_name(reference),
             partial(fly_baseline, scenario, reference, dynamics=dynamics, plan=plan),
         )
+    for knowledge in () if scenario.baseline.mpc is None else scenario.baseline.mpc.knowledge:
+        told = partial(fly_replanned, scenario, knowledge, dynamics=dynamics, planner=planner)
+        yield replanned_name(knowledge), partial(told, plan=plan)
     yield OPEN_LOOP, partial(fly_open_loop, scenario, plan, dynamics)

@@ -61,3 +61,38 @@ def test_a_flight_out_of_control_is_one_line_and_writes_nothing(tmp_path, capsys
     said = capsys.readouterr()
     assert said.err.startswith("paper_calm: controlled flight: out of control at ")
     assert (said.err.count("\n"), out.exists()) == (1, False)
+
+
+def test_the_rest_of_the_mission_is_planned_again(tmp_path, capsys):
+    out = tmp_path / "flight"
+    command = ["fly", PAPER_CALM, *QUICK, "--controller", "mpc", "--knowledge", "told"]
+    coarse = ["--set=baseline.mpc.interval=0.8", "--out", str(out)]
+    assert main([*command, *coarse]) == ExitCode.VERIFIED
+    assert "paper_calm: mpc/told arrived, " in capsys.readouterr().out
+    solves = json.loads((out / "summary.json").read_text())["resolves"]
+    assert [solve["t"] for solve in solves] == pytest.approx([0.8, 1.6, 2.4, 3.2])
+    assert all(solve["is_converged"] and not solve["is_late"] for solve in solves)
+
+
+def test_planning_again_follows_no_reference(capsys):
+    command = ["fly", PAPER_CALM, "--controller", "mpc", "--reference", "quintic"]
+    assert main(command) == ExitCode.BAD_INPUT
+    assert "follows no --reference; leave it out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("setting", "found"),
+    [
+        ("baseline.mpc.interval=10.0", "interval = 10 s; must be below mission.duration = 10 s"),
+        ("mission.duration=0.1", "interval = 0.2 s; must be below mission.duration = 0.1 s"),
+    ],
+)
+def test_an_interval_beyond_the_mission_is_one_line_and_writes_nothing(
+    setting, found, tmp_path, capsys
+):
+    out = tmp_path / "flight"
+    command = ["fly", PAPER_CALM, "--controller", "mpc", f"--set={setting}"]
+    assert main([*command, "--out", str(out)]) == ExitCode.BAD_INPUT
+    said = capsys.readouterr().err
+    assert f"baseline.mpc.{found}" in said
+    assert (said.count("\n"), out.exists()) == (1, False)

@@ -10,7 +10,7 @@ import pytest
 
 from pyomo_quad.flight import PlanStatus
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
-from pyomo_quad.flight.flight import TIME
+from pyomo_quad.flight.flight import TIME, Resolve
 from pyomo_quad.report.gallery import adaptation_drawing, plan_drawings, save_drawings
 from pyomo_quad.report.paths import leaving_paths
 from pyomo_quad.report.report import write_comparison, write_run_report
@@ -233,3 +233,25 @@ def test_the_readme_says_of_the_untold_wind_what_its_report_says():
     assert f"misses the goal by {frame.terminal_miss_m['open_loop/plan']:.0f} m" in told
     for flight in ("adaptive/plan", "adaptive/quintic"):
         assert f"{frame.energy_J[flight]:.2f} J" in told
+
+
+@pytest.mark.usefixtures("_no_figures")
+def test_replanned_flights_are_told_by_what_they_knew_and_how_long_their_solves_took(tmp_path):
+    run = synthetic_run(overrides=("baseline.mpc.interval=0.25",))
+    solve = Resolve(t=0.25, arrived_at=0.31, solve_s=0.02, is_converged=True, is_late=False)
+    late = Resolve(t=0.5, arrived_at=0.6, solve_s=0.1, is_converged=False, is_late=True)
+    run.flights[1].name = "mpc/estimated"
+    run.flights[1].resolves = (solve, solve, solve, late)
+    text = write(tmp_path, run)
+    assert "Every 0.25 s the rest of the mission is solved again" in text
+    assert re.search(
+        r"\| `mpc/estimated` \| 723.80 \| [\d.e-]+ \| yes \| 4 \| 1 \| 1 \| 20 \| 88 \| 100 \|",
+        text,
+    )
+    table = pd.read_csv(tmp_path / "replanning.csv")
+    assert table["solve_95_percent_s"].tolist() == pytest.approx([0.088])
+
+
+def test_without_replanning_the_report_does_not_speak_of_it(report):
+    assert "Re-planning" not in (report / "report.md").read_text()
+    assert not (report / "replanning.csv").exists()

@@ -1,0 +1,506 @@
+"""Re-planning in flight, model-predictive control: the rest of the mission solved again and again.
+
+Every interval the state is measured, and the flight of the rest of the mission with the least
+energy is solved for, from where the vehicle will be once the solve is done, warm-started from the
+plan that is being flown.  Its controls are applied until the next plan.  Where that comes late, or
+not at all, the last plan goes on, from then on under the adaptive controller, which also flies the
+end: with hardly any time left, a plan that meets the goal exactly answers every gust at any price.
+
+What no equation explains, a wind that was not told or a mass that is not what was believed, shows
+in the acceleration: the identifier of the adaptive law estimates it, and the plans count on it.
+Since winds are horizontal, what is amiss upwards is the mass, and the rest is a wind.
+"""
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+from functools import partial
+from math import ceil, inf
+from time import perf_counter, process_time
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from pyomo_quad.collocation import (
+    Dynamics,
+    Mesh,
+    Problem,
+    Solution,
+    SolveError,
+    SolverOptions,
+    TranscriptionError,
+    WarmStart,
+    compile,
+)
+from pyomo_quad.flight.baselines import (
+    Integrator,
+    agree,
+    assembled_flight,
+    even_times,
+    fly,
+    path_of,
+    refuse_other_vehicles,
+    start_state,
+)
+from pyomo_quad.flight.controller import (
+    AdaptiveController,
+    BacksteppingLoop,
+    mixer_matrix,
+    rotor_columns,
+)
+from pyomo_quad.flight.flight import Flight, Flown, Resolve
+from pyomo_quad.flight.plan import Plan, Trajectories
+from pyomo_quad.flight.planning import Planner, trajectories_of
+from pyomo_quad.flight.references import SampledPath
+from pyomo_quad.flight.verification import OpenLoop
+from pyomo_quad.model import build_model, build_remaining, parameter_values, structure_key
+from pyomo_quad.model.mission import measured_start
+from pyomo_quad.model.wind import still_air
+from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.tables import Clock, Knowledge, Replanning
+
+FloatArray = NDArray[np.float64]
+Computer = Callable[[float], float]
+"""Processor seconds that a solve took here -> seconds that it takes aboard."""
+
+_AXES = "xyz"
+_HORIZONTAL = "xy"
+_SPEEDS = tuple(f"rigid_body.v{axis}" for axis in _AXES)
+_SLOPES = tuple((f"rigid_body.dv{axis}_dt", None) for axis in _AXES)
+_FORCES = tuple((f"aerodynamics.force_{axis}", None) for axis in _AXES)
+# Shares of the thrust expected that may be lacking or left over: of a mass from half to twice.
+_MOST_AMISS = (-0.5, 1.0)
+# With less of the weight carried, nothing is said of the mass.
+_LEAST_LIFT = 0.3
+# The mesh of every solve: fine enough for a thousandth of the energy above hover, and for 30 ms.
+_ELEMENT_S, _FEWEST, _MOST, _DEGREE = 1.25, 8, 24, 4
+_OPTIONS = SolverOptions(tolerance=1e-6, max_iterations=30)
+# Before take-off there is time.
+_AT_LEISURE = SolverOptions(tolerance=1e-6, max_iterations=300)
+# Rest of the mission [s] that is flown under feedback instead of being planned again.
+_LAST = 0.6
+_RATE_HZ = 100.0
+# Of what is predicted while a solve goes on, and of the estimate; both are far below the noise of
+# any sensor.
+_TOLERANCE = 1e-6
+
+
+def replanned_name(knowledge: Knowledge) -> str:
+    """Return the name of a flight that is re-planned."""
+    return f"mpc/{knowledge.value}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Belief:
+    """What has been learnt in flight: the mass [kg], the horizontal acceleration of the air."""
+
+    mass: float
+    unexplained: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Course:
+    """A plan that is flown, and what it was made with."""
+
+    plan: Trajectories
+    belief: _Belief
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Leg:
+    """A part of the flight: a plan's own controls, or the plan under feedback."""
+
+    course: _Course
+    start: float
+    end: float
+    is_tracked: bool
+
+
+class Replanner:
+    """Solves the rest of a mission with what is believed of it.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission and the vehicle as believed.
+    knowledge : Knowledge
+        Of the wind.
+    planner : Planner
+        Keeps the compiled equations.
+    """
+
+    def __init__(self, scenario: Scenario, knowledge: Knowledge, planner: Planner) -> None:
+        if planner.builder is not build_model:
+            raise ScenarioError(
+                f"{scenario.name}: re-planning knows the declared model only; leave out "
+                "baseline.mpc or the own model."
+            )
+        is_told = knowledge is Knowledge.TOLD
+        believed = scenario.as_it_blows() if is_told else scenario.as_forecast()
+        self._end = scenario.mission.duration
+        self._scenario = scenario
+        self.belief = _Belief(mass=scenario.vehicle.total_mass, unexplained=(0.0, 0.0))
+        whole, _ = planner.problem_for(believed)
+        self._numbers: dict[str, float | Callable[[float], float]] = {**parameter_values(believed)}
+        if not is_told and scenario.wind.forecast is None:
+            self._numbers |= still_air(whole.model)
+        self._problem = _remaining_problem(believed)
+        self.dynamics = whole.dynamics(parameters=self._numbers, horizon=(0.0, self._end))
+        elements = min(max(ceil(self._end / _ELEMENT_S), _FEWEST), _MOST)
+        self._mesh = Mesh.uniform(elements, _DEGREE)
+        self._last: Solution | None = None
+
+    def solve(self, t: float, state: FloatArray, belief: _Belief) -> Solution:
+        """Return the rest of the mission from a time and a state on."""
+        limits = self._scenario.limits
+        held = dict(zip(self.dynamics.state_names, state.tolist(), strict=True))
+        # Rotors that run a little beyond their limit leave no flight within it to be found.
+        held |= {
+            name: min(max(held[name], limits.rotor_speed_min), limits.rotor_speed_max)
+            for name in (self.dynamics.state_names[k] for k in rotor_columns(self.dynamics))
+        }
+        solution = self._problem.solve(
+            mesh=self._mesh,
+            parameters=self._with(belief) | measured_start(held),
+            horizon=(t, self._end),
+            warm_start=None if self._last is None else _shifted(self._last, t),
+            options=_AT_LEISURE if self._last is None else _OPTIONS,
+        )
+        if solution.is_converged:
+            self._last = solution
+        return solution
+
+    def _with(self, belief: _Belief) -> dict[str, float | Callable[[float], float]]:
+        air = dict(zip(_HORIZONTAL, belief.unexplained, strict=True))
+        learnt = {f"aerodynamics.unexplained[{axis}]": value for axis, value in air.items()}
+        return self._numbers | learnt | {"vehicle.mass": belief.mass}
+
+    def path(self, course: _Course) -> SampledPath:
+        """Return a course as a reference for the controller."""
+        flow = self._problem.dynamics(
+            parameters=self._with(course.belief), horizon=course.plan.horizon
+        )
+        return path_of(course.plan, flow, _with_mass(self._scenario, course.belief).vehicle)
+
+    def predicted(
+        self, course: _Course, start: float, end: float, state: FloatArray, unexplained: FloatArray
+    ) -> FloatArray:
+        """Return the state that a course leads to."""
+        speeds = [self.dynamics.state_names.index(name) for name in _SPEEDS]
+
+        def rates(t: float, x: FloatArray) -> FloatArray:
+            slope = self.dynamics.rates(t, x, course.plan.controls_at(np.array([t]))[0])
+            slope[speeds] += unexplained
+            return slope
+
+        if end <= start:
+            return state
+        flown = solve_ivp(rates, (start, end), state, rtol=_TOLERANCE, atol=_TOLERANCE)
+        return np.asarray(flown.y[:, -1])
+
+
+_REMAINING: dict[Hashable, Problem] = {}
+
+
+def _remaining_problem(believed: Scenario) -> Problem:
+    """Return the compiled rest of a mission; the last one is kept."""
+    key = structure_key(believed)
+    if key not in _REMAINING:
+        _REMAINING.clear()
+        _REMAINING[key] = compile(build_remaining(believed))
+    return _REMAINING[key]
+
+
+def _shifted(last: Solution, t: float) -> WarmStart:
+    """Return a warm start whose first point is what is left of the last solution."""
+    start, end = last.horizon
+    held = last.warm_start
+    mesh, path = held.mesh, held.trajectory
+    nodes, points = (
+        (t + (end - t) * fractions - start) / (end - start)
+        for fractions in (mesh.node_fractions, mesh.point_fractions)
+    )
+    left = replace(path, states=path.states_at(nodes), algebraics=path.algebraics_at(points))
+    return replace(held, trajectory=left)
+
+
+class _Observer:
+    """The identifier of the adaptive law: what accelerates the vehicle beside the equations."""
+
+    def __init__(self, scenario: Scenario, dynamics: Dynamics, velocity: FloatArray) -> None:
+        gains = scenario.baseline.gains
+        self._dynamics = dynamics
+        self._mass, self._gravity = scenario.vehicle.total_mass, scenario.gravity
+        self._columns = [dynamics.state_names.index(name) for name in _SPEEDS]
+        # Without errors to close, the loop is its identifier alone.
+        self._loop = BacksteppingLoop(
+            outer=(0.0,) * 3,
+            inner=(0.0,) * 3,
+            reach=inf,
+            identification=gains.force_identification,
+            effort_max=inf,
+            adaptation=gains.force_adaptation,
+            disturbance_max=gains.force_max,
+        )
+        self._states = np.array([*(0.0,) * 3, *velocity, *(0.0,) * 3])
+
+    @property
+    def estimate(self) -> FloatArray:
+        """Acceleration that the equations do not explain, shape (3,), [m/s^2]."""
+        return self._states[-3:].copy()
+
+    def belief(self, flown: Flown) -> _Belief:
+        """Return what explains the estimate at the end of a part of the flight."""
+        last = flown.t[-1:], flown.states[-1:], flown.controls[-1:]
+        acceleration = self._dynamics.table(_SLOPES, *last)[0]
+        forces = self._dynamics.table(_FORCES, *last)[0]
+        thrust = acceleration - forces / self._mass
+        thrust[2] += self._gravity
+        along, aside, upwards = self.estimate.tolist()
+        lifting = max(float(thrust[2]), _LEAST_LIFT * self._gravity)
+        excess = min(max(upwards / lifting, _MOST_AMISS[0]), _MOST_AMISS[1])
+        return _Belief(
+            mass=self._mass / (1.0 + excess),
+            unexplained=(along - excess * float(thrust[0]), aside - excess * float(thrust[1])),
+        )
+
+    def watch(self, flown: Flown) -> None:
+        """Learn from a part of the flight."""
+        explained = self._dynamics.table(_SLOPES, flown.t, flown.states, flown.controls)
+        seen = np.hstack([flown.states[:, self._columns], explained])
+
+        def rates(t: float, states: FloatArray) -> list[float]:
+            now = [float(np.interp(t, flown.t, column)) for column in seen.T]
+            return self._loop((0.0,) * 3, now[:3], (0.0,) * 3, now[3:], states.tolist())[1]
+
+        span = (flown.t[0], flown.t[-1])
+        learnt = solve_ivp(rates, span, self._states, rtol=_TOLERANCE, atol=_TOLERANCE)
+        self._states = np.asarray(learnt.y[:, -1])
+
+
+class _Aircraft:
+    """The vehicle that really flies, under plans."""
+
+    def __init__(self, scenario: Scenario, replanner: Replanner, dynamics: Dynamics) -> None:
+        self.dynamics = dynamics
+        self._alone = OpenLoop(dynamics)
+        self._scenario, self._replanner = scenario, replanner
+        # The controller knows the vehicle as it is believed, not as it flies.
+        self._mixer = mixer_matrix(replanner.dynamics)
+
+    def fly(self, leg: _Leg, state: FloatArray, integrator: Integrator) -> Flown:
+        """Return a part of the flight."""
+        plan, belief = leg.course.plan, leg.course.belief
+        if leg.is_tracked:
+            return fly(
+                dynamics=self.dynamics,
+                controller=AdaptiveController(_with_mass(self._scenario, belief), self._mixer),
+                reference=self._replanner.path(leg.course),
+                initial_state=state,
+                times=even_times(leg.start, leg.end, _RATE_HZ),
+                integrator=integrator,
+            ).flown
+        shortest = np.diff(plan.mesh.breakpoints).min() * (plan.horizon[1] - plan.horizon[0])
+        return self._alone.fly(
+            plan.mesh,
+            plan.controls,
+            state,
+            plan.horizon,
+            part=(leg.start, leg.end),
+            samples_per_element=ceil(min(shortest, leg.end - leg.start) * _RATE_HZ),
+            method=integrator.value,
+        )
+
+
+def _with_mass(scenario: Scenario, belief: _Belief) -> Scenario:
+    """Return what the controller knows of the vehicle, with the mass that was learnt."""
+    vehicle = scenario.vehicle
+    learnt = vehicle.model_copy(update={"mass": belief.mass - vehicle.payload})
+    return scenario.model_copy(update={"vehicle": learnt})
+
+
+class _ReplannedFlight:
+    """One flight: its parts so far, the plan that is being flown, and what has been observed."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        settings: Replanning,
+        knowledge: Knowledge,
+        *,
+        replanner: Replanner,
+        dynamics: Dynamics,
+        computer: Computer,
+    ) -> None:
+        self._settings, self._computer, self._replanner = settings, computer, replanner
+        self._is_observing = knowledge is not Knowledge.UNTOLD
+        self._end = scenario.mission.duration
+        self._aircraft = _Aircraft(scenario, replanner, dynamics)
+        state = start_state(scenario, dynamics)
+        self._t, self._state = 0.0, state
+        first = replanner.solve(0.0, state, replanner.belief)
+        if not first.is_converged:
+            raise SolveError(f"re-planning: no plan before take-off: {first.message}")
+        self._course = _Course(plan=trajectories_of(first), belief=replanner.belief)
+        # When the next plan is due, and the last one's controls are no longer applied alone.
+        self._due = settings.interval + settings.solve_time
+        speeds = [dynamics.state_names.index(name) for name in _SPEEDS]
+        self._observer = _Observer(scenario, replanner.dynamics, state[speeds])
+        self.legs: list[_Leg] = []
+        self.parts: list[Flown] = []
+        self.resolves: list[Resolve] = []
+
+    def fly(self) -> None:
+        """Fly the whole mission."""
+        measured_at = self._settings.interval
+        while measured_at + self._settings.solve_time < self._end - _LAST:
+            self._advance(measured_at)
+            arrived_at = self._replan(measured_at)
+            measured_at = max(measured_at + self._settings.interval, arrived_at)
+        self._due = self._t
+        self._advance(self._end)
+
+    def _replan(self, measured_at: float) -> float:
+        """Solve from a measurement, fly on meanwhile, and return when the plan came."""
+        meant_for = measured_at + self._settings.solve_time
+        estimate, belief = np.zeros(3), self._replanner.belief
+        if self._is_observing:
+            estimate, belief = self._observer.estimate, self._observer.belief(self.parts[-1])
+        state = self._replanner.predicted(
+            self._course, measured_at, meant_for, self._state, estimate
+        )
+        began = process_time()
+        solution = self._solved(meant_for, state, belief)
+        solve_s = process_time() - began
+        aboard = self._computer(solve_s)
+        arrived_at = min(max(meant_for, measured_at + aboard), self._end)
+        self._advance(arrived_at)
+        if solution is not None:
+            self._course = _Course(plan=trajectories_of(solution), belief=belief)
+            self._due = arrived_at + self._settings.interval
+        self.resolves.append(
+            Resolve(
+                t=measured_at,
+                arrived_at=arrived_at,
+                solve_s=solve_s,
+                is_converged=solution is not None,
+                is_late=aboard > self._settings.solve_time,
+            )
+        )
+        return arrived_at
+
+    def _solved(self, t: float, state: FloatArray, belief: _Belief) -> Solution | None:
+        """Return the rest of the mission; None where it is not found, or none starts out there."""
+        try:
+            solution = self._replanner.solve(t, state, belief)
+        except TranscriptionError:
+            return None  # measured beyond a limit, from where no plan within it starts
+        return solution if solution.is_converged else None
+
+    def _advance(self, end: float) -> None:
+        """Fly the plan at hand until a time, alone as long as the next is not due."""
+        border = min(max(self._due, self._t), end)
+        for start, stop, is_tracked in ((self._t, border, False), (border, end, True)):
+            if stop - start > _SHORTEST * self._end:
+                leg = _Leg(course=self._course, start=start, end=stop, is_tracked=is_tracked)
+                self._fly(leg)
+        self._t = end
+
+    def _fly(self, leg: _Leg) -> None:
+        flown = self._aircraft.fly(leg, self._state, Integrator.RUNGE_KUTTA)
+        self._state = flown.states[-1]
+        self.legs.append(leg)
+        self.parts.append(flown)
+        self._observer.watch(flown)
+
+    def flown_again(self) -> Flown:
+        """Fly the same plans at the same times by the other integrator."""
+        state, parts = self.parts[0].states[0], []
+        for leg in self.legs:
+            flown = self._aircraft.fly(leg, state, Integrator.MULTISTEP)
+            state = flown.states[-1]
+            parts.append(flown)
+        return _joined(parts)
+
+
+# Parts of the flight shorter than this share of it are rounding.
+_SHORTEST = 1e-9
+
+
+def _joined(parts: list[Flown]) -> Flown:
+    """Return parts of a flight as one; where two meet, the first one's end is kept."""
+    spent = np.cumsum([0.0, *(part.energy[-1] for part in parts)])
+    kept = [slice(0, None), *(slice(1, None) for _ in parts[1:])]
+    return Flown(
+        t=np.concatenate([part.t[k] for part, k in zip(parts, kept, strict=True)]),
+        states=np.vstack([part.states[k] for part, k in zip(parts, kept, strict=True)]),
+        controls=np.vstack([part.controls[k] for part, k in zip(parts, kept, strict=True)]),
+        energy=np.concatenate(
+            [e + part.energy[k] for e, part, k in zip(spent[:-1], parts, kept, strict=True)]
+        ),
+    )
+
+
+def _charged(settings: Replanning, solve_s: float) -> float:
+    return solve_s if settings.clock is Clock.MEASURED else settings.solve_time
+
+
+def fly_replanned(
+    scenario: Scenario,
+    knowledge: Knowledge,
+    *,
+    dynamics: Dynamics,
+    planner: Planner,
+    plan: Plan | None = None,
+    computer: Computer | None = None,
+) -> Flight:
+    """Fly a mission with the rest of it planned again and again.
+
+    It is verified as a controlled flight is: the same plans, applied at the same times by another
+    integrator, end at the same place and spend the same energy.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission, and the vehicle as it is believed to be.
+    knowledge : Knowledge
+        What is believed of the wind.
+    dynamics : Dynamics
+        The vehicle that flies, in the wind that blows.
+    plan : Plan, optional
+        Prices the flight's end.
+    computer : callable, optional
+        How long a solve takes aboard; by default what the scenario states or this process takes.
+
+    Raises
+    ------
+    ScenarioError
+        If the model is not the declared one.
+    SolveError
+        If there is no plan before take-off, or the flight is out of control.
+    """
+    began = perf_counter()
+    refuse_other_vehicles(scenario, dynamics)
+    settings = scenario.baseline.mpc or Replanning()
+    if computer is None:
+        computer = partial(_charged, settings)
+    flight = _ReplannedFlight(
+        scenario,
+        settings,
+        knowledge,
+        replanner=Replanner(scenario, knowledge, planner),
+        dynamics=dynamics,
+        computer=computer,
+    )
+    flight.fly()
+    flown = _joined(flight.parts)
+    assembled = assembled_flight(
+        replanned_name(knowledge),
+        scenario,
+        dynamics,
+        flown,
+        plan,
+        is_verified=agree(dynamics, flown, flight.flown_again()),
+        wall_s=perf_counter() - began,
+    )
+    return replace(assembled, resolves=tuple(flight.resolves))

@@ -1,0 +1,124 @@
+"""Re-planning in flight: what it spends and learns, and what it does when a plan comes late."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pyomo_quad.collocation import Mesh, SolverOptions, compile
+from pyomo_quad.flight import Planner, replanning
+from pyomo_quad.flight.replanning import fly_replanned
+from pyomo_quad.model import build_remaining, parameter_values
+from pyomo_quad.model.mission import measured_start
+from pyomo_quad.scenario import ScenarioError
+from pyomo_quad.scenario.tables import Knowledge
+from pyomo_quad.study.comparison import has_arrived, replanning_table, settled_energy
+from tests import flights
+
+SHORT = (
+    "mission.goal.position=[1.0, 0.5, 0.5]",
+    "mission.duration=3.0",
+    "baseline.mpc.interval=0.3",
+)
+STEADY = ("wind.use='constant'", "wind.speed=0.6", "wind.direction=0.7")
+# Of speeds and places told through integrations to 1e-6.
+ROUNDING = 1e-9
+
+
+def replanned(knowledge, *overrides, plant=(), plan=None, computer=None):
+    """Fly the short mission, with the vehicle that flies changed as `plant` says."""
+    mission = flights.scenario("paper_calm", *SHORT, *overrides)
+    vehicle = flights.vehicle("paper_calm", *SHORT, *overrides, *plant)
+    return fly_replanned(
+        mission,
+        knowledge,
+        dynamics=vehicle,
+        planner=flights.planner(),
+        plan=plan,
+        computer=computer,
+    )
+
+
+def test_the_rest_of_an_optimal_flight_is_optimal():
+    """Bellman: from a state on the optimum, what is left costs what the optimum still spends."""
+    scenario, plan = flights.scenario("paper_calm"), flights.plan("paper_calm")
+    held, begin = plan.trajectories, 4.0
+    state = dict(zip(held.state_names, held.states_at(np.array([begin]))[0], strict=True))
+    rest = compile(build_remaining(scenario)).solve(
+        mesh=Mesh.uniform(10, 6),
+        parameters=parameter_values(scenario) | measured_start(state),
+        horizon=(begin, scenario.mission.duration),
+    )
+    spent = held.energy_at(np.array([begin]))[0]
+    assert spent + rest.objective == pytest.approx(plan.energy, rel=1e-6)
+
+
+def test_what_is_not_told_is_learnt_and_not_knowing_it_costs():
+    told, estimated, untold = (replanned(knowledge, *STEADY) for knowledge in Knowledge)
+    assert has_arrived(told)
+    assert has_arrived(estimated)
+    assert all(flight.is_verified for flight in (told, estimated, untold))
+    assert told.energy_J < estimated.energy_J
+    assert estimated.terminal_miss_m < 0.2 * untold.terminal_miss_m
+
+
+def test_mass_and_wind_are_told_apart(monkeypatch):
+    """In a steady wind, with a heavier vehicle, both are found: they are the plant's numbers."""
+    beliefs = []
+    solve = replanning.Replanner.solve
+    monkeypatch.setattr(
+        replanning.Replanner,
+        "solve",
+        lambda self, t, state, belief: beliefs.append(belief) or solve(self, t, state, belief),
+    )
+    flight = replanned(Knowledge.ESTIMATED, plant=("vehicle.payload=0.1", *STEADY))
+    assert has_arrived(flight)
+    # To a twentieth of what was not known.
+    assert beliefs[-1].mass == pytest.approx(1.4, abs=0.1 / 20)
+    wind = 0.6 * np.array([np.cos(0.7), np.sin(0.7)])
+    assert beliefs[-1].unexplained == pytest.approx(wind, abs=0.6 / 20)
+    assert (beliefs[0].mass, beliefs[0].unexplained) == (1.3, (0.0, 0.0))
+
+
+def test_stated_times_repeat_and_with_nothing_amiss_it_costs_what_the_optimum_does():
+    plan = flights.plan("paper_calm", *SHORT)
+    first, second = (replanned(Knowledge.TOLD, plan=plan) for _ in range(2))
+    assert first.energy_J == second.energy_J
+    assert 1.0 - 1e-4 < settled_energy(first) / plan.energy < 1.0 + 2e-3
+
+
+def test_the_last_plan_goes_on_while_a_solve_is_late():
+    seconds = iter([0.06, 0.8, *[0.06] * 20])
+    flight = replanned(Knowledge.TOLD, computer=lambda _: next(seconds))
+    late, after = flight.resolves[1:3]
+    assert [solve.is_late for solve in flight.resolves].count(True) == 1
+    assert late.arrived_at == pytest.approx(late.t + 0.8, rel=ROUNDING)
+    # The computer was busy: the solves in between were not begun.
+    assert after.t == pytest.approx(late.arrived_at, rel=ROUNDING)
+    assert has_arrived(flight)
+    assert flight.is_verified
+
+
+def test_where_every_solve_fails_the_first_plan_is_flown_under_feedback(monkeypatch):
+    monkeypatch.setattr(replanning, "_OPTIONS", SolverOptions(max_iterations=0))
+    flight = replanned(Knowledge.TOLD, *STEADY)
+    assert not any(solve.is_converged for solve in flight.resolves)
+    assert has_arrived(flight)
+    row = replanning_table([flight]).iloc[0]
+    assert row["failed"] == row["solves"] == len(flight.resolves)
+    assert row["settled_energy_J"] == settled_energy(flight)
+    assert replanning_table([replace(flight, resolves=())]).empty
+
+
+def test_own_models_are_not_planned_again():
+    scenario = flights.scenario("paper_calm", *SHORT)
+    planner = Planner(lambda _scenario: None)
+    with pytest.raises(ScenarioError, match="re-planning knows the declared model only"):
+        replanning.Replanner(scenario, Knowledge.TOLD, planner)
+
+
+def test_an_interval_beyond_the_mission_is_refused():
+    line = "baseline.mpc.interval = 3 s; must be below mission.duration = 3 s"
+    with pytest.raises(ScenarioError, match=re.escape(line)):
+        flights.scenario("paper_calm", *SHORT, "baseline.mpc.interval=3.0")
