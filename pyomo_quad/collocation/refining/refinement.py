@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Damping:
-    """What the distance of controls from those of a solution costs.
+    """What the distance of controls from the course of a solution's costs.
+
+    Their course are the straight lines between their means over the elements.
 
     Attributes
     ----------
@@ -53,15 +55,26 @@ class Damping:
     def applied_to(self, program: Transcription) -> DampedProgram:
         """Return a program of the same model with the price on its objective."""
         mesh = program.mesh or self.solution.mesh
-        old, held = self.solution.mesh.point_fractions, self.solution.trajectory.algebraics
-        # Straight lines between the points: beside a jump the polynomials swing far beyond.
-        near = [np.interp(mesh.point_fractions, old, held[:, k]) for k in self.controls]
+        held = self.solution.trajectory.algebraics[:, self.controls]
+        # Toward the points themselves, chatter would be kept; and beside a jump the polynomials
+        # swing far beyond.
+        middles, means = _element_means(self.solution.mesh, held)
+        near = [np.interp(mesh.point_fractions, middles, mean) for mean in means.T]
         return DampedProgram(
             program=program,
             columns=program.layout.algebraic_columns[:, self.controls].ravel(),
             weights=(mesh.quadrature_weights[:, None] * self.prices).ravel(),
             near=np.column_stack(near).ravel(),
         )
+
+
+def _element_means(mesh: Mesh, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where the elements have their middles, and the means over each of values at points."""
+    weights = mesh.quadrature_weights[:, None]
+    columns = np.column_stack([mesh.point_fractions, values, np.ones(mesh.points)])
+    sums = np.add.reduceat(weights * columns, mesh.first_node[:-1], axis=0)
+    means = sums / sums[:, -1:]
+    return means[:, 0], means[:, 1:-1]
 
 
 def damping_of(solution: Solution, weight: float) -> Damping | None:

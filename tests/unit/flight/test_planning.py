@@ -196,6 +196,20 @@ def test_a_kinked_power_is_reached_from_wider_corners():
     assert plan.energy > solve_scenario(load_scenario(PAPER_CALM, credited)).energy
 
 
+@pytest.mark.slow
+def test_rotors_that_chatter_under_a_flat_power_come_to_rest_within_the_limit():
+    mission = [
+        "mission.goal.position=[10.716, 25.477, 10.246]",
+        "mission.duration=11.419",
+        "wind={use='constant', speed=2.54, direction=5.201}",
+        "vehicle.payload=0.102",
+    ]
+    flat = [*KINKED[:1], "power.regeneration=true", "solver.time_limit=150"]
+    plan = solve_scenario(load_scenario(PAPER_CALM, [*flat, *mission]))
+    assert plan.is_verified
+    assert plan.attempts == ()
+
+
 def test_a_solve_stopped_on_the_way_has_the_mission_s_own_numbers():
     scenario = load_scenario(PAPER_CALM, KINKED)
     plan = solve_scenario(scenario, progress=lambda iteration: iteration.iteration < 3)

@@ -1,5 +1,7 @@
 """Damping of linear controls, on the singular regulator of the gates and on a car."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
@@ -37,6 +39,20 @@ def test_controls_a_whole_range_away_cost_the_weight_times_the_objective(solutio
     z[damped.columns] = damped.near + 2.0  # the control lies within -1 and 1
     added = damped.objective(z) - damped.program.objective(z)
     assert added == pytest.approx(WEIGHT * solution.nominal_objective, rel=1e-12)
+
+
+def test_chatter_within_elements_is_no_part_of_the_course_that_controls_are_drawn_to(
+    solution, damped
+):
+    held = solution.trajectory
+    weights = MESH.quadrature_weights.reshape(MESH.elements, -1)
+    chatter = np.zeros_like(weights)
+    chatter[:, 0], chatter[:, 1] = 0.01 / weights[:, 0], -0.01 / weights[:, 1]
+    algebraics = held.algebraics + chatter.reshape(-1, 1)
+    chattering = replace(solution, trajectory=replace(held, algebraics=algebraics))
+    drawn = damping_of(chattering, WEIGHT).applied_to(damped.program)
+    assert np.abs(algebraics - held.algebraics).max() > 0.1
+    assert drawn.near == pytest.approx(damped.near, abs=1e-12)
 
 
 def test_derivatives_are_those_of_finite_differences(damped):
