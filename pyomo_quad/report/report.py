@@ -97,8 +97,9 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
     write_plan_table(folder, result.plan)
     if not result.comparison.empty:
         write_comparison(folder, result.comparison, _title(result.plan))
-    if result.scenario.baseline.mpc is not None:
-        write_table(replanning_table(result.flights), folder / REPLANNING_NAME)
+    replanned = replanning_table(result.flights)
+    if not replanned.empty:
+        write_table(replanned, folder / REPLANNING_NAME)
     parts: tuple[tuple[Drawing, ...], ...] = ((), (), ())
     if figures is not Figures.NONE:
         parts = _gallery().draw_run(folder, result, figures)

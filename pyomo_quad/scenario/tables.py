@@ -166,7 +166,9 @@ class Baseline(Part):
     )
     adaptation: Flag = quantity("", "whether the controller adapts", True)
     gains: Gains = quantity("", "controller gains", Gains())
-    mpc: Replanning | None = quantity("", "re-planning in flight, not flown when absent", None)
+    mpc: Replanning | None = quantity(
+        "", "re-planning in flight, not flown when absent", None, is_late=True
+    )
 
 
 _VOLTAGE = Sound(0, 100, "the cells of all chemistries have 1 to 5 V")
