@@ -18,6 +18,7 @@ from pyomo_quad.collocation.program.compiled import (
     compile_declarations,
 )
 from pyomo_quad.collocation.program.transcription import Data, Transcription
+from pyomo_quad.collocation.reading.dae_index import refuse_high_index
 from pyomo_quad.collocation.reading.model import read_declarations
 from pyomo_quad.collocation.reading.model_source import LiveModel
 from pyomo_quad.collocation.reading.schedules import BESIDE
@@ -276,6 +277,7 @@ class Formulation:
         times: FreeTimes | None = None,
     ) -> None:
         declared, reader = read_declarations(model, final_time, times)
+        refuse_high_index(declared)
         compiled = compile_declarations(declared)
         time = reader.copy.time
         own_time = None if time is None else model.find_component(time.name)

@@ -11,6 +11,7 @@ import pandas as pd
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.mesh import Mesh, Trajectory, interpolate, real_array
+from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.program.ipopt import Multipliers
 
 if TYPE_CHECKING:
@@ -83,6 +84,37 @@ def initial_point(
     for integral, static in program.compiled.static_of_integral.items():
         z[layout.static_columns[static]] = integrals[integral]
     return np.clip(z, bounds.lower, bounds.upper)
+
+
+_STEPS = 3
+
+
+def with_consistent_algebraics(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
+    """Return a point whose algebraic variables come near to meeting the equations, by points.
+
+    A few Gauss-Newton steps with the states as they are: where nothing is known of a control, it is
+    the one that the states ask for.
+    """
+    compiled, columns = program.compiled, program.layout.algebraic_columns
+    if program.mesh is None or not columns.size:
+        return z
+    rows = np.flatnonzero(compiled.is_equality)
+    first = 2 * program.layout.n_states
+    path, moved = compiled.path, np.array(z)
+    jacobian = MappedFunction(path.jacobian, program.n_points)
+    chosen = np.isin(path.jacobian_rows, rows) & (path.jacobian_columns >= first)
+    chosen &= path.jacobian_columns < first + columns.shape[1]
+    at = np.searchsorted(rows, path.jacobian_rows[chosen]), path.jacobian_columns[chosen] - first
+    for _ in range(_STEPS):
+        entries = jacobian(program.path_variables(moved), program.data.at_points())[0]
+        matrices = np.zeros((program.n_points, rows.size, columns.shape[1]))
+        matrices[:, at[0], at[1]] = entries[:, chosen]
+        residuals = program.rows_at_points(moved)[:, rows]
+        if not (np.all(np.isfinite(matrices)) and np.all(np.isfinite(residuals))):
+            break
+        moved[columns] -= np.einsum("kij,kj->ki", np.linalg.pinv(matrices), residuals)
+        moved = np.clip(moved, bounds.lower, bounds.upper)
+    return moved
 
 
 # Random functions are straight between so many instants; bounds beyond this size are none.

@@ -12,9 +12,21 @@ from pyomo_quad.collocation.duals import load_suffixes
 from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.formulation import Formulation
-from pyomo_quad.collocation.guess import Guess, WarmStart, initial_point, scattered, transfer
+from pyomo_quad.collocation.guess import (
+    Guess,
+    WarmStart,
+    initial_point,
+    scattered,
+    transfer,
+    with_consistent_algebraics,
+)
 from pyomo_quad.collocation.mesh import Summarised
-from pyomo_quad.collocation.program.bounds import bounds_of, refuse_unsolvable, scaling_of
+from pyomo_quad.collocation.program.bounds import (
+    bounds_of,
+    is_defined,
+    refuse_unsolvable,
+    scaling_of,
+)
 from pyomo_quad.collocation.program.ipopt import (
     TIME_LIMIT_CODE,
     Deadline,
@@ -23,6 +35,7 @@ from pyomo_quad.collocation.program.ipopt import (
     Status,
     run,
 )
+from pyomo_quad.collocation.reading.dae_index import structural_index
 from pyomo_quad.collocation.refining.refinement import RefinementOptions, refine
 from pyomo_quad.collocation.solution import Solution, outside_tables, solution_from
 
@@ -76,7 +89,9 @@ class Problem(Summarised, Formulation):
         sense = "maximise" if declared.maximise else "minimise"
         name = declared.objective_name
         goal = {"objective": f"{sense} {name}" if name else "none"}
-        return goal | {name: f"{len(held)}" for name, held in counts.items() if held}
+        sizes = {name: f"{len(held)}" for name, held in counts.items() if held}
+        index = structural_index(declared).index
+        return goal | sizes | ({"index of the DAE": f"{index}"} if index > 1 else {})
 
     def solve(
         self,
@@ -207,6 +222,8 @@ class Problem(Summarised, Formulation):
         if warm_start is None:
             z = initial_point(program, bounds, self.values, guess)
             z = scattered(program, bounds, z, seed) if seed else z
+            if not is_defined(program, z):
+                z = with_consistent_algebraics(program, bounds, z)
         else:
             z, multipliers = transfer(warm_start, program)
             z = np.clip(z, bounds.lower, bounds.upper)

@@ -283,6 +283,13 @@ def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> 
         )
 
 
+def is_defined(program: Transcription, z: FloatArray) -> bool:
+    """Say whether the program and its first derivatives have values, infinite ones too."""
+    with np.errstate(invalid="ignore"):
+        parts = (program.constraints(z), program.jacobian(z), program.gradient(z))
+    return not any(bool(np.any(np.isnan(part))) for part in parts)
+
+
 def _refuse_not_finite(program: Transcription, z: FloatArray) -> None:
     rows = program.constraints(z)
     bad = np.flatnonzero(~np.isfinite(rows))
