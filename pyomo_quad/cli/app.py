@@ -10,6 +10,7 @@ import typer
 from pyomo_quad.cli.commands import compare, fly, run, solve
 from pyomo_quad.cli.endings import ExitCode, Stopped, before_the_end
 from pyomo_quad.cli.exporting import export
+from pyomo_quad.cli.identifying import identify, predict
 from pyomo_quad.cli.looking import check, init, library, schema
 from pyomo_quad.cli.paper import paper
 from pyomo_quad.cli.plotting import plot
@@ -38,6 +39,8 @@ app.command()(schema)
 app.command()(fly)
 app.command()(export)
 app.command()(plot)
+app.command()(identify)
+app.command()(predict)
 app.command()(paper)
 app.command()(sweep)
 app.command()(sweep_report)

@@ -16,6 +16,10 @@ from pyomo_quad.collocation.reading.schedules import BESIDE
 from pyomo_quad.collocation.reading.writer import symbol_names
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import ArrayLike
+
     from pyomo_quad.collocation.formulation import Formulation
     from pyomo_quad.collocation.mesh import FloatArray
     from pyomo_quad.collocation.reading.symbols import Slot
@@ -39,6 +43,31 @@ class Violation:
     def relative(self) -> float:
         """Size relative to the larger of 1 and the bound."""
         return self.size / max(1.0, abs(self.bound))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Instants:
+    """States and controls at n times, with the rates and algebraic variables they come with.
+
+    `read` takes keys and the columns of all that the equations read; `numbers` puts parameters,
+    given by full name, into the last of these.
+    """
+
+    inputs: list[FloatArray]
+    read: Callable[..., FloatArray]
+    numbers: Callable[[FloatArray, Mapping[str, ArrayLike]], FloatArray]
+
+    def table(
+        self,
+        keys: tuple[tuple[str, Any], ...],
+        changed: Mapping[str, ArrayLike] | None = None,
+    ) -> FloatArray:
+        """Return components, as (full name, index) pairs: shape (n, n_keys).
+
+        `changed` replaces parameters on which neither rates nor algebraic variables depend.
+        """
+        *held, data = self.inputs
+        return self.read(keys, *held, self.numbers(data, changed or {}))
 
 
 class Dynamics:
@@ -150,18 +179,40 @@ class Dynamics:
         """Return the objective's integrand per unit of physical time."""
         return self.rates_and_integrand(t, x, u)[1]
 
-    def _inputs(self, t: FloatArray, states: FloatArray, controls: FloatArray) -> list[FloatArray]:
-        """Return what an `Evaluator` reads, for n times at once."""
+    def solved(
+        self,
+        t: FloatArray,
+        states: FloatArray,
+        controls: FloatArray,
+        numbers: Mapping[str, ArrayLike] | None = None,
+    ) -> Instants:
+        """Return what the equations make of states and controls at n times.
+
+        `numbers` gives parameters by full name, each one number or a column of n.
+        """
         n = len(t)
         fractions = self._timeline.fraction(np.asarray(t, dtype=float))
         signals = self._formulation.signals(self._instance, fractions)
-        parameters = np.broadcast_to(self._instance.parameters, (n, self._instance.parameters.size))
-        data = np.hstack([signals, parameters])
+        parameters = np.tile(self._instance.parameters, (n, 1))
+        data = self._with_numbers(np.hstack([signals, parameters]), numbers or {})
         statics = np.broadcast_to(self._statics, (n, self._statics.size))
         mapped = MappedFunction(self._right_hand_side, n)
         unknowns = mapped(states, controls, statics, data)[0]
         algebraics = self._algebraics(unknowns[:, states.shape[1] :], controls)
-        return [unknowns[:, : states.shape[1]], states, algebraics, statics, data]
+        inputs = [unknowns[:, : states.shape[1]], states, algebraics, statics, data]
+        return Instants(inputs=inputs, read=self._formulation.evaluator, numbers=self._with_numbers)
+
+    def _with_numbers(self, data: FloatArray, numbers: Mapping[str, ArrayLike]) -> FloatArray:
+        """Return data, shape (n, n_data), with parameters given by name in their columns."""
+        names = self.parameter_names
+        changed = data.copy()
+        for name, column in numbers.items():
+            changed[:, data.shape[1] - len(names) + names.index(name)] = column
+        return changed
+
+    def _inputs(self, t: FloatArray, states: FloatArray, controls: FloatArray) -> list[FloatArray]:
+        """Return what an `Evaluator` reads, for n times at once."""
+        return self.solved(t, states, controls).inputs
 
     def _algebraics(self, determined: FloatArray, controls: FloatArray) -> FloatArray:
         """Return all algebraic variables in their declared order."""
@@ -209,7 +260,7 @@ class Dynamics:
         controls: FloatArray,
     ) -> FloatArray:
         """Return several components, as (full name, index) pairs, at once: shape (n, n_keys)."""
-        return self._formulation.evaluator(keys, *self._inputs(t, states, controls))
+        return self.solved(t, states, controls).table(keys)
 
     @property
     def states_used_up(self) -> tuple[str, ...]:
@@ -219,6 +270,11 @@ class Dynamics:
         at_start = {name for name, fraction in given if fraction == 0.0}
         at_start |= {slot.name for slot in declared.outputs}
         return tuple(n for n in self.state_names if n in at_start and (n, 1.0) not in given)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Full names of the parameters that the equations read."""
+        return tuple(p.name for p in self._formulation.compiled.declared.parameters)
 
     def initial_states(self) -> dict[str, float]:
         """Return the values that the model's own variables hold at the start, zero for none."""

@@ -15,6 +15,7 @@ FLOORS = {
     "study": 3,
     "report": 4,
     "exports": 5,
+    "identification": 5,
     "paper": 5,
     "sweep": 5,
 }
@@ -43,7 +44,7 @@ HOMES = {
     "cyipopt": {"collocation"},
     "pyomo": {"collocation", "model"},
     "scipy.integrate": {"flight"},
-    "matplotlib": {"report", "paper", "sweep"},
+    "matplotlib": {"report", "identification", "paper", "sweep"},
     "mpl_toolkits": {"report"},
     "plotly": {"report"},
     "jinja2": {"report"},

@@ -1,0 +1,1 @@
+"""Vehicles from their own flights: logs read, parameters identified, energies predicted."""

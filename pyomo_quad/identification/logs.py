@@ -1,0 +1,197 @@
+"""Logs of flights: the columns they need, and what is refused before anything is computed.
+
+A log is a table, Parquet or CSV, of one row a second or so, or a PX4 `.ulg`.  Its columns are
+those of `COLUMNS`; others are passed over.  World axes here are north, east and up.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from pyomo_quad.identification.px4 import read_ulog
+from pyomo_quad.scenario import ScenarioError
+from pyomo_quad.scenario.messages import printable
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """One column of a log: its unit, what else it may be called, and what it holds."""
+
+    unit: str
+    meaning: str
+    other_names: tuple[str, ...] = ()
+
+
+FLIGHT, TIME, PHASE, POWER = "flight", "time_s", "phase", "power_W"
+PAYLOAD, DENSITY = "payload_kg", "air_density_kg_m3"
+VELOCITY = ("vel_north_m_s", "vel_east_m_s", "vel_up_m_s")
+AIR_VELOCITY = ("air_vel_north_m_s", "air_vel_east_m_s")
+VOLTAGE, CURRENT = "voltage_V", "current_A"
+COLUMNS: Mapping[str, Column] = {
+    FLIGHT: Column(unit="", meaning="number or name of the flight", other_names=("flight_id",)),
+    TIME: Column(unit="s", meaning="time, rising within a flight", other_names=("time", "t")),
+    PHASE: Column(unit="", meaning="1 take-off, 2 cruise, 3 landing; other rows are passed over"),
+    PAYLOAD: Column(unit="kg", meaning="mass carried", other_names=("payload",)),
+    DENSITY: Column(unit="kg/m^3", meaning="density of the air", other_names=("air_density",)),
+    POWER: Column(
+        unit="W",
+        meaning="power drawn from the pack",
+        other_names=("power", f"{VOLTAGE} with {CURRENT}"),
+    ),
+    VELOCITY[0]: Column(unit="m/s", meaning="velocity over ground", other_names=("vn_m_s",)),
+    VELOCITY[1]: Column(unit="m/s", meaning="velocity over ground", other_names=("ve_m_s",)),
+    VELOCITY[2]: Column(unit="m/s", meaning="climb", other_names=("vu_m_s",)),
+    AIR_VELOCITY[0]: Column(
+        unit="m/s", meaning="velocity through the air as read, times vehicle.anemometer_factor"
+    ),
+    AIR_VELOCITY[1]: Column(
+        unit="m/s", meaning="velocity through the air as read, times vehicle.anemometer_factor"
+    ),
+}
+FLYING = (1, 2, 3)
+CRUISE = 2
+_TEXTS = (FLIGHT,)
+# A row this many times later than usual has lost the flight between.
+_LONGEST_GAP = 10.0
+# Sensors read a few watts below nought with all off.
+_LEAST_POWER_W = -20.0
+# Beyond these a number is in thousandths of its unit, whatever flies.
+_MOST: Mapping[str, tuple[float, str]] = {
+    VOLTAGE: (1e3, "millivolts"),
+    CURRENT: (2e3, "milliamperes"),
+}
+_MOST_POWER_PER_KG = 5e3
+_LARGEST_FILE_BYTES = 500_000_000
+
+
+def read_logs(file: Path) -> pd.DataFrame:
+    """Return the flying rows of all flights of a log, with the columns of `COLUMNS`.
+
+    Raises
+    ------
+    ScenarioError
+        If the file cannot be read, lacks a column, or holds what no flight can have done.
+    """
+    source = printable(str(file))
+    whole = _renamed(_read(file, source))
+    if POWER not in whole and {VOLTAGE, CURRENT} <= set(whole):
+        whole[POWER] = whole[VOLTAGE] * whole[CURRENT]
+    for name, column in COLUMNS.items():
+        if name not in whole:
+            others = "".join(f" or {other}" for other in column.other_names)
+            unit = f", in {column.unit}" if column.unit else ""
+            raise ScenarioError(
+                f"{source}: has no column {name} ({column.meaning}{unit}); name it {name}{others}."
+            )
+    known = [*COLUMNS, *(name for name in (VOLTAGE, CURRENT) if name in whole)]
+    frame = whole[known]
+    for name in known:
+        if name not in _TEXTS and not pd.api.types.is_numeric_dtype(frame[name]):
+            raise ScenarioError(f"{source}: column {name} holds text; it must hold numbers.")
+    frame = frame[frame[PHASE].isin(FLYING)].reset_index(drop=True)
+    if frame.empty:
+        raise ScenarioError(
+            f"{source}: no row flies; {PHASE} must be 1, 2 or 3 for take-off, cruise and landing."
+        )
+    for complaint in _complaints(frame):
+        raise ScenarioError(f"{source}: {complaint}")
+    numbers = [name for name in known if name not in _TEXTS]
+    return frame.astype(dict.fromkeys(numbers, float))
+
+
+def _read(file: Path, source: str) -> pd.DataFrame:
+    readers = {".parquet": pd.read_parquet, ".csv": pd.read_csv, ".ulg": read_ulog}
+    reader: Any = readers.get(file.suffix.lower())
+    if reader is None:
+        raise ScenarioError(f"{source}: is no log; give a .parquet, .csv or .ulg file.")
+    if file.is_file() and file.stat().st_size > _LARGEST_FILE_BYTES:
+        raise ScenarioError(f"{source}: larger than {_LARGEST_FILE_BYTES} bytes; split it.")
+    try:
+        return pd.DataFrame(reader(file))
+    except ScenarioError as error:
+        raise ScenarioError(f"{source}: {error}") from None
+    except OSError as error:
+        reason = error.strerror or "not whole"
+        raise ScenarioError(f"{source}: cannot be read ({printable(reason)}).") from None
+    except (ValueError, pa.ArrowException, pd.errors.ParserError, pd.errors.EmptyDataError):
+        raise ScenarioError(f"{source}: is damaged or cut short; copy it anew.") from None
+
+
+def _renamed(frame: pd.DataFrame) -> pd.DataFrame:
+    names = {
+        other: name
+        for name, column in COLUMNS.items()
+        for other in column.other_names
+        if other in frame and name not in frame
+    }
+    return frame.rename(columns=names)
+
+
+def _complaints(frame: pd.DataFrame) -> Iterator[str]:
+    """Yield what is wrong with the rows, the plainest first."""
+    for name in frame:
+        missing = frame[name].isna() if name in _TEXTS else ~np.isfinite(frame[name])
+        if missing.any():
+            place = _place(frame, int(missing.to_numpy().argmax()))
+            yield f"{name} is no number at {place}; drop the row or fill it."
+    for flight, rows in frame.groupby(FLIGHT, sort=False):
+        yield from _time_complaints(str(flight), rows[TIME].to_numpy(float))
+    for name, (most, thousandths) in _MOST.items():
+        if name in frame and frame[name].abs().median() > most:
+            yield (
+                f"{name} has a median of {frame[name].median():.4g}, which must be {thousandths}; "
+                f"divide it by 1000."
+            )
+    power = frame[POWER].to_numpy()
+    lowest = int(np.argmin(power))
+    if power[lowest] < _LEAST_POWER_W:
+        yield (
+            f"{POWER} = {power[lowest]:.4g} W at {_place(frame, lowest)}; must be positive in "
+            "flight: turn the current's sign."
+        )
+    if frame[DENSITY].min() <= 0.0 or frame[PAYLOAD].min() < 0.0:
+        yield f"{DENSITY} must be > 0 and {PAYLOAD} >= 0."
+
+
+def _place(frame: pd.DataFrame, row: int) -> str:
+    return f"{frame[TIME].iloc[row]:g} s of flight {frame[FLIGHT].iloc[row]}"
+
+
+def _time_complaints(flight: str, times: np.ndarray) -> Iterator[str]:
+    if times.size < 2:
+        yield f"flight {flight} has a single row; drop it."
+        return
+    steps = np.diff(times)
+    usual = float(np.median(steps))
+    back, longest = int(np.argmin(steps)), int(np.argmax(steps))
+    if steps[back] <= 0.0:
+        yield (
+            f"{TIME} of flight {flight} goes from {times[back]:g} to {times[back + 1]:g} s; "
+            "times must rise within a flight."
+        )
+    elif steps[longest] > _LONGEST_GAP * usual:
+        yield (
+            f"flight {flight} has a gap of {steps[longest]:g} s after {times[longest]:g} s; steps "
+            f"must be <= {_LONGEST_GAP * usual:g} s: fill the gap, or split the flight there."
+        )
+
+
+def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None:
+    """Refuse a power that is thousands of times what carries the vehicle's weight.
+
+    Raises
+    ------
+    ScenarioError
+        If the median power is that of milliwatts.
+    """
+    median = float(frame[POWER].median())
+    if median > _MOST_POWER_PER_KG * mass_kg:
+        raise ScenarioError(
+            f"{printable(source)}: {POWER} has a median of {median:.4g} W for {mass_kg:.4g} kg, "
+            "which must be milliwatts; divide it by 1000."
+        )

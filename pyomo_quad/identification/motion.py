@@ -1,0 +1,196 @@
+"""The declared equations at the states of a log: which attitude and thrust flew it, for what power.
+
+No formula of the vehicle stands here.  Airspeed and acceleration come from the log; attitude and
+rotor speed are those at which the compiled equations give that acceleration, and power is what
+they say of it.
+"""
+
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from pyomo_quad.collocation import Dynamics, Instants
+from pyomo_quad.flight import Planner
+from pyomo_quad.identification.logs import (
+    AIR_VELOCITY,
+    DENSITY,
+    FLIGHT,
+    PAYLOAD,
+    TIME,
+    VELOCITY,
+)
+from pyomo_quad.scenario import Scenario, ScenarioError, scenario_from_mapping
+
+FloatArray = NDArray[np.float64]
+
+_MASS, _DENSITY = "vehicle.mass", "power.air_density"
+_SPEEDS = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")
+_TURNED = ("rigid_body.phi", "rigid_body.theta")
+_ROTOR = "rotors.omega["
+_ACCELERATIONS = (
+    ("rigid_body.dvx_dt", None),
+    ("rigid_body.dvy_dt", None),
+    ("rigid_body.dvz_dt", None),
+)
+_POWER = (("power.total", None),)
+# Steps of the difference quotients: radians, and shares of the rotor speed.
+_STEP = 1e-6
+_MOST_ITERATIONS = 30
+# Acceleration, m/s^2, that a state may miss of the log's.
+_ACCURACY = 1e-8
+_STEEPEST = 1.2  # rad, where a guess stays while it is sought
+
+
+def vehicle_scenario(base: str) -> Scenario:
+    """Return a mission of a vehicle of the library or of a file, under the momentum model.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such vehicle, or it lacks a number.
+    """
+    file = Path(base)
+    tables = {
+        "name": "logs",
+        "vehicle": {"use": file.name if file.suffix == ".toml" else base},
+        "wind": {"use": "calm", "coupling": "drag"},
+        "power": {"model": "momentum"},
+        "mission": {"goal": {"position": [1.0, 0.0, 0.0]}, "duration": 10.0},
+    }
+    folder = file.parent if file.suffix == ".toml" else None
+    return scenario_from_mapping(tables, source="vehicle", folder=folder)
+
+
+class LoggedMotion:
+    """A vehicle at the instants of a log.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Of `vehicle_scenario`.
+    frame : DataFrame
+        Of `read_logs`.
+    """
+
+    def __init__(self, scenario: Scenario, frame: pd.DataFrame) -> None:
+        self.frame = frame
+        self._dynamics: Dynamics = Planner().dynamics(scenario)
+        names = list(self._dynamics.state_names)
+        start = self._dynamics.initial_states()
+        self._states = np.tile([start[name] for name in names], (len(frame), 1))
+        self._angles = [names.index(name) for name in _TURNED]
+        self._rotors = [k for k, name in enumerate(names) if name.startswith(_ROTOR)]
+        vehicle = scenario.vehicle
+        air = frame[list(AIR_VELOCITY)].to_numpy() * vehicle.anemometer_factor
+        # In still air the vehicle moves as it does through the air; nothing else reads its speed.
+        velocity = np.column_stack([air, frame[VELOCITY[2]]])
+        self._states[:, [names.index(name) for name in _SPEEDS]] = velocity
+        self._wanted = _accelerations(frame)
+        self._payload, self._mass = frame[PAYLOAD].to_numpy(), vehicle.mass
+        self._told = {_DENSITY: frame[DENSITY].to_numpy()}
+        self._solved: dict[tuple[tuple[str, float], ...], Instants] = {}
+
+    def power(self, numbers: Mapping[str, float] | None = None) -> FloatArray:
+        """Return the power of each row, W, with some parameters changed, by component name."""
+        changed = dict(numbers or {})
+        deciding = {name: value for name, value in changed.items() if self._is_moving(name)}
+        own = {name: value for name, value in changed.items() if name not in deciding}
+        return self._instants(deciding).table(_POWER, own)[:, 0]
+
+    def _is_moving(self, name: str) -> bool:
+        """Say whether attitude, rotor speed or an algebraic variable depends on a parameter."""
+        return name not in self._powerless
+
+    @cached_property
+    def _powerless(self) -> frozenset[str]:
+        """Parameters that only the power reads."""
+        instants = self._instants({})
+        rates, _, algebraics, _, _ = instants.inputs
+        few = slice(0, 50)
+        found = []
+        for name in self._dynamics.parameter_names:
+            if not name.startswith("power."):
+                continue
+            again = self._evaluate(self._states_found[few], few, {name: 1.7})
+            same_rates = np.array_equal(
+                again.inputs[0][:, : len(_SPEEDS)], rates[few, : len(_SPEEDS)]
+            )
+            if np.array_equal(again.inputs[2], algebraics[few]) and same_rates:
+                found.append(name)
+        return frozenset(found)
+
+    def _instants(self, numbers: Mapping[str, float]) -> Instants:
+        key = tuple(sorted(numbers.items()))
+        if key not in self._solved:
+            if len(self._solved) > 1:
+                self._solved.pop(next(reversed(self._solved)))
+            self._states_found = self._trimmed(numbers)
+            self._solved[key] = self._evaluate(self._states_found, slice(None), numbers)
+        return self._solved[key]
+
+    def _evaluate(
+        self, states: FloatArray, rows: slice | NDArray[np.bool_], numbers: Mapping[str, float]
+    ) -> Instants:
+        own = dict(numbers)
+        mass = own.pop(_MASS, self._mass) + self._payload[rows]
+        told = {name: column[rows] for name, column in self._told.items()}
+        controls = np.zeros((len(states), len(self._dynamics.control_names)))
+        times = np.full(len(states), self._dynamics.start)
+        return self._dynamics.solved(times, states, controls, {_MASS: mass, **told, **own})
+
+    def _trimmed(self, numbers: Mapping[str, float]) -> FloatArray:
+        """Return the states whose acceleration is that of the log, by Newton's method."""
+        states = self._states.copy()
+        open_rows = np.ones(len(states), dtype=bool)
+        for _ in range(_MOST_ITERATIONS):
+            at, wanted = states[open_rows], self._wanted[open_rows]
+            missing = wanted - self._acceleration(at, open_rows, numbers)
+            is_done = np.max(np.abs(missing), axis=1) <= _ACCURACY
+            if np.all(is_done):
+                self._states = states
+                return states
+            still = np.flatnonzero(open_rows)[~is_done]
+            open_rows = np.zeros(len(states), dtype=bool)
+            open_rows[still] = True
+            at, missing = at[~is_done], missing[~is_done]
+            slopes = [
+                (self._acceleration(moved, open_rows, numbers) - (wanted[~is_done] - missing))
+                / _STEP
+                for moved in self._moved(at)
+            ]
+            steps = np.linalg.solve(np.stack(slopes, axis=2), missing[:, :, None])[:, :, 0]
+            for column, step in zip(self._angles, steps.T, strict=False):
+                at[:, column] = np.clip(at[:, column] + step, -_STEEPEST, _STEEPEST)
+            at[:, self._rotors] *= np.clip(1.0 + steps[:, 2:], 0.5, 2.0)
+            states[still] = at
+        flight, time = self.frame.loc[int(still[0]), [FLIGHT, TIME]]
+        raise ScenarioError(
+            f"logs: no attitude and thrust of this vehicle give the acceleration at {time:g} s of "
+            f"flight {flight}; look at the velocities there."
+        )
+
+    def _moved(self, states: FloatArray) -> list[FloatArray]:
+        moved = [states.copy() for _ in range(3)]
+        for column, copy in zip(self._angles, moved, strict=False):
+            copy[:, column] += _STEP
+        moved[2][:, self._rotors] *= 1.0 + _STEP
+        return moved
+
+    def _acceleration(
+        self, states: FloatArray, rows: NDArray[np.bool_], numbers: Mapping[str, float]
+    ) -> FloatArray:
+        return self._evaluate(states, rows, numbers).table(_ACCELERATIONS)
+
+
+def _accelerations(frame: pd.DataFrame) -> FloatArray:
+    """Return the rate of the velocity over ground of each row, differenced within its flight."""
+    found = np.zeros((len(frame), len(VELOCITY)))
+    for rows in frame.groupby(FLIGHT, sort=False).indices.values():
+        times = frame[TIME].to_numpy()[rows]
+        velocity = frame[list(VELOCITY)].to_numpy()[rows]
+        found[rows] = np.gradient(velocity, times, axis=0)
+    return found

@@ -1,0 +1,191 @@
+"""Every message about a log of flights: one line, and nothing is written."""
+
+import struct
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pyomo_quad.cli import main
+from pyomo_quad.cli.endings import ExitCode
+from tests.unit.identification import recorded
+
+
+def three():
+    return pd.concat([recorded.flight(k, 5.0, 0.0, seconds=30) for k in (1, 2, 3)])
+
+
+def with_value(column, value, row=15):
+    frame = three()
+    frame.iloc[row, frame.columns.get_loc(column)] = value
+    return frame
+
+
+def in_watts(frame):
+    return frame.assign(voltage_V=22.0, current_A=frame["power_W"] / 22.0)
+
+
+SPOILT = {
+    "no_density": (
+        lambda: three().drop(columns="air_density_kg_m3"),
+        (
+            "has no column air_density_kg_m3 (density of the air, in kg/m^3); name it "
+            "air_density_kg_m3 or air_density."
+        ),
+    ),
+    "no_power": (
+        lambda: three().drop(columns="power_W"),
+        (
+            "has no column power_W (power drawn from the pack, in W); name it power_W or power or "
+            "voltage_V with current_A."
+        ),
+    ),
+    "nan": (
+        lambda: with_value("vel_up_m_s", np.nan),
+        "vel_up_m_s is no number at 15 s of flight 1; drop the row or fill it.",
+    ),
+    "text": (
+        lambda: three().astype({"power_W": str}).assign(power_W="much"),
+        "column power_W holds text; it must hold numbers.",
+    ),
+    "back": (
+        lambda: with_value("time_s", 3.5),
+        "time_s of flight 1 goes from 14 to 3.5 s; times must rise within a flight.",
+    ),
+    "gap": (
+        lambda: three().assign(time_s=lambda f: f.time_s + 60.0 * (f.time_s > 15)),
+        (
+            "flight 1 has a gap of 61 s after 15 s; steps must be <= 10 s: fill the gap, or split "
+            "the flight there."
+        ),
+    ),
+    "negative": (
+        lambda: with_value("power_W", -480.0),
+        (
+            "power_W = -480 W at 15 s of flight 1; must be positive in flight: turn the current's "
+            "sign."
+        ),
+    ),
+    "milliwatts": (
+        lambda: three().assign(power_W=lambda f: 1e3 * f["power_W"]),
+        "which must be milliwatts; divide it by 1000.",
+    ),
+    "millivolts": (
+        lambda: in_watts(three()).assign(voltage_V=22e3),
+        "voltage_V has a median of 2.2e+04, which must be millivolts; divide it by 1000.",
+    ),
+    "one_flight": (
+        lambda: recorded.flight(1, 5.0, 0.0, seconds=30),
+        "one flight only; identification needs two at least",
+    ),
+    "on_ground": (
+        lambda: three().assign(phase=0),
+        "no row flies; phase must be 1, 2 or 3 for take-off, cruise and landing.",
+    ),
+}
+
+
+def refused(capsys, file, *options, vehicle="dji_matrice_100"):
+    out = file.parent / "out"
+    arguments = ["identify", str(file), "--base", vehicle, "--out", str(out), *options]
+    assert main(arguments) == ExitCode.BAD_INPUT
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert not out.exists()
+    (line,) = told.err.splitlines()
+    return line
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_a_spoilt_log(tmp_path, capsys, name):
+    frame, message = SPOILT[name]
+    file = tmp_path / "log.csv"
+    frame().to_csv(file, index=False)
+    assert message in refused(capsys, file)
+
+
+def test_files_that_are_no_logs(tmp_path, capsys):
+    assert "cannot be read (No such file" in refused(capsys, tmp_path / "none.csv")
+    other = tmp_path / "log.xlsx"
+    other.write_text("x")
+    assert "is no log; give a .parquet, .csv or .ulg file." in refused(capsys, other)
+    whole = tmp_path / "whole.parquet"
+    three().to_parquet(whole)
+    half = tmp_path / "half.parquet"
+    half.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    assert "is damaged or cut short; copy it anew." in refused(capsys, half)
+    empty = tmp_path / "empty.csv"
+    empty.write_text("")
+    assert "is damaged or cut short; copy it anew." in refused(capsys, empty)
+
+
+def test_options_that_do_not_fit(tmp_path, capsys):
+    file = tmp_path / "log.csv"
+    three().to_csv(file, index=False)
+    line = refused(capsys, file, vehicle="dji_matrice")
+    assert "did you mean dji_matrice_100?" in line
+    line = refused(capsys, file, "--fit", "mass")
+    assert line.startswith("--fit mass: must be one of profile_power_coefficient,")
+    listed = tmp_path / "list.csv"
+    listed.write_text("flight\n1\n")
+    assert "needs the columns flight and split." in refused(capsys, file, "--flights", str(listed))
+
+
+def ulog(messages):
+    """Bytes of a PX4 log with topics of doubles: name -> (fields, rows of timestamp and values)."""
+
+    def packed(kind, payload):
+        return struct.pack("<HB", len(payload), ord(kind)) + payload
+
+    log = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + packed("B", bytes(40))
+    for name, (fields, _) in messages.items():
+        columns = "uint64_t timestamp;" + "".join(f"double {field};" for field in fields)
+        log += packed("F", f"{name}:{columns}".encode())
+    for number, name in enumerate(messages):
+        log += packed("A", struct.pack("<BH", 0, number) + name.encode())
+    for number, (_, rows) in enumerate(messages.values()):
+        for microseconds, *values in rows:
+            row = struct.pack(f"<HQ{len(values)}d", number, int(microseconds), *values)
+            log += packed("D", row)
+    return log
+
+
+def flown_ulog(current):
+    times = np.arange(0, 30_000_000, 200_000)
+    return ulog(
+        {
+            "vehicle_local_position": (
+                ("vx", "vy", "vz"),
+                [(t, 5.0, 1.0, 0.5) for t in times],
+            ),
+            "battery_status": (
+                ("voltage_v", "current_a"),
+                [(t, 22.0, current) for t in times],
+            ),
+            "wind": (("windspeed_north", "windspeed_east"), [(t, 2.0, 0.0) for t in times]),
+        }
+    )
+
+
+def test_px4_logs(tmp_path, capsys):
+    from pyomo_quad.identification.logs import read_logs
+
+    good = tmp_path / "good.ulg"
+    good.write_bytes(flown_ulog(20.0))
+    frame = read_logs(good)
+    assert len(frame) == 30
+    expected = {"power_W": 440.0, "vel_north_m_s": 5.0, "vel_up_m_s": -0.5}
+    expected |= {"air_vel_north_m_s": 3.0, "air_vel_east_m_s": 1.0, "phase": 2}
+    for name, value in expected.items():
+        np.testing.assert_allclose(frame[name], value)
+    without = tmp_path / "without.ulg"
+    without.write_bytes(flown_ulog(-1.0))
+    assert "battery_status has no current; fit a power module and log it." in refused(
+        capsys, without
+    )
+    short = tmp_path / "short.ulg"
+    short.write_bytes(good.read_bytes()[:12])
+    assert "is no whole PX4 log; copy it anew." in refused(capsys, short)
+    bare = tmp_path / "bare.ulg"
+    bare.write_bytes(ulog({"battery_status": (("voltage_v", "current_a"), [(0, 22.0, 9.0)])}))
+    assert "has no topic vehicle_local_position; log it." in refused(capsys, bare)
