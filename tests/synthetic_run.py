@@ -9,6 +9,7 @@ from pyomo_quad.collocation import ActiveLimit, Diagnosis, Mesh, MeshRecord, Res
 from pyomo_quad.flight import PlanStatus, Verification
 from pyomo_quad.flight.plan import Failure
 from pyomo_quad.scenario import load_scenario
+from pyomo_quad.scenario.mission import NamedDuration
 from pyomo_quad.study.comparison import compare_flights
 
 HOVER_SPEED = 912.27
@@ -172,7 +173,12 @@ def synthetic_failure():
         relaxations=(),
         feasible_point=None,
     )
-    return Failure(duration_s=2.0, shortest_duration_s=3.4, diagnosis=diagnosis, remedies=())
+    return Failure(
+        longest=NamedDuration("mission.duration", 2.0),
+        shortest_duration_s=3.4,
+        diagnosis=diagnosis,
+        remedies=(),
+    )
 
 
 def synthetic_plan(

@@ -83,12 +83,12 @@ def fly(
         from pyomo_quad.cli import solving  # noqa: PLC0415  take a second, see there
     planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
     plan = None
-    if followed is Reference.PLAN:
+    if followed is Reference.PLAN or resolved.mission.is_free:
         with watch.phase("solve"):
             made = solving.make_plan(planner, resolved)
         if isinstance(made, ExitCode):
             return made
-        plan = made
+        plan, resolved = made, made.mission_flown
     flight: Flight | ExitCode
     if controller is Controller.MPC:
         flight = solving.make_replanned_flight(planner, resolved, knowledge)

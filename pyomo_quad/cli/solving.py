@@ -203,7 +203,7 @@ def write_flight(
     summary = flight_summary(
         scenario,
         flight,
-        hover_energy_J=planner.steady_flight(scenario).hover_power * scenario.mission.duration,
+        hover_energy_J=planner.steady_flight(scenario).hover_power * flight.duration_s,
         arrived=has_arrived(flight),
         wall_s=wall_s,
     )
@@ -250,7 +250,7 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
         excess = plan.energy - plan.hover_energy_J
         yield (
             f"{plan.scenario.name}: verified, {plan.energy:.3f} J, {excess:.3f} J above hovering "
-            f"for the same {plan.scenario.mission.duration:g} s; {plan.iteration_count} "
+            f"for the same {plan.duration_s:g} s; {plan.iteration_count} "
             f"iterations, {plan.timings['solve']:.2f} s."
         )
     if plan.failure is not None:

@@ -31,7 +31,8 @@ from pyomo_quad.flight.verification import (
     fly_controls,
 )
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.tables import Hover, Reference
+from pyomo_quad.scenario.mission import Hover
+from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.scenario.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
@@ -335,7 +336,7 @@ def fly_reference(
         Samples per second; both ends are always kept.
     """
     refuse_other_vehicles(scenario, dynamics)
-    duration = scenario.mission.duration
+    duration = scenario.mission.fixed_duration
     return fly(
         dynamics=dynamics,
         controller=AdaptiveController(scenario, mixer_matrix(dynamics)),

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pyomo_quad.collocation import Diagnosis, Dynamics, Iteration, Relaxation, Solution
+    from pyomo_quad.scenario.mission import NamedDuration
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +43,8 @@ class Failure:
 
     Attributes
     ----------
-    duration_s : float
-        The mission's duration.
+    longest : NamedDuration
+        The mission's duration; the greatest where it is free.
     shortest_duration_s : float or None
         The least time in which the mission can be flown within its limits; None where none was
         found.
@@ -53,7 +54,7 @@ class Failure:
         Single limits whose change alone would make the mission possible.
     """
 
-    duration_s: float
+    longest: NamedDuration
     shortest_duration_s: float | None
     diagnosis: Diagnosis
     remedies: tuple[Relaxation, ...]
@@ -61,16 +62,18 @@ class Failure:
     @property
     def is_too_short(self) -> bool:
         """Whether more time would do."""
-        return self.shortest_duration_s is not None and self.shortest_duration_s > self.duration_s
+        return (
+            self.shortest_duration_s is not None and self.shortest_duration_s > self.longest.value
+        )
 
     def causes(self) -> Iterator[str]:
         """Yield one sentence per cause or remedy, the plainest first."""
         if self.shortest_duration_s is not None and self.is_too_short:
-            missing = self.shortest_duration_s - self.duration_s
+            missing = self.shortest_duration_s - self.longest.value
             limits = ", ".join(str(limit.name) for limit in self.diagnosis.active) or "its limits"
             yield (
-                f"mission.duration = {self.duration_s:g} s is {missing:.3g} s too short: within "
-                f"{limits} the goal takes at least {self.shortest_duration_s:.4g} s."
+                f"{self.longest.field} = {self.longest.value:g} s is {missing:.3g} s too short: "
+                f"within {limits} the goal takes at least {self.shortest_duration_s:.4g} s."
             )
         for remedy in self.remedies:
             yield (
@@ -387,6 +390,21 @@ class Plan(Summarised):
     flown: Flown | None = field(default=None, compare=False, repr=False)
 
     @property
+    def duration_s(self) -> float:
+        """Duration of the flight [s]: the mission's, or what the plan chose."""
+        start, end = self.trajectories.horizon
+        return end - start
+
+    @property
+    def mission_flown(self) -> Scenario:
+        """The scenario with the duration that the plan has."""
+        return (
+            self.scenario.lasting(self.duration_s)
+            if self.scenario.mission.is_free
+            else self.scenario
+        )
+
+    @property
     def summary(self) -> dict[str, str]:
         """Scenario, status, energy, error and size."""
         return {
@@ -501,13 +519,12 @@ class Plan(Summarised):
 
     def flight(self, name: str = "optimal", samples: int = 1001) -> Flight:
         """Return the plan as a flight, with the verdict of its verification."""
-        start, end = self.trajectories.horizon
         verification = self.verification
         return Flight(
             name=name,
-            frame=self._frame(np.linspace(start, end, samples)),
+            frame=self._frame(np.linspace(*self.trajectories.horizon, samples)),
             energy_J=self.energy,
-            duration_s=end - start,
+            duration_s=self.duration_s,
             terminal_miss={} if verification is None else verification.terminal_miss,
             terminal_miss_m=np.inf if verification is None else verification.terminal_miss_m,
             max_violation=np.inf if verification is None else verification.max_violation,

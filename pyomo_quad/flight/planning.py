@@ -41,7 +41,8 @@ from pyomo_quad.flight.verification import (
 from pyomo_quad.model import ask_for_least_time, build_model, parameter_values, structure_key
 from pyomo_quad.model.power import wider_smoothings
 from pyomo_quad.model.wind import still_air
-from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.mission import Aim, NamedDuration
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation import Diagnosis
@@ -68,13 +69,13 @@ class Rescuer:
 
     Parameters
     ----------
-    duration : float
-        Of the mission [s].
+    longest : NamedDuration
+        The mission's duration, the greatest where it is free.
     solve : callable
         Solve the mission to its tolerance from a trajectory.
     solve_slowly : callable
         Solve the mission on its first mesh with another duration [s], from a trajectory or from
-        nothing.
+        nothing; None where the duration is free anyway.
     solve_shortest : callable
         Return the shortest flight of the mission, or None.
     progress : callable or None
@@ -84,13 +85,13 @@ class Rescuer:
     def __init__(
         self,
         *,
-        duration: float,
+        longest: NamedDuration,
         solve: Callable[[Trajectory], Solution],
-        solve_slowly: Callable[[float, Trajectory | None], Solution],
+        solve_slowly: Callable[[float, Trajectory | None], Solution | None],
         solve_shortest: Callable[[], Solution | None],
         progress: Progress | None,
     ) -> None:
-        self._duration = duration
+        self._longest = longest
         self._solve = solve
         self._solve_slowly = solve_slowly
         self._solve_shortest = solve_shortest
@@ -114,14 +115,15 @@ class Rescuer:
         self._attempts.append(
             "shortest flight: none found" if least is None else f"shortest flight: {least:.4g} s"
         )
-        is_contradicted = shortest is not None and shortest.objective <= self._duration
+        is_contradicted = shortest is not None and shortest.objective <= self._longest.value
         if shortest is not None and is_contradicted:
-            path = replace(shortest.trajectory, statics=failed.trajectory.statics)
+            held, statics = shortest.trajectory, failed.trajectory.statics
+            path = held if len(held.statics) == len(statics) else replace(held, statics=statics)
             solution = self._started_from(path, "guess from the shortest flight")
             if solution.status in _ENDED:
                 return self._ended(solution, None)
         failure = Failure(
-            duration_s=self._duration,
+            longest=self._longest,
             shortest_duration_s=least,
             diagnosis=diagnosis,
             remedies=() if not diagnosis.is_infeasible else self._remedies(failed, diagnosis),
@@ -145,7 +147,9 @@ class Rescuer:
         """Speed a slow flight up to the mission's duration; None when a step fails."""
         trajectory: Trajectory | None = None
         for factor in _SLOWER:
-            slower = self._solve_slowly(factor * self._duration, trajectory)
+            slower = self._solve_slowly(factor * self._longest.value, trajectory)
+            if slower is None:
+                return None
             self._note(f"duration x {factor:g}", slower)
             if slower.status is Status.INTERRUPTED:
                 return slower
@@ -178,9 +182,14 @@ _CLOSE = 2e-3
 # the slow, easy one that the search starts from.
 _RANGE = (0.01, 100.0)
 _SLOW = 4.0
+# How much longer than the least time a flight is that asks for the least: in no time less a
+# flight is left that could be the cheapest.
+_CLOSE_TO_LEAST = 1e-4
 
 
-def shortest_flight(model: Any, scenario: Scenario, progress: Progress | None) -> Solution | None:
+def shortest_flight(
+    model: Any, scenario: Scenario, progress: Progress | None, *, is_exact: bool = False
+) -> Solution | None:
     """Fly the mission of a model in the least time.
 
     A few meshes do unless the mission's duration is close to what they give: then they are
@@ -193,14 +202,16 @@ def shortest_flight(model: Any, scenario: Scenario, progress: Progress | None) -
     scenario : Scenario
     progress : callable or None
         Called at each iteration; returning False stops the solve.
+    is_exact : bool, optional
+        Refine the time to the mission's tolerance wherever it lies.
 
     Returns
     -------
     Solution or None
         Its objective is the time [s]; None when the solve failed.
     """
-    duration, settings = scenario.mission.duration, scenario.solver
-    bounds = (factor * duration for factor in _RANGE)
+    duration, settings = scenario.nominal_duration, scenario.solver
+    bounds = _RANGE[0] * duration, _RANGE[1] * duration
     problem = compile(model, final_time=ask_for_least_time(model, bounds, _SLOW * duration))
     shortest, start = None, None
     for meshes in (_FEW_MESHES, settings.max_refinements + 1):
@@ -215,7 +226,7 @@ def shortest_flight(model: Any, scenario: Scenario, progress: Progress | None) -
         if solution.status not in _DONE:
             break
         shortest = start = solution
-        if abs(solution.objective - duration) > _CLOSE * duration:
+        if not is_exact and abs(solution.objective - duration) > _CLOSE * duration:
             break
     return shortest
 
@@ -302,7 +313,7 @@ class Planner:
         model = self._builder(scenario)
         built = time.perf_counter()
         _make_room(self._problems)
-        self._problems[key] = scenario, compile(model)
+        self._problems[key] = scenario, compile(model, final_time=_free_end(model, scenario))
         seconds = {"build": built - started, "compile": time.perf_counter() - built}
         return self._problems[key][1], seconds
 
@@ -326,7 +337,7 @@ class Planner:
         if scenario not in self._steady:
             problem, _ = self.problem_for(scenario)
             numbers = (self.parameters(scenario) or {}) | still_air(problem.model)
-            still = problem.dynamics(parameters=numbers, horizon=(0.0, scenario.mission.duration))
+            still = problem.dynamics(parameters=numbers, horizon=_horizon(scenario))
             _make_room(self._steady)
             self._steady[scenario] = SteadyFlight(scenario, still, known)
         return self._steady[scenario]
@@ -338,9 +349,7 @@ class Planner:
     def dynamics(self, scenario: Scenario) -> Dynamics:
         """Return the vehicle of a scenario in the scenario's own wind, ready to fly."""
         problem, _ = self.problem_for(scenario)
-        return problem.dynamics(
-            parameters=self.parameters(scenario), horizon=(0.0, scenario.mission.duration)
-        )
+        return problem.dynamics(parameters=self.parameters(scenario), horizon=_horizon(scenario))
 
     def solve(
         self,
@@ -368,10 +377,30 @@ class Planner:
             nothing else depends on how fast the machine is.
         """
         deadline = _Deadline(scenario, progress)
-        return deadline.applied_to(self._solve(scenario, warm_start, deadline))
+        solve = self._solve_quickest if scenario.mission.aim is Aim.TIME else self._solve
+        return deadline.applied_to(solve(scenario, warm_start, deadline))
+
+    def _solve_quickest(
+        self, scenario: Scenario, warm_start: Plan | WarmStart | None, progress: Progress
+    ) -> Plan:
+        """Return the flight of least energy among those of least time."""
+        told = scenario.as_forecast()
+        started = time.perf_counter()
+        shortest = shortest_flight(self._builder(told), told, progress, is_exact=True)
+        least, greatest = scenario.mission.duration_limits
+        spent = time.perf_counter() - started
+        if shortest is None:
+            plan = self._solve(scenario, warm_start, progress)
+            line = f"no shortest flight was found, for mission.aim = {scenario.mission.aim.value}."
+            return replace(plan, status=PlanStatus.NOT_CONVERGED, message=line)
+        duration = min(max((1 + _CLOSE_TO_LEAST) * shortest.objective, least), greatest)
+        plan = self._solve(scenario.lasting(duration), shortest, progress)
+        timings = dict(plan.timings) | {"solve": plan.timings["solve"] + spent}
+        attempts = (f"shortest flight: {shortest.objective:.6g} s", *plan.attempts)
+        return replace(plan, scenario=scenario, timings=timings, attempts=attempts)
 
     def _solve(
-        self, scenario: Scenario, warm_start: Plan | WarmStart | None, progress: Progress
+        self, scenario: Scenario, warm_start: Plan | WarmStart | Solution | None, progress: Progress
     ) -> Plan:
         told = scenario.as_forecast()
         problem, timings = self.problem_for(told)
@@ -426,9 +455,17 @@ class Planner:
         self,
         problem: Problem,
         told: Scenario,
-        warm_start: Plan | WarmStart | None,
+        warm_start: Plan | WarmStart | Solution | None,
         progress: Progress | None,
     ) -> Solution:
+        if isinstance(warm_start, Solution):
+            path = replace(warm_start.trajectory, statics=np.zeros(0))
+            return _by_way_of(
+                _easier(problem, told),
+                problem,
+                self._arguments(told, progress) | {"mesh": path.mesh},
+                path,
+            )
         start = warm_start.warm_start if isinstance(warm_start, Plan) else warm_start
         arguments = self._arguments(told, progress)
         easier = _easier(problem, told)
@@ -447,7 +484,7 @@ class Planner:
             "mesh": Mesh.uniform(settings.elements, settings.degree),
             "tolerance": settings.tolerance,
             "parameters": self.parameters(told),
-            "horizon": (0.0, told.mission.duration),
+            "horizon": _horizon(told),
             "options": SolverOptions(max_iterations=settings.max_iterations),
             "refinement": RefinementOptions(
                 max_meshes=settings.max_refinements + 1, allowance=_ALLOWANCE
@@ -460,12 +497,14 @@ class Planner:
         easier = _easier(problem, told)
         easiest = _under(arguments, easier[0]) if easier else arguments
 
-        def slowly(duration: float, guess: Trajectory | None) -> Solution:
+        def slowly(duration: float, guess: Trajectory | None) -> Solution | None:
+            if told.mission.is_free:
+                return None
             other = easiest | {"horizon": (0.0, duration), "tolerance": None}
             return problem.solve(**other, guess=guess)
 
         return Rescuer(
-            duration=told.mission.duration,
+            longest=told.mission.longest,
             solve=lambda trajectory: _by_way_of(easier, problem, arguments, trajectory),
             solve_slowly=slowly,
             solve_shortest=lambda: shortest_flight(self._builder(told), told, progress),
@@ -480,7 +519,8 @@ class Planner:
             power = self.steady_flight(told, known).hover_power
         except SolveError:
             return nan
-        return power * told.mission.duration
+        start, end = held.horizon
+        return power * (end - start)
 
 
 def _plan_of(
@@ -493,7 +533,7 @@ def _plan_of(
         scenario=scenario,
         status=_STATUS.get(solution.status, PlanStatus.SOLVED),
         message=solution.message,
-        energy=solution.objective,
+        energy=_energy(scenario, solution),
         hover_energy_J=hover_energy,
         trajectories=trajectories_of(solution),
         verification=None,
@@ -504,6 +544,37 @@ def _plan_of(
         warm_start=solution.warm_start,
         solution=solution,
     )
+
+
+def _horizon(scenario: Scenario) -> tuple[float, float] | None:
+    """Return start and end of a scenario's horizon [s], None where a variable holds the end."""
+    return None if scenario.mission.is_free else (0.0, scenario.mission.fixed_duration)
+
+
+def _free_end(model: Any, scenario: Scenario) -> Any:
+    """Return the variable that holds the end of a model's horizon, None where it is fixed.
+
+    Raises
+    ------
+    ScenarioError
+        If a model of the user's own has no such variable.
+    """
+    if not scenario.mission.is_free:
+        return None
+    found = model.component("duration")
+    if found is None:
+        raise ScenarioError(
+            f'{scenario.name}: mission.duration = "free"; the model of {scenario.model} must '
+            'declare a variable "duration", as build_model does: add it or give a duration.'
+        )
+    return found
+
+
+def _energy(scenario: Scenario, solution: Solution) -> float:
+    """Return the energy of a solution, without what its time costs beside [J]."""
+    if not scenario.mission.is_free:
+        return solution.objective
+    return float(solution.running_objective[-1])
 
 
 def _make_room(kept: dict[Any, Any]) -> None:

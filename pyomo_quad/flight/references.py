@@ -26,7 +26,7 @@ from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike
 from scipy.interpolate import BPoly, CubicSpline, PPoly
 
-from pyomo_quad.scenario.tables import Mission
+from pyomo_quad.scenario.mission import Mission
 
 # Coefficients of rising powers of t/T, from 0 at t = 0 to 1 at t = T.
 _QUINTIC = Polynomial((0, 0, 0, 10, -15, 6))
@@ -66,7 +66,7 @@ class StraightPath:
         self._start = (*mission.start.position, mission.start.yaw)
         goal = (*mission.goal.position, mission.goal.yaw)
         self._way = tuple(there - here for here, there in zip(self._start, goal, strict=True))
-        self._duration = mission.duration
+        self._duration = mission.fixed_duration
         self._progress, self._rate, self._acceleration = (
             tuple(progress.deriv(order).coef[::-1].tolist()) for order in range(3)
         )

@@ -357,7 +357,7 @@ def battery_shortfalls(scenario: Scenario, steady: SteadyFlight) -> tuple[str, .
     if hover.power_W > greatest:
         needs = f"hover needs {hover.power_W:.4g} W, the pack delivers at most {greatest:.4g} W"
         return (f"{cells}: {needs}; add cells.",)
-    duration = scenario.mission.duration
+    duration = scenario.mission.fixed_duration
     needed = hover.charge_rate_Ah_per_s * duration
     held = steady.pack_capacity * pack.initial_state_of_charge / 100
     if needed > held:

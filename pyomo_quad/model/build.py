@@ -1,6 +1,6 @@
 """The whole continuous model of a mission, put together from its declared parts."""
 
-from collections.abc import Hashable, Iterable, Iterator
+from collections.abc import Hashable, Iterator
 
 from pyomo.dae import ContinuousSet, Integral
 from pyomo.environ import ConcreteModel, Objective, Param, Suffix, Var, minimize, units
@@ -68,7 +68,7 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
 def _vehicle_in_the_air(scenario: Scenario) -> ConcreteModel:
     """Declare time, the vehicle's states and the forces of rotors and air."""
     m = ConcreteModel(name=scenario.name)
-    duration = scenario.mission.duration
+    duration = scenario.nominal_duration
     m.time = ContinuousSet(initialize=(0.0, duration / 2, duration), doc="time [s]")
     m.clock = Param(
         m.time,
@@ -97,7 +97,13 @@ def _declare_flight(m: ConcreteModel, scenario: Scenario) -> None:
     mission.declare_mission(m, scenario)
     # A lambda: Integral writes its rule's signature anew and cannot spell annotations.
     m.energy = Integral(m.time, wrt=m.time, rule=lambda m, t: m.power.total[t], doc="eq. (8) [J]")
-    m.objective = Objective(expr=m.energy, sense=minimize, doc="eq. (8): energy of the flight [J]")
+    doc = "eq. (8): energy of the flight [J]"
+    if not scenario.mission.is_free:
+        m.objective = Objective(expr=m.energy, sense=minimize, doc=doc)
+        return
+    mission.declare_duration(m, scenario)
+    cost = m.energy + m.mission.price_of_time * m.duration
+    m.objective = Objective(expr=cost, sense=minimize, doc=f"{doc}, and what its time costs [J]")
 
 
 def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
@@ -113,7 +119,7 @@ def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter,
     yield "battery", battery.PARAMETERS
     yield "limits", limits.parameters_of(scenario)
     yield "airspace", airspace.parameters_of(scenario)
-    yield "mission", mission.PARAMETERS
+    yield "mission", mission.parameters_of(scenario)
 
 
 def parameter_values(scenario: Scenario) -> dict[str, float]:
@@ -147,7 +153,7 @@ def structure_key(scenario: Scenario) -> Hashable:
     Returns
     -------
     hashable
-        Equal for scenarios whose models differ in parameter values and duration alone.
+        Equal for scenarios whose models differ in parameter values and a fixed duration alone.
     """
     series = scenario.wind.series
     return (
@@ -159,16 +165,17 @@ def structure_key(scenario: Scenario) -> Hashable:
         None if series is None else (series, scenario.wind.time_offset),
         tuple(row.name for row in limits.parameters_of(scenario)),
         airspace.structure_of(scenario),
+        tuple(row.name for row in mission.parameters_of(scenario)),
     )
 
 
-def ask_for_least_time(m: ConcreteModel, bounds: Iterable[float], guess: float) -> Var:
+def ask_for_least_time(m: ConcreteModel, bounds: tuple[float, float], guess: float) -> Var:
     """Replace the objective of a model by the flight's duration.
 
     Parameters
     ----------
     m : ConcreteModel
-        A mission's model, not yet discretised.
+        A mission's model, not yet discretised; a free duration that it has is bounded anew.
     bounds : pair of float
         Least and greatest duration looked at [s].
     guess : float
@@ -181,6 +188,10 @@ def ask_for_least_time(m: ConcreteModel, bounds: Iterable[float], guess: float) 
     """
     for objective in m.component_objects(Objective, active=True, descend_into=True):
         objective.deactivate()
-    m.duration = Var(bounds=tuple(bounds), initialize=guess, units=units.s, doc="duration [s]")
+    if m.component("duration") is None:
+        m.duration = Var(units=units.s, doc="duration [s]")
+    m.duration.setlb(bounds[0])
+    m.duration.setub(bounds[1])
+    m.duration.set_value(guess)
     m.least_time = Objective(expr=m.duration)
     return m.duration

@@ -13,7 +13,7 @@ from pyomo.environ import Block, ConcreteModel, Constraint, Param, Var, sqrt, un
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.model.rigid_body import PLACE, STATES
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.tables import Hover
+from pyomo_quad.scenario.mission import Hover
 
 AT_REST = tuple(name for name in STATES if name not in PLACE)
 
@@ -38,7 +38,32 @@ def _end_parameters(end: str) -> tuple[Parameter, ...]:
     )
 
 
-PARAMETERS = _end_parameters("start") + _end_parameters("goal")
+_ENDS = _end_parameters("start") + _end_parameters("goal")
+_DURATION = (
+    Parameter(
+        name="duration_min",
+        units=units.s,
+        value=lambda scenario: scenario.mission.duration_limits[0],
+        doc="least duration",
+    ),
+    Parameter(
+        name="duration_max",
+        units=units.s,
+        value=lambda scenario: scenario.mission.duration_limits[1],
+        doc="greatest duration",
+    ),
+    Parameter(
+        name="price_of_time",
+        units=units.W,
+        value=lambda scenario: scenario.mission.price_of_time,
+        doc="what a second costs beside the energy",
+    ),
+)
+
+
+def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
+    """Return the numbers of a scenario's mission, as parameters of block `mission`."""
+    return _ENDS + (_DURATION if scenario.mission.is_free else ())
 
 
 def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
@@ -50,7 +75,7 @@ def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
         With `time`, `vehicle`, `rigid_body` and `rotors`.
     """
     b = m.mission = Block(doc="boundary conditions, section 3 of the paper")
-    declare_parameters(b, PARAMETERS, scenario)
+    declare_parameters(b, parameters_of(scenario), scenario)
 
     @b.Expression(doc="rotor speed at which the thrust balances the weight [rad/s]")
     def hover_speed(b: Block) -> NumericExpression:
@@ -61,6 +86,18 @@ def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
 
     _declare_start(b, m)
     _declare_goal(b, m)
+
+
+def declare_duration(m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare the duration as a variable of the model within the mission's limits."""
+    nominal = scenario.nominal_duration
+    m.duration = Var(
+        bounds=(m.mission.duration_min, m.mission.duration_max),
+        initialize=nominal,
+        units=units.s,
+        doc="duration of the flight [s]",
+    )
+    m.scaling_factor[m.duration] = 1.0 / nominal
 
 
 def _declare_start(b: Block, m: ConcreteModel) -> None:

@@ -94,11 +94,11 @@ def _declare_states(m: ConcreteModel, scenario: Scenario) -> None:
     ends = dict(zip(PLACE, zip(start, goal, strict=True), strict=True))
     distance = max(1.0, *(abs(there - here) for here, there in ends.values()))
     nominal = dict.fromkeys(("x", "y", "z"), distance)
-    nominal |= dict.fromkeys(("vx", "vy", "vz"), distance / mission.duration)
+    nominal |= dict.fromkeys(("vx", "vy", "vz"), distance / scenario.nominal_duration)
     nominal |= dict.fromkeys(("phi", "theta", "psi"), _NOMINAL_ANGLE)
     nominal |= dict.fromkeys(("p", "q", "r"), _NOMINAL_RATE)
     for name, (unit, doc) in STATES.items():
-        guess = _straight_line(*ends.get(name, (0.0, 0.0)), mission.duration)
+        guess = _straight_line(*ends.get(name, (0.0, 0.0)), scenario.nominal_duration)
         state = Var(m.time, units=unit, initialize=guess, doc=doc)
         b.add_component(name, state)
         rate = DerivativeVar(state, wrt=m.time, units=unit / units.s, initialize=0.0)

@@ -93,7 +93,7 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
         "smooth_J": smooth,
         "jump_J": jump,
         "fastest_J": full_speed_energy(experiment),
-        "mean_power_W": printed / optimum.case.scenario.mission.duration,
+        "mean_power_W": printed / optimum.case.scenario.mission.fixed_duration,
         "pack_power_W": max(pack.greatest_power_W for pack in study.packs),
     }
 

@@ -110,7 +110,7 @@ def full_speed_energy(experiment: Experiment) -> float:
     """
     scenario = paper_scenario(experiment, {"power.model": PowerModel.EFFICIENCY})
     steady = Planner().steady_flight(scenario)
-    return float(steady.power(scenario.limits.rotor_speed_max)) * scenario.mission.duration
+    return float(steady.power(scenario.limits.rotor_speed_max)) * scenario.mission.fixed_duration
 
 
 # These powers are flat or kinked in the controls: their solves start from the optimum of the
@@ -361,7 +361,7 @@ def run_trial(trial: MeshTrial) -> TrialOutcome:
     )
     planner = trial.reading.planner()
     problem, _ = planner.problem_for(scenario)
-    horizon = (0.0, scenario.mission.duration)
+    horizon = (0.0, scenario.mission.fixed_duration)
     solution = problem.solve(
         mesh=Mesh.uniform(trial.elements, trial.degree),
         parameters=planner.parameters(scenario),

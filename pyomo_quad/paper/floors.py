@@ -73,7 +73,7 @@ def _facts(planner: Planner, model: PowerModel, name: str, cells: dict[str, int]
         stored_energy_J=steady.stored_energy(_DEEPEST_DISCHARGE, _SAMPLES),
         hover_power_W=at_hover.power_W,
         greatest_power_W=at_hover.greatest_battery_power_W,
-        hover_energy_J=at_hover.power_W * scenario.mission.duration,
+        hover_energy_J=at_hover.power_W * scenario.mission.fixed_duration,
         shortfalls=battery_shortfalls(scenario, steady),
     )
 
@@ -217,7 +217,7 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
     steady = envelope_at(sampled.acceleration[allowed], sampled.power[:, allowed], 0.0)
     weight = scenario.vehicle.total_mass * scenario.gravity
     least = envelope_at(sampled.thrust, steady, weight / len(ROTORS))
-    return float(least) * len(ROTORS) * scenario.mission.duration
+    return float(least) * len(ROTORS) * scenario.mission.fixed_duration
 
 
 def critical_acceleration(samples: int = 151) -> tuple[float, float]:

@@ -481,7 +481,7 @@ def _costates(plan: "Plan") -> tuple[Drawing, ...]:
             title="Costates and Hamiltonian",
             caption="Costates: what a small change of each state would cost from there on. The "
             "Hamiltonian varies only as the wind does; in calm air it is constant.",
-            draw=lambda: draw_costates(costates, plan.scenario.mission.duration),
+            draw=lambda: draw_costates(costates, plan.duration_s),
         ),
     )
 

@@ -223,6 +223,8 @@ def _allowed(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 def _of_type(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
     """Say which values one type of a field allows, beyond being of that type."""
     held = definitions.get(option.get("$ref", "").rpartition("/")[2], {})
+    if "const" in option:
+        return f'"{option["const"]}"'
     if "enum" in held:
         return ", ".join(map(str, held["enum"]))
     if option.get("type") == "array" and "items" in option:

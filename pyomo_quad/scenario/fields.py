@@ -177,7 +177,7 @@ def _declared_with(model: type[BaseModel], name: str, item: str) -> Any:  # noqa
 
 def _sound(sound: Sound, value: Any) -> Any:  # noqa: ANN401
     numbers = value if isinstance(value, tuple) else (value,)
-    if any(number is not None and not sound.low <= number <= sound.high for number in numbers):
+    if any(isinstance(n, int | float) and not sound.low <= n <= sound.high for n in numbers):
         each = "each " if isinstance(value, tuple) else ""
         allowed = f"{each}must be from {sound.low:g} to {sound.high:g}: {sound.because}"
         raise PydanticCustomError("unsound", "{allowed}", {"allowed": allowed})

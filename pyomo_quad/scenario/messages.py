@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from types import UnionType
-from typing import Any, Union, get_args, get_origin
+from typing import Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -47,8 +47,24 @@ def complaint(
     """
     order = {"extra_forbidden": 0, "missing": 2}
     details = min(error.errors(), key=lambda found: order.get(found["type"], 1))
-    path: FieldPath = details["loc"]
+    details["loc"] = path = _without_branches(details["loc"], model)
     return (*prefix, *path), _line(details, model, (*prefix, *path))
+
+
+def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
+    """Return a path without pydantic's name for the branch of a field that may be a word."""
+    table, _ = declared_place(model, path[:-1])
+    last = path[-1] if path else None
+    is_branch = len(path) > 1 and bool(words_of(table, str(path[-2]))) and isinstance(last, str)
+    return path[:-1] if is_branch else path
+
+
+def words_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
+    """Return the words that a field takes in place of a number."""
+    field = model.model_fields.get(name)
+    annotation: Any = field.annotation if field is not None else None
+    literals = [part for part in get_args(annotation) if get_origin(part) is Literal]
+    return tuple(word for part in literals for word in get_args(part))
 
 
 def shown(value: object) -> str:
@@ -138,6 +154,7 @@ def _line(details: ErrorDetails, model: type[BaseModel], path: FieldPath) -> str
     allowed = _allowed(details, allowed_text(table, str(path[-1])))
     if not is_number and details["type"] in {"float_type", "float_parsing"} and suffix:
         allowed += f" in{suffix}"
+        allowed += "".join(f' or "{word}"' for word in words_of(table, str(path[-1])))
     return f"{where} = {found}{suffix if is_number else ''}; {allowed}."
 
 

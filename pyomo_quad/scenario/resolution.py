@@ -25,6 +25,7 @@ from pyomo_quad.scenario.messages import (
     field_paths,
     shown,
 )
+from pyomo_quad.scenario.mission import FREE
 from pyomo_quad.scenario.tables import (
     FASTEST_ROTOR,
     derived_limits,
@@ -457,6 +458,11 @@ def _add_wind_series(
         where = f"{whose(origin, provenance, (*place, 'file'))}: {spell((*place, 'file'))}"
         mission = tables.get("mission")
         duration = mission.get("duration") if isinstance(mission, Mapping) else None
+        if duration == FREE:
+            _refuse(
+                where + f" = {shown(wind['file'])}",
+                "a measured wind needs a fixed mission.duration; give one in s, or another wind",
+            )
         offset = wind.get("time_offset", 0.0)
         series = read_wind_file(origin.folder / wind["file"], where, duration, offset)
         tables = set_value(tables, (*place, "series"), series)

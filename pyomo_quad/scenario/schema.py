@@ -1,6 +1,8 @@
 """The scenario: everything that one mission needs, validated, immutable and in SI units."""
 
 from collections.abc import Mapping
+from dataclasses import replace
+from math import dist, sqrt
 from pathlib import Path as FilePath
 from types import MappingProxyType
 from typing import Any, Self
@@ -10,12 +12,12 @@ from pydantic import PrivateAttr, ValidationError
 from pyomo_quad.scenario.airspace import Airspace
 from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Sound, Text, quantity
 from pyomo_quad.scenario.messages import FeasibilityError, ScenarioError, complaint, shown
+from pyomo_quad.scenario.mission import Mission
 from pyomo_quad.scenario.resolution import Origin, resolve, whose
 from pyomo_quad.scenario.tables import (
     Baseline,
     Battery,
     Limits,
-    Mission,
     Power,
     PowerModel,
     Solver,
@@ -24,6 +26,10 @@ from pyomo_quad.scenario.tree import leaves, parse_path, spell
 from pyomo_quad.scenario.vehicle import Vehicle
 from pyomo_quad.scenario.wind import Wind
 
+# Share of gravity that a vehicle without spare thrust is taken to accelerate by, and how much
+# longer than the quickest flight the first guess at a free duration is.
+_LEAST_LIFT = 0.1
+_UNHURRIED = 2.0
 # Names become folder names: no separator, no leading dot, nothing that leaves the output folder.
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 _MODEL_PATTERN = r"^[^:\x00]+\.py:[A-Za-z_][A-Za-z0-9_]*$"
@@ -165,6 +171,45 @@ class Scenario(Part):
                 is_resolved=origin.is_resolved,
             )
         )
+
+    def lasting(self, duration: float) -> Self:
+        """Return the scenario with a fixed duration.
+
+        Parameters
+        ----------
+        duration : float
+            Of the flight, s; one that a plan chose, as a rule.
+
+        Returns
+        -------
+        Scenario
+            Without what a free duration is chosen by; itself where that is its duration.
+        """
+        if duration == self.mission.duration:
+            return self
+        values = Mission.chosen(duration)
+        mission = self.mission.model_copy(update=values)
+        changed = self.model_copy(update={"mission": mission})
+        if self._origin is not None:
+            assignments = dict(self._origin.assignments)
+            assignments |= {("mission", name): value for name, value in values.items()}
+            changed._origin = replace(self._origin, assignments=assignments)  # noqa: SLF001
+        return changed
+
+    @property
+    def nominal_duration(self) -> float:
+        """The duration, or where it is free one that the search may start from, s."""
+        if not self.mission.is_free:
+            return self.mission.fixed_duration
+        vehicle, limits = self.vehicle, self.limits
+        lift = limits.thrust_max / vehicle.total_mass - self.gravity
+        acceleration = min(max(lift, _LEAST_LIFT * self.gravity), self.gravity)
+        spin = limits.yaw_moment_max / vehicle.Iz
+        start, goal = self.mission.start, self.mission.goal
+        ways = dist(start.position, goal.position) / acceleration, abs(goal.yaw - start.yaw) / spin
+        # Half of the way speeding up and half of it slowing down takes 2 sqrt(way / acceleration).
+        least, greatest = self.mission.duration_limits
+        return min(max(_UNHURRIED * 2 * sqrt(max(ways)), least), greatest)
 
     def as_forecast(self) -> Self:
         """Return the scenario as the optimiser is told it.

@@ -204,7 +204,7 @@ class Certificate:
 def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificate:
     """Bound the energy of every flight of a mission from below, in the wind that really blows."""
     planner = planner or Planner()
-    hover_energy = planner.steady_flight(scenario).hover_power * scenario.mission.duration
+    hover_energy = planner.steady_flight(scenario).hover_power * scenario.nominal_duration
     bound, reason = _bound(scenario, planner)
     return Certificate(
         lower_bound_J=bound,
@@ -227,11 +227,11 @@ def _bound(scenario: Scenario, planner: Planner) -> tuple[float | None, str]:
     power = _SteadyPower(scenario, planner.steady_flight(scenario))
     if not power.is_polynomial:
         return None, "the power of steady flight is not a polynomial of the rotor speed."
-    mission = scenario.mission
+    mission, duration = scenario.mission, scenario.mission.fixed_duration
     displacement = np.subtract(mission.goal.position, mission.start.position)
     # A bound above what full power for the whole flight would spend proves that there is none.
-    ceiling = float(np.max(power.power)) * mission.duration * (1 + _ROUNDING)
-    moments = ThrustMoments(demand, displacement, mission.duration)
+    ceiling = float(np.max(power.power)) * duration * (1 + _ROUNDING)
+    moments = ThrustMoments(demand, displacement, duration)
     found = _best_bound(moments, power, ceiling)
     if found > ceiling:
         return None, _IMPOSSIBLE
@@ -254,6 +254,8 @@ def _less_room(scenario: Scenario) -> str:
 def _obstacle(scenario: Scenario) -> str:
     if scenario.model is not None:
         return f"no bound is known for a model of one's own ({scenario.model})."
+    if scenario.mission.is_free:
+        return "no bound is known for a free duration."
     if scenario.power.model is PowerModel.EFFICIENCY:
         return (
             "power.model efficiency has no bound: its power is not convex in the rotor "

@@ -67,7 +67,7 @@ def _charge_at_start(scenario: Scenario) -> Iterator[Finding]:
 
 
 def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> Iterator[Finding]:
-    limits, duration = scenario.limits, scenario.mission.duration
+    limits, duration = scenario.limits, scenario.mission.fixed_duration
     current, voltage, charge_rate = steady.pack_under(bound / duration)
     taken = charge_rate * duration
     drawn = 100.0 * taken / steady.pack_capacity
@@ -205,7 +205,7 @@ def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, fl
     """Return the field that limits the thrust most, with its value, and that thrust."""
     limits = scenario.limits
     # Half way through the flight the rotors are furthest from the hover speed of both ends.
-    gain = limits.rotor_acceleration_max * scenario.mission.duration / 2
+    gain = limits.rotor_acceleration_max * scenario.mission.fixed_duration / 2
     candidates = {
         f"limits.rotor_speed_max = {limits.rotor_speed_max:.4g} rad/s": float(
             steady.thrust(limits.rotor_speed_max)
@@ -228,7 +228,7 @@ def _thrust_findings(
     scenario: Scenario, steady: SteadyFlight, demand: MomentumDemand
 ) -> Iterator[Finding]:
     field, available = _available_thrust(scenario, steady)
-    duration = scenario.mission.duration
+    duration = scenario.mission.fixed_duration
     moments = _moments(scenario, demand, duration)
     against_wind = float(
         np.linalg.norm(moments.mean_thrust - demand.drag * _mean_velocity(scenario))
@@ -249,7 +249,7 @@ def _thrust_findings(
 
 def _mean_velocity(scenario: Scenario) -> np.ndarray:
     mission = scenario.mission
-    return np.subtract(mission.goal.position, mission.start.position) / mission.duration
+    return np.subtract(mission.goal.position, mission.start.position) / mission.fixed_duration
 
 
 def _too_short(
@@ -266,8 +266,8 @@ def _too_short(
     remedy = f"; allow more than {least:.3g} s" if least < inf else ""
     return _impossible(
         "mission.duration",
-        f"{scenario.mission.duration:.4g} s: to reach the goal and stop needs {needed:.4g} N of "
-        f"thrust, {field} allows {available:.4g} N{remedy}.",
+        f"{scenario.mission.fixed_duration:.4g} s: to reach the goal and stop needs {needed:.4g} "
+        f"N of thrust, {field} allows {available:.4g} N{remedy}.",
     )
 
 
@@ -279,7 +279,7 @@ def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float
     def is_enough(duration: float) -> bool:
         return _moments(scenario, demand, duration).least_peak() <= available
 
-    short = long = scenario.mission.duration
+    short = long = scenario.mission.fixed_duration
     for _ in range(_DOUBLINGS):
         short, long = long, 2 * long
         if is_enough(long):
@@ -327,13 +327,13 @@ def _yaw_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]
         limits.yaw_moment_max, steady.yaw_moment(limits.rotor_speed_max, limits.rotor_speed_min)
     )
     # Full moment one way for half of the time, the other way for the rest.
-    reachable = moment / vehicle.Iz * mission.duration**2 / 4
+    reachable = moment / vehicle.Iz * mission.fixed_duration**2 / 4
     turn = abs(mission.goal.yaw - mission.start.yaw)
     if turn > reachable * (1 + _MARGIN):
         needed = 2 * (turn * vehicle.Iz / moment) ** 0.5
         yield _impossible(
             "mission.goal.yaw",
-            f"{mission.goal.yaw:.4g} rad: in {mission.duration:.4g} s a yaw moment of "
+            f"{mission.goal.yaw:.4g} rad: in {mission.fixed_duration:.4g} s a yaw moment of "
             f"{moment:.3g} N m turns by at most {reachable:.3g} rad, the mission turns by "
             f"{turn:.3g} rad; turn less or allow more than {needed:.3g} s.",
         )
@@ -362,8 +362,9 @@ def diagnose(
     findings = list(_angles_in_degrees(scenario))
     planner = planner or Planner(builder)
     if planner.builder is build_model:
-        findings += reach_findings(told, planner)
-        findings += pack_findings(told, planner)
+        if not told.mission.is_free:  # what only more time would mend is the plan's to choose
+            findings += reach_findings(told, planner)
+            findings += pack_findings(told, planner)
         findings += power_findings(told, planner.steady_flight(told))
         findings += _idle_limits(told)
     findings += screen_model(planner.model(told))
@@ -405,7 +406,8 @@ _EFFICIENCY = "power.efficiency_polynomial"
 
 def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[str, ...]:
     """Say what stands between a plan and its being taken at its word."""
-    findings = diagnose(plan.scenario, planner=planner)
+    has_flown = plan.verification is not None
+    findings = diagnose(plan.mission_flown if has_flown else plan.scenario, planner=planner)
     told = tuple(finding.message for finding in findings)
     solved = () if plan.solution is None else plan.solution.warnings
     doubts = (*_efficiency_map_cautions(plan.scenario, plan), *_attitude_cautions(plan, planner))

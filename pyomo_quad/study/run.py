@@ -90,15 +90,16 @@ def run_scenario(
     references = scenario.baseline.references if baselines is None else tuple(baselines)
     plan = planner.solve(scenario, progress=progress)
     solved = perf_counter()
-    dynamics = planner.dynamics(scenario)
-    flights, failures = _fly_all(scenario, plan, planner, references)
-    flights = _priced(flights, scenario, planner, progress)
-    adaptation = _adaptation(scenario, flights, dynamics)
+    mission = plan.mission_flown
+    dynamics = planner.dynamics(mission)
+    flights, failures = _fly_all(mission, plan, planner, references)
+    flights = _priced(flights, mission, planner, progress)
+    adaptation = _adaptation(mission, flights, dynamics)
     flown = perf_counter()
     certificate = certify(scenario, planner=planner)
     comparison = combine([])
     if flights:
-        comparison = compare_flights(scenario, flights, certificate, plan.hover_energy_J)
+        comparison = compare_flights(mission, flights, certificate, plan.hover_energy_J)
     certified = perf_counter()
     return RunResult(
         scenario=scenario,

@@ -381,7 +381,7 @@ def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
         return CaseResult(values=values, reason=f"{plan.status}: {plan.message}")
     reason = ""
     for reference in task.baselines:
-        flight = fly_baseline(scenario, reference, dynamics=plan.dynamics, plan=plan)
+        flight = fly_baseline(plan.mission_flown, reference, dynamics=plan.dynamics, plan=plan)
         values |= baseline_outputs(reference, flight, plan)
         if not flight.is_verified:
             reason = f"{flight.name}: two integrators disagree on this flight"
@@ -395,8 +395,9 @@ def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
     plan = _BENCH.base_plan(base, task.base)
     if not plan.is_verified:
         return CaseResult(values={}, reason=f"base case: {plan.status}: {plan.message}")
+    world = scenario.lasting(plan.duration_s) if scenario.mission.is_free else scenario
     flight = fly_baseline(
-        base, Reference.PLAN, dynamics=_BENCH.planner.dynamics(scenario), plan=plan
+        plan.mission_flown, Reference.PLAN, dynamics=_BENCH.planner.dynamics(world), plan=plan
     )
     reason = "" if flight.is_verified else "two integrators disagree on this flight"
     return CaseResult(values=flown_outputs(flight, plan, scenario), reason=reason)

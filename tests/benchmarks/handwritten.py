@@ -103,7 +103,7 @@ LIMITED_MIN = np.array([0.0, *-LIMITED_MAX[1:]])
 LIMITED_SCALES = LIMITED_MAX
 
 
-class _Program:
+class Program:
     """Collects variables with bounds and guess, and rows with bounds."""
 
     def __init__(self):
@@ -139,7 +139,7 @@ def _transcribe(elements, degree, *, has_wind):
     point = equations(has_wind=has_wind)
     nodes = casadi.collocation_points(degree, "radau")
     slope_weights, _, quadrature = casadi.collocation_coeff(nodes)
-    program, energy, h = _Program(), 0, DURATION / elements
+    program, energy, h = Program(), 0, DURATION / elements
     last = program.state("x_0", 0.0)
     for e in range(elements):
         states, controls = [last], []

@@ -16,6 +16,8 @@ SUMMARY_KEYS = [
     "status",
     "verified",
     "energy_J",
+    "duration_s",
+    "passing_times_s",
     "hover_energy_J",
     "terminal_miss_m",
     "max_violation",
@@ -52,6 +54,19 @@ def test_paper_calm_is_verified(calm):
     assert summary["hover_energy_J"] == pytest.approx(HOVER_ENERGY_J, rel=1e-6)
     assert summary["energy_J"] > summary["hover_energy_J"]
     assert f"{summary['energy_J']:.3f} J" in calm.out
+
+
+def test_a_free_duration_is_in_the_summary_and_its_price_is_not_in_the_energy(tmp_path):
+    fields = ("duration='free'", "price_of_time=500.0", "goal.position=[0.0, 0.0, 2.0]")
+    coarse = ("--set=solver.elements=12", "--set=solver.max_refinements=0")
+    options = (*(f"--set=mission.{field}" for field in fields), *coarse, "--figures=none")
+    assert main(["solve", PAPER_CALM, *options, "--out", str(tmp_path)]) == ExitCode.NOT_VERIFIED
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    frame = pd.read_csv(tmp_path / "plan.csv")
+    assert frame[TIME].iloc[-1] == pytest.approx(summary["duration_s"], rel=1e-12)
+    assert frame["energy_J"].iloc[-1] == pytest.approx(summary["energy_J"], rel=1e-12)
+    assert summary["scenario_resolved"]["mission"]["duration"] == "free"
+    assert "s, chosen for the least energy, hover to hover" in (tmp_path / "report.md").read_text()
 
 
 def test_summary_tells_the_effort_and_the_input(calm):

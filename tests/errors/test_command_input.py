@@ -10,7 +10,7 @@ from tests.scenario_files import write_scenario
 # A line of the scenario, or a --set -> what the message says of it.
 REFUSED = {
     "vehicle.mas = 1.0": "unknown key vehicle.mas; did you mean vehicle.mass?",
-    'mission.duration = "ten"': 'mission.duration = "ten"; must be a number in s.',
+    'mission.duration = "ten"': 'mission.duration = "ten"; must be a number in s or "free".',
     "mission.duration = 0": "mission.duration = 0 s; must be > 0.",
     "mission.goal.position = [1.0, inf, 2.0]": "mission.goal.position[1] = inf m; must be finite.",
     "vehicle.mass = 9.0": "hover needs 2400 rad/s per rotor, limits.rotor_speed_max is 1047 rad/s",

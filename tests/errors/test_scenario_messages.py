@@ -18,9 +18,25 @@ REFUSED = {
     "mission.duration = -10": "mission.duration = -10 s; must be > 0.",
     "mission.duration = 0": "mission.duration = 0 s; must be > 0.",
     "mission.duration = nan": "mission.duration = nan s; must be finite.",
-    'mission.duration = "ten"': 'mission.duration = "ten"; must be a number in s.',
-    "mission.duration = true": "mission.duration = true; must be a number in s.",
-    "mission.duration = 1979-05-27": "mission.duration = 1979-05-27; must be a number in s.",
+    'mission.duration = "ten"': 'mission.duration = "ten"; must be a number in s or "free".',
+    "mission.duration = true": 'mission.duration = true; must be a number in s or "free".',
+    "mission.duration = 1979-05-27": (
+        'mission.duration = 1979-05-27; must be a number in s or "free".'
+    ),
+    "mission.duration = 1e9": (
+        "mission.duration = 1e+09 s; must be from 0.001 to 86400: "
+        "no quadrotor stays aloft for more than a day."
+    ),
+    "mission.duration_max = 3": (
+        "mission: duration_max is for a free duration, duration = 5 s is fixed; "
+        'leave duration_max out or give duration = "free".'
+    ),
+    'mission.aim = "time"': (
+        "mission: aim is for a free duration, duration = 5 s is fixed; "
+        'leave aim out or give duration = "free".'
+    ),
+    'mission.aim = "speed"': "mission.aim = \"speed\"; must be one of 'energy' or 'time'.",
+    "mission.price_of_time = -1.0": "mission.price_of_time = -1 W; must be >= 0.",
     "mission.goal.position = [1.0, inf, 2.0]": (
         "mission.goal.position[1] = inf m; must be finite."
     ),
@@ -197,6 +213,21 @@ def test_momentum_needs_a_radius(tmp_path):
     )
 
 
+FREE = 'mission.duration = "free"'
+# Lines of a scenario whose duration is free -> message after the source.
+REFUSED_WHERE_FREE = {
+    ("mission.duration_min = 5.0", "mission.duration_max = 3.0"): (
+        "mission: duration_min = 5 s; must be at most duration_max = 3 s; "
+        "lower the one or raise the other."
+    ),
+    ("mission.goal.position = [0.0, 0.0, 0.0]",): (
+        'mission: duration = "free" with the goal at the start; the least flight is none at all: '
+        "give duration_min or a fixed duration."
+    ),
+    ("mission.price_of_time = -1.0",): "mission.price_of_time = -1 W; must be >= 0.",
+}
+
+
 def one_line(caught):
     message = str(caught.value)
     assert len(message.splitlines()) == 1
@@ -216,6 +247,21 @@ def test_message_through_set(tmp_path, line, message):
     with pytest.raises(ScenarioError, match=re.escape(message)) as caught:
         load_scenario(write_scenario(tmp_path), [line])
     assert one_line(caught) == f"--set: {message}"
+
+
+@pytest.mark.parametrize(("lines", "message"), REFUSED_WHERE_FREE.items())
+def test_message_about_a_free_duration(tmp_path, lines, message):
+    with pytest.raises(ScenarioError, match=re.escape(message)) as caught:
+        load_scenario(write_scenario(tmp_path), [FREE, *lines])
+    assert one_line(caught) == f"--set: {message}"
+
+
+def test_a_measured_wind_needs_a_fixed_duration(tmp_path):
+    write_wind(tmp_path, range(10))
+    file = write_scenario(tmp_path, FREE, 'wind.file = "wind.csv"')
+    with pytest.raises(ScenarioError, match=r"needs a fixed mission\.duration; give") as caught:
+        load_scenario(file)
+    assert one_line(caught).startswith(f'{file}: wind.file = "wind.csv"; ')
 
 
 @pytest.mark.parametrize(("line", "message"), INFEASIBLE.items())

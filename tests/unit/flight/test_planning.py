@@ -12,6 +12,7 @@ from pyomo_quad.collocation import Mesh, Status, Trajectory
 from pyomo_quad.flight import PlanStatus, planning
 from pyomo_quad.flight.planning import Rescuer, solve_scenario
 from pyomo_quad.model.power import wider_smoothings
+from pyomo_quad.scenario.mission import NamedDuration
 from tests.command import IMPOSSIBLE, PAPER_CALM
 
 TOO_SHORT = [setting.removeprefix("--set=") for setting in IMPOSSIBLE]
@@ -106,7 +107,7 @@ class Solves:
 
     def rescuer(self):
         return Rescuer(
-            duration=DURATION,
+            longest=NamedDuration("mission.duration", DURATION),
             solve=self.solve,
             solve_slowly=self.solve_slowly,
             solve_shortest=lambda: self.shortest,
