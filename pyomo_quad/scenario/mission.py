@@ -57,10 +57,20 @@ class Mission(Part):
         sound=_ALOFT,
     )
     duration_min: Number | None = quantity(
-        "s", "least duration where it is free, no limit when absent", None, gt=0, sound=_ALOFT
+        "s",
+        "least duration where it is free, no limit when absent",
+        None,
+        gt=0,
+        sound=_ALOFT,
+        is_late=True,
     )
     duration_max: Number | None = quantity(
-        "s", "greatest duration where it is free, no limit when absent", None, gt=0, sound=_ALOFT
+        "s",
+        "greatest duration where it is free, no limit when absent",
+        None,
+        gt=0,
+        sound=_ALOFT,
+        is_late=True,
     )
     price_of_time: Number = quantity(
         "W",
@@ -68,9 +78,13 @@ class Mission(Part):
         0.0,
         ge=0,
         sound=Sound(0, 1e9, "beyond, the least time is meant: mission.aim"),
+        is_late=True,
     )
     aim: Aim = quantity(
-        "", "what a free duration is chosen for: least energy, or least time", Aim.ENERGY
+        "",
+        "what a free duration is chosen for: least energy, or least time",
+        Aim.ENERGY,
+        is_late=True,
     )
 
     @property

@@ -13,6 +13,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 def free(goal=(6.0, 7.0, 8.0), *, wind="calm", solver=ON_ONE_MESH, **mission):
     return scenario(
         mission={"goal": {"position": list(goal)}, "duration": "free", **mission},
+        vehicle={"attitude": "paper"},
         wind={"use": wind},
         solver=solver,
     )
