@@ -137,7 +137,7 @@ class Replanner:
             )
         is_told = knowledge is Knowledge.TOLD
         believed = scenario.as_it_blows() if is_told else scenario.as_forecast()
-        self._end = scenario.mission.duration
+        self._end = scenario.mission.fixed_duration
         self._scenario = scenario
         self.belief = _Belief(mass=scenario.vehicle.total_mass, unexplained=(0.0, 0.0))
         whole, _ = planner.problem_for(believed)
@@ -334,7 +334,7 @@ class _ReplannedFlight:
     ) -> None:
         self._settings, self._computer, self._replanner = settings, computer, replanner
         self._is_observing = knowledge is not Knowledge.UNTOLD
-        self._end = scenario.mission.duration
+        self._end = scenario.mission.fixed_duration
         self._aircraft = _Aircraft(scenario, replanner, dynamics)
         state = start_state(scenario, dynamics)
         self._t, self._state = 0.0, state

@@ -236,7 +236,7 @@ class Scenario(Part):
 
     def _check_replanning(self, source: str) -> None:
         interval = None if self.baseline.mpc is None else self.baseline.mpc.interval
-        if interval is not None and interval >= self.mission.duration:
+        if interval is not None and interval >= self.mission.duration_limits[1]:
             raise ScenarioError(
                 f"{source}: baseline.mpc.interval = {interval:g} s; must be below "
                 f"mission.duration = {self.mission.duration:g} s, or nothing is planned again."
