@@ -28,7 +28,7 @@ from pyomo_quad.collocation.pyomo_solver import PyomoSolver
 from pyomo_quad.collocation.reading.clock import FreeTimes
 from pyomo_quad.collocation.reading.tables import Table
 from pyomo_quad.collocation.refining.error import Allowance
-from pyomo_quad.collocation.refining.refinement import RefinementOptions
+from pyomo_quad.collocation.refining.remeshing import RefinementOptions
 from pyomo_quad.collocation.solution import MeshRecord, Solution
 
 __all__ = [

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 # Before the libraries that it watches for: those that it finds it completes at once.
 from pyomo.common import dependencies
@@ -30,7 +31,7 @@ with pyomo_unaware():  # before any room of the package, and pint, import a part
     import scipy  # noqa: F401
 
 
-def _unit_registry() -> pint.UnitRegistry:
+def _unit_registry() -> "pint.UnitRegistry[Any]":
     """Return pint's own registry, whose definitions take 0.2 s to parse and are kept for that."""
     try:
         return pint.UnitRegistry(cache_folder=":auto:")

@@ -36,7 +36,8 @@ from pyomo_quad.collocation.program.ipopt import (
     run,
 )
 from pyomo_quad.collocation.reading.dae_index import structural_index
-from pyomo_quad.collocation.refining.refinement import RefinementOptions, refine
+from pyomo_quad.collocation.refining.refinement import refine
+from pyomo_quad.collocation.refining.remeshing import RefinementOptions
 from pyomo_quad.collocation.solution import Solution, outside_tables, solution_from
 
 if TYPE_CHECKING:

@@ -30,11 +30,11 @@ from pyomo_quad.collocation import (
     diagnose,
     split_algebraics,
 )
+from pyomo_quad.flight.flight import VIOLATION_TOLERANCE
 from pyomo_quad.flight.plan import Failure, Plan, PlanStatus, Trajectories
 from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.verification import (
     MISS_TOLERANCE,
-    VIOLATION_TOLERANCE,
     split_at_breaches,
     verify_controls,
 )

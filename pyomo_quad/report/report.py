@@ -11,11 +11,11 @@ import pandas as pd
 
 from pyomo_quad.collocation import pyomo_unaware
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
+from pyomo_quad.flight.flight import VIOLATION_TOLERANCE
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
     ENERGY_TOLERANCE,
     MISS_TOLERANCE,
-    VIOLATION_TOLERANCE,
 )
 from pyomo_quad.report import Figures
 from pyomo_quad.report.render import FIGURE_FOLDER, STATUS_WORDS, render_html, render_markdown

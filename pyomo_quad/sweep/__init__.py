@@ -34,7 +34,5 @@ __all__ = [
     "load_study",
     "process_workers",
     "results_frame",
+    "write_sweep_report",
 ]
-
-
-__all__ = ["write_sweep_report"]

@@ -12,7 +12,7 @@ from pyomo_quad.report.render import render_markdown
 from pyomo_quad.report.report import REPORT_NAME
 from pyomo_quad.report.tables import write_table
 from pyomo_quad.study.comparison import ARRIVAL_DISTANCE_M
-from pyomo_quad.sweep.case import DURATION_FIELD, TERMINAL_MISS
+from pyomo_quad.sweep.case import DURATION_FIELD, TERMINAL_MISS, StudyTask
 from pyomo_quad.sweep.design import Dimension, SweepDesign
 from pyomo_quad.sweep.figures import sweep_drawings
 from pyomo_quad.sweep.quantities import (
@@ -25,7 +25,6 @@ from pyomo_quad.sweep.quantities import (
 )
 from pyomo_quad.sweep.spreads import linear_note
 from pyomo_quad.sweep.store import CASE_COLUMN, REASON_COLUMN, STATUS_COLUMN
-from pyomo_quad.sweep.study_file import StudyTask
 from pyomo_quad.sweep.views import (
     best_along,
     central_case,
