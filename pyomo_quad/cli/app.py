@@ -14,6 +14,7 @@ from pyomo_quad.cli.identifying import identify, predict
 from pyomo_quad.cli.looking import check, init, library, schema
 from pyomo_quad.cli.paper import paper
 from pyomo_quad.cli.plotting import plot
+from pyomo_quad.cli.polar import polar
 from pyomo_quad.cli.sweeping import sweep, sweep_report
 from pyomo_quad.cli.terminal import claim_streams, complain, gives_up_output
 from pyomo_quad.report.folder import discard_unfinished
@@ -41,6 +42,7 @@ app.command()(export)
 app.command()(plot)
 app.command()(identify)
 app.command()(predict)
+app.command()(polar)
 app.command()(paper)
 app.command()(sweep)
 app.command()(sweep_report)

@@ -31,6 +31,7 @@ _VELOCITY = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")
 _ROLL, _PITCH, _YAW = "rigid_body.phi", "rigid_body.theta", "rigid_body.psi"
 _ROTOR_SPEED = "rotors.omega["
 _CHARGE = "battery.charge_drawn"
+_CHARGE_RATE = "battery.dcharge_drawn_dt"
 _FIRST_ROTOR = 1
 _UNCREDITED = "power.uncredited_power"
 _STILL = np.zeros(3)
@@ -137,6 +138,32 @@ class SteadyFlight:
         states, controls = flight(found.x)
         power = self._dynamics.integrand(t, states, controls)
         return Trim(states=states, controls=controls, power_W=float(power))
+
+    def reading(self, names: tuple[str, ...], trim: Trim) -> FloatArray:
+        """Return quantities without a further index, by full name, in a steady flight."""
+        return self._rows(tuple((n, None) for n in names), trim.states[None], trim.controls[None])[
+            0
+        ]
+
+    def rotor_speeds(self, trim: Trim) -> FloatArray:
+        """Return the speed of each rotor in a steady flight, rad/s."""
+        return trim.states[self._rotors]
+
+    def endurance(self, trim: Trim, depth: float, samples: int) -> float:
+        """Return for how long the full pack holds a steady flight, down to a depth (0 to 1), s.
+
+        Infinite where it draws nothing, and nought where the pack cannot give the power.
+        """
+        states = np.tile(trim.states, (samples, 1))
+        controls = np.tile(trim.controls, (samples, 1))
+        column = self._dynamics.state_names.index(_CHARGE)
+        drawn = states[:, column] = np.linspace(0.0, depth * self.pack_capacity, samples)
+        rate, reserve = self._rows(
+            ((_CHARGE_RATE, None), ("battery.power_reserve", None)), states, controls
+        ).T
+        if np.min(reserve) < 0.0:
+            return 0.0
+        return float(np.trapezoid(1.0 / rate, drawn)) if np.min(rate) > 0.0 else np.inf
 
     @cached_property
     def _hovering(self) -> Trim:

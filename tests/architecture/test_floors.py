@@ -17,6 +17,7 @@ FLOORS = {
     "exports": 5,
     "identification": 5,
     "paper": 5,
+    "polar": 5,
     "sweep": 5,
 }
 TOP = 6
@@ -44,7 +45,7 @@ HOMES = {
     "cyipopt": {"collocation"},
     "pyomo": {"collocation", "model"},
     "scipy.integrate": {"flight"},
-    "matplotlib": {"report", "identification", "paper", "sweep"},
+    "matplotlib": {"report", "identification", "paper", "polar", "sweep"},
     "mpl_toolkits": {"report"},
     "plotly": {"report"},
     "jinja2": {"report"},

@@ -1,0 +1,293 @@
+"""Steady flight at each airspeed, and what follows of it: best speeds, range, endurance, reach.
+
+Each point is a trim: the declared equations solved for the attitude and the rotor speeds that keep
+level flight at that airspeed, and the power they then give.  In a wind the airspeed is the ground
+speed less the wind; with power P over airspeed, the energy per metre over the ground at ground
+speed g is P / g, or (P + price of time) / g.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
+
+from pyomo_quad.collocation import SolveError
+from pyomo_quad.flight import Planner
+from pyomo_quad.flight.steady import SteadyFlight, Trim
+from pyomo_quad.scenario import Scenario
+
+FloatArray = NDArray[np.float64]
+
+_STEP_M_S = 0.5
+_FASTEST_M_S = 40.0
+# Shares of the scenario's mass that are carried besides its own payload.
+_MORE_PAYLOAD = (0.0, 0.1, 0.2)
+# Speeds of the winds that are compared, m/s; the scenario's own comes besides.
+_WINDS_M_S = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0)
+_DIRECTIONS = 36
+# What stays in a pack whose scenario sets no limit.
+_LEAST_CHARGE = 0.2
+_SAMPLES = 60
+_SLOWEST_GROUND_SPEED = 0.05
+_NO_WIND = 1e-9
+_TRIALS = 200
+
+
+@dataclass(frozen=True, kw_only=True)
+class SteadyCurve:
+    """Level flight of a vehicle with one payload, at equal steps of the airspeed.
+
+    Shapes (n,): airspeeds [m/s], powers [W], endurances on the full pack [s].
+    """
+
+    payload_kg: float
+    airspeeds: FloatArray
+    powers: FloatArray
+    endurances: FloatArray
+
+    def power(self, airspeed: FloatArray | float) -> FloatArray:
+        """Return the power at airspeeds between those solved for, W; infinite beyond the last."""
+        return self._between(self.powers, airspeed, np.inf)
+
+    def endurance(self, airspeed: FloatArray | float) -> FloatArray:
+        """Return the endurance at airspeeds, s; nought beyond the last."""
+        return self._between(self.endurances, airspeed, 0.0)
+
+    def _between(
+        self, values: FloatArray, airspeed: FloatArray | float, beyond: float
+    ) -> FloatArray:
+        spline = CubicSpline(self.airspeeds, values)
+        at = np.asarray(airspeed, dtype=float)
+        return np.where(at <= self.airspeeds[-1], spline(at), beyond)
+
+    @property
+    def speed_of_least_power(self) -> float:
+        """Airspeed of longest flight, m/s."""
+        return _least(self.power, np.linspace(0.0, self.airspeeds[-1], _TRIALS))
+
+    def best_over_ground(
+        self, wind: float = 0.0, angle: float = 0.0, price_of_time: float = 0.0
+    ) -> "GroundSpeed":
+        """Return the ground speed of least energy per metre on a course.
+
+        Parameters
+        ----------
+        wind : float
+            Speed of the wind, m/s.
+        angle : float
+            Between the course and where the wind blows to, rad: nought is a tail wind.
+        price_of_time : float
+            Worth of a second, J/s.
+        """
+        along, across = wind * np.cos(angle), wind * np.sin(angle)
+
+        def airspeed(ground_speed: FloatArray | float) -> FloatArray:
+            return np.hypot(np.asarray(ground_speed) - along, across)
+
+        def cost(ground_speed: FloatArray | float) -> FloatArray:
+            return np.asarray((self.power(airspeed(ground_speed)) + price_of_time) / ground_speed)
+
+        fastest = max(along + np.sqrt(max(0.0, self.airspeeds[-1] ** 2 - across**2)), 0.0)
+        if fastest <= _SLOWEST_GROUND_SPEED:
+            return GroundSpeed(ground_speed=0.0, airspeed=np.nan, power=np.nan, endurance=0.0)
+        best = _least(cost, np.linspace(_SLOWEST_GROUND_SPEED, fastest, _TRIALS))
+        at = float(airspeed(best))
+        return GroundSpeed(
+            ground_speed=best,
+            airspeed=at,
+            power=float(self.power(at)),
+            endurance=float(self.endurance(at)),
+        )
+
+
+def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray) -> float:
+    """Return where a cost is least: between the neighbours of the best of some trials."""
+    best = int(np.argmin(cost(trials)))
+    low, high = trials[max(0, best - 1)], trials[min(len(trials) - 1, best + 1)]
+    found = minimize_scalar(
+        lambda at: float(cost(at)), bounds=(low, high), method="bounded", options={"xatol": 1e-6}
+    )
+    return float(found.x)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundSpeed:
+    """Flight at one ground speed, m/s: airspeed, power [W], endurance [s].
+
+    The ground speed is nought where the wind lets none be kept.
+    """
+
+    ground_speed: float
+    airspeed: float
+    power: float
+    endurance: float
+
+    @property
+    def energy_per_metre(self) -> float:
+        """Energy per metre over the ground, J/m."""
+        return self.power / self.ground_speed if self.ground_speed > 0.0 else np.inf
+
+    @property
+    def range_m(self) -> float:
+        """Distance over the ground on the full pack, m."""
+        return self.ground_speed * self.endurance
+
+
+@dataclass(frozen=True, kw_only=True)
+class Polar:
+    """The polar of a scenario's vehicle.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    curves : tuple of SteadyCurve
+        The scenario's own payload first.
+    winds : DataFrame
+        One row per wind speed and angle between course and wind.
+    reach : DataFrame
+        One row per direction of the outward course, in the scenario's wind.
+    wind_m_s, wind_towards_rad : float
+        The scenario's mean wind.
+    depth : float
+        Share of the pack that is used.
+    """
+
+    scenario: Scenario
+    curves: tuple[SteadyCurve, ...]
+    winds: pd.DataFrame
+    reach: pd.DataFrame
+    wind_m_s: float
+    wind_towards_rad: float
+    depth: float
+
+    @property
+    def own(self) -> SteadyCurve:
+        """The curve of the scenario's own payload."""
+        return self.curves[0]
+
+
+def find_polar(scenario: Scenario) -> Polar:
+    """Solve steady flight of a scenario's vehicle over airspeed, payload and wind.
+
+    Raises
+    ------
+    SolveError
+        If the vehicle cannot hover.
+    """
+    planner = Planner()
+    least = scenario.limits.state_of_charge_min
+    depth = 1.0 - (_LEAST_CHARGE if least is None else least / 100.0)
+    own = scenario.vehicle.payload
+    curves = []
+    for more in _MORE_PAYLOAD:
+        payload = own + round(more * scenario.vehicle.mass, 2)
+        loaded = scenario.with_values({"vehicle.payload": payload}) if more else scenario
+        curves.append(_curve(loaded, planner.steady_flight(loaded), depth))
+    wind_x, wind_y = mean_wind(scenario)
+    speed, towards = float(np.hypot(wind_x, wind_y)), float(np.arctan2(wind_y, wind_x))
+    winds = sorted({*_WINDS_M_S, round(speed, 3)})
+    return Polar(
+        scenario=scenario,
+        curves=tuple(curves),
+        winds=_winds(curves[0], winds),
+        reach=_reach(curves[0], speed, towards),
+        wind_m_s=speed,
+        wind_towards_rad=towards,
+        depth=depth,
+    )
+
+
+def mean_wind(scenario: Scenario) -> tuple[float, float]:
+    """Return the mean of a scenario's wind along world x and y, m/s."""
+    wind = scenario.wind
+    if wind.series is not None:
+        return float(np.mean(wind.series.wind_x)), float(np.mean(wind.series.wind_y))
+    return (
+        wind.x.mean + wind.speed * float(np.cos(wind.direction)),
+        wind.y.mean + wind.speed * float(np.sin(wind.direction)),
+    )
+
+
+def _curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
+    """Trim at rising airspeeds, until a limit of the rotors or of the tilt is met."""
+    speeds: list[float] = []
+    powers: list[float] = []
+    endurances: list[float] = []
+    for speed in np.arange(0.0, _FASTEST_M_S, _STEP_M_S):
+        try:
+            trim = steady.trim([float(speed), 0.0, 0.0])
+        except SolveError:
+            if not speeds:
+                raise
+            break
+        if speeds and not _is_allowed(scenario, steady, trim):
+            break
+        speeds.append(float(speed))
+        powers.append(float(steady.reading(("power.total",), trim)[0]))
+        endurances.append(steady.endurance(trim, depth, _SAMPLES))
+    return SteadyCurve(
+        payload_kg=scenario.vehicle.payload,
+        airspeeds=np.array(speeds),
+        powers=np.array(powers),
+        endurances=np.array(endurances),
+    )
+
+
+def _is_allowed(scenario: Scenario, steady: SteadyFlight, trim: Trim) -> bool:
+    roll, pitch, thrust = steady.reading(
+        ("rigid_body.phi", "rigid_body.theta", "rotors.total_thrust"), trim
+    )
+    limits = scenario.limits
+    within = abs(roll) <= limits.roll_max and abs(pitch) <= limits.pitch_max
+    return bool(
+        within
+        and thrust <= limits.thrust_max
+        and steady.rotor_speeds(trim).max() <= limits.rotor_speed_max
+    )
+
+
+def _winds(curve: SteadyCurve, winds: Sequence[float]) -> pd.DataFrame:
+    rows = []
+    for wind in winds:
+        for angle in np.linspace(0.0, np.pi, _DIRECTIONS // 2 + 1):
+            best = curve.best_over_ground(wind, float(angle))
+            rows.append(
+                {
+                    "wind_m_s": wind,
+                    "angle_to_wind_deg": float(np.degrees(angle)),
+                    "ground_speed_m_s": best.ground_speed,
+                    "airspeed_m_s": best.airspeed,
+                    "power_W": best.power,
+                    "energy_per_metre_J_m": best.energy_per_metre,
+                    "range_m": best.range_m,
+                }
+            )
+            if wind <= _NO_WIND:
+                break
+    return pd.DataFrame(rows)
+
+
+def _reach(curve: SteadyCurve, wind: float, towards: float) -> pd.DataFrame:
+    """Return how far the pack carries out and back on each course, each leg at its best speed."""
+    rows = []
+    for course in np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False):
+        legs = [
+            curve.best_over_ground(wind, float(towards - course + turned))
+            for turned in (0.0, np.pi)
+        ]
+        ranges = [leg.range_m for leg in legs]
+        # Each metre out and back takes this share of the pack.
+        share = sum(1.0 / leg if leg > 0.0 else np.inf for leg in ranges)
+        rows.append(
+            {
+                "course_deg": float(np.degrees(course)),
+                "out_ground_speed_m_s": legs[0].ground_speed,
+                "back_ground_speed_m_s": legs[1].ground_speed,
+                "reach_m": 1.0 / share,
+            }
+        )
+    return pd.DataFrame(rows)
