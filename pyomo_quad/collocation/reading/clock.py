@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -50,7 +51,7 @@ class Clock:
         """Return a declared time as a share of the declared horizon."""
         return (time - self.declared[0]) / (self.declared[-1] - self.declared[0])
 
-    @property
+    @cached_property
     def _spans(self) -> list[Any]:
         """Change of time with the share of the horizon, phase by phase."""
         ends = zip(pairwise(self.times), pairwise(self.fractions), strict=True)
@@ -60,12 +61,12 @@ class Clock:
     def _holds(self) -> tuple[Any, ...]:
         return self.phases or (1.0,)
 
-    @property
+    @cached_property
     def span(self) -> Any:
         """Change of time with the share of the horizon at the template point."""
         return sum(p * span for p, span in zip(self._holds, self._spans, strict=True))
 
-    @property
+    @cached_property
     def time(self) -> Any:
         """Physical time at the template point."""
         return sum(
