@@ -12,6 +12,7 @@ from pyomo_quad.collocation.dynamics import Dynamics, Instants, Violation, split
 from pyomo_quad.collocation.errors import EngineError, SolveError, TranscriptionError
 from pyomo_quad.collocation.feedback import ClosedLoop, Law
 from pyomo_quad.collocation.guess import WarmStart
+from pyomo_quad.collocation.joint import JointProblem, JointSolution, compiled_of
 from pyomo_quad.collocation.mesh import (
     Mesh,
     Summarised,
@@ -41,6 +42,8 @@ __all__ = [
     "FreeTimes",
     "Instants",
     "Iteration",
+    "JointProblem",
+    "JointSolution",
     "Law",
     "Mesh",
     "MeshRecord",
@@ -75,9 +78,9 @@ __all__ = [
 
 def compile(  # noqa: A001  as casadi, re and builtins do
     model: Any, *, final_time: Any = None, times: FreeTimes | None = None
-) -> Problem:
-    """Compile a Pyomo.DAE model; see `Problem`."""
-    return Problem(model, final_time, times)
+) -> Any:
+    """Compile a Pyomo.DAE model to a `Problem`, or one of several horizons to a `JointProblem`."""
+    return compiled_of(model, final_time, times)
 
 
 def solve(
@@ -86,12 +89,12 @@ def solve(
     final_time: Any = None,
     times: FreeTimes | None = None,
     **arguments: Any,
-) -> Solution:
+) -> Any:
     """Compile and solve a Pyomo.DAE model; the arguments are those of `Problem.solve`.
 
     The solution's values are also loaded into the model, at the times it declares.
     """
-    problem = Problem(model, final_time, times)
+    problem = compiled_of(model, final_time, times)
     solution = problem.solve(**arguments)
     problem.load(solution)
     return solution

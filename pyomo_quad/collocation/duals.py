@@ -28,18 +28,32 @@ class Prices:
     once: dict[str, float] = field(default_factory=dict)
 
 
-def load_suffixes(solution: Solution) -> None:
+def load_suffixes(*solutions: Solution) -> None:
     """Fill the model's suffixes `dual`, `rc` and `costate`, where it imports them.
 
     They are the change of the objective, as declared, with a constraint's constant side, with a
-    bound of a variable, and with a state; over time, per unit of time.
+    bound of a variable, and with a state; over time, per unit of time.  Several solutions are
+    those of several horizons.
     """
-    problem, source = solution.problem, solution.problem.source
+    source = solutions[0].problem.source
     if not isinstance(source, LiveModel):
         return
     wanted = dict(active_import_suffix_generator(source.model))
-    if not wanted.keys() & {"dual", "rc", "costate"}:
-        return
+    kinds = {"dual": Constraint, "rc": Var, "costate": Var}
+    for name in wanted.keys() & kinds.keys():
+        wanted[name].clear()
+    for solution in solutions if wanted.keys() & kinds.keys() else ():
+        for name, prices in _suffixes(solution).items():
+            if name in wanted:
+                at = {key: _function(solution, held) for key, held in prices.over_time.items()}
+                own = solution.problem.source
+                if isinstance(own, LiveModel):
+                    own.load_suffix(wanted[name], kinds[name], at, prices.once)
+
+
+def _suffixes(solution: Solution) -> dict[str, Prices]:
+    """Return what the suffixes of these names hold."""
+    problem = solution.problem
     dual, reduced = _prices(solution)
     costates = Prices()
     if problem.has_horizon and problem.compiled.declared.states:
@@ -47,15 +61,7 @@ def load_suffixes(solution: Solution) -> None:
         sign = -1.0 if solution.program.is_negated else 1.0
         held = dict(zip(names, sign * solution.costates.at_points.T, strict=True))
         costates = Prices(over_time=held)
-    for name, prices, kind in (
-        ("dual", dual, Constraint),
-        ("rc", reduced, Var),
-        ("costate", costates, Var),
-    ):
-        if name in wanted:
-            wanted[name].clear()
-            at = {key: _function(solution, held) for key, held in prices.over_time.items()}
-            source.load_suffix(wanted[name], kind, at, prices.once)
+    return {"dual": dual, "rc": reduced, "costate": costates}
 
 
 def _function(solution: Solution, density: FloatArray) -> Callable[[float], float]:
@@ -103,7 +109,7 @@ def _share_bounds(solution: Solution, sign: float, dual: Prices, reduced: Prices
     # A variable that is bounded at one time only has a limit there of its own name.
     find = solution.problem.model.find_component
     of_constraints = slopes.keys() - {
-        b.name for b in compiled.simple_point_bounds if find(b.name).ctype is Var
+        b.name for b in compiled.simple_point_bounds if getattr(find(b.name), "ctype", None) is Var
     }
     left = {"lower": np.array(solution.multipliers.lower), "upper": -solution.multipliers.upper}
     start_data = solution.problem.data_at_starts(solution.instance)

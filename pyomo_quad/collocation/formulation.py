@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray, Mesh
     from pyomo_quad.collocation.program.sparsity import Layout
     from pyomo_quad.collocation.reading.clock import FreeTimes
+    from pyomo_quad.collocation.reading.model import ModelReader
     from pyomo_quad.collocation.reading.model_source import ModelSnapshot
     from pyomo_quad.collocation.reading.symbols import Declarations
     from pyomo_quad.collocation.reading.writer import TemplateWriter
@@ -136,6 +137,13 @@ class Evaluator:
                 f"{name}: holds {', '.join(sorted(unknown))}, which takes no part in the problem."
             )
         return written
+
+    def is_over_time(self, component: str, index: Any = None) -> bool:
+        """Say whether a name is that of a variable or expression over this horizon."""
+        try:
+            return self._writer.over_time(component, index_tuple(index)) is not None
+        except KeyError:
+            return True
 
     def function(self, keys: tuple[tuple[str, Any], ...]) -> Any:
         """Return the CasADi function of some (name, index) pairs, compiled when first asked."""
@@ -276,13 +284,14 @@ class Formulation:
         final_time: Any = None,
         times: FreeTimes | None = None,
     ) -> None:
-        declared, reader = read_declarations(model, final_time, times)
-        refuse_high_index(declared)
-        compiled = compile_declarations(declared)
-        time = reader.copy.time
-        own_time = None if time is None else model.find_component(time.name)
-        source = LiveModel(model, own_time, tuple(reader.writer.schedules))
-        self._hold(compiled, source, Evaluator.of(compiled, reader.writer))
+        self._hold(*_compiled(model, *read_declarations(model, final_time, times)))
+
+    @classmethod
+    def of(cls, model: Any, declared: Declarations, reader: ModelReader) -> Self:
+        """Return what was read of a model, compiled."""
+        formulation = object.__new__(cls)
+        formulation._hold(*_compiled(model, declared, reader))
+        return formulation
 
     def _hold(
         self, compiled: CompiledModel, source: LiveModel | ModelSnapshot, evaluator: Evaluator
@@ -397,6 +406,17 @@ class Formulation:
                 lower[at] = max(lower[at], limits[2][k])
                 upper[at] = min(upper[at], limits[3][k])
         return lower, upper
+
+
+def _compiled(
+    model: Any, declared: Declarations, reader: ModelReader
+) -> tuple[CompiledModel, LiveModel, Evaluator]:
+    refuse_high_index(declared)
+    compiled = compile_declarations(declared)
+    time = reader.copy.time
+    own_time = None if time is None else model.find_component(time.name)
+    source = LiveModel(model, own_time, tuple(reader.writer.schedules))
+    return compiled, source, Evaluator.of(compiled, reader.writer)
 
 
 def _restored(

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -36,7 +35,7 @@ from pyomo_quad.collocation.program.ipopt import (
     run,
 )
 from pyomo_quad.collocation.reading.dae_index import structural_index
-from pyomo_quad.collocation.refining.refinement import refine
+from pyomo_quad.collocation.refining.refinement import Solved, refine
 from pyomo_quad.collocation.refining.remeshing import RefinementOptions
 from pyomo_quad.collocation.solution import Solution, outside_tables, solution_from
 
@@ -94,6 +93,11 @@ class Problem(Summarised, Formulation):
         index = structural_index(declared).index
         return goal | sizes | ({"index of the DAE": f"{index}"} if index > 1 else {})
 
+    @property
+    def is_maximised(self) -> bool:
+        """Whether the objective is maximised."""
+        return self.compiled.declared.maximise
+
     def solve(
         self,
         *,
@@ -144,40 +148,46 @@ class Problem(Summarised, Formulation):
         TranscriptionError
             If bounds cross, a value is missing, or an equation is not finite at the guess.
         """
-        if tolerance is not None and not tolerance > 0.0:
-            raise TranscriptionError(f"tolerance: {tolerance:g}; must be above 0.")
         if starts < 1:
             raise TranscriptionError(f"starts: {starts}; must be at least 1.")
         instance = self.instance(parameters, horizon)
-        options = options or SolverOptions()
-        deadline = None
-        if options.max_wall_s is not None:
-            progress = deadline = Deadline(limit_s=options.max_wall_s, progress=progress)
         start = warm_start.warm_start if isinstance(warm_start, Solution) else warm_start
-        if tolerance is None and mesh is None:
-            tolerance = DEFAULT_TOLERANCE
-        is_refined = self.has_horizon and tolerance is not None
-        solve_on = partial(
-            self.solve_on_mesh,
-            instance=instance,
-            guess=guess,
-            options=options.suiting(tolerance) if is_refined and tolerance else options,
-            progress=progress,
-        )
-        refinement = refinement or RefinementOptions()
+        chosen = refinement or RefinementOptions()
+        first = mesh
         if mesh is None and self.has_horizon:
-            mesh = refinement.first_mesh if start is None else start.mesh
-        if starts > 1:
-            best = self._best_of(starts, partial(solve_on, mesh), start)
-            start = start if best is None else best.warm_start
-        if not is_refined or tolerance is None:
-            solution = solve_on(mesh, start)
-        else:
-            solution = refine(
-                solve_on, mesh=mesh, tolerance=tolerance, refinement=refinement, warm_start=start
+            first = chosen.first_mesh if start is None else start.mesh
+
+        def solved(
+            options: SolverOptions, progress: Progress | None, tolerance: float | None
+        ) -> Solution:
+            if self.has_horizon and tolerance is not None:
+                options = options.suiting(tolerance)
+            solve_on = partial(
+                self.solve_on_mesh,
+                instance=instance,
+                guess=guess,
+                options=options,
+                progress=progress,
             )
-        solution = _within_tables(solution)
-        return solution if deadline is None else _in_time(solution, deadline)
+            best = self._best_of(starts, partial(solve_on, first), start) if starts > 1 else None
+            begun = start if best is None else best.warm_start
+            if first is None or tolerance is None:
+                return solve_on(first, begun)
+            return refine(
+                lambda meshes, start, dampings: solve_on(meshes[0], start, dampings[0]),
+                meshes=(first,),
+                tolerance=tolerance,
+                refinement=chosen,
+                warm_start=begun,
+            )
+
+        return limited(
+            solved,
+            options=options,
+            progress=progress,
+            tolerance=tolerance,
+            has_mesh=mesh is not None,
+        )
 
     @staticmethod
     def _best_of(
@@ -263,37 +273,67 @@ class Problem(Summarised, Formulation):
 
         So are duals, reduced costs and costates into suffixes of these names, if it has them.
         """
-        declared = self.compiled.declared
+        load_values(solution)
+
+
+S = TypeVar("S", bound=Solved)
+
+
+def limited(
+    solve: Callable[[SolverOptions, Progress | None, float | None], S],
+    *,
+    options: SolverOptions | None,
+    progress: Progress | None,
+    tolerance: float | None,
+    has_mesh: bool,
+) -> S:
+    """Solve, to a tolerance where one is wanted, within a limit of time and of tables."""
+    if tolerance is not None and not tolerance > 0.0:
+        raise TranscriptionError(f"tolerance: {tolerance:g}; must be above 0.")
+    options = options or SolverOptions()
+    deadline = None
+    if options.max_wall_s is not None:
+        progress = deadline = Deadline(limit_s=options.max_wall_s, progress=progress)
+    if tolerance is None and not has_mesh:
+        tolerance = DEFAULT_TOLERANCE
+    solution = _within_tables(solve(options, progress, tolerance))
+    return solution if deadline is None else _in_time(solution, deadline)
+
+
+def load_values(*solutions: Solution) -> None:
+    """Put the values of solutions into the Pyomo model, each over its own horizon."""
+    for solution in solutions:
+        declared, values = solution.problem.compiled.declared, solution.problem.values
         for slot, number in zip(declared.statics, solution.trajectory.statics, strict=True):
-            self.values.load(slot, None, float(number))
-        for fraction in self.values.declared_fractions():
+            values.load(slot, None, float(number))
+        for fraction in values.declared_fractions():
             time = float(solution.timeline.time(np.float64(fraction)))
             frame = solution.to_frame([time]).iloc[0]
             for slot in (*declared.states, *declared.outputs, *declared.algebraics):
-                self.values.load(slot, fraction, float(frame[slot.name]))
-            self.values.load_rates(fraction, partial(solution.value, t=time))
+                values.load(slot, fraction, float(frame[slot.name]))
+            values.load_rates(fraction, partial(solution.value, t=time))
         totals = solution.program.integrals(solution.unknowns).tolist()
         names = [integral.name for integral in declared.integrals]
-        self.values.load_integrals(dict(zip(names, totals, strict=True)))
-        load_suffixes(solution)
+        values.load_integrals(dict(zip(names, totals, strict=True)))
+    load_suffixes(*solutions)
 
 
-def _within_tables(solution: Solution) -> Solution:
+def _within_tables(solution: S) -> S:
     """Return a solution that says so where it reads a table beyond its range."""
-    line = outside_tables(solution)
+    line = next(filter(None, map(outside_tables, solution.parts)), "")
     if not line:
         return solution
-    if not solution.is_converged:
-        return replace(solution, message=f"{solution.message} {line}")
-    return replace(solution, status=Status.NOT_CONVERGED, message=line)
+    if solution.status is not Status.CONVERGED:
+        return solution.updated(message=f"{solution.message} {line}")
+    return solution.updated(status=Status.NOT_CONVERGED, message=line)
 
 
-def _in_time(solution: Solution, deadline: Deadline) -> Solution:
+def _in_time(solution: S, deadline: Deadline) -> S:
     """Return a solution that says so where the deadline ended its solve."""
     if not deadline.is_over or solution.status is not Status.INTERRUPTED:
         return solution
     message = (
         f"stopped at the time limit of {deadline.limit_s:g} s, on mesh "
-        f"{len(solution.history) or 1}; allow more time or a larger tolerance."
+        f"{len(solution.parts[0].history) or 1}; allow more time or a larger tolerance."
     )
-    return replace(solution, ipopt_code=TIME_LIMIT_CODE, message=message)
+    return solution.updated(ipopt_code=TIME_LIMIT_CODE, message=message)

@@ -22,13 +22,15 @@ from pyomo.opt import (
 )
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.problem import Problem
+from pyomo_quad.collocation.joint import compiled_of
 from pyomo_quad.collocation.program.ipopt import Iteration, SolverOptions, Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pyomo_quad.collocation.guess import WarmStart
+    from pyomo_quad.collocation.joint import JointProblem, JointSolution
+    from pyomo_quad.collocation.problem import Problem
     from pyomo_quad.collocation.reading.clock import FreeTimes
     from pyomo_quad.collocation.solution import Solution
 
@@ -63,7 +65,7 @@ class PyomoSolver:
     def __init__(self, **options: Any) -> None:
         options.pop("solver_io", None)
         self.options: dict[str, Any] = {**options.pop("options", {}), **options}
-        self._last: WeakKeyDictionary[Any, WarmStart] = WeakKeyDictionary()
+        self._last: WeakKeyDictionary[Any, WarmStart | tuple[WarmStart, ...]] = WeakKeyDictionary()
 
     @staticmethod
     def available(*, exception_flag: bool = False) -> bool:
@@ -137,7 +139,7 @@ class PyomoSolver:
             raise TranscriptionError(f"timelimit: {limit:g} s; must be above 0.")
         if warmstart and model in self._last:
             arguments.setdefault("warm_start", self._last[model])
-        problem = Problem(model, final_time, times)
+        problem = compiled_of(model, final_time, times)
         with ExitStack() as files:
             writers = [sys.stdout.write] if tee else []
             if keepfiles and logfile is None:
@@ -158,7 +160,7 @@ class PyomoSolver:
         return _results(problem, solution)
 
 
-def _results(problem: Problem, solution: Solution) -> SolverResults:
+def _results(problem: Problem | JointProblem, solution: Solution | JointSolution) -> SolverResults:
     """Return what Pyomo wants to know of a solution."""
     results = SolverResults()
     results.solver.name = "pyomo_quad"
@@ -168,9 +170,8 @@ def _results(problem: Problem, solution: Solution) -> SolverResults:
     results.solver.status, results.solver.termination_condition = ended
     results.solver.message = solution.message
     results.solver.wallclock_time = solution.wall_s
-    results.problem.number_of_variables = solution.unknowns.size
-    results.problem.number_of_constraints = solution.program.n_rows
-    is_maximised = problem.compiled.declared.maximise
+    results.problem.number_of_variables, results.problem.number_of_constraints = solution.size
+    is_maximised = problem.is_maximised
     results.problem.sense = ProblemSense.maximize if is_maximised else ProblemSense.minimize
     if is_maximised:
         results.problem.lower_bound = solution.objective

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -264,6 +264,20 @@ class Solution(Summarised):
             **size,
             "message": self.message,
         }
+
+    @property
+    def parts(self) -> tuple[Solution, ...]:
+        """The solution on each horizon: itself."""
+        return (self,)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Number of unknowns and of rows."""
+        return self.unknowns.size, self.program.n_rows
+
+    def updated(self, **changes: Any) -> Solution:
+        """Return this solution with other attributes."""
+        return replace(self, **changes)
 
     @property
     def nominal_objective(self) -> float:

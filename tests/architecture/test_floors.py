@@ -36,6 +36,7 @@ ENGINE = {
     "duals": 4,
     "refining": 4,
     "problem": 5,
+    "joint": 6,
     "diagnosis": 6,
     "pyomo_solver": 7,
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 import numpy as np
 
@@ -226,9 +226,50 @@ class Scaling:
     rows: FloatArray
 
 
+class NonlinearProgram(Protocol):
+    """What Ipopt asks for, and what its progress shows."""
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows."""
+
+    @property
+    def n_points(self) -> int:
+        """Number of collocation points."""
+
+    @property
+    def is_negated(self) -> bool:
+        """Whether the declared objective is maximised, and its negative minimised."""
+
+    def objective(self, z: FloatArray) -> float:
+        """Return what Ipopt minimises."""
+
+    def gradient(self, z: FloatArray) -> FloatArray:
+        """Return its gradient."""
+
+    def constraints(self, z: FloatArray) -> FloatArray:
+        """Return the value of every row."""
+
+    def jacobianstructure(self) -> tuple[Any, Any]:
+        """Return rows and columns of the Jacobian's nonzeros."""
+
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        """Return these nonzeros."""
+
+    def hessianstructure(self) -> tuple[Any, Any]:
+        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
+
+    def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
+        """Return the nonzeros of the Hessian of factor * objective + multipliers . rows."""
+
+
 def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling:
     """Return scaling factors for a program at a point."""
-    nominal = _nominal(program, bounds, z)
+    return scaling_by(program, nominal_magnitudes(program, bounds, z), z)
+
+
+def scaling_by(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> Scaling:
+    """Return scaling factors for a program whose unknowns have given magnitudes."""
     rows, columns = program.jacobianstructure()
     weighted = np.abs(program.jacobian(z)) * nominal[columns]
     largest = np.zeros(program.n_rows)
@@ -239,7 +280,8 @@ def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling
     return Scaling(objective=objective, unknowns=1.0 / nominal, rows=1.0 / largest)
 
 
-def _nominal(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
+def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
+    """Return the magnitudes of the unknowns, as declared, bounded or guessed."""
     layout, declared = program.layout, program.compiled.declared
     nominal = np.ones(layout.unknowns)
     for slots, columns in (
@@ -270,12 +312,18 @@ def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> 
     TranscriptionError
         Naming the equation, element and time that is not finite, or the counts.
     """
-    _refuse_not_finite(program, z)
+    refuse_not_finite(program, z)
+    held = np.flatnonzero(bounds.lower == bounds.upper)
+    names = {str(unknown_place(program, int(column)).name) for column in held}
+    refuse_overdetermined(bounds, names)
+
+
+def refuse_overdetermined(bounds: Bounds, held: set[str]) -> None:
+    """Refuse more equations than free unknowns; `held` are the variables that are not free."""
     equalities = int(np.sum(bounds.row_lower == bounds.row_upper))
     free = int(np.sum(bounds.lower < bounds.upper))
     if equalities > free:
-        held = np.flatnonzero(bounds.lower == bounds.upper)
-        names = sorted({str(unknown_place(program, int(c)).name) for c in held})
+        names = sorted(held)
         raise TranscriptionError(
             f"model: {equalities} equations for {free} free unknowns; it is over-determined. "
             f"Release a fixed value or boundary condition of {', '.join(names[:8]) or 'the model'}"
@@ -290,7 +338,8 @@ def is_defined(program: Transcription, z: FloatArray) -> bool:
     return not any(bool(np.any(np.isnan(part))) for part in parts)
 
 
-def _refuse_not_finite(program: Transcription, z: FloatArray) -> None:
+def refuse_not_finite(program: Transcription, z: FloatArray) -> None:
+    """Refuse equations and slopes that are no numbers at a point."""
     rows = program.constraints(z)
     bad = np.flatnonzero(~np.isfinite(rows))
     if bad.size:

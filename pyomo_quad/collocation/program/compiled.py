@@ -441,6 +441,8 @@ def _with_integral_variables(declared: Declarations) -> Declarations:
     statics = list(declared.statics)
     for integral in declared.integrals:
         slope = casadi.jacobian(casadi.SX(declared.objective), integral.symbol)
+        if _is_static(declared, integral.name):
+            continue
         if integral.symbol.name() in in_conditions or symbol_names(slope) & variables:
             statics.append(
                 Slot(

@@ -6,14 +6,14 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import cyipopt
 import numpy as np
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.program.bounds import Bounds, Scaling
+    from pyomo_quad.collocation.program.bounds import Bounds, NonlinearProgram, Scaling
 
 
 class Status(Enum):
@@ -71,24 +71,6 @@ class Multipliers:
     upper: FloatArray
 
 
-class _Program(Protocol):
-    """A nonlinear program: what Ipopt asks for, and what its progress shows."""
-
-    @property
-    def n_rows(self) -> int: ...
-    @property
-    def n_points(self) -> int: ...
-    @property
-    def is_negated(self) -> bool: ...
-    def objective(self, z: FloatArray) -> float: ...
-    def gradient(self, z: FloatArray) -> FloatArray: ...
-    def constraints(self, z: FloatArray) -> FloatArray: ...
-    def jacobianstructure(self) -> tuple[Any, Any]: ...
-    def jacobian(self, z: FloatArray) -> FloatArray: ...
-    def hessianstructure(self) -> tuple[Any, Any]: ...
-    def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray: ...
-
-
 @dataclass(kw_only=True)
 class Deadline:
     """A progress callback that ends all solves together after a time.
@@ -137,7 +119,7 @@ class IpoptResult:
 class _Callbacks:
     """What cyipopt calls; an exception is kept and raised again after Ipopt has returned."""
 
-    program: _Program
+    program: NonlinearProgram
     progress: Progress | None
     sign: float
     started: float = field(default_factory=time.perf_counter)
@@ -249,7 +231,7 @@ TIME_LIMIT_CODE = -5
 
 
 def run(
-    program: _Program,
+    program: NonlinearProgram,
     bounds: Bounds,
     scaling: Scaling,
     start: FloatArray,

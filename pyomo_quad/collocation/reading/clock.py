@@ -109,52 +109,58 @@ class Clock:
 FreeTimes = Mapping[Any, Any]
 
 
-def free_times(time: Any, final_time: Any, times: FreeTimes | None) -> dict[float, Any]:
-    """Return the static variables that declared times of a continuous set are to be.
+def free_times(
+    sets: tuple[Any, ...], final_time: Any, times: FreeTimes | None
+) -> dict[str, dict[float, Any]]:
+    """Return by continuous set the static variables that its declared times are to be.
 
     Raises
     ------
     TranscriptionError
-        If a time is not declared or what gives it is no static variable.
+        If a set or a time is not declared, or what gives it is no static variable.
     """
-    given = {} if final_time is None else {_last(time): final_time}
+    given: dict[str, dict[float, Any]] = {s.name: {} for s in sets}
+    if final_time is not None:
+        only = _only(sets, "final_time")
+        given[only.name][float(only.last())] = final_time
     for key, named in (times or {}).items():
         if isinstance(named, Mapping):
-            _refuse_other_set(time, str(key))
-            given |= {_declared(time, at): variable for at, variable in named.items()}
+            chosen = _called(sets, str(key))
+            given[chosen.name] |= {_declared(chosen, at): v for at, v in named.items()}
         else:
-            given[_declared(time, key)] = named
-    taken: dict[str, float] = {}
-    for at, variable in given.items():
-        _refuse_unless_static(time, variable, f"{time.name}[{at:g}]")
-        if variable.name in taken:
-            raise TranscriptionError(
-                f"times: {variable.name} is given for {time.name}[{taken[variable.name]:g}] and "
-                f"{time.name}[{at:g}], which leaves no time between them; give each its own Var."
-            )
-        taken[variable.name] = at
+            chosen = _only(sets, "times")
+            given[chosen.name][_declared(chosen, key)] = named
+    for time in sets:
+        _refuse_unusable(time, sets, given[time.name])
     return given
 
 
-def _last(time: Any) -> float:
-    if time is None:
+def _only(sets: tuple[Any, ...], argument: str) -> Any:
+    if not sets:
         raise TranscriptionError(
-            "final_time: the model has no ContinuousSet that could end; leave it out."
+            f"{argument}: the model has no ContinuousSet whose times could be free; leave it out."
         )
-    return float(time.last())
+    if len(sets) > 1:
+        names = ", ".join(s.name for s in sets)
+        raise TranscriptionError(
+            f"{argument}: the model has several ContinuousSets, {names}; say of which by its "
+            f'name, as in times={{"{sets[0].name}": {{{sets[0].last():g}: m.T}}}}.'
+        )
+    return sets[0]
 
 
-def _refuse_other_set(time: Any, name: str) -> None:
-    if time is None or name != time.name:
-        known = "it has none" if time is None else f"which is {time.name}"
-        raise TranscriptionError(
-            f"times: {name} is not a ContinuousSet of the model, {known}; give its name."
-        )
+def _called(sets: tuple[Any, ...], name: str) -> Any:
+    for time in sets:
+        if time.name == name:
+            return time
+    known = ", ".join(s.name for s in sets)
+    raise TranscriptionError(
+        f"times: {name} is not a ContinuousSet of the model, which has {known or 'none'}; give "
+        "its full name."
+    )
 
 
 def _declared(time: Any, at: Any) -> float:
-    if time is None:
-        raise TranscriptionError(f"times: {at} is no time of a model without a ContinuousSet.")
     found = [float(t) for t in time if t == at]
     if not found:
         known = ", ".join(f"{t:g}" for t in sorted(time))
@@ -165,14 +171,25 @@ def _declared(time: Any, at: Any) -> float:
     return found[0]
 
 
-def _refuse_unless_static(time: Any, variable: Any, what: str) -> None:
-    is_static = getattr(variable, "is_variable_type", bool)() and not variable.is_indexed()
-    if not is_static or _is_over(variable.parent_component(), time):
-        raise TranscriptionError(
-            f"{getattr(variable, 'name', variable)}: {what}, a free time, must be a static "
-            "variable, a Var that is not over time."
-        )
+def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) -> None:
+    """Refuse what is no static variable, and one that is given for two times."""
+    taken: dict[str, float] = {}
+    for at, variable in given.items():
+        is_static = getattr(variable, "is_variable_type", bool)() and not variable.is_indexed()
+        if not is_static or _is_over(variable.parent_component(), sets):
+            raise TranscriptionError(
+                f"{getattr(variable, 'name', variable)}: {time.name}[{at:g}], a free time, must be "
+                "a static variable, a Var that is not over time."
+            )
+        if variable.name in taken:
+            raise TranscriptionError(
+                f"times: {variable.name} is given for {time.name}[{taken[variable.name]:g}] and "
+                f"{time.name}[{at:g}], which leaves no time between them; give each its own Var."
+            )
+        taken[variable.name] = at
 
 
-def _is_over(component: Any, time: Any) -> bool:
-    return component.is_indexed() and any(s is time for s in component.index_set().subsets())
+def _is_over(component: Any, sets: tuple[Any, ...]) -> bool:
+    return component.is_indexed() and any(
+        part is time for part in component.index_set().subsets() for time in sets
+    )

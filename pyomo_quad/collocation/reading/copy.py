@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pyomo.core.base.component import ActiveComponent, Component, ComponentData
 from pyomo.core.base.initializer import Initializer
 from pyomo.core.expr.compare import compare_expressions
+from pyomo.core.expr.visitor import identify_mutable_parameters, identify_variables
 from pyomo.dae import ContinuousSet, DerivativeVar
 from pyomo.dae.misc import expand_components
 from pyomo.environ import (
@@ -209,28 +210,80 @@ _TEMPLATE_FRACTION = 0.3819660112501051
 
 @dataclass(frozen=True, kw_only=True)
 class WorkingCopy:
-    """A clone of the model with one more time, whose instances serve as templates."""
+    """A clone of the model with one more time, whose instances serve as templates.
+
+    Attributes
+    ----------
+    model, time : ConcreteModel, ContinuousSet or None
+    template_time : float
+    declared_times : tuple of float
+    others : tuple of ContinuousSet
+        The other horizons of the model, whose declarations are read elsewhere.
+    """
 
     model: Any
-    time: Any
-    template_time: float
-    declared_times: tuple[float, ...]
+    time: Any = None
+    template_time: float = 0.0
+    declared_times: tuple[float, ...] = ()
+    others: tuple[Any, ...] = ()
+
+    def other_of(self, component: Any) -> Any:
+        """Return the other horizon that a component is over, None if it is over none."""
+        if not component.is_indexed():
+            return None
+        return next((time for time in self.others if _is_over(component, time)), None)
+
+    def takes(self, component: Any, data: Any) -> bool:
+        """Say whether a constraint belongs here: to this horizon, or to what couples several.
+
+        What holds values of one horizon only belongs to that one, all else to no horizon.
+        """
+        if not self.others:
+            return True
+        if self.time is not None and component.is_indexed() and _is_over(component, self.time):
+            return True
+        held = [
+            *identify_variables(data.expr, include_fixed=True),
+            *identify_mutable_parameters(data.expr),
+        ]
+        owners = {
+            id(time)
+            for variable in held
+            for time in (*self.others, self.time)
+            if time is not None
+            and variable.parent_component().is_indexed()
+            and _is_over(variable.parent_component(), time)
+        }
+        return len(owners) != 1 if self.time is None else owners == {id(self.time)}
 
 
-def continuous_set(model: Any) -> Any:
-    """Return the model's one continuous set, or None for a model without time."""
-    sets = [
+def continuous_sets(model: Any) -> tuple[Any, ...]:
+    """Return the model's continuous sets that are not discretised: its horizons.
+
+    Raises
+    ------
+    TranscriptionError
+        If a component is over two of them, or none is over one of several.
+    """
+    sets = tuple(
         s
         for s in model.component_objects(ContinuousSet, descend_into=True)
         if "scheme" not in s.get_discretization_info()
-    ]
-    if len(sets) > 1:
-        names = ", ".join(s.name for s in sets)
-        raise TranscriptionError(
-            f"continuous sets {names}: partial differential equations are not supported; "
-            "discretise all but one of them first, for instance with dae.finite_difference."
-        )
-    return sets[0] if sets else None
+    )
+    if len(sets) < 2:
+        return sets
+    used: set[int] = set()
+    for component in model.component_objects((Var, DerivativeVar), descend_into=True):
+        over = [s for s in sets if component.is_indexed() and _is_over(component, s)]
+        if len(over) > 1:
+            names = ", ".join(s.name for s in over)
+            raise TranscriptionError(
+                f"continuous sets {names}: partial differential equations are not supported, as "
+                f"{component.name} over both is; discretise all but one of them first, for "
+                "instance with dae.finite_difference."
+            )
+        used.update(id(s) for s in over)
+    return tuple(s for s in sets if id(s) in used)
 
 
 # Active components whose meaning the engine knows; a port only names variables.
@@ -269,7 +322,7 @@ def _drop_unknown(copy: Any, time: Any) -> None:
             component.parent_block().del_component(component)
 
 
-def _refuse_unsupported(model: Any, time: Any) -> None:
+def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
     _refuse_unknown(model)
     for variable in model.component_data_objects(Var, descend_into=True):
         if not variable.is_continuous():
@@ -278,14 +331,15 @@ def _refuse_unsupported(model: Any, time: Any) -> None:
                 "are not supported."
             )
     for block in model.component_objects(Block, active=True, descend_into=True):
-        if block.is_indexed() and _is_over(block, time):
-            raise TranscriptionError(
-                f"{block.name}: a block indexed by {time.name} is not supported; index the "
-                "variables and constraints inside one block by time."
-            )
+        for time in times:
+            if block.is_indexed() and _is_over(block, time):
+                raise TranscriptionError(
+                    f"{block.name}: a block indexed by {time.name} is not supported; index the "
+                    "variables and constraints inside one block by time."
+                )
     for derivative in model.component_objects(DerivativeVar, descend_into=True):
         sets = derivative.get_continuousset_list()
-        if time is not None and len(sets) > 1:
+        if times and len(sets) > 1:
             raise TranscriptionError(
                 f"{derivative.name}: a derivative of order {len(sets)} is not supported; declare "
                 "the first derivative as a variable of its own."
@@ -304,8 +358,13 @@ def _keep_parameters(copy: Any, time: Any) -> None:
             parameter[index] = number
 
 
-def copy_with_template_time(model: Any) -> WorkingCopy:
-    """Clone a model and add one interior time to its continuous set.
+def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
+    """Clone a model and add one interior time to each of its continuous sets.
+
+    Returns
+    -------
+    tuple of WorkingCopy
+        One for each horizon, of the same clone; a single one for a model without time.
 
     Raises
     ------
@@ -314,26 +373,46 @@ def copy_with_template_time(model: Any) -> WorkingCopy:
     """
     copy = model.clone()
     transfer_rules(model, copy)
-    time = continuous_set(copy)
-    _refuse_unsupported(copy, time)
-    if time is None:
-        return WorkingCopy(model=copy, time=None, template_time=0.0, declared_times=())
+    times = continuous_sets(copy)
+    _refuse_unsupported(copy, times)
+    if not times:
+        return (WorkingCopy(model=copy),)
     refuse_changed_members(copy)
-    _drop_unknown(copy, time)
-    _keep_parameters(copy, time)
-    declared = tuple(float(t) for t in sorted(time))
-    template = declared[0] + _TEMPLATE_FRACTION * (declared[-1] - declared[0])
-    time.add(template)
-    time.set_changed(True)
+    copies = []
+    for time in times:
+        _drop_unknown(copy, time)
+        _keep_parameters(copy, time)
+        declared = tuple(float(t) for t in sorted(time))
+        template = declared[0] + _TEMPLATE_FRACTION * (declared[-1] - declared[0])
+        time.add(template)
+        time.set_changed(True)
+        copies.append(
+            WorkingCopy(
+                model=copy,
+                time=time,
+                template_time=template,
+                declared_times=declared,
+                others=tuple(other for other in times if other is not time),
+            )
+        )
+    _expand(copy, copies)
+    return tuple(copies)
+
+
+def _expand(copy: Any, copies: list[WorkingCopy]) -> None:
+    """Let rules make the instances at the template times."""
     try:
         expand_components(copy)
     except Exception as error:
-        refuse_lost_members(copy, template)
+        for horizon in copies:
+            refuse_lost_members(copy, horizon.template_time)
+        names = ", ".join(horizon.time.name for horizon in copies)
         raise TranscriptionError(
-            f"{time.name}: a rule over it fails at a time that the model did not declare "
+            f"{names}: a rule over it fails at a time that the model did not declare "
             f"({error}); let rules read nothing but their time and components of the model."
         ) from error
     finally:
-        time.set_changed(False)
-    refuse_lost_members(copy, template)
-    return WorkingCopy(model=copy, time=time, template_time=template, declared_times=declared)
+        for horizon in copies:
+            horizon.time.set_changed(False)
+    for horizon in copies:
+        refuse_lost_members(copy, horizon.template_time)

@@ -15,10 +15,9 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.reading.clock import FreeTimes, free_times
 from pyomo_quad.collocation.reading.copy import (
-    WorkingCopy,
     bounds_rule_of,
-    continuous_set,
-    copy_with_template_time,
+    continuous_sets,
+    copies_with_template_times,
     rule_of,
 )
 from pyomo_quad.collocation.reading.symbols import (
@@ -54,13 +53,15 @@ class RelationReader:
         for component in self.copy.model.component_objects(
             Constraint, active=True, descend_into=True
         ):
+            if self.copy.other_of(component) is not None:
+                continue
             groups: dict[tuple[Any, ...], dict[Any, Any]] = {}
             if rule_of(component) is not None:
                 # A rule may skip its constraint at every time but those between.
                 for index in component.index_set():
                     groups.setdefault(self.addresses.split(component, index).index, {})
             for index, data in component.items():
-                if data.active:
+                if data.active and self.copy.takes(component, data):
                     address = self.addresses.split(component, index)
                     groups.setdefault(address.index, {})[address.time] = data
             for index, instances in groups.items():
@@ -250,31 +251,44 @@ def read_declarations(
     TranscriptionError
         If the model declares something unsupported or incomplete; the message names it.
     """
-    free = free_times(continuous_set(model), final_time, times)
-    reader = ModelReader(copy_with_template_time(model), free)
-    return reader.read(), reader
+    sets = continuous_sets(model)
+    free = free_times(sets, final_time, times)
+    (copy,) = copies_with_template_times(model)
+    reader = ModelReader(TemplateWriter(copy, free[copy.time.name] if sets else {}))
+    objective = reader.objective()
+    cost = casadi.SX(0)
+    if objective is not None:
+        cost = casadi.SX(reader.writer.write(objective.expr, objective.name))
+    reader.require_all()
+    return reader.declarations(cost, objective), reader
 
 
 class ModelReader:
-    """Reads one working copy; one call to `read`."""
+    """Reads one working copy: its relations first, then all that these need.
 
-    def __init__(self, copy: WorkingCopy, free: dict[float, Any]) -> None:
-        self.copy = copy
-        self.writer = TemplateWriter(copy, free)
-        self.addresses = self.writer.addresses
-        self.symbols = self.writer.symbols
+    Attributes
+    ----------
+    equations, conditions : list
+        What its constraints impose over time, and at points.
+    """
 
-    def read(self) -> Declarations:
-        """Return the declarations of the model."""
-        relations = RelationReader(self.writer)
-        equations, conditions = relations.constraints()
-        objective = self._objective()
-        cost = casadi.SX(0)
-        if objective is not None:
-            cost = casadi.SX(self.writer.write(objective.expr, objective.name))
-        self._require_dynamics(equations)
+    def __init__(self, writer: TemplateWriter) -> None:
+        self.copy = writer.copy
+        self.writer = writer
+        self.addresses = writer.addresses
+        self.symbols = writer.symbols
+        self._relations = RelationReader(writer)
+        self.equations, self.conditions = self._relations.constraints()
+
+    def require_all(self) -> None:
+        """Refuse a model without variables, or without dynamics of a derivative."""
+        self._require_dynamics(self.equations)
         self._require_variables()
-        fixed = relations.values_at_points(conditions)
+
+    def declarations(self, cost: Any, objective: Any) -> Declarations:
+        """Return the declarations, of which `cost` is the objective as an expression."""
+        conditions = self.conditions
+        fixed = self._relations.values_at_points(conditions)
         conditions.extend(
             PointCondition(
                 name=name, expression=order, lower=casadi.SX(0), upper=casadi.SX(casadi.inf)
@@ -288,13 +302,13 @@ class ModelReader:
         return Declarations(
             states=self._finished(table.states, nominal, self.writer.bounds_over_time),
             algebraics=self._finished(
-                self._used_algebraics(equations, cost), nominal, self.writer.bounds_over_time
+                self._used_algebraics(self.equations, cost), nominal, self.writer.bounds_over_time
             ),
             statics=self._finished(table.statics, nominal, self._bounds),
             signals=tuple(table.signals.values()),
             scheduled=tuple(slot for s in self.writer.schedules for slot in s.slots),
             clock=table.clock,
-            equations=tuple(equations),
+            equations=tuple(self.equations),
             conditions=tuple(conditions),
             point_symbols=tuple(p for p in table.points.values() if p.symbol.name() in used),
             integrals=tuple(self.writer.integrals.values()),
@@ -326,7 +340,7 @@ class ModelReader:
         used = symbol_names(casadi.vertcat(cost, *parts))
         return {name: s for name, s in self.symbols.algebraics.items() if name in used}
 
-    def _objective(self) -> Any:
+    def objective(self) -> Any:
         """Return the active objective, None where only the equations are to be met."""
         objectives = list(
             self.copy.model.component_data_objects(Objective, active=True, descend_into=True)

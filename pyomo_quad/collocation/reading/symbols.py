@@ -392,13 +392,17 @@ class SymbolTable:
     """
 
     def __init__(
-        self, copy: WorkingCopy, addresses: AddressBook, free: Mapping[float, Any]
+        self,
+        copy: WorkingCopy,
+        addresses: AddressBook,
+        free: Mapping[float, Any],
+        statics: dict[str, Slot],
     ) -> None:
         self._copy = copy
         self._addresses = addresses
         self.states: dict[str, Slot] = {}
         self.algebraics: dict[str, Slot] = {}
-        self.statics: dict[str, Slot] = {}
+        self.statics = statics
         self.parameters: dict[str, Slot] = {}
         self.signals: dict[str, Slot] = {}
         self.points: dict[tuple[str, float, bool], PointSymbol] = {}
@@ -440,6 +444,7 @@ class SymbolTable:
     def leaf(self, data: Any) -> Any:
         """Return the symbol of a Pyomo variable or mutable parameter."""
         address = self._addresses.of(data)
+        self._refuse_other_horizon(data)
         if data.is_variable_type():
             if address.time is None:
                 return self._static(data)
@@ -448,13 +453,21 @@ class SymbolTable:
             return self._scalar(self.parameters, data, address.name)
         return self._signal(data, address)
 
+    def _refuse_other_horizon(self, data: Any) -> None:
+        other = self._copy.other_of(data.parent_component()) if self._copy.others else None
+        if other is not None:
+            raise TranscriptionError(
+                f"{data.name}: a value over {other.name} cannot stand in what is declared over "
+                f"{self._copy.time.name}; introduce a static variable equal to it."
+            )
+
     def _scalar(self, table: dict[str, Slot], data: Any, name: str, **more: Any) -> Any:
         if name not in table:
             address = self._addresses.of(data)
             table[name] = Slot(
                 name=name,
                 component=address.component,
-                index=_whole_index(data),
+                index=index_of(data),
                 symbol=casadi.SX.sym(name),
                 **more,
             )
@@ -555,7 +568,8 @@ class SymbolTable:
         )
 
 
-def _whole_index(data: Any) -> tuple[Any, ...]:
+def index_of(data: Any) -> tuple[Any, ...]:
+    """Return the whole index of a member of a component."""
     index = data.index()
     if index is None:
         return ()

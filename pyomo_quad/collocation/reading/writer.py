@@ -218,16 +218,18 @@ class TemplateWriter:
         What is no formula of time: what rules say, and which phase holds.
     """
 
-    def __init__(self, copy: WorkingCopy, free: Mapping[float, Any]) -> None:
+    def __init__(
+        self, copy: WorkingCopy, free: Mapping[float, Any], statics: dict[str, Slot] | None = None
+    ) -> None:
         self.copy = copy
         self.addresses = AddressBook(copy.time)
-        self.symbols = SymbolTable(copy, self.addresses, free)
+        self.symbols = SymbolTable(copy, self.addresses, free, {} if statics is None else statics)
         self.integrals: dict[str, Integral] = {}
         clock = self.symbols.clock
         self.schedules: list[Schedule | Phases] = [Phases(clock)] if clock.phases else []
         self._by_rule: dict[str, Any] = {}
         self._clock = time_parameter()
-        self._writer = ExpressionWriter(self._leaf, self._named)
+        self._writer = ExpressionWriter(self.leaf, self.named)
         self.table_uses = self._writer.table_uses
         self._in_path = False
 
@@ -389,7 +391,8 @@ class TemplateWriter:
         position = self.addresses.join(component, index, self.copy.template_time)
         return casadi.SX(self.write(component[position], component.name, over_time=True))
 
-    def _leaf(self, data: Any) -> Any:
+    def leaf(self, data: Any) -> Any:
+        """Return the symbol of a variable or parameter."""
         if data is self._clock:
             return self.symbols.clock.time
         address = self.addresses.of(data)
@@ -403,7 +406,8 @@ class TemplateWriter:
             )
         return symbol
 
-    def _named(self, expression: Any) -> Any:
+    def named(self, expression: Any) -> Any:
+        """Return what to write for a named expression, None for its own expression."""
         component = expression.parent_component()
         if component is None:
             return None

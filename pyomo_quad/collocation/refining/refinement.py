@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pyomo_quad.collocation.guess import WarmStart
     from pyomo_quad.collocation.mesh import FloatArray, Mesh
+    from pyomo_quad.collocation.program.ipopt import Iteration
     from pyomo_quad.collocation.program.transcription import Transcription
 
 
@@ -179,77 +179,136 @@ _MANY_ITERATIONS = 30
 _FIRMER, _FIRMEST = 5.0, 25.0
 
 
+class Solved(Protocol):
+    """A solution on one mesh or, of several horizons, on one each."""
+
+    @property
+    def parts(self) -> tuple[Solution, ...]:
+        """The solution on each horizon, with the history of the whole."""
+
+    @property
+    def status(self) -> Status:
+        """How the solve ended."""
+
+    @property
+    def iterations(self) -> tuple[Iteration, ...]:
+        """Ipopt's progress."""
+
+    @property
+    def objective(self) -> float:
+        """As declared."""
+
+    @property
+    def message(self) -> str:
+        """Why the solve ended."""
+
+    @property
+    def wall_s(self) -> float:
+        """Time of the solve."""
+
+    @property
+    def warm_start(self) -> Any:
+        """What another solve can start from."""
+
+    def updated(self, **changes: Any) -> Self:
+        """Return it with other attributes."""
+
+
+S = TypeVar("S", bound=Solved)
+
+
 def refine(
-    solve: Callable[[Mesh, WarmStart | None, Damping | None], Solution],
+    solve: Callable[[tuple[Mesh, ...], Any, tuple[Damping | None, ...]], S],
     *,
-    mesh: Mesh | None,
+    meshes: tuple[Mesh, ...],
     tolerance: float,
     refinement: RefinementOptions,
-    warm_start: WarmStart | None,
-) -> Solution:
+    warm_start: Any,
+) -> S:
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
 
     Where limits begin or cease to hold inside an element, or controls are damped, the
     objective must also have settled to the tolerance between the last two meshes.
 
+    Parameters
+    ----------
+    solve : callable
+        (meshes, warm start, dampings) -> solution, with one mesh and damping for each horizon.
+    meshes : tuple
+        To begin with, one for each horizon.
+
     Returns
     -------
-    Solution
+    Solved
         `converged`, or `tolerance_not_met` with the smallest error reached in its message,
         or the status of the solve that failed.
     """
-    mesh = mesh or refinement.first_mesh
+    chosen = meshes
     records: list[MeshRecord] = []
-    damping: Damping | None = None
+    dampings: tuple[Damping | None, ...] = (None,) * len(chosen)
     firmness = 1.0
     while True:
-        solved = solve(mesh, warm_start, damping)
-        if solved.status is Status.NOT_CONVERGED and damping is not None:
-            damping = damping.times(_FIRMEST)
-            solved = solve(mesh, warm_start, damping)
+        solved = solve(chosen, warm_start, dampings)
+        is_damped = any(dampings)
+        if solved.status is Status.NOT_CONVERGED and is_damped:
+            dampings = tuple(d and d.times(_FIRMEST) for d in dampings)
+            solved = solve(chosen, warm_start, dampings)
         if solved.status in _FAILED and warm_start is not None:
-            solved = solve(mesh, None, damping)
-        error = estimate_error(solved, tolerance=tolerance, allowance=refinement.allowance)
+            solved = solve(chosen, None, dampings)
+        errors = tuple(
+            estimate_error(part, tolerance=tolerance, allowance=refinement.allowance)
+            for part in solved.parts
+        )
+        error = max(e.largest for e in errors)
         records.append(_record(solved, error))
-        solution = replace(solved, error_estimate=error.largest, history=tuple(records))
+        solution = solved.updated(error_estimate=error, history=tuple(records))
         if solved.status is not Status.CONVERGED:
             return solution
-        finer = _next_mesh(solution, error, tolerance, refinement, is_damped=damping is not None)
+        finer = _next_meshes(solution, errors, tolerance, refinement, is_damped=is_damped)
         if finer is None:
             return solution
-        is_stuck = finer == solution.mesh and error.largest > tolerance
+        is_stuck = finer == _meshes(solution) and error > tolerance
         if is_stuck or len(records) >= refinement.max_meshes:
-            return _given_up(solution, tolerance)
-        if damping is not None and records[-1].iterations > _MANY_ITERATIONS:
+            return _given_up(solution, error, tolerance)
+        if is_damped and records[-1].iterations > _MANY_ITERATIONS:
             firmness = min(_FIRMER * firmness, _FIRMEST)
-        mesh, warm_start = finer, solution.warm_start
-        damping = damping_of(solution, firmness * refinement.damping * tolerance)
+        chosen, warm_start = finer, solution.warm_start
+        weight = firmness * refinement.damping * tolerance
+        dampings = tuple(damping_of(part, weight) for part in solution.parts)
 
 
-def _next_mesh(
-    solution: Solution,
-    error: ErrorEstimate,
+def _meshes(solution: Solved) -> tuple[Mesh, ...]:
+    return tuple(part.mesh for part in solution.parts)
+
+
+def _next_meshes(
+    solution: Solved,
+    errors: tuple[ErrorEstimate, ...],
     tolerance: float,
     refinement: RefinementOptions,
     *,
     is_damped: bool,
-) -> Mesh | None:
-    """Return the mesh to solve on next, None when the tolerance is met.
+) -> tuple[Mesh, ...] | None:
+    """Return the meshes to solve on next, None when the tolerance is met.
 
-    It may be the same mesh once more, while the damping still moves the objective.
+    They may be the same once more, while the damping still moves the objective.
     """
-    junctions = junction_elements(solution)
-    is_met = error.largest <= tolerance
-    has_settled = _objective_change(solution) <= _SETTLED * tolerance
-    if is_met and (has_settled or not (junctions or is_damped)):
+    parts = solution.parts
+    junctions = [junction_elements(part) for part in parts]
+    is_met = all(error.largest <= tolerance for error in errors)
+    has_settled = _objective_change(parts[0]) <= _SETTLED * tolerance
+    if is_met and (has_settled or not (any(junctions) or is_damped)):
         return None
-    marks = Marks(
-        coarse=frozenset(np.flatnonzero(error.per_element > tolerance).tolist())
-        | (frozenset() if has_settled else junctions),
-        kept=junctions,
-    )
-    mesh = refined_mesh(solution, error, marks, tolerance, refinement)
-    return None if mesh == solution.mesh and is_met and not is_damped else mesh
+    finer = []
+    for part, error, mine in zip(parts, errors, junctions, strict=True):
+        marks = Marks(
+            coarse=frozenset(np.flatnonzero(error.per_element > tolerance).tolist())
+            | (frozenset() if has_settled else mine),
+            kept=mine,
+        )
+        finer.append(refined_mesh(part, error, marks, tolerance, refinement))
+    is_same = tuple(finer) == _meshes(solution)
+    return None if is_same and is_met and not is_damped else tuple(finer)
 
 
 def _objective_change(solution: Solution) -> float:
@@ -260,24 +319,24 @@ def _objective_change(solution: Solution) -> float:
     return abs(now - before) / solution.nominal_objective
 
 
-def _given_up(solution: Solution, tolerance: float) -> Solution:
-    return replace(
-        solution,
+def _given_up(solution: S, error: float, tolerance: float) -> S:
+    meshes = len(solution.parts[0].history)
+    return solution.updated(
         status=Status.TOLERANCE_NOT_MET,
         message=(
-            f"refinement stopped after {len(solution.history)} meshes with an estimated error of "
-            f"{solution.error_estimate:.3g}, above the tolerance {tolerance:.3g}; allow more "
+            f"refinement stopped after {meshes} meshes with an estimated error of "
+            f"{error:.3g}, above the tolerance {tolerance:.3g}; allow more "
             "meshes, elements or a higher degree, or ask for less."
         ),
     )
 
 
-def _record(solution: Solution, error: ErrorEstimate) -> MeshRecord:
+def _record(solution: Solved, error: float) -> MeshRecord:
     return MeshRecord(
-        elements=solution.mesh.elements,
-        points=solution.mesh.points,
+        elements=sum(mesh.elements for mesh in _meshes(solution)),
+        points=sum(mesh.points for mesh in _meshes(solution)),
         iterations=solution.iterations[-1].iteration if solution.iterations else 0,
         objective=solution.objective,
-        error=error.largest,
+        error=error,
         wall_s=solution.wall_s,
     )

@@ -257,4 +257,6 @@ def test_one_variable_for_two_times():
 
 def test_times_of_another_set():
     m = push_and_brake()
-    refused(m, "times: tau is not a ContinuousSet of the model, which is t", {"tau": {1: m.T1}})
+    refused(
+        m, "times: tau is not a ContinuousSet of the model, which has t; give", {"tau": {1: m.T1}}
+    )

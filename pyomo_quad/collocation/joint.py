@@ -1,0 +1,442 @@
+"""Several horizons in one problem: phases, experiments or scenarios, each with its own mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.formulation import Formulation
+from pyomo_quad.collocation.guess import (
+    TIME_COLUMN,
+    initial_point,
+    transfer,
+    with_consistent_algebraics,
+)
+from pyomo_quad.collocation.mesh import Mesh, Summarised
+from pyomo_quad.collocation.problem import Problem, limited, load_values
+from pyomo_quad.collocation.program.bounds import (
+    bounds_of,
+    is_defined,
+    refuse_not_finite,
+    refuse_overdetermined,
+    scaling_by,
+)
+from pyomo_quad.collocation.program.coupled import CoupledProgram, StateValue, Union
+from pyomo_quad.collocation.program.ipopt import SolverOptions, Status, run
+from pyomo_quad.collocation.program.transcription import unknown_place
+from pyomo_quad.collocation.reading.copy import continuous_sets
+from pyomo_quad.collocation.reading.coupling import read_horizons
+from pyomo_quad.collocation.refining.refinement import refine
+from pyomo_quad.collocation.refining.remeshing import RefinementOptions
+from pyomo_quad.collocation.solution import MeshRecord, Solution, solution_from
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from pyomo_quad.collocation.guess import WarmStart
+    from pyomo_quad.collocation.mesh import FloatArray
+    from pyomo_quad.collocation.program.bounds import Bounds, Scaling
+    from pyomo_quad.collocation.program.ipopt import (
+        IpoptResult,
+        Iteration,
+        Multipliers,
+        Progress,
+    )
+    from pyomo_quad.collocation.program.transcription import Transcription
+    from pyomo_quad.collocation.reading.clock import FreeTimes
+    from pyomo_quad.collocation.reading.values import Instance, Overrides
+    from pyomo_quad.collocation.refining.refinement import Damping
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class JointSolution(Summarised):
+    """A solved (or failed) problem with several horizons.
+
+    Attributes
+    ----------
+    horizons : dict
+        The solution on each, by the name of its continuous set.
+    coupling : Solution
+        Of the objective and the conditions that hold values of several horizons or of none.
+    status, ipopt_code, message, objective, iterations, size, wall_s, error_estimate, history
+        As of `Solution`, for all horizons together.
+    """
+
+    horizons: dict[str, Solution]
+    coupling: Solution
+    status: Status
+    ipopt_code: int
+    message: str
+    objective: float
+    iterations: tuple[Iteration, ...]
+    size: tuple[int, int]
+    wall_s: float
+    error_estimate: float = np.inf
+    history: tuple[MeshRecord, ...] = ()
+
+    @property
+    def summary(self) -> dict[str, str]:
+        """Status, objective, error and sizes."""
+        sizes = {name: part.mesh.summary for name, part in self.horizons.items()}
+        return {
+            "status": self.status.value,
+            "objective": f"{self.objective:.10g}",
+            "estimated error": f"{self.error_estimate:.2g}",
+            **{n: f"{size['points']} points" for n, size in sizes.items()},
+            "meshes": f"{len(self.history) or 1}",
+            "message": self.message,
+        }
+
+    @property
+    def is_converged(self) -> bool:
+        """Whether the solve, and the refinement if one was asked for, converged."""
+        return self.status is Status.CONVERGED
+
+    @cached_property
+    def parts(self) -> tuple[Solution, ...]:
+        """The solutions on the horizons, with status, error and history of the whole."""
+        return tuple(self._as_whole(part) for part in self.horizons.values())
+
+    def _as_whole(self, part: Solution) -> Solution:
+        return part.updated(
+            status=self.status,
+            message=self.message,
+            error_estimate=self.error_estimate,
+            history=self.history,
+        )
+
+    def updated(self, **changes: Any) -> JointSolution:
+        """Return this solution with other attributes, which those of its horizons share."""
+        other = replace(self, **changes)
+        horizons = zip(self.horizons, other.parts, strict=True)
+        return replace(other, horizons=dict(horizons))
+
+    @property
+    def warm_start(self) -> tuple[WarmStart, ...]:
+        """What another solve can start from: of each horizon, then of the coupling."""
+        return tuple(part.warm_start for part in (*self.horizons.values(), self.coupling))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes a converged solution doubtful, one line each."""
+        found = ((name, line) for name, p in self.horizons.items() for line in p.warnings)
+        return tuple(f"{name}: {line}" for name, line in found)
+
+    def on(self, component: Any, index: Any = None) -> Solution:
+        """Return the solution on the horizon that a component, or its full name, is over.
+
+        Raises
+        ------
+        TranscriptionError
+            If it is over none.
+        """
+        name = component if isinstance(component, str) else component.name
+        for part in self.horizons.values():
+            if part.problem.evaluator.is_over_time(name, index):
+                return part
+        raise TranscriptionError(
+            f"{name}: is over none of the horizons {', '.join(self.horizons)}; leave out the time."
+        )
+
+    def value(self, component: Any, t: Any = None, index: Any = None) -> Any:
+        """Return a variable's or expression's value; see `Solution.value`."""
+        if t is not None:
+            return self.on(component, index).value(component, t, index)
+        for part in self.horizons.values():
+            try:
+                return part.value(component, index=index)
+            except TranscriptionError:
+                continue
+        return self.coupling.value(component, index=index)
+
+    def costate(self, state: Any, t: Any, index: Any = None) -> Any:
+        """Return the costate of a state at times; see `Solution.costate`."""
+        return self.on(state, index).costate(state, t, index)
+
+
+class JointProblem(Summarised):
+    """A Pyomo.DAE model with several continuous sets, compiled for collocation.
+
+    Parameters
+    ----------
+    model : ConcreteModel
+        With several ContinuousSets that are not discretised, each the horizon of its own
+        variables.  Values at their ends, integrals and static variables couple them.
+    times : mapping, optional
+        Name of the set -> declared time -> static variable that it is to be.
+
+    Attributes
+    ----------
+    horizons : dict
+        What is declared over each, by the name of the set.
+    coupling : Formulation
+        The objective, and what several horizons or none hold.
+
+    Raises
+    ------
+    TranscriptionError
+        If the declarations are incomplete or unsupported; the message names the component.
+    """
+
+    def __init__(self, model: Any, times: FreeTimes | None = None) -> None:
+        read = read_horizons(model, times)
+        self.horizons = {name: Formulation.of(model, *held) for name, held in read.horizons.items()}
+        self.coupling = Formulation.of(model, *read.coupling)
+        self._links = frozenset(read.links)
+        names = list(self.horizons)
+        self._states = {
+            static: StateValue(program=names.index(name), state=point.slot, fraction=point.fraction)
+            for static, (name, point) in read.states.items()
+        }
+
+    @property
+    def summary(self) -> dict[str, str]:
+        """The horizons, and how many states each has."""
+        counts = {n: len(p.compiled.declared.states) for n, p in self.horizons.items()}
+        return {name: f"{count} states" for name, count in counts.items()}
+
+    @property
+    def is_maximised(self) -> bool:
+        """Whether the objective is maximised."""
+        return self.coupling.compiled.declared.maximise
+
+    def solve(
+        self,
+        *,
+        mesh: Mesh | Mapping[str, Mesh] | None = None,
+        tolerance: float | None = None,
+        parameters: Overrides | None = None,
+        guess: Mapping[str, Any] | None = None,
+        warm_start: JointSolution | tuple[WarmStart, ...] | None = None,
+        options: SolverOptions | None = None,
+        refinement: RefinementOptions | None = None,
+        progress: Progress | None = None,
+    ) -> JointSolution:
+        """Solve on given meshes, or refine each until the errors meet a tolerance.
+
+        The arguments are those of `Problem.solve`; `mesh` may be one for all horizons or one
+        for each by the name of its set, and `guess` may hold one for each likewise.
+        """
+        given = self._meshes(mesh)
+        instances = [part.instance(parameters) for part in self._parts]
+        start = warm_start.warm_start if isinstance(warm_start, JointSolution) else warm_start
+        if start is not None and mesh is None:
+            given = [part.mesh for part in start[:-1]]
+        solve_on = partial(self._solve_on, instances=instances, guesses=self._guesses(guess))
+        chosen = refinement or RefinementOptions()
+
+        def solved(
+            options: SolverOptions, progress: Progress | None, tolerance: float | None
+        ) -> JointSolution:
+            if tolerance is None:
+                return solve_on(given, start, options=options, progress=progress)
+            return refine(
+                partial(solve_on, options=options.suiting(tolerance), progress=progress),
+                meshes=tuple(mesh or chosen.first_mesh for mesh in given),
+                tolerance=tolerance,
+                refinement=chosen,
+                warm_start=start,
+            )
+
+        return limited(
+            solved,
+            options=options,
+            progress=progress,
+            tolerance=tolerance,
+            has_mesh=mesh is not None,
+        )
+
+    def _meshes(self, mesh: Mesh | Mapping[str, Mesh] | None) -> list[Mesh | None]:
+        if mesh is None or isinstance(mesh, Mesh):
+            return [mesh] * len(self.horizons)
+        if mesh.keys() != self.horizons.keys():
+            raise TranscriptionError(
+                f"mesh: given for {', '.join(mesh)}; give one for each horizon, "
+                f"{', '.join(self.horizons)}."
+            )
+        return [mesh[name] for name in self.horizons]
+
+    @property
+    def _parts(self) -> list[Formulation]:
+        return [*self.horizons.values(), self.coupling]
+
+    def _guesses(self, guess: Mapping[str, Any] | None) -> list[Any]:
+        """Return the guess of each horizon and of the coupling.
+
+        Raises
+        ------
+        TranscriptionError
+            If a name is neither that of a horizon nor of a variable.
+        """
+        guess = {} if guess is None else guess
+        known = [_slot_names(part) for part in self._parts]
+        for name in guess:
+            if name not in self.horizons and not any(name in names for names in known):
+                raise TranscriptionError(
+                    f"guess: {name!r} is none of the model's variables and none of its horizons, "
+                    f"which are {', '.join(self.horizons)}."
+                )
+        own = [{n: guess[n] for n in guess if n in names} for names in known]
+        return [guess.get(name, held) for name, held in zip([*self.horizons, ""], own, strict=True)]
+
+    def union(self, meshes: Sequence[Mesh | None], instances: Sequence[Instance]) -> Union:
+        """Return the programs of the horizons on meshes, and of the coupling, as one."""
+        programs = [
+            part.program(mesh, instance)
+            for part, mesh, instance in zip(self._parts, meshes, instances, strict=True)
+        ]
+        return Union(programs, self._states)
+
+    def _solve_on(
+        self,
+        meshes: Sequence[Mesh | None],
+        warm_start: tuple[WarmStart, ...] | None = None,
+        dampings: tuple[Damping | None, ...] = (),
+        *,
+        instances: list[Instance],
+        guesses: list[Any],
+        options: SolverOptions,
+        progress: Progress | None,
+    ) -> JointSolution:
+        """Solve once, with a mesh for each horizon."""
+        parts = self._parts
+        chosen = [
+            mesh and mesh.with_breakpoints(part.required_breakpoints(instance))
+            for part, mesh, instance in zip(parts, meshes, instances, strict=False)
+        ]
+        union = self.union([*chosen, None], instances)
+        bounds = union.bounds(
+            [
+                bounds_of(program, part.data_at_starts(instance), instance.fixed)
+                for program, part, instance in zip(union.programs, parts, instances, strict=True)
+            ]
+        )
+        z, multipliers = self._first_point(union, bounds, guesses, warm_start)
+        self._refuse_unsolvable(union, bounds, z)
+        program = CoupledProgram(union, union.programs)
+        scaling = scaling_by(program, union.nominal(bounds, z), z)
+        damped = tuple(
+            own if damping is None else damping.applied_to(own)
+            for own, damping in zip(union.programs, [*dampings, *[None] * len(parts)], strict=False)
+        )
+        result = run(
+            CoupledProgram(union, damped),
+            bounds,
+            scaling,
+            z,
+            options=options,
+            multipliers=multipliers,
+            progress=progress,
+        )
+        return self._solution_from(union, instances, result, bounds, scaling)
+
+    def _solution_from(
+        self,
+        union: Union,
+        instances: list[Instance],
+        result: IpoptResult,
+        bounds: Bounds,
+        scaling: Scaling,
+    ) -> JointSolution:
+        found = [
+            solution_from(
+                part,
+                union.programs[k],
+                instances[k],
+                union.result_of(result, k),
+                bounds=union.bounds_of(bounds, k),
+                scaling=union.scaling_of(scaling, k),
+            )
+            for k, part in enumerate(self._parts)
+        ]
+        total = sum(part.objective for part in found)
+        found = [part.updated(objective=total) for part in found]
+        return JointSolution(
+            horizons=dict(zip(self.horizons, found, strict=False)),
+            coupling=found[-1],
+            status=result.status,
+            ipopt_code=result.code,
+            message=result.message,
+            objective=total,
+            iterations=result.history,
+            size=(union.unknowns, bounds.row_lower.size),
+            wall_s=result.wall_s,
+        )
+
+    def _first_point(
+        self,
+        union: Union,
+        bounds: Bounds,
+        guesses: list[Any],
+        warm_start: tuple[WarmStart, ...] | None,
+    ) -> tuple[FloatArray, Multipliers | None]:
+        if warm_start is not None:
+            starts = zip(warm_start, union.programs, strict=True)
+            points, multipliers = zip(*[transfer(*pair) for pair in starts], strict=True)
+            z = union.joined(points)
+            return np.clip(z, bounds.lower, bounds.upper), union.multipliers(multipliers)
+        guessed = []
+        for k, (program, part, guess) in enumerate(
+            zip(union.programs, self._parts, guesses, strict=True)
+        ):
+            own = union.bounds_of(bounds, k)
+            point = initial_point(program, own, part.values, guess)
+            if not is_defined(program, point):
+                point = with_consistent_algebraics(program, own, point)
+            guessed.append(point)
+        z = union.joined(guessed)
+        for places, program in zip(union.places, union.programs, strict=True):
+            self._set_links(union, program, z, places)
+        return np.clip(z, bounds.lower, bounds.upper), None
+
+    def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
+        """Let the static variables that stand for values begin as these values."""
+        if program.mesh is None:
+            return
+        conditions = [c.name for c in program.compiled.declared.conditions]
+        rows = program.constraints(z[places])[program.first_condition_row :]
+        for name, off in zip(conditions, rows, strict=False):
+            if name in self._links:
+                z[union.statics[name]] += off
+
+    def _refuse_unsolvable(self, union: Union, bounds: Bounds, z: FloatArray) -> None:
+        held = set()
+        for k, program in enumerate(union.programs):
+            refuse_not_finite(program, z[union.places[k]])
+            own = union.bounds_of(bounds, k)
+            fixed = np.flatnonzero(own.lower == own.upper)
+            held |= {str(unknown_place(program, int(column)).name) for column in fixed}
+        refuse_overdetermined(bounds, held)
+
+    def load(self, solution: JointSolution) -> None:
+        """Put a solution's values into the Pyomo model, at the times it declares."""
+        load_values(*solution.horizons.values(), solution.coupling)
+
+
+def _slot_names(part: Formulation) -> set[str]:
+    declared = part.compiled.declared
+    slots = (*declared.states, *declared.outputs, *declared.algebraics, *declared.statics)
+    return {TIME_COLUMN, *(slot.name for slot in slots)}
+
+
+def compiled_of(model: Any, final_time: Any = None, times: FreeTimes | None = None) -> Any:
+    """Return a model compiled, to a `Problem` or a `JointProblem`.
+
+    Raises
+    ------
+    TranscriptionError
+        If a final time is given for several horizons.
+    """
+    names = [time.name for time in continuous_sets(model)]
+    if len(names) < 2:
+        return Problem(model, final_time, times)
+    if final_time is not None:
+        raise TranscriptionError(
+            f"final_time: the model has several horizons, {', '.join(names)}; give "
+            f'times={{"{names[0]}": {{declared time: {final_time}}}}}.'
+        )
+    return JointProblem(model, times)
