@@ -15,6 +15,7 @@ MODULES = {
     "resolve": "resolve_speed",
     "robustness": "robustness",
     "sweep": "sweep_speed",
+    "mpc": "replanning",
 }
 
 
@@ -24,7 +25,9 @@ def main():
     parser.add_argument(
         "--against", type=Path, help="run: the Python of an environment to compare with."
     )
-    parser.add_argument("--minutes", type=float, help="robustness: begin no mission after so long.")
+    parser.add_argument(
+        "--minutes", type=float, help="robustness, mpc: begin no mission after so long."
+    )
     parser.add_argument("--render", action="store_true", help="Measure nothing.")
     arguments = parser.parse_args()
     if unknown := set(arguments.names) - set(NAMES):
