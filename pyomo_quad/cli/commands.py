@@ -1,5 +1,6 @@
 """`pyomo-quad solve`, `run`, `compare` and `fly`: their arguments, and what each does."""
 
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -40,19 +41,29 @@ class Controller(StrEnum):
     ADAPTIVE = "adaptive"
     OPEN_LOOP = "open_loop"
     MPC = "mpc"
+    SE3 = "se3"
+
+
+class Plant(StrEnum):
+    """What flies: the declared equations, or a simulator that others wrote."""
+
+    DECLARED = "declared"
+    ROTORPY = "rotorpy"
 
 
 _Controller = Annotated[
     Controller,
     typer.Option(
         "--controller",
-        help="Feedback, the plan's controls without it, or the mission planned again in flight.",
+        help="Feedback, the plan's controls without it, the mission planned again in flight, or "
+        "RotorPy's own.",
     ),
 ]
 _Knowledge = Annotated[
     Knowledge,
     typer.Option("--knowledge", help="mpc: what re-planning knows of the wind."),
 ]
+_Plant = Annotated[Plant, typer.Option("--plant", help="What flies.")]
 _Reference = Annotated[
     Reference | None,
     typer.Option("--reference", help="What to follow: quintic by default, the plan in open loop."),
@@ -65,6 +76,7 @@ def fly(
     controller: _Controller = Controller.ADAPTIVE,
     reference: _Reference = None,
     knowledge: _Knowledge = Knowledge.ESTIMATED,
+    plant: _Plant = Plant.DECLARED,
     out: Output = None,
     overrides: Overrides = None,
     quiet: Quiet = False,
@@ -74,13 +86,17 @@ def fly(
     """Fly a scenario under feedback, its plan in open loop, or with its rest planned again."""
     watch = Stopwatch()
     followed = _followed(controller, reference)
+    _refuse_unfit(controller, plant)
     resolved = load_scenario(scenario, overrides or ())
     if controller is Controller.MPC and resolved.baseline.mpc is None:
         resolved = resolved.with_values({"baseline.mpc": {}})
-    folder = folder_of(resolved, out or _own_folder(resolved, controller, followed or knowledge))
+    flown = (plant, controller) if plant is Plant.ROTORPY else (controller,)
+    folder = folder_of(resolved, out or _own_folder(resolved, (*flown, followed or knowledge)))
     refuse_output_folder(folder)
     with watch.phase("import"):
         from pyomo_quad.cli import solving  # noqa: PLC0415  take a second, see there
+    if plant is Plant.ROTORPY:
+        solving.refuse_outside(resolved)
     planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
     plan = None
     if followed is Reference.PLAN or resolved.mission.is_free:
@@ -90,7 +106,9 @@ def fly(
             return made
         plan, resolved = made, made.mission_flown
     flight: Flight | ExitCode
-    if controller is Controller.MPC:
+    if plant is Plant.ROTORPY and followed is not None:
+        flight = solving.make_outside_flight(planner, resolved, controller.value, followed, plan)
+    elif controller is Controller.MPC:
         flight = solving.make_replanned_flight(planner, resolved, knowledge)
     else:
         reference = followed if controller is Controller.ADAPTIVE else None
@@ -108,7 +126,7 @@ def fly(
 
 
 def _followed(controller: Controller, reference: Reference | None) -> Reference | None:
-    if controller is Controller.ADAPTIVE:
+    if controller in {Controller.ADAPTIVE, Controller.SE3}:
         return reference or Reference.QUINTIC
     if controller is Controller.MPC and reference is not None:
         raise typer.BadParameter(
@@ -124,11 +142,18 @@ def _followed(controller: Controller, reference: Reference | None) -> Reference 
     return Reference.PLAN
 
 
-def _own_folder(
-    scenario: Scenario, controller: Controller, followed: Reference | Knowledge
-) -> Path:
+def _refuse_unfit(controller: Controller, plant: Plant) -> None:
+    if plant is Plant.DECLARED and controller is Controller.SE3:
+        raise typer.BadParameter("--controller se3 is RotorPy's; add --plant rotorpy.")
+    if plant is Plant.ROTORPY and controller is Controller.MPC:
+        raise typer.BadParameter(
+            "--plant rotorpy is flown by --controller adaptive, se3 or open_loop; choose one."
+        )
+
+
+def _own_folder(scenario: Scenario, parts: Sequence[StrEnum]) -> Path:
     # Not that of the scenario's report, which a single flight must not replace.
-    return Path("reports") / f"{scenario.name}-{controller.value}-{followed.value}"
+    return Path("reports") / "-".join((scenario.name, *(part.value for part in parts)))
 
 
 _COMPARISON_FOLDER = Path("reports") / "comparison"

@@ -24,6 +24,14 @@ from pyomo_quad.collocation import (
 )
 from pyomo_quad.flight import Flight, Plan, Planner, PlanStatus
 from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop
+from pyomo_quad.flight.outside_plant import (
+    MULTIROTOR,
+    OutsidePlant,
+    Pilot,
+    fly_outside,
+    refuse_pushing_wind,
+    rotorpy_module,
+)
 from pyomo_quad.flight.planning import Builder
 from pyomo_quad.flight.replanning import fly_replanned
 from pyomo_quad.model import model_builder
@@ -181,6 +189,24 @@ def make_replanned_flight(
     dynamics = planner.dynamics(scenario)
     try:
         return fly_replanned(scenario, knowledge, dynamics=dynamics, planner=planner)
+    except SolveError as error:
+        complain(f"{scenario.name}: {error}")
+        return ExitCode.NOT_SOLVED
+
+
+def refuse_outside(scenario: Scenario) -> None:
+    """Refuse what RotorPy cannot fly before anything is solved."""
+    rotorpy_module(MULTIROTOR)
+    refuse_pushing_wind(scenario)
+
+
+def make_outside_flight(
+    planner: Planner, scenario: Scenario, pilot: str, followed: Reference, plan: Plan | None
+) -> Flight | ExitCode:
+    """Fly RotorPy's vehicle."""
+    try:
+        plant = OutsidePlant(scenario, planner.dynamics(scenario))
+        return fly_outside(plant, Pilot(pilot), followed, plan)
     except SolveError as error:
         complain(f"{scenario.name}: {error}")
         return ExitCode.NOT_SOLVED

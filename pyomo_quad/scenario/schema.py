@@ -236,10 +236,11 @@ class Scenario(Part):
 
     def _check_replanning(self, source: str) -> None:
         interval = None if self.baseline.mpc is None else self.baseline.mpc.interval
-        if interval is not None and interval >= self.mission.duration_limits[1]:
+        field, longest = self.mission.longest
+        if interval is not None and interval >= longest:
             raise ScenarioError(
                 f"{source}: baseline.mpc.interval = {interval:g} s; must be below "
-                f"mission.duration = {self.mission.duration:g} s, or nothing is planned again."
+                f"{field} = {longest:g} s, or nothing is planned again."
             )
 
     def _check_hover(self, source: str) -> None:

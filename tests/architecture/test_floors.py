@@ -52,6 +52,7 @@ HOMES = {
     "jinja2": {"report"},
     "markdown_it": {"report"},
     "rosbags": {"exports"},
+    "rotorpy": {"flight"},
     "typer": {"cli"},
     "rich": {"cli"},
 }

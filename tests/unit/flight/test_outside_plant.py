@@ -1,0 +1,136 @@
+"""RotorPy's multirotor against the declared one: the same vehicle, written by others."""
+
+from importlib import util
+
+import numpy as np
+import pytest
+
+from pyomo_quad.cli import main
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.flight import outside_plant
+from pyomo_quad.flight.outside_plant import (
+    ACROSS,
+    OutsidePlant,
+    Pilot,
+    fly_outside,
+    quad_parameters,
+    refuse_pushing_wind,
+    rotorpy_module,
+)
+from pyomo_quad.scenario import Reference, ScenarioError
+from pyomo_quad.study.comparison import has_arrived
+from tests import flights
+from tests.command import PAPER_CALM, QUICK
+
+EXACT = 'vehicle.attitude="euler"'
+HOP = (EXACT, "mission.goal.position=[1.0, 0.5, 0.5]", "mission.duration=2.0")
+has_rotorpy = pytest.mark.skipif(util.find_spec("rotorpy") is None, reason="no RotorPy")
+
+
+def random_states(dynamics, count):
+    random = np.random.default_rng(5)
+    scale = {"phi": 0.6, "theta": 0.6, "psi": 2.0}
+    for _ in range(count):
+        yield np.array(
+            [
+                random.uniform(600, 1000) if "omega" in name else
+                random.uniform(0, 1) if "charge" in name else
+                scale.get(name.rpartition(".")[2], 1.5) * random.uniform(-1, 1)
+                for name in dynamics.state_names
+            ]
+        ), random.uniform(-500, 500, 4)  # fmt: skip
+
+
+def turned(parameters):
+    """Return the same vehicle in the frame of one with two rotors ahead."""
+    places = list(parameters["rotor_pos"].values())
+    turn = np.array([[np.cos(ACROSS.turn), np.sin(ACROSS.turn), 0.0],
+                     [-np.sin(ACROSS.turn), np.cos(ACROSS.turn), 0.0],
+                     [0.0, 0.0, 1.0]])  # fmt: skip
+    ordered = {f"r{k}": turn @ places[j] for k, j in enumerate(ACROSS.order, start=1)}
+    spins = parameters["rotor_directions"][list(ACROSS.order)]
+    return parameters | {"rotor_pos": ordered, "rotor_directions": spins}
+
+
+@has_rotorpy
+@pytest.mark.parametrize("frame", [None, ACROSS])
+def test_it_moves_as_the_declared_equations_say(frame):
+    """At random states, tilted and turning, whichever way its body is named."""
+    scenario, dynamics = flights.scenario("paper_calm", EXACT), flights.vehicle("paper_calm", EXACT)
+    parameters = quad_parameters(scenario, dynamics)
+    plant = OutsidePlant(
+        scenario,
+        dynamics,
+        parameters=parameters if frame is None else turned(parameters),
+        frame=frame,
+    )
+    step = 1e-6
+    for x, alpha in random_states(dynamics, 10):
+        joint = plant.started(x, ())
+        assert plant.read(joint) == pytest.approx(x, rel=1e-12, abs=1e-12)
+        slope = plant.rates(0.0, joint, lambda _t, _x, _own, alpha=alpha: (alpha, ()))
+        moved = [plant.read(joint + sign * step * slope) for sign in (-1, 1)]
+        declared, power = dynamics.rates_and_integrand(0.0, x, alpha)
+        assert (moved[1] - moved[0]) / (2 * step) == pytest.approx(declared, rel=1e-6, abs=1e-6)
+        assert slope[-1] == pytest.approx(power, rel=1e-12)
+
+
+@has_rotorpy
+def test_with_exact_attitude_the_plan_ends_micrometres_off_without_feedback():
+    scenario, plan = flights.scenario("paper_calm", *HOP), flights.plan("paper_calm", *HOP)
+    plant = OutsidePlant(scenario, flights.vehicle("paper_calm", *HOP))
+    flight = fly_outside(plant, Pilot.OPEN_LOOP, Reference.PLAN, plan)
+    assert flight.name == "rotorpy/open_loop/plan"
+    assert flight.terminal_miss_m < 2e-5
+    assert flight.energy_J == pytest.approx(plan.energy, rel=1e-6)
+    assert flight.is_verified
+    bare = OutsidePlant(scenario, flights.vehicle("paper_calm", *HOP), has_rotor_inertia=False)
+    assert fly_outside(bare, Pilot.OPEN_LOOP, Reference.PLAN, plan).terminal_miss_m > 1e-4
+
+
+@has_rotorpy
+@pytest.mark.slow
+@pytest.mark.parametrize("pilot", [Pilot.ADAPTIVE, Pilot.SE3])
+def test_both_controllers_arrive(pilot):
+    slower = (*HOP, "mission.duration=5.0")
+    plant = OutsidePlant(
+        flights.scenario("paper_calm", *slower), flights.vehicle("paper_calm", *slower)
+    )
+    flight = fly_outside(plant, pilot, Reference.QUINTIC, flights.plan("paper_calm", *slower))
+    assert has_arrived(flight)
+    assert flight.is_verified
+
+
+def test_without_rotorpy_the_extra_is_named_and_nothing_is_written(monkeypatch, tmp_path, capsys):
+    def missing(name):
+        raise ModuleNotFoundError(name=name.partition(".")[0])
+
+    monkeypatch.setattr(outside_plant, "import_module", missing)
+    with pytest.raises(ScenarioError, match=r"pip install 'pyomo_quad\[rotorpy\]'"):
+        rotorpy_module("vehicles.multirotor")
+    out = tmp_path / "flight"
+    command = ["fly", PAPER_CALM, *QUICK, "--plant", "rotorpy", "--out", str(out)]
+    assert main(command) == ExitCode.BAD_INPUT
+    assert capsys.readouterr().err == (
+        "RotorPy is not installed; install it with pip install 'pyomo_quad[rotorpy]'.\n"
+    )
+    assert not out.exists()
+
+
+def test_a_wind_that_only_pushes_has_no_counterpart():
+    with pytest.raises(ScenarioError, match=r"wind\.coupling = acceleration has no counterpart"):
+        refuse_pushing_wind(flights.scenario("paper_wind"))
+    refuse_pushing_wind(flights.scenario("paper_calm"))
+    refuse_pushing_wind(flights.scenario("paper_wind", "wind.coupling='drag'"))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--controller", "se3"], "--controller se3 is RotorPy's; add --plant rotorpy."),
+        (["--controller", "mpc", "--plant", "rotorpy"], "is flown by --controller adaptive, se3"),
+    ],
+)
+def test_controllers_that_do_not_fit_the_plant(options, said, capsys):
+    assert main(["fly", PAPER_CALM, *options]) == ExitCode.BAD_INPUT
+    assert said in capsys.readouterr().err
