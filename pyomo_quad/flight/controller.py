@@ -524,6 +524,8 @@ class AdaptiveController:
         self._allocation = Allocation(mixer, limits)
         self._rotor_gain = gains.rotor
         self._rotor_acceleration_max = limits.rotor_acceleration_max
+        self._rotor_speed_max = limits.rotor_speed_max
+        self._motor_lag = vehicle.motor_time_constant
         self._tilt_gain = gains.tilt_command
         self._tilt_lag = 1 / gains.tilt_command + 1 / gains.rotor
         available = self._allocation.tilting_moment_at(self._mass * believed.gravity)
@@ -626,12 +628,18 @@ class AdaptiveController:
             setpoint, tilt_acceleration, body, achieved_moments, states
         )
         targets = self._allocation.rotor_speeds(_dot(force, direction), moments)
-        most = self._rotor_acceleration_max
-        alpha = [
-            _clipped(self._rotor_gain * (target - speed), -most, most)
-            for target, speed in zip(targets, omega, strict=True)
-        ]
+        alpha = []
+        for target, speed in zip(targets, omega, strict=True):
+            most = self._most_rotor_acceleration(speed)
+            alpha.append(_clipped(self._rotor_gain * (target - speed), -most, most))
         return alpha, [*position_rates, *attitude_rates, *command_rates]
+
+    def _most_rotor_acceleration(self, speed: float) -> float:
+        """Return the largest rotor acceleration, which a motor's lag makes smaller when fast."""
+        most = self._rotor_acceleration_max
+        if not self._motor_lag:
+            return most
+        return np.fmin(most, np.fmax(self._rotor_speed_max - speed, 0.0) / self._motor_lag)
 
     def _filtered(
         self, force: Sequence[float], yaw: float, command: Sequence[float]

@@ -39,6 +39,7 @@ from pyomo_quad.flight.verification import (
     verify_controls,
 )
 from pyomo_quad.model import ask_for_least_time, build_model, parameter_values, structure_key
+from pyomo_quad.model.limits import WITHOUT_RESERVE
 from pyomo_quad.model.power import wider_smoothings
 from pyomo_quad.model.wind import still_air
 from pyomo_quad.scenario import Scenario, ScenarioError
@@ -347,9 +348,15 @@ class Planner:
         return parameter_values(scenario) if self._builder is build_model else None
 
     def dynamics(self, scenario: Scenario) -> Dynamics:
-        """Return the vehicle of a scenario in the scenario's own wind, ready to fly."""
+        """Return the vehicle of a scenario in the scenario's own wind, ready to fly.
+
+        Its limits are those of the controller, which has what plans leave as a reserve.
+        """
         problem, _ = self.problem_for(scenario)
-        return problem.dynamics(parameters=self.parameters(scenario), horizon=_horizon(scenario))
+        parameters = self.parameters(scenario)
+        if parameters is not None and scenario.limits.reserve:
+            parameters |= WITHOUT_RESERVE
+        return problem.dynamics(parameters=parameters, horizon=_horizon(scenario))
 
     def solve(
         self,

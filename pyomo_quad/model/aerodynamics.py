@@ -1,4 +1,4 @@
-"""The force of the air on the airframe, in world axes.
+"""The force of the air on the airframe, in world axes, and its moments.
 
 Two couplings of the wind to the vehicle:
 
@@ -8,6 +8,17 @@ velocity has no part in it.
 
 `drag` is the force against the airspeed, the velocity relative to the wind: linear (rotor
 drag) plus quadratic (parasitic drag).  Isotropic; sound at the few m/s of these missions.
+
+Under either, a vehicle with numbers for them feels on its airspeed, resolved in body axes:
+
+name | force on the vehicle | source
+rotor_drag_plane | -k_d omega v along x and y, at each rotor | Mellinger (2012)
+rotor_drag_axis | -k_z omega v along z, at each rotor | Svacha, Mohta and Kumar (2017)
+translational_lift | k_h (v_x^2 + v_y^2) along z, at each rotor | Faessler et al. (2018)
+parasitic_drag | -c_i abs(v) v_i along each axis | Svacha, Mohta and Kumar (2017)
+
+The rotors meet the air where they are, so that turning the body moves them through it: their drag
+damps the body rates, with no number of its own.  Each is declared only where it is not zero.
 """
 
 from collections.abc import Callable
@@ -16,12 +27,15 @@ from pyomo.core.expr import NumericExpression
 from pyomo.environ import Block, ConcreteModel, Expression, Param, sqrt, units
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
+from pyomo_quad.model.rigid_body import BODY_AXES, BodyAxis
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import PowerModel
 from pyomo_quad.scenario.wind import WindCoupling
 
 # The norm of the airspeed has no derivative at zero; at 1 m/s this changes it by 5e-7.
 AIRSPEED_SMOOTHING = 1e-3 * units.m / units.s
+
+_AXES = ("x", "y", "z")
 
 PARAMETERS = (
     Parameter(
@@ -33,6 +47,67 @@ PARAMETERS = (
 )
 
 
+_ROTOR_NUMBERS = (
+    Parameter(
+        name="rotor_drag_plane",
+        units=units.kg / units.rad,
+        value=lambda s: s.vehicle.rotor_drag_plane,
+        doc="k_d: drag of one rotor in its plane over airspeed and rotor speed",
+    ),
+    Parameter(
+        name="rotor_drag_axis",
+        units=units.kg / units.rad,
+        value=lambda s: s.vehicle.rotor_drag_axis,
+        doc="k_z: loss of thrust of one rotor over axial airspeed and rotor speed",
+    ),
+    Parameter(
+        name="translational_lift",
+        units=units.kg / units.m,
+        value=lambda s: s.vehicle.translational_lift,
+        doc="k_h: thrust of one rotor over in-plane airspeed squared",
+    ),
+)
+_PARASITIC = Parameter(
+    name="parasitic_drag",
+    units=units.kg / units.m,
+    value=lambda s: dict(zip(_AXES, s.vehicle.parasitic_drag, strict=True)),
+    doc="c: drag over airspeed squared along the body's axes",
+    index=_AXES,
+)
+
+
+def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
+    """Return the numbers that the scenario's model declares in block `aerodynamics`."""
+    is_printed = scenario.wind.coupling is WindCoupling.ACCELERATION
+    return (
+        *(PARAMETERS if is_printed else ()),
+        *((*_ROTOR_NUMBERS, *_place_parameters(scenario)) if _has_rotor_forces(scenario) else ()),
+        *((_PARASITIC,) if any(scenario.vehicle.parasitic_drag) else ()),
+    )
+
+
+def acts_in_body_axes(scenario: Scenario) -> bool:
+    """Whether the air acts on the rotors, or on the airframe by axis."""
+    return _has_rotor_forces(scenario) or any(scenario.vehicle.parasitic_drag)
+
+
+def _places(axis: int) -> Callable[[Scenario], dict[int, float]]:
+    return lambda s: {j: place[axis] for j, place in enumerate(s.vehicle.rotor_places, start=1)}
+
+
+def _place_parameters(scenario: Scenario) -> tuple[Parameter, ...]:
+    rotors = tuple(range(1, len(scenario.vehicle.rotor_places) + 1))
+    texts = {"rotor_ahead": "X: place of a rotor along body x", "rotor_aside": "Y: along body y"}
+    return tuple(
+        Parameter(name=name, units=units.m, value=_places(axis), doc=doc, index=rotors)
+        for axis, (name, doc) in enumerate(texts.items())
+    )
+
+
+def _has_rotor_forces(scenario: Scenario) -> bool:
+    return any(row.value(scenario) for row in _ROTOR_NUMBERS)
+
+
 def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the aerodynamic force in block `aerodynamics`.
 
@@ -42,14 +117,21 @@ def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
         With `time`, `vehicle`, `wind`; the velocities of `rigid_body` for the drag coupling.
     """
     b = m.aerodynamics = Block(doc="aerodynamic force")
-    is_drag = scenario.wind.coupling is WindCoupling.DRAG
-    if is_drag or scenario.power.model is PowerModel.MOMENTUM:
+    declare_parameters(b, parameters_of(scenario), scenario)
+    is_drag, in_body_axes = scenario.wind.coupling is WindCoupling.DRAG, acts_in_body_axes(scenario)
+    if is_drag or in_body_axes or scenario.power.model is PowerModel.MOMENTUM:
         _declare_airspeed(b, m)
-    if is_drag:
-        _declare_drag(b, m)
-    else:
-        declare_parameters(b, PARAMETERS, scenario)
-        _declare_acceleration(b, m)
+    rules = _drag(b, m) if is_drag else _wind_acceleration()
+    for name, (rule, doc) in rules.items():
+        part = f"airframe_{name}" if in_body_axes else name
+        b.add_component(part, Expression(m.time, rule=rule, doc=doc))
+    if not in_body_axes:
+        return
+    _declare_body_airspeed(b, m)
+    if _has_rotor_forces(scenario):
+        _declare_rotor_forces(b, m)
+        _declare_rotor_moments(b, m)
+    _declare_sum(b, m, scenario)
 
 
 _HORIZONTAL = ("x", "y")
@@ -89,20 +171,28 @@ def _all_of(axis: str) -> Callable[[Block, float], NumericExpression]:
     return force
 
 
-def _declare_acceleration(b: Block, m: ConcreteModel) -> None:
-    @b.Expression(m.time, doc="eq. (9) row 2, W along world x, times the mass [N]")
+_Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
+
+
+def _wind_acceleration() -> _Rules:
+    """Return rules and texts of the forces of eq. (9) as printed."""
+
     def force_x(b: Block, t: float) -> NumericExpression:
         m = b.parent_block()
         return m.vehicle.mass * (b.acceleration_coefficient * m.wind.velocity_x[t])
 
-    @b.Expression(m.time, doc="eq. (9) row 2, W along world y, times the mass [N]")
     def force_y(b: Block, t: float) -> NumericExpression:
         m = b.parent_block()
         return m.vehicle.mass * (b.acceleration_coefficient * m.wind.velocity_y[t])
 
-    @b.Expression(m.time, doc="eq. (9) row 2: W has no vertical part [N]")
     def force_z(_b: Block, _t: float) -> NumericExpression:
         return 0 * units.N
+
+    return {
+        "force_x": (force_x, "eq. (9) row 2, W along world x, times the mass [N]"),
+        "force_y": (force_y, "eq. (9) row 2, W along world y, times the mass [N]"),
+        "force_z": (force_z, "eq. (9) row 2: W has no vertical part [N]"),
+    }
 
 
 def _declare_airspeed(b: Block, m: ConcreteModel) -> None:
@@ -121,26 +211,125 @@ def _declare_airspeed(b: Block, m: ConcreteModel) -> None:
         return b.parent_block().rigid_body.vz[t]
 
 
-def _declare_drag(b: Block, m: ConcreteModel) -> None:
+def _drag(b: Block, m: ConcreteModel) -> _Rules:
+    """Declare what drag is over airspeed; return rules and texts of its forces."""
+
     @b.Expression(m.time, doc="drag over airspeed [kg/s]")
     def drag_coefficient(b: Block, t: float) -> NumericExpression:
         vehicle = b.parent_block().vehicle
-        airspeed = sqrt(
-            b.airspeed_x[t] ** 2
-            + b.airspeed_y[t] ** 2
-            + b.airspeed_z[t] ** 2
-            + AIRSPEED_SMOOTHING**2
-        )
-        return vehicle.drag_linear + vehicle.drag_quadratic * airspeed
+        return vehicle.drag_linear + vehicle.drag_quadratic * _airspeed(b, t)
 
-    @b.Expression(m.time, doc="drag along world x [N]")
     def force_x(b: Block, t: float) -> NumericExpression:
         return -b.drag_coefficient[t] * b.airspeed_x[t]
 
-    @b.Expression(m.time, doc="drag along world y [N]")
     def force_y(b: Block, t: float) -> NumericExpression:
         return -b.drag_coefficient[t] * b.airspeed_y[t]
 
-    @b.Expression(m.time, doc="vertical drag [N]")
     def force_z(b: Block, t: float) -> NumericExpression:
         return -b.drag_coefficient[t] * b.airspeed_z[t]
+
+    return {
+        "force_x": (force_x, "drag along world x [N]"),
+        "force_y": (force_y, "drag along world y [N]"),
+        "force_z": (force_z, "vertical drag [N]"),
+    }
+
+
+def _airspeed(b: Block, t: float) -> NumericExpression:
+    return sqrt(
+        b.airspeed_x[t] ** 2 + b.airspeed_y[t] ** 2 + b.airspeed_z[t] ** 2 + AIRSPEED_SMOOTHING**2
+    )
+
+
+def _declare_body_airspeed(b: Block, m: ConcreteModel) -> None:
+    for axis, direction in zip(_AXES, BODY_AXES, strict=True):
+
+        def along(b: Block, t: float, direction: BodyAxis = direction) -> NumericExpression:
+            x, y, z = direction(b.parent_block().rigid_body, t)
+            return x * b.airspeed_x[t] + y * b.airspeed_y[t] + z * b.airspeed_z[t]
+
+        doc = f"airspeed along body {axis} [m/s]"
+        b.add_component(f"body_airspeed_{axis}", Expression(m.time, rule=along, doc=doc))
+
+
+def _declare_rotor_forces(b: Block, m: ConcreteModel) -> None:
+    @b.Expression(m.rotors.rotor, m.time, doc="airspeed of one rotor along body x [m/s]")
+    def rotor_airspeed_x(b: Block, j: int, t: float) -> NumericExpression:
+        turning = b.rotor_aside[j] * b.parent_block().rigid_body.r[t]
+        return b.body_airspeed_x[t] - turning / units.rad
+
+    @b.Expression(m.rotors.rotor, m.time, doc="airspeed of one rotor along body y [m/s]")
+    def rotor_airspeed_y(b: Block, j: int, t: float) -> NumericExpression:
+        turning = b.rotor_ahead[j] * b.parent_block().rigid_body.r[t]
+        return b.body_airspeed_y[t] + turning / units.rad
+
+    @b.Expression(m.rotors.rotor, m.time, doc="airspeed of one rotor along body z [m/s]")
+    def rotor_airspeed_z(b: Block, j: int, t: float) -> NumericExpression:
+        body = b.parent_block().rigid_body
+        turning = b.rotor_aside[j] * body.p[t] - b.rotor_ahead[j] * body.q[t]
+        return b.body_airspeed_z[t] + turning / units.rad
+
+    @b.Expression(m.rotors.rotor, m.time, doc="drag of one rotor along body x [N]")
+    def rotor_force_x(b: Block, j: int, t: float) -> NumericExpression:
+        speed = b.parent_block().rotors.omega[j, t]
+        return -b.rotor_drag_plane * speed * b.rotor_airspeed_x[j, t]
+
+    @b.Expression(m.rotors.rotor, m.time, doc="drag of one rotor along body y [N]")
+    def rotor_force_y(b: Block, j: int, t: float) -> NumericExpression:
+        speed = b.parent_block().rotors.omega[j, t]
+        return -b.rotor_drag_plane * speed * b.rotor_airspeed_y[j, t]
+
+    @b.Expression(m.rotors.rotor, m.time, doc="thrust that one rotor gains from moving air [N]")
+    def rotor_force_z(b: Block, j: int, t: float) -> NumericExpression:
+        speed = b.parent_block().rotors.omega[j, t]
+        across = b.rotor_airspeed_x[j, t] ** 2 + b.rotor_airspeed_y[j, t] ** 2
+        inflow = b.rotor_drag_axis * speed * b.rotor_airspeed_z[j, t]
+        return b.translational_lift * across - inflow
+
+
+def _declare_rotor_moments(b: Block, m: ConcreteModel) -> None:
+    @b.Expression(m.time, doc="moment of the air on the rotors about body x [N m]")
+    def roll_moment(b: Block, t: float) -> NumericExpression:
+        return sum(b.rotor_aside[j] * b.rotor_force_z[j, t] for j in b.rotor_aside)
+
+    @b.Expression(m.time, doc="moment of the air on the rotors about body y [N m]")
+    def pitch_moment(b: Block, t: float) -> NumericExpression:
+        return -sum(b.rotor_ahead[j] * b.rotor_force_z[j, t] for j in b.rotor_ahead)
+
+    @b.Expression(m.time, doc="moment of the air on the rotors about body z [N m]")
+    def yaw_moment(b: Block, t: float) -> NumericExpression:
+        return sum(
+            b.rotor_ahead[j] * b.rotor_force_y[j, t] - b.rotor_aside[j] * b.rotor_force_x[j, t]
+            for j in b.rotor_ahead
+        )
+
+
+def _declare_sum(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare the force along each body axis, and all forces together along each world axis."""
+    by_axis = any(scenario.vehicle.parasitic_drag)
+    has_rotor_forces = _has_rotor_forces(scenario)
+    for axis in _AXES:
+
+        def along_body(b: Block, t: float, axis: str = axis) -> NumericExpression:
+            parts = []
+            if has_rotor_forces:
+                parts += [b.component(f"rotor_force_{axis}")[j, t] for j in b.rotor_ahead]
+            if by_axis:
+                over_airspeed = b.parasitic_drag[axis] * _airspeed(b, t)
+                parts.append(-over_airspeed * b.component(f"body_airspeed_{axis}")[t])
+            return sum(parts)
+
+        doc = f"force of the air along body {axis} [N]"
+        b.add_component(f"body_force_{axis}", Expression(m.time, rule=along_body, doc=doc))
+    for k, axis in enumerate(_AXES):
+
+        def along_world(b: Block, t: float, k: int = k, axis: str = axis) -> NumericExpression:
+            body = b.parent_block().rigid_body
+            turned = sum(
+                direction(body, t)[k] * b.component(f"body_force_{name}")[t]
+                for name, direction in zip(_AXES, BODY_AXES, strict=True)
+            )
+            return b.component(f"airframe_force_{axis}")[t] + turned
+
+        doc = f"force of the air along world {axis} [N]"
+        b.add_component(f"force_{axis}", Expression(m.time, rule=along_world, doc=doc))

@@ -9,7 +9,7 @@ from pyomo_quad.model import aerodynamics, airspace, battery, limits, mission, p
 from pyomo_quad.model.parameters import Parameter, parameter_items
 from pyomo_quad.model.rigid_body import declare_balances, declare_motion
 from pyomo_quad.model.rotors import declare_motors, declare_rotors
-from pyomo_quad.scenario import Scenario, WindCoupling
+from pyomo_quad.scenario import Scenario
 
 
 def build_model(scenario: Scenario) -> ConcreteModel:
@@ -113,8 +113,7 @@ def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter,
         yield "wind", wind.PARAMETERS
         for axis, table in wind.AXIS_PARAMETERS.items():
             yield f"wind.{axis}", table
-    if scenario.wind.coupling is WindCoupling.ACCELERATION:
-        yield "aerodynamics", aerodynamics.PARAMETERS
+    yield "aerodynamics", aerodynamics.parameters_of(scenario)
     yield "power", power.parameters_of(scenario)
     yield "battery", battery.PARAMETERS
     yield "limits", limits.parameters_of(scenario)
@@ -163,6 +162,7 @@ def structure_key(scenario: Scenario) -> Hashable:
         scenario.power.regeneration,
         scenario.wind.coupling,
         None if series is None else (series, scenario.wind.time_offset),
+        tuple(row.name for row in aerodynamics.parameters_of(scenario)),
         tuple(row.name for row in limits.parameters_of(scenario)),
         airspace.structure_of(scenario),
         tuple(row.name for row in mission.parameters_of(scenario)),

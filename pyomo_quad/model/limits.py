@@ -3,6 +3,10 @@
 The paper writes |u_k| <= u_max for k = 1, 2, 3; u_1 has its own limit, so the moments are
 k = 2, 3, 4.  The limit on the rotor accelerations is not in the paper, whose problem has no
 minimum without it under its own efficiency function.
+
+Plans leave a share of the largest rotor speed and thrust to the controller, `reserve`; a motor
+with lag accelerates its rotor by no more than (rotor_speed_max - speed) over its time constant.
+Both are declared only where they are not zero.
 """
 
 from collections.abc import Callable
@@ -33,6 +37,22 @@ _UNITS = {
 }
 
 
+_RESERVE = Parameter(
+    name="reserve",
+    units=units.dimensionless,
+    value=lambda s: s.limits.reserve,
+    doc="share of rotor speed and thrust that plans leave to the controller",
+)
+_MOTOR_LAG = Parameter(
+    name="motor_time_constant",
+    units=units.s,
+    value=lambda s: s.vehicle.motor_time_constant,
+    doc="lag of the motors",
+)
+#: The numbers under which the controller, which the reserve is for, flies.
+WITHOUT_RESERVE = {f"limits.{_RESERVE.name}": 0.0}
+
+
 def _reader(name: str) -> Callable[[Scenario], float]:
     return lambda scenario: getattr(scenario.limits, name)
 
@@ -46,11 +66,12 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
         A limit of None is not declared.
     """
     fields = type(scenario.limits).model_fields
-    return tuple(
+    bounds = tuple(
         Parameter(name=name, units=unit, value=_reader(name), doc=fields[name].description or name)
         for name, unit in _UNITS.items()
         if getattr(scenario.limits, name) is not None
     )
+    return (*bounds, *(row for row in (_RESERVE, _MOTOR_LAG) if row.value(scenario)))
 
 
 def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
@@ -69,6 +90,29 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
     _declare_battery_limits(b, m, scenario)
     if scenario.limits.speed_max is not None:
         _declare_speed_limit(b, m)
+    if scenario.vehicle.motor_time_constant:
+        _declare_motor_lag(b, m)
+
+
+def _left(b: Block, most: NumericExpression) -> NumericExpression:
+    """Return what the reserve leaves of a largest value."""
+    reserve = b.component(_RESERVE.name)
+    return most if reserve is None else (1 - reserve) * most
+
+
+def _declare_motor_lag(b: Block, m: ConcreteModel) -> None:
+    @b.Expression(m.rotors.rotor, m.time, doc="rotor acceleration that the lag allows [rad/s^2]")
+    def lagging_acceleration(b: Block, j: int, t: float) -> NumericExpression:
+        speed = b.parent_block().rotors.omega[j, t]
+        return (b.rotor_speed_max - speed) / b.motor_time_constant
+
+    @b.Constraint(m.rotors.rotor, m.time, doc="motor lag while gathering speed [rad/s^2]")
+    def motor_lag_limit(b: Block, j: int, t: float) -> RelationalExpression:
+        return b.parent_block().rotors.alpha[j, t] <= b.lagging_acceleration[j, t]
+
+    @b.Constraint(m.rotors.rotor, m.time, doc="motor lag while losing speed [rad/s^2]")
+    def motor_braking_limit(b: Block, j: int, t: float) -> RelationalExpression:
+        return b.parent_block().rotors.alpha[j, t] >= -b.lagging_acceleration[j, t]
 
 
 def _declare_speed_limit(b: Block, m: ConcreteModel) -> None:
@@ -96,7 +140,7 @@ def _declare_rotor_limits(b: Block, m: ConcreteModel) -> None:
     @b.Constraint(m.rotors.rotor, m.time, doc="eq. (10) row 2: rotor speed [rad/s]")
     def rotor_speed_limit(b: Block, j: int, t: float) -> RelationalExpression:
         speed = b.parent_block().rotors.omega[j, t]
-        return inequality(b.rotor_speed_min, speed, b.rotor_speed_max)
+        return inequality(b.rotor_speed_min, speed, _left(b, b.rotor_speed_max))
 
     @b.Constraint(m.rotors.rotor, m.time, doc="rotor acceleration [rad/s^2]")
     def rotor_acceleration_limit(b: Block, j: int, t: float) -> RelationalExpression:
@@ -107,7 +151,8 @@ def _declare_rotor_limits(b: Block, m: ConcreteModel) -> None:
 def _declare_thrust_limits(b: Block, m: ConcreteModel) -> None:
     @b.Constraint(m.time, doc="eq. (10) row 3: total thrust [N]")
     def thrust_limit(b: Block, t: float) -> RelationalExpression:
-        return inequality(0 * units.N, b.parent_block().rotors.total_thrust[t], b.thrust_max)
+        thrust = b.parent_block().rotors.total_thrust[t]
+        return inequality(0 * units.N, thrust, _left(b, b.thrust_max))
 
     @b.Constraint(m.time, doc="eq. (10) row 3, k = 2: roll moment [N m]")
     def roll_moment_limit(b: Block, t: float) -> RelationalExpression:

@@ -152,6 +152,22 @@ def _declare_equated_rates(b: Block, m: ConcreteModel) -> None:
         return b.dpsi_dt[t] == b.r[t]
 
 
+def forward_axis(b: Block, t: float) -> tuple[NumericExpression, ...]:
+    """Return body x in world axes."""
+    theta, psi = b.theta[t], b.psi[t]
+    return cos(theta) * cos(psi), cos(theta) * sin(psi), -sin(theta)
+
+
+def left_axis(b: Block, t: float) -> tuple[NumericExpression, ...]:
+    """Return body y in world axes."""
+    phi, theta, psi = b.phi[t], b.theta[t], b.psi[t]
+    return (
+        sin(phi) * sin(theta) * cos(psi) - cos(phi) * sin(psi),
+        sin(phi) * sin(theta) * sin(psi) + cos(phi) * cos(psi),
+        sin(phi) * cos(theta),
+    )
+
+
 def thrust_axis(b: Block, t: float) -> tuple[NumericExpression, ...]:
     """Return body z, along which the rotors push, in world axes."""
     phi, theta, psi = b.phi[t], b.theta[t], b.psi[t]
@@ -160,6 +176,16 @@ def thrust_axis(b: Block, t: float) -> tuple[NumericExpression, ...]:
         cos(phi) * sin(theta) * sin(psi) - sin(phi) * cos(psi),
         cos(phi) * cos(theta),
     )
+
+
+BodyAxis = Callable[[Block, float], tuple[NumericExpression, ...]]
+BODY_AXES: tuple[BodyAxis, ...] = (forward_axis, left_axis, thrust_axis)
+
+
+def _moment(m: ConcreteModel, name: str, t: float) -> NumericExpression:
+    """Return a moment of the rotors, with that of the air where it has one."""
+    of_rotors, of_air = m.rotors.component(name)[t], m.aerodynamics.component(name)
+    return of_rotors if of_air is None else of_rotors + of_air[t]
 
 
 def _declare_force_balances(b: Block, m: ConcreteModel) -> None:
@@ -189,15 +215,17 @@ def _declare_tilting_balances(b: Block, m: ConcreteModel) -> None:
         m = b.parent_block()
         airframe_coupling = (m.vehicle.Iy - m.vehicle.Iz) * b.q[t] * b.r[t]
         rotor_drum = m.vehicle.rotor_inertia * b.q[t] * m.rotors.speed_imbalance[t]
-        return m.vehicle.Ix * b.dp_dt[t] == airframe_coupling + rotor_drum + m.rotors.roll_moment[t]
+        return m.vehicle.Ix * b.dp_dt[t] == airframe_coupling + rotor_drum + _moment(
+            m, "roll_moment", t
+        )
 
     @b.Constraint(m.time, doc="eq. (6) row 5: moment balance about body y [N m]")
     def pitch_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         airframe_coupling = (m.vehicle.Iz - m.vehicle.Ix) * b.p[t] * b.r[t]
         rotor_drum = m.vehicle.rotor_inertia * b.p[t] * m.rotors.speed_imbalance[t]
-        return (
-            m.vehicle.Iy * b.dq_dt[t] == airframe_coupling - rotor_drum + m.rotors.pitch_moment[t]
+        return m.vehicle.Iy * b.dq_dt[t] == airframe_coupling - rotor_drum + _moment(
+            m, "pitch_moment", t
         )
 
 
@@ -206,7 +234,7 @@ def _declare_yaw_balance(b: Block, m: ConcreteModel) -> None:
     def yaw_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         airframe_coupling = (m.vehicle.Ix - m.vehicle.Iy) * b.p[t] * b.q[t]
-        return m.vehicle.Iz * b.dr_dt[t] == airframe_coupling + m.rotors.yaw_moment[t]
+        return m.vehicle.Iz * b.dr_dt[t] == airframe_coupling + _moment(m, "yaw_moment", t)
 
 
 def _declare_yaw_balance_with_reaction(b: Block, m: ConcreteModel) -> None:
@@ -214,5 +242,5 @@ def _declare_yaw_balance_with_reaction(b: Block, m: ConcreteModel) -> None:
     def yaw_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         airframe_coupling = (m.vehicle.Ix - m.vehicle.Iy) * b.p[t] * b.q[t]
-        moment = m.rotors.yaw_moment[t] + m.rotors.yaw_reaction[t]
+        moment = _moment(m, "yaw_moment", t) + m.rotors.yaw_reaction[t]
         return m.vehicle.Iz * b.dr_dt[t] == airframe_coupling + moment

@@ -33,6 +33,7 @@ from pyomo_quad.study.comparison import (
     ARRIVAL_SPEED_M_PER_S,
     FAIR_BASELINE,
     INSIDE_DISTANCE_M,
+    RESERVE,
     ComparisonColumn,
     ReplanningColumn,
     replanning_table,
@@ -160,7 +161,8 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
         return None
     flags = (ComparisonColumn.ARRIVED, ComparisonColumn.LIMITS_KEPT, ComparisonColumn.VERIFIED)
     texts = (ComparisonColumn.SCENARIO, ComparisonColumn.FLIGHT, ComparisonColumn.BROKEN_LIMITS)
-    kinds = dict.fromkeys(ComparisonColumn, float) | dict.fromkeys(flags, bool)
+    columns = [*ComparisonColumn, *([RESERVE] if scenario.limits.reserve else [])]
+    kinds = dict.fromkeys(columns, float) | dict.fromkeys(flags, bool)
     try:
         summary = json.loads((folder / SUMMARY_NAME).read_text(encoding="utf-8"))
         comparison = pd.read_csv(
@@ -168,7 +170,7 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
             usecols=lambda name: name in kinds,
             dtype=kinds | dict.fromkeys(texts, str),
         )
-        comparison = comparison[list(ComparisonColumn)].fillna(dict.fromkeys(texts, ""))
+        comparison = comparison[columns].fillna(dict.fromkeys(texts, ""))
     except (OSError, ValueError, KeyError):
         return None
     expected = {
@@ -243,6 +245,7 @@ def _of_flights(comparison: pd.DataFrame) -> dict[str, Any]:
     return {
         "column": ComparisonColumn,
         "rows": comparison.to_dict("records"),
+        "RESERVE": RESERVE,
         "arrival": {
             "distance_m": ARRIVAL_DISTANCE_M,
             "speed_m_per_s": ARRIVAL_SPEED_M_PER_S,

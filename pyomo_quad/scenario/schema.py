@@ -251,15 +251,18 @@ class Scenario(Part):
                 f"{source}: vehicle.rotor_radius is missing; power.model momentum needs the radius "
                 "of one rotor in m."
             )
+        share = 1 - self.limits.reserve
+        left = f" less limits.reserve = {self.limits.reserve:g}" if share < 1 else ""
         needed = self.vehicle.hover_speed(self.gravity)
-        if needed > self.limits.rotor_speed_max:
+        if needed > share * self.limits.rotor_speed_max:
             raise FeasibilityError(
-                f"{source}: hover needs {needed:.4g} rad/s per rotor, limits.rotor_speed_max is "
-                f"{self.limits.rotor_speed_max:.4g} rad/s; raise the limit or lower the mass."
+                f"{source}: hover needs {needed:.4g} rad/s per rotor, limits.rotor_speed_max{left} "
+                f"is {share * self.limits.rotor_speed_max:.4g} rad/s; raise the limit or lower the "
+                "mass."
             )
         weight = self.vehicle.total_mass * self.gravity
-        if weight > self.limits.thrust_max:
+        if weight > share * self.limits.thrust_max:
             raise FeasibilityError(
-                f"{source}: hover needs {weight:.4g} N of thrust, limits.thrust_max is "
-                f"{self.limits.thrust_max:.4g} N; raise the limit or lower the mass."
+                f"{source}: hover needs {weight:.4g} N of thrust, limits.thrust_max{left} is "
+                f"{share * self.limits.thrust_max:.4g} N; raise the limit or lower the mass."
             )

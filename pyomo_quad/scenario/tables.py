@@ -380,6 +380,14 @@ class Limits(Part):
         gt=0,
         sound=Sound(1e-2, 1e3, "nothing with rotors flies at the speed of sound"),
     )
+    reserve: Number = quantity(
+        "1",
+        "share of the largest rotor speed and thrust that plans leave to the controller",
+        0.0,
+        ge=0,
+        lt=1,
+        is_late=True,
+    )
     state_of_charge_min: Number | None = quantity(
         "percent", "lowest state of charge, no limit when absent", None, ge=0, lt=100
     )

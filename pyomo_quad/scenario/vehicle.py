@@ -6,8 +6,11 @@ from math import sqrt
 from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Sound, Text, Triple, quantity
 
 ROTOR_COUNT = 4
+# Ahead, to the left, behind, to the right, as the signs of eq. (7) say.
+_CROSS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 _INERTIA = Sound(1e-9, 1e6, "a gram at a millimetre has 1e-9, ten tonnes at ten metres have 1e6")
+_ROTOR_DRAG = Sound(0, 1e2, "a rotor of a centimetre has about 1e-8, one of ten metres about 1")
 _FITTED = Sound(-1e9, 1e9, "f_r is a share and its arguments are not tiny")
 
 
@@ -190,6 +193,45 @@ class Vehicle(Part):
         le=10,
         is_late=True,
     )
+    rotor_drag_plane: Number = quantity(
+        "kg/rad",
+        "drag in the rotor plane over airspeed and rotor speed, of one rotor (Mellinger)",
+        0.0,
+        ge=0,
+        sound=_ROTOR_DRAG,
+        is_late=True,
+    )
+    rotor_drag_axis: Number = quantity(
+        "kg/rad",
+        "loss of thrust over axial airspeed and rotor speed, of one rotor (Svacha, Mohta, Kumar)",
+        0.0,
+        ge=0,
+        sound=_ROTOR_DRAG,
+        is_late=True,
+    )
+    translational_lift: Number = quantity(
+        "kg/m",
+        "thrust over in-plane airspeed squared, of one rotor (Faessler, Franchi, Scaramuzza)",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e3, "a hundred square metres across the flow have about 1e2"),
+        is_late=True,
+    )
+    parasitic_drag: Triple = quantity(
+        "kg/m",
+        "drag over airspeed squared, along body x, y and z",
+        (0.0, 0.0, 0.0),
+        sound=Sound(0, 1e3, "a hundred square metres across the flow have about 1e2"),
+        is_late=True,
+    )
+    motor_time_constant: Number = quantity(
+        "s",
+        "lag of the motors: rotors accelerate by at most (rotor_speed_max - speed) over it",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e3, "a rotor takes from a millisecond to minutes to reach its speed"),
+        is_late=True,
+    )
     attitude: Attitude = quantity(
         "",
         "exact kinematics and the rotors' yaw reaction, or eq. (9) and (6) as printed",
@@ -202,6 +244,11 @@ class Vehicle(Part):
     def total_mass(self) -> float:
         """Mass in flight, kg."""
         return self.mass + self.payload
+
+    @property
+    def rotor_places(self) -> tuple[tuple[float, float], ...]:
+        """Where each rotor stands along body x and y, m."""
+        return tuple((ahead * self.arm_length, aside * self.arm_length) for ahead, aside in _CROSS)
 
     def hover_speed(self, gravity: float) -> float:
         """Return the rotor speed at which the thrust balances the weight.

@@ -14,6 +14,7 @@ from scipy.optimize import OptimizeResult, minimize
 
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight
+from pyomo_quad.model.aerodynamics import acts_in_body_axes
 from pyomo_quad.scenario import PowerModel, Scenario
 
 if TYPE_CHECKING:
@@ -265,6 +266,11 @@ def _obstacle(scenario: Scenario) -> str:
         return (
             "power.model momentum has no bound: its power depends on the airspeed, so the least "
             "power of hover bounds no flight."
+        )
+    if acts_in_body_axes(scenario):
+        return (
+            "no bound is known for air that acts in body axes: what it does depends on attitude "
+            "and rotor speeds."
         )
     if scenario.limits.rotor_speed_min >= scenario.limits.rotor_speed_max:
         return _IMPOSSIBLE

@@ -111,6 +111,11 @@ class ComparisonColumn(StrEnum):
     BATTERY_USED = "battery_used_percent"
 
 
+RESERVE = "reserve_percent"
+"""Share of rotor speed and of thrust, the lesser, that a flight leaves unused throughout; a column
+only where the scenario asks plans for a reserve."""
+
+
 def has_arrived(flight: Flight) -> bool:
     """Say whether a flight ends at the goal and at rest."""
     speed = np.linalg.norm([flight.terminal_miss.get(name, 0.0) for name in _VELOCITY_STATES])
@@ -175,7 +180,10 @@ def compare_flights(
                 **_measured(scenario, flight.frame),
             }
         )
-    return pd.DataFrame(rows, columns=[column.value for column in ComparisonColumn])
+    compared = pd.DataFrame(rows, columns=[column.value for column in ComparisonColumn])
+    if scenario.limits.reserve:
+        compared[RESERVE] = [_reserve_percent(scenario, flight.frame) for flight in flights]
+    return compared
 
 
 class ReplanningColumn(StrEnum):
@@ -263,6 +271,14 @@ def _measured(scenario: Scenario, frame: pd.DataFrame) -> dict[ComparisonColumn,
         ComparisonColumn.TIME_INSIDE: _time_inside(scenario, frame),
         ComparisonColumn.BATTERY_USED: float(charge[0] - charge[-1]),
     }
+
+
+def _reserve_percent(scenario: Scenario, frame: pd.DataFrame) -> float:
+    limits = scenario.limits
+    speeds = np.column_stack([_values(frame, "rotors.omega", rotor) for rotor in ROTORS])
+    thrust = _values(frame, "rotors.total_thrust")
+    used = max(speeds.max() / limits.rotor_speed_max, thrust.max() / limits.thrust_max)
+    return float(100.0 * (1.0 - used))
 
 
 def _time_inside(scenario: Scenario, frame: pd.DataFrame) -> float:

@@ -68,7 +68,18 @@ def angle_rates(phi, theta, spin):
     return np.linalg.solve(np.transpose(axes), spin)
 
 
-def rates(body, omega, alpha, wind_velocity, drag=None, is_exact=False):
+def air_on_body(body, omega, wind_velocity, plane=0.0, axis=0.0, lift=0.0, parasitic=(0, 0, 0)):
+    """Force and moment of the air in body axes, on each rotor where it is and on the airframe."""
+    spin, to_body = body[9:12], rotation(*body[6:9]).T
+    air = body[3:6] - wind_velocity
+    at_rotors = to_body @ air + np.cross(spin, POSITIONS)
+    forces = -omega[:, None] * at_rotors * [plane, plane, axis]
+    forces += lift * (at_rotors[:, :2] ** 2).sum(axis=1)[:, None] * UP
+    pressed = np.sqrt(air @ air + 1e-6) * np.array(parasitic) * (to_body @ air)
+    return forces.sum(axis=0) - pressed, np.cross(POSITIONS, forces).sum(axis=0)
+
+
+def rates(body, omega, alpha, wind_velocity, drag=None, is_exact=False, rotor_air=None):
     """Time derivative of the 16 states; `drag` = (linear, quadratic) replaces (9)'s W.
 
     Exact attitude, unlike (9)'s, tells the angles' rates from the spin and has the body turn
@@ -90,6 +101,10 @@ def rates(body, omega, alpha, wind_velocity, drag=None, is_exact=False):
         moment += IR * (SPIN * alpha).sum() * UP
     drum = IR * (SPIN * omega).sum() * np.cross(spin, UP)
     angular = np.linalg.solve(INERTIA, moment + drum - np.cross(spin, INERTIA @ spin))
+    if rotor_air is not None:
+        force_of_air, moment_of_air = air_on_body(body, omega, wind_velocity, **rotor_air)
+        acceleration = acceleration + rotation(phi, theta, psi) @ force_of_air / MASS
+        angular = angular + np.linalg.solve(INERTIA, moment_of_air)
     turning = angle_rates(phi, theta, spin) if is_exact else spin
     return np.concatenate([velocity, acceleration, turning, angular, alpha])
 

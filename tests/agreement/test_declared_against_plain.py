@@ -5,7 +5,7 @@ import pytest
 from pyomo.environ import Constraint, units, value
 from pyomo.util.check_units import assert_units_consistent, assert_units_equivalent
 
-from pyomo_quad.model import build_model
+from pyomo_quad.model import build_model, inspect_model
 from tests.agreement import plain_quadrotor as plain
 from tests.declared_model import RIGID_BODY, ROTORS, Instant, scenario
 
@@ -26,12 +26,12 @@ def random_states(seed):
         yield body, omega, alpha
 
 
-def largest_difference(instant, drag=None, *, is_exact=False):
+def largest_difference(instant, drag=None, *, is_exact=False, rotor_air=None):
     worst = 0.0
     for body, omega, alpha in random_states(1):
         instant.set(body, omega, alpha)
         declared = instant.rates()
-        expected = plain.rates(body, omega, alpha, plain.wind(instant.t), drag, is_exact)
+        expected = plain.rates(body, omega, alpha, plain.wind(instant.t), drag, is_exact, rotor_air)
         found = np.array([declared[name] for name in RATE_NAMES])
         # A rate that nearly cancels is held to the size of its terms, here of the order of g.
         scale = np.maximum(np.abs(expected), plain.GRAVITY)
@@ -53,6 +53,38 @@ def test_state_derivative_with_drag(drag, is_exact):
         vehicle={"drag_linear": drag[0], "drag_quadratic": drag[1]} | ({} if is_exact else PRINTED),
     )
     assert largest_difference(instant, drag, is_exact=is_exact) < AGREEMENT
+
+
+@pytest.mark.parametrize("coupling", ["acceleration", "drag"])
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {"rotor_drag_plane": 1.19e-4},
+        {"rotor_drag_axis": 2.32e-4},
+        {"translational_lift": 3.4e-3},
+        {"parasitic_drag": [5e-3, 6e-3, 1e-2]},
+        {"rotor_drag_plane": 1e-4, "rotor_drag_axis": 2e-4, "parasitic_drag": [0.0, 0.0, 1e-2]},
+    ],
+)
+def test_state_derivative_with_air_in_body_axes(numbers, coupling):
+    instant = Instant.of(
+        wind={"use": "paper_table_2", "coupling": coupling},
+        vehicle={"drag_linear": 0.43} | numbers,
+    )
+    names = {"rotor_drag_plane": "plane", "rotor_drag_axis": "axis"}
+    names |= {"translational_lift": "lift", "parasitic_drag": "parasitic"}
+    rotor_air = {names[name]: number for name, number in numbers.items()}
+    drag = (0.43, 0.0) if coupling == "drag" else None
+    assert largest_difference(instant, drag, is_exact=True, rotor_air=rotor_air) < AGREEMENT
+
+
+def test_air_in_body_axes_has_units_and_is_declared_only_where_it_acts():
+    numbers = {"rotor_drag_plane": 1e-4, "translational_lift": 1e-3, "parasitic_drag": [0, 0, 1e-2]}
+    model = build_model(scenario(vehicle=numbers | {"motor_time_constant": 0.05}))
+    assert inspect_model(model).unit_errors == ()
+    plain_model = build_model(scenario())
+    assert plain_model.find_component("aerodynamics.body_force_x") is None
+    assert plain_model.find_component("limits.motor_lag_limit") is None
 
 
 def test_a_flipped_sign_is_noticed():
