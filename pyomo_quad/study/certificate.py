@@ -216,7 +216,7 @@ def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificat
 
 
 def _bound(scenario: Scenario, planner: Planner) -> tuple[float | None, str]:
-    reason = _obstacle(scenario)
+    reason = next(_obstacles(scenario), "")
     if reason:
         return None, reason
     demand = MomentumDemand(planner.dynamics(scenario))
@@ -252,29 +252,29 @@ def _less_room(scenario: Scenario) -> str:
     return ", and so for those of them that stay within the airspace too"
 
 
-def _obstacle(scenario: Scenario) -> str:
+def _obstacles(scenario: Scenario) -> Iterator[str]:
+    """Yield why no bound is known, the plainest first."""
     if scenario.model is not None:
-        return f"no bound is known for a model of one's own ({scenario.model})."
+        yield f"no bound is known for a model of one's own ({scenario.model})."
     if scenario.mission.is_free:
-        return "no bound is known for a free duration."
+        yield "no bound is known for a free duration."
     if scenario.power.model is PowerModel.EFFICIENCY:
-        return (
+        yield (
             "power.model efficiency has no bound: its power is not convex in the rotor "
             "acceleration, so flights that accelerate and coast in turn can undercut it."
         )
     if scenario.power.model is PowerModel.MOMENTUM:
-        return (
+        yield (
             "power.model momentum has no bound: its power depends on the airspeed, so the least "
             "power of hover bounds no flight."
         )
     if acts_in_body_axes(scenario):
-        return (
+        yield (
             "no bound is known for air that acts in body axes: what it does depends on attitude "
             "and rotor speeds."
         )
     if scenario.limits.rotor_speed_min >= scenario.limits.rotor_speed_max:
-        return _IMPOSSIBLE
-    return ""
+        yield _IMPOSSIBLE
 
 
 def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> float:
