@@ -39,7 +39,7 @@ from pyomo_quad.flight.verification import (
     verify_controls,
 )
 from pyomo_quad.model import ask_for_least_time, build_model, parameter_values, structure_key
-from pyomo_quad.model.limits import WITHOUT_RESERVE
+from pyomo_quad.model.limits import without_reserve
 from pyomo_quad.model.power import wider_smoothings
 from pyomo_quad.model.wind import still_air
 from pyomo_quad.scenario import Scenario, ScenarioError
@@ -352,11 +352,8 @@ class Planner:
 
         Its limits are those of the controller, which has what plans leave as a reserve.
         """
-        problem, _ = self.problem_for(scenario)
-        parameters = self.parameters(scenario)
-        if parameters is not None and scenario.limits.reserve:
-            parameters |= WITHOUT_RESERVE
-        return problem.dynamics(parameters=parameters, horizon=_horizon(scenario))
+        problem, numbers = self.problem_for(scenario)[0], self.parameters(scenario)
+        return problem.dynamics(parameters=without_reserve(numbers), horizon=_horizon(scenario))
 
     def solve(
         self,

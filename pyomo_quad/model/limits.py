@@ -49,8 +49,6 @@ _MOTOR_LAG = Parameter(
     value=lambda s: s.vehicle.motor_time_constant,
     doc="lag of the motors",
 )
-#: The numbers under which the controller, which the reserve is for, flies.
-WITHOUT_RESERVE = {f"limits.{_RESERVE.name}": 0.0}
 
 
 def _reader(name: str) -> Callable[[Scenario], float]:
@@ -72,6 +70,12 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
         if getattr(scenario.limits, name) is not None
     )
     return (*bounds, *(row for row in (_RESERVE, _MOTOR_LAG) if row.value(scenario)))
+
+
+def without_reserve(numbers: dict[str, float] | None) -> dict[str, float] | None:
+    """Return a model's numbers, if any, as they are for the controller, whom the reserve is for."""
+    reserve = f"limits.{_RESERVE.name}"
+    return numbers | {reserve: 0.0} if numbers is not None and reserve in numbers else numbers
 
 
 def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
