@@ -191,6 +191,7 @@ def synthetic_plan(
     is_flown = status in (PlanStatus.VERIFIED, PlanStatus.SOLVED)
     return SimpleNamespace(
         scenario=scenario,
+        duration_s=flight.duration_s,
         energy=flight.energy_J,
         hover_energy_J=HOVER_ENERGY_J,
         status=status,

@@ -40,8 +40,9 @@ from pyomo_quad.report.paths import (
     distinct_paths,
     draw_path,
     leaving_paths,
+    script_json,
+    view_data,
     view_markup,
-    view_script,
 )
 from pyomo_quad.report.render import FIGURE_FOLDER, fixed
 from pyomo_quad.report.style import (
@@ -248,8 +249,9 @@ def draw_compared(folder: Path, comparison: pd.DataFrame, figures: Figures) -> t
 
 
 def view_of_paths(result: "RunResult") -> tuple[dict[str, str], str]:
-    """Return the view of the paths to turn, by the picture that it stands above, and its script."""
-    return {PATH_NAME: view_markup()}, view_script(_styled(result))
+    """Return the player of the flight, by the picture that it stands above, and what it plays."""
+    played = view_data(_styled(result), result.plan.scenario.airspace)
+    return {PATH_NAME: view_markup()}, script_json(played)
 
 
 def _styled(result: "RunResult") -> tuple[StyledFlight, ...]:

@@ -12,22 +12,30 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
-from plotly.offline import get_plotlyjs
 
 from pyomo_quad.report.style import (
+    ATTITUDE,
+    BATTERY,
+    BODY_RATE,
+    ENERGY,
     FULL_WIDTH,
     INK,
+    MOTOR,
     MUTED,
     PALE,
     POSITION,
     POWER,
+    ROTOR_ACCELERATION,
+    ROTOR_SPEED,
     TICK_STEPS,
     TIME,
     VELOCITY,
+    WIND,
     Signal,
     StyledFlight,
     legend_below,
 )
+from pyomo_quad.scenario.airspace import Airspace, KeepOut
 
 _PROJECTIONS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
 BEAT_COUNT = 5  # markers at equal times along each path: wide apart means fast
@@ -181,110 +189,121 @@ def _axis_label(signal: Signal) -> str:
 VIEW_ELEMENT = "flight-view"
 
 _SAMPLES = 201
-_DECIMALS = 4
-_HOVER_TEXT = (
-    "<b>%{fullData.name}</b><br>t = %{customdata[0]:.2f} s<br>"
-    "x, y, z = %{x:.2f}, %{y:.2f}, %{z:.2f} m<br>"
-    "speed %{customdata[1]:.2f} m/s, power %{customdata[2]:.1f} W<extra></extra>"
+_DIGITS = 6
+_SERIES = (
+    ("Position", POSITION),
+    ("Velocity", VELOCITY),
+    ("Attitude", ATTITUDE),
+    ("Body rates", BODY_RATE),
+    ("Power and energy", (POWER, ENERGY)),
+    ("Battery", BATTERY),
+    ("Rotor speeds", ROTOR_SPEED),
+    ("Rotor accelerations", ROTOR_ACCELERATION),
+    ("Motors", tuple(signal for signals in MOTOR[1:] for signal in signals)),
+    ("Wind", WIND),
 )
-_CONFIG = {
-    "displaylogo": False,
-    "modeBarButtons": [["toImage"], ["zoom3d", "pan3d", "tableRotation"], ["resetCameraDefault3d"]],
-    "responsive": True,
-    "scrollZoom": False,  # the wheel scrolls the page
-}
 
 
 def view_markup() -> str:
-    """Return the element that the view is drawn into."""
+    """Return the elements that the flight is played in."""
     return (
-        f'<div id="{VIEW_ELEMENT}" class="view screen" role="img" '
-        'aria-label="Interactive view of the paths in space; the next figure shows the same '
-        'paths."></div>'
-        '<p class="note screen">Drag to turn, pinch or use the buttons to zoom; touch a path to '
-        "read it, a name to show or hide it.</p>"
-        "<noscript><p>The interactive view needs JavaScript; the next figure shows the same "
+        f'<div class="screen player"><div id="{VIEW_ELEMENT}" class="view screen" role="img" '
+        'aria-label="The flight in space; the next figure shows the same paths."></div>'
+        '<div class="controls"><button type="button" id="flight-play">Play</button>'
+        '<input type="range" id="flight-time" min="0" step="any" value="0" aria-label="Time">'
+        '<output id="flight-clock"></output>'
+        '<button type="button" id="flight-further" aria-label="Further">−</button>'
+        '<button type="button" id="flight-nearer" aria-label="Nearer">+</button></div>'
+        '<div id="flight-names" class="names"></div>'
+        '<p class="note">Drag to turn. The dark arm is the front, the thin arrow the thrust, the '
+        "blue arrow the wind. Point at a chart to read all of them at that time.</p>"
+        '<details open><summary>Every quantity over time</summary><div id="flight-charts"></div>'
+        "</details></div>"
+        "<noscript><p>The moving view needs JavaScript; the next figure shows the same "
         "paths.</p></noscript>"
     )
 
 
-def view_script(flights: Sequence[StyledFlight]) -> str:
-    """Return the program that draws the view, with all that it needs."""
-    shown = [f for f in distinct_paths(flights) if f not in leaving_paths(flights)]
-    paths = [_path(flight, is_shown=flight in shown) for flight in flights]
-    data = [*paths, *_end_marks(flights[0])]
-    arguments = ", ".join(_json(part) for part in (VIEW_ELEMENT, data, _layout(), _CONFIG))
-    return f"{get_plotlyjs()}\nPlotly.newPlot({arguments});"
+def view_data(flights: Sequence[StyledFlight], airspace: Airspace) -> dict[str, Any]:
+    """Return what the page's program plays: flights, their quantities, zones and ends."""
+    framed = [flight for flight in flights if flight not in leaving_paths(flights)]
+    shown = [flight for flight in distinct_paths(flights) if flight in framed]
+    optimum = flights[0].frame
+    winds = np.array([signal.of(optimum) for signal in WIND if signal.column in optimum])
+    return {
+        "flights": [
+            _played(flight, is_shown=flight in shown, is_framed=flight in framed)
+            for flight in flights
+        ],
+        "groups": [
+            (name, [_described(s, signals) for s in signals if s.column in optimum])
+            for name, signals in _SERIES
+            if any(signal.column in optimum for signal in signals)
+        ],
+        "zones": [
+            {"name": zone.name, "shape": zone.shape.value, **_extent(zone)}
+            for zone in airspace.keep_out
+        ],
+        "ends": [(name, _rounded(place)) for place, name, _ in _ends(flights[0])],
+        "fastest_wind": max(float(np.abs(winds).max(initial=0.0)), 1.0),
+    }
 
 
-def _path(flight: StyledFlight, *, is_shown: bool) -> dict[str, Any]:
+def _played(flight: StyledFlight, *, is_shown: bool, is_framed: bool) -> dict[str, Any]:
     frame = flight.frame
     rows = np.unique(np.linspace(0, len(frame) - 1, _SAMPLES).round().astype(int))
-    shown = frame.iloc[rows]
-    speed = np.linalg.norm([signal.of(shown) for signal in VELOCITY], axis=0)
-    said = np.column_stack([TIME.of(shown), speed, POWER.of(shown)])
-    place = {axis: _rounded(signal.of(shown)) for axis, signal in zip("xyz", POSITION, strict=True)}
-    return {
-        "type": "scatter3d",
-        "mode": "lines",
+    kept = frame.iloc[rows]
+    played = {
         "name": flight.name,
-        "visible": True if is_shown else "legendonly",
-        **place,
-        "customdata": _rounded(said),
-        "hovertemplate": _HOVER_TEXT,
-        "line": {"color": flight.style.color, "width": 6, "dash": flight.style.dash_name},
+        "color": flight.style.color,
+        "dashes": [3.0 * length for length in flight.style.dashes],
+        "visible": is_shown,
+        "framed": is_framed,
+        "t": _rounded(TIME.of(kept) - TIME.of(kept)[0]),
+        **{axis: _rounded(signal.of(kept)) for axis, signal in zip("xyz", POSITION, strict=True)},
+        "series": {
+            signal.column: _rounded(signal.of(kept))
+            for _, signals in _SERIES
+            for signal in signals
+            if signal.column in kept
+        },
+    }
+    if all(signal.column in kept for signal in ATTITUDE):
+        for angle, signal in zip(("phi", "theta", "psi"), ATTITUDE, strict=True):
+            played[angle] = _rounded(kept[signal.column].to_numpy(dtype=float))
+    if all(signal.column in kept for signal in WIND):
+        played["wind"] = [_rounded(signal.of(kept)) for signal in WIND]
+    return played
+
+
+def _described(signal: Signal, group: Sequence[Signal]) -> dict[str, Any]:
+    which = signal.index or signal.symbol.removeprefix("v_")
+    is_alone = [other.name for other in group].count(signal.name) == 1
+    return {
+        "key": signal.column,
+        "name": signal.name if is_alone else f"{signal.name} {which}",
+        "unit": signal.unit,
+        "span": signal.smallest_span,
     }
 
 
-def _end_marks(optimum: StyledFlight) -> list[dict[str, Any]]:
-    track = np.column_stack([signal.of(optimum.frame) for signal in POSITION])
-    return [
-        {
-            "type": "scatter3d",
-            "mode": "markers+text",
-            "text": [name],
-            "textposition": "top center",
-            **{axis: _rounded(value[None]) for axis, value in zip("xyz", place, strict=True)},
-            "hoverinfo": "skip",
-            "showlegend": False,
-            "marker": {"color": INK, "size": 5, "symbol": symbol},
-        }
-        for name, place, symbol in (("start", track[0], "circle"), ("goal", track[-1], "diamond"))
-    ]
-
-
-def _layout() -> dict[str, Any]:
-    axes = {
-        f"{axis}axis": {
-            "title": {"text": f"{signal.symbol} ({signal.unit})"},
-            "backgroundcolor": "white",
-            "gridcolor": "#d0d0d0",
-            "zerolinecolor": MUTED,
-        }
-        for axis, signal in zip("xyz", POSITION, strict=True)
+def _extent(zone: KeepOut) -> dict[str, dict[str, float]]:
+    """Return the least box around a zone."""
+    sides = {
+        "xyz"[axis]: (centre - ball.radius, centre + ball.radius)
+        for ball in zone.balls
+        for axis, centre in zip(ball.axes, ball.centre, strict=True)
     }
     return {
-        "autosize": True,
-        "font": {"color": INK, "size": 13},
-        "legend": {"itemwidth": 46, "orientation": "h", "x": 0, "y": 0, "yanchor": "top"},
-        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
-        "paper_bgcolor": "white",
-        "scene": {
-            **axes,
-            "aspectmode": "data",
-            "camera": {
-                "center": {"x": 0, "y": 0, "z": -0.12},
-                "eye": {"x": 1.3, "y": -2.0, "z": 0.75},
-            },
-            "dragmode": "turntable",
-        },
+        end: {axis: side[at] for axis, side in sides.items()}
+        for at, end in enumerate(("low", "high"))
     }
 
 
 def _rounded(values: np.ndarray) -> list[Any]:
-    return np.round(values, _DECIMALS).tolist()
+    return [float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None for value in values]
 
 
-def _json(value: object) -> str:
-    # No text can end the script or start a comment in it.
+def script_json(value: object) -> str:
+    """Return JSON that may stand in a page: no text can end the script or start a comment in it."""
     return json.dumps(value, allow_nan=False).replace("<", "\\u003c").replace(">", "\\u003e")

@@ -208,7 +208,7 @@ def render_html(
     is_good: bool,
     pictures: Mapping[str, bytes],
     views: Mapping[str, str],
-    script: str,
+    data: str,
 ) -> str:
     """Return a report as an HTML page that loads nothing.
 
@@ -222,8 +222,8 @@ def render_html(
         SVG or PNG of each picture of the report, by name.
     views : mapping of str to str
         HTML of what stands above a picture on a screen, by the picture's name.
-    script : str
-        JavaScript that runs when all else is there.
+    data : str
+        JSON of what the page's program plays, empty without.
 
     Returns
     -------
@@ -237,8 +237,16 @@ def render_html(
     return (
         environment()
         .get_template("report/page.html.j2")
-        .render(title=_written(_label(tokens[1])), body=_written(body), script=_written(script))
+        .render(
+            title=_written(_label(tokens[1])),
+            body=_written(body),
+            data=_written(data),
+            program=_written(_PROGRAM.read_text(encoding="utf-8")),
+        )
     )
+
+
+_PROGRAM = Path(__file__).with_name("page.js")
 
 
 def _label(inline: Token) -> str:

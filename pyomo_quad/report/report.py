@@ -212,7 +212,7 @@ def write_compare_report(
     )
     (folder / COMPARISON_REPORT_NAME).write_text(text, encoding="utf-8")
     page = render_html(
-        text, is_good=is_good, pictures=_pictures(folder, drawings), views={}, script=""
+        text, is_good=is_good, pictures=_pictures(folder, drawings), views={}, data=""
     )
     (folder / PAGE_NAME).write_text(page, encoding="utf-8")
 
@@ -314,15 +314,15 @@ def _gallery() -> ModuleType:
 
 def _page(folder: Path, text: str, result: "RunResult", drawings: "Sequence[Drawing]") -> str:
     views: dict[str, str] = {}
-    script = ""
+    data = ""
     if drawings and _gallery().PATH_NAME in [drawing.name for drawing in drawings]:
-        views, script = _gallery().view_of_paths(result)
+        views, data = _gallery().view_of_paths(result)
     return render_html(
         text,
         is_good=_is_good(result),
         pictures=_pictures(folder, drawings),
         views=views,
-        script=script,
+        data=data,
     )
 
 

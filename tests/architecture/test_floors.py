@@ -48,7 +48,6 @@ HOMES = {
     "scipy.integrate": {"flight"},
     "matplotlib": {"report", "identification", "paper", "polar", "sweep"},
     "mpl_toolkits": {"report"},
-    "plotly": {"report"},
     "jinja2": {"report"},
     "markdown_it": {"report"},
     "rosbags": {"exports"},

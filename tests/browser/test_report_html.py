@@ -16,6 +16,10 @@ selenium = pytest.importorskip(
 )
 
 TITLE = "<script>window.attacked = true</script> *gust* [x](javascript:alert(1)) & | `co`"
+ZONE = (
+    'airspace.keep_out=[{name="mast",shape="cylinder",centre=[3.0,2.0],radius=0.5,bottom=0.0,'
+    "top=40.0}]"
+)
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 PHONE = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
 TIMEOUT = 60  # s; drawing in software on a busy machine is slow
@@ -53,7 +57,7 @@ def page(tmp_path_factory):
 
     with _browser() as browser:
         folder = tmp_path_factory.mktemp("report")
-        write_run_report(folder, synthetic_run(overrides=(f"title={TITLE!r}",)))
+        write_run_report(folder, synthetic_run(overrides=(f"title={TITLE!r}", ZONE)))
         browser.set_page_load_timeout(TIMEOUT)
         browser.get((folder / PAGE_NAME).as_uri())
         WebDriverWait(browser, TIMEOUT).until(
@@ -123,6 +127,121 @@ def test_phone_scrolls_in_one_direction_only(page):
     finally:
         page.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     assert width <= PHONE["width"]
+
+
+def on_a_phone(page, script):
+    page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", PHONE)
+    try:
+        return page.execute_script(script)
+    finally:
+        page.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_no_table_is_cut_on_a_phone(page):
+    wide = on_a_phone(
+        page,
+        "return [...document.querySelectorAll('table, td, tbody th, figure img, .chart')]"
+        ".filter(part => part.getBoundingClientRect().right > innerWidth + 1).length",
+    )
+    assert wide == 0
+    beside = "return getComputedStyle(document.querySelector('td'), '::before').content"
+    assert on_a_phone(page, beside) == '"Energy (J)"'
+
+
+def seconds(page):
+    clock = page.execute_script("return document.getElementById('flight-clock').textContent")
+    return float(clock.split()[0])
+
+
+def pixels(page):
+    return page.execute_script(
+        f"return document.querySelector('#{VIEW_ELEMENT} canvas').toDataURL()"
+    )
+
+
+def test_play_moves_time_and_vehicle_until_pause(page):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    before = pixels(page)
+    button = page.find_element("id", "flight-play")
+    page.execute_script("document.getElementById('flight-play').click()")
+    WebDriverWait(page, TIMEOUT).until(lambda browser: seconds(browser) > 0.2)
+    assert button.text == "Pause"
+    page.execute_script("document.getElementById('flight-play').click()")
+    assert button.text == "Play"
+    paused = seconds(page)
+    assert 0.2 < paused <= 10.0
+    assert pixels(page) != before
+    assert seconds(page) == paused
+
+
+def test_slider_sets_the_time_of_every_chart(page):
+    page.execute_script(
+        "const slider = document.getElementById('flight-time'); slider.value = 5;"
+        "slider.dispatchEvent(new Event('input'))"
+    )
+    assert seconds(page) == 5.0
+    cursors = page.execute_script(
+        "return [...new Set([...document.querySelectorAll('.plot i')].map(c => c.style.left))]"
+    )
+    assert cursors == ["50%"]
+    # The optimum's path is a quintic from 0 to 6 m: half of it at half the time.
+    read = page.execute_script("return document.querySelector('.chart .values').textContent")
+    assert read.startswith("3.00")
+
+
+def test_pointing_at_a_chart_reads_that_time(page):
+    from selenium.webdriver import ActionChains
+
+    plot = page.find_elements("css selector", ".plot")[4]
+    page.execute_script("arguments[0].scrollIntoView({block: 'center'})", plot)
+    ActionChains(page).move_to_element_with_offset(plot, plot.size["width"] // 4, 0).perform()
+    assert seconds(page) == pytest.approx(7.5, abs=0.1)
+
+
+def test_drag_turns_the_view(page):
+    from selenium.webdriver import ActionChains
+
+    turned = f"return document.getElementById('{VIEW_ELEMENT}').camera.azimuth"
+    before, picture = page.execute_script(turned), pixels(page)
+    canvas = page.find_element("css selector", f"#{VIEW_ELEMENT} canvas")
+    page.execute_script("arguments[0].scrollIntoView({block: 'center'})", canvas)
+    ActionChains(page).drag_and_drop_by_offset(canvas, 150, 0).perform()
+    assert page.execute_script(turned) - before == pytest.approx(1.0, abs=0.1)
+    assert pixels(page) != picture
+
+
+def test_a_table_sorts_by_its_numbers_both_ways(page):
+    column = (
+        "return [...document.querySelectorAll('table')[0].tBodies[0].rows]"
+        ".map(row => row.cells[1].textContent)"
+    )
+    click = "document.querySelectorAll('table')[0].tHead.querySelectorAll('button')[1].click()"
+    page.execute_script(click)
+    rising = [float(text) for text in page.execute_script(column)]
+    assert rising == sorted(rising)
+    assert len(set(rising)) > 2
+    page.execute_script(click)
+    assert [float(text) for text in page.execute_script(column)] == sorted(rising, reverse=True)
+
+
+def test_zones_and_wind_are_in_the_view(page):
+    data = page.execute_script(
+        "return JSON.parse(document.getElementById('flight-data').textContent)"
+    )
+    (zone,) = data["zones"]
+    assert (zone["name"], zone["low"], zone["high"]) == (
+        "mast",
+        {"x": 2.5, "y": 1.5, "z": 0},
+        {"x": 3.5, "y": 2.5, "z": 40},
+    )
+    assert len(data["flights"][0]["wind"]) == 2
+    assert data["flights"][0]["phi"]
+
+
+def test_the_page_is_light(page):
+    size = page.execute_script("return document.documentElement.outerHTML.length")
+    assert size < 3_000_000
 
 
 def test_print_replaces_the_view_by_the_figure(page):

@@ -96,7 +96,7 @@ def test_documents_show_the_figures_that_there_are(figures, tmp_path):
     assert set(re.findall(r'<img [^>]* src="data:image/([^;]*);base64', page)) == (
         {shown} if shown else set()
     )
-    assert ("Plotly.newPlot" in page) == (figures is not Figures.NONE)
+    assert ('id="flight-data"' in page) == (figures is not Figures.NONE)
 
 
 @pytest.mark.parametrize("figures", [Figures.PNG, Figures.NONE])

@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pyomo_quad.report.paths import view_script
+from pyomo_quad.report.paths import script_json, view_data
 from pyomo_quad.report.render import render_html
 from pyomo_quad.report.style import styled_flights
 from tests.synthetic_run import synthetic_run
@@ -46,7 +46,7 @@ def render(text):
         is_good=True,
         pictures={"path": b"<svg/>"},
         views={"path": "<p>view</p>"},
-        script="run();",
+        data='{"run": 1}',
     )
 
 
@@ -98,9 +98,13 @@ def test_page_may_not_load_anything():
 
 def test_view_holds_the_paths_and_no_end_of_script():
     run = synthetic_run(flights=("optimal", "adaptive/quintic"))
-    script = view_script(styled_flights(run.flights))
-    call = script[script.rindex("Plotly.newPlot(") + len("Plotly.newPlot(") : -2]
-    _, traces, _, _ = json.loads(f"[{call}]")
-    assert [trace.get("name") for trace in traces[:2]] == ["optimal", "adaptive/quintic"]
-    assert [traces[0][axis][-1] for axis in "xyz"] == list(run.scenario.mission.goal.position)
-    assert "</script" not in script
+    text = script_json(view_data(styled_flights(run.flights), run.scenario.airspace))
+    data = json.loads(text)
+    optimum, other = data["flights"]
+    assert [optimum["name"], other["name"]] == ["optimal", "adaptive/quintic"]
+    assert [optimum[axis][-1] for axis in "xyz"] == list(run.scenario.mission.goal.position)
+    shown = [signal["key"] for _, signals in data["groups"] for signal in signals]
+    # Every column of the table but the time and what others are made of.
+    assert set(run.flights[0].frame) - set(shown) == {"time_s", "thrust_N"}
+    assert all(len(optimum["series"][key]) == len(optimum["t"]) for key in shown)
+    assert "</script" not in script_json({"name": "</script><script>attack()"})
