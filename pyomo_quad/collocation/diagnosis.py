@@ -328,8 +328,12 @@ def diagnose(
     Raises
     ------
     TranscriptionError
-        If none of the families has a limit that could give way.
+        If none of the families has a limit that could give way, or there are several horizons.
     """
+    if solution.parts != (solution,):
+        raise TranscriptionError(
+            "diagnose: the solution is of several horizons; diagnose one of its `horizons`."
+        )
     program, scaling = solution.program, solution.scaling
     soft = SoftRows.of(
         program, solution.bounds, scaling, limits_of(*_limit_inputs(solution)), families

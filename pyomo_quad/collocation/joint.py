@@ -328,7 +328,7 @@ class JointProblem(Summarised):
             bounds,
             scaling,
             z,
-            options=options,
+            options=options.for_phases(),
             multipliers=multipliers,
             progress=progress,
         )

@@ -245,7 +245,7 @@ class Problem(Summarised, Formulation):
             bounds,
             scaling,
             z,
-            options=options,
+            options=options.for_phases() if self.compiled.declared.clock.phases else options,
             multipliers=multipliers,
             progress=progress,
         )

@@ -258,6 +258,8 @@ class Solution(Summarised):
                 "mesh": f"{self.mesh.points} points in {self.mesh.elements} elements",
                 "meshes": f"{len(self.history) or 1}",
             }
+        if self.problem.compiled.declared.clock.is_free:
+            size["times"] = ", ".join(f"{time:.6g}" for time in self.timeline.times)
         return {
             "status": self.status.value,
             "objective": f"{self.objective:.10g}",

@@ -26,6 +26,10 @@ class Status(Enum):
     TOLERANCE_NOT_MET = "tolerance_not_met"
 
 
+# Share of its size by which a bound gives way where equations may leave it no interior.
+_RELAXED = 1e-10
+
+
 @dataclass(frozen=True, kw_only=True)
 class SolverOptions:
     """Ipopt's settings that a caller may change.
@@ -44,6 +48,16 @@ class SolverOptions:
         if self.tolerance is not None:
             return self
         return replace(self, tolerance=float(np.clip(1e-3 * tolerance, 1e-11, _TOLERANCE)))
+
+    def for_phases(self) -> SolverOptions:
+        """Return the settings for equations that hold variables on their bounds for a phase.
+
+        An engine at full thrust, or a mass that is left: between such an equation and the bound
+        there is no interior, multipliers diverge, and warm starts from them are worse than none.
+        The bounds give way within Ipopt, and the result is put back on them.
+        """
+        relaxed = (("bound_relax_factor", _RELAXED), ("honor_original_bounds", "yes"))
+        return replace(self, extra=(*relaxed, *self.extra))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import casadi
+from pyomo.core.expr.numvalue import native_types
 from pyomo.core.expr.visitor import identify_variables
 from pyomo.dae import DerivativeVar
 from pyomo.environ import Constraint, Expression, Objective, Suffix, maximize, value
@@ -86,6 +87,7 @@ class RelationReader:
             return
         equations.append(equation)
         conditions.extend(self._start_and_end(equation, instances))
+        conditions.extend(self._between(equation, template, instances))
 
     def _relation(self, data: Any, name: str) -> tuple[Any, Any, Any]:
         lower, body, upper = data.to_bounded_expression()
@@ -133,14 +135,55 @@ class RelationReader:
                 added.append(self._imposed(condition))
         return added
 
+    def _between(
+        self, equation: PathEquation, template: Any, instances: dict[Any, Any]
+    ) -> list[PointCondition]:
+        """Return what instances at interior declared times ask for beside the path equation."""
+        added = []
+        for time in self.copy.declared_times[1:-1]:
+            data = instances.get(time)
+            if data is None or (template is not None and self._is_alike(template, data)):
+                continue
+            condition = self._condition(data)
+            if not any(self._same_at(condition, equation, time, side) for side in (-1, 1)):
+                added.append(self._imposed(condition))
+        return added
+
+    def _is_alike(self, first: Any, second: Any) -> bool:
+        """Say whether two instances of a constraint are one expression but for their times."""
+        pairs = [(first.expr, second.expr)]
+        while pairs:
+            a, b = pairs.pop()
+            are_numbers = [member.__class__ in native_types for member in (a, b)]
+            if any(are_numbers):
+                if not all(are_numbers) or a != b:
+                    return False
+            elif a.is_expression_type() and not a.is_named_expression_type():
+                if type(a) is not type(b) or a.nargs() != b.nargs():
+                    return False
+                pairs.extend(zip(a.args, b.args, strict=True))
+            elif not self._is_member_alike(a, b):
+                return False
+        return True
+
+    def _is_member_alike(self, a: Any, b: Any) -> bool:
+        if a is b:
+            return True
+        owners = [getattr(member, "parent_component", lambda: None)() for member in (a, b)]
+        if owners[0] is None or owners[0] is not owners[1]:
+            return False
+        return self.addresses.of(a).index == self.addresses.of(b).index
+
     def _states_only(self, equation: PathEquation) -> bool:
         names = symbol_names(equation.expression)
         table = self.symbols
         rates = {s.rate.name() for s in table.states.values()}
         return bool(names & set(table.states)) and not names & (rates | set(table.algebraics))
 
-    def _same_at(self, condition: PointCondition, equation: PathEquation, time: float) -> bool:
-        """Say whether a condition is the path equation with its time put in.
+    def _same_at(
+        self, condition: PointCondition, equation: PathEquation, time: float, side: int = -1
+    ) -> bool:
+        """Say whether a condition is the path equation with its time put in, on one side of it.
 
         One that branches on its time may hold other numbers at that instant, which has no length.
         """
@@ -161,16 +204,17 @@ class RelationReader:
         # Pyomo has folded the declared times into the condition: compare at just those.
         old.extend(clock.times)
         new.extend(casadi.SX(t) for t in clock.declared)
-        numbers = self._writer.scheduled_before(time)
-        moved, held = casadi.substitute(
-            [casadi.SX(equation.expression), casadi.SX(condition.expression)],
+        numbers = self._writer.scheduled_beside(time, side)
+        sides = [(e.expression, e.lower, e.upper) for e in (equation, condition)]
+        moved = casadi.substitute(
+            [casadi.SX(part) for side in sides for part in side],
             [*old, *(symbol for symbol, _ in numbers.values())],
             [*new, *(number for _, number in numbers.values())],
         )
         is_scheduled = self._writer.is_scheduled(equation.name)
-        if is_scheduled and symbol_names(moved) == symbol_names(held):
+        if is_scheduled and symbol_names(moved[0]) == symbol_names(moved[3]):
             return True
-        return same_expression(moved, held)
+        return all(same_expression(moved[k], moved[k + 3]) for k in range(3))
 
     def values_at_points(self, conditions: list[PointCondition]) -> list[tuple[str, float]]:
         """Return what is fixed at declared times; add bounds that hold only there."""

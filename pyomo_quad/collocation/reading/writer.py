@@ -335,14 +335,18 @@ class TemplateWriter:
         """Say whether a component's rule is no formula of time."""
         return any(s.name == name for s in self.schedules)
 
-    def scheduled_before(self, time: float) -> dict[str, tuple[Any, float]]:
-        """Return the symbols of all schedules and their numbers just before a declared time."""
+    def scheduled_beside(self, time: float, side: int = -1) -> dict[str, tuple[Any, float]]:
+        """Return the symbols of all schedules and their numbers beside a declared time.
+
+        Just before it, or after it where `side` is 1.
+        """
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
-        before = max(time - BESIDE * (last - first), first + BESIDE * (last - first))
+        near = BESIDE * (last - first)
+        beside = min(max(time + side * near, first + near), last - near)
         return {
             slot.name: (slot.symbol, number)
             for schedule in self.schedules
-            for slot, number in zip(schedule.slots, schedule.row(before), strict=True)
+            for slot, number in zip(schedule.slots, schedule.row(beside), strict=True)
         }
 
     def _within(self, time: float) -> float:
@@ -440,7 +444,7 @@ class TemplateWriter:
         over_time = casadi.SX(self._expression(component, address.index, rule))
         if address.time == self.copy.template_time:
             return over_time
-        numbers = self.scheduled_before(address.time).values()
+        numbers = self.scheduled_beside(address.time).values()
         clock = self.symbols.clock
         old = casadi.vertcat(clock.fraction, *(symbol for symbol, _ in numbers))
         new = [clock.fraction_of(address.time), *(number for _, number in numbers)]

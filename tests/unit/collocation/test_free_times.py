@@ -183,9 +183,18 @@ def test_the_hamiltonian_is_the_same_on_both_sides_of_a_free_time():
 
 def test_three_phases_of_a_rocket():
     m = goddard.build()
-    solution = solve(m, times=goddard.times(m))
-    assert solution.is_converged
-    assert solution.objective == pytest.approx(goddard.objective(), rel=1e-7)
+    problem = compile(m, times=goddard.times(m))
+    cold = problem.solve()
+    assert cold.is_converged
+    assert cold.objective == pytest.approx(goddard.objective(), rel=1e-7)
+    assert "times: 0, 13.75" in repr(cold)
+    # The thrust is on its bound for a phase, and so is the mass: there is no interior between the
+    # bound and the equation, and yet the multipliers are of use.
+    warm = problem.solve(warm_start=cold)
+    assert warm.objective == pytest.approx(goddard.objective(), rel=1e-7)
+    assert sum(r.iterations for r in warm.history) < sum(r.iterations for r in cold.history)
+    assert np.all(warm.unknowns >= warm.bounds.lower)
+    assert np.all(warm.unknowns <= warm.bounds.upper)
 
 
 def test_time_itself_has_a_derivative_in_each_phase():

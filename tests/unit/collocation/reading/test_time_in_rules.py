@@ -432,3 +432,42 @@ def test_a_list_of_the_declared_times_is_refused():
     m.limit = Constraint(m.t, rule=lambda m, t: m.u[t] <= [3, 4][int(t == 1)] + (0, 1)[t])
     with pytest.raises(TranscriptionError, match="limit: its rule fails at a time that the model"):
         solve(m)
+
+
+def through_the_middle(rule):
+    """Rest to rest over 1 m in 1 s for the least effort, with something asked for half way."""
+    m = ConcreteModel()
+    m.t = ContinuousSet(initialize=[0, 0.5, 1])
+    m.x, m.v, m.u = Var(m.t), Var(m.t), Var(m.t)
+    m.dx_dt, m.dv_dt = DerivativeVar(m.x, wrt=m.t), DerivativeVar(m.v, wrt=m.t)
+    m.motion = Constraint(m.t, rule=lambda m, t: m.dx_dt[t] == m.v[t])
+    m.force = Constraint(m.t, rule=lambda m, t: m.dv_dt[t] == m.u[t])
+    for state, start, end in ((m.x, 0, 1), (m.v, 0, 0)):
+        state[0].fix(start)
+        state[1].fix(end)
+    m.asked = Constraint(m.t, rule=rule)
+    m.effort = Integral(m.t, rule=lambda m, t: m.u[t] ** 2 / 2)
+    m.cost = Objective(expr=m.effort)
+    return m
+
+
+@pytest.mark.parametrize(
+    ("rule", "off"),
+    [
+        (lambda m, t: m.x[t] == 0.7 if t == 0.5 else m.x[t] <= 5, 0.2),
+        (lambda m, t: m.x[t] == 0.7 if t == 0.5 else Constraint.Skip, 0.2),
+        (lambda m, t: m.x[t] <= 0.4 if t in {0.25, 0.5} else m.x[t] <= 5, 0.1),
+        (lambda m, t: m.x[t] <= 0.4 if t == 0.5 else m.x[t] <= 5 + t, 0.1),
+        (lambda m, t: m.x[t] <= (3 if t <= 0.5 else 4), 0.0),
+        (lambda m, t: m.x[t] <= (3 if t < 0.5 else 4), 0.0),
+        (lambda m, t: m.x[t] <= 5 + t, 0.0),
+    ],
+)
+def test_what_a_rule_asks_for_at_one_declared_time_is_kept(rule, off):
+    # A way point that is `off` the middle costs 96 off^2 more than the 6 of the free flight.
+    solution = solve(through_the_middle(rule), tolerance=1e-7)
+    assert solution.objective == pytest.approx(6 + 96 * off**2, rel=1e-6)
+    asked = [c.name for c in solution.problem.compiled.declared.conditions]
+    asked += [b.name for b in solution.problem.compiled.simple_point_bounds]
+    assert asked == (["asked[0.5]"] if off else [])
+    assert solution.warnings == ()
