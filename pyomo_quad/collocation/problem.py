@@ -33,11 +33,17 @@ from pyomo_quad.collocation.program.ipopt import (
     SolverOptions,
     Status,
     run,
+    run_past_the_barrier,
 )
 from pyomo_quad.collocation.reading.dae_index import structural_index
 from pyomo_quad.collocation.refining.refinement import Solved, refine
 from pyomo_quad.collocation.refining.remeshing import RefinementOptions
-from pyomo_quad.collocation.solution import Solution, outside_tables, solution_from
+from pyomo_quad.collocation.solution import (
+    Solution,
+    diverging_multipliers,
+    outside_tables,
+    solution_from,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -172,13 +178,16 @@ class Problem(Summarised, Formulation):
             best = self._best_of(starts, partial(solve_on, first), start) if starts > 1 else None
             begun = start if best is None else best.warm_start
             if first is None or tolerance is None:
-                return solve_on(first, begun)
+                return solve_on(first, begun, to_the_gap=True)
             return refine(
                 lambda meshes, start, dampings: solve_on(meshes[0], start, dampings[0]),
                 meshes=(first,),
                 tolerance=tolerance,
                 refinement=chosen,
                 warm_start=begun,
+                past_the_barrier=lambda found, dampings: solve_on(
+                    found.mesh, found.warm_start, dampings[0], to_the_gap=True
+                ),
             )
 
         return limited(
@@ -218,11 +227,13 @@ class Problem(Summarised, Formulation):
         options: SolverOptions,
         guess: Guess | None = None,
         seed: int = 0,
+        to_the_gap: bool = False,
         progress: Progress | None = None,
     ) -> Solution:
         """Solve once on one mesh; `solve` and `Damping` say what the arguments mean.
 
-        A `seed` above 0 starts at random between the bounds.
+        A `seed` above 0 starts at random between the bounds; `to_the_gap`, the solve goes on
+        where the barrier's gap is no small share of the objective.
         """
         if mesh is not None:
             mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
@@ -240,7 +251,8 @@ class Problem(Summarised, Formulation):
             z = np.clip(z, bounds.lower, bounds.upper)
         refuse_unsolvable(program, bounds, z)
         scaling = scaling_of(program, bounds, z)
-        result = run(
+        solve = partial(run_past_the_barrier, size=program.objective_size) if to_the_gap else run
+        result = solve(
             program if damping is None else damping.applied_to(program),
             bounds,
             scaling,
@@ -296,7 +308,7 @@ def limited(
         progress = deadline = Deadline(limit_s=options.max_wall_s, progress=progress)
     if tolerance is None and not has_mesh:
         tolerance = DEFAULT_TOLERANCE
-    solution = _within_tables(solve(options, progress, tolerance))
+    solution = _within_tables(_undoubted(solve(options, progress, tolerance)))
     return solution if deadline is None else _in_time(solution, deadline)
 
 
@@ -316,6 +328,20 @@ def load_values(*solutions: Solution) -> None:
         names = [integral.name for integral in declared.integrals]
         values.load_integrals(dict(zip(names, totals, strict=True)))
     load_suffixes(*solutions)
+
+
+def _undoubted(solution: S) -> S:
+    """Return a solution that is not converged where multipliers and Hamiltonian say so."""
+    for part in solution.parts if solution.status is Status.CONVERGED else ():
+        names = diverging_multipliers(part)
+        if names and part.warnings:
+            line = (
+                f"{', '.join(names)}: multipliers grow without bound, so that nothing vouches for "
+                f"the optimum; where a product must vanish, let it be at most a small number. "
+                f"{part.warnings[0]}"
+            )
+            return solution.updated(status=Status.TOLERANCE_NOT_MET, message=line)
+    return solution
 
 
 def _within_tables(solution: S) -> S:

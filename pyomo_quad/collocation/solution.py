@@ -90,6 +90,23 @@ def _reads_time(compiled: CompiledModel) -> bool:
     return bool(is_varying) or declared.clock.fraction.name() in read
 
 
+# Of a multiplier, as a share of the objective for the size of its equation, over time.
+_UNBOUNDED = 1e12
+
+
+def diverging_multipliers(solution: Solution) -> tuple[str, ...]:
+    """Return the equations over time whose multipliers are beyond anything regular."""
+    program, scaling = solution.program, solution.scaling
+    if not program.n_points:
+        return ()
+    rows = slice(0, program.first_condition_row)
+    held = np.abs(solution.multipliers.rows[rows]) / scaling.rows[rows]
+    density = held.reshape(program.n_points, -1) / solution.mesh.quadrature_weights[:, None]
+    largest = density.max(axis=0) / solution.nominal_objective
+    equations = program.compiled.declared.equations
+    return tuple(e.name for e, size in zip(equations, largest, strict=True) if size > _UNBOUNDED)
+
+
 # Of a table's range, by how much an argument may leave it.
 _RANGE_SLACK = 1e-6
 

@@ -174,6 +174,6 @@ def test_the_table_lists_every_problem(capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", table.cases(), ids=table.names())
 def test_no_problem_is_wronger_than_twice_what_it_claims(case):
-    solution = table.compiled_case(case).solve(tolerance=1e-6)
+    solution = table.compiled_case(case).solve(tolerance=1e-6, starts=case.starts)
     assert solution.is_converged
     assert table.off_by(case, solution.objective) <= 2 * solution.error_estimate

@@ -240,6 +240,15 @@ _WARM: dict[str, Any] = {
 }
 
 _SOLVED, _INFEASIBLE, _STOPPED = 0, 2, 5
+# Slacks beyond this are of no bound at all.
+_FAR = 1e19
+# Of the objective's size, in units of Ipopt's own tolerance: the barrier's gap that is let be, and
+# the least size of an objective, in units of its scaling.
+_GAP_SHARE, _LEAST = 1e3, 1e-12
+#: The least size of the scaled objective that Ipopt takes notice of.
+SEEN = 1e-6
+# How often a solve goes on, how much farther it aims, at most at once, and with what patience.
+_SHARPENINGS, _AIMED, _LARGEST_STEP, _PATIENCE = 2, 10.0, 1e5, 100
 #: Ipopt's return code for a solve that took longer than it may.
 TIME_LIMIT_CODE = -5
 
@@ -284,6 +293,83 @@ def run(
     if callbacks.error is not None and not stopped:
         raise callbacks.error
     return _result(callbacks, np.asarray(z), info, wall, stopped=stopped)
+
+
+def barrier_gap(
+    program: NonlinearProgram, bounds: Bounds, z: FloatArray, multipliers: Multipliers
+) -> float:
+    """Return the sum of multipliers times slacks, in the unit of the objective.
+
+    It is what the barrier leaves between a point and the optimum of a convex program.
+    """
+    rows, pull = program.constraints(z), multipliers.rows
+    parts = (
+        (multipliers.lower, z - bounds.lower),
+        (multipliers.upper, bounds.upper - z),
+        (np.maximum(-pull, 0.0), rows - bounds.row_lower),
+        (np.maximum(pull, 0.0), bounds.row_upper - rows),
+    )
+    return float(sum(weights[s < _FAR] @ np.abs(s[s < _FAR]) for weights, s in parts))
+
+
+def run_past_the_barrier(
+    program: NonlinearProgram,
+    bounds: Bounds,
+    scaling: Scaling,
+    start: FloatArray,
+    *,
+    size: Callable[[FloatArray], float],
+    options: SolverOptions,
+    multipliers: Multipliers | None = None,
+    progress: Progress | None = None,
+) -> IpoptResult:
+    """Solve as `run` does, and on where the barrier's gap is no small share of the objective.
+
+    Ipopt ends where gap and slopes are small beside the scaled objective, of which a scaling by
+    the slopes of a steep first point leaves next to nothing.
+
+    Parameters
+    ----------
+    size : callable
+        Of a point: the size of the objective's parts.
+    """
+    result = run(
+        program,
+        bounds,
+        scaling,
+        start,
+        options=options,
+        multipliers=multipliers,
+        progress=progress,
+    )
+    share = _GAP_SHARE * (options.tolerance or _TOLERANCE)
+    factor = scaling.objective
+    for _ in range(_SHARPENINGS):
+        if not result.is_converged:
+            break
+        own = max(size(result.z), _LEAST / scaling.objective)
+        gap = barrier_gap(program, bounds, result.z, result.multipliers)
+        excess = max(gap / (share * own), SEEN / (own * factor))
+        if excess <= 1.0:
+            break
+        factor *= min(_AIMED * excess, _LARGEST_STEP)
+        sharper = run(
+            program,
+            bounds,
+            replace(scaling, objective=factor),
+            result.z,
+            options=replace(options, max_iterations=min(_PATIENCE, options.max_iterations)),
+            multipliers=result.multipliers,
+            progress=progress,
+        )
+        if not sharper.is_converged:
+            break
+        result = replace(
+            sharper,
+            history=(*result.history, *sharper.history),
+            wall_s=result.wall_s + sharper.wall_s,
+        )
+    return result
 
 
 def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None:

@@ -230,6 +230,11 @@ class Transcription:
         direct = densities[:, list(self.compiled.row_integrals)]
         return self._sign * direct @ self._objective_slopes(z)
 
+    def objective_size(self, z: FloatArray) -> float:
+        """Return the size of the objective, its integrals without what cancels in them."""
+        parts = float(self._weights() @ np.abs(self.objective_density(z)))
+        return max(abs(self.objective(z)), parts)
+
     def _objective_slopes(self, z: FloatArray) -> FloatArray:
         sources = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
         return self._jacobian.objective_slopes(sources)

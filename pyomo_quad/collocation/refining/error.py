@@ -11,6 +11,7 @@ from numpy.polynomial.legendre import leggauss
 
 from pyomo_quad.collocation.mesh import FloatArray, radau_rule
 from pyomo_quad.collocation.program.compiled import MappedFunction
+from pyomo_quad.collocation.program.ipopt import barrier_gap
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -133,7 +134,8 @@ class ErrorEstimate:
     and relative to the objective.  `integrals` is
     the error of the quadrature likewise, of the objective and of every integral, the latter
     relative to the larger of 1 and the integral.  `miss` is what the state errors become at the
-    end, as a share of what is allowed of which the tolerance is all.
+    end, as a share of what is allowed of which the tolerance is all.  `gap` is what the barrier
+    leaves of the objective, which no mesh makes smaller.
     """
 
     states: FloatArray
@@ -141,6 +143,7 @@ class ErrorEstimate:
     objective: FloatArray
     integrals: FloatArray
     miss: FloatArray
+    gap: float
 
     @property
     def per_element(self) -> FloatArray:
@@ -158,7 +161,7 @@ class ErrorEstimate:
     @property
     def largest(self) -> float:
         """Largest of all."""
-        return float(self.per_element.max(initial=0.0))
+        return max(self.gap, float(self.per_element.max(initial=0.0)))
 
 
 def estimate_error(
@@ -190,7 +193,19 @@ def estimate_error(
         violation=_breaches(solution, dense, allowance),
         integrals=_quadrature_errors(solution, panels),
         miss=_missed(solution, moved, tolerance / allowance.final_miss),
+        gap=_gap(solution),
     )
+
+
+# Of the unit that the objective is scaled by: the least that its size counts for.
+_LEAST_SIZE = 1e-3
+
+
+def _gap(solution: Solution) -> float:
+    """Return the barrier's gap relative to the size of the objective's parts."""
+    program, z = solution.program, solution.unknowns
+    size = max(program.objective_size(z), _LEAST_SIZE / solution.scaling.objective)
+    return barrier_gap(program, solution.bounds, z, solution.multipliers) / size
 
 
 @dataclass(frozen=True, kw_only=True)

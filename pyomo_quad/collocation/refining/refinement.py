@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 import numpy as np
 
-from pyomo_quad.collocation.program.ipopt import Status
+from pyomo_quad.collocation.program.ipopt import SEEN, Status
 from pyomo_quad.collocation.refining.error import ErrorEstimate, estimate_error
 from pyomo_quad.collocation.refining.remeshing import (
     Marks,
@@ -224,6 +225,7 @@ def refine(
     tolerance: float,
     refinement: RefinementOptions,
     warm_start: Any,
+    past_the_barrier: Callable[[S, tuple[Damping | None, ...]], S] | None = None,
 ) -> S:
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
 
@@ -236,6 +238,8 @@ def refine(
         (meshes, warm start, dampings) -> solution, with one mesh and damping for each horizon.
     meshes : tuple
         To begin with, one for each horizon.
+    past_the_barrier : callable, optional
+        (solution, dampings) -> a solution on the same meshes with less of the barrier's gap.
 
     Returns
     -------
@@ -255,10 +259,10 @@ def refine(
             solved = solve(chosen, warm_start, dampings)
         if solved.status in _FAILED and warm_start is not None:
             solved = solve(chosen, None, dampings)
-        errors = tuple(
-            estimate_error(part, tolerance=tolerance, allowance=refinement.allowance)
-            for part in solved.parts
-        )
+        errors = _errors(solved, tolerance, refinement)
+        if past_the_barrier is not None and _is_held_by_the_barrier(solved, errors, tolerance):
+            solved = past_the_barrier(solved, dampings)
+            errors = _errors(solved, tolerance, refinement)
         error = max(e.largest for e in errors)
         records.append(_record(solved, error))
         solution = solved.updated(error_estimate=error, history=tuple(records))
@@ -275,6 +279,27 @@ def refine(
         chosen, warm_start = finer, solution.warm_start
         weight = firmness * refinement.damping * tolerance
         dampings = tuple(damping_of(part, weight) for part in solution.parts)
+
+
+def _errors(
+    solution: Solved, tolerance: float, refinement: RefinementOptions
+) -> tuple[ErrorEstimate, ...]:
+    """Return the errors on each horizon; the gap of several is not shared out among them."""
+    estimate = partial(estimate_error, tolerance=tolerance, allowance=refinement.allowance)
+    errors = tuple(estimate(part) for part in solution.parts)
+    return errors if len(errors) == 1 else tuple(replace(e, gap=0.0) for e in errors)
+
+
+def _is_held_by_the_barrier(
+    solution: Solved, errors: tuple[ErrorEstimate, ...], tolerance: float
+) -> bool:
+    """Say whether only the barrier, or a scaling that hides the objective, is in the way."""
+    (part,), (error,) = solution.parts, errors
+    is_fine = error.per_element.max(initial=0.0) <= tolerance
+    size = part.program.objective_size(part.unknowns) * part.scaling.objective
+    is_hidden = size < SEEN and part.problem.compiled.declared.objective_name != ""
+    is_solved = solution.status is Status.CONVERGED
+    return is_solved and is_fine and (error.gap > tolerance or is_hidden)
 
 
 def _meshes(solution: Solved) -> tuple[Mesh, ...]:
@@ -296,7 +321,7 @@ def _next_meshes(
     parts = solution.parts
     junctions = [junction_elements(part) for part in parts]
     is_met = all(error.largest <= tolerance for error in errors)
-    has_settled = _objective_change(parts[0]) <= _SETTLED * tolerance
+    has_settled = _objective_change(parts[0], tolerance) <= _SETTLED * tolerance
     if is_met and (has_settled or not (any(junctions) or is_damped)):
         return None
     finer = []
@@ -311,12 +336,15 @@ def _next_meshes(
     return None if is_same and is_met and not is_damped else tuple(finer)
 
 
-def _objective_change(solution: Solution) -> float:
-    """Return by how much the objective moved from the last mesh but one, relative."""
-    if len(solution.history) < 2:
-        return math.inf
-    before, now = (record.objective for record in solution.history[-2:])
-    return abs(now - before) / solution.nominal_objective
+def _objective_change(solution: Solution, tolerance: float) -> float:
+    """Return by how much the objective moved, relative, from the last mesh but one.
+
+    Or from any mesh that met the tolerance: one that did not, between two that agree, says nothing.
+    """
+    *before, now = solution.history
+    met = [record for record in before[:-1] if record.error <= tolerance]
+    moved = [abs(now.objective - record.objective) for record in (*met, *before[-1:])]
+    return min(moved, default=math.inf) / solution.nominal_objective
 
 
 def _given_up(solution: S, error: float, tolerance: float) -> S:

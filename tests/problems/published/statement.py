@@ -21,6 +21,7 @@ class Case:
     published: str | float
     source: str
     times: Callable[[Any], Any] | None = None
+    starts: int = 1
 
     @property
     def value(self):
@@ -37,7 +38,7 @@ class Case:
         return 0.5 * 10.0 ** (int(exponent or 0) - decimals)
 
 
-def posed(name, states, controls, rates, *, end=1.0, free=None, times=()):
+def posed(name, states, controls, rates, *, end=1.0, free=None):
     """Return a model with its dynamics.
 
     Parameters
@@ -53,11 +54,9 @@ def posed(name, states, controls, rates, *, end=1.0, free=None, times=()):
         Of the horizon.
     free : tuple, optional
         Bounds and first value of a duration `T` that the horizon, then of length 1, stands for.
-    times : sequence of float, optional
-        More times at which variables may have first values.
     """
     m = ConcreteModel(name=name)
-    m.t = ContinuousSet(initialize=sorted({0, *times, 1.0 if free else end}))
+    m.t = ContinuousSet(bounds=(0, 1.0 if free else end))
     first, last = m.t.first(), m.t.last()
     if free:
         m.T = Var(bounds=free[:2], initialize=free[2])

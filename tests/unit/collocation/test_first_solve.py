@@ -37,10 +37,7 @@ def test_random_starts_keep_what_is_fixed_and_the_bounds():
 
 @pytest.mark.slow
 def test_more_starts_find_the_quickest_manoeuvre():
-    m = f8()
-    for t in m.t:
-        m.w[t].set_value(None)
-    problem = compile(m)
+    problem = compile(f8())
     assert problem.solve().objective > 5
     assert problem.solve(starts=6).objective == pytest.approx(3.78086, abs=1e-5)
 
@@ -50,15 +47,15 @@ def test_a_warm_start_that_ends_infeasible_is_tried_again_from_the_guess():
     first = problem.solve()
     tried = []
 
-    def misled(mesh, warm_start, damping):
-        del damping
+    def misled(meshes, warm_start, dampings):
+        del dampings
         tried.append(warm_start)
-        solution = problem.solve(mesh=mesh)
+        solution = problem.solve(mesh=meshes[0])
         return solution if warm_start is None else replace(solution, status=Status.INFEASIBLE)
 
     solution = refine(
         misled,
-        mesh=first.mesh,
+        meshes=(first.mesh,),
         tolerance=1e-6,
         refinement=RefinementOptions(),
         warm_start=first.warm_start,

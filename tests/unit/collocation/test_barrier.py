@@ -1,0 +1,61 @@
+"""What the barrier leaves of an objective that large slopes scale down."""
+
+import pytest
+from pyomo.dae import ContinuousSet, DerivativeVar, Integral
+from pyomo.environ import ConcreteModel, Constraint, Objective, RangeSet, Var
+
+from pyomo_quad.collocation import Mesh, SolverOptions, compile, solve
+from pyomo_quad.collocation.refining.error import estimate_error
+from tests.problems import bang_bang, double_integrator
+
+LEAST = 1e-6
+
+
+def test_a_steep_first_point_does_not_hide_what_many_bounds_cost():
+    m = ConcreteModel()
+    m.i = RangeSet(300)
+    m.x = Var(m.i, bounds=(LEAST, None), initialize=1e-3)
+    m.y = Var(initialize=1e3)
+    m.cost = Objective(expr=sum(m.x[i] for i in m.i) + 100 * (m.y - 3) ** 2)
+    solution = solve(m)
+    assert solution.is_converged
+    assert solution.objective == pytest.approx(300 * LEAST, rel=1e-6)
+
+
+def tank():
+    """What flows in costs next to nothing, and the first point costs a lot."""
+    m = ConcreteModel()
+    m.t = ContinuousSet(bounds=(0, 1))
+    m.x, m.u = Var(m.t, initialize=1e4), Var(m.t, bounds=(LEAST, None), initialize=1)
+    m.dx_dt = DerivativeVar(m.x, wrt=m.t)
+    m.flow = Constraint(m.t, rule=lambda m, t: m.dx_dt[t] == m.u[t] - LEAST)
+    m.price = Integral(m.t, wrt=m.t, rule=lambda m, t: m.u[t])
+    m.cost = Objective(expr=m.price + 100 * m.x[1] ** 2)
+    return m
+
+
+def test_a_refinement_goes_on_to_what_the_scaling_hid():
+    problem = compile(tank())
+    options = SolverOptions(tolerance=1e-9)
+    mesh, instance = Mesh.uniform(5, 3), problem.instance()
+    hidden = problem.solve_on_mesh(mesh, instance=instance, options=options)
+    assert hidden.objective > 2 * LEAST
+    solution = problem.solve(tolerance=1e-6)
+    assert solution.is_converged
+    assert solution.objective == pytest.approx(LEAST, rel=1e-3)
+
+
+def test_the_gap_is_part_of_the_error():
+    problem = compile(double_integrator.build())
+    loose = problem.solve(mesh=Mesh.uniform(5, 4), options=SolverOptions(tolerance=1e-2))
+    assert estimate_error(loose).gap == pytest.approx(0.0, abs=1e-12)  # it has no bounds
+    bounded = compile(bang_bang.build())
+    solved = bounded.solve_on_mesh(
+        Mesh.uniform(5, 4),
+        instance=bounded.instance(),
+        options=SolverOptions(tolerance=1e-4),
+    )
+    exact = bounded.solve(mesh=solved.mesh, options=SolverOptions(tolerance=1e-10))
+    missed = abs(solved.objective / exact.objective - 1.0)
+    assert 0.3 * missed <= estimate_error(solved).gap <= 30 * missed
+    assert estimate_error(solved).largest >= estimate_error(solved).gap > 0.0
