@@ -1,9 +1,9 @@
 """The flights that an optimum is compared with: a reference under feedback, the plan without."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from math import nan
+from math import nan, sqrt
 from time import perf_counter
 
 import numpy as np
@@ -81,12 +81,15 @@ def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
 
 def wanted_at_goal(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
     """Return the final values that the mission wants: hover at the goal."""
-    return _hovering(scenario, scenario.mission.goal, dynamics)
+    lighter = sqrt(scenario.mass_at_goal / scenario.vehicle.total_mass)
+    return _hovering(scenario, scenario.mission.goal, dynamics, lighter)
 
 
-def _hovering(scenario: Scenario, place: Hover, dynamics: Dynamics) -> dict[str, float]:
+def _hovering(
+    scenario: Scenario, place: Hover, dynamics: Dynamics, slower: float = 1.0
+) -> dict[str, float]:
     names = dynamics.state_names
-    hover_speed = scenario.vehicle.hover_speed(scenario.gravity)
+    hover_speed = slower * scenario.vehicle.hover_speed(scenario.gravity)
     states = {name: 0.0 for name in names if name.startswith(_RIGID_BODY)}
     states |= {name: hover_speed for name in names if name.startswith(_ROTOR_SPEED)}
     return states | dict(zip((*POSITION_STATES, _YAW), (*place.position, place.yaw), strict=True))
@@ -406,7 +409,7 @@ def assembled_flight(
     final = dict(zip(dynamics.state_names, flown.states[-1].tolist(), strict=True))
     # The costates of a flight through another wind price another mission's end.
     is_told = scenario.wind.forecast is None
-    return Flight.from_flown(
+    flight = Flight.from_flown(
         name,
         dynamics,
         flown,
@@ -416,6 +419,28 @@ def assembled_flight(
         wall_s=wall_s,
         owed_energy_J=plan.owed_energy(final) if plan is not None and is_told else nan,
     )
+    missed = tuple(_missed_waypoints(scenario, dynamics, flown))
+    return replace(flight, broken_limits=(*flight.broken_limits, *missed))
+
+
+# How much further off, and faster, than it should a flight under control may pass a waypoint.
+_PASSING_M, _PASSING_M_PER_S = 0.05, 0.1
+
+
+def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> Iterator[str]:
+    """Yield what a flight does not keep of its waypoints, whose times are given."""
+    states = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *_RATE[:3])]
+    for k, waypoint in enumerate(scenario.mission.waypoints):
+        if waypoint.at is None:
+            continue
+        then = int(np.argmin(np.abs(flown.t - waypoint.at)))
+        place, velocity = np.split(flown.states[then, states], 2)
+        off = float(np.linalg.norm(place - waypoint.position))
+        if off > waypoint.radius + _PASSING_M:
+            yield f"mission.waypoints[{k}].radius = {waypoint.radius:g} m passed {off:.3g} m off"
+        speed, allowed = float(np.linalg.norm(velocity)), waypoint.speed_max
+        if allowed is not None and speed > allowed + _PASSING_M_PER_S:
+            yield f"mission.waypoints[{k}].speed_max = {allowed:g} m/s passed at {speed:.3g} m/s"
 
 
 def _planned_path(plan: Plan) -> SampledPath:

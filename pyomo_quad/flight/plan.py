@@ -162,6 +162,7 @@ class PlanRecord(Part):
     history: tuple[MeshRecord, ...]
     attempts: tuple[str, ...]
     timings: Mapping[str, float]
+    passing_times_s: tuple[float, ...] = ()
 
 
 class _About(Part):
@@ -364,6 +365,8 @@ class Plan(Summarised):
         What was tried, in order, when the first solve was not enough.
     failure : Failure or None
         Why the solve failed, where it did.
+    passing_times_s : tuple of float
+        When each waypoint is reached [s].
     timings : mapping
         Seconds for build, compile, solve and verify.
     warm_start : WarmStart or None
@@ -388,6 +391,7 @@ class Plan(Summarised):
     warm_start: WarmStart | None = field(default=None, compare=False, repr=False)
     solution: Solution | None = field(default=None, compare=False, repr=False)
     flown: Flown | None = field(default=None, compare=False, repr=False)
+    passing_times_s: tuple[float, ...] = ()
 
     @property
     def duration_s(self) -> float:
@@ -397,12 +401,11 @@ class Plan(Summarised):
 
     @property
     def mission_flown(self) -> Scenario:
-        """The scenario with the duration that the plan has."""
-        return (
-            self.scenario.lasting(self.duration_s)
-            if self.scenario.mission.is_free
-            else self.scenario
-        )
+        """The scenario with the times that the plan has."""
+        told = self.scenario
+        if not told.mission.is_free and not told.mission.waypoints:
+            return told
+        return told.lasting(self.duration_s, self.passing_times_s)
 
     @property
     def summary(self) -> dict[str, str]:
@@ -567,6 +570,7 @@ class Plan(Summarised):
                 history=self.history,
                 attempts=self.attempts,
                 timings=dict(self.timings),
+                passing_times_s=self.passing_times_s,
             ),
             self.trajectories,
             self.warm_start,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import nan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,161 +18,32 @@ from pyomo_quad.collocation import (
     Problem,
     Progress,
     RefinementOptions,
-    Relaxation,
     Solution,
     SolveError,
     SolverOptions,
     Status,
     Trajectory,
-    TranscriptionError,
     WarmStart,
     compile,
-    diagnose,
     split_algebraics,
 )
 from pyomo_quad.flight.flight import VIOLATION_TOLERANCE
-from pyomo_quad.flight.plan import Failure, Plan, PlanStatus, Trajectories
+from pyomo_quad.flight.plan import Plan, PlanStatus, Trajectories
+from pyomo_quad.flight.rescue import DONE, Rescuer
 from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.verification import (
     MISS_TOLERANCE,
+    Passage,
     split_at_breaches,
     verify_controls,
 )
 from pyomo_quad.model import ask_for_least_time, build_model, parameter_values, structure_key
 from pyomo_quad.model.limits import without_reserve
+from pyomo_quad.model.mission import free_times
 from pyomo_quad.model.power import wider_smoothings
 from pyomo_quad.model.wind import still_air
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.mission import Aim, NamedDuration
-
-if TYPE_CHECKING:
-    from pyomo_quad.collocation import Diagnosis
-
-_DONE = (Status.CONVERGED, Status.TOLERANCE_NOT_MET)
-_ENDED = (*_DONE, Status.INTERRUPTED)
-# Durations, as multiples of the mission's, through which a slow flight is sped up.
-_SLOWER = (3.0, 2.0, 1.5, 1.2, 1.1)
-_MOST_REMEDIES = 3
-_LIMITS = "limits."
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rescue:
-    """What became of it: the last solution, what was tried, and why it failed if it did."""
-
-    solution: Solution
-    attempts: tuple[str, ...]
-    failure: Failure | None
-
-
-class Rescuer:
-    """Tries a failed mission again.
-
-    Parameters
-    ----------
-    longest : NamedDuration
-        The mission's duration, the greatest where it is free.
-    solve : callable
-        Solve the mission to its tolerance from a trajectory.
-    solve_slowly : callable
-        Solve the mission on its first mesh with another duration [s], from a trajectory or from
-        nothing; None where the duration is free anyway.
-    solve_shortest : callable
-        Return the shortest flight of the mission, or None.
-    progress : callable or None
-        Called at each iteration; returning False stops the solve.
-    """
-
-    def __init__(
-        self,
-        *,
-        longest: NamedDuration,
-        solve: Callable[[Trajectory], Solution],
-        solve_slowly: Callable[[float, Trajectory | None], Solution | None],
-        solve_shortest: Callable[[], Solution | None],
-        progress: Progress | None,
-    ) -> None:
-        self._longest = longest
-        self._solve = solve
-        self._solve_slowly = solve_slowly
-        self._solve_shortest = solve_shortest
-        self._progress = progress
-        self._attempts: list[str] = []
-
-    def __call__(self, failed: Solution) -> Rescue:
-        """Return the rescue of a solution that did not converge."""
-        self._note("first solve", failed)
-        diagnosis = diagnose(failed, progress=self._progress)
-        if diagnosis.feasible_point is not None:
-            solution = self._started_from(diagnosis.feasible_point, "elastic restoration")
-            if solution.status in _ENDED:
-                return self._ended(solution, None)
-        if not diagnosis.is_infeasible:
-            solution = self._continued() or failed
-            if solution.status in _ENDED:
-                return self._ended(solution, None)
-        shortest = self._solve_shortest()
-        least = None if shortest is None else shortest.objective
-        self._attempts.append(
-            "shortest flight: none found" if least is None else f"shortest flight: {least:.4g} s"
-        )
-        is_contradicted = shortest is not None and shortest.objective <= self._longest.value
-        if shortest is not None and is_contradicted:
-            held, statics = shortest.trajectory, failed.trajectory.statics
-            path = held if len(held.statics) == len(statics) else replace(held, statics=statics)
-            solution = self._started_from(path, "guess from the shortest flight")
-            if solution.status in _ENDED:
-                return self._ended(solution, None)
-        failure = Failure(
-            longest=self._longest,
-            shortest_duration_s=least,
-            diagnosis=diagnosis,
-            remedies=() if not diagnosis.is_infeasible else self._remedies(failed, diagnosis),
-        )
-        is_proven = failure.is_too_short or (diagnosis.is_infeasible and not is_contradicted)
-        status = Status.INFEASIBLE if is_proven else Status.NOT_CONVERGED
-        return self._ended(replace(failed, status=status), failure)
-
-    def _ended(self, solution: Solution, failure: Failure | None) -> Rescue:
-        return Rescue(solution=solution, attempts=tuple(self._attempts), failure=failure)
-
-    def _note(self, what: str, solution: Solution) -> None:
-        self._attempts.append(f"{what}: {solution.status.value}")
-
-    def _started_from(self, trajectory: Trajectory, what: str) -> Solution:
-        solution = self._solve(trajectory)
-        self._note(what, solution)
-        return solution
-
-    def _continued(self) -> Solution | None:
-        """Speed a slow flight up to the mission's duration; None when a step fails."""
-        trajectory: Trajectory | None = None
-        for factor in _SLOWER:
-            slower = self._solve_slowly(factor * self._longest.value, trajectory)
-            if slower is None:
-                return None
-            self._note(f"duration x {factor:g}", slower)
-            if slower.status is Status.INTERRUPTED:
-                return slower
-            if slower.status in _DONE:
-                trajectory = slower.trajectory
-        if trajectory is None:
-            return None
-        return self._started_from(trajectory, "continuation in duration")
-
-    def _remedies(self, failed: Solution, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
-        """Return single limits that would do alone."""
-        candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
-        limits = [name for name in dict.fromkeys(candidates) if name.startswith(_LIMITS)]
-        found: list[Relaxation] = []
-        for name in limits[:_MOST_REMEDIES]:
-            try:
-                alone = diagnose(failed, families=frozenset({name}), progress=self._progress)
-            except TranscriptionError:
-                continue
-            found.extend(alone.relaxations)
-        return tuple(found)
-
+from pyomo_quad.scenario.mission import Aim
 
 _MESH = (10, 4)
 _OPTIONS = SolverOptions(max_iterations=300)
@@ -213,7 +84,9 @@ def shortest_flight(
     """
     duration, settings = scenario.nominal_duration, scenario.solver
     bounds = _RANGE[0] * duration, _RANGE[1] * duration
-    problem = compile(model, final_time=ask_for_least_time(model, bounds, _SLOW * duration))
+    free = _free_times(model, scenario)
+    end = ask_for_least_time(model, bounds, _SLOW * duration)
+    problem = compile(model, times=free | {scenario.nominal_duration: end})
     shortest, start = None, None
     for meshes in (_FEW_MESHES, settings.max_refinements + 1):
         solution = problem.solve(
@@ -224,7 +97,7 @@ def shortest_flight(
             refinement=RefinementOptions(max_meshes=meshes),
             progress=progress,
         )
-        if solution.status not in _DONE:
+        if solution.status not in DONE:
             break
         shortest = start = solution
         if not is_exact and abs(solution.objective - duration) > _CLOSE * duration:
@@ -314,7 +187,7 @@ class Planner:
         model = self._builder(scenario)
         built = time.perf_counter()
         _make_room(self._problems)
-        self._problems[key] = scenario, compile(model, final_time=_free_end(model, scenario))
+        self._problems[key] = scenario, compile(model, times=_free_times(model, scenario))
         seconds = {"build": built - started, "compile": time.perf_counter() - built}
         return self._problems[key][1], seconds
 
@@ -547,6 +420,10 @@ def _plan_of(
         timings=timings,
         warm_start=solution.warm_start,
         solution=solution,
+        passing_times_s=tuple(
+            solution.value("mission.passing_time", index=k)
+            for k in range(len(scenario.mission.waypoints))
+        ),
     )
 
 
@@ -555,23 +432,24 @@ def _horizon(scenario: Scenario) -> tuple[float, float] | None:
     return None if scenario.mission.is_free else (0.0, scenario.mission.fixed_duration)
 
 
-def _free_end(model: Any, scenario: Scenario) -> Any:
-    """Return the variable that holds the end of a model's horizon, None where it is fixed.
+def _free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
+    """Return declared time -> the variable of a model that gives it.
 
     Raises
     ------
     ScenarioError
-        If a model of the user's own has no such variable.
+        If a model of the user's own lacks one.
     """
-    if not scenario.mission.is_free:
-        return None
-    found = model.component("duration")
-    if found is None:
-        raise ScenarioError(
-            f'{scenario.name}: mission.duration = "free"; the model of {scenario.model} must '
-            'declare a variable "duration", as build_model does: add it or give a duration.'
-        )
-    return found
+    mission = scenario.mission
+    wanted = {"duration": mission.is_free, "mission.passing_time": bool(mission.waypoints)}
+    for name, is_wanted in wanted.items():
+        if is_wanted and model.find_component(name) is None:
+            said = 'duration = "free"' if name == "duration" else "waypoints"
+            raise ScenarioError(
+                f"{scenario.name}: mission.{said}; the model of {scenario.model} must declare "
+                f'a variable "{name}", as build_model does: add it or change the mission.'
+            )
+    return free_times(model, scenario)
 
 
 def _energy(scenario: Scenario, solution: Solution) -> float:
@@ -613,7 +491,7 @@ def _by_way_of(
             tried = problem.solve(**eased | on_mesh)
         if tried.status is Status.INTERRUPTED:
             return _as_far_as(tried, problem, arguments)
-        if tried.status in _DONE:
+        if tried.status in DONE:
             reached = tried
     if reached is None:
         return problem.solve(**arguments, guess=guess)
@@ -636,7 +514,7 @@ def trajectories_of(solution: Solution) -> Trajectories:
     names = {slot.name for slot in controls}
     is_control = [slot.name in names for slot in declared.algebraics]
     return Trajectories(
-        mesh=solution.mesh,
+        mesh=solution.mesh_in_time,
         horizon=solution.horizon,
         state_names=tuple(s.name for s in (*declared.states, *declared.outputs)),
         control_names=tuple(s.name for s in controls),
@@ -647,6 +525,12 @@ def trajectories_of(solution: Solution) -> Trajectories:
         costates=costates.at_points,
         hamiltonian=costates.hamiltonian,
     )
+
+
+def _passages(plan: Plan) -> list[Passage]:
+    """Return where a plan's flight should pass, and when."""
+    pairs = zip(plan.scenario.mission.waypoints, plan.passing_times_s, strict=True)
+    return [Passage(time_s=at, position=w.position, radius=w.radius) for w, at in pairs]
 
 
 def _verified(plan: Plan, solution: Solution) -> Plan:
@@ -662,6 +546,7 @@ def _verified(plan: Plan, solution: Solution) -> Plan:
             held.horizon,
             plan.energy,
             plan.scenario.airspace,
+            _passages(plan),
         )
     except SolveError as error:
         return replace(plan, status=PlanStatus.SOLVED, message=str(error))

@@ -10,8 +10,8 @@ The plan was made for a wind, the forecast, and what that does to the vehicle is
 controller then adapts to what the forecast did not say.  The others know of no wind.
 
 The quintic minimises the integral of the squared jerk, the polynomial of degree 7 that of the
-squared snap [1]_.  Both go straight from start to goal in the duration of the mission and stay
-there afterwards; yaw follows the same polynomial.
+squared snap [1]_.  Both go straight from start to goal in the duration of the mission, or as
+splines of these degrees through its waypoints, and stay there afterwards; yaw follows.
 
 .. [1] Mellinger and Kumar, "Minimum snap trajectory generation and control for quadrotors",
    ICRA 2011.
@@ -19,13 +19,15 @@ there afterwards; yaw follows the same polynomial.
 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike
-from scipy.interpolate import BPoly, CubicSpline, PPoly
+from scipy.interpolate import BPoly, CubicSpline, PPoly, make_interp_spline
 
+from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.mission import Mission
 
 # Coefficients of rising powers of t/T, from 0 at t = 0 to 1 at t = T.
@@ -92,19 +94,91 @@ def _horner(falling_coefficients: Sequence[float], x: float) -> float:
     return value
 
 
-def step(mission: Mission) -> StraightPath:
+class WaypointPath:
+    """Splines through the waypoints at their times, at rest at both ends and where one holds.
+
+    Parameters
+    ----------
+    mission : Mission
+        With a time for each waypoint and a fixed duration.
+    derivatives : int
+        How many are nought at rest; the spline of degree 2 n + 1 minimises the integral of the
+        square of the next one.
+    """
+
+    def __init__(self, mission: Mission, derivatives: int) -> None:
+        places, times = _places(mission)
+        ends = [0, *(k + 1 for k, w in enumerate(mission.waypoints) if w.hold > 0), len(places) - 1]
+        at_rest = [(order, np.zeros(len(_AT_REST))) for order in range(1, derivatives + 1)]
+        self._splines = []
+        for first, last in pairwise(ends):
+            left = times[first] + (mission.waypoints[first - 1].hold if first > 0 else 0.0)
+            knots = [left, *times[first + 1 : last + 1]]
+            held = places[first : last + 1]
+            spline = make_interp_spline(
+                knots, held, k=2 * derivatives + 1, bc_type=(at_rest, at_rest)
+            )
+            self._splines.append((left, times[last], [spline.derivative(n) for n in range(3)]))
+
+    def __call__(self, t: float) -> Setpoint:
+        """Return the setpoint at time t, s; held before the start, at holds and after the end."""
+        began = [spline for spline in self._splines if spline[0] <= t] or self._splines[:1]
+        left, reached, derivatives = began[-1]
+        held = min(max(t, left), reached)
+        return Setpoint(*(derivative(held).tolist() for derivative in derivatives))
+
+
+class _Steps:
+    """Each waypoint at once, until its time; then the next, and the goal."""
+
+    def __init__(self, mission: Mission) -> None:
+        self._places, self._times = _places(mission)
+        holds = [waypoint.hold for waypoint in mission.waypoints]
+        self._left = [at + hold for at, hold in zip(self._times[1:-1], holds, strict=True)]
+
+    def __call__(self, t: float) -> Setpoint:
+        place = self._places[1 + bisect_right(self._left, t)]
+        return Setpoint(place, _AT_REST, _AT_REST)
+
+
+def _places(mission: Mission) -> tuple[list[list[float]], list[float]]:
+    """Return (x, y, z, yaw) of start, waypoints and goal, and when each is reached.
+
+    Raises
+    ------
+    ScenarioError
+        If the time of a waypoint is for a plan to choose.
+    """
+    times = [0.0]
+    for k, waypoint in enumerate(mission.waypoints):
+        if waypoint.at is None:
+            raise ScenarioError(
+                f"mission.waypoints[{k}].at is missing; without a plan it must be a number in s; "
+                "give one."
+            )
+        times.append(waypoint.at)
+    times.append(mission.fixed_duration)
+    yaws = {0.0: mission.start.yaw, times[-1]: mission.goal.yaw}
+    yaws |= {w.at: w.yaw for w in mission.waypoints if w.at is not None and w.yaw is not None}
+    known = sorted(yaws)
+    headings = np.interp(times, known, [yaws[at] for at in known]).tolist()
+    places = [[*place, yaw] for place, yaw in zip(mission.positions, headings, strict=True)]
+    return places, times
+
+
+def step(mission: Mission) -> ReferencePath:
     """Ask for the goal at once."""
-    return StraightPath(mission, _STEP)
+    return _Steps(mission) if mission.waypoints else StraightPath(mission, _STEP)
 
 
-def quintic(mission: Mission) -> StraightPath:
+def quintic(mission: Mission) -> ReferencePath:
     """Go from rest to rest with the least squared jerk, a polynomial of degree 5 in time."""
-    return StraightPath(mission, _QUINTIC)
+    return WaypointPath(mission, 2) if mission.waypoints else StraightPath(mission, _QUINTIC)
 
 
-def minimum_snap(mission: Mission) -> StraightPath:
+def minimum_snap(mission: Mission) -> ReferencePath:
     """Go from rest to rest with the least squared snap, a polynomial of degree 7 in time."""
-    return StraightPath(mission, _MINIMUM_SNAP)
+    return WaypointPath(mission, 3) if mission.waypoints else StraightPath(mission, _MINIMUM_SNAP)
 
 
 class SampledPath:

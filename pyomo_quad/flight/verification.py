@@ -182,6 +182,8 @@ class Verification:
     broken_limits : tuple of str
         Every limit broken by more than the tolerance, and by how much.
     energy_difference_J, flown_energy_J : float
+    passing_misses_m : tuple of float
+        By how much the flight passes each waypoint further off than allowed.
     battery_imbalance : float
         See the function of that name.
     is_verified : bool
@@ -197,6 +199,7 @@ class Verification:
     flown_energy_J: float
     is_verified: bool
     broken_limits: tuple[str, ...] = ()
+    passing_misses_m: tuple[float, ...] = ()
     battery_imbalance: float = 0.0
 
     @property
@@ -262,6 +265,23 @@ def split_at_breaches(
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class Passage:
+    """A place to be passed within a distance [m] at a time [s]."""
+
+    time_s: float
+    position: tuple[float, float, float]
+    radius: float
+
+
+def _passing_miss(dynamics: Dynamics, flown: Flown, passage: Passage) -> float:
+    """Return by how much a flight is further off a place than it may be [m]."""
+    nearest = int(np.argmin(np.abs(flown.t - passage.time_s)))  # an element ends there
+    columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
+    off = np.linalg.norm(flown.states[nearest, columns] - passage.position)
+    return max(0.0, float(off) - passage.radius)
+
+
 def verify_controls(
     dynamics: Dynamics,
     mesh: Mesh,
@@ -270,6 +290,7 @@ def verify_controls(
     horizon: tuple[float, float],
     energy: float,
     airspace: Airspace | None = None,
+    passages: Sequence[Passage] = (),
 ) -> tuple[Verification, Flown]:
     """Fly a plan's controls and compare.
 
@@ -282,6 +303,8 @@ def verify_controls(
         Objective of the plan [J].
     airspace : Airspace, optional
         Beside its zones the flight is looked at closely.
+    passages : sequence of Passage, optional
+        Where the flight should pass, and when.
     """
     samples: int | list[int] = SAMPLES_PER_ELEMENT
     if airspace is not None and set(POSITION_STATES) <= set(dynamics.state_names):
@@ -295,6 +318,7 @@ def verify_controls(
     breach = breaches[0]
     imbalance = battery_imbalance(dynamics, flown)
     flown_energy = float(flown.energy[-1])
+    passing = tuple(_passing_miss(dynamics, flown, passage) for passage in passages)
     verification = Verification(
         terminal_miss=miss,
         terminal_miss_m=position_miss(miss),
@@ -307,10 +331,12 @@ def verify_controls(
             relative[worst_miss] <= MISS_TOLERANCE
             and breach.relative <= VIOLATION_TOLERANCE
             and abs(flown_energy - energy) <= ENERGY_TOLERANCE * max(1.0, abs(energy))
+            and max(passing, default=0.0) <= MISS_TOLERANCE
             and imbalance <= BALANCE_TOLERANCE
             and np.isfinite(flown_energy)
         ),
         broken_limits=broken_limits(dynamics, breaches),
+        passing_misses_m=passing,
         battery_imbalance=imbalance,
     )
     return verification, flown

@@ -28,6 +28,7 @@ from pyomo.environ import Block, ConcreteModel, Expression, Param, sqrt, units
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.model.rigid_body import BODY_AXES, BodyAxis
+from pyomo_quad.model.vehicle import mass_at
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import PowerModel
 from pyomo_quad.scenario.wind import WindCoupling
@@ -165,7 +166,7 @@ def declare_unexplained(m: ConcreteModel) -> None:
 
 def _all_of(axis: str) -> Callable[[Block, float], NumericExpression]:
     def force(b: Block, t: float) -> NumericExpression:
-        unexplained = b.parent_block().vehicle.mass * b.unexplained[axis]
+        unexplained = mass_at(b.parent_block(), t) * b.unexplained[axis]
         return b.component(f"explained_force_{axis}")[t] + unexplained
 
     return force
@@ -179,11 +180,11 @@ def _wind_acceleration() -> _Rules:
 
     def force_x(b: Block, t: float) -> NumericExpression:
         m = b.parent_block()
-        return m.vehicle.mass * (b.acceleration_coefficient * m.wind.velocity_x[t])
+        return mass_at(m, t) * (b.acceleration_coefficient * m.wind.velocity_x[t])
 
     def force_y(b: Block, t: float) -> NumericExpression:
         m = b.parent_block()
-        return m.vehicle.mass * (b.acceleration_coefficient * m.wind.velocity_y[t])
+        return mass_at(m, t) * (b.acceleration_coefficient * m.wind.velocity_y[t])
 
     def force_z(_b: Block, _t: float) -> NumericExpression:
         return 0 * units.N

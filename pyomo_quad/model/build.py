@@ -68,8 +68,9 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
 def _vehicle_in_the_air(scenario: Scenario) -> ConcreteModel:
     """Declare time, the vehicle's states and the forces of rotors and air."""
     m = ConcreteModel(name=scenario.name)
-    duration = scenario.nominal_duration
-    m.time = ContinuousSet(initialize=(0.0, duration / 2, duration), doc="time [s]")
+    *passages, duration = scenario.nominal_times
+    inside = sorted(set(passages)) or [duration / 2]
+    m.time = ContinuousSet(initialize=(0.0, *inside, duration), doc="time [s]")
     m.clock = Param(
         m.time,
         initialize=lambda _m, t: t,
@@ -108,7 +109,7 @@ def _declare_flight(m: ConcreteModel, scenario: Scenario) -> None:
 
 def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
     """Yield every table of numbers that the scenario's model declares."""
-    yield "vehicle", vehicle.PARAMETERS
+    yield "vehicle", vehicle.parameters_of(scenario)
     if scenario.wind.series is None:
         yield "wind", wind.PARAMETERS
         for axis, table in wind.AXIS_PARAMETERS.items():
@@ -165,7 +166,7 @@ def structure_key(scenario: Scenario) -> Hashable:
         tuple(row.name for row in aerodynamics.parameters_of(scenario)),
         tuple(row.name for row in limits.parameters_of(scenario)),
         airspace.structure_of(scenario),
-        tuple(row.name for row in mission.parameters_of(scenario)),
+        scenario.mission if scenario.mission.waypoints else scenario.mission.is_free,
     )
 
 

@@ -5,6 +5,7 @@ it is the exact speed at which 4 kappa_b omega^2 = m g.
 """
 
 from collections.abc import Callable, Hashable, Mapping
+from typing import Any
 
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
@@ -12,9 +13,11 @@ from pyomo.environ import Block, ConcreteModel, Constraint, Param, Var, sqrt, un
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.model.rigid_body import PLACE, STATES
+from pyomo_quad.model.vehicle import mass_at
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.mission import Hover
 
+_AXES = tuple(enumerate(PLACE[:3]))
 AT_REST = tuple(name for name in STATES if name not in PLACE)
 
 
@@ -63,7 +66,36 @@ _DURATION = (
 
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the numbers of a scenario's mission, as parameters of block `mission`."""
-    return _ENDS + (_DURATION if scenario.mission.is_free else ())
+    table = _ENDS + (_DURATION if scenario.mission.is_free else ())
+    if not scenario.mission.waypoints:
+        return table
+    return table + tuple(filter(None, (_passage(scenario, *row) for row in _PASSAGES)))
+
+
+# Field of a waypoint, its unit, what it is, and the value that asks for nothing.
+_PASSAGES: tuple[tuple[str, object, str, float | None], ...] = (
+    ("radius", units.m, "passing within this distance is enough", 0.0),
+    ("hold", units.s, "time to hover there", 0.0),
+    ("yaw", units.rad, "heading there", None),
+    ("speed_max", units.m / units.s, "largest speed there", None),
+    ("at", units.s, "when it is passed", None),
+)
+# How far a vehicle may be from a place, and how fast, that hovers there.
+_HOVERING_M, _HOVERING_M_PER_S = 0.05, 0.1
+
+
+def _passage(
+    scenario: Scenario, field: str, unit: object, doc: str, nothing: float | None
+) -> Parameter | None:
+    """Return what the waypoints say in one field as a parameter, None where none says anything."""
+
+    def said(scenario: Scenario) -> dict[int, float]:
+        fields = {k: getattr(w, field) for k, w in enumerate(scenario.mission.waypoints)}
+        return {k: value for k, value in fields.items() if value != nothing}
+
+    which = tuple(said(scenario))
+    name = f"passing_{field}"
+    return Parameter(name=name, units=unit, value=said, doc=doc, index=which) if which else None
 
 
 def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
@@ -80,12 +112,116 @@ def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
     @b.Expression(doc="rotor speed at which the thrust balances the weight [rad/s]")
     def hover_speed(b: Block) -> NumericExpression:
         m = b.parent_block()
-        weight = m.vehicle.mass * m.vehicle.gravity
-        rotor_thrust = weight / len(m.rotors.rotor)
-        return sqrt(rotor_thrust / m.vehicle.thrust_coefficient) * units.rad
+        return _hover_speed(m, m.vehicle.mass)
 
     _declare_start(b, m)
     _declare_goal(b, m)
+    if scenario.mission.waypoints:
+        _declare_waypoints(b, m, scenario)
+
+
+def _hover_speed(m: ConcreteModel, mass: NumericExpression) -> NumericExpression:
+    """Return the rotor speed at which the thrust balances the weight of a mass [rad/s]."""
+    rotor_thrust = mass * m.vehicle.gravity / len(m.rotors.rotor)
+    return sqrt(rotor_thrust / m.vehicle.thrust_coefficient) * units.rad
+
+
+def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
+    """Return declared time -> variable, for every time of a mission's model that one gives."""
+    *passages, end = scenario.nominal_times
+    free: dict[float, Any] = {end: m.duration} if scenario.mission.is_free else {}
+    for k in range(len(scenario.mission.waypoints)):
+        free[passages[2 * k]] = m.mission.passing_time[k]
+        if scenario.mission.waypoints[k].hold > 0:
+            free[passages[2 * k + 1]] = m.mission.leaving_time[k]
+    return free
+
+
+def _declare_waypoints(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare where the flight is at each passage, and how it passes."""
+    waypoints, times = scenario.mission.waypoints, scenario.nominal_times
+    reached = {k: times[2 * k] for k in range(len(waypoints))}
+    left = {k: times[2 * k + 1] for k in reached}
+    places = {(k, axis): w.position[i] for k, w in enumerate(waypoints) for i, axis in _AXES}
+    b.waypoint = Param(list(places), initialize=places, mutable=True, units=units.m, doc="x_k")
+    given = b.component("passing_at")
+
+    def limits(_b: Block, k: int) -> tuple[Any, Any]:
+        return (given[k], given[k]) if given is not None and k in given else (0.0, None)
+
+    def begun(_b: Block, k: int) -> float:
+        return reached[k]
+
+    b.passing_time = Var(
+        list(reached), bounds=limits, initialize=begun, units=units.s, doc="t_k: passage [s]"
+    )
+    _declare_passing(b, reached, [k for k, w in enumerate(waypoints) if w.radius > 0])
+    if b.component("passing_hold") is not None:
+        _declare_holds(b, m, reached, left)
+
+
+def _declare_passing(b: Block, reached: dict[int, float], near: list[int]) -> None:
+    exact = [k for k in reached if k not in near]
+
+    @b.Constraint(exact, [axis for _, axis in _AXES], doc="x(t_k) = x_k: passing a waypoint [m]")
+    def passing_place(b: Block, k: int, axis: str) -> RelationalExpression:
+        return b.parent_block().rigid_body.component(axis)[reached[k]] == b.waypoint[k, axis]
+
+    @b.Constraint(near, doc="|x(t_k) - x_k| <= r_k: passing near a waypoint [m^2]")
+    def passing_near(b: Block, k: int) -> RelationalExpression:
+        return _distance_squared(b, k, reached[k]) <= b.passing_radius[k] ** 2
+
+    if b.component("passing_yaw") is not None:
+
+        @b.Constraint(list(b.passing_yaw), doc="psi(t_k): heading at a waypoint [rad]")
+        def passing_heading(b: Block, k: int) -> RelationalExpression:
+            return b.parent_block().rigid_body.psi[reached[k]] == b.passing_yaw[k]
+
+    if b.component("passing_speed_max") is not None:
+
+        @b.Constraint(list(b.passing_speed_max), doc="|v(t_k)|: speed at a waypoint [m^2/s^2]")
+        def passing_speed(b: Block, k: int) -> RelationalExpression:
+            speed = _speed_squared(b.parent_block().rigid_body, reached[k])
+            return speed <= b.passing_speed_max[k] ** 2
+
+
+def _declare_holds(
+    b: Block, m: ConcreteModel, reached: dict[int, float], left: dict[int, float]
+) -> None:
+    held = list(b.passing_hold)
+    b.leaving_time = Var(
+        held,
+        bounds=(0.0, None),
+        initialize=lambda _b, k: left[k],
+        units=units.s,
+        doc="when a waypoint is left [s]",
+    )
+
+    @b.Constraint(held, doc="time of hover at a waypoint [s]")
+    def hold_time(b: Block, k: int) -> RelationalExpression:
+        return b.leaving_time[k] == b.passing_time[k] + b.passing_hold[k]
+
+    @b.Constraint(held, m.time, doc="hovering at a waypoint: distance [m^2]")
+    def hold_distance(b: Block, k: int, t: float) -> Any:
+        if not reached[k] < t <= left[k]:
+            return Constraint.Skip
+        return _distance_squared(b, k, t) <= (_HOVERING_M * units.m) ** 2
+
+    @b.Constraint(held, m.time, doc="hovering at a waypoint: speed [m^2/s^2]")
+    def hold_speed(b: Block, k: int, t: float) -> Any:
+        if not reached[k] < t <= left[k]:
+            return Constraint.Skip
+        speed = _speed_squared(b.parent_block().rigid_body, t)
+        return speed <= (_HOVERING_M_PER_S * units.m / units.s) ** 2
+
+
+def _distance_squared(b: Block, k: int, t: float) -> NumericExpression:
+    body = b.parent_block().rigid_body
+    return sum((body.component(axis)[t] - b.waypoint[k, axis]) ** 2 for _, axis in _AXES)
+
+
+def _speed_squared(body: Block, t: float) -> NumericExpression:
+    return body.vx[t] ** 2 + body.vy[t] ** 2 + body.vz[t] ** 2
 
 
 def declare_duration(m: ConcreteModel, scenario: Scenario) -> None:
@@ -131,7 +267,7 @@ def _declare_goal(b: Block, m: ConcreteModel) -> None:
     @b.Constraint(m.rotors.rotor, doc="x(t_f) = x_f: rotor speed of hover [rad/s]")
     def goal_rotor_speed(b: Block, j: int) -> RelationalExpression:
         m = b.parent_block()
-        return m.rotors.omega[j, m.time.last()] == b.hover_speed
+        return m.rotors.omega[j, m.time.last()] == _hover_speed(m, mass_at(m, m.time.last()))
 
 
 def start_where_measured(m: ConcreteModel) -> None:

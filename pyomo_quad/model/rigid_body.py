@@ -17,10 +17,12 @@ order of derivative.  Balances are undivided, as printed.
 
 from collections.abc import Callable
 
+from numpy import interp
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
 from pyomo.environ import Block, ConcreteModel, Var, cos, sin, tan, units
 
+from pyomo_quad.model.vehicle import mass_at
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.vehicle import Attitude
 
@@ -87,18 +89,30 @@ def _straight_line(start: float, goal: float, duration: float) -> Callable[[Bloc
     return lambda _b, t: start + (goal - start) * t / duration
 
 
+def _from_place_to_place(scenario: Scenario, axis: int) -> Callable[[Block, float], float]:
+    """Return an initial value that moves along an axis in straight lines between the places."""
+    places = [position[axis] for position in scenario.mission.positions]
+    times = [0.0, *scenario.nominal_times]
+    stays = [places[0], *(place for place in places[1:-1] for _ in range(2)), places[-1]]
+    return lambda _b, t: float(interp(t, times, stays))
+
+
 def _declare_states(m: ConcreteModel, scenario: Scenario) -> None:
     b, mission = m.rigid_body, scenario.mission
     start = (*mission.start.position, mission.start.yaw)
     goal = (*mission.goal.position, mission.goal.yaw)
     ends = dict(zip(PLACE, zip(start, goal, strict=True), strict=True))
     distance = max(1.0, *(abs(there - here) for here, there in ends.values()))
+    for place in mission.positions[1:-1]:
+        distance = max(distance, *(abs(x - y) for x, y in zip(place, start, strict=False)))
     nominal = dict.fromkeys(("x", "y", "z"), distance)
     nominal |= dict.fromkeys(("vx", "vy", "vz"), distance / scenario.nominal_duration)
     nominal |= dict.fromkeys(("phi", "theta", "psi"), _NOMINAL_ANGLE)
     nominal |= dict.fromkeys(("p", "q", "r"), _NOMINAL_RATE)
     for name, (unit, doc) in STATES.items():
         guess = _straight_line(*ends.get(name, (0.0, 0.0)), scenario.nominal_duration)
+        if mission.waypoints and name in PLACE[:3]:
+            guess = _from_place_to_place(scenario, PLACE.index(name))
         state = Var(m.time, units=unit, initialize=guess, doc=doc)
         b.add_component(name, state)
         rate = DerivativeVar(state, wrt=m.time, units=unit / units.s, initialize=0.0)
@@ -193,20 +207,20 @@ def _declare_force_balances(b: Block, m: ConcreteModel) -> None:
     def x_momentum_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         thrust = thrust_axis(b, t)[0] * m.rotors.total_thrust[t]
-        return m.vehicle.mass * b.dvx_dt[t] == thrust + m.aerodynamics.force_x[t]
+        return mass_at(m, t) * b.dvx_dt[t] == thrust + m.aerodynamics.force_x[t]
 
     @b.Constraint(m.time, doc="eq. (6) row 2: force balance along world y [N]")
     def y_momentum_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         thrust = thrust_axis(b, t)[1] * m.rotors.total_thrust[t]
-        return m.vehicle.mass * b.dvy_dt[t] == thrust + m.aerodynamics.force_y[t]
+        return mass_at(m, t) * b.dvy_dt[t] == thrust + m.aerodynamics.force_y[t]
 
     @b.Constraint(m.time, doc="eq. (6) row 3: vertical force balance [N]")
     def z_momentum_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         thrust = thrust_axis(b, t)[2] * m.rotors.total_thrust[t]
-        weight = m.vehicle.mass * m.vehicle.gravity
-        return m.vehicle.mass * b.dvz_dt[t] == thrust - weight + m.aerodynamics.force_z[t]
+        weight = mass_at(m, t) * m.vehicle.gravity
+        return mass_at(m, t) * b.dvz_dt[t] == thrust - weight + m.aerodynamics.force_z[t]
 
 
 def _declare_tilting_balances(b: Block, m: ConcreteModel) -> None:

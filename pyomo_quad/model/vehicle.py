@@ -14,7 +14,8 @@ R | motor_resistance | ohm | winding
 T_f, D_f | friction_torque, viscous_damping | N m, N m s | only in the power model with friction
 """
 
-from pyomo.environ import Block, ConcreteModel, units
+from pyomo.core.expr import NumericExpression
+from pyomo.environ import Block, ConcreteModel, Param, units
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
@@ -110,4 +111,38 @@ PARAMETERS = (
 def declare_vehicle(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the vehicle's numbers as mutable parameters in block `vehicle`."""
     m.vehicle = Block(doc="numbers of the vehicle")
-    declare_parameters(m.vehicle, PARAMETERS, scenario)
+    declare_parameters(m.vehicle, parameters_of(scenario), scenario)
+    loads, times = _loads(scenario), scenario.nominal_times
+    if loads:
+        left = {k: times[2 * k + 1] for k in loads}
+        m.vehicle.released_at = Param(loads, initialize=left, doc="declared time of release [s]")
+
+
+def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
+    """Return the numbers of a scenario's vehicle, and what it leaves on the way."""
+    loads = _loads(scenario)
+    if not loads:
+        return PARAMETERS
+    return (
+        *PARAMETERS,
+        Parameter(
+            name="released",
+            units=units.kg,
+            value=lambda s: {k: s.mission.waypoints[k].release for k in loads},
+            doc="payload left at a waypoint",
+            index=loads,
+        ),
+    )
+
+
+def _loads(scenario: Scenario) -> tuple[int, ...]:
+    """Return which waypoints something is left at."""
+    return tuple(k for k, waypoint in enumerate(scenario.mission.waypoints) if waypoint.release > 0)
+
+
+def mass_at(m: ConcreteModel, t: float) -> NumericExpression:
+    """Return the mass in flight at a time: what is left at a waypoint is gone when it is left."""
+    b = m.vehicle
+    if b.component("released") is None:
+        return b.mass
+    return b.mass - sum(b.released[k] for k in b.released if t > b.released_at[k])

@@ -134,7 +134,7 @@ def plan_summary(
         "verified": plan.is_verified,
         "energy_J": _number(plan.energy),
         "duration_s": _number(plan.duration_s),
-        "passing_times_s": [],
+        "passing_times_s": list(plan.passing_times_s),
         "hover_energy_J": _number(plan.hover_energy_J),
         "terminal_miss_m": None if verification is None else _number(verification.terminal_miss_m),
         "max_violation": None if verification is None else _number(verification.max_violation),

@@ -1,6 +1,8 @@
 """The mission: where it starts and ends, and how long it takes or may take."""
 
+from collections.abc import Sequence
 from enum import StrEnum
+from itertools import pairwise
 from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
@@ -11,7 +13,10 @@ from pyomo_quad.scenario.messages import ScenarioError
 _FAR = Sound(-1e5, 1e5, "a quadrotor flies tens of kilometres, in metres")
 _TURNS = Sound(-1e4, 1e4, "a turn is 6.283 rad")
 _ALOFT = Sound(1e-3, 86_400, "no quadrotor stays aloft for more than a day")
+_NEAR = "farther from it is another place"
 FREE = "free"
+#: Waypoints whose best order is found by dynamic programming.
+MOST_ORDERED = 10
 
 
 class Hover(Part):
@@ -28,6 +33,45 @@ class Aim(StrEnum):
 
     ENERGY = "energy"
     TIME = "time"
+
+
+class Order(StrEnum):
+    """In which order the waypoints are passed."""
+
+    GIVEN = "given"
+    BEST = "best"
+
+
+class Waypoint(Part):
+    """A place to pass between start and goal, and what happens there."""
+
+    position: Triple = quantity(
+        "m", "position x, y, z to pass, in world axes", example="[3.0, 0.0, 2.0]", sound=_FAR
+    )
+    radius: Number = quantity(
+        "m", "passing within this distance is enough", 0.0, ge=0, sound=Sound(0, 1e4, _NEAR)
+    )
+    hold: Number = quantity(
+        "s", "time to hover there", 0.0, ge=0, sound=Sound(0, _ALOFT.high, _ALOFT.because)
+    )
+    yaw: Number | None = quantity("rad", "heading there, any when absent", None, sound=_TURNS)
+    speed_max: Number | None = quantity(
+        "m/s",
+        "largest speed there, any when absent",
+        None,
+        gt=0,
+        sound=Sound(1e-3, 1e3, "nothing with rotors flies at the speed of sound"),
+    )
+    at: Number | None = quantity(
+        "s", "when it is passed, for the plan to choose when absent", None, gt=0, sound=_ALOFT
+    )
+    release: Number = quantity(
+        "kg",
+        "payload left there",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e4, "flying machines weigh from a gram to ten tonnes"),
+    )
 
 
 class NamedDuration(NamedTuple):
@@ -86,6 +130,54 @@ class Mission(Part):
         Aim.ENERGY,
         is_late=True,
     )
+
+    waypoints: tuple[Waypoint, ...] = quantity(
+        "", "places to pass between start and goal", (), max_length=64, is_late=True
+    )
+    order: Order = quantity(
+        "", "order of the waypoints: as given, or that of least energy", Order.GIVEN, is_late=True
+    )
+
+    @property
+    def positions(self) -> tuple[tuple[float, float, float], ...]:
+        """Start, waypoints and goal, m."""
+        between = (waypoint.position for waypoint in self.waypoints)
+        return (self.start.position, *between, self.goal.position)
+
+    @property
+    def released(self) -> float:
+        """Payload left on the way, kg."""
+        return sum(waypoint.release for waypoint in self.waypoints)
+
+    def paced(self, legs: Sequence[float]) -> tuple[float, ...]:
+        """Return when each waypoint is reached and left, and the end.
+
+        Parameters
+        ----------
+        legs : sequence of float
+            Time that each leg would like to take, s; legs before a given time share what there is.
+
+        Returns
+        -------
+        tuple of float
+            Two times for each waypoint, then the end, s.
+        """
+        goal = self.fixed_duration if not self.is_free else None
+        given = (*(waypoint.at for waypoint in self.waypoints), goal)
+        holds = (*(waypoint.hold for waypoint in self.waypoints), 0.0)
+        times: list[float] = []
+        first = 0
+        while first < len(legs):
+            last = next((k for k in range(first, len(legs)) if given[k] is not None), len(legs) - 1)
+            began = times[-1] if times else 0.0
+            end = given[last]
+            waiting, moving = sum(holds[first:last]), sum(legs[first : last + 1])
+            pace = 1.0 if end is None else (end - began - waiting) / moving
+            for k in range(first, last + 1):
+                reached = (times[-1] if times else 0.0) + pace * legs[k]
+                times += [reached, reached + holds[k]]
+            first = last + 1
+        return tuple(times[:-1])
 
     @property
     def is_free(self) -> bool:
@@ -146,9 +238,70 @@ class Mission(Part):
                 f"{idle[0]} is for a free duration, duration = {self.duration:g} s is fixed; "
                 f'leave {idle[0]} out or give duration = "free"'
             )
-        if self.is_free and self.duration_min is None and self.goal == self.start:
+        is_nowhere = self.goal == self.start and not self.waypoints
+        if self.is_free and self.duration_min is None and is_nowhere:
             raise ValueError(
                 'duration = "free" with the goal at the start; the least flight is none at all: '
                 "give duration_min or a fixed duration"
             )
         return self
+
+    @model_validator(mode="after")
+    def _waypoints_can_be_passed(self) -> Self:
+        earliest, since = 0.0, "the start"
+        limit = "duration_max" if self.is_free else "duration"
+        latest = self.duration_limits[1]
+        for k, waypoint in enumerate(self.waypoints):
+            if waypoint.at is not None:
+                if waypoint.at <= earliest:
+                    raise ValueError(
+                        f"waypoints[{k}].at = {waypoint.at:g} s; must be later than {earliest:g} "
+                        f"s, when {since} is left at the earliest; give rising times"
+                    )
+                if waypoint.at >= latest:
+                    raise ValueError(
+                        f"waypoints[{k}].at = {waypoint.at:g} s; must be below {limit} = "
+                        f"{latest:g} s; pass it earlier or fly longer"
+                    )
+                earliest = waypoint.at
+            earliest += waypoint.hold
+            since = f"waypoints[{k}]"
+        if self.waypoints and earliest >= latest:
+            raise ValueError(
+                f"waypoints hold until {earliest:g} s at the earliest; must be below {limit} = "
+                f"{latest:g} s; hold less or fly longer"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _places_differ(self) -> Self:
+        names = ["start", *(f"waypoints[{k}]" for k in range(len(self.waypoints))), "goal"]
+        if self.order is Order.BEST:
+            self._can_be_ordered(names[1:-1])
+        places = list(zip(names, self.positions, strict=True))
+        for (before, here), (after, there) in pairwise(places if self.waypoints else ()):
+            if here == there and self.order is Order.GIVEN:
+                raise ValueError(
+                    f"{after} is the very place of {before}; leave one out, and give hold to stay"
+                )
+        return self
+
+    def _can_be_ordered(self, names: list[str]) -> None:
+        if len(names) > MOST_ORDERED:
+            raise ValueError(
+                f'order = "best" of {len(names)} waypoints; must be at most {MOST_ORDERED}; '
+                "give the order or leave some out"
+            )
+        seen: dict[tuple[float, float, float], str] = {}
+        for name, waypoint in zip(names, self.waypoints, strict=True):
+            if waypoint.position in seen:
+                raise ValueError(
+                    f'{name} is the very place of {seen[waypoint.position]}; order = "best" '
+                    "passes each place once: leave one out"
+                )
+            if waypoint.at is not None:
+                raise ValueError(
+                    f'{name}.at = {waypoint.at:g} s fixes a time; order = "best" chooses it: '
+                    "leave at out or give the order"
+                )
+            seen[waypoint.position] = name

@@ -1,7 +1,8 @@
 """The scenario: everything that one mission needs, validated, immutable and in SI units."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from math import dist, sqrt
 from pathlib import Path as FilePath
 from types import MappingProxyType
@@ -30,6 +31,7 @@ from pyomo_quad.scenario.wind import Wind
 # longer than the quickest flight the first guess at a free duration is.
 _LEAST_LIFT = 0.1
 _UNHURRIED = 2.0
+_SHORTEST_WAY = 1e-2
 # Names become folder names: no separator, no leading dot, nothing that leaves the output folder.
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 _MODEL_PATTERN = r"^[^:\x00]+\.py:[A-Za-z_][A-Za-z0-9_]*$"
@@ -107,6 +109,7 @@ class Scenario(Part):
         scenario._check_hover(origin.source)  # noqa: SLF001
         scenario._check_replanning(origin.source)  # noqa: SLF001
         scenario._check_airspace(origin.source)  # noqa: SLF001
+        scenario._check_payload(origin.source)  # noqa: SLF001
         return scenario
 
     def __eq__(self, other: object) -> bool:
@@ -172,8 +175,8 @@ class Scenario(Part):
             )
         )
 
-    def lasting(self, duration: float) -> Self:
-        """Return the scenario with a fixed duration.
+    def lasting(self, duration: float, passing_times: Sequence[float] = ()) -> Self:
+        """Return the scenario with a fixed duration, and times at which waypoints are passed.
 
         Parameters
         ----------
@@ -185,31 +188,52 @@ class Scenario(Part):
         Scenario
             Without what a free duration is chosen by; itself where that is its duration.
         """
-        if duration == self.mission.duration:
+        if duration == self.mission.duration and not passing_times:
             return self
-        values = Mission.chosen(duration)
+        values: dict[str, Any] = Mission.chosen(duration)
+        if passing_times:
+            pairs = zip(self.mission.waypoints, passing_times, strict=True)
+            values["waypoints"] = tuple(w.model_copy(update={"at": at}) for w, at in pairs)
         mission = self.mission.model_copy(update=values)
         changed = self.model_copy(update={"mission": mission})
         if self._origin is not None:
             assignments = dict(self._origin.assignments)
-            assignments |= {("mission", name): value for name, value in values.items()}
+            written = mission.model_dump(mode="json")
+            assignments |= {("mission", name): written.get(name, values[name]) for name in values}
             changed._origin = replace(self._origin, assignments=assignments)  # noqa: SLF001
         return changed
 
     @property
     def nominal_duration(self) -> float:
         """The duration, or where it is free one that the search may start from, s."""
-        if not self.mission.is_free:
-            return self.mission.fixed_duration
+        return self.nominal_times[-1]
+
+    @property
+    def nominal_times(self) -> tuple[float, ...]:
+        """When each waypoint is reached and left, and the end: given, or for a search to start."""
         vehicle, limits = self.vehicle, self.limits
         lift = limits.thrust_max / vehicle.total_mass - self.gravity
         acceleration = min(max(lift, _LEAST_LIFT * self.gravity), self.gravity)
         spin = limits.yaw_moment_max / vehicle.Iz
-        start, goal = self.mission.start, self.mission.goal
-        ways = dist(start.position, goal.position) / acceleration, abs(goal.yaw - start.yaw) / spin
+        mission = self.mission
+        ways = [dist(*leg) / acceleration for leg in pairwise(mission.positions)]
+        # A turn on the way, or a leg back to where it began, takes its time too.
+        ways[-1] = max(ways[-1], abs(mission.goal.yaw - mission.start.yaw) / spin)
         # Half of the way speeding up and half of it slowing down takes 2 sqrt(way / acceleration).
-        least, greatest = self.mission.duration_limits
-        return min(max(_UNHURRIED * 2 * sqrt(max(ways)), least), greatest)
+        legs = [_UNHURRIED * 2 * sqrt(max(way, _SHORTEST_WAY)) for way in ways]
+        if not mission.is_free:
+            return mission.paced(legs)
+        end = mission.paced(legs)[-1]
+        least, greatest = mission.duration_limits
+        if least <= end <= greatest:
+            return mission.paced(legs)
+        duration = min(max(end, least), greatest)
+        return self.lasting(duration).mission.paced(legs)
+
+    @property
+    def mass_at_goal(self) -> float:
+        """Mass in flight after all that is released on the way, kg."""
+        return self.vehicle.total_mass - self.mission.released
 
     def as_forecast(self) -> Self:
         """Return the scenario as the optimiser is told it.
@@ -228,10 +252,11 @@ class Scenario(Part):
         return self.model_copy(update={"wind": self.wind.model_copy(update={"forecast": None})})
 
     def _check_airspace(self, source: str) -> None:
-        for end in ("start", "goal"):
-            place = getattr(self.mission, end).position
+        waypoints = [f"waypoints[{k}]" for k in range(len(self.mission.waypoints))]
+        names = ("start", *waypoints, "goal")
+        for name, place in zip(names, self.mission.positions, strict=True):
             for complaint_of_place in self.airspace.complaints(place):
-                where = f"mission.{end}.position = {shown(list(place))} m"
+                where = f"mission.{name}.position = {shown(list(place))} m"
                 raise ScenarioError(f"{source}: {where} {complaint_of_place}.")
 
     def _check_replanning(self, source: str) -> None:
@@ -241,6 +266,14 @@ class Scenario(Part):
             raise ScenarioError(
                 f"{source}: baseline.mpc.interval = {interval:g} s; must be below "
                 f"{field} = {longest:g} s, or nothing is planned again."
+            )
+
+    def _check_payload(self, source: str) -> None:
+        released, carried = self.mission.released, self.vehicle.payload
+        if released > carried:
+            raise ScenarioError(
+                f"{source}: mission.waypoints release {released:g} kg in all; must be at most "
+                f"vehicle.payload = {carried:g} kg; release less or carry more."
             )
 
     def _check_hover(self, source: str) -> None:

@@ -213,6 +213,7 @@ def test_momentum_needs_a_radius(tmp_path):
     )
 
 
+ENDS = ("start", "goal")
 FREE = 'mission.duration = "free"'
 # Lines of a scenario whose duration is free -> message after the source.
 REFUSED_WHERE_FREE = {
@@ -254,6 +255,87 @@ def test_message_about_a_free_duration(tmp_path, lines, message):
     with pytest.raises(ScenarioError, match=re.escape(message)) as caught:
         load_scenario(write_scenario(tmp_path), [FREE, *lines])
     assert one_line(caught) == f"--set: {message}"
+
+
+PLACE = "{ position = [1.0, 1.0, 1.0]%s }"
+# Waypoints, and other fields -> message after the source.
+REFUSED_WAYPOINTS = {
+    (PLACE % ", at = 6.0", ""): (
+        "mission: waypoints[0].at = 6 s; must be below duration = 5 s; pass it earlier or fly "
+        "longer."
+    ),
+    (f"{PLACE % ', at = 3.0'}, {{ position = [2.0, 1.0, 1.0], at = 2.0 }}", ""): (
+        "mission: waypoints[1].at = 2 s; must be later than 3 s, when waypoints[0] is left at the "
+        "earliest; give rising times."
+    ),
+    (f"{PLACE % ', hold = 2.0'}, {{ position = [2.0, 1.0, 1.0], at = 1.5 }}", ""): (
+        "mission: waypoints[1].at = 1.5 s; must be later than 2 s, when waypoints[0] is left at "
+        "the earliest; give rising times."
+    ),
+    (PLACE % ", at = 6.0", 'mission.duration = "free"\nmission.duration_max = 5.5'): (
+        "mission: waypoints[0].at = 6 s; must be below duration_max = 5.5 s; pass it earlier or "
+        "fly longer."
+    ),
+    (PLACE % ", hold = 5.0", ""): (
+        "mission: waypoints hold until 5 s at the earliest; must be below duration = 5 s; hold "
+        "less or fly longer."
+    ),
+    (PLACE % ", release = 0.4", "vehicle.payload = 0.1"): (
+        "mission.waypoints release 0.4 kg in all; must be at most vehicle.payload = 0.1 kg; "
+        "release less or carry more."
+    ),
+    (PLACE % ", hold = -1.0", ""): "mission.waypoints[0].hold = -1 s; must be >= 0.",
+    (PLACE % ", radius = -1.0", ""): "mission.waypoints[0].radius = -1 m; must be >= 0.",
+    (PLACE % ", speed_max = 0.0", ""): "mission.waypoints[0].speed_max = 0 m/s; must be > 0.",
+    ("{ hold = 1.0 }", ""): "mission.waypoints[0].position is missing; give it in m. For example:",
+    (f"{PLACE % ''}, {PLACE % ''}", ""): (
+        "mission: waypoints[1] is the very place of waypoints[0]; leave one out, and give hold to "
+        "stay."
+    ),
+    ("{ position = [1.0, 2.0, 3.0] }", ""): (
+        "mission: goal is the very place of waypoints[0]; leave one out, and give hold to stay."
+    ),
+    (f"{PLACE % ''}, {{ position = [2.0, 0.0, 0.0] }}, {PLACE % ''}", 'mission.order = "best"'): (
+        'mission: waypoints[2] is the very place of waypoints[0]; order = "best" passes each place '
+        "once: leave one out."
+    ),
+    (PLACE % ", at = 2.0", 'mission.order = "best"'): (
+        'mission: waypoints[0].at = 2 s fixes a time; order = "best" chooses it: leave at out or '
+        "give the order."
+    ),
+    (
+        ", ".join(f"{{ position = [{k}.0, 9.0, 1.0] }}" for k in range(11)),
+        'mission.order = "best"',
+    ): (
+        'mission: order = "best" of 11 waypoints; must be at most 10; give the order or leave some '
+        "out."
+    ),
+}
+
+
+@pytest.mark.parametrize(("given", "message"), REFUSED_WAYPOINTS.items())
+def test_message_about_waypoints(tmp_path, given, message):
+    waypoints, other = given
+    lines = [f"mission.waypoints = [{waypoints}]", *filter(None, other.split("\n"))]
+    with pytest.raises(ScenarioError, match=re.escape(message)) as caught:
+        load_scenario(write_scenario(tmp_path), lines)
+    assert message in one_line(caught)
+
+
+@pytest.mark.parametrize(
+    ("airspace", "message"),
+    [
+        ("floor = 2.5", "mission.waypoints[0].position = [1.0, 1.0, 1.0] m"),
+        ("ceiling = 0.5", "mission.waypoints[0].position = [1.0, 1.0, 1.0] m"),
+    ],
+)
+def test_a_waypoint_outside_the_airspace(tmp_path, airspace, message):
+    height = 3.0 if "floor" in airspace else 0.0
+    ends = [f"mission.{end}.position = [0.0, {k}.0, {height}]" for k, end in enumerate(ENDS)]
+    lines = [*ends, f"mission.waypoints = [{PLACE % ''}]", f"airspace.{airspace}"]
+    with pytest.raises(ScenarioError, match=re.escape(message)) as caught:
+        load_scenario(write_scenario(tmp_path), lines)
+    assert message in one_line(caught)
 
 
 def test_a_measured_wind_needs_a_fixed_duration(tmp_path):

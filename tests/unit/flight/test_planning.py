@@ -9,8 +9,9 @@ from pyomo_quad import load_scenario
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.collocation import Mesh, Status, Trajectory
-from pyomo_quad.flight import PlanStatus, planning
-from pyomo_quad.flight.planning import Rescuer, solve_scenario
+from pyomo_quad.flight import PlanStatus, planning, rescue
+from pyomo_quad.flight.planning import solve_scenario
+from pyomo_quad.flight.rescue import Rescuer
 from pyomo_quad.model.power import wider_smoothings
 from pyomo_quad.scenario.mission import NamedDuration
 from tests.command import IMPOSSIBLE, PAPER_CALM
@@ -121,7 +122,7 @@ def diagnosed(monkeypatch):
         found = SimpleNamespace(
             feasible_point=feasible_point, is_infeasible=is_infeasible, relaxations=(), active=()
         )
-        monkeypatch.setattr(planning, "diagnose", lambda *_, **__: found)
+        monkeypatch.setattr(rescue, "diagnose", lambda *_, **__: found)
 
     return answer
 

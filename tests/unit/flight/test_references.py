@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from pyomo_quad.flight.references import SampledPath, minimum_snap, quintic, step
+from pyomo_quad.scenario import ScenarioError
 from tests import flights
+from tests.declared_model import scenario
 
 MISSION = flights.scenario("paper_calm", "mission.goal.yaw=0.5").mission
 GOAL = [6.0, 7.0, 8.0, 0.5]
@@ -71,3 +73,40 @@ def test_what_the_air_gives_is_not_asked_of_the_rotors():
 
 def row_parts():
     return ("place", "rate", "acceleration")
+
+
+def test_a_spline_through_points_of_the_quintic_is_the_quintic():
+    straight = scenario(mission={"duration": 4.0, "goal": {"position": [6.0, 7.0, 8.0]}}).mission
+    times = (1.0, 2.5)
+    on_the_way = [
+        {"position": list(quintic(straight)(t).place[:3]), "at": t, "yaw": 0.0} for t in times
+    ]
+    told = scenario(
+        mission={
+            "duration": 4.0,
+            "goal": {"position": [6.0, 7.0, 8.0]},
+            "waypoints": on_the_way,
+        }
+    ).mission
+    for t in (-1.0, 0.0, 0.3, 1.0, 1.7, 3.9, 4.0, 6.0):
+        for found, known in zip(quintic(told)(t), quintic(straight)(t), strict=True):
+            assert found == pytest.approx(known, abs=1e-9)
+
+
+def test_a_path_with_a_hold_rests_there():
+    stop = {"position": [1.0, 2.0, 3.0], "at": 2.0, "hold": 1.0}
+    told = scenario(mission={"duration": 5.0, "waypoints": [stop]}).mission
+    for reference in (quintic, minimum_snap):
+        path = reference(told)
+        for t in (2.0, 2.5, 3.0):
+            assert path(t).place[:3] == pytest.approx([1.0, 2.0, 3.0], abs=1e-9)
+            assert path(t).rate == pytest.approx(np.zeros(4), abs=1e-8)
+        assert path(1.0).rate[0] > 0.1
+    assert step(told)(2.9).place[:3] == [1.0, 2.0, 3.0]
+    assert step(told)(3.1).place[:3] == [6.0, 7.0, 8.0]
+
+
+def test_a_path_needs_the_times_of_its_waypoints():
+    told = scenario(mission={"duration": 5.0, "waypoints": [{"position": [1.0, 2.0, 3.0]}]})
+    with pytest.raises(ScenarioError, match=r"mission\.waypoints\[0\]\.at is missing; without a"):
+        quintic(told.mission)

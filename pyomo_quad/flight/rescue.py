@@ -1,0 +1,148 @@
+"""What is tried when a solve fails, and what is said when that fails too."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from pyomo_quad.collocation import (
+    Progress,
+    Relaxation,
+    Solution,
+    Status,
+    Trajectory,
+    TranscriptionError,
+    diagnose,
+)
+from pyomo_quad.flight.plan import Failure
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pyomo_quad.collocation import Diagnosis
+    from pyomo_quad.scenario.mission import NamedDuration
+
+DONE = (Status.CONVERGED, Status.TOLERANCE_NOT_MET)
+_ENDED = (*DONE, Status.INTERRUPTED)
+# Durations, as multiples of the mission's, through which a slow flight is sped up.
+_SLOWER = (3.0, 2.0, 1.5, 1.2, 1.1)
+_MOST_REMEDIES = 3
+_LIMITS = "limits."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rescue:
+    """What became of it: the last solution, what was tried, and why it failed if it did."""
+
+    solution: Solution
+    attempts: tuple[str, ...]
+    failure: Failure | None
+
+
+class Rescuer:
+    """Tries a failed mission again.
+
+    Parameters
+    ----------
+    longest : NamedDuration
+        The mission's duration, the greatest where it is free.
+    solve : callable
+        Solve the mission to its tolerance from a trajectory.
+    solve_slowly : callable
+        Solve the mission on its first mesh with another duration [s], from a trajectory or from
+        nothing; None where the duration is free anyway.
+    solve_shortest : callable
+        Return the shortest flight of the mission, or None.
+    progress : callable or None
+        Called at each iteration; returning False stops the solve.
+    """
+
+    def __init__(
+        self,
+        *,
+        longest: NamedDuration,
+        solve: Callable[[Trajectory], Solution],
+        solve_slowly: Callable[[float, Trajectory | None], Solution | None],
+        solve_shortest: Callable[[], Solution | None],
+        progress: Progress | None,
+    ) -> None:
+        self._longest = longest
+        self._solve = solve
+        self._solve_slowly = solve_slowly
+        self._solve_shortest = solve_shortest
+        self._progress = progress
+        self._attempts: list[str] = []
+
+    def __call__(self, failed: Solution) -> Rescue:
+        """Return the rescue of a solution that did not converge."""
+        self._note("first solve", failed)
+        diagnosis = diagnose(failed, progress=self._progress)
+        if diagnosis.feasible_point is not None:
+            solution = self._started_from(diagnosis.feasible_point, "elastic restoration")
+            if solution.status in _ENDED:
+                return self._ended(solution, None)
+        if not diagnosis.is_infeasible:
+            solution = self._continued() or failed
+            if solution.status in _ENDED:
+                return self._ended(solution, None)
+        shortest = self._solve_shortest()
+        least = None if shortest is None else shortest.objective
+        self._attempts.append(
+            "shortest flight: none found" if least is None else f"shortest flight: {least:.4g} s"
+        )
+        is_contradicted = shortest is not None and shortest.objective <= self._longest.value
+        if shortest is not None and is_contradicted:
+            held, statics = shortest.trajectory, failed.trajectory.statics
+            path = held if len(held.statics) == len(statics) else replace(held, statics=statics)
+            solution = self._started_from(path, "guess from the shortest flight")
+            if solution.status in _ENDED:
+                return self._ended(solution, None)
+        failure = Failure(
+            longest=self._longest,
+            shortest_duration_s=least,
+            diagnosis=diagnosis,
+            remedies=() if not diagnosis.is_infeasible else self._remedies(failed, diagnosis),
+        )
+        is_proven = failure.is_too_short or (diagnosis.is_infeasible and not is_contradicted)
+        status = Status.INFEASIBLE if is_proven else Status.NOT_CONVERGED
+        return self._ended(replace(failed, status=status), failure)
+
+    def _ended(self, solution: Solution, failure: Failure | None) -> Rescue:
+        return Rescue(solution=solution, attempts=tuple(self._attempts), failure=failure)
+
+    def _note(self, what: str, solution: Solution) -> None:
+        self._attempts.append(f"{what}: {solution.status.value}")
+
+    def _started_from(self, trajectory: Trajectory, what: str) -> Solution:
+        solution = self._solve(trajectory)
+        self._note(what, solution)
+        return solution
+
+    def _continued(self) -> Solution | None:
+        """Speed a slow flight up to the mission's duration; None when a step fails."""
+        trajectory: Trajectory | None = None
+        for factor in _SLOWER:
+            slower = self._solve_slowly(factor * self._longest.value, trajectory)
+            if slower is None:
+                return None
+            self._note(f"duration x {factor:g}", slower)
+            if slower.status is Status.INTERRUPTED:
+                return slower
+            if slower.status in DONE:
+                trajectory = slower.trajectory
+        if trajectory is None:
+            return None
+        return self._started_from(trajectory, "continuation in duration")
+
+    def _remedies(self, failed: Solution, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
+        """Return single limits that would do alone."""
+        candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
+        limits = [name for name in dict.fromkeys(candidates) if name.startswith(_LIMITS)]
+        found: list[Relaxation] = []
+        for name in limits[:_MOST_REMEDIES]:
+            try:
+                alone = diagnose(failed, families=frozenset({name}), progress=self._progress)
+            except TranscriptionError:
+                continue
+            found.extend(alone.relaxations)
+        return tuple(found)
