@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 
 from pydantic import BaseModel, ValidationError
 
+from pyomo_quad.scenario.air import in_the_air
 from pyomo_quad.scenario.document import read_toml
 from pyomo_quad.scenario.fields import initial_of, number_in_text
 from pyomo_quad.scenario.messages import (
@@ -361,6 +362,7 @@ def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
         tables = _inherit_coupling(tables, own)
     tables = _with_assignments(origin, merge(tables, own), indexed=True)
     tables = _add_wind_series(origin, tables, provenance)
+    tables = in_the_air(tables, origin.document if origin.is_resolved else None, provenance)
     return Resolution(tables=_add_derived_limits(origin, tables, provenance), provenance=provenance)
 
 

@@ -10,6 +10,7 @@ from typing import Any, Self
 
 from pydantic import PrivateAttr, ValidationError
 
+from pyomo_quad.scenario.air import Air
 from pyomo_quad.scenario.airspace import Airspace
 from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Sound, Text, quantity
 from pyomo_quad.scenario.messages import FeasibilityError, ScenarioError, complaint, shown
@@ -70,6 +71,7 @@ class Scenario(Part):
     wind: Wind = quantity("", "the wind")
     power: Power = quantity("", "the power model", Power())
     mission: Mission = quantity("", "the mission")
+    air: Air = quantity("", "the air, in which a vehicle's numbers change", Air(), is_late=True)
     airspace: Airspace = quantity("", "where the flight may be", Airspace(), is_late=True)
     solver: Solver = quantity("", "solver settings", Solver())
     baseline: Baseline = quantity("", "the controller to compare with", Baseline())
