@@ -101,7 +101,7 @@ class RelationReader:
         )
 
     def _condition(self, data: Any) -> PointCondition:
-        expression, lower, upper = self._relation(data, data.name)
+        expression, lower, upper = self._relation(self._writer.at_instant(data), data.name)
         return PointCondition(name=data.name, expression=expression, lower=lower, upper=upper)
 
     def _imposed(self, condition: PointCondition) -> PointCondition:

@@ -6,7 +6,7 @@ import operator
 from bisect import bisect_left
 from dataclasses import replace
 from functools import partial, reduce
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import casadi
 import numpy as np
@@ -229,6 +229,7 @@ class TemplateWriter:
         self.schedules: list[Schedule | Phases] = [Phases(clock)] if clock.phases else []
         self._by_rule: dict[str, Any] = {}
         self._clock = time_parameter()
+        self._instants: dict[float, Any] = {}
         self._writer = ExpressionWriter(self.leaf, self.named)
         self.table_uses = self._writer.table_uses
         self._in_path = False
@@ -325,11 +326,27 @@ class TemplateWriter:
                 f"({what}); let it read nothing but its time and components of the model."
             ) from error
         if self.symbols.clock.is_free and index.is_read:
-            raise TranscriptionError(
-                f"{name}: its rule reads its time as a number, which a free time moves; "
-                "compare it with declared times only, and calculate with Pyomo's functions."
-            )
+            _refuse_number(name)
         return statement
+
+    def at_instant(self, data: Any) -> Any:
+        """Return a constraint at a declared time in terms of the time that this turns out to be."""
+        component, address = data.parent_component(), self.addresses.of(data)
+        rule, clock = rule_of(component), self.symbols.clock
+        if not clock.is_free or rule is None or address.time is None:
+            return data
+        if not symbol_names(clock.time_at(address.time)) & self.symbols.statics.keys():
+            return data
+        parameter = self._instants.setdefault(address.time, time_parameter())
+        symbol = TimeSymbol(float(address.time), parameter, self.copy.declared_times)
+        position = self.addresses.join(component, address.index, symbol)
+        try:
+            said = rule(component.parent_block(), position)
+        except Exception:  # noqa: BLE001  the rule is the user's, and did with the number
+            _refuse_number(data.name)
+        if symbol.is_read:
+            _refuse_number(data.name)
+        return ConstraintData(expr=said)
 
     def is_scheduled(self, name: str) -> bool:
         """Say whether a component's rule is no formula of time."""
@@ -399,6 +416,9 @@ class TemplateWriter:
         """Return the symbol of a variable or parameter."""
         if data is self._clock:
             return self.symbols.clock.time
+        for time, parameter in self._instants.items():
+            if data is parameter:
+                return self.symbols.clock.time_at(time)
         address = self.addresses.of(data)
         if self.symbols.clock.is_free and data.is_parameter_type():
             return self._parameter_over_time(data, address)
@@ -478,6 +498,13 @@ def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement |
             return _as_numeric(say(symbol))
     except Exception:  # noqa: BLE001  the rule is the user's: it may raise anything
         return None
+
+
+def _refuse_number(name: str) -> NoReturn:
+    raise TranscriptionError(
+        f"{name}: its rule reads its time as a number, which a free time moves; "
+        "compare it with declared times only, and calculate with Pyomo's functions."
+    )
 
 
 def _as_numeric(statement: Statement) -> Statement:

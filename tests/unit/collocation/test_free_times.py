@@ -211,6 +211,30 @@ def test_time_itself_has_a_derivative_in_each_phase():
     assert (solution.value(m.T1), solution.value(m.T2)) == pytest.approx((1, math.sqrt(3.5)))
 
 
+def test_a_condition_at_a_free_time_reads_the_time_that_is_found():
+    # Something flees at 0.5 m/s from 1 m away: at full push, met when t^2 / 2 = 1 + t / 2.
+    m = push_and_brake()
+    for end in (m.x[2], m.v[2]):
+        end.unfix()
+    m.meets = Constraint(
+        m.t, rule=lambda m, t: m.x[t] == 1 + 0.5 * t if t == 1 else Constraint.Skip
+    )
+    m.del_component(m.cost)
+    m.cost = Objective(expr=m.T1 + 0.1 * (m.T2 - m.T1 - 1) ** 2)
+    solution = solve(m, times={1: m.T1, 2: m.T2}, tolerance=1e-8)
+    assert solution.value(m.T1) == pytest.approx(2.0, abs=1e-6)
+
+
+def test_a_condition_that_reads_a_free_time_as_a_number():
+    m = push_and_brake()
+    m.wave = Constraint(m.t, rule=lambda m, t: m.x[t] <= math.exp(t) if t == 1 else Constraint.Skip)
+    refused(
+        m,
+        r"^wave\[1\]: its rule reads its time as a number, which a free time moves; compare",
+        {1: m.T1, 2: m.T2},
+    )
+
+
 def test_the_pyomo_solver_takes_the_times():
     m = push_and_brake()
     SolverFactory("pyomo_quad").solve(m, times={1: m.T1, 2: m.T2})
