@@ -3,15 +3,17 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
 
 from pyomo_quad.collocation import pyomo_unaware
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
-from pyomo_quad.flight.flight import VIOLATION_TOLERANCE
+from pyomo_quad.flight.flight import COLUMNS, POSITION_STATES, VIOLATION_TOLERANCE
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
     ENERGY_TOLERANCE,
@@ -45,6 +47,10 @@ if TYPE_CHECKING:
     from pyomo_quad.report.gallery import Drawing
     from pyomo_quad.scenario import Scenario
     from pyomo_quad.study.run import RunResult
+
+_COLUMN_OF = {column.component: column.name for column in COLUMNS if column.index is None}
+_CHARGE = _COLUMN_OF["battery.state_of_charge"]
+_SHORTEST_PATH_M = 0.1  # below, a flight stays where it is and has no range
 
 REPORT_NAME = "report.md"
 PAGE_NAME = "report.html"
@@ -228,6 +234,7 @@ def _of_plan(plan: "Plan") -> dict[str, Any]:
     return {
         "title": _title(plan),
         "plan": plan,
+        "asked_energy": _asked_energy(plan),
         "allowed": {
             "miss": MISS_TOLERANCE,
             "violation": VIOLATION_TOLERANCE,
@@ -237,6 +244,27 @@ def _of_plan(plan: "Plan") -> dict[str, Any]:
         "PLAN_NAME": PLAN_NAME,
         "SUMMARY_NAME": SUMMARY_NAME,
         "version": __version__,
+    }
+
+
+def _asked_energy(plan: "Plan") -> dict[str, float | None]:
+    """Return the plan's energy as people ask for it, and what a whole charge is good for."""
+    if plan.verification is None:
+        return {"path_m": 0.0, "battery_percent": None}
+    frame = plan.flight().frame
+    places = [_COLUMN_OF[state] for state in POSITION_STATES if _COLUMN_OF[state] in frame]
+    steps = np.diff(frame[places].to_numpy(dtype=float), axis=0)
+    path = float(np.linalg.norm(steps, axis=1).sum())
+    path = path if path > _SHORTEST_PATH_M else 0.0
+    if _CHARGE not in frame:
+        return {"path_m": path, "battery_percent": None}
+    used = float(frame[_CHARGE].iloc[0] - frame[_CHARGE].iloc[-1])
+    charges = 100.0 / used if used > 0.0 else inf
+    return {
+        "path_m": path,
+        "battery_percent": used,
+        "charge_minutes": charges * plan.duration_s / 60.0,
+        "charge_m": charges * path,
     }
 
 

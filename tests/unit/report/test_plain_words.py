@@ -1,0 +1,105 @@
+"""What a report says to whoever knows none of its words, and energy as people ask for it."""
+
+import re
+
+import numpy as np
+import pytest
+
+from pyomo_quad.flight import PlanStatus
+from pyomo_quad.report import Figures
+from pyomo_quad.report.report import write_run_report, write_solve_report
+from tests.synthetic_run import (
+    LOWER_BOUND_J,
+    synthetic_failure,
+    synthetic_flight,
+    synthetic_plan,
+    synthetic_run,
+)
+
+
+def opening(folder):
+    """The paragraph under the title and its verdict."""
+    return (folder / "report.md").read_text(encoding="utf-8").split("\n\n")[2]
+
+
+@pytest.fixture(scope="module")
+def run():
+    return synthetic_run("scenarios/paper_calm.toml")
+
+
+@pytest.fixture(scope="module")
+def report(run, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    write_run_report(folder, run, Figures.NONE)
+    return folder
+
+
+def test_a_run_opens_with_what_was_asked_found_and_meant(run, report):
+    said = opening(report)
+    assert [part.split("**")[0] for part in re.split(r"\*\*(?=[A-Z])", said)[1:]] == [
+        "Asked:",
+        "Found:",
+        "It means:",
+    ]
+    assert "from (0, 0, 0) m, yaw 0° to (6, 7, 8) m, yaw 0°, hover to hover in 10 s" in said
+    assert f"one that spends {run.plan.energy:.2f} J" in said
+    gap = 100 * (run.plan.energy - LOWER_BOUND_J) / run.plan.energy
+    assert f"could save more than {gap:.2f} % of that (the gap)" in said
+    floor = 100 * run.plan.hover_energy_J / run.plan.energy
+    assert f"and {floor:.1f} % is what hovering as long would take anyway (the hover floor)" in said
+
+
+def test_a_charge_is_told_in_minutes_and_metres(run, report):
+    charge = run.flights[0].frame["state_of_charge_percent"]
+    used = charge.iloc[0] - charge.iloc[-1]
+    minutes, metres = 100 / used * 10 / 60, 100 / used * np.sqrt(6**2 + 7**2 + 8**2)
+    said = opening(report)
+    assert f"{used:.2f} % of the battery" in said
+    assert f"a charge is good for {minutes:.1f} minutes and {metres:.0f} m" in said
+
+
+def test_energies_stand_beside_battery_hovering_and_range(run, report):
+    text = (report / "report.md").read_text(encoding="utf-8")
+    table = text[text.index("**The same energies as people ask for them**") :].split("\n\n")[1]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()]
+    assert rows[0] == ["Flight", "Energy (J)", "Battery (%)", "Hovering (min)", "Range (m)"]
+    held = {row[0].strip("`"): [float(cell) for cell in row[1:]] for row in rows[2:]}
+    assert list(held) == [flight.name for flight in run.flights]
+    path = np.sqrt(6**2 + 7**2 + 8**2)  # the synthetic flights go straight
+    for flight in run.flights:
+        energy, _, minutes, metres = held[flight.name]
+        assert energy == pytest.approx(flight.energy_J, abs=0.01)
+        hover_power = run.plan.hover_energy_J / 10.0
+        assert minutes == pytest.approx(energy / hover_power / 60.0, abs=1e-3)
+        assert metres == pytest.approx(energy / run.plan.energy * path, abs=0.02)
+
+
+def test_terms_are_told_before_they_head_a_column(report):
+    text = (report / "report.md").read_text(encoding="utf-8")
+    for term, column in (("hover floor", "Hover floor (J)"), ("gap", "Gap to the bound (%)")):
+        assert text.index(f"**{term}** is") < text.index(column)
+    told = text[text.index("## Certificate of global optimality") :].split("\n\n")[1]
+    assert told.startswith("A solver finds a flight that no small change improves")
+
+
+@pytest.mark.parametrize(
+    ("status", "said"),
+    [
+        (PlanStatus.INFEASIBLE, "**Found:** none that keeps to the vehicle's limits."),
+        (PlanStatus.SOLVED, "**It means:** do not fly it"),
+        (PlanStatus.VERIFIED, "no small change of this flight would save energy"),
+    ],
+)
+def test_a_solve_opens_with_its_outcome_in_plain_words(run, status, said, tmp_path):
+    flight = synthetic_flight(run.scenario, "optimal")
+    failure = synthetic_failure() if status is PlanStatus.INFEASIBLE else None
+    plan = synthetic_plan(run.scenario, flight, status, failure=failure)
+    write_solve_report(tmp_path, plan, figures=Figures.NONE)
+    assert said in opening(tmp_path)
+
+
+def test_a_wind_that_was_not_told_is_said_at_once(tmp_path):
+    write_run_report(tmp_path, synthetic_run("scenarios/wind_untold.toml"), Figures.NONE)
+    assert "that is so in the wind that the plan was told; in the one that blows" in (
+        opening(tmp_path)
+    )
