@@ -104,6 +104,7 @@ def flight_frame(
 VIOLATION_TOLERANCE = 1e-4
 #: The states that say where the vehicle is, as the declared model names them.
 POSITION_STATES = ("rigid_body.x", "rigid_body.y", "rigid_body.z")
+VELOCITY_STATES = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,6 +25,7 @@ from pyomo_quad.collocation import (
     real_array,
 )
 from pyomo_quad.flight.flight import TIME, Flight, Flown, flight_frame
+from pyomo_quad.flight.routes import TriedRoute  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.verification import Verification  # noqa: TC001  read by pydantic
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.fields import Part
@@ -163,6 +164,7 @@ class PlanRecord(Part):
     attempts: tuple[str, ...]
     timings: Mapping[str, float]
     passing_times_s: tuple[float, ...] = ()
+    routes: tuple[TriedRoute, ...] = ()
 
 
 class _About(Part):
@@ -369,6 +371,8 @@ class Plan(Summarised):
         When each waypoint is reached [s].
     timings : mapping
         Seconds for build, compile, solve and verify.
+    routes : tuple of TriedRoute
+        The routes round keep-outs that were tried, the shortest first.
     warm_start : WarmStart or None
         Where another solve can begin; kept by `save`.
     solution : Solution or None
@@ -388,6 +392,7 @@ class Plan(Summarised):
     attempts: tuple[str, ...] = ()
     failure: Failure | None = None
     timings: Mapping[str, float] = field(default_factory=dict)
+    routes: tuple[TriedRoute, ...] = ()
     warm_start: WarmStart | None = field(default=None, compare=False, repr=False)
     solution: Solution | None = field(default=None, compare=False, repr=False)
     flown: Flown | None = field(default=None, compare=False, repr=False)
@@ -571,6 +576,7 @@ class Plan(Summarised):
                 attempts=self.attempts,
                 timings=dict(self.timings),
                 passing_times_s=self.passing_times_s,
+                routes=self.routes,
             ),
             self.trajectories,
             self.warm_start,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
+from functools import partial
 from math import nan
 from typing import Any
 
@@ -30,6 +31,14 @@ from pyomo_quad.collocation import (
 from pyomo_quad.flight.flight import VIOLATION_TOLERANCE
 from pyomo_quad.flight.plan import Plan, PlanStatus, Trajectories
 from pyomo_quad.flight.rescue import DONE, Rescuer
+from pyomo_quad.flight.routes import (
+    Journey,
+    NoRouteError,
+    TriedRoute,
+    best_of_journeys,
+    find_journeys,
+    guess_along,
+)
 from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.verification import (
     MISS_TOLERANCE,
@@ -110,6 +119,8 @@ Builder = Callable[[Scenario], Any]
 # How often, and by how much, the tolerance is tightened for a flight that went astray.
 _TIGHTENINGS = 3
 _TIGHTER = 0.1
+# Fewest elements on which the flights along all routes are compared.
+_ROUTE_ELEMENTS = 20
 # The wind that the optimiser is told, and the one that blows.
 _KEPT = 2
 # How well, and on how many meshes, a kinked power is first solved with its corner rounded widely.
@@ -282,13 +293,19 @@ class Planner:
         told = scenario.as_forecast()
         problem, timings = self.problem_for(told)
         started = time.perf_counter()
-        solution = self._first_solve(problem, told, warm_start, progress)
+        routes: tuple[TriedRoute, ...] = ()
+        if warm_start is None and told.airspace.keep_out and self._builder is build_model:
+            solution, routes = self._by_routes(problem, told, progress)
+        else:
+            solution = self._first_solve(problem, told, warm_start, progress)
         rescue = None
-        if solution.status in (Status.NOT_CONVERGED, Status.INFEASIBLE):
+        is_closed = not routes and solution.status is Status.INFEASIBLE
+        if not is_closed and solution.status in (Status.NOT_CONVERGED, Status.INFEASIBLE):
             rescue = self._rescuer(problem, told, progress)(solution)
             solution = rescue.solution
         timings["solve"] = time.perf_counter() - started
         plan = _plan_of(scenario, solution, timings, self._hover_energy(told, solution))
+        plan = replace(plan, routes=routes)
         if rescue is not None:
             plan = replace(plan, attempts=rescue.attempts, failure=rescue.failure)
         if solution.status not in (Status.CONVERGED, Status.TOLERANCE_NOT_MET):
@@ -325,8 +342,37 @@ class Planner:
             timings["solve"] += time.perf_counter() - started
             attempts = (*plan.attempts, f"flight astray: tolerance {tolerance:.0e}")
             tried = _plan_of(plan.scenario, tighter, timings, plan.hover_energy_J)
-            plan = _verified(replace(tried, attempts=attempts), tighter)
+            plan = _verified(replace(tried, attempts=attempts, routes=plan.routes), tighter)
         return plan
+
+    def _by_routes(
+        self, problem: Problem, told: Scenario, progress: Progress | None
+    ) -> tuple[Solution, tuple[TriedRoute, ...]]:
+        """Solve along every route round the zones, and return the best with all that were tried.
+
+        No route at all is proof that there is no flight, which the solution's message tells.
+        """
+        arguments, easier = self._arguments(told, progress), _easier(problem, told)
+        try:
+            journeys = find_journeys(told.airspace, told.mission.positions)
+        except NoRouteError as error:
+            unsolved = {"tolerance": None, "options": SolverOptions(max_iterations=0)}
+            closed = problem.solve(**arguments | unsolved | {"progress": None})
+            return replace(closed, status=Status.INFEASIBLE, message=str(error)), ()
+        mesh = Mesh.uniform(max(told.solver.elements, _ROUTE_ELEMENTS), told.solver.degree)
+        roughly = _under(arguments, easier[0]) if easier else arguments
+        roughly = roughly | {"tolerance": None, "mesh": mesh}
+
+        def fly(journey: Journey) -> Solution:
+            return problem.solve(**roughly, guess=guess_along(journey, told.nominal_times))
+
+        def refine(rough: Solution) -> Solution:
+            on_mesh = arguments | {"mesh": rough.mesh}
+            if easier:
+                return _by_way_of(easier, problem, on_mesh, rough.trajectory)
+            return problem.solve(**on_mesh, warm_start=rough)
+
+        return best_of_journeys(journeys, fly, refine, partial(_energy, told))
 
     def _first_solve(
         self,

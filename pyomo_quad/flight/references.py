@@ -24,11 +24,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BPoly, CubicSpline, PPoly, make_interp_spline
 
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.mission import Mission
+
+FloatArray = NDArray[np.float64]
 
 # Coefficients of rising powers of t/T, from 0 at t = 0 to 1 at t = T.
 _QUINTIC = Polynomial((0, 0, 0, 10, -15, 6))
@@ -85,6 +87,11 @@ class StraightPath:
             [rate * way for way in self._way],
             [acceleration * way for way in self._way],
         )
+
+
+def quintic_progress(elapsed: FloatArray) -> FloatArray:
+    """Return the share of the way done at shares of the duration elapsed, from rest to rest."""
+    return np.asarray(_QUINTIC(elapsed))
 
 
 def _horner(falling_coefficients: Sequence[float], x: float) -> float:

@@ -17,7 +17,7 @@ from scipy.optimize import brentq, least_squares
 
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight.baselines import declared_start
-from pyomo_quad.flight.flight import POSITION_STATES
+from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-_VELOCITY = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")
 _ROLL, _PITCH, _YAW = "rigid_body.phi", "rigid_body.theta", "rigid_body.psi"
 _ROTOR_SPEED = "rotors.omega["
 _CHARGE = "battery.charge_drawn"
@@ -111,7 +110,9 @@ class SteadyFlight:
         free = [k for k, name in enumerate(names) if name not in held]
         resting = [k for k, name in enumerate(names) if name not in used_up]
         wanted, guess = np.zeros(len(names)), self._start.copy()
-        for place, rate, speed in zip(POSITION_STATES, _VELOCITY, np.array(velocity), strict=True):
+        for place, rate, speed in zip(
+            POSITION_STATES, VELOCITY_STATES, np.array(velocity), strict=True
+        ):
             if place in names:
                 wanted[names.index(place)] = speed
             if rate in names:
@@ -333,14 +334,14 @@ class MomentumDemand:
     def __init__(self, dynamics: Dynamics) -> None:
         self._dynamics = dynamics
         names = list(dynamics.state_names)
-        self._velocity = [names.index(name) for name in _VELOCITY]
+        self._velocity = [names.index(name) for name in VELOCITY_STATES]
         self._rotors = [k for k, name in enumerate(names) if name.startswith(_ROTOR_SPEED)]
         self._controls = np.zeros(len(dynamics.control_names))
         self._at_rest = np.zeros(len(names))
         self.mass = np.array([self._mass(axis) for axis in range(3)])
         start = dynamics.start
         at_rest = self.thrust(start)
-        axes = range(len(_VELOCITY))
+        axes = range(len(VELOCITY_STATES))
         self.drag = np.array([self.thrust(start, np.eye(3)[i])[i] for i in axes]) - at_rest
         scale = float(np.max(np.abs(at_rest)) + np.max(np.abs(self.drag)))
         errors = [

@@ -239,7 +239,7 @@ def _samples_near_zones(
     for first, end in pairwise(mesh.first_node):
         held = places[first : end + 1]
         length = float(np.linalg.norm(np.diff(held, axis=0), axis=1).sum())
-        depths = (zone.depth(place) for zone in airspace.keep_out for place in held)
+        depths = (float(zone.depth(held).max()) for zone in airspace.keep_out)
         is_near = max(depths, default=-np.inf) + airspace.clearance > -length
         close = ceil(length / _SAMPLE_SPACING) if is_near else 0
         counts.append(max(SAMPLES_PER_ELEMENT, close))

@@ -10,8 +10,8 @@ w | edge_width | m | width over which two faces of a zone are joined
 A zone is where some balls overlap (`scenario.airspace.Ball`): a disk and an interval of height in
 a cylinder, three intervals in a box.  Being outside is being beyond one of them, the largest of
 the d_k being positive.  That largest is joined smoothly and from below, so that no place inside a
-zone is allowed: near an edge, where two of the d_k agree to about w, places up to 0.14 w = 14 mm
-outside (0.28 w = 28 mm beside the corners of a box) are forbidden too; elsewhere, and on the edge
+zone is allowed: near an edge, where two of the d_k agree to about w, places up to 0.14 w = 70 mm
+outside (0.28 w = 140 mm beside the corners of a box) are forbidden too; elsewhere, and on the edge
 itself, the zone is exact.  Faces move out by the clearance, so that edges stay sharp.
 """
 
@@ -27,7 +27,7 @@ from pyomo_quad.model.smoothing import saturated
 from pyomo_quad.scenario import Scenario
 
 AXES = PLACE[:3]
-EDGE_WIDTH_M = 0.1
+EDGE_WIDTH_M = 0.5
 # The distance from a centre has no derivative there; the surface stays where it is.
 _ROUNDING_M = 1e-3
 

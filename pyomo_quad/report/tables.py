@@ -153,6 +153,7 @@ def plan_summary(
         "versions": installed_versions(),
         "warnings": list(warnings),
         "attempts": list(plan.attempts),
+        **({"routes": [asdict(route) for route in plan.routes]} if plan.routes else {}),
         "failure": None if plan.failure is None else _failure(plan.failure),
         "scenario_resolved": plan.scenario.model_dump(mode="json"),
     }

@@ -2,12 +2,15 @@
 
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
-from math import dist
 from typing import NamedTuple, Self
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from pydantic import model_validator
 
 from pyomo_quad.scenario.fields import Number, Part, Sound, Text, Triple, quantity
+
+FloatArray = NDArray[np.float64]
 
 _FAR = Sound(-1e5, 1e5, "a quadrotor flies tens of kilometres, in metres")
 _WIDE = Sound(1e-2, 1e5, "the thinnest masts measure centimetres")
@@ -34,9 +37,10 @@ class Ball(NamedTuple):
     centre: tuple[float, ...]
     radius: float
 
-    def depth(self, place: Sequence[float]) -> float:
-        """Return how far inside a place lies, negative outside [m]."""
-        return self.radius - dist(self.centre, [place[axis] for axis in self.axes])
+    def depth(self, places: ArrayLike) -> FloatArray:
+        """Return how far inside places of shape (..., 3) lie, negative outside [m]."""
+        held = np.asarray(places, dtype=float)[..., self.axes]
+        return np.asarray(self.radius - np.linalg.norm(held - self.centre, axis=-1))
 
 
 _FIELDS = {
@@ -105,12 +109,12 @@ class KeepOut(Part):
             return (round_part,)
         return (round_part, _interval(2, self.bottom, self.top))
 
-    def depth(self, place: Sequence[float]) -> float:
-        """Return how far a place must move to leave the zone at its nearest face [m].
+    def depth(self, places: ArrayLike) -> FloatArray:
+        """Return how far places of shape (..., 3) must move to leave at the nearest face [m].
 
         Negative outside, where it is the distance beyond the face that is farthest behind.
         """
-        return min(ball.depth(place) for ball in self.balls)
+        return np.min([ball.depth(places) for ball in self.balls], axis=0)
 
 
 def _interval(axis: int, low: float, high: float) -> Ball:
@@ -150,7 +154,7 @@ class Airspace(Part):
         if self.ceiling is not None and place[2] > self.ceiling:
             yield f"is above airspace.ceiling = {self.ceiling:g} m; lower it or raise the ceiling"
         for zone in self.keep_out:
-            depth = zone.depth(place) + self.clearance
+            depth = float(zone.depth(place)) + self.clearance
             if depth > 0.0:
                 near = f" with its clearance of {self.clearance:g} m" if self.clearance else ""
                 yield f"is inside keep-out {zone.name}{near} by {depth:.3g} m; move one of them"

@@ -17,7 +17,7 @@ from pyomo_quad.flight.baselines import (
     reference_path,
 )
 from pyomo_quad.flight.controller import CONTROLLER_STATES
-from pyomo_quad.flight.flight import COLUMNS, POSITION_STATES, ROTORS, TIME, Flight
+from pyomo_quad.flight.flight import COLUMNS, POSITION_STATES, ROTORS, TIME, VELOCITY_STATES, Flight
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.study.certificate import Certificate
@@ -82,7 +82,6 @@ with its default gains stops within the distance above."""
 INSIDE_DISTANCE_M = 0.1
 """Distance from the goal that counts as being there."""
 
-_VELOCITY_STATES = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")
 _COLUMN_OF = {(shown.component, shown.index): shown.name for shown in COLUMNS}
 
 
@@ -118,7 +117,7 @@ only where the scenario asks plans for a reserve."""
 
 def has_arrived(flight: Flight) -> bool:
     """Say whether a flight ends at the goal and at rest."""
-    speed = np.linalg.norm([flight.terminal_miss.get(name, 0.0) for name in _VELOCITY_STATES])
+    speed = np.linalg.norm([flight.terminal_miss.get(name, 0.0) for name in VELOCITY_STATES])
     return bool(flight.terminal_miss_m <= ARRIVAL_DISTANCE_M and speed <= ARRIVAL_SPEED_M_PER_S)
 
 

@@ -13,7 +13,7 @@ AROUND = {
     "balloon": ((1.0, 5.0, 7.0), (1.8, 1.8, 1.8)),
     "hall": ((5.0, 1.0, 1.5), (1.6, 1.6, 2.2)),
 }
-EDGE_MARGIN = {"mast": 0.0140, "balloon": 0.0, "hall": 0.0280}
+EDGE_MARGIN = {"mast": 0.0697, "balloon": 0.0, "hall": 0.1393}
 
 
 def beyond(zone, clearance, places):

@@ -1,0 +1,495 @@
+"""Routes round the zones of an airspace: one for each way of passing them, the shortest first.
+
+Places beside every zone that is in the way are joined where the straight line between them is free;
+Dijkstra's algorithm finds the shortest way through them.  A zone between start and goal is passed
+on the left or right, over or under it, by where the way crosses the plane through its centre and
+across the leg.  The shortest route fixes a side of each; forbidding these one after the other, with
+those before it kept, splits all others into classes [1]_, whose own shortest routes follow in order
+of length.
+
+.. [1] Murty, "An algorithm for ranking all the assignments in order of increasing cost",
+   Operations Research 16 (1968).
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from heapq import heappop, heappush
+from itertools import pairwise, product
+from math import cos, pi
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from pyomo_quad.collocation import Solution, Status
+from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
+from pyomo_quad.flight.references import quintic_progress
+from pyomo_quad.scenario.airspace import Airspace, Ball, KeepOut
+
+FloatArray = NDArray[np.float64]
+Place = tuple[float, float, float]
+
+#: Routes that are flown, the shortest of as many classes, and how much longer than the shortest of
+#: all they may be: a detour that doubles the way saves no energy.
+MOST_ROUTES = 8
+_LONGEST = 2.0
+#: m. Places beside a zone are this far from it and its clearance; a gap so narrow is none.
+MARGIN_M = 0.15
+_CORNERS = 12
+_GUESS_SAMPLES = 201
+# Between the directions of a cube's corners, edges and faces lie at most 54.8 degrees.
+_DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+_SPHERE_MARGIN = 1.0 / cos(54.8 / 2 * pi / 180)
+_ROUNDING = 1e-9
+
+
+class Side(StrEnum):
+    """On which side a route passes a zone, as seen in flight."""
+
+    LEFT = "left"
+    RIGHT = "right"
+    OVER = "over"
+    UNDER = "under"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Route:
+    """One way from a start to a goal.
+
+    Attributes
+    ----------
+    places : ndarray, shape (n, 3)
+        Corners of the way, start and goal included [m].
+    sides : tuple of (str, Side)
+        On which side each zone between start and goal is passed, by name.
+    """
+
+    places: FloatArray
+    sides: tuple[tuple[str, Side], ...]
+
+    @property
+    def length(self) -> float:
+        """Length of the way [m]."""
+        return float(np.linalg.norm(np.diff(self.places, axis=0), axis=1).sum())
+
+    @property
+    def name(self) -> str:
+        """The sides in words."""
+        words = (
+            f"{side.value} of {zone}" if side in _BESIDE else f"{side.value} {zone}"
+            for zone, side in self.sides
+        )
+        return ", ".join(words) or "straight"
+
+    def places_at(self, shares: FloatArray) -> FloatArray:
+        """Return the places after some shares of the length, shape (n, 3)."""
+        steps = np.linalg.norm(np.diff(self.places, axis=0), axis=1)
+        reached = np.concatenate([[0.0], np.cumsum(steps)])
+        at = np.asarray(shares) * reached[-1]
+        return np.column_stack([np.interp(at, reached, column) for column in self.places.T])
+
+
+_DONE = (Status.CONVERGED, Status.TOLERANCE_NOT_MET)
+_BESIDE = (Side.LEFT, Side.RIGHT)
+
+
+def find_routes(
+    airspace: Airspace, start: Place, goal: Place, most: int = MOST_ROUTES
+) -> tuple[Route, ...]:
+    """Return the shortest route of each class, the shortest first, at most so many.
+
+    Returns
+    -------
+    tuple of Route
+        Empty where no way of a width of `MARGIN_M` is free.
+    """
+    ends = np.array([start, goal], dtype=float)
+    relevant = _hit(airspace.keep_out, ends, airspace.clearance)
+    while True:
+        graph = _Graph(airspace, ends, relevant)
+        routes = tuple(route for route, _ in zip(graph.routes(), range(most), strict=False))
+        more = [
+            zone
+            for route in routes
+            for zone in _hit(airspace.keep_out, route.places, airspace.clearance)
+        ]
+        if not more:
+            return tuple(r for r in routes if r.length <= _LONGEST * routes[0].length)
+        relevant = [zone for zone in airspace.keep_out if zone in relevant or zone in more]
+
+
+def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str, ...]:
+    """Return the names of zones without any one of which a route would be free, or of all."""
+    zones = airspace.keep_out
+
+    def has_route(kept: Sequence[KeepOut]) -> bool:
+        less = airspace.model_copy(update={"keep_out": tuple(kept)})
+        return bool(find_routes(less, start, goal, most=1))
+
+    single = tuple(z.name for z in zones if has_route([kept for kept in zones if kept is not z]))
+    if single:
+        return single
+    needed = list(zones)
+    for zone in zones:
+        fewer = [kept for kept in needed if kept is not zone]
+        if not has_route(fewer):
+            needed = fewer
+    return tuple(zone.name for zone in needed)
+
+
+def no_way(airspace: Airspace, start: Place, goal: Place) -> str:
+    """Say in one line which zones close every route from a start to a goal."""
+    names = zones_that_block(airspace, start, goal)
+    told = [name for name in ("floor", "ceiling") if getattr(airspace, name) is not None]
+    rooms = "".join(f", or move airspace.{name}" for name in told)
+    zones, them = ("keep-out", "it") if len(names) == 1 else ("keep-outs", "one of them")
+    leave = "leaves" if len(names) == 1 else "leave"
+    return (
+        f"no route: {zones} {', '.join(names)} with a clearance of {airspace.clearance:g} m "
+        f"{leave} no way {MARGIN_M:g} m wide from {_spelled(start)} to {_spelled(goal)} m; "
+        f"move {them}{rooms}."
+    )
+
+
+def _spelled(place: Place) -> str:
+    return f"({', '.join(f'{number:g}' for number in place)})"
+
+
+Journey = tuple[Route, ...]
+"""A route for each leg between start, waypoints and goal."""
+
+
+def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, ...]:
+    """Return the shortest ways from stop to stop, at most `MOST_ROUTES`, the shortest first.
+
+    Raises
+    ------
+    NoRouteError
+        Naming the zones that leave a leg no way.
+    """
+    journeys: list[Journey] = [()]
+    for start, goal in pairwise(stops):
+        routes = find_routes(airspace, start, goal)
+        if not routes:
+            raise NoRouteError(no_way(airspace, start, goal))
+        longer = [(*journey, route) for journey in journeys for route in routes]
+        journeys = sorted(longer, key=length_of)[:MOST_ROUTES]
+    return tuple(journeys)
+
+
+def length_of(journey: Journey) -> float:
+    """Return the length of a journey [m]."""
+    return sum(route.length for route in journey)
+
+
+class NoRouteError(Exception):
+    """Zones leave no way from a stop to the next."""
+
+
+def guess_along(journey: Journey, times: Sequence[float]) -> dict[str, FloatArray]:
+    """Return places and velocities along a journey as a first guess.
+
+    Parameters
+    ----------
+    times : sequence of float
+        When each waypoint is reached and left, and the end [s].
+    """
+    begun = (0.0, *times[1::2])
+    instants, places = [], []
+    for route, first, last in zip(journey, begun, (*times[0:-1:2], times[-1]), strict=True):
+        elapsed = np.linspace(0.0, 1.0, _GUESS_SAMPLES)
+        instants.append(first + (last - first) * elapsed)
+        # A waypoint is passed without a stop, as a rule.
+        progress = quintic_progress(elapsed) if len(journey) == 1 else elapsed
+        places.append(route.places_at(progress))
+    when, kept = np.unique(np.concatenate(instants), return_index=True)
+    where = np.vstack(places)[kept]
+    rates = np.gradient(where, when, axis=0)
+    columns = dict(zip(POSITION_STATES, where.T, strict=True))
+    return {"time": when} | columns | dict(zip(VELOCITY_STATES, rates.T, strict=True))
+
+
+def _hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) -> list[KeepOut]:
+    return [
+        zone
+        for zone in zones
+        if any(
+            _blocked(zone, first[None, :], last[None, :], clearance)[0]
+            for first, last in pairwise(places)
+        )
+    ]
+
+
+def _blocked(
+    zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
+) -> NDArray[np.bool_]:
+    """Say which straight lines, from places of shape (n, 3) to others, cut into a zone."""
+    entered, left = np.zeros(len(starts)), np.ones(len(starts))
+    for ball in zone.balls:
+        first, last = _span_inside(ball, starts, ends, clearance)
+        entered, left = np.maximum(entered, first), np.minimum(left, last)
+    return np.asarray(left - entered > _ROUNDING)
+
+
+def _span_inside(
+    ball: Ball, starts: FloatArray, ends: FloatArray, clearance: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return between which shares of straight lines they are inside a ball; none is (1, 0)."""
+    axes = list(ball.axes)
+    away, along = starts[:, axes] - ball.centre, (ends - starts)[:, axes]
+    radius = ball.radius + clearance - _ROUNDING
+    a = np.sum(along**2, axis=1)
+    b = np.sum(away * along, axis=1)
+    c = np.sum(away**2, axis=1) - radius**2
+    root = np.sqrt(np.maximum(b**2 - a * c, 0.0))
+    moves = a > 0.0
+    divisor = np.where(moves, a, 1.0)
+    is_cut = np.where(moves, b**2 > a * c, c < 0.0)
+    first = np.where(moves, (-b - root) / divisor, 0.0)
+    last = np.where(moves, (-b + root) / divisor, 1.0)
+    return np.where(is_cut, first, 1.0), np.where(is_cut, last, 0.0)
+
+
+class _Graph:
+    """Places beside the zones, and the free straight lines between them.
+
+    Parameters
+    ----------
+    ends : ndarray, shape (2, 3)
+        Start and goal.
+    relevant : list of KeepOut
+        The zones to find ways round; all others are looked at by the caller.
+    """
+
+    def __init__(self, airspace: Airspace, ends: FloatArray, relevant: list[KeepOut]) -> None:
+        self._zones = relevant
+        beside = [_places_beside(zone, airspace.clearance, ends) for zone in relevant]
+        places = np.vstack([ends, *beside])
+        low = -np.inf if airspace.floor is None else airspace.floor
+        high = np.inf if airspace.ceiling is None else airspace.ceiling
+        is_free = (places[:, 2] >= low) & (places[:, 2] <= high)
+        for zone in airspace.keep_out:
+            is_free &= zone.depth(places) + airspace.clearance <= _ROUNDING
+        is_free[:2] = True
+        self._places = places[is_free]
+        first, last = np.triu_indices(len(self._places), 1)
+        is_open = np.ones(len(first), dtype=bool)
+        for zone in relevant:
+            is_open &= ~_blocked(zone, self._places[first], self._places[last], airspace.clearance)
+        self._first, self._last = first[is_open], last[is_open]
+        self._lengths = np.linalg.norm(self._places[self._first] - self._places[self._last], axis=1)
+        self._crossings = [self._sides(zone, ends) for zone in relevant]
+
+    def _sides(self, zone: KeepOut, ends: FloatArray) -> NDArray[np.intp]:
+        """Return the number of the side on which each line passes a zone's plane, or -1."""
+        along, left, up = _frame(ends)
+        centre = _centre(zone)
+        away = (self._places - centre) @ along
+        first, last = away[self._first], away[self._last]
+        crosses = (first < 0.0) != (last < 0.0)
+        share = np.where(crosses, first / np.where(crosses, first - last, 1.0), 0.0)
+        starts, stops = self._places[self._first], self._places[self._last]
+        across = starts + share[:, None] * (stops - starts) - centre
+        aside, above = across @ left, across @ up
+        wide, high = _half_width(zone, left), _half_width(zone, up)
+        beyond = np.array([aside - wide, -aside - wide, above - high, -above - high])
+        return np.where(crosses, beyond.argmax(axis=0), -1)
+
+    def routes(self) -> Iterator[Route]:
+        """Yield the shortest route of every class, the shortest first."""
+        every = frozenset(range(len(Side)))
+        queue: list[tuple[float, int, list[int], tuple[frozenset[int], ...]]] = []
+        pushed = 0
+
+        def push(allowed: tuple[frozenset[int], ...]) -> None:
+            nonlocal pushed
+            found = self._shortest(allowed)
+            if found is not None:
+                pushed += 1
+                heappush(queue, (found[0], pushed, found[1], allowed))
+
+        push((every,) * len(self._zones))
+        while queue:
+            _, _, nodes, allowed = heappop(queue)
+            sides = self._sides_of(nodes)
+            yield Route(
+                places=self._places[nodes],
+                sides=tuple(
+                    (zone.name, list(Side)[side])
+                    for zone, side in zip(self._zones, sides, strict=True)
+                    if side >= 0
+                ),
+            )
+            kept = list(allowed)
+            for number, side in enumerate(sides):
+                if side >= 0:
+                    push((*kept[:number], allowed[number] - {side}, *allowed[number + 1 :]))
+                    kept[number] = frozenset({side})
+
+    def _shortest(self, allowed: tuple[frozenset[int], ...]) -> tuple[float, list[int]] | None:
+        """Return length and nodes of the shortest way that crosses planes on allowed sides."""
+        is_open = np.ones(len(self._first), dtype=bool)
+        for crossings, sides in zip(self._crossings, allowed, strict=True):
+            is_open &= np.isin(crossings, [-1, *sides])
+        shape = (len(self._places),) * 2
+        lines = (self._first[is_open], self._last[is_open])
+        graph = csr_array((self._lengths[is_open], lines), shape=shape)
+        lengths, before = dijkstra(graph, directed=False, indices=0, return_predecessors=True)
+        if not np.isfinite(lengths[1]):
+            return None
+        nodes = [1]
+        while nodes[-1] != 0:
+            nodes.append(int(before[nodes[-1]]))
+        return float(lengths[1]), nodes[::-1]
+
+    def _sides_of(self, nodes: list[int]) -> list[int]:
+        """Return the side on which a way passes each zone, -1 for a plane that it never crosses."""
+        number = {pair: k for k, pair in enumerate(zip(self._first, self._last, strict=True))}
+        lines = [number[min(pair), max(pair)] for pair in pairwise(nodes)]
+        sides = []
+        for crossings in self._crossings:
+            crossed = [int(crossings[k]) for k in lines if crossings[k] >= 0]
+            sides.append(crossed[0] if crossed else -1)
+        return sides
+
+
+def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the directions along a leg, to its left and up, of length one."""
+    along = ends[1] - ends[0]
+    length = np.linalg.norm(along)
+    along = along / length if length > 0.0 else np.array([1.0, 0.0, 0.0])
+    left = np.cross([0.0, 0.0, 1.0], along)
+    size = np.linalg.norm(left)
+    left = left / size if size > _ROUNDING else np.array([0.0, 1.0, 0.0])
+    return along, left, np.cross(along, left)
+
+
+def _centre(zone: KeepOut) -> FloatArray:
+    centre = np.zeros(3)
+    for ball in zone.balls:
+        centre[list(ball.axes)] = ball.centre
+    return centre
+
+
+def _half_width(zone: KeepOut, direction: FloatArray) -> float:
+    """Return how far a zone reaches from its centre in a direction."""
+    parts = [ball.radius * np.linalg.norm(direction[list(ball.axes)]) for ball in zone.balls]
+    return float(sum(parts))
+
+
+def _places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArray:
+    """Return places all round a zone, whose straight lines along it do not cut into it."""
+    reach = clearance + MARGIN_M
+    passing = _nearest_on_leg(zone, ends)
+    choices = []
+    for ball in zone.balls:
+        radius = ball.radius + reach
+        if len(ball.axes) == 3:
+            sizes = np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
+            choices.append(ball.centre + _SPHERE_MARGIN * radius * _DIRECTIONS / sizes)
+        elif len(ball.axes) == 2:
+            angles = 2 * pi * np.arange(_CORNERS) / _CORNERS
+            circle = np.column_stack([np.cos(angles), np.sin(angles)])
+            choices.append(ball.centre + radius / cos(pi / _CORNERS) * circle)
+        else:
+            # A shortest way may pass anywhere along an edge, above all where it is straight.
+            (axis,) = ball.axes
+            near = np.append(ends[:, axis], passing[axis])
+            sides = ball.centre[0] + radius * np.array([-1.0, 1.0])
+            choices.append(np.unique(np.append(sides, np.clip(near, *sides)))[:, None])
+    return np.array([np.concatenate(parts) for parts in product(*choices)])
+
+
+def _nearest_on_leg(zone: KeepOut, ends: FloatArray) -> FloatArray:
+    """Return the place on the straight line from start to goal that is nearest to a zone."""
+    along = ends[1] - ends[0]
+    square = float(along @ along)
+    share = (_centre(zone) - ends[0]) @ along / square if square > 0.0 else 0.0
+    return np.asarray(ends[0] + np.clip(share, 0.0, 1.0) * along)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TriedRoute:
+    """What became of a route.
+
+    Attributes
+    ----------
+    name : str
+        On which sides zones are passed.
+    length_m : float
+        Of the shortest way in its class.
+    energy_J : float or None
+        Of the flight; on the first mesh alone unless it was refined.  None where none was found.
+    is_refined : bool
+        Whether it was solved to the mission's tolerance.
+    is_kept : bool
+        Whether it is the plan's.
+    """
+
+    name: str
+    length_m: float
+    energy_J: float | None
+    is_refined: bool
+    is_kept: bool
+
+
+# Flights whose energies on the first mesh differ by less than this share are both refined, at most
+# so many: the first mesh misjudges an energy by about 2e-4.
+_NEAR = 3e-4
+_MOST_REFINED = 3
+
+
+# States of two flights on one mesh that differ by less than this are the same flight's.
+_SAME = 1e-3
+
+
+def _is_same(one: Solution, other: Solution) -> bool:
+    apart = np.abs(one.trajectory.states - other.trajectory.states)
+    is_flight = one.status in _DONE and other.status in _DONE
+    return is_flight and bool(np.all(apart <= _SAME * (1.0 + np.abs(one.trajectory.states))))
+
+
+def best_of_journeys(
+    journeys: Sequence[Journey],
+    fly_roughly: Callable[[Journey], Solution],
+    refine: Callable[[Solution], Solution],
+    energy_of: Callable[[Solution], float],
+) -> tuple[Solution, tuple[TriedRoute, ...]]:
+    """Fly all journeys on one mesh, refine the best, and return it with what became of each.
+
+    Where two of them become one flight, as over and beside a sphere, the longer one is left out.
+    """
+    flown: list[tuple[Journey, Solution]] = []
+    for journey in journeys:
+        solution = fly_roughly(journey)
+        if not any(_is_same(solution, other) for _, other in flown):
+            flown.append((journey, solution))
+    rough = [solution for _, solution in flown]
+    costs = [s.objective if s.status in _DONE else np.inf for s in rough]
+    order = sorted(range(len(flown)), key=lambda k: costs[k])
+    least = costs[order[0]]
+    near = [k for k in order if costs[k] <= (1.0 + _NEAR) * least][:_MOST_REFINED]
+    refined: dict[int, Solution] = {}
+    for k in [*near, *(k for k in order if k not in near and np.isfinite(costs[k]))]:
+        if k not in near and any(s.status in _DONE for s in refined.values()):
+            break
+        refined[k] = refine(rough[k])
+        if refined[k].status is Status.INTERRUPTED:
+            break
+    found = {k: s.objective for k, s in refined.items() if s.status in _DONE}
+    best = min(found, key=lambda k: found[k]) if found else next(iter(refined), order[0])
+    solution = refined.get(best, rough[best])
+    return solution, tuple(
+        TriedRoute(
+            name="; ".join(route.name for route in journey),
+            length_m=length_of(journey),
+            energy_J=energy_of(refined[k] if k in found else rough[k])
+            if np.isfinite(costs[k])
+            else None,
+            is_refined=k in found,
+            is_kept=k == best and k in found,
+        )
+        for k, (journey, _) in enumerate(flown)
+    )

@@ -1,0 +1,165 @@
+"""Routes: their lengths beside closed forms, which sides they pass, and what closes them."""
+
+from math import acos, asin, sqrt
+
+import numpy as np
+import pytest
+
+from pyomo_quad.cli import main
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.flight.routes import (
+    MARGIN_M,
+    find_journeys,
+    find_routes,
+    guess_along,
+    length_of,
+    no_way,
+)
+from pyomo_quad.scenario.airspace import Airspace
+from tests.command import PAPER_CALM
+
+START, GOAL = (0.0, 0.0, 5.0), (20.0, 0.0, 5.0)
+MAST = {
+    "name": "mast",
+    "shape": "cylinder",
+    "centre": [10, 0.5],
+    "radius": 2,
+    "bottom": 0,
+    "top": 9,
+}
+
+
+def wall(name, low, high):
+    return {"name": name, "shape": "box", "low": low, "high": high}
+
+
+# Four walls round the start, without a lid.
+YARD = [
+    wall("north", [-3, 2, -1], [3, 3, 30]),
+    wall("south", [-3, -3, -1], [3, -2, 30]),
+    wall("west", [-3, -3, -1], [-2, 3, 30]),
+    wall("east", [2, -3, -1], [3, 3, 30]),
+]
+
+
+def airspace(*zones, **heights):
+    return Airspace.model_validate({"keep_out": zones, **heights})
+
+
+def round_a_circle(radius, offset):
+    """The shortest way from (0, 0) to (20, 0) past a circle at (10, offset), on the side of 0."""
+    distance = sqrt(100 + offset**2)
+    straight = sqrt(distance**2 - radius**2)
+    inner = 2 * acos(10 / distance)
+    arc = 2 * asin(radius / distance) + inner * (-1 if offset > 0 else 1)
+    return 2 * straight + radius * arc
+
+
+def test_the_ways_round_a_mast_are_as_long_as_tangents_and_arc():
+    right, left = find_routes(airspace(MAST, floor=0.0, ceiling=9.0), START, GOAL)
+    assert (right.name, left.name) == ("right of mast", "left of mast")
+    for route, offset in ((right, 0.5), (left, -0.5)):
+        exact = round_a_circle(2.0 + MARGIN_M, offset)
+        assert exact - 2 * MARGIN_M < route.length < 1.01 * exact
+
+
+@pytest.mark.parametrize("shape", ["cylinder", "sphere", "box"])
+def test_no_route_cuts_into_a_zone(shape):
+    zones = {
+        "cylinder": MAST,
+        "sphere": {"name": "ball", "shape": "sphere", "centre": [10, 0.5, 5], "radius": 2},
+        "box": wall("hall", [8, -1, 0], [12, 3, 9]),
+    }
+    told = airspace(zones[shape], clearance=0.3)
+    routes = find_routes(told, START, GOAL)
+    assert len(routes) >= 3
+    for route in routes:
+        places = route.places_at(np.linspace(0.0, 1.0, 2001))
+        assert np.max(told.keep_out[0].depth(places)) < -0.3 + 1e-9
+    lengths = [route.length for route in routes]
+    assert lengths == sorted(lengths)
+
+
+def test_a_mirror_image_has_the_mirror_image_of_every_route():
+    mirrored = MAST | {"centre": [10, -0.5]}
+    heights = {"floor": 0.0, "ceiling": 20.0}
+    there = find_routes(airspace(MAST, **heights), START, GOAL)
+    here = find_routes(airspace(mirrored, **heights), START, GOAL)
+    assert [r.length for r in there] == pytest.approx([r.length for r in here])
+    swapped = {"left": "right", "right": "left"}
+    for one, other in zip(there, here, strict=True):
+        words = [swapped.get(word, word) for word in one.name.split()]
+        assert " ".join(words) == other.name
+        assert other.places * (1, -1, 1) == pytest.approx(one.places)
+
+
+def test_every_class_of_two_masts_is_found_once():
+    second = MAST | {"name": "second", "centre": [14, -0.5]}
+    routes = find_routes(airspace(MAST, second, floor=0.0, ceiling=9.0), START, GOAL)
+    assert sorted(route.name for route in routes) == [
+        "left of mast, left of second",
+        "left of mast, right of second",
+        "right of mast, left of second",
+        "right of mast, right of second",
+    ]
+
+
+def test_a_zone_beside_the_way_makes_no_other():
+    (route,) = find_routes(airspace(MAST | {"centre": [10, 5]}), START, GOAL)
+    assert route.name == "straight"
+    assert route.length == pytest.approx(20.0)
+
+
+def test_a_yard_is_left_by_the_air_unless_there_is_a_ceiling():
+    start, goal = (0.0, 0.0, 5.0), (20.0, 0.0, 5.0)
+    assert find_routes(airspace(*YARD), start, goal)
+    closed = airspace(*YARD, floor=0.0, ceiling=20.0)
+    assert find_routes(closed, start, goal) == ()
+    assert no_way(closed, start, goal) == (
+        "no route: keep-outs north, south, west, east with a clearance of 0 m leave no way 0.15 m "
+        "wide from (0, 0, 5) to (20, 0, 5) m; move one of them, or move airspace.floor, or move "
+        "airspace.ceiling."
+    )
+
+
+def test_the_zone_that_closes_a_gap_is_named():
+    gate = wall("gate", [2, -1, -1], [3, 1, 30])
+    east = [wall("left_post", [2, 1, -1], [3, 3, 30]), wall("right_post", [2, -3, -1], [3, -1, 30])]
+    closed = airspace(*YARD[:3], *east, gate, ceiling=20.0, floor=-0.5)
+    line = no_way(closed, START, GOAL)
+    assert "gate" in line
+    without = airspace(*YARD[:3], *east, ceiling=20.0, floor=-0.5)
+    assert find_routes(without, START, GOAL)
+
+
+def test_a_mission_without_a_route_ends_as_infeasible(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    zones = ", ".join(
+        f'{{name = "{z["name"]}", shape = "box", low = {z["low"]}, high = {z["high"]}}}'
+        for z in YARD
+    )
+    settings = [
+        f"--set=airspace.keep_out=[{zones}]",
+        "--set=airspace.ceiling=20.0",
+        "--set=airspace.floor=-0.5",
+        "--set=mission.goal.position=[20, 0, 5]",
+    ]
+    assert main(["solve", PAPER_CALM, "--figures=none", *settings]) == ExitCode.NOT_SOLVED
+    said = capsys.readouterr()
+    assert "no route: keep-outs north, south, west, east" in said.out + said.err
+
+
+def test_a_journey_goes_from_stop_to_stop_and_its_guess_is_there_in_time():
+    turn = (10.0, 6.0, 5.0)
+    told = airspace(MAST, floor=0.0, ceiling=9.0)
+    journeys = find_journeys(told, (START, turn, GOAL))
+    lengths = [length_of(journey) for journey in journeys]
+    assert lengths == sorted(lengths)
+    there, back = journeys[0]
+    assert there.places[-1] == pytest.approx(turn)
+    assert lengths[0] == pytest.approx(there.length + back.length)
+    guess = guess_along(journeys[0], (4.0, 6.0, 11.0))
+    x, y = (np.interp([4.0, 5.0, 6.0], guess["time"], guess[f"rigid_body.{a}"]) for a in "xy")
+    assert x == pytest.approx([10.0] * 3)
+    assert y == pytest.approx([6.0] * 3)
+    assert guess["time"][-1] == 11.0
