@@ -90,8 +90,8 @@ class Dynamics:
         self.controls, self._determined = split_algebraics(formulation)
         self.state_names = tuple(s.name for s in states)
         self.control_names = tuple(s.name for s in self.controls)
-        self._timeline = formulation.timeline(self._statics, instance)
-        self.start = float(self._timeline.times[0])
+        self.timeline = formulation.timeline(self._statics, instance)
+        self.start = float(self.timeline.times[0])
         self._right_hand_side = self._compile(states)
         self._at_one = MappedFunction(self._right_hand_side, 1)
         self._signals = formulation.values.signals(instance)
@@ -137,11 +137,11 @@ class Dynamics:
 
         Where they jump, t itself belongs to what is before.
         """
-        return t + 2.0 * BESIDE * float(self._timeline.spans.max()) if self._instance.jumps else t
+        return t + 2.0 * BESIDE * float(self.timeline.spans.max()) if self._instance.jumps else t
 
     def moment(self, t: float) -> list[float]:
         """Return what the equations read of a time: its share of the horizon, and the signals."""
-        fraction = float(self._timeline.fraction(t))
+        fraction = float(self.timeline.fraction(t))
         return [fraction, *self._signals(fraction)]
 
     def symbol(self, name: str, size: int) -> Any:
@@ -191,7 +191,7 @@ class Dynamics:
         `numbers` gives parameters by full name, each one number or a column of n.
         """
         n = len(t)
-        fractions = self._timeline.fraction(np.asarray(t, dtype=float))
+        fractions = self.timeline.fraction(np.asarray(t, dtype=float))
         signals = self._formulation.signals(self._instance, fractions)
         parameters = np.tile(self._instance.parameters, (n, 1))
         data = self._with_numbers(np.hstack([signals, parameters]), numbers or {})

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -36,7 +38,7 @@ from pyomo_quad.collocation.program.ipopt import (
     run_past_the_barrier,
 )
 from pyomo_quad.collocation.reading.dae_index import structural_index
-from pyomo_quad.collocation.refining.refinement import Solved, refine
+from pyomo_quad.collocation.refining.refinement import FAILED, Solved, refine
 from pyomo_quad.collocation.refining.remeshing import RefinementOptions
 from pyomo_quad.collocation.solution import (
     Solution,
@@ -48,10 +50,12 @@ from pyomo_quad.collocation.solution import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pyomo_quad.collocation.mesh import FloatArray, Mesh
+    from pyomo_quad.collocation.mesh import FloatArray, Mesh, Trajectory
     from pyomo_quad.collocation.reading.values import Instance, Overrides
     from pyomo_quad.collocation.refining.refinement import Damping
 
+# Steps between the nodes of a first mesh, and a state that no simulation means.
+_SUBSTEPS, _LARGEST_STATE = 10, 1e12
 #: Largest relative error of a solution that is refined without a tolerance being asked for.
 DEFAULT_TOLERANCE = 1e-6
 
@@ -179,7 +183,8 @@ class Problem(Summarised, Formulation):
             begun = start if best is None else best.warm_start
             if first is None or tolerance is None:
                 return solve_on(first, begun, to_the_gap=True)
-            return refine(
+            refined = partial(
+                refine,
                 lambda meshes, start, dampings: solve_on(meshes[0], start, dampings[0]),
                 meshes=(first,),
                 tolerance=tolerance,
@@ -189,6 +194,13 @@ class Problem(Summarised, Formulation):
                     found.mesh, found.warm_start, dampings[0], to_the_gap=True
                 ),
             )
+            found = refined()
+            if begun is None and guess is None and found.status in FAILED:
+                path = self._simulated(first, instance)
+                if path is not None:
+                    solve_on = partial(solve_on, guess=path)
+                    found = refined()
+            return found
 
         return limited(
             solved,
@@ -196,6 +208,35 @@ class Problem(Summarised, Formulation):
             progress=progress,
             tolerance=tolerance,
             has_mesh=mesh is not None,
+        )
+
+    def _simulated(self, mesh: Mesh, instance: Instance) -> Trajectory | None:
+        """Return what the equations make of the first states, None where something is free."""
+        mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
+        program, declared = self.program(mesh, instance), self.compiled.declared
+        bounds = bounds_of(program, self.data_at_starts(instance), instance.fixed)
+        start = program.layout.state_columns[0]
+        guessed = program.trajectory(initial_point(program, bounds, self.values, None))
+        try:
+            dynamics = Dynamics(self, instance, guessed.statics)
+        except TranscriptionError:
+            return None
+        is_open = bool(np.any(bounds.lower[start] < bounds.upper[start]))
+        if is_open or dynamics.controls or declared.outputs:
+            return None
+        times = np.asarray(dynamics.timeline.time(mesh.node_fractions))
+        states = march(dynamics.rates, times, guessed.states[0])
+        if not np.all(np.isfinite(states)):
+            return None
+        none = np.zeros((mesh.points, 0))
+        algebraics = [
+            dynamics.evaluate(slot.component, times[1:], states[1:], none, index=slot.index)
+            for slot in declared.algebraics
+        ]
+        return replace(
+            guessed,
+            states=np.clip(states, -_LARGEST_STATE, _LARGEST_STATE),
+            algebraics=np.column_stack([none, *algebraics]),
         )
 
     @staticmethod
@@ -288,6 +329,27 @@ class Problem(Summarised, Formulation):
         load_values(solution)
 
 
+def march(
+    rates: Callable[[float, FloatArray, FloatArray], FloatArray],
+    times: FloatArray,
+    start: FloatArray,
+) -> FloatArray:
+    """Return states at times by the classical Runge-Kutta rule, good enough to start from."""
+    none, states = np.zeros(0), [start]
+    with np.errstate(all="ignore"):
+        for first, last in pairwise(times.tolist()):
+            x, h = states[-1], (last - first) / _SUBSTEPS
+            for k in range(_SUBSTEPS):
+                t = first + k * h
+                a = rates(t, x, none)
+                b = rates(t + h / 2, x + h / 2 * a, none)
+                c = rates(t + h / 2, x + h / 2 * b, none)
+                d = rates(t + h, x + h * c, none)
+                x = x + h / 6 * (a + 2 * b + 2 * c + d)
+            states.append(x)
+    return np.array(states)
+
+
 S = TypeVar("S", bound=Solved)
 
 
@@ -320,9 +382,10 @@ def load_values(*solutions: Solution) -> None:
             values.load(slot, None, float(number))
         for fraction in values.declared_fractions():
             time = float(solution.timeline.time(np.float64(fraction)))
-            frame = solution.to_frame([time]).iloc[0]
-            for slot in (*declared.states, *declared.outputs, *declared.algebraics):
-                values.load(slot, fraction, float(frame[slot.name]))
+            slots = (*declared.states, *declared.outputs, *declared.algebraics)
+            _, *row = solution.to_frame([time]).iloc[0]
+            for slot, number in zip(slots, row, strict=True):
+                values.load(slot, fraction, float(number))
             values.load_rates(fraction, partial(solution.value, t=time))
         totals = solution.program.integrals(solution.unknowns).tolist()
         names = [integral.name for integral in declared.integrals]

@@ -465,12 +465,14 @@ class Solution(Summarised):
     def to_frame(self, times: Any = None) -> pd.DataFrame:
         """Return states, outputs and algebraic variables as columns over the nodes' times.
 
-        Column "time" first, then one column per slot, named as ``rotors.omega[1]``.
+        Column "time" first, then one column per slot, named as ``rotors.omega[1]``; that of a
+        variable of the model that is called time is "time (variable)".
         """
         at = self.times if times is None else np.atleast_1d(np.asarray(times, dtype=float))
         _, states, algebraics, _, _ = self._inputs(self.fractions(at))
         declared = self.problem.compiled.declared
-        names = [s.name for s in (*declared.states, *declared.outputs, *declared.algebraics)]
+        slots = (*declared.states, *declared.outputs, *declared.algebraics)
+        names = [f"{s.name} (variable)" if s.name == TIME_COLUMN else s.name for s in slots]
         columns = np.hstack([states, algebraics])
         frame = pd.DataFrame(columns, columns=names)
         frame.insert(0, TIME_COLUMN, at)

@@ -170,8 +170,8 @@ class DampedProgram:
         return np.concatenate([held, factor * self.weights])
 
 
-# What a start from another mesh may have caused.
-_FAILED = (Status.NOT_CONVERGED, Status.INFEASIBLE)
+#: What a bad start may have caused.
+FAILED = (Status.NOT_CONVERGED, Status.INFEASIBLE)
 # The objective's last change, as a share of the tolerance, at which it counts as settled.
 _SETTLED = 0.5
 # A warm start that takes more iterations than this leaves its linear controls undetermined:
@@ -257,7 +257,7 @@ def refine(
         if solved.status is Status.NOT_CONVERGED and is_damped:
             dampings = tuple(d and d.times(_FIRMEST) for d in dampings)
             solved = solve(chosen, warm_start, dampings)
-        if solved.status in _FAILED and warm_start is not None:
+        if solved.status in FAILED and warm_start is not None:
             solved = solve(chosen, None, dampings)
         errors = _errors(solved, tolerance, refinement)
         if past_the_barrier is not None and _is_held_by_the_barrier(solved, errors, tolerance):
