@@ -405,6 +405,11 @@ class Plan(Summarised):
         return end - start
 
     @property
+    def cost(self) -> float:
+        """Energy, and what the time costs beside it [J]."""
+        return self.energy + self.scenario.mission.price_of_time * self.duration_s
+
+    @property
     def mission_flown(self) -> Scenario:
         """The scenario with the times that the plan has."""
         told = self.scenario

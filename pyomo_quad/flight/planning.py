@@ -40,6 +40,7 @@ from pyomo_quad.flight.routes import (
     guess_along,
 )
 from pyomo_quad.flight.steady import SteadyFlight
+from pyomo_quad.flight.tour import BEST_FEW, best_tours, cheapest, leg_energies
 from pyomo_quad.flight.verification import (
     MISS_TOLERANCE,
     Passage,
@@ -52,7 +53,7 @@ from pyomo_quad.model.mission import free_times
 from pyomo_quad.model.power import wider_smoothings
 from pyomo_quad.model.wind import still_air
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.mission import Aim
+from pyomo_quad.scenario.mission import Aim, Order
 
 _MESH = (10, 4)
 _OPTIONS = SolverOptions(max_iterations=300)
@@ -266,7 +267,29 @@ class Planner:
         """
         deadline = _Deadline(scenario, progress)
         solve = self._solve_quickest if scenario.mission.aim is Aim.TIME else self._solve
+        if scenario.mission.order is Order.BEST and scenario.mission.waypoints:
+            return deadline.applied_to(self._solve_in_best_order(scenario, solve, deadline))
         return deadline.applied_to(solve(scenario, warm_start, deadline))
+
+    def _solve_in_best_order(
+        self, scenario: Scenario, solve: Callable[..., Plan], progress: Progress
+    ) -> Plan:
+        """Return the plan of the order of waypoints that costs least."""
+
+        def leg(alone: Scenario, mesh: Mesh, known: Solution | None) -> Solution:
+            problem, _ = self.problem_for(alone)
+            arguments = self._arguments(alone, progress) | {"mesh": mesh, "tolerance": None}
+            start = known if known is not None and known.problem is problem else None
+            return problem.solve(**arguments, warm_start=start)
+
+        def roughly(ordered: Scenario) -> Plan:
+            once = {"solver": ordered.solver.model_copy(update={"max_refinements": 0})}
+            plan = self._solve(ordered.model_copy(update=once), None, progress)
+            return replace(plan, scenario=ordered)
+
+        costs = leg_energies(scenario.as_forecast(), leg)
+        tours = best_tours(costs, BEST_FEW)
+        return cheapest(scenario, tours, roughly, lambda s, plan: solve(s, plan, progress))
 
     def _solve_quickest(
         self, scenario: Scenario, warm_start: Plan | WarmStart | None, progress: Progress

@@ -196,6 +196,10 @@ class Scenario(Part):
         if passing_times:
             pairs = zip(self.mission.waypoints, passing_times, strict=True)
             values["waypoints"] = tuple(w.model_copy(update={"at": at}) for w, at in pairs)
+        return self.with_mission(**values)
+
+    def with_mission(self, **values: Any) -> Self:  # noqa: ANN401
+        """Return the scenario with some fields of its mission changed; they are not checked."""
         mission = self.mission.model_copy(update=values)
         changed = self.model_copy(update={"mission": mission})
         if self._origin is not None:

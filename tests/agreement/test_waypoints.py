@@ -1,5 +1,7 @@
 """Missions with waypoints, against CasADi by hand and against what is known without a computer."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -114,3 +116,31 @@ def test_a_parcel_is_left_where_the_flight_holds():
     speeds = ends[:, [n.startswith("rotors.omega") for n in plan.trajectories.state_names]]
     # Thrust goes with the square of the rotor speed.
     assert speeds[1] ** 2 / speeds[0] ** 2 == pytest.approx(np.full(4, 1.3 / 1.5), rel=1e-9)
+
+
+def test_a_mirror_image_mission_has_the_mirror_image_route():
+    planner = Planner()
+    sides = (1.0, -1.0)
+    plan, image = (
+        planner.solve(through(place(2.0, 4.0 * side, 1.0), goal=(6.0, 7.0 * side, 8.0)))
+        for side in sides
+    )
+    assert image.energy == pytest.approx(plan.energy, rel=1e-6)
+    assert image.passing_times_s == pytest.approx(plan.passing_times_s, abs=1e-3)
+    times = np.linspace(0.0, 10.0, 19)
+    columns = [plan.trajectories.state_names.index(f"rigid_body.{axis}") for axis in "xyz"]
+    flown, mirrored = (p.trajectories.states_at(times)[:, columns] for p in (plan, image))
+    assert mirrored == pytest.approx(flown * [1.0, -1.0, 1.0], abs=1e-3)
+
+
+@pytest.mark.slow
+def test_more_time_allowed_never_costs_more():
+    planner = Planner()
+    told = [
+        through(place(2.0, 1.0, 1.0), goal=(3.0, 3.0, 2.0)).with_values(
+            {"mission.duration": "free", "mission.duration_max": limit}
+        )
+        for limit in (3.6, 4.0, 5.0)
+    ]
+    energies = [planner.solve(one).energy for one in told]
+    assert all(later <= sooner * (1 + 1e-6) for sooner, later in pairwise(energies))

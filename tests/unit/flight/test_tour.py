@@ -1,0 +1,54 @@
+"""Best tours against all tours there are, and a best order that wind makes lopsided."""
+
+from itertools import pairwise, permutations
+
+import numpy as np
+import pytest
+
+from pyomo_quad.flight import Planner
+from pyomo_quad.flight.tour import best_tours, in_order
+from tests.declared_model import scenario
+
+ON_ONE_MESH = {"elements": 10, "degree": 4, "max_refinements": 0}
+
+
+def length(costs, tour):
+    places = (0, *(k + 1 for k in tour), len(costs) - 1)
+    return sum(costs[here, there] for here, there in pairwise(places))
+
+
+@pytest.mark.parametrize("places", [1, 2, 5, 6])
+def test_best_tours_are_the_best_of_all(places):
+    costs = np.random.default_rng(places).uniform(1.0, 9.0, (places + 2, places + 2))
+    every = sorted(permutations(range(places)), key=lambda tour: length(costs, tour))
+    assert best_tours(costs, 3) == every[:3]
+
+
+def corners(order="best", mirrored=1.0):
+    places = [(4.0, 3.0, 1.0), (1.0, 2.0, 1.0), (3.0, -1.0, 2.0)]
+    return scenario(
+        mission={
+            "goal": {"position": [0.0, 0.0, 2.0]},
+            "waypoints": [{"position": [x, mirrored * y, z]} for x, y, z in places],
+            "order": order,
+            "duration": 9.0,
+        },
+        solver=ON_ONE_MESH,
+    )
+
+
+@pytest.mark.slow
+def test_the_best_order_is_the_cheapest_of_all_missions():
+    planner = Planner()
+    plan = planner.solve(corners())
+    others = [planner.solve(in_order(corners(), order)) for order in permutations(range(3))]
+    assert plan.energy == pytest.approx(min(other.energy for other in others), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_mirror_image_mission_has_the_mirror_image_order():
+    plan, image = (Planner().solve(corners(mirrored=side)) for side in (1.0, -1.0))
+    ordered = [w.position for w in plan.scenario.mission.waypoints]
+    assert [w.position for w in image.scenario.mission.waypoints] == [
+        (x, -y, z) for x, y, z in ordered
+    ]
