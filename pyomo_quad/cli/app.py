@@ -15,6 +15,7 @@ from pyomo_quad.cli.looking import check, init, library, schema
 from pyomo_quad.cli.paper import paper
 from pyomo_quad.cli.plotting import plot
 from pyomo_quad.cli.polar import polar
+from pyomo_quad.cli.simulating import outside_plant, rotorpy_vehicle
 from pyomo_quad.cli.sweeping import sweep, sweep_report
 from pyomo_quad.cli.terminal import claim_streams, complain, gives_up_output
 from pyomo_quad.report.folder import discard_unfinished
@@ -43,6 +44,8 @@ app.command()(plot)
 app.command()(identify)
 app.command()(predict)
 app.command()(polar)
+app.command()(outside_plant)
+app.command()(rotorpy_vehicle)
 app.command()(paper)
 app.command()(sweep)
 app.command()(sweep_report)

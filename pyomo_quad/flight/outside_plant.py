@@ -3,8 +3,9 @@
 here | RotorPy
 mass, inertias, thrust and drag torque over rotor speed squared | mass, Ixx.., k_eta, k_m
 places and spins of the rotors, read off the declared mixer | rotor_pos, rotor_directions
-quadratic drag | c_Dx = c_Dy = c_Dz, on body axes
-linear drag | k_d = k_z times four rotors at the speed of hover, at the rotors
+drag of rotors, translational lift, parasitic drag by axis | k_d, k_z, k_h, c_Dx..
+quadratic drag | added to c_Dx = c_Dy = c_Dz, on body axes
+linear drag | added to k_d = k_z, times four rotors at the speed of hover, at the rotors
 
 RotorPy's rotors have no inertia: the gyroscopic moment and the reaction of the body to their
 acceleration are added beside its own moments, unless they are to be left out.  Its motors follow a
@@ -119,7 +120,8 @@ def quad_parameters(scenario: Scenario, dynamics: Dynamics) -> dict[str, Any]:
     places = np.column_stack([-pitch / thrust, roll / thrust, np.zeros(len(thrust))])
     is_drag = scenario.wind.coupling is WindCoupling.DRAG
     along = vehicle.drag_linear / (len(thrust) * vehicle.hover_speed(scenario.gravity))
-    across = vehicle.drag_quadratic
+    linear, quadratic = (along, vehicle.drag_quadratic) if is_drag else (0.0, 0.0)
+    by_axis = zip(("c_Dx", "c_Dy", "c_Dz"), vehicle.parasitic_drag, strict=True)
     return {
         "mass": vehicle.total_mass,
         "Ixx": vehicle.Ix,
@@ -131,9 +133,11 @@ def quad_parameters(scenario: Scenario, dynamics: Dynamics) -> dict[str, Any]:
         "rotor_directions": np.sign(yaw),
         "k_eta": float(thrust[0]),
         "k_m": float(abs(yaw[0])),
-        **dict.fromkeys(("c_Dx", "c_Dy", "c_Dz"), across if is_drag else 0.0),
-        **dict.fromkeys(("k_d", "k_z"), along if is_drag else 0.0),
-        **dict.fromkeys(("k_h", "k_flap"), 0.0),
+        **{name: quadratic + along_axis for name, along_axis in by_axis},
+        "k_d": linear + vehicle.rotor_drag_plane,
+        "k_z": linear + vehicle.rotor_drag_axis,
+        "k_h": vehicle.translational_lift,
+        "k_flap": 0.0,
         "tau_m": 1 / scenario.baseline.gains.rotor,
         "rotor_speed_min": limits.rotor_speed_min,
         "rotor_speed_max": limits.rotor_speed_max,
@@ -207,10 +211,14 @@ class OutsidePlant:
         attitude = Rotation.from_quat(joint[_QUATERNION]) * self._turn.inv()
         yaw, pitch, roll = attitude.as_euler("ZYX")
         x[self._angles] = roll, pitch, yaw + tau * round((self._yaw - yaw) / tau)
-        x[self._rates] = self._turn.apply(joint[_BODY_RATES])
+        x[self._rates] = self.turned_back(joint[_BODY_RATES])
         x[np.array(self._rotors)[self._order]] = joint[_SPEEDS]
         x[self._others] = joint[_SIZE : _SIZE + len(self._others)]
         return x
+
+    def turned_back(self, vector: FloatArray) -> FloatArray:
+        """Return a vector of RotorPy's body in ours, shape (3,)."""
+        return np.asarray(self._turn.apply(vector))
 
     def seen(self, x: FloatArray) -> dict[str, FloatArray]:
         """Return declared states as RotorPy's controllers see them."""
@@ -409,7 +417,7 @@ def _se3(plant: OutsidePlant, reference: Reference, plan: Plan | None) -> Law:
     """Return RotorPy's own controller; its commands reach the rotors within their limits."""
     path = reference_path(plant.scenario, reference, plan)
     control = rotorpy_module("controllers.quadrotor_control").SE3Control(plant.parameters)
-    limits, gains = plant.scenario.limits, plant.scenario.baseline.gains
+    limits, lag = plant.scenario.limits, plant.parameters["tau_m"]
     rotors = rotor_columns(plant.dynamics)
 
     def law(
@@ -426,7 +434,7 @@ def _se3(plant: OutsidePlant, reference: Reference, plan: Plan | None) -> Law:
         wanted = control.update(t, plant.seen(x), flat)["cmd_motor_speeds"]
         targets = np.clip(plant.ours(wanted), limits.rotor_speed_min, limits.rotor_speed_max)
         most = limits.rotor_acceleration_max
-        return np.clip(gains.rotor * (targets - x[rotors]), -most, most).tolist(), ()
+        return np.clip((targets - x[rotors]) / lag, -most, most).tolist(), ()
 
     return law
 

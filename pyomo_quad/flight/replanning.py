@@ -135,6 +135,11 @@ class Replanner:
                 f"{scenario.name}: re-planning knows the declared model only; leave out "
                 "baseline.mpc or the own model."
             )
+        if scenario.mission.waypoints:
+            raise ScenarioError(
+                f"{scenario.name}: re-planning flies from start to goal; leave out baseline.mpc or "
+                "mission.waypoints."
+            )
         is_told = knowledge is Knowledge.TOLD
         believed = scenario.as_it_blows() if is_told else scenario.as_forecast()
         self._end = scenario.mission.fixed_duration

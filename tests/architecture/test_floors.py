@@ -17,6 +17,7 @@ FLOORS = {
     "exports": 5,
     "identification": 5,
     "paper": 5,
+    "simulators": 5,
     "polar": 5,
     "sweep": 5,
 }

@@ -118,6 +118,12 @@ def test_own_models_are_not_planned_again():
         replanning.Replanner(scenario, Knowledge.TOLD, planner)
 
 
+def test_waypoints_are_not_planned_again():
+    way = "mission.waypoints=[{position=[0.5, 0.0, 0.0]}]"
+    with pytest.raises(ScenarioError, match=r"leave out baseline\.mpc or mission\.waypoints"):
+        replanned(Knowledge.TOLD, way)
+
+
 def test_an_interval_beyond_the_mission_is_refused():
     line = "baseline.mpc.interval = 3 s; must be below mission.duration = 3 s"
     with pytest.raises(ScenarioError, match=re.escape(line)):

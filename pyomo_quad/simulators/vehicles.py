@@ -1,0 +1,90 @@
+"""Vehicles of RotorPy's parameter sets as vehicle files of ours.
+
+Their rotors stand ahead to both sides and behind; ours along body x and y.  So the vehicle is
+turned by 45 degrees: its first rotor is ahead, its fourth to the left.  A cross of two inertias
+that differ gets a product of inertia thereby, half their difference, which is left out.
+"""
+
+import json
+from math import hypot
+from typing import Any, NamedTuple
+
+from pyomo_quad.flight.outside_plant import rotorpy_module
+from pyomo_quad.scenario import ScenarioError
+from pyomo_quad.scenario.messages import shown
+
+#: Sets of RotorPy whose four rotors stand across, with the mass [kg] and the length [m] of a rotor.
+_ROTORS = {"hummingbird": (6e-3, 0.2), "crazyflie": (2e-4, 0.046)}
+NAMES = tuple(_ROTORS)
+_BASE = "dji_phantom_2"
+
+
+class Said(NamedTuple):
+    """A field's value and where it comes from."""
+
+    value: float | str | list[float]
+    source: str
+
+
+def rotorpy_parameters(name: str) -> dict[str, Any]:
+    """Return one of RotorPy's parameter sets.
+
+    Raises
+    ------
+    ScenarioError
+        If there is none of the name, or RotorPy is not installed.
+    """
+    if name not in NAMES:
+        raise ScenarioError(f"NAME = {shown(name)}; must be one of {', '.join(NAMES)}.")
+    return dict(rotorpy_module(f"vehicles.{name}_params").quad_params)
+
+
+def vehicle_fields(name: str) -> dict[str, Said]:
+    """Return the fields of a vehicle file, by dotted path below `fields` or `limits`."""
+    held = rotorpy_parameters(name)
+    x, y, _ = held["rotor_pos"]["r1"]
+    across = (held["Ixx"] + held["Iyy"]) / 2
+    sideways = (held["c_Dx"] + held["c_Dy"]) / 2
+    mass, length = _ROTORS[name]
+    said = f"RotorPy, {name}_params: "
+    turned = said + "mean of Ixx and Iyy, turned by 45 degrees"
+    return {
+        "fields.title": Said(f"{name} of RotorPy", "its file"),
+        "fields.mass": Said(held["mass"], said + "mass"),
+        "fields.arm_length": Said(hypot(x, y), said + "rotor_pos"),
+        "fields.Ix": Said(across, turned),
+        "fields.Iy": Said(across, turned),
+        "fields.Iz": Said(held["Izz"], said + "Izz"),
+        "fields.thrust_coefficient": Said(held["k_eta"], said + "k_eta"),
+        "fields.drag_torque_coefficient": Said(held["k_m"], said + "k_m"),
+        "fields.rotor_inertia": Said(
+            mass * length**2 / 12,
+            f"assumed: a thin blade of {1e3 * mass:g} g and {length:g} m; RotorPy has none",
+        ),
+        "fields.rotor_drag_plane": Said(held["k_d"], said + "k_d"),
+        "fields.rotor_drag_axis": Said(held["k_z"], said + "k_z"),
+        "fields.translational_lift": Said(held["k_h"], said + "k_h"),
+        "fields.parasitic_drag": Said(
+            [sideways, sideways, held["c_Dz"]], said + "c_Dx, c_Dy, c_Dz"
+        ),
+        "fields.motor_time_constant": Said(held["tau_m"], said + "tau_m"),
+        "limits.rotor_speed_min": Said(float(held["rotor_speed_min"]), said + "rotor_speed_min"),
+        "limits.rotor_speed_max": Said(float(held["rotor_speed_max"]), said + "rotor_speed_max"),
+        "limits.rotor_acceleration_max": Said(
+            held["rotor_speed_max"] / held["tau_m"], said + "rotor_speed_max / tau_m, from rest"
+        ),
+    }
+
+
+def vehicle_file(name: str) -> str:
+    """Return a vehicle file of a RotorPy parameter set, each number with its source."""
+    lines = [
+        f"# The {name} of RotorPy. It has no motors' electrics: those of {_BASE} stand here, so",
+        '# that power.model = "shaft" alone says something of this vehicle.',
+        "",
+        f'use = "{_BASE}"',
+    ]
+    for path, (value, source) in vehicle_fields(name).items():
+        written = json.dumps(value if isinstance(value, str | list) else float(value))
+        lines += ["", f"[{path}]", f"value = {written}", f'source = "{source}"']
+    return "\n".join(lines) + "\n"

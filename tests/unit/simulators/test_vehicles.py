@@ -1,0 +1,94 @@
+"""Vehicles of RotorPy: their files load, fly there, and their bodies are the same body turned."""
+
+from importlib import util
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pyomo_quad.cli import main
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.flight import Planner, outside_plant
+from pyomo_quad.flight.outside_plant import ACROSS, OutsidePlant
+from pyomo_quad.report.report import REPORT_NAME
+from pyomo_quad.scenario import ScenarioError, load_scenario
+from pyomo_quad.simulators.report import write_outside_report
+from pyomo_quad.simulators.study import CASES, Column, OutsideStudy, Plant
+from pyomo_quad.simulators.vehicles import NAMES, rotorpy_parameters, vehicle_file
+from tests.scenario_files import write_scenario
+
+has_rotorpy = pytest.mark.skipif(util.find_spec("rotorpy") is None, reason="no RotorPy")
+
+
+@has_rotorpy
+@pytest.mark.parametrize("name", NAMES)
+def test_the_file_is_the_vehicle_that_rotorpy_flies(name, tmp_path, capsys):
+    """Slowly turning in still air, where drag is nothing: its body moves as RotorPy's own does."""
+    assert main(["rotorpy-vehicle", name, "--out", str(tmp_path / f"{name}.toml")]) == 0
+    assert f'vehicle.use = "{name}.toml" in a scenario beside it' in capsys.readouterr().out
+    still = f'vehicle = {{ use = "{name}.toml", attitude = "euler" }}'
+    scenario = load_scenario(write_scenario(tmp_path, still))
+    assert scenario.provenance["vehicle.mass"] == f"file {name}.toml"
+    dynamics = Planner().dynamics(scenario)
+    theirs = OutsidePlant(
+        scenario,
+        dynamics,
+        parameters=rotorpy_parameters(name),
+        frame=ACROSS,
+        has_rotor_inertia=False,
+    )
+    hover = scenario.vehicle.hover_speed(scenario.gravity)
+    turning = hover * np.array([1.02, 0.99, 1.01, 0.97])
+    x = np.array([
+        turning[int(state[-2]) - 1] if "omega" in state else 0.0 for state in dynamics.state_names
+    ])  # fmt: skip
+    rates = theirs.rates(0.0, theirs.started(x, ()), lambda _t, _x, _own: (np.zeros(4), ()))
+    declared = dict(zip(dynamics.state_names, dynamics.rates(0.0, x, np.zeros(4)), strict=True))
+    assert rates[5] == pytest.approx(declared["rigid_body.vz"], rel=1e-12)
+    held, turned = rotorpy_parameters(name), theirs.turned_back(rates[10:13])
+    # The product of inertia that turning the body brings, and that the file leaves out.
+    left_out = abs(held["Ixx"] - held["Iyy"]) / (held["Ixx"] + held["Iyy"])
+    found = [declared[f"rigid_body.{axis}"] for axis in "pqr"]
+    allowed = (left_out + left_out**2) * np.linalg.norm(found) + 1e-9
+    assert turned == pytest.approx(found, abs=allowed, rel=0)
+
+
+def test_names_that_are_none_are_refused(tmp_path, monkeypatch, capsys):
+    with pytest.raises(ScenarioError, match="must be one of hummingbird, crazyflie"):
+        vehicle_file("bumblebee")
+
+    def missing(name):
+        raise ModuleNotFoundError(name=name.partition(".")[0])
+
+    monkeypatch.setattr(outside_plant, "import_module", missing)
+    monkeypatch.chdir(tmp_path)
+    for command in (["rotorpy-vehicle", "crazyflie"], ["outside-plant"]):
+        assert main(command) == ExitCode.BAD_INPUT
+        assert "pip install 'pyomo_quad[rotorpy]'" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@has_rotorpy
+def test_the_report_says_how_far_apart_flights_end(tmp_path):
+    rows = [
+        {
+            Column.CASE: case,
+            Column.PLANT: plant.value,
+            Column.CONTROLLER: "open_loop",
+            Column.FOLLOWED: "plan",
+            Column.APART: 1e-6 * (k + 1),
+            Column.ENERGY: 700.0 + k,
+            Column.ENERGY_DIFFERENCE: 0.1,
+            Column.MISS: 0.5,
+            Column.ARRIVED: k == 0,
+            Column.VERIFIED: True,
+        }
+        for k, case in enumerate((*CASES, *NAMES))
+        for plant in Plant
+    ]
+    study = OutsideStudy(flights=pd.DataFrame(rows), planned={})
+    write_outside_report(tmp_path, study)
+    text = (tmp_path / REPORT_NAME).read_text()
+    assert "plan made with exact attitude ends 2e-06 m from where" in text
+    assert "| `printed`, RotorPy against declared | 1e-06 |" in text
+    assert len(pd.read_csv(tmp_path / "flights.csv")) == len(rows)
