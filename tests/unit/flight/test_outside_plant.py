@@ -24,6 +24,12 @@ from tests.command import PAPER_CALM, QUICK
 
 EXACT = 'vehicle.attitude="euler"'
 HOP = (EXACT, "mission.goal.position=[1.0, 0.5, 0.5]", "mission.duration=2.0")
+AIR = (
+    "vehicle.rotor_drag_plane=1e-4",
+    "vehicle.rotor_drag_axis=2e-4",
+    "vehicle.translational_lift=3e-3",
+    "vehicle.parasitic_drag=[0.01, 0.02, 0.03]",
+)
 has_rotorpy = pytest.mark.skipif(util.find_spec("rotorpy") is None, reason="no RotorPy")
 
 
@@ -53,10 +59,11 @@ def turned(parameters):
 
 
 @has_rotorpy
-@pytest.mark.parametrize("frame", [None, ACROSS])
-def test_it_moves_as_the_declared_equations_say(frame):
-    """At random states, tilted and turning, whichever way its body is named."""
-    scenario, dynamics = flights.scenario("paper_calm", EXACT), flights.vehicle("paper_calm", EXACT)
+@pytest.mark.parametrize(("frame", "air"), [(None, ()), (ACROSS, ()), (None, AIR)])
+def test_it_moves_as_the_declared_equations_say(frame, air):
+    """At random states, tilted and turning, whichever way its body is named, and in the air."""
+    scenario = flights.scenario("paper_calm", EXACT, *air)
+    dynamics = flights.vehicle("paper_calm", EXACT, *air)
     parameters = quad_parameters(scenario, dynamics)
     plant = OutsidePlant(
         scenario,
