@@ -54,6 +54,7 @@ def test_the_rest_of_an_optimal_flight_is_optimal():
     assert spent + rest.objective == pytest.approx(plan.energy, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_what_is_not_told_is_learnt_and_not_knowing_it_costs():
     told, estimated, untold = (replanned(knowledge, *STEADY) for knowledge in Knowledge)
     assert has_arrived(told)
