@@ -210,17 +210,21 @@ class JointProblem(Summarised):
         mesh: Mesh | Mapping[str, Mesh] | None = None,
         tolerance: float | None = None,
         parameters: Overrides | None = None,
+        horizon: tuple[float, float] | None = None,
         guess: Mapping[str, Any] | None = None,
         warm_start: JointSolution | tuple[WarmStart, ...] | None = None,
         options: SolverOptions | None = None,
         refinement: RefinementOptions | None = None,
+        starts: int = 1,
         progress: Progress | None = None,
     ) -> JointSolution:
         """Solve on given meshes, or refine each until the errors meet a tolerance.
 
         The arguments are those of `Problem.solve`; `mesh` may be one for all horizons or one
-        for each by the name of its set, and `guess` may hold one for each likewise.
+        for each by the name of its set, and `guess` may hold one for each likewise.  Another
+        `horizon` and several `starts` are refused.
         """
+        self._refuse_of_one_horizon(horizon, starts)
         given = self._meshes(mesh)
         instances = [part.instance(parameters) for part in self._parts]
         start = warm_start.warm_start if isinstance(warm_start, JointSolution) else warm_start
@@ -249,6 +253,18 @@ class JointProblem(Summarised):
             tolerance=tolerance,
             has_mesh=mesh is not None,
         )
+
+    def _refuse_of_one_horizon(self, horizon: tuple[float, float] | None, starts: int) -> None:
+        names = ", ".join(self.horizons)
+        if horizon is not None:
+            raise TranscriptionError(
+                f"horizon: the model has several, {names}; let static variables give their ends: "
+                f'times={{"{next(iter(self.horizons))}": {{declared time: m.T}}}}.'
+            )
+        if starts != 1:
+            raise TranscriptionError(
+                f"starts: {starts}; must be 1 with several horizons, {names}; give guess= instead."
+            )
 
     def _meshes(self, mesh: Mesh | Mapping[str, Mesh] | None) -> list[Mesh | None]:
         if mesh is None or isinstance(mesh, Mesh):

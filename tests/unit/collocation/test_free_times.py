@@ -11,6 +11,7 @@ from pyomo.environ import ConcreteModel, Constraint, Objective, Param, SolverFac
 from scipy.integrate import solve_ivp
 
 from pyomo_quad.collocation import Mesh, TranscriptionError, compile, solve
+from pyomo_quad.flight.verification import fly_controls
 from tests.problems import goddard
 
 
@@ -86,11 +87,18 @@ def test_dynamics_flown_by_scipy_arrive(pushed):
     assert state == pytest.approx([1.0, 0.0], abs=1e-6)
 
 
-def test_the_mesh_in_time_holds_the_same_polynomials(pushed):
-    _, solution = pushed
+def test_controls_flown_on_the_mesh_in_time_arrive():
+    m = with_waypoint()
+    solution = solve(m, times={1: m.T1}, tolerance=1e-8)
     start, end = solution.horizon
     nodes = start + (end - start) * solution.mesh_in_time.node_fractions
     np.testing.assert_allclose(nodes, solution.times, atol=1e-12)
+    path = solution.trajectory
+    flown = fly_controls(
+        solution.dynamics, solution.mesh_in_time, path.algebraics, path.states[0], (start, end)
+    )
+    assert flown.states[-1] == pytest.approx([1.0, 0.0], abs=1e-6)
+    assert flown.energy[-1] == pytest.approx(solution.objective, rel=1e-6)
 
 
 @pytest.mark.parametrize("declared", [(0, 1, 2), (0, 0.3, 7)])

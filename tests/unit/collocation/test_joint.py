@@ -354,6 +354,12 @@ def test_a_mesh_for_one_of_several():
     )
 
 
+def test_what_is_said_of_one_horizon_only():
+    m = least_effort()
+    refused(m, "^horizon: the model has several, first.t, second.t; let static", horizon=(0, 2))
+    refused(m, "^starts: 3; must be 1 with several horizons, first.t, second.t; give", starts=3)
+
+
 def test_a_guess_of_something_unknown():
     refused(least_effort(), "^guess: 'y' is none of the model's variables and none", guess={"y": 1})
 
