@@ -4,6 +4,7 @@ import json
 import tomllib
 
 import jsonschema
+import pandas as pd
 import pytest
 
 from pyomo_quad.cli import main
@@ -29,6 +30,22 @@ def test_a_scenario_begun_from_each_is_its_own_and_is_allowed(
     assert text.startswith("#:schema ./scenario.schema.json\n")
     schema = json.loads((tmp_path / "scenario.schema.json").read_text())
     jsonschema.validate(begun, schema)
+
+
+def test_a_delivery_an_inspection_and_the_paper_are_there():
+    assert {"delivery", "inspection", "paper"} <= set(shipped_scenarios())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("template", ["delivery", "inspection"])
+def test_what_is_begun_is_flown(template, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "own", "--from", template, "--quiet"]) == ExitCode.VERIFIED
+    assert main(["solve", "own.toml", "--figures", "none", "--quiet"]) == ExitCode.VERIFIED
+    zones = load_scenario("own.toml").airspace.keep_out
+    for row in pd.read_csv("reports/own/plan.csv").itertuples():
+        for zone in zones:
+            assert zone.depth((row.x_m, row.y_m, row.z_m)) < 1e-3
 
 
 def test_init_asks_for_nothing(tmp_path, monkeypatch):
