@@ -45,6 +45,7 @@ def polar_summary(polar: Polar) -> dict[str, Any]:
     """Return the speeds, ranges and reaches of a polar, as only JSON can hold them."""
     facts = _facts(polar.own)
     best = facts.pop("best")
+    price = polar.scenario.mission.price_of_time
     return {
         "scenario": polar.scenario.name,
         **facts,
@@ -52,6 +53,8 @@ def polar_summary(polar: Polar) -> dict[str, Any]:
         "best_power_W": best.power,
         "energy_per_metre_J_m": best.energy_per_metre,
         "range_m": best.range_m,
+        "price_of_time_W": price,
+        "speed_at_that_price_m_s": polar.own.best_over_ground(price_of_time=price).ground_speed,
         "wind_m_s": polar.wind_m_s,
         "wind_towards_deg": float(np.degrees(polar.wind_towards_rad)),
         "least_reach_m": float(polar.reach["reach_m"].min()),
