@@ -16,7 +16,6 @@ from tests.problems.published.statement import (
 
 COPS = "Dolan, More and Munson (2004), COPS 3.0, ANL/MCS-TM-273"
 PSOPT = "PSOPT 5, doc/SQP_ALL_EXAMPLES.csv"
-BETTS = "Betts (2010), Practical Methods for Optimal Control"
 
 
 def oscillator():
@@ -143,37 +142,6 @@ def two_link_arm():
         free=(1, 10, 3),
     )
     return minimised(m, m.T)
-
-
-def free_flying_robot():
-    def rates(m, t):
-        first, second = m.a[t] - m.b[t], m.c[t] - m.d[t]
-        return {
-            "x": m.vx[t],
-            "y": m.vy[t],
-            "angle": m.spin[t],
-            "vx": (first + second) * cos(m.angle[t]),
-            "vy": (first + second) * sin(m.angle[t]),
-            "spin": 0.2 * (first - second),
-        }
-
-    m = posed(
-        "free-flying robot",
-        {
-            "x": (-10, 0),
-            "y": (-10, 0),
-            "angle": (np.pi / 2, 0),
-            "vx": (0, 0),
-            "vy": (0, 0),
-            "spin": (0, 0),
-        },
-        dict.fromkeys("abcd", (0, 1)),
-        rates,
-        end=12,
-    )
-    m.one = Constraint(m.t, rule=lambda m, t: m.a[t] + m.b[t] <= 1)
-    m.other = Constraint(m.t, rule=lambda m, t: m.c[t] + m.d[t] <= 1)
-    return minimised(m, total(m, lambda m, t: m.a[t] + m.b[t] + m.c[t] + m.d[t]))
 
 
 def cubic_hyper_sensitive():
@@ -324,7 +292,6 @@ CASES = (
         published="2.98",
         source="Luus (2000), section 12.4",
     ),
-    Case(name="free_flying_robot", build=free_flying_robot, published="7.910154646", source=BETTS),
     Case(
         name="cubic_hyper_sensitive",
         build=cubic_hyper_sensitive,

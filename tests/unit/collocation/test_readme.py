@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from tests.problems.__main__ import names
+
 README = Path(__file__).parents[3] / "pyomo_quad" / "collocation" / "README.md"
 TEXT = README.read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```python\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
@@ -79,4 +81,13 @@ def test_the_rod_cools_as_its_steps_in_space_do():
 
 
 def test_it_is_short():
-    assert len(TEXT.splitlines()) <= 250
+    prose, table = TEXT.split("```text\n")
+    assert len(prose.splitlines()) <= 250
+    assert len(table.splitlines()) <= 80
+
+
+def test_the_table_lists_the_problems_that_the_command_prints():
+    rows = TEXT.split("```text\n")[1].splitlines()[1:-1]
+    assert [row.split()[0] for row in rows] == names()
+    # What is claimed stands at 1e-8, as does what it is off by.
+    assert all(float(row.split()[4]) <= 2 * float(row.split()[5]) for row in rows)
