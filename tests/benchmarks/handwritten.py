@@ -123,11 +123,12 @@ class Program:
         self.row_lower.append(np.broadcast_to(lower, expression.shape[0]))
         self.row_upper.append(np.broadcast_to(upper, expression.shape[0]))
 
-    def state(self, name, fraction):
+    def state(self, name, fraction, bow=0.0):
         guess = START + (END - START) * fraction
+        guess[1] += bow * np.sin(np.pi * fraction)
         lower, upper = STATE_FLOORS, STATE_LIMITS
         if fraction in (0.0, 1.0):
-            lower = upper = guess
+            lower = upper = guess = START if fraction == 0.0 else END
         return self.variable(name, STATE_SCALES, lower, upper, guess)
 
     def control(self, name):
@@ -135,7 +136,7 @@ class Program:
         return self.variable(name, CONTROL_SCALES, -limit, limit, np.zeros(4))
 
 
-def _transcribe(elements, degree, *, has_wind):
+def _transcribe(elements, degree, *, has_wind, mast=None, bow=0.0):
     point = equations(has_wind=has_wind)
     nodes = casadi.collocation_points(degree, "radau")
     slope_weights, _, quadrature = casadi.collocation_coeff(nodes)
@@ -146,7 +147,7 @@ def _transcribe(elements, degree, *, has_wind):
         for j, node in enumerate(nodes):
             is_last = e == elements - 1 and j == degree - 1
             fraction = 1.0 if is_last else (e + node) / elements
-            states.append(program.state(f"x_{e}_{j}", fraction))
+            states.append(program.state(f"x_{e}_{j}", fraction, bow))
             controls.append(program.control(f"alpha_{e}_{j}"))
         stacked = casadi.horzcat(*states)
         for j, node in enumerate(nodes):
@@ -156,15 +157,22 @@ def _transcribe(elements, degree, *, has_wind):
             program.row(
                 limited / LIMITED_SCALES, LIMITED_MIN / LIMITED_SCALES, LIMITED_MAX / LIMITED_SCALES
             )
+            if mast is not None:
+                *axis, radius = mast
+                aside = states[j + 1][:2] - np.array(axis)
+                program.row(casadi.dot(aside, aside), radius**2, np.inf)
             energy += h * quadrature[j] * power
         last = states[-1]
     return program, energy
 
 
-def solve_by_hand(elements, degree, *, has_wind=False, tolerance=1e-9):
-    """Solve test 1 of the paper, or test 2 with its wind."""
+def solve_by_hand(elements, degree, *, has_wind=False, tolerance=1e-9, mast=None, bow=0.0):
+    """Solve test 1 of the paper, or test 2 with its wind.
+
+    `mast` is x, y and radius of a cylinder to keep out of, `bow` how far to +y the guess swerves.
+    """
     started = seconds()
-    program, energy = _transcribe(elements, degree, has_wind=has_wind)
+    program, energy = _transcribe(elements, degree, has_wind=has_wind, mast=mast, bow=bow)
     built = seconds()
     solver = casadi.nlpsol(
         "by_hand",
