@@ -74,7 +74,7 @@ def mixer_matrix(dynamics: VehicleDynamics) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (4, 4)
+    ndarray, shape (4, n_rotors)
         Thrust, roll, pitch and yaw moment over the squared speeds of the rotors.
     """
     columns = rotor_columns(dynamics)
@@ -93,14 +93,15 @@ class Allocation:
 
     Parameters
     ----------
-    mixer : ndarray, shape (4, 4)
+    mixer : ndarray, shape (4, n_rotors)
         Of `mixer_matrix`.
     limits : Limits
         Rotor speeds, thrust and moments allowed.
     """
 
     def __init__(self, mixer: FloatArray, limits: Limits) -> None:
-        inverse = np.linalg.inv(mixer)
+        is_square = len(mixer) == mixer.shape[1]
+        inverse = np.linalg.inv(mixer) if is_square else np.linalg.pinv(mixer)
         # Equal on all rotors, since the moments' rows of the mixer each sum to zero.
         self._share = float(inverse[0, 0])
         self._roll, self._pitch, self._yaw = (tuple(column) for column in inverse.T[1:].tolist())
@@ -510,7 +511,7 @@ class AdaptiveController:
     ----------
     believed : Scenario
         Vehicle, limits, gravity and gains that the controller knows. Its wind is not read.
-    mixer : ndarray, shape (4, 4)
+    mixer : ndarray, shape (4, n_rotors)
         Thrust and moments over squared rotor speeds, of `mixer_matrix`.
     """
 

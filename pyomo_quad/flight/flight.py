@@ -22,6 +22,7 @@ FloatArray = NDArray[np.float64]
 TIME = "time_s"
 ENERGY = "energy_J"
 ROTORS = (1, 2, 3, 4)
+_ROTOR_CONTROL = "rotors.alpha["
 WIND = ("wind_x_m_per_s", "wind_y_m_per_s")
 
 
@@ -34,11 +35,25 @@ class Column:
     index: int | None = None
 
 
-def _rotor_columns(pattern: str, component: str) -> tuple[Column, ...]:
-    return tuple(Column(pattern.format(j), component, j) for j in ROTORS)
+def rotor_columns(pattern: str, component: str, rotors: Sequence[int]) -> tuple[Column, ...]:
+    """Return one column for each rotor."""
+    return tuple(Column(pattern.format(j), component, j) for j in rotors)
 
 
-_BEFORE_ENERGY = (
+def columns_of(rotors: Sequence[int]) -> tuple[Column, ...]:
+    """Return every column after the time of a vehicle with these rotors, in order."""
+    return (
+        *_OF_THE_BODY,
+        *rotor_columns("omega_{}_rad_per_s", "rotors.omega", rotors),
+        *rotor_columns("alpha_{}_rad_per_s2", "rotors.alpha", rotors),
+        *_OF_THE_WHOLE,
+        *rotor_columns("motor_{}_current_A", "rotors.motor_current", rotors),
+        *rotor_columns("motor_{}_voltage_V", "rotors.motor_voltage", rotors),
+        *rotor_columns("motor_{}_torque_N_m", "rotors.motor_torque", rotors),
+    )
+
+
+_OF_THE_BODY = (
     Column("x_m", "rigid_body.x"),
     Column("y_m", "rigid_body.y"),
     Column("z_m", "rigid_body.z"),
@@ -51,24 +66,20 @@ _BEFORE_ENERGY = (
     Column("p_rad_per_s", "rigid_body.p"),
     Column("q_rad_per_s", "rigid_body.q"),
     Column("r_rad_per_s", "rigid_body.r"),
-    *_rotor_columns("omega_{}_rad_per_s", "rotors.omega"),
-    *_rotor_columns("alpha_{}_rad_per_s2", "rotors.alpha"),
+)
+_OF_THE_WHOLE = (
     Column("thrust_N", "rotors.total_thrust"),
     Column("power_W", "power.total"),
-)
-_AFTER_ENERGY = (
+    Column(ENERGY, ""),
     Column(WIND[0], "wind.velocity_x"),
     Column(WIND[1], "wind.velocity_y"),
     Column("battery_current_A", "battery.current"),
     Column("battery_voltage_V", "battery.voltage"),
     Column("state_of_charge_percent", "battery.state_of_charge"),
-    *_rotor_columns("motor_{}_current_A", "rotors.motor_current"),
-    *_rotor_columns("motor_{}_voltage_V", "rotors.motor_voltage"),
-    *_rotor_columns("motor_{}_torque_N_m", "rotors.motor_torque"),
 )
 
-#: Every column after the time, in order; the energy is the integral of the flight's power.
-COLUMNS = (*_BEFORE_ENERGY, Column(ENERGY, ""), *_AFTER_ENERGY)
+#: Those of a quadrotor; the energy is the integral of the flight's power.
+COLUMNS = columns_of(ROTORS)
 
 
 def flight_frame(
@@ -92,7 +103,9 @@ def flight_frame(
     DataFrame
         `TIME` first, then `COLUMNS`.
     """
-    shown = [c for c in COLUMNS if c.name == ENERGY or dynamics.has(c.component)]
+    count = sum(name.startswith(_ROTOR_CONTROL) for name in dynamics.control_names)
+    columns_here = columns_of(range(1, count + 1)) if count else COLUMNS
+    shown = [c for c in columns_here if c.name == ENERGY or dynamics.has(c.component)]
     keys = tuple((c.component, c.index) for c in shown if c.name != ENERGY)
     values = dynamics.table(keys, t, states, controls)
     held = iter(values.T)

@@ -82,31 +82,14 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     is_printed = scenario.wind.coupling is WindCoupling.ACCELERATION
     return (
         *(PARAMETERS if is_printed else ()),
-        *((*_ROTOR_NUMBERS, *_place_parameters(scenario)) if _has_rotor_forces(scenario) else ()),
+        *(_ROTOR_NUMBERS if scenario.vehicle.has_rotor_forces else ()),
         *((_PARASITIC,) if any(scenario.vehicle.parasitic_drag) else ()),
     )
 
 
 def acts_in_body_axes(scenario: Scenario) -> bool:
     """Whether the air acts on the rotors, or on the airframe by axis."""
-    return _has_rotor_forces(scenario) or any(scenario.vehicle.parasitic_drag)
-
-
-def _places(axis: int) -> Callable[[Scenario], dict[int, float]]:
-    return lambda s: {j: place[axis] for j, place in enumerate(s.vehicle.rotor_places, start=1)}
-
-
-def _place_parameters(scenario: Scenario) -> tuple[Parameter, ...]:
-    rotors = tuple(range(1, len(scenario.vehicle.rotor_places) + 1))
-    texts = {"rotor_ahead": "X: place of a rotor along body x", "rotor_aside": "Y: along body y"}
-    return tuple(
-        Parameter(name=name, units=units.m, value=_places(axis), doc=doc, index=rotors)
-        for axis, (name, doc) in enumerate(texts.items())
-    )
-
-
-def _has_rotor_forces(scenario: Scenario) -> bool:
-    return any(row.value(scenario) for row in _ROTOR_NUMBERS)
+    return scenario.vehicle.has_rotor_forces or any(scenario.vehicle.parasitic_drag)
 
 
 def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
@@ -129,7 +112,7 @@ def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
     if not in_body_axes:
         return
     _declare_body_airspeed(b, m)
-    if _has_rotor_forces(scenario):
+    if scenario.vehicle.has_rotor_forces:
         _declare_rotor_forces(b, m)
         _declare_rotor_moments(b, m)
     _declare_sum(b, m, scenario)
@@ -256,18 +239,20 @@ def _declare_body_airspeed(b: Block, m: ConcreteModel) -> None:
 def _declare_rotor_forces(b: Block, m: ConcreteModel) -> None:
     @b.Expression(m.rotors.rotor, m.time, doc="airspeed of one rotor along body x [m/s]")
     def rotor_airspeed_x(b: Block, j: int, t: float) -> NumericExpression:
-        turning = b.rotor_aside[j] * b.parent_block().rigid_body.r[t]
+        m = b.parent_block()
+        turning = m.rotors.aside[j] * m.rigid_body.r[t]
         return b.body_airspeed_x[t] - turning / units.rad
 
     @b.Expression(m.rotors.rotor, m.time, doc="airspeed of one rotor along body y [m/s]")
     def rotor_airspeed_y(b: Block, j: int, t: float) -> NumericExpression:
-        turning = b.rotor_ahead[j] * b.parent_block().rigid_body.r[t]
+        m = b.parent_block()
+        turning = m.rotors.ahead[j] * m.rigid_body.r[t]
         return b.body_airspeed_y[t] + turning / units.rad
 
     @b.Expression(m.rotors.rotor, m.time, doc="airspeed of one rotor along body z [m/s]")
     def rotor_airspeed_z(b: Block, j: int, t: float) -> NumericExpression:
-        body = b.parent_block().rigid_body
-        turning = b.rotor_aside[j] * body.p[t] - b.rotor_ahead[j] * body.q[t]
+        rotors, body = b.parent_block().rotors, b.parent_block().rigid_body
+        turning = rotors.aside[j] * body.p[t] - rotors.ahead[j] * body.q[t]
         return b.body_airspeed_z[t] + turning / units.rad
 
     @b.Expression(m.rotors.rotor, m.time, doc="drag of one rotor along body x [N]")
@@ -291,30 +276,35 @@ def _declare_rotor_forces(b: Block, m: ConcreteModel) -> None:
 def _declare_rotor_moments(b: Block, m: ConcreteModel) -> None:
     @b.Expression(m.time, doc="moment of the air on the rotors about body x [N m]")
     def roll_moment(b: Block, t: float) -> NumericExpression:
-        return sum(b.rotor_aside[j] * b.rotor_force_z[j, t] for j in b.rotor_aside)
+        rotors = b.parent_block().rotors
+        return sum(rotors.aside[j] * b.rotor_force_z[j, t] for j in rotors.rotor)
 
     @b.Expression(m.time, doc="moment of the air on the rotors about body y [N m]")
     def pitch_moment(b: Block, t: float) -> NumericExpression:
-        return -sum(b.rotor_ahead[j] * b.rotor_force_z[j, t] for j in b.rotor_ahead)
+        rotors = b.parent_block().rotors
+        return -sum(rotors.ahead[j] * b.rotor_force_z[j, t] for j in rotors.rotor)
 
     @b.Expression(m.time, doc="moment of the air on the rotors about body z [N m]")
     def yaw_moment(b: Block, t: float) -> NumericExpression:
+        rotors = b.parent_block().rotors
         return sum(
-            b.rotor_ahead[j] * b.rotor_force_y[j, t] - b.rotor_aside[j] * b.rotor_force_x[j, t]
-            for j in b.rotor_ahead
+            rotors.ahead[j] * b.rotor_force_y[j, t] - rotors.aside[j] * b.rotor_force_x[j, t]
+            for j in rotors.rotor
         )
 
 
 def _declare_sum(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the force along each body axis, and all forces together along each world axis."""
     by_axis = any(scenario.vehicle.parasitic_drag)
-    has_rotor_forces = _has_rotor_forces(scenario)
+    has_rotor_forces = scenario.vehicle.has_rotor_forces
     for axis in _AXES:
 
         def along_body(b: Block, t: float, axis: str = axis) -> NumericExpression:
             parts = []
             if has_rotor_forces:
-                parts += [b.component(f"rotor_force_{axis}")[j, t] for j in b.rotor_ahead]
+                parts += [
+                    b.component(f"rotor_force_{axis}")[j, t] for j in b.parent_block().rotors.rotor
+                ]
             if by_axis:
                 over_airspeed = b.parasitic_drag[axis] * _airspeed(b, t)
                 parts.append(-over_airspeed * b.component(f"body_airspeed_{axis}")[t])

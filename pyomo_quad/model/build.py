@@ -5,10 +5,19 @@ from collections.abc import Hashable, Iterator
 from pyomo.dae import ContinuousSet, Integral
 from pyomo.environ import ConcreteModel, Objective, Param, Suffix, Var, minimize, units
 
-from pyomo_quad.model import aerodynamics, airspace, battery, limits, mission, power, vehicle, wind
+from pyomo_quad.model import (
+    aerodynamics,
+    airspace,
+    battery,
+    limits,
+    mission,
+    power,
+    rotors,
+    vehicle,
+    wind,
+)
 from pyomo_quad.model.parameters import Parameter, parameter_items
 from pyomo_quad.model.rigid_body import declare_balances, declare_motion
-from pyomo_quad.model.rotors import declare_motors, declare_rotors
 from pyomo_quad.scenario import Scenario
 
 
@@ -81,8 +90,8 @@ def _vehicle_in_the_air(scenario: Scenario) -> ConcreteModel:
     m.scaling_factor = Suffix(direction=Suffix.EXPORT)
     vehicle.declare_vehicle(m, scenario)
     wind.declare_wind(m, scenario)
-    declare_rotors(m, scenario)
-    declare_motors(m)
+    rotors.declare_rotors(m, scenario)
+    rotors.declare_motors(m)
     declare_motion(m, scenario)
     aerodynamics.declare_aerodynamics(m, scenario)
     return m
@@ -114,6 +123,7 @@ def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter,
         yield "wind", wind.PARAMETERS
         for axis, table in wind.AXIS_PARAMETERS.items():
             yield f"wind.{axis}", table
+    yield "rotors", rotors.parameters_of(scenario)
     yield "aerodynamics", aerodynamics.parameters_of(scenario)
     yield "power", power.parameters_of(scenario)
     yield "battery", battery.PARAMETERS
@@ -163,6 +173,8 @@ def structure_key(scenario: Scenario) -> Hashable:
         scenario.power.regeneration,
         scenario.wind.coupling,
         None if series is None else (series, scenario.wind.time_offset),
+        scenario.vehicle.has_own_rotors,
+        scenario.vehicle.rotor_senses,
         tuple(row.name for row in aerodynamics.parameters_of(scenario)),
         tuple(row.name for row in limits.parameters_of(scenario)),
         airspace.structure_of(scenario),

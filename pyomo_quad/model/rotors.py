@@ -1,11 +1,53 @@
-"""The four rotors and their brushless motors, eq. (1)-(3) and (7), as direct-current motors."""
+"""The rotors and their brushless motors, eq. (1)-(3) and (7), as direct-current motors."""
+
+from collections.abc import Callable, Iterable
 
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
 from pyomo.environ import Block, ConcreteModel, Set, Var, units
 
+from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.vehicle import ROTOR_COUNT, Attitude
+from pyomo_quad.scenario.vehicle import Attitude
+
+
+def _numbers(scenario: Scenario) -> tuple[int, ...]:
+    """Return the numbers of the rotors, from 1."""
+    return tuple(range(1, len(scenario.vehicle.rotor_places) + 1))
+
+
+def _by_rotor(
+    read: Callable[[Scenario], Iterable[float]],
+) -> Callable[[Scenario], dict[int, float]]:
+    return lambda scenario: dict(zip(_numbers(scenario), read(scenario), strict=True))
+
+
+def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
+    """Return the places and senses of the rotors, where the equations ask for them one by one."""
+    vehicle, numbers = scenario.vehicle, _numbers(scenario)
+    ahead = Parameter(
+        name="ahead",
+        units=units.m,
+        value=_by_rotor(lambda s: (x for x, _ in s.vehicle.rotor_places)),
+        doc="X: place of a rotor along body x",
+        index=numbers,
+    )
+    aside = Parameter(
+        name="aside",
+        units=units.m,
+        value=_by_rotor(lambda s: (y for _, y in s.vehicle.rotor_places)),
+        doc="Y: place of a rotor along body y",
+        index=numbers,
+    )
+    sense = Parameter(
+        name="sense",
+        units=units.dimensionless,
+        value=_by_rotor(lambda s: s.vehicle.rotor_senses),
+        doc="s: where the drag of a rotor turns the body",
+        index=numbers,
+    )
+    has_places = vehicle.has_own_rotors or vehicle.has_rotor_forces
+    return (*((ahead, aside) if has_places else ()), *((sense,) if vehicle.has_own_rotors else ()))
 
 
 def declare_motors(m: ConcreteModel) -> None:
@@ -48,11 +90,15 @@ def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
         With `time`, `vehicle` and `scaling_factor`.
     """
     b = m.rotors = Block(doc="rotors, eq. (7) and (9)")
-    b.rotor = Set(initialize=range(1, ROTOR_COUNT + 1), doc="rotors as the paper numbers them")
+    b.rotor = Set(initialize=_numbers(scenario), doc="rotors as the paper numbers them")
     _declare_speeds(b, m, scenario)
-    _declare_mixer(b, m)
+    declare_parameters(b, parameters_of(scenario), scenario)
+    if scenario.vehicle.has_own_rotors:
+        _declare_mixer_of_places(b, m)
+    else:
+        _declare_mixer(b, m)
     if scenario.vehicle.attitude is Attitude.EULER:
-        _declare_yaw_reaction(b, m)
+        _declare_yaw_reaction(b, m, scenario.vehicle.rotor_senses)
 
 
 def _declare_speeds(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
@@ -99,8 +145,40 @@ def _declare_mixer(b: Block, m: ConcreteModel) -> None:
         return b.omega[1, t] - b.omega[2, t] + b.omega[3, t] - b.omega[4, t]
 
 
-def _declare_yaw_reaction(b: Block, m: ConcreteModel) -> None:
+def _declare_mixer_of_places(b: Block, m: ConcreteModel) -> None:
+    """Declare the mixer of rotors anywhere in the plane, of which eq. (7) is that of a cross."""
+
+    @b.Expression(b.rotor, m.time, doc="thrust of one rotor [N]")
+    def rotor_thrust(b: Block, j: int, t: float) -> NumericExpression:
+        return b.parent_block().vehicle.thrust_coefficient * b.omega[j, t] ** 2
+
+    @b.Expression(m.time, doc="total thrust [N]")
+    def total_thrust(b: Block, t: float) -> NumericExpression:
+        return sum(b.rotor_thrust[j, t] for j in b.rotor)
+
+    @b.Expression(m.time, doc="roll moment of the rotors [N m]")
+    def roll_moment(b: Block, t: float) -> NumericExpression:
+        return sum(b.aside[j] * b.rotor_thrust[j, t] for j in b.rotor)
+
+    @b.Expression(m.time, doc="pitch moment of the rotors [N m]")
+    def pitch_moment(b: Block, t: float) -> NumericExpression:
+        return -sum(b.ahead[j] * b.rotor_thrust[j, t] for j in b.rotor)
+
+    @b.Expression(m.time, doc="yaw moment of the rotors [N m]")
+    def yaw_moment(b: Block, t: float) -> NumericExpression:
+        kappa = b.parent_block().vehicle.drag_torque_coefficient
+        return kappa * sum(b.sense[j] * b.omega[j, t] ** 2 for j in b.rotor)
+
+    @b.Expression(m.time, doc="speed imbalance of the rotors [rad/s]")
+    def speed_imbalance(b: Block, t: float) -> NumericExpression:
+        return sum(b.sense[j] * b.omega[j, t] for j in b.rotor)
+
+
+def _declare_yaw_reaction(b: Block, m: ConcreteModel, senses: tuple[int, ...]) -> None:
     @b.Expression(m.time, doc="moment on the body of rotors that gather speed [N m]")
     def yaw_reaction(b: Block, t: float) -> NumericExpression:
-        gathering = b.alpha[1, t] - b.alpha[2, t] + b.alpha[3, t] - b.alpha[4, t]
+        gathering = sum(
+            b.alpha[j, t] if sense > 0 else -b.alpha[j, t]
+            for j, sense in zip(b.rotor, senses, strict=True)
+        )
         return b.parent_block().vehicle.rotor_inertia * gathering

@@ -17,7 +17,7 @@ from pyomo_quad.scenario.fields import (
     WholeNumber,
     quantity,
 )
-from pyomo_quad.scenario.vehicle import ROTOR_COUNT, Vehicle
+from pyomo_quad.scenario.vehicle import Vehicle
 
 _MILLISECONDS = "no loop is faster than the milliseconds of motors and sensors"
 _RATE = Sound(1e-3, 1e4, _MILLISECONDS)
@@ -356,19 +356,19 @@ class Limits(Part):
     )
     thrust_max: Number = quantity(
         "N",
-        "largest total thrust, default of four rotors",
+        "largest total thrust, default of all rotors",
         gt=0,
         sound=Sound(0, 1e7, "flying machines weigh at most ten tonnes"),
     )
     roll_moment_max: Number = quantity(
-        "N*m", "largest roll moment, default of one rotor", gt=0, sound=_MOMENT
+        "N*m", "largest roll moment, default of the rotors on one side", gt=0, sound=_MOMENT
     )
     pitch_moment_max: Number = quantity(
-        "N*m", "largest pitch moment, default of one rotor", gt=0, sound=_MOMENT
+        "N*m", "largest pitch moment, default of the rotors ahead", gt=0, sound=_MOMENT
     )
     yaw_moment_max: Number = quantity(
         "N*m",
-        "largest yaw moment, default of two rotors",
+        "largest yaw moment, default of half of the rotors",
         gt=0,
         sound=_MOMENT,
     )
@@ -422,9 +422,11 @@ def derived_limits(vehicle: Vehicle, rotor_speed_max: float) -> dict[str, float]
     """
     rotor_thrust = vehicle.thrust_coefficient * rotor_speed_max**2
     rotor_drag_torque = vehicle.drag_torque_coefficient * rotor_speed_max**2
+    places = vehicle.rotor_places
+    ahead, aside = (sum(map(abs, along)) / 2 for along in zip(*places, strict=True))
     return {
-        "thrust_max": ROTOR_COUNT * rotor_thrust,
-        "roll_moment_max": vehicle.arm_length * rotor_thrust,
-        "pitch_moment_max": vehicle.arm_length * rotor_thrust,
-        "yaw_moment_max": 2 * rotor_drag_torque,
+        "thrust_max": len(places) * rotor_thrust,
+        "roll_moment_max": aside * rotor_thrust,
+        "pitch_moment_max": ahead * rotor_thrust,
+        "yaw_moment_max": len(places) / 2 * rotor_drag_torque,
     }

@@ -1,17 +1,50 @@
 """The vehicle's table of a scenario."""
 
+from collections.abc import Sequence
 from enum import StrEnum
-from math import sqrt
+from math import hypot, sqrt
+from operator import mul
+from typing import Self
 
-from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Sound, Text, Triple, quantity
+from pydantic import model_validator
+
+from pyomo_quad.scenario.fields import (
+    ONE_LINE,
+    Number,
+    Part,
+    Sound,
+    Text,
+    Triple,
+    WholeNumber,
+    quantity,
+)
 
 ROTOR_COUNT = 4
+MOST_ROTORS = 8
 # Ahead, to the left, behind, to the right, as the signs of eq. (7) say.
 _CROSS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 _INERTIA = Sound(1e-9, 1e6, "a gram at a millimetre has 1e-9, ten tonnes at ten metres have 1e6")
 _ROTOR_DRAG = Sound(0, 1e2, "a rotor of a centimetre has about 1e-8, one of ten metres about 1")
 _FITTED = Sound(-1e9, 1e9, "f_r is a share and its arguments are not tiny")
+
+
+# m, from the centre of mass to the farthest rotor.
+_LEAST_REACH, _MOST_REACH = 1e-3, 100.0
+# Share of the reach by which positions, typed with a few digits, may miss their balance.
+_BALANCED = 1e-4
+
+
+# Squared volume of what rotors do about the three axes, of order one for rotors in a ring.
+_LEAST_VOLUME = 1e-6
+
+
+def _volume(*rows: Sequence[float]) -> float:
+    """Return the squared volume that three rows span: their Gram determinant."""
+    (a, b, c), (_, d, e), (_, _, f) = (
+        [sum(map(mul, one, other)) for other in rows] for one in rows
+    )
+    return a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
 
 
 class EfficiencyMap(Part):
@@ -33,7 +66,7 @@ class Attitude(StrEnum):
 
 
 class Vehicle(Part):
-    """A quadrotor: four equal rotors on arms along body x and y, numbered as in the paper."""
+    """A multirotor of equal rotors: the paper's four on arms along body x and y, unless placed."""
 
     use: Text = quantity("", "name of the vehicle in the library, or a file of its own, NAME.toml")
     title: Text = quantity(
@@ -193,6 +226,18 @@ class Vehicle(Part):
         le=10,
         is_late=True,
     )
+    rotor_positions: tuple[tuple[Number, Number], ...] | None = quantity(
+        "m",
+        "place of each rotor along body x and y, a cross of four arms when absent",
+        None,
+        is_late=True,
+    )
+    rotor_spins: tuple[WholeNumber, ...] | None = quantity(
+        "1",
+        "1 for a rotor clockwise from above, -1 for one the other way, alternating when absent",
+        None,
+        is_late=True,
+    )
     rotor_drag_plane: Number = quantity(
         "kg/rad",
         "drag in the rotor plane over airspeed and rotor speed, of one rotor (Mellinger)",
@@ -245,10 +290,61 @@ class Vehicle(Part):
         """Mass in flight, kg."""
         return self.mass + self.payload
 
+    @model_validator(mode="after")
+    def _rotors_hover_at_one_speed(self) -> Self:
+        places, spins = self.rotor_places, self.rotor_senses
+        if not ROTOR_COUNT <= len(places) <= MOST_ROTORS:
+            raise ValueError(
+                f"rotor_positions has {len(places)} rotors; must have {ROTOR_COUNT} to "
+                f"{MOST_ROTORS}"
+            )
+        if len(spins) != len(places) or set(spins) - {-1, 1}:
+            raise ValueError(
+                f"rotor_spins must give 1 or -1 for each of the {len(places)} rotors; correct it"
+            )
+        reach = max(hypot(*place) for place in places)
+        if not _LEAST_REACH <= reach <= _MOST_REACH:
+            raise ValueError(
+                f"rotor_positions reach {reach:g} m; must reach {_LEAST_REACH:g} to "
+                f"{_MOST_REACH:g} m from the centre of mass"
+            )
+        moments = (*map(sum, zip(*places, strict=True)), sum(spins))
+        if any(abs(moment) > _BALANCED * reach for moment in moments):
+            raise ValueError(
+                "rotor_positions and rotor_spins must each add up to zero: at one speed the rotors "
+                "are to hover without a moment"
+            )
+        x, y = ([along / reach for along in axis] for axis in zip(*places, strict=True))
+        if _volume(x, y, spins) < _LEAST_VOLUME:
+            raise ValueError(
+                "rotor_positions and rotor_spins cannot turn the vehicle about every axis; place "
+                "the rotors off one line and let their spins alternate"
+            )
+        return self
+
     @property
     def rotor_places(self) -> tuple[tuple[float, float], ...]:
         """Where each rotor stands along body x and y, m."""
+        if self.rotor_positions is not None:
+            return self.rotor_positions
         return tuple((ahead * self.arm_length, aside * self.arm_length) for ahead, aside in _CROSS)
+
+    @property
+    def rotor_senses(self) -> tuple[int, ...]:
+        """Where the drag of each rotor turns the body: 1 for +yaw, -1 for the other way."""
+        if self.rotor_spins is not None:
+            return self.rotor_spins
+        return tuple(1 - 2 * (j % 2) for j in range(len(self.rotor_places)))
+
+    @property
+    def has_own_rotors(self) -> bool:
+        """Whether the rotors are others than the paper's cross of four."""
+        return self.rotor_positions is not None or self.rotor_spins is not None
+
+    @property
+    def has_rotor_forces(self) -> bool:
+        """Whether the air acts on the rotors beside their thrust."""
+        return bool(self.rotor_drag_plane or self.rotor_drag_axis or self.translational_lift)
 
     def hover_speed(self, gravity: float) -> float:
         """Return the rotor speed at which the thrust balances the weight.
@@ -263,4 +359,4 @@ class Vehicle(Part):
         float
             Speed of each rotor, rad/s.
         """
-        return sqrt(self.total_mass * gravity / (ROTOR_COUNT * self.thrust_coefficient))
+        return sqrt(self.total_mass * gravity / (len(self.rotor_places) * self.thrust_coefficient))

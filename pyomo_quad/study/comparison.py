@@ -17,9 +17,17 @@ from pyomo_quad.flight.baselines import (
     reference_path,
 )
 from pyomo_quad.flight.controller import CONTROLLER_STATES
-from pyomo_quad.flight.flight import COLUMNS, POSITION_STATES, ROTORS, TIME, VELOCITY_STATES, Flight
+from pyomo_quad.flight.flight import (
+    POSITION_STATES,
+    ROTORS,
+    TIME,
+    VELOCITY_STATES,
+    Flight,
+    columns_of,
+)
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Reference
+from pyomo_quad.scenario.vehicle import MOST_ROTORS
 from pyomo_quad.study.certificate import Certificate
 
 FloatArray = NDArray[np.float64]
@@ -82,7 +90,8 @@ with its default gains stops within the distance above."""
 INSIDE_DISTANCE_M = 0.1
 """Distance from the goal that counts as being there."""
 
-_COLUMN_OF = {(shown.component, shown.index): shown.name for shown in COLUMNS}
+_EVERY_ROTOR = range(1, MOST_ROTORS + 1)
+_COLUMN_OF = {(shown.component, shown.index): shown.name for shown in columns_of(_EVERY_ROTOR)}
 
 
 class ComparisonColumn(StrEnum):
@@ -260,7 +269,7 @@ def _percent(part: float, whole: float) -> float:
 
 def _measured(scenario: Scenario, frame: pd.DataFrame) -> dict[ComparisonColumn, float]:
     """Return what is read off a flight's table; NaN where a user's model lacks the column."""
-    alpha = np.column_stack([_values(frame, "rotors.alpha", rotor) for rotor in ROTORS])
+    alpha = _rotor_values(frame, "rotors.alpha")
     tilt = np.cos(_values(frame, "rigid_body.phi")) * np.cos(_values(frame, "rigid_body.theta"))
     charge = _values(frame, "battery.state_of_charge")
     return {
@@ -274,7 +283,7 @@ def _measured(scenario: Scenario, frame: pd.DataFrame) -> dict[ComparisonColumn,
 
 def _reserve_percent(scenario: Scenario, frame: pd.DataFrame) -> float:
     limits = scenario.limits
-    speeds = np.column_stack([_values(frame, "rotors.omega", rotor) for rotor in ROTORS])
+    speeds = _rotor_values(frame, "rotors.omega")
     thrust = _values(frame, "rotors.total_thrust")
     used = max(speeds.max() / limits.rotor_speed_max, thrust.max() / limits.thrust_max)
     return float(100.0 * (1.0 - used))
@@ -288,6 +297,12 @@ def _time_inside(scenario: Scenario, frame: pd.DataFrame) -> float:
         return nan
     is_near = (distance <= INSIDE_DISTANCE_M).astype(float)
     return float(np.trapezoid(is_near, frame[TIME].to_numpy(dtype=float)))
+
+
+def _rotor_values(frame: pd.DataFrame, component: str) -> FloatArray:
+    """Return a column for each rotor, of the paper's four where a user's model has none."""
+    rotors = [j for j in _EVERY_ROTOR if _COLUMN_OF[component, j] in frame] or ROTORS
+    return np.column_stack([_values(frame, component, rotor) for rotor in rotors])
 
 
 def _values(frame: pd.DataFrame, component: str, index: int | None = None) -> FloatArray:
