@@ -300,8 +300,8 @@ def _time_inside(scenario: Scenario, frame: pd.DataFrame) -> float:
 
 
 def _rotor_values(frame: pd.DataFrame, component: str) -> FloatArray:
-    """Return a column for each rotor, of the paper's four where a user's model has none."""
-    rotors = [j for j in _EVERY_ROTOR if _COLUMN_OF[component, j] in frame] or ROTORS
+    """Return a column for each rotor, four at least; NaN where a user's model lacks one."""
+    rotors = [j for j in _EVERY_ROTOR if j in ROTORS or _COLUMN_OF[component, j] in frame]
     return np.column_stack([_values(frame, component, rotor) for rotor in rotors])
 
 
