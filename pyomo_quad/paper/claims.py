@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pyomo_quad.flight import Planner
-from pyomo_quad.paper.experiments import Experiment, paper_scenario
+from pyomo_quad.paper.experiments import POWER_MODELS, Experiment, paper_scenario
 from pyomo_quad.paper.study import PaperStudy
 from pyomo_quad.scenario import PowerModel
 
@@ -137,7 +137,7 @@ def corrections(study: PaperStudy) -> dict[str, Any]:
     # Whether braking earns, as the experiments are declared.
     earns = {
         model: paper_scenario(Experiment.CALM, {"power.model": model}).power.regeneration
-        for model in PowerModel
+        for model in POWER_MODELS
     }
     return {
         "vehicle": scenario.vehicle,

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 PAPER_CELL = "paper_cell"
 PHANTOM_PACK = "phantom_2_pack"
 
+#: The power models that the paper's vehicle has numbers for: it prints no radius of its rotors.
+POWER_MODELS = tuple(model for model in PowerModel if model is not PowerModel.MOMENTUM)
+
 _WIND = {1: "calm", 2: "paper_table_2"}
 _NAME = {1: "paper_calm", 2: "paper_wind"}
 
@@ -186,7 +189,7 @@ def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
     return tuple(
         FlightCase(experiment=experiment, power_model=model, is_quick=is_quick)
         for experiment in Experiment
-        for model in PowerModel
+        for model in POWER_MODELS
     )
 
 

@@ -18,7 +18,13 @@ from pyomo_quad.paper.claims import (
     implied_wind_optimum,
 )
 from pyomo_quad.paper.examination import examination
-from pyomo_quad.paper.experiments import BaselineFlight, Experiment, PaperFlight, paper_scenario
+from pyomo_quad.paper.experiments import (
+    POWER_MODELS,
+    BaselineFlight,
+    Experiment,
+    PaperFlight,
+    paper_scenario,
+)
 from pyomo_quad.paper.figures import floor_drawing, paper_drawings
 from pyomo_quad.paper.study import PaperStudy
 from pyomo_quad.paper.tables import TABLES, baseline_saving, find_flight, paper_tables
@@ -31,10 +37,7 @@ from pyomo_quad.report.tables import write_table
 from pyomo_quad.scenario import PowerModel, WindCoupling
 from pyomo_quad.study.comparison import settled_energy
 
-# Those that know nothing of the airspeed, as the paper's own.
-_OTHER_POWERS = tuple(
-    model for model in PowerModel if model not in (PowerModel.MOTOR, PowerModel.MOMENTUM)
-)
+_OTHER_POWERS = tuple(model for model in POWER_MODELS if model is not PowerModel.MOTOR)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -59,7 +59,7 @@ def test_check_quietly(tmp_path, capsys):
 def test_library_lists_names(capsys):
     assert main(["library"]) == ExitCode.VERIFIED
     said = capsys.readouterr().out
-    assert "vehicles: dji_phantom_2\n" in said
+    assert "vehicles: dji_matrice_100, dji_phantom_2\n" in said
     assert "winds: calm, constant, paper_table_2\n" in said
 
 

@@ -26,7 +26,12 @@ scenarios = st.fixed_dictionaries(
             }
         ),
         "vehicle": st.fixed_dictionaries(
-            {"payload": within(0, 1), "drag_linear": within(0, 10), "arm_length": within(0.01, 9)}
+            {
+                "payload": within(0, 1),
+                "drag_linear": within(0, 10),
+                "arm_length": within(0.01, 9),
+                "rotor_radius": within(0.01, 1),
+            }
         ),
         "wind": st.fixed_dictionaries(
             {

@@ -10,6 +10,7 @@ from pyomo_quad.flight import Flight, Planner
 from pyomo_quad.paper.claims import corrections
 from pyomo_quad.paper.examination import examination
 from pyomo_quad.paper.experiments import (
+    POWER_MODELS,
     BaselineCase,
     BaselineFlight,
     Experiment,
@@ -128,7 +129,7 @@ def test_the_note_on_braking_names_the_models_that_the_declared_power_credits():
     (row,) = (line for line in told.splitlines() if line.startswith("| braking"))
     note = row.split(" | ")[2]
     without, with_it = note.split(" counts")[0].split("; ")
-    for model in PowerModel:
+    for model in POWER_MODELS:
         steady = Planner().steady_flight(paper_scenario(Experiment.CALM, {"power.model": model}))
         powers = [
             steady.rotor_value("power.rotor_power", speed, acceleration)

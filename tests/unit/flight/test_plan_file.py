@@ -146,9 +146,9 @@ def set_field(path, value):
 def damaged_array(array, how):
     flat = np.array(array)
     if how == "nan":
-        flat.ravel()[0] = np.nan
+        flat.flat[0] = np.nan
     if how == "infinite":
-        flat.ravel()[-1] = -np.inf
+        flat.flat[-1] = -np.inf
     return {
         "strings": array.astype(str),
         "complex": array + 0j,
