@@ -85,7 +85,16 @@ def test_naming_the_commands_imports_no_solver():
     assert slow.isdisjoint(modules_after("import pyomo_quad.cli.app"))
 
 
-@pytest.mark.parametrize("first", ["pass", "import pyomo.environ", "import pyomo.core"])
+@pytest.mark.parametrize(
+    "first",
+    [
+        "pass",
+        *(
+            pytest.param(f"import pyomo.{name}", marks=pytest.mark.slow)
+            for name in ("environ", "core")
+        ),
+    ],
+)
 def test_solving_imports_neither_statistics_nor_plots(first):
     slow = {"scipy.stats", "matplotlib", "plotly"}
     assert slow.isdisjoint(modules_after(f"{first}\nimport pyomo_quad.cli.solving"))
@@ -105,6 +114,7 @@ def test_unknown_figures_are_refused(capsys):
     assert "'svg' is not one of 'all', 'png', 'none'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_pyomo_still_finds_what_it_was_kept_from():
     program = (
         "import pyomo_quad.cli.solving\n"
@@ -114,6 +124,7 @@ def test_pyomo_still_finds_what_it_was_kept_from():
     assert "scipy.stats" in modules_after(program)
 
 
+@pytest.mark.slow
 def test_units_made_before_and_after_the_import_belong_together():
     program = (
         "from pyomo.environ import units\n"
@@ -124,6 +135,7 @@ def test_units_made_before_and_after_the_import_belong_together():
     modules_after(program)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cache", ["/dev/null/none", "rubbish"])
 def test_units_need_no_cache(cache, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", cache if cache.startswith("/") else str(tmp_path))

@@ -146,6 +146,7 @@ def test_a_solve_stopped_early_leaves_nothing(tmp_path, monkeypatch, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_kill_leaves_the_old_report_and_the_next_run_cleans_up(folder):
     before = content(folder)
     process = begin(folder, *QUICK)
@@ -158,6 +159,7 @@ def test_kill_leaves_the_old_report_and_the_next_run_cleans_up(folder):
     assert leftovers(folder) == []
 
 
+@pytest.mark.slow
 def test_full_disk_is_one_line_and_keeps_the_old_report(folder):
     def allow_small_files_only():
         resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))

@@ -98,6 +98,7 @@ def test_run_of_an_impossible_mission_compares_nothing(tmp_path, capsys):
     assert (folder / "report.md").read_text().startswith("# Failed, infeasible: ")
 
 
+@pytest.mark.slow
 def test_a_wind_that_the_optimiser_was_not_told(tmp_path, capsys):
     folder = tmp_path / "report"
     arguments = ["run", str(SCENARIOS / "wind_untold.toml"), *QUICK, "--out", str(folder)]

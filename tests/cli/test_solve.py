@@ -161,6 +161,7 @@ def test_refinement_that_gives_up_says_so(tmp_path, capsys):
     assert said.startswith("paper_calm: solved but not verified: refinement stopped")
 
 
+@pytest.mark.slow
 def test_two_runs_write_the_same_tables_and_documents(tmp_path, calm):
     # Of all that is written only summary.json knows the time.
     again = solve(tmp_path / "report", "--quiet")

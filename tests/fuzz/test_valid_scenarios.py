@@ -7,7 +7,7 @@ from pyomo_quad.collocation import compile as compile_model
 from pyomo_quad.model import build_model, inspect_model
 from pyomo_quad.scenario import FeasibilityError, PowerModel, WindCoupling, scenario_from_mapping
 
-EXAMPLES = 12
+EXAMPLES = 4
 
 
 def within(lowest, highest):

@@ -78,6 +78,7 @@ def test_a_dry_run_counts_cases_measures_one_and_writes_nothing(study, tmp_path,
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_too_many_cases_ask_for_yes(study, tmp_path, capsys):
     rewrite(study, "count = 10", "count = 5000")
@@ -116,7 +117,9 @@ def test_on_a_terminal_there_is_a_bar(study, tmp_path, capsys, monkeypatch):
     assert "0 failed" in shown
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_an_interrupted_sweep_ends_with_its_status_and_goes_on(number, tmp_path):
     study, folder = write_study(tmp_path, DURATION_AXIS), tmp_path / "out"
     process = start("sweep", str(study), "--workers=1", "--out", str(folder))

@@ -194,6 +194,7 @@ def read_only(folder: Path, *arguments: object) -> subprocess.CompletedProcess:
     return done
 
 
+@pytest.mark.slow
 def test_a_killed_sweep_on_a_read_only_disk_is_read_whole(folder, tmp_path):
     # The log of a sweep that was killed holds rows that its database does not have yet.
     with closing(sqlite3.connect(folder / STORE_NAME)) as database:

@@ -13,6 +13,7 @@ def study(tmp_path):
     return write_study(tmp_path)
 
 
+@pytest.mark.slow
 def test_one_and_two_processes_give_the_rows_of_none(study, tmp_path):
     sweep(study, tmp_path / "none", Here())
     for count in (1, 2):
