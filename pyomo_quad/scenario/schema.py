@@ -192,7 +192,7 @@ class Scenario(Part):
         """
         if duration == self.mission.duration and not passing_times:
             return self
-        values: dict[str, Any] = Mission.chosen(duration)
+        values: dict[str, Any] = Mission.chosen(float(duration))
         if passing_times:
             pairs = zip(self.mission.waypoints, passing_times, strict=True)
             values["waypoints"] = tuple(w.model_copy(update={"at": at}) for w, at in pairs)

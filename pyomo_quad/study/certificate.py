@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 from scipy.linalg import null_space
-from scipy.optimize import OptimizeResult, minimize
+from scipy.optimize import OptimizeResult, minimize, minimize_scalar
 
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight
@@ -228,12 +228,15 @@ def _bound(scenario: Scenario, planner: Planner) -> tuple[float | None, str]:
     power = _SteadyPower(scenario, planner.steady_flight(scenario))
     if not power.is_polynomial:
         return None, "the power of steady flight is not a polynomial of the rotor speed."
-    mission, duration = scenario.mission, scenario.mission.fixed_duration
+    mission = scenario.mission
     displacement = np.subtract(mission.goal.position, mission.start.position)
+    if mission.is_free:
+        return _bound_of_any_duration(scenario, demand, power, displacement)
+    duration = mission.fixed_duration
     # A bound above what full power for the whole flight would spend proves that there is none.
     ceiling = float(np.max(power.power)) * duration * (1 + _ROUNDING)
     moments = ThrustMoments(demand, displacement, duration)
-    found = _best_bound(moments, power, ceiling)
+    found, _ = _best_bound(moments, power, ceiling)
     if found > ceiling:
         return None, _IMPOSSIBLE
     return found, (
@@ -242,6 +245,95 @@ def _bound(scenario: Scenario, planner: Planner) -> tuple[float | None, str]:
         "flight that meets the boundary conditions within the rotor speed limits"
         f"{_less_room(scenario)}."
     )
+
+
+def _bound_of_any_duration(
+    scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, displacement: FloatArray
+) -> tuple[float | None, str]:
+    """Return the least bound over all durations allowed, and what it rests on.
+
+    A price p of the thrust that goes from p0 to p1 in a straight line bounds the energy of every
+    flight of duration T by A / T + G T: A = -m (p1 - p0) . displacement, and G the mean over the
+    line of p . standing force - conjugate(|p|).  Where both are positive that is convex in T, so
+    its least value is known on the whole interval.
+    """
+    times = np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES)
+    standing = np.array([demand.thrust(float(t)) for t in times])
+    scale = float(np.max(np.abs(standing)))
+    if np.max(np.abs(standing - standing[0])) > _ROUNDING * scale:
+        return None, "no bound is known for a free duration in a wind that changes with time."
+    if np.max(np.abs(demand.drag)) > 0.0:
+        return None, "no bound is known for a free duration with drag."
+    free = _FreeTime(demand.mass * displacement, standing[0], power, scenario)
+    prices = _prices_of_cheapest_duration(scenario, demand, power, displacement)
+    bound = free.bound(prices)
+    least, greatest = scenario.mission.duration_limits
+    return bound, (
+        "momentum balance and displacement fix two means of the thrust vector, and steady power "
+        f"under power.model {scenario.power.model.value} bounds what they cost; one price of the "
+        f"thrust bounds every duration from {least:g} to {greatest:g} s, for every flight that "
+        f"meets the boundary conditions within the rotor speed limits{_less_room(scenario)}."
+    )
+
+
+# Where the standing force is compared with itself to see if it changes.
+_STANDING_SAMPLES = 101
+# How near to the duration that is bounded least, relative: the bound is flat there.
+_DURATION_ERROR = 1e-3
+# Full power for so many times the duration is more than any flight spends.
+_IMPOSSIBLY_LONG = 10.0
+# s. A flight that may take longer may take as long as it likes.
+_ENDLESS = 86_400.0
+
+
+def _prices_of_cheapest_duration(
+    scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, displacement: FloatArray
+) -> FloatArray:
+    """Return the price of thrust at start and end of the fixed duration that is bounded least."""
+    most = float(np.max(power.power))
+    found: dict[float, FloatArray] = {}
+
+    def bound(duration: float) -> float:
+        moments = ThrustMoments(demand, displacement, duration)
+        value, x = _best_bound(moments, power, _IMPOSSIBLY_LONG * most * duration)
+        # Without drag the weights are 1 and, from start to end, 1/2 to -1/2.
+        found[duration] = np.concatenate([x[0] + x[1] / 2, x[0] - x[1] / 2])
+        return value
+
+    least, greatest = scenario.mission.duration_limits
+    usual = scenario.nominal_duration
+    search = minimize_scalar(
+        bound,
+        bounds=(max(least, usual / 8), min(greatest, 2 * usual)),
+        method="bounded",
+        options={"xatol": _DURATION_ERROR * usual},
+    )
+    return found[float(search.x)]
+
+
+class _FreeTime:
+    """The bound of all durations as a function of the price of thrust at start and end."""
+
+    def __init__(
+        self, lever: FloatArray, standing: FloatArray, power: _SteadyPower, scenario: Scenario
+    ) -> None:
+        self._lever, self._standing, self._power = lever, standing, power
+        self._limits = scenario.mission.duration_limits
+        self._shares, self._widths = _gauss(1.0, _PANELS)
+
+    def bound(self, prices: FloatArray) -> float:
+        """Return the least bound over all durations, nought where it is none."""
+        first, last = np.split(prices, 2)
+        price = first + np.outer(self._shares, last - first)
+        conjugate, _ = self._power.conjugate(np.linalg.norm(price, axis=1))
+        gained = float(-(last - first) @ self._lever)
+        spent = float(self._widths @ (price @ self._standing - conjugate))
+        least, greatest = self._limits
+        if gained < 0.0 or (spent <= 0.0 and greatest >= _ENDLESS):
+            return 0.0
+        best = np.sqrt(gained / spent) if spent > 0.0 else greatest
+        duration = float(np.clip(best, least, greatest))
+        return max(0.0, gained / duration + duration * spent)
 
 
 def _less_room(scenario: Scenario) -> str:
@@ -256,8 +348,8 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
     """Yield why no bound is known, the plainest first."""
     if scenario.model is not None:
         yield f"no bound is known for a model of one's own ({scenario.model})."
-    if scenario.mission.is_free:
-        yield "no bound is known for a free duration."
+    if scenario.mission.released > 0:
+        yield "no bound is known for a mass that changes on the way."
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield (
             "power.model efficiency has no bound: its power is not convex in the rotor "
@@ -277,8 +369,10 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
         yield _IMPOSSIBLE
 
 
-def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> float:
-    """Return the largest bound found, at least that of Jensen's inequality.
+def _best_bound(
+    moments: ThrustMoments, power: _SteadyPower, ceiling: float
+) -> tuple[float, FloatArray]:
+    """Return the largest bound found, at least that of Jensen's inequality, and its multipliers.
 
     `ceiling` is where the search may stop, since no flight spends so much.
     """
@@ -306,7 +400,10 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
         callback=stop_above,
         options={"maxiter": _ITERATIONS},
     )
-    return max(-negative(jensen.ravel())[0], -float(found.fun))
+    plain = -negative(jensen.ravel())[0]
+    if plain > -float(found.fun):
+        return plain, jensen
+    return -float(found.fun), found.x.reshape(2, 3)
 
 
 class _SteadyPower:

@@ -1,0 +1,59 @@
+"""The bound of all durations is the least of the bounds of each, and no flight is below it."""
+
+import numpy as np
+import pytest
+
+from pyomo_quad.flight import Planner
+from pyomo_quad.study.certificate import certify
+from tests.declared_model import scenario
+
+
+def free(**tables):
+    mission = {"goal": {"position": [6.0, 7.0, 8.0]}, "duration": "free"}
+    return scenario(mission=mission | tables.pop("mission", {}), **tables)
+
+
+@pytest.mark.parametrize(
+    "mission", [{"goal": {"position": [30.0, -4.0, -2.0]}}, {"duration_min": 6.0}]
+)
+def test_the_bound_is_the_least_of_those_of_fixed_durations(mission):
+    planner, told = Planner(), free(mission=mission)
+    least, _ = told.mission.duration_limits
+    times = [max(least, t) for t in np.geomspace(0.2, 1.2, 11) * told.nominal_duration]
+    fixed = [certify(told.lasting(t), planner=planner).lower_bound_J for t in times]
+    found = certify(told, planner=planner)
+    known = min(bound for bound in fixed if bound is not None)
+    assert found.lower_bound_J <= known * (1 + 1e-9)
+    # Eleven durations leave the least between two of them.
+    assert found.lower_bound_J == pytest.approx(known, rel=2e-2)
+
+
+@pytest.mark.slow
+def test_the_paper_s_mission_of_free_time_is_bounded():
+    told = free(vehicle={"attitude": "paper"})
+    plan, found = Planner().solve(told), certify(told)
+    assert plan.is_verified
+    assert found.lower_bound_J <= plan.energy
+
+
+@pytest.mark.parametrize(
+    ("tables", "reason"),
+    [
+        ({"wind": {"use": "paper_table_2"}}, "in a wind that changes with time"),
+        (
+            {"vehicle": {"drag_linear": 0.1}, "wind": {"coupling": "drag"}},
+            "for a free duration with drag",
+        ),
+    ],
+)
+def test_where_no_bound_is_known_the_reason_is_given(tables, reason):
+    found = certify(free(**tables))
+    assert not found.applies
+    assert reason in found.reason
+
+
+def test_a_mass_that_changes_has_no_bound():
+    parcel = {"position": [1.0, 1.0, 1.0], "release": 0.1}
+    found = certify(scenario(mission={"waypoints": [parcel]}, vehicle={"payload": 0.1}))
+    assert found.lower_bound_J is None
+    assert "a mass that changes on the way" in found.reason
