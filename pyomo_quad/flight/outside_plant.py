@@ -174,6 +174,12 @@ class OutsidePlant:
     ) -> None:
         refuse_other_vehicles(scenario, dynamics)
         refuse_pushing_wind(scenario)
+        self._rotors = rotor_columns(dynamics)
+        if len(self._rotors) != _SIZE - _SPEEDS.start:
+            raise ScenarioError(
+                f"{scenario.name}: RotorPy's multirotor is flown with four rotors, the vehicle has "
+                f"{len(self._rotors)}; leave out --plant rotorpy."
+            )
         self.scenario, self.dynamics = scenario, dynamics
         self.parameters = dict(parameters or quad_parameters(scenario, dynamics))
         frame = frame or BodyFrame()
@@ -188,7 +194,6 @@ class OutsidePlant:
         names = dynamics.state_names
         body = [names.index(name) for name in MEASURED_STATES]
         self._place, self._angles, self._rates = body[:6], body[6:9], body[9:12]
-        self._rotors = rotor_columns(dynamics)
         self._others = [k for k in range(len(names)) if k not in {*body, *self._rotors}]
         mission = scenario.mission
         self._yaw = 0.5 * (mission.start.yaw + mission.goal.yaw)

@@ -1,6 +1,7 @@
 """RotorPy's multirotor against the declared one: the same vehicle, written by others."""
 
 from importlib import util
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.flight import outside_plant
+from pyomo_quad.flight.controller import MEASURED_STATES
 from pyomo_quad.flight.outside_plant import (
     ACROSS,
     OutsidePlant,
@@ -141,3 +143,13 @@ def test_a_wind_that_only_pushes_has_no_counterpart():
 def test_controllers_that_do_not_fit_the_plant(options, said, capsys):
     assert main(["fly", PAPER_CALM, *options]) == ExitCode.BAD_INPUT
     assert said in capsys.readouterr().err
+
+
+def test_six_rotors_are_not_handed_over():
+    rotors = range(1, 7)
+    six = SimpleNamespace(
+        state_names=(*MEASURED_STATES, *(f"rotors.omega[{j}]" for j in rotors)),
+        control_names=tuple(f"rotors.alpha[{j}]" for j in rotors),
+    )
+    with pytest.raises(ScenarioError, match="is flown with four rotors, the vehicle has 6"):
+        OutsidePlant(flights.scenario("paper_calm"), six)
