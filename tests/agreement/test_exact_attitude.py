@@ -24,7 +24,9 @@ from tests.declared_model import Instant
 # m. Where a plan ends in an outside simulator.
 SAME_PLACE = 1e-3
 YAW = {"mission.goal.yaw": np.pi / 2, "solver.tolerance": 1e-4}
-DASH = {"mission.goal.position": [30.0, 0.0, 0.0], "mission.duration": 5.0}
+DASH = {"mission.goal.position": (30.0, 0.0, 0.0), "mission.duration": 5.0} | {
+    "solver.tolerance": 1e-4
+}
 # Rotors 1 and 3 turn clockwise seen from above: the air turns the body the other way.
 SENSES = -plain.SPIN
 
