@@ -252,7 +252,7 @@ class OutsidePlant:
         alpha, own_rates = law(t, x, self.own(joint))
         declared, power = self.dynamics.rates_and_integrand(t, x, np.asarray(alpha, dtype=float))
         s = joint[:_SIZE].copy()
-        s[_WIND] = self._wind(t)
+        s[_WIND] = self._wind(t, x)
         # Whatever the lag, under this command the rotors accelerate as wanted.
         theirs = np.asarray(alpha, dtype=float)[self._order]
         command = s[_SPEEDS] + self.parameters["tau_m"] * theirs
@@ -327,21 +327,32 @@ class OutsidePlant:
         return Flown(t=t, states=states, controls=np.array(applied), energy=joints[:, -1])
 
 
-def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float], FloatArray]:
-    """Return the declared wind over time, shape (3,)."""
+_WIND_VELOCITY = ("wind.velocity_x", "wind.velocity_y", "wind.velocity_z")
+
+
+def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatArray], FloatArray]:
+    """Return the declared wind, shape (3,), over time and the declared states."""
+    keys = tuple((name, None) for name in _WIND_VELOCITY if dynamics.has(name))
+
+    def read(times: FloatArray, states: FloatArray) -> FloatArray:
+        values = np.zeros((len(times), 3))
+        controls = np.zeros((len(times), len(dynamics.control_names)))
+        values[:, : len(keys)] = dynamics.table(keys, times, states, controls)
+        return values
+
+    if scenario.wind.profile is not None:
+        return lambda t, x: read(np.array([t]), x[None, :])[0]
     times = even_times(0.0, scenario.mission.fixed_duration, _WIND_RATE_HZ)
     still = np.zeros((len(times), len(dynamics.state_names)))
-    controls = np.zeros((len(times), len(dynamics.control_names)))
-    keys = (("wind.velocity_x", None), ("wind.velocity_y", None))
-    values = np.zeros((len(times), 3))
-    values[:, :2] = dynamics.table(keys, times, still, controls)
-    return CubicSpline(times, values)
+    spline = CubicSpline(times, read(times, still))
+    return lambda t, _x: np.asarray(spline(t))
 
 
 def refuse_pushing_wind(scenario: Scenario) -> None:
     """Refuse a wind that pushes without drag; RotorPy's acts on the airspeed."""
     wind = scenario.wind
-    blows = wind.speed or wind.series is not None or _blows(wind.x) or _blows(wind.y)
+    measured = wind.series is not None
+    blows = wind.speed or wind.vertical or measured or _blows(wind.x) or _blows(wind.y)
     if wind.coupling is WindCoupling.ACCELERATION and blows:
         raise ScenarioError(
             f"{scenario.name}: wind.coupling = acceleration has no counterpart in RotorPy, whose "

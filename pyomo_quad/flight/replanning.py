@@ -8,7 +8,7 @@ end: with hardly any time left, a plan that meets the goal exactly answers every
 
 What no equation explains, a wind that was not told or a mass that is not what was believed, shows
 in the acceleration: the identifier of the adaptive law estimates it, and the plans count on it.
-Since winds are horizontal, what is amiss upwards is the mass, and the rest is a wind.
+What is amiss upwards is taken for the mass, an untold updraft included; the rest is a wind.
 """
 
 from collections.abc import Callable, Hashable

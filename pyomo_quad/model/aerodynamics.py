@@ -105,7 +105,7 @@ def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
     is_drag, in_body_axes = scenario.wind.coupling is WindCoupling.DRAG, acts_in_body_axes(scenario)
     if is_drag or in_body_axes or scenario.power.model is PowerModel.MOMENTUM:
         _declare_airspeed(b, m)
-    rules = _drag(b, m) if is_drag else _wind_acceleration()
+    rules = _drag(b, m) if is_drag else _wind_acceleration(m.wind.component("velocity_z"))
     for name, (rule, doc) in rules.items():
         part = f"airframe_{name}" if in_body_axes else name
         b.add_component(part, Expression(m.time, rule=rule, doc=doc))
@@ -158,7 +158,7 @@ def _all_of(axis: str) -> Callable[[Block, float], NumericExpression]:
 _Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
 
 
-def _wind_acceleration() -> _Rules:
+def _wind_acceleration(updraft: Expression | None) -> _Rules:
     """Return rules and texts of the forces of eq. (9) as printed."""
 
     def force_x(b: Block, t: float) -> NumericExpression:
@@ -172,10 +172,20 @@ def _wind_acceleration() -> _Rules:
     def force_z(_b: Block, _t: float) -> NumericExpression:
         return 0 * units.N
 
+    def lift_z(b: Block, t: float) -> NumericExpression:
+        m = b.parent_block()
+        return mass_at(m, t) * (b.acceleration_coefficient * m.wind.velocity_z[t])
+
+    vertical = (
+        (force_z, "eq. (9) row 2: W has no vertical part [N]")
+        if updraft is None
+        else (lift_z, "eq. (9) row 2, W along world z, times the mass [N]")
+    )
+
     return {
         "force_x": (force_x, "eq. (9) row 2, W along world x, times the mass [N]"),
         "force_y": (force_y, "eq. (9) row 2, W along world y, times the mass [N]"),
-        "force_z": (force_z, "eq. (9) row 2: W has no vertical part [N]"),
+        "force_z": vertical,
     }
 
 
@@ -192,7 +202,9 @@ def _declare_airspeed(b: Block, m: ConcreteModel) -> None:
 
     @b.Expression(m.time, doc="vertical airspeed [m/s]")
     def airspeed_z(b: Block, t: float) -> NumericExpression:
-        return b.parent_block().rigid_body.vz[t]
+        m = b.parent_block()
+        updraft = m.wind.component("velocity_z")
+        return m.rigid_body.vz[t] if updraft is None else m.rigid_body.vz[t] - updraft[t]
 
 
 def _drag(b: Block, m: ConcreteModel) -> _Rules:

@@ -3,7 +3,7 @@
 from collections.abc import Hashable, Iterator
 
 from pyomo.dae import ContinuousSet, Integral
-from pyomo.environ import ConcreteModel, Objective, Param, Suffix, Var, minimize, units
+from pyomo.environ import Block, ConcreteModel, Objective, Param, Suffix, Var, minimize, units
 
 from pyomo_quad.model import (
     aerodynamics,
@@ -89,10 +89,12 @@ def _vehicle_in_the_air(scenario: Scenario) -> ConcreteModel:
     )
     m.scaling_factor = Suffix(direction=Suffix.EXPORT)
     vehicle.declare_vehicle(m, scenario)
-    wind.declare_wind(m, scenario)
+    # Its place among the blocks is before those that it may depend on.
+    m.wind = Block(doc="wind, eq. (11)-(12)")
     rotors.declare_rotors(m, scenario)
     rotors.declare_motors(m)
     declare_motion(m, scenario)
+    wind.declare_wind(m, scenario)
     aerodynamics.declare_aerodynamics(m, scenario)
     return m
 
@@ -119,8 +121,8 @@ def _declare_flight(m: ConcreteModel, scenario: Scenario) -> None:
 def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
     """Yield every table of numbers that the scenario's model declares."""
     yield "vehicle", vehicle.parameters_of(scenario)
+    yield "wind", wind.parameters_of(scenario)
     if scenario.wind.series is None:
-        yield "wind", wind.PARAMETERS
         for axis, table in wind.AXIS_PARAMETERS.items():
             yield f"wind.{axis}", table
     yield "rotors", rotors.parameters_of(scenario)
@@ -173,6 +175,7 @@ def structure_key(scenario: Scenario) -> Hashable:
         scenario.power.regeneration,
         scenario.wind.coupling,
         None if series is None else (series, scenario.wind.time_offset),
+        tuple(row.name for row in wind.parameters_of(scenario)),
         scenario.vehicle.has_own_rotors,
         scenario.vehicle.rotor_senses,
         tuple(row.name for row in aerodynamics.parameters_of(scenario)),

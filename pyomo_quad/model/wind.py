@@ -1,4 +1,4 @@
-"""The horizontal wind in world axes, eq. (11)-(12), or one measured and given as a table.
+"""The wind in world axes: horizontal by eq. (11)-(12), or measured and given as a table.
 
 symbol | name | unit | meaning
 v_0 | mean | m/s | mean value, with the scenario's steady wind added
@@ -6,24 +6,40 @@ A_k, Omega_k | amplitudes[k], frequencies[k] | m/s, rad/s | three harmonics
 v_gmax, T_g | gust_amplitude, gust_period | m/s, s | gust
 t | wind_time | s | wind time: time in flight plus the scenario's offset
 
+Where the scenario has a profile, the horizontal wind is that of the reference height h_r, times
+
+law | factor at height h | source
+power | (h / h_r)^exponent | Justus and Mikhail (1976)
+logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), section 9.7
+
+with h the vehicle's height z above the ground.  Below the larger of 0.1 m and z_0, where neither
+law holds, the wind stays what it is there: h is a smooth largest of that and z, which never falls
+as z rises and from half a metre above on is z to 1e-12 m.
+
 The gust of eq. (12) peaks at v_gmax a quarter of a period after its start.
 """
 
 from collections.abc import Callable
+from functools import partial
 from math import cos, pi, tau
 from math import sin as sine
 
 from pyomo.core.base.units_container import UnitsError
 from pyomo.core.expr import NumericExpression
-from pyomo.environ import Block, ConcreteModel, Param, exp, sin, units
+from pyomo.environ import Block, ConcreteModel, Expression, Param, exp, log, sin, sqrt, units
 from scipy.interpolate import CubicSpline
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.wind import FrequencyUnit, WindAxis, WindSeries
+from pyomo_quad.scenario.wind import FrequencyUnit, WindAxis, WindLaw, WindProfile, WindSeries
 
 HARMONICS = (1, 2, 3)
 _SPEED = units.get_units(units.m / units.s)
+
+# The least height at which a law of the wind over height is taken at its word.
+_LEAST_HEIGHT_M = 0.1
+# Over how much height the wind below it passes into the law.
+HEIGHT_SMOOTHING = 0.1 * units.m
 
 PARAMETERS = (
     Parameter(
@@ -33,6 +49,49 @@ PARAMETERS = (
         doc="wind time at the start of the flight",
     ),
 )
+_VERTICAL = Parameter(
+    name="vertical", units=_SPEED, value=lambda s: s.wind.vertical, doc="w_0: steady wind upwards"
+)
+
+
+def _profile_parameters(profile: WindProfile) -> tuple[Parameter, ...]:
+    """Return the heights of a profile and the number of its law."""
+    roughness, exponent = profile.roughness, profile.exponent
+    numbers = (
+        (
+            "reference_height",
+            units.m,
+            profile.reference_height,
+            "h_r: height at which the wind is as given",
+        ),
+        (
+            "least_height",
+            units.m,
+            max(_LEAST_HEIGHT_M, roughness or 0.0),
+            "h_0: height below which the wind changes no more",
+        ),
+        ("roughness", units.m, roughness, "z_0: height at which the logarithmic law has no wind"),
+        ("exponent", units.dimensionless, exponent, "exponent of the power law"),
+    )
+    return tuple(
+        Parameter(name=name, units=unit, value=partial(_given, number), doc=doc)
+        for name, unit, number, doc in numbers
+        if number is not None
+    )
+
+
+def _given(number: float, _scenario: Scenario) -> float:
+    return number
+
+
+def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
+    """Return the numbers that the scenario's model declares in block `wind` itself."""
+    wind = scenario.wind
+    return (
+        *(PARAMETERS if wind.series is None else ()),
+        *((_VERTICAL,) if wind.vertical else ()),
+        *(() if wind.profile is None else _profile_parameters(wind.profile)),
+    )
 
 
 def _axis(scenario: Scenario, name: str) -> WindAxis:
@@ -93,14 +152,51 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time` and `clock`.
+        With `time`, `clock` and an empty `wind`; the height of `rigid_body` for a profile.
     """
-    m.wind = Block(doc="wind, eq. (11)-(12)")
+    b = m.wind
+    declare_parameters(b, parameters_of(scenario), scenario)
+    if scenario.wind.profile is not None:
+        _declare_profile(b, m, scenario.wind.profile.law)
     series = scenario.wind.series
     if series is None:
         _declare_formula(m, scenario)
     else:
         _declare_series(m, series, scenario.wind.time_offset)
+    if scenario.wind.vertical:
+
+        @b.Expression(m.time, doc="wind along world z [m/s]")
+        def velocity_z(b: Block, _t: float) -> NumericExpression:
+            return 1 * b.vertical
+
+
+def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
+    """Declare what the wind at the vehicle's height is of that at the reference height."""
+
+    @b.Expression(m.time, doc="height above the least height [m]")
+    def height_above(b: Block, t: float) -> NumericExpression:
+        return b.parent_block().rigid_body.z[t] - b.least_height
+
+    @b.Expression(m.time, doc="height at which the wind is read [m]")
+    def height(b: Block, t: float) -> NumericExpression:
+        above, width = b.height_above[t], HEIGHT_SMOOTHING
+        rounding = width**2 * exp(-((above / width) ** 2))
+        return b.least_height + (above + sqrt(above**2 + rounding)) / 2
+
+    def power(b: Block, t: float) -> NumericExpression:
+        return (b.height[t] / b.reference_height) ** b.exponent
+
+    def logarithmic(b: Block, t: float) -> NumericExpression:
+        return log(b.height[t] / b.roughness) / log(b.reference_height / b.roughness)
+
+    rule = power if law is WindLaw.POWER else logarithmic
+    b.profile = Expression(m.time, rule=rule, doc=f"{law.value} law: wind over that at h_r")
+
+
+def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpression:
+    """Return a wind of the reference height as it is where the vehicle is."""
+    profile = b.component("profile")
+    return velocity if profile is None else profile[t] * velocity
 
 
 def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
@@ -131,7 +227,6 @@ def _is_speed(parameter: Param) -> bool:
 
 def _declare_formula(m: ConcreteModel, scenario: Scenario) -> None:
     b = m.wind
-    declare_parameters(b, PARAMETERS, scenario)
 
     @b.Expression(m.time, doc="wind time [s]")
     def wind_time(b: Block, t: float) -> NumericExpression:
@@ -145,11 +240,11 @@ def _declare_formula(m: ConcreteModel, scenario: Scenario) -> None:
 
     @b.Expression(m.time, doc="eq. (11): wind along world x [m/s]")
     def velocity_x(b: Block, t: float) -> NumericExpression:
-        return _velocity(b.x, t)
+        return _at_height(b, t, _velocity(b.x, t))
 
     @b.Expression(m.time, doc="eq. (11): wind along world y [m/s]")
     def velocity_y(b: Block, t: float) -> NumericExpression:
-        return _velocity(b.y, t)
+        return _at_height(b, t, _velocity(b.y, t))
 
 
 def _velocity(axis: Block, t: float) -> NumericExpression:
@@ -188,11 +283,11 @@ def _declare_series(m: ConcreteModel, series: WindSeries, offset: float) -> None
 
     @b.Expression(m.time, doc="wind along world x [m/s]")
     def velocity_x(b: Block, t: float) -> NumericExpression:
-        return b.measured_x[t]
+        return _at_height(b, t, b.measured_x[t])
 
     @b.Expression(m.time, doc="wind along world y [m/s]")
     def velocity_y(b: Block, t: float) -> NumericExpression:
-        return b.measured_y[t]
+        return _at_height(b, t, b.measured_y[t])
 
 
 def _spline(

@@ -202,7 +202,7 @@ def find_polar(scenario: Scenario) -> Polar:
 
 
 def mean_wind(scenario: Scenario) -> tuple[float, float]:
-    """Return the mean of a scenario's wind along world x and y, m/s."""
+    """Return the mean of a wind along world x and y, m/s: that of a profile's reference height."""
     wind = scenario.wind
     if wind.series is not None:
         return float(np.mean(wind.series.wind_x)), float(np.mean(wind.series.wind_y))

@@ -14,6 +14,8 @@ STRONGEST_GUST = "the strongest gust measured on earth had 113 m/s"
 #: s. Thirty years; a number of that size still tells a microsecond.
 LATEST_TIME = 1e9
 _WIND = Sound(-LARGEST_WIND, LARGEST_WIND, STRONGEST_GUST)
+#: m. Where the wind over open country is measured; winds are given for this height.
+USUAL_HEIGHT = 10.0
 _FAST = Sound(-1e4, 1e4, "no gust changes within a millisecond")
 
 
@@ -48,6 +50,58 @@ class WindAxis(Part):
     )
 
 
+class WindLaw(StrEnum):
+    """How the wind grows with height."""
+
+    POWER = "power"
+    LOGARITHMIC = "logarithmic"
+
+
+class WindProfile(Part):
+    """How the horizontal wind grows with the height z above the ground."""
+
+    law: WindLaw = quantity(
+        "", "power: (z / reference_height)^exponent, or logarithmic: ln(z / roughness)"
+    )
+    reference_height: Number = quantity(
+        "m",
+        "height at which the wind is as given",
+        USUAL_HEIGHT,
+        gt=0,
+        sound=Sound(0.5, 1e3, "winds are given for a height of metres, masts and towers"),
+    )
+    exponent: Number | None = quantity(
+        "1",
+        "exponent of the power law: about 0.11 over water, 0.14 over open country, 0.3 over a town",
+        None,
+        gt=0,
+        sound=Sound(1e-3, 1, "the wind over cities grows with height to the power of 0.4"),
+    )
+    roughness: Number | None = quantity(
+        "m",
+        "height at which the logarithmic law has no wind: 2e-4 over water, 0.03 over grass, "
+        "1 over a town",
+        None,
+        gt=0,
+        sound=Sound(1e-6, 10, "ice has 1e-5 m, a city of towers some 4 m"),
+    )
+
+    @model_validator(mode="after")
+    def _has_its_number(self) -> Self:
+        is_power = self.law is WindLaw.POWER
+        needed, other = ("exponent", "roughness") if is_power else ("roughness", "exponent")
+        if getattr(self, needed) is None:
+            raise ValueError(f"law = {self.law.value} needs {needed}; give {needed}")
+        if getattr(self, other) is not None:
+            raise ValueError(f"{other} has no part in law = {self.law.value}; leave {other} out")
+        if self.roughness is not None and self.roughness >= self.reference_height / 2:
+            raise ValueError(
+                f"roughness = {self.roughness:g} m; must be below half of "
+                f"reference_height = {self.reference_height:g} m; lower it or raise the height"
+            )
+        return self
+
+
 class WindSeries(Part):
     """A measured wind, read and validated from `wind.file`."""
 
@@ -57,7 +111,7 @@ class WindSeries(Part):
 
 
 class Wind(Part):
-    """The horizontal wind in world axes."""
+    """The wind in world axes."""
 
     use: Text = quantity("", "name of the wind in the library, or a file of its own, NAME.toml")
     title: Text = quantity(
@@ -95,6 +149,15 @@ class Wind(Part):
     series: WindSeries | None = quantity("", "the wind read from file", None)
     x: WindAxis = quantity("", "wind toward +x")
     y: WindAxis = quantity("", "wind toward +y")
+    vertical: Number = quantity(
+        "m/s", "steady wind upwards, the same at every height", 0.0, sound=_WIND, is_late=True
+    )
+    profile: WindProfile | None = quantity(
+        "",
+        "how the horizontal wind grows with height, the same at all when absent",
+        None,
+        is_late=True,
+    )
     forecast: Self | None = quantity(
         "", "the wind that the optimiser is told, the true one when absent", None
     )

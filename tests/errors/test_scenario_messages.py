@@ -71,6 +71,38 @@ REFUSED = {
         "there are calm, constant, paper_table_2; did you mean paper_table_2?"
     ),
     'wind.forecast.forecast.use = "calm"': "wind: forecast.forecast is not allowed; remove it.",
+    'wind.profile = {law = "power"}': ("wind.profile: law = power needs exponent; give exponent."),
+    'wind.profile = {law = "logarithmic", exponent = 0.1}': (
+        "wind.profile: law = logarithmic needs roughness; give roughness."
+    ),
+    'wind.profile = {law = "power", exponent = 0.1, roughness = 0.1}': (
+        "wind.profile: roughness has no part in law = power; leave roughness out."
+    ),
+    'wind.profile = {law = "logarithmic", exponent = 0.1, roughness = 0.1}': (
+        "wind.profile: exponent has no part in law = logarithmic; leave exponent out."
+    ),
+    'wind.profile = {law = "logarithmic", roughness = 6.0}': (
+        "wind.profile: roughness = 6 m; must be below half of reference_height = 10 m; "
+        "lower it or raise the height."
+    ),
+    'wind.profile = {law = "power", exponent = -0.1}': (
+        "wind.profile.exponent = -0.1; must be > 0."
+    ),
+    'wind.profile = {law = "power", exponent = 3.0}': (
+        "wind.profile.exponent = 3; must be from 0.001 to 1: "
+        "the wind over cities grows with height to the power of 0.4."
+    ),
+    'wind.profile = {law = "log", roughness = 0.1}': (
+        "wind.profile.law = \"log\"; must be one of 'power' or 'logarithmic'."
+    ),
+    'wind.profile = {law = "power", exponent = 0.1, reference_height = 0.0}': (
+        "wind.profile.reference_height = 0 m; must be > 0."
+    ),
+    "wind.profile = 3": "wind.profile = 3; must be a table.",
+    "wind.vertical = 1e3": (
+        "wind.vertical = 1000 m/s; must be from -150 to 150: "
+        "the strongest gust measured on earth had 113 m/s."
+    ),
     "wind.series.times = [0.0]": (
         "wind.series.times is not set by hand; name a CSV file in wind.file."
     ),
