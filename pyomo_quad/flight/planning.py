@@ -317,12 +317,13 @@ class Planner:
         problem, timings = self.problem_for(told)
         started = time.perf_counter()
         routes: tuple[TriedRoute, ...] = ()
-        if warm_start is None and told.airspace.keep_out and self._builder is build_model:
+        has_ways = warm_start is None and told.airspace.keep_out and self._builder is build_model
+        if has_ways:
             solution, routes = self._by_routes(problem, told, progress)
         else:
             solution = self._first_solve(problem, told, warm_start, progress)
         rescue = None
-        is_closed = not routes and solution.status is Status.INFEASIBLE
+        is_closed = has_ways and not routes
         if not is_closed and solution.status in (Status.NOT_CONVERGED, Status.INFEASIBLE):
             rescue = self._rescuer(problem, told, progress)(solution)
             solution = rescue.solution

@@ -327,7 +327,8 @@ def draw_energy_split(
     _annotate(whole, [flight.energy_J for flight in flights])
     whole.set(title="Whole: hover floor (grey) and the rest", xlabel="Energy (J)")
     draw_excess(above, flights, hover_energy_J, absent)
-    above.set(title="Above the hover floor only", xlabel="Energy above hovering (J)")
+    note = "; * did not arrive" if absent else ""
+    above.set(title="Above the hover floor only", xlabel=f"Energy above hovering (J){note}")
     return figure
 
 
@@ -345,8 +346,10 @@ def draw_excess(
     for row, (flight, surplus) in enumerate(zip(flights, excess, strict=True)):
         axes.barh(row, surplus, **_look(flight))
     _annotate(axes, excess)
-    labels = [f"{f.name}\n(did not arrive)" if f.name in absent else f.name for f in flights]
+    labels = [f"{f.name} *" if f.name in absent else f.name for f in flights]
     axes.set_yticks(range(len(flights)), labels)
+    if absent:
+        axes.set_xlabel("* did not arrive")
     axes.invert_yaxis()
 
 

@@ -18,7 +18,8 @@ from PIL import Image
 
 from pyomo_quad.flight import flight
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
-from pyomo_quad.scenario.tables import Reference
+from pyomo_quad.flight.replanning import replanned_name
+from pyomo_quad.scenario.tables import Knowledge, Reference
 from pyomo_quad.study.comparison import FAIR_BASELINE, OPTIMAL, settled_energy
 
 if TYPE_CHECKING:
@@ -171,6 +172,7 @@ PALE = "#dddddd"
 
 _BLUE, _VERMILION, _GREEN = "#0072b2", "#d55e00", "#009e73"
 _ORANGE, _PURPLE, _SKY = "#e69f00", "#a8487f", "#56b4e9"
+_BROWN, _PINK = "#7a4b1e", "#f2a0c0"
 
 # A date would make two equal runs differ.
 _SVG_METADATA = {"Date": None, "Creator": None}
@@ -253,9 +255,14 @@ SERIES_STYLES = (
     ),
     LineStyle(color=_SKY, dashes=(2.2, 1.1), dash_name="dash", marker="X", hatch="--"),
     LineStyle(color=MUTED, dashes=(5, 1.2, 1, 1.2), dash_name="dashdot", marker="d", hatch="oo"),
+    LineStyle(color=_BROWN, dashes=(3, 1, 1, 1), dash_name="longdashdot", marker="<", hatch="||"),
+    LineStyle(color=_PINK, dashes=(10, 2, 2, 2), dash_name="longdash", marker=">", hatch="**"),
 )
 
-_FLIGHTS = (OPTIMAL, *(baseline_name(reference) for reference in Reference), OPEN_LOOP)
+_FLIGHTS = (
+    *(OPTIMAL, *(baseline_name(reference) for reference in Reference), OPEN_LOOP),
+    *(replanned_name(knowledge) for knowledge in Knowledge),
+)
 # Every flight that the program can fly has a style of its own in every report; the rest is for
 # what a caller names in another way.
 _FLIGHT_STYLES = dict(zip(_FLIGHTS, SERIES_STYLES, strict=False))

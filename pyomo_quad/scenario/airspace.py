@@ -2,15 +2,17 @@
 
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
-from typing import NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from pydantic import model_validator
 
 from pyomo_quad.scenario.fields import Number, Part, Sound, Text, Triple, quantity
 
-FloatArray = NDArray[np.float64]
+if TYPE_CHECKING:
+    from numpy import float64
+    from numpy.typing import ArrayLike, NDArray
+
+    FloatArray = NDArray[float64]
 
 _FAR = Sound(-1e5, 1e5, "a quadrotor flies tens of kilometres, in metres")
 _WIDE = Sound(1e-2, 1e5, "the thinnest masts measure centimetres")
@@ -37,8 +39,10 @@ class Ball(NamedTuple):
     centre: tuple[float, ...]
     radius: float
 
-    def depth(self, places: ArrayLike) -> FloatArray:
+    def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return how far inside places of shape (..., 3) lie, negative outside [m]."""
+        import numpy as np  # noqa: PLC0415  reading a scenario does without it
+
         held = np.asarray(places, dtype=float)[..., self.axes]
         return np.asarray(self.radius - np.linalg.norm(held - self.centre, axis=-1))
 
@@ -109,11 +113,13 @@ class KeepOut(Part):
             return (round_part,)
         return (round_part, _interval(2, self.bottom, self.top))
 
-    def depth(self, places: ArrayLike) -> FloatArray:
+    def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return how far places of shape (..., 3) must move to leave at the nearest face [m].
 
         Negative outside, where it is the distance beyond the face that is farthest behind.
         """
+        import numpy as np  # noqa: PLC0415  see above
+
         return np.min([ball.depth(places) for ball in self.balls], axis=0)
 
 

@@ -121,7 +121,7 @@ REFUSED = {
     "limits.speed_max = 0": "limits.speed_max = 0 m/s; must be > 0.",
     "airspace.clearance = -1": "airspace.clearance = -1 m; must be >= 0.",
     "zone.bottom = 9": "unknown key zone; known keys here: name, title, gravity, model, vehicle, "
-    "limits, battery, wind, power, mission, airspace, solver, baseline.",
+    "limits, battery, wind, power, mission, air, airspace, solver, baseline.",
     "limits.rotor_speed_max = -1.0": "limits.rotor_speed_max = -1 rad/s; must be > 0.",
     'baseline.references = ["step", "spline"]': (
         "baseline.references[1] = \"spline\"; must be one of 'step', 'quintic', "

@@ -18,7 +18,11 @@ ENOUGH = settings(
 )
 VALID = {
     "name": "hop",
-    "mission": {"duration": 5.0, "goal": {"position": [1.0, 2.0, 3.0]}},
+    "mission": {
+        "duration": 5.0,
+        "goal": {"position": [1.0, 2.0, 3.0]},
+        "waypoints": [{"position": [1.0, 1.0, 1.0]}],
+    },
     "airspace": {
         "keep_out": [{"name": "balloon", "shape": "sphere", "centre": [9.0, 9.0, 9.0], "radius": 1}]
     },

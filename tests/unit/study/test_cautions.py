@@ -25,7 +25,9 @@ def plan_with(acceleration, *overrides):
     controls = np.zeros((mesh.points, 4))
     controls[2:] = acceleration
     held = SimpleNamespace(node_times=10.0 * mesh.node_fractions, states=states, controls=controls)
-    return SimpleNamespace(scenario=scenario, dynamics=dynamics, trajectories=held, solution=None)
+    return SimpleNamespace(
+        scenario=scenario, dynamics=dynamics, trajectories=held, solution=None, verification=None
+    )
 
 
 @pytest.fixture(autouse=True)
