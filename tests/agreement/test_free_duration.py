@@ -56,6 +56,7 @@ def test_the_paper_s_mission_agrees_with_a_fine_mesh(wind):
     assert plan.duration_s == pytest.approx(by_hand.duration_s, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_no_fixed_time_costs_less_than_the_chosen_one():
     told, planner = free((2.0, 1.0, 3.0)), Planner()
     plan = planner.solve(told)

@@ -63,6 +63,7 @@ def test_the_papers_cross_written_as_places_is_the_papers_vehicle():
     assert placed.vehicle.hover_speed(9.81) == papers.vehicle.hover_speed(9.81)
 
 
+@pytest.mark.slow
 def test_a_hexacopter_is_planned_followed_and_certified():
     places, _ = ring(6)
     changes = {"vehicle.rotor_positions": places, "vehicle.attitude": "euler"}

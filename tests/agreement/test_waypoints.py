@@ -29,7 +29,10 @@ def place(*position, **more):
     return {"position": list(position), **more}
 
 
-@pytest.mark.parametrize(("duration", "guess"), [(10.0, (5.0, 5.0)), ("free", (2.0, 2.0))])
+@pytest.mark.parametrize(
+    ("duration", "guess"),
+    [(10.0, (5.0, 5.0)), pytest.param("free", (2.0, 2.0), marks=pytest.mark.slow)],
+)
 def test_a_free_passage_is_that_of_the_same_mesh_by_hand(duration, guess):
     # Both legs are of one length, so that both take half of the mesh.
     plan = Planner().solve(through(place(*CORNER), duration=duration, solver=ON_ONE_MESH))

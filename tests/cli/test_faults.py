@@ -96,7 +96,9 @@ def handles(process, number):
     return all(caught >> (n - 1) & 1 for n in (signal.SIGALRM, number))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_a_signal_at_work_keeps_the_old_report(folder, number):
     before = content(folder)
     process = begin(folder, *QUICK)

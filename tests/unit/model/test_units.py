@@ -19,7 +19,10 @@ EVERY_LIMIT = {
 }
 
 
-@pytest.mark.parametrize("coupling", list(WindCoupling))
+@pytest.mark.parametrize(
+    "coupling",
+    [WindCoupling.DRAG, pytest.param(WindCoupling.ACCELERATION, marks=pytest.mark.slow)],
+)
 @pytest.mark.parametrize("power", list(PowerModel))
 def test_every_equation_is_consistent(power, coupling):
     wind = {"use": "paper_table_2", "coupling": coupling.value}

@@ -211,7 +211,8 @@ def test_half_done_swap_is_finished_by_the_reader(tmp_path):
     assert generations_in(final) == {"new"}
 
 
-@pytest.mark.parametrize("can_exchange", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.slow
+@pytest.mark.parametrize("can_exchange", [True, False])
 def test_sigkill_at_any_moment_leaves_one_whole_report(tmp_path, can_exchange):
     final = tmp_path / "report"
     program = textwrap.dedent(f"""
