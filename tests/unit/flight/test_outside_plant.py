@@ -32,6 +32,15 @@ AIR = (
     "vehicle.translational_lift=3e-3",
     "vehicle.parasitic_drag=[0.01, 0.02, 0.03]",
 )
+WIND = (
+    "wind.use=constant",
+    "wind.speed=4.0",
+    "wind.vertical=0.7",
+    "wind.profile={law='power', exponent=0.3}",
+    "wind.coupling=drag",
+    "vehicle.drag_linear=0.0",
+    "vehicle.drag_quadratic=0.02",
+)
 has_rotorpy = pytest.mark.skipif(util.find_spec("rotorpy") is None, reason="no RotorPy")
 
 
@@ -61,7 +70,7 @@ def turned(parameters):
 
 
 @has_rotorpy
-@pytest.mark.parametrize(("frame", "air"), [(None, ()), (ACROSS, ()), (None, AIR)])
+@pytest.mark.parametrize(("frame", "air"), [(None, ()), (ACROSS, ()), (None, AIR), (None, WIND)])
 def test_it_moves_as_the_declared_equations_say(frame, air):
     """At random states, tilted and turning, whichever way its body is named, and in the air."""
     scenario = flights.scenario("paper_calm", EXACT, *air)
@@ -130,6 +139,8 @@ def test_a_wind_that_only_pushes_has_no_counterpart():
     with pytest.raises(ScenarioError, match=r"wind\.coupling = acceleration has no counterpart"):
         refuse_pushing_wind(flights.scenario("paper_wind"))
     refuse_pushing_wind(flights.scenario("paper_calm"))
+    with pytest.raises(ScenarioError, match=r"wind\.coupling = acceleration has no counterpart"):
+        refuse_pushing_wind(flights.scenario("paper_calm", "wind.vertical=0.5"))
     refuse_pushing_wind(flights.scenario("paper_wind", "wind.coupling='drag'"))
 
 

@@ -9,8 +9,10 @@ from PIL import Image
 from pyomo_quad.flight import PlanStatus
 from pyomo_quad.report.gallery import plan_drawings, save_drawings
 from pyomo_quad.report.paths import distinct_paths
+from pyomo_quad.report.render import environment
 from pyomo_quad.report.report import write_solve_report
 from pyomo_quad.report.style import plan_flight, styled_flights
+from tests.declared_model import scenario
 from tests.synthetic_run import synthetic_failure, synthetic_plan, synthetic_run
 
 FIGURES = {
@@ -131,3 +133,11 @@ def test_paths_too_near_to_the_optimum_are_named_and_not_drawn():
     assert [flight.name for flight in distinct_paths(flights)] == ["optimal", "adaptive/quintic"]
     path = plan_drawings(run.plan, flights)[0]
     assert path.caption.endswith("Too near to optimal to be drawn apart: open_loop/plan.")
+
+
+def test_a_wind_is_told_with_its_profile_and_its_updraft():
+    wind = {"use": "constant", "vertical": 0.5, "profile": {"law": "power", "exponent": 0.2}}
+    sections = environment().get_template("report/sections.md.j2").make_module({"plan": None})
+    told = str(sections.air(scenario(wind=wind).wind))
+    assert told.endswith(", with 0.5 m/s upwards; by height under the power law, as given at 10 m")
+    assert "height" not in str(sections.air(scenario().wind))
