@@ -155,6 +155,7 @@ def _declare_waypoints(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     b.passing_time = Var(
         list(reached), bounds=limits, initialize=begun, units=units.s, doc="t_k: passage [s]"
     )
+    m.scaling_factor[b.passing_time] = 1.0 / scenario.nominal_duration
     _declare_passing(b, reached, [k for k, w in enumerate(waypoints) if w.radius > 0])
     if b.component("passing_hold") is not None:
         _declare_holds(b, m, reached, left)
@@ -196,6 +197,7 @@ def _declare_holds(
         units=units.s,
         doc="when a waypoint is left [s]",
     )
+    m.scaling_factor[b.leaving_time] = m.scaling_factor[b.passing_time]
 
     @b.Constraint(held, doc="time of hover at a waypoint [s]")
     def hold_time(b: Block, k: int) -> RelationalExpression:

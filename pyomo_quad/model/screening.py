@@ -9,7 +9,7 @@ from math import inf
 
 from pyomo.core.base.constraint import ConstraintData
 from pyomo.core.base.var import VarData
-from pyomo.dae import DerivativeVar
+from pyomo.dae import ContinuousSet, DerivativeVar
 from pyomo.environ import ConcreteModel, Constraint, Suffix, Var, value
 from pyomo.repn import generate_standard_repn
 
@@ -106,7 +106,9 @@ def _unbounded_controls(
     for variable in _variables(model):
         free = (data for data in variable.values() if not data.fixed)
         data = next((d for d in free if not _is_enclosed(intervals.get(d.name, []))), None)
-        if data is None or variable.name in differentiated:
+        sets = variable.index_set().subsets()
+        is_control = any(isinstance(one, ContinuousSet) for one in sets)
+        if data is None or variable.name in differentiated or not is_control:
             continue
         yield Finding(
             severity=Severity.CAUTION,

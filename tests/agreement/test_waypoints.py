@@ -8,6 +8,8 @@ import pytest
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import fly_baseline
 from pyomo_quad.flight.plan import Plan
+from pyomo_quad.model import build_model
+from pyomo_quad.model.screening import screen_model
 from pyomo_quad.scenario.tables import Reference
 from tests.agreement.missions_by_hand import solve_legs
 from tests.declared_model import scenario
@@ -147,3 +149,9 @@ def test_more_time_allowed_never_costs_more():
     ]
     energies = [planner.solve(one).energy for one in told]
     assert all(later <= sooner * (1 + 1e-6) for sooner, later in pairwise(energies))
+
+
+def test_the_times_of_passages_raise_no_doubts_about_the_model():
+    for duration in (10.0, "free"):
+        model = build_model(through(place(*CORNER, hold=1.0), duration=duration))
+        assert screen_model(model) == ()
