@@ -217,6 +217,7 @@ def synthetic_certificate():
         hover_energy_J=HOVER_ENERGY_J,
         applies=True,
         reason="the motor power is convex in thrust",
+        is_of=lambda _duration_s: True,
         gap_percent=lambda energy_J: 100 * (energy_J - LOWER_BOUND_J) / energy_J,
     )
 

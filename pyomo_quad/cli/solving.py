@@ -24,6 +24,7 @@ from pyomo_quad.collocation import (
 )
 from pyomo_quad.flight import Flight, Plan, Planner, PlanStatus
 from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop
+from pyomo_quad.flight.cruise import cruise_at
 from pyomo_quad.flight.outside_plant import (
     MULTIROTOR,
     OutsidePlant,
@@ -172,6 +173,8 @@ def make_flight(
     planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
 ) -> Flight | ExitCode:
     """Fly the adaptive controller along a reference or, without one, the plan in open loop."""
+    if reference is Reference.CRUISE:
+        scenario = cruise_at(scenario)
     dynamics = planner.dynamics(scenario)
     try:
         if reference is None and plan is not None:
@@ -258,6 +261,7 @@ _OUTCOMES = {
 _SHOWN = {
     ComparisonColumn.SCENARIO: ("scenario", ""),
     ComparisonColumn.FLIGHT: ("flight", ""),
+    ComparisonColumn.DURATION: ("time s", ".2f"),
     ComparisonColumn.ENERGY: ("energy J", ".2f"),
     ComparisonColumn.OWED_ENERGY: ("owed J", "z.2f"),
     ComparisonColumn.EXCESS_ENERGY: ("above hover J", ".2f"),

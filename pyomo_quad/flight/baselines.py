@@ -20,6 +20,7 @@ from pyomo_quad.flight.controller import (
     feedback_law,
     mixer_matrix,
 )
+from pyomo_quad.flight.cruise import cruise
 from pyomo_quad.flight.flight import POSITION_STATES, Flight, Flown, flight_frame
 from pyomo_quad.flight.plan import Plan, Trajectories
 from pyomo_quad.flight.references import ReferencePath, SampledPath, minimum_snap, quintic, step
@@ -280,15 +281,17 @@ _INSTANT = 1e-4
 _AIR_FORCE = tuple(f"aerodynamics.force_{axis}" for axis in "xyz")
 
 
-def baseline_name(reference: Reference) -> str:
-    """Return the name of a controlled flight."""
-    return f"adaptive/{reference.value}"
+def baseline_name(reference: Reference, speed: float | None = None) -> str:
+    """Return the name of a controlled flight, a cruise with its speed [m/s]."""
+    return f"adaptive/{reference.value}" + ("" if speed is None else f" {speed:g} m/s")
 
 
 def fly_baseline(
     scenario: Scenario, reference: Reference, *, dynamics: Dynamics, plan: Plan | None = None
 ) -> Flight:
     """Fly a mission under the adaptive controller, in the wind that `dynamics` has.
+
+    A cruise flies a mission that `cruise_at` gave its times.
 
     It is verified when a flight by another integrator, which shares no code with the first, ends
     at the same place and has spent the same energy, within the tolerances that plans are held to,
@@ -311,8 +314,9 @@ def fly_baseline(
         integrator=Integrator.MULTISTEP,
         rate_hz=0.0,
     )
+    speeds = scenario.baseline.cruise_speeds if reference is Reference.CRUISE else None
     return assembled_flight(
-        baseline_name(reference),
+        baseline_name(reference, *(speeds or ())),
         scenario,
         dynamics,
         first.flown,
@@ -367,6 +371,8 @@ def reference_path(
     """
     if reference in _PATHS:
         return _PATHS[reference](scenario.mission)
+    if reference is Reference.CRUISE:
+        return cruise(scenario)
     if plan is None:
         raise ScenarioError(
             f"{scenario.name}: reference {reference.value!r} needs a plan; solve the scenario "

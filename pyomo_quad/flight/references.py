@@ -5,6 +5,7 @@ step | the goal from the first moment on | nothing: the controller makes the pat
 quintic | polynomial of degree 5 | position, zero velocity and acceleration
 minimum_snap | polynomial of degree 7 | position, zero velocity, acceleration and jerk
 plan | the optimal plan, between its samples a polynomial of degree 5 | the plan
+cruise | straight legs at a speed, by the module `cruise` | rest, as at every corner
 
 The plan was made for a wind, the forecast, and what that does to the vehicle is part of it: the
 controller then adapts to what the forecast did not say.  The others know of no wind.
@@ -114,7 +115,7 @@ class WaypointPath:
     """
 
     def __init__(self, mission: Mission, derivatives: int) -> None:
-        places, times = _places(mission)
+        places, times = stops_of(mission)
         ends = [0, *(k + 1 for k, w in enumerate(mission.waypoints) if w.hold > 0), len(places) - 1]
         at_rest = [(order, np.zeros(len(_AT_REST))) for order in range(1, derivatives + 1)]
         self._splines = []
@@ -139,7 +140,7 @@ class _Steps:
     """Each waypoint at once, until its time; then the next, and the goal."""
 
     def __init__(self, mission: Mission) -> None:
-        self._places, self._times = _places(mission)
+        self._places, self._times = stops_of(mission)
         holds = [waypoint.hold for waypoint in mission.waypoints]
         self._left = [at + hold for at, hold in zip(self._times[1:-1], holds, strict=True)]
 
@@ -148,7 +149,7 @@ class _Steps:
         return Setpoint(place, _AT_REST, _AT_REST)
 
 
-def _places(mission: Mission) -> tuple[list[list[float]], list[float]]:
+def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
     """Return (x, y, z, yaw) of start, waypoints and goal, and when each is reached.
 
     Raises

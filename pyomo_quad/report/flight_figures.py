@@ -320,10 +320,10 @@ def draw_energy_split(
         left=0.24, right=0.99, top=1 - 0.3 / height, bottom=0.62 / height, wspace=0.07
     )
     rows = range(len(flights))
-    whole.barh(rows, hover_energy_J, color=PALE, edgecolor=MUTED, linewidth=0.6, height=_BAR)
     for row, flight in zip(rows, flights, strict=True):
-        surplus = flight.energy_J - hover_energy_J
-        whole.barh(row, surplus, left=hover_energy_J, **_look(flight))
+        hover = hover_energy_J * flight.duration_s / flights[0].duration_s
+        whole.barh(row, hover, color=PALE, edgecolor=MUTED, linewidth=0.6, height=_BAR)
+        whole.barh(row, flight.energy_J - hover, left=hover, **_look(flight))
     _annotate(whole, [flight.energy_J for flight in flights])
     whole.set(title="Whole: hover floor (grey) and the rest", xlabel="Energy (J)")
     draw_excess(above, flights, hover_energy_J, absent)
@@ -342,7 +342,8 @@ def draw_excess(
     hover_energy_J : float
         Energy of hovering for as long as the mission lasts, J.
     """
-    excess = [flight.energy_J - hover_energy_J for flight in flights]
+    hover_power = hover_energy_J / flights[0].duration_s
+    excess = [flight.energy_J - hover_power * flight.duration_s for flight in flights]
     for row, (flight, surplus) in enumerate(zip(flights, excess, strict=True)):
         axes.barh(row, surplus, **_look(flight))
     _annotate(axes, excess)

@@ -286,6 +286,8 @@ def _of_run(result: "RunResult") -> dict[str, Any]:
     """Return what the template of a run says beyond its plan."""
     comparison, certificate = result.comparison, result.certificate
     by_name = comparison.set_index(ComparisonColumn.FLIGHT, drop=False).to_dict("index")
+    names = comparison[ComparisonColumn.FLIGHT]
+    is_cruise = names.str.startswith(baseline_name(Reference.CRUISE)).astype(bool)
     followed, fair = by_name.get(baseline_name(Reference.PLAN)), by_name.get(FAIR_BASELINE)
     return {
         **_of_flights(comparison),
@@ -296,7 +298,8 @@ def _of_run(result: "RunResult") -> dict[str, Any]:
         "replanning": result.scenario.baseline.mpc,
         "replanning_column": ReplanningColumn,
         "REPLANNING_NAME": REPLANNING_NAME,
-        "rival": _rival(comparison),
+        "rival": _rival(comparison[~is_cruise]),
+        "cruise": _rival(comparison[is_cruise]),
         "alone": by_name.get(OPEN_LOOP),
         "followed": followed,
         "fair": fair,
@@ -311,7 +314,7 @@ def _of_run(result: "RunResult") -> dict[str, Any]:
 
 
 def _rival(comparison: pd.DataFrame) -> dict[Any, Any] | None:
-    """Return the arrived baseline to measure against: the smooth one, or else the cheapest."""
+    """Return the arrived baseline to measure against: the smooth one, or the cheapest."""
     has_saving = comparison[ComparisonColumn.SAVING].notna()
     rivals = comparison[comparison[ComparisonColumn.ARRIVED].astype(bool) & has_saving]
     if rivals.empty:

@@ -19,7 +19,7 @@ from PIL import Image
 from pyomo_quad.flight import flight
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.flight.replanning import replanned_name
-from pyomo_quad.scenario.tables import Knowledge, Reference
+from pyomo_quad.scenario.tables import MISSION_TIMED, Knowledge
 from pyomo_quad.study.comparison import FAIR_BASELINE, OPTIMAL, settled_energy
 
 if TYPE_CHECKING:
@@ -260,7 +260,7 @@ SERIES_STYLES = (
 )
 
 _FLIGHTS = (
-    *(OPTIMAL, *(baseline_name(reference) for reference in Reference), OPEN_LOOP),
+    *(OPTIMAL, *(baseline_name(reference) for reference in MISSION_TIMED), OPEN_LOOP),
     *(replanned_name(knowledge) for knowledge in Knowledge),
 )
 # Every flight that the program can fly has a style of its own in every report; the rest is for

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from enum import StrEnum
 from math import pi
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from pyomo_quad.scenario.fields import (
     ONE_LINE,
@@ -23,6 +23,8 @@ _MILLISECONDS = "no loop is faster than the milliseconds of motors and sensors"
 _RATE = Sound(1e-3, 1e4, _MILLISECONDS)
 _ADAPTATION = Sound(0, 1e6, _MILLISECONDS)
 _FORCE = Sound(1e-3, 1e4, "a thousand times gravity tears a vehicle apart")
+_SPEED = Sound(1e-3, 1e3, "nothing with rotors flies at the speed of sound")
+_MOST_SPEEDS = 20
 
 
 class Reference(StrEnum):
@@ -32,6 +34,11 @@ class Reference(StrEnum):
     QUINTIC = "quintic"
     MINIMUM_SNAP = "minimum_snap"
     PLAN = "plan"
+    CRUISE = "cruise"
+
+
+#: References that take the time of the mission; the others keep their own.
+MISSION_TIMED = tuple(reference for reference in Reference if reference is not Reference.CRUISE)
 
 
 class Gains(Part):
@@ -52,7 +59,7 @@ class Gains(Part):
         "speed at which a far goal is approached",
         3.0,
         gt=0,
-        sound=Sound(1e-3, 1e3, "nothing with rotors flies at the speed of sound"),
+        sound=_SPEED,
     )
     acceleration_max: Number = quantity(
         "m/s^2", "largest correcting acceleration", 2.0, gt=0, sound=_FORCE
@@ -161,13 +168,54 @@ class Baseline(Part):
     """Which references are flown, and how the controller is set."""
 
     references: tuple[Reference, ...] = quantity(
-        "", "trajectories to follow", tuple(Reference), max_length=len(Reference)
+        "", "trajectories to follow", MISSION_TIMED, max_length=len(Reference)
+    )
+    cruise_speeds: tuple[Annotated[Number, Field(gt=0)], ...] | None = quantity(
+        "m/s",
+        "speeds of reference cruise, one flight for each",
+        None,
+        min_length=1,
+        max_length=_MOST_SPEEDS,
+        example="[5.0, 10.0]",
+        sound=_SPEED,
+        is_late=True,
+    )
+    cruise_acceleration: Number = quantity(
+        "m/s^2",
+        "largest acceleration of reference cruise (MPC_ACC_HOR of PX4)",
+        3.0,
+        gt=0,
+        sound=_FORCE,
+        is_late=True,
+    )
+    cruise_jerk: Number = quantity(
+        "m/s^3",
+        "largest jerk of reference cruise (MPC_JERK_AUTO of PX4)",
+        4.0,
+        gt=0,
+        sound=Sound(1e-3, 1e6, _MILLISECONDS),
+        is_late=True,
     )
     adaptation: Flag = quantity("", "whether the controller adapts", True)
     gains: Gains = quantity("", "controller gains", Gains())
     mpc: Replanning | None = quantity(
         "", "re-planning in flight, not flown when absent", None, is_late=True
     )
+
+    @model_validator(mode="after")
+    def _cruise_has_speeds(self) -> Self:
+        speeds = self.cruise_speeds or ()
+        if Reference.CRUISE in self.references and not speeds:
+            raise ValueError(
+                "cruise_speeds is missing; reference cruise needs at least one speed in m/s; give "
+                "cruise_speeds = [5.0] or leave cruise out"
+            )
+        twice = next((speed for speed in speeds if speeds.count(speed) > 1), None)
+        if twice is not None:
+            raise ValueError(
+                f"cruise_speeds has {twice:g} m/s twice; must be different speeds; leave one out"
+            )
+        return self
 
 
 _VOLTAGE = Sound(0, 100, "the cells of all chemistries have 1 to 5 V")

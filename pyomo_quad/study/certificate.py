@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import count
+from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -168,6 +169,10 @@ _ITERATIONS = 200
 _IMPOSSIBLE = "no flight meets the mission within the rotor speed limits, so none is bounded."
 
 
+#: Durations that differ by less, relative, are the same.
+SAME_TIME = 1e-9
+
+
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
     """The lower bound of a mission, or why there is none.
@@ -182,12 +187,20 @@ class Certificate:
         Whether there is a bound.
     reason : str
         What the bound rests on, or why there is none.
+    durations_s : tuple of float
+        Least and greatest duration of the flights that are bounded [s].
     """
 
     lower_bound_J: float | None
     hover_energy_J: float
     applies: bool
     reason: str
+    durations_s: tuple[float, float] = (0.0, inf)
+
+    def is_of(self, duration_s: float) -> bool:
+        """Say whether the bound is one on flights of a duration."""
+        least, greatest = self.durations_s
+        return least * (1 - SAME_TIME) <= duration_s <= greatest * (1 + SAME_TIME)
 
     def gap_percent(self, energy_J: float) -> float | None:
         """Return by how much any flight could undercut an energy, in per cent of it.
@@ -212,6 +225,7 @@ def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificat
         hover_energy_J=hover_energy,
         applies=bound is not None,
         reason=reason,
+        durations_s=scenario.mission.duration_limits,
     )
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from enum import StrEnum
-from math import isfinite, nan
+from math import isclose, isfinite, nan
 
 import numpy as np
 import pandas as pd
@@ -28,7 +28,7 @@ from pyomo_quad.flight.flight import (
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.scenario.vehicle import MOST_ROTORS
-from pyomo_quad.study.certificate import Certificate
+from pyomo_quad.study.certificate import SAME_TIME, Certificate
 
 FloatArray = NDArray[np.float64]
 
@@ -99,6 +99,7 @@ class ComparisonColumn(StrEnum):
 
     SCENARIO = "scenario"
     FLIGHT = "flight"
+    DURATION = "duration_s"
     ENERGY = "energy_J"
     OWED_ENERGY = "owed_energy_J"
     HOVER_ENERGY = "hover_energy_J"
@@ -154,6 +155,10 @@ def compare_flights(
     saving, and neither bound nor gap, since the bound is one on flights that arrive within the
     limits.  A scenario with a forecast has no savings and its optimum no bound: it was made for
     another wind than the others flew in.
+
+    ``hover_energy_J`` is of the mission's duration; a flight that took another has its own hover
+    floor, and a bound only where the certificate is one of its duration.  What the optimum saves
+    above hover is the difference of the two excesses.
     """
     is_told_the_wind = scenario.wind.forecast is None
     optimum = next((f for f in flights if f.name == OPTIMAL and is_comparable(f)), None)
@@ -162,24 +167,33 @@ def compare_flights(
         is_optimum = flight.name == OPTIMAL
         arrived = has_arrived(flight)
         settled = settled_energy(flight)
-        is_bounded = is_comparable(flight) and (is_told_the_wind or not is_optimum)
+        is_bounded = (
+            is_comparable(flight)
+            and (is_told_the_wind or not is_optimum)
+            and certificate.is_of(flight.duration_s)
+        )
         is_rival = is_comparable(flight) and is_told_the_wind and not is_optimum
-        excess = settled - hover_energy_J
-        saved = nan if optimum is None or not is_rival else settled - settled_energy(optimum)
+        hover = _hover_energy(scenario, flight, hover_energy_J)
+        excess = settled - hover
+        saved = spared = nan
+        if optimum is not None and is_rival:
+            saved = settled - settled_energy(optimum)
+            spared = saved - (hover - _hover_energy(scenario, optimum, hover_energy_J))
         rows.append(
             {
                 ComparisonColumn.SCENARIO: scenario.name,
                 ComparisonColumn.FLIGHT: flight.name,
+                ComparisonColumn.DURATION: flight.duration_s,
                 ComparisonColumn.ENERGY: flight.energy_J,
                 ComparisonColumn.OWED_ENERGY: flight.owed_energy_J if arrived else nan,
-                ComparisonColumn.HOVER_ENERGY: hover_energy_J,
+                ComparisonColumn.HOVER_ENERGY: hover,
                 ComparisonColumn.EXCESS_ENERGY: excess,
                 ComparisonColumn.LOWER_BOUND: _number(certificate.lower_bound_J, is_bounded),
                 ComparisonColumn.OPTIMALITY_GAP: _number(
                     certificate.gap_percent(settled), is_bounded
                 ),
                 ComparisonColumn.SAVING: _percent(saved, settled),
-                ComparisonColumn.SAVING_OF_EXCESS: _percent(saved, excess),
+                ComparisonColumn.SAVING_OF_EXCESS: _percent(spared, excess),
                 ComparisonColumn.TERMINAL_MISS: flight.terminal_miss_m,
                 ComparisonColumn.ARRIVED: arrived,
                 ComparisonColumn.LIMITS_KEPT: not flight.broken_limits,
@@ -192,6 +206,17 @@ def compare_flights(
     if scenario.limits.reserve:
         compared[RESERVE] = [_reserve_percent(scenario, flight.frame) for flight in flights]
     return compared
+
+
+def has_own_time(scenario: Scenario, duration_s: float) -> bool:
+    """Say whether a flight took another time than the mission."""
+    return not isclose(duration_s, scenario.mission.fixed_duration, rel_tol=SAME_TIME)
+
+
+def _hover_energy(scenario: Scenario, flight: Flight, hover_energy_J: float) -> float:
+    if not has_own_time(scenario, flight.duration_s):
+        return hover_energy_J
+    return hover_energy_J * flight.duration_s / scenario.mission.fixed_duration
 
 
 class ReplanningColumn(StrEnum):

@@ -10,6 +10,7 @@ import pandas as pd
 from pyomo_quad.collocation import Dynamics, EngineError, Progress, Summarised
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name, fly_baseline, fly_open_loop
+from pyomo_quad.flight.cruise import cruise_at
 from pyomo_quad.flight.flight import WIND
 from pyomo_quad.flight.replanning import fly_replanned, replanned_name
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
@@ -162,7 +163,14 @@ def _baselines(
     scenario: Scenario, plan: Plan, planner: Planner, references: Sequence[Reference]
 ) -> Iterator[tuple[str, Callable[[], Flight]]]:
     dynamics = planner.dynamics(scenario)
+    for speed in scenario.baseline.cruise_speeds or () if Reference.CRUISE in references else ():
+        yield (
+            baseline_name(Reference.CRUISE, speed),
+            partial(_fly_cruise, scenario, speed, plan, planner),
+        )
     for reference in references:
+        if reference is Reference.CRUISE:
+            continue
         yield (
             baseline_name(reference),
             partial(fly_baseline, scenario, reference, dynamics=dynamics, plan=plan),
@@ -171,3 +179,9 @@ def _baselines(
         told = partial(fly_replanned, scenario, knowledge, dynamics=dynamics, planner=planner)
         yield replanned_name(knowledge), partial(told, plan=plan)
     yield OPEN_LOOP, partial(fly_open_loop, scenario, plan, dynamics)
+
+
+def _fly_cruise(scenario: Scenario, speed: float, plan: Plan, planner: Planner) -> Flight:
+    """Fly the mission as an autopilot would, in the time that this takes."""
+    told = cruise_at(scenario, speed)
+    return fly_baseline(told, Reference.CRUISE, dynamics=planner.dynamics(told), plan=plan)

@@ -6,10 +6,10 @@ from difflib import get_close_matches
 from enum import StrEnum
 from math import prod
 from pathlib import Path as FilePath
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ValidationError, model_validator
 
 from pyomo_quad.scenario.document import read_toml
 from pyomo_quad.scenario.fields import Part, Text, WholeNumber, quantity
@@ -91,6 +91,15 @@ class Study(Part):
     fixed: dict[str, Any] = quantity("", "fields changed in the base scenario", {})
     sampling: Sampling | None = quantity("", "how random axes are drawn", None)
     axis: tuple[Axis, ...] = quantity("", "what varies", min_length=1, max_length=_MOST_AXES)
+
+    @model_validator(mode="after")
+    def _baselines_take_the_missions_time(self) -> Self:
+        if Reference.CRUISE in self.baselines:
+            raise ValueError(
+                "baselines has cruise, which keeps its own time; must be flights of the mission's "
+                "time; leave it out"
+            )
+        return self
 
 
 @dataclass(frozen=True, kw_only=True)

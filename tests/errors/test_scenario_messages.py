@@ -125,7 +125,7 @@ REFUSED = {
     "limits.rotor_speed_max = -1.0": "limits.rotor_speed_max = -1 rad/s; must be > 0.",
     'baseline.references = ["step", "spline"]': (
         "baseline.references[1] = \"spline\"; must be one of 'step', 'quintic', "
-        "'minimum_snap' or 'plan'."
+        "'minimum_snap', 'plan' or 'cruise'."
     ),
     'name = "../../etc"': (
         "name = \"../../etc\"; must be 1 to 64 letters, digits, '_', '-' or '.', "

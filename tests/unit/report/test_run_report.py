@@ -15,7 +15,7 @@ from pyomo_quad.report.gallery import adaptation_drawing, plan_drawings, save_dr
 from pyomo_quad.report.paths import leaving_paths
 from pyomo_quad.report.report import write_comparison, write_run_report
 from pyomo_quad.report.style import flight_styles, styled_flights
-from pyomo_quad.scenario import Reference
+from pyomo_quad.scenario.tables import MISSION_TIMED
 from pyomo_quad.study.comparison import (
     ERROR_WITH,
     ERROR_WITHOUT,
@@ -67,9 +67,9 @@ def test_both_reports_hold_the_same_headings_and_numbers(report):
 
 def test_every_number_travels_with_the_hover_floor(report):
     text = (report / "report.md").read_text()
-    row = "| `adaptive/quintic` | 723.80 | 0.00 | 709.60 | 14.20 | 1.67 | 85.21 | 708.40 | 2.13 |"
-    assert row in text
-    assert "| `adaptive/step` | 780.60 | n/a | 709.60 | 71.00 | n/a | n/a |" in text
+    row = "10.00 | 723.80 | 0.00 | 709.60 | 14.20 | 1.67 | 85.21 | 708.40 | 2.13 |"
+    assert f"| `adaptive/quintic` | {row}" in text
+    assert "| `adaptive/step` | 10.00 | 780.60 | n/a | 709.60 | 71.00 | n/a | n/a |" in text
     assert "| `adaptive/step` | no |" in text
 
 
@@ -142,9 +142,9 @@ def test_comparison_of_many_scenarios_names_them(tmp_path):
     calm = synthetic_run("scenarios/paper_calm.toml").comparison
     write_comparison(tmp_path, combine([calm, synthetic_run().comparison]))
     text = (tmp_path / "comparison.md").read_text()
-    assert "| Scenario | Flight | Energy (J) |" in text
-    assert "| `paper_calm` | `optimal` | 711.70 |" in text
-    assert "| `paper_wind` | `optimal` | 711.70 |" in text
+    assert "| Scenario | Flight | Duration (s) | Energy (J) |" in text
+    assert "| `paper_calm` | `optimal` | 10.00 | 711.70 |" in text
+    assert "| `paper_wind` | `optimal` | 10.00 | 711.70 |" in text
 
 
 def test_flight_that_goes_astray_does_not_hide_the_others():
@@ -165,7 +165,7 @@ def test_a_flight_keeps_its_colour_whatever_is_drawn_beside_it():
     for flights in (run.flights, run.flights[::-1], run.flights[1:3]):
         for flight in styled_flights(flights):
             assert flight.style == alone[flight.name]
-    names = ("optimal", *map(baseline_name, Reference), OPEN_LOOP)
+    names = ("optimal", *map(baseline_name, MISSION_TIMED), OPEN_LOOP)
     styles = flight_styles((*names, "a pack"))
     assert len({style.color for style in styles.values()}) == len(names) + 1
 

@@ -62,7 +62,8 @@ def compared(*flights, certificate=BOUND, told=None):
 def test_columns_stand_in_the_order_of_the_table():
     row = compare_flights(scenario(), [flight("optimal", 410.0)], BOUND, 400.0)
     assert list(row) == [
-        *("scenario", "flight", "energy_J", "owed_energy_J", "hover_energy_J", "excess_energy_J"),
+        *("scenario", "flight", "duration_s", "energy_J", "owed_energy_J", "hover_energy_J"),
+        "excess_energy_J",
         *("lower_bound_J", "optimality_gap_percent", "saving_percent", "saving_of_excess_percent"),
         *("terminal_miss_m", "arrived", "limits_kept", "broken_limits", "verified"),
         *("peak_power_W", "peak_tilt_rad"),

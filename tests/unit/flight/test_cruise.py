@@ -1,0 +1,148 @@
+"""Cruise: are the limits kept, is the way done, and are the times those of the closed form?"""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from pyomo_quad.flight.cruise import SETTLING_S, cruise, cruise_at, speed_profile
+from pyomo_quad.scenario import ScenarioError, scenario_from_mapping
+from pyomo_quad.study import run
+from pyomo_quad.study.comparison import ComparisonColumn as Column
+from pyomo_quad.sweep.study_file import Study
+
+ROUNDING = 1e-9
+
+
+def mission(baseline=None, **tables):
+    hop = {"goal": {"position": [6.0, 3.0, 2.0], "yaw": 0.5}, "duration": 6.0}
+    cruising = {"references": ["cruise"], "cruise_speeds": [5.0]} | (baseline or {})
+    return scenario_from_mapping(
+        {"name": "hop", "mission": hop | tables.pop("mission", {}), "baseline": cruising} | tables
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(*(st.floats(low, high) for low, high in ((0.01, 500), (0.1, 30), (0.1, 20), (0.1, 50))))
+def test_a_profile_keeps_its_limits_and_does_its_distance(distance, speed, acceleration, jerk):
+    profile = speed_profile(distance, speed, acceleration, jerk)
+    lasting = np.diff(profile.times)
+    assert (lasting >= 0).all()
+    assert profile.speeds.max() <= speed * (1 + ROUNDING)
+    assert np.abs(profile.accelerations).max() <= acceleration * (1 + ROUNDING)
+    change = np.abs(np.diff(profile.accelerations))
+    assert (change <= jerk * lasting + ROUNDING * acceleration).all()
+    # Simpson's rule is exact for the parabolas of the speed.
+    start, end = profile.speeds[:-1], profile.speeds[1:]
+    middle = (start + end) / 2 - lasting / 8 * np.diff(profile.accelerations)
+    done = np.sum(lasting * (start + 4 * middle + end) / 6)
+    assert done == pytest.approx(distance, rel=1e-7)
+    # Something is always at its limit: no faster profile is left out.
+    is_short = profile.speeds.max() < speed * (1 - ROUNDING)
+    assert not is_short or profile.times[4] - profile.times[3] <= ROUNDING * profile.times[-1]
+
+
+@pytest.mark.parametrize(
+    ("distance", "duration"),
+    [
+        (50.0, 50 / 5 + 5 / 3 + 3 / 4),  # all seven phases: d / v + v / a + a / j
+        (2.0, (32 * 2.0 / 4) ** (1 / 3)),  # jerk alone: d = j T^3 / 32
+    ],
+)
+def test_a_profile_takes_the_time_of_the_closed_form(distance, duration):
+    assert speed_profile(distance, 5.0, 3.0, 4.0).times[-1] == pytest.approx(duration, rel=1e-12)
+
+
+def test_a_cruise_stops_at_waypoints_holds_and_goes_round_a_zone():
+    stop = {"position": [10.0, 0.0, 0.0], "hold": 2.0}
+    mast = {"name": "mast", "shape": "cylinder", "centre": [5.0, 0.1], "radius": 1.0}
+    mast |= {"bottom": -50.0, "top": 50.0}
+    told = cruise_at(
+        mission(
+            mission={"waypoints": [stop], "duration": 60.0},
+            airspace={"keep_out": [mast], "clearance": 0.2},
+        ),
+        4.0,
+    )
+    path, end = cruise(told), told.mission.fixed_duration
+    times = np.linspace(0.0, end, 2001)
+    points = [path(t) for t in times]
+    places = np.array([point.place for point in points])
+    assert np.hypot(places[:, 0] - 5.0, places[:, 1] - 0.1).min() >= 1.2
+    reached = told.mission.waypoints[0].at
+    for t in (reached, reached + 1.0, reached + 2.0):
+        assert path(t).place[:3] == pytest.approx(stop["position"], abs=ROUNDING)
+        assert path(t).rate == pytest.approx([0.0] * 4, abs=1e-6)
+    assert places[-1] == pytest.approx([6.0, 3.0, 2.0, 0.5], abs=ROUNDING)
+    speeds = np.linalg.norm([point.rate[:3] for point in points], axis=1)
+    # The rates are the slopes of the places, and kept below the speed.
+    moved = np.linalg.norm(np.diff(places[:, :3], axis=0), axis=1).sum()
+    assert np.trapezoid(speeds, times) == pytest.approx(moved, rel=1e-3)
+    assert speeds.max() <= 4.0 * (1 + ROUNDING)
+
+
+@pytest.mark.slow
+def test_each_speed_is_a_flight_with_its_own_time_that_arrives():
+    told = mission(baseline={"cruise_speeds": [1.5, 3.0]}, solver={"elements": 10})
+    table = run.run_scenario(told).comparison.set_index(Column.FLIGHT)
+    optimum = table.loc["optimal"]
+    for speed in (1.5, 3.0):
+        row = table.loc[f"adaptive/cruise {speed:g} m/s"]
+        duration = speed_profile(7.0, speed, 3.0, 4.0).times[-1] + SETTLING_S
+        assert row[Column.ARRIVED]
+        assert row[Column.VERIFIED]
+        assert row[Column.DURATION] == pytest.approx(duration, rel=1e-9)
+        hover = optimum[Column.HOVER_ENERGY] * duration / 6.0
+        assert row[Column.HOVER_ENERGY] == pytest.approx(hover, rel=1e-9)
+        # The bound is one on flights of six seconds.
+        assert np.isnan(row[Column.LOWER_BOUND])
+        saved = 1 - optimum[Column.ENERGY] / (row[Column.HOVER_ENERGY] + row[Column.EXCESS_ENERGY])
+        assert row[Column.SAVING] == pytest.approx(100 * saved, abs=1e-3)
+    assert optimum[Column.LOWER_BOUND] > 0
+
+
+@pytest.mark.parametrize(
+    ("baseline", "message"),
+    [
+        ({"cruise_speeds": [0.0]}, r"baseline.cruise_speeds\[0\] = 0 m/s; must be > 0"),
+        ({"cruise_speeds": []}, "baseline.cruise_speeds"),
+        ({"cruise_speeds": None}, "reference cruise needs at least one speed in m/s"),
+        ({"cruise_speeds": [5.0, 5.0]}, "cruise_speeds has 5 m/s twice"),
+        ({"cruise_acceleration": 0.0}, "baseline.cruise_acceleration = 0 m/s\\^2; must be > 0"),
+        ({"cruise_jerk": -1.0}, "baseline.cruise_jerk = -1 m/s\\^3; must be > 0"),
+    ],
+)
+def test_bad_speeds_are_refused_in_one_line(baseline, message):
+    given_speeds = {key: value for key, value in baseline.items() if value is not None}
+    table = {"references": ["cruise"]} | (
+        {} if None in baseline.values() else {"cruise_speeds": [5]}
+    )
+    with pytest.raises(ScenarioError, match=message) as refused:
+        scenario_from_mapping(
+            {
+                "name": "hop",
+                "mission": {"goal": {"position": [1.0, 0.0, 0.0]}, "duration": 3.0},
+                "baseline": table | given_speeds,
+            }
+        )
+    assert "\n" not in str(refused.value)
+
+
+def test_a_leg_to_nowhere_and_several_speeds_for_one_flight_are_refused():
+    with pytest.raises(ScenarioError, match="a leg of the mission ends where it starts"):
+        cruise_at(mission(mission={"goal": {"position": [0.0, 0.0, 0.0]}}), 5.0)
+    with pytest.raises(ScenarioError, match="must be one speed for one flight"):
+        cruise(mission(baseline={"cruise_speeds": [1.0, 2.0]}))
+    with pytest.raises(ScenarioError, match=r"reference cruise takes 8.* s and keeps its own time"):
+        cruise(mission(baseline={"cruise_speeds": [1.2]}))
+
+
+def test_a_study_refuses_flights_of_another_time():
+    with pytest.raises(ValidationError, match="baselines has cruise, which keeps its own time"):
+        Study(
+            name="s",
+            scenario="s.toml",
+            baselines=("cruise",),
+            axis=({"path": "mission.duration", "values": [4.0, 5.0]},),
+        )
