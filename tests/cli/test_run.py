@@ -17,6 +17,7 @@ from tests.command import IMPOSSIBLE, PAPER_CALM, QUICK, SCENARIOS, Run
 FIRST_COLUMNS = [
     "scenario",
     "flight",
+    "duration_s",
     "energy_J",
     "owed_energy_J",
     "hover_energy_J",
