@@ -9,7 +9,7 @@ from typing import Any
 
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
-from pyomo.environ import Block, ConcreteModel, Constraint, Param, Var, sqrt, units
+from pyomo.environ import Block, ConcreteModel, Constraint, Param, Var, sqrt, units, value
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.model.rigid_body import PLACE, STATES
@@ -146,11 +146,14 @@ def _declare_waypoints(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     b.waypoint = Param(list(places), initialize=places, mutable=True, units=units.m, doc="x_k")
     given = b.component("passing_at")
 
-    def limits(_b: Block, k: int) -> tuple[Any, Any]:
-        return (given[k], given[k]) if given is not None and k in given else (0.0, None)
+    def is_given(k: int) -> bool:
+        return given is not None and k in given
 
-    def begun(_b: Block, k: int) -> float:
-        return reached[k]
+    def limits(_b: Block, k: int) -> tuple[Any, Any]:
+        return (given[k], given[k]) if is_given(k) else (0.0, None)
+
+    def begun(_b: Block, k: int) -> Any:
+        return value(given[k]) if is_given(k) else reached[k]
 
     b.passing_time = Var(
         list(reached), bounds=limits, initialize=begun, units=units.s, doc="t_k: passage [s]"

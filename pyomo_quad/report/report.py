@@ -316,7 +316,8 @@ def _of_run(result: "RunResult") -> dict[str, Any]:
 def _rival(comparison: pd.DataFrame) -> dict[Any, Any] | None:
     """Return the arrived baseline to measure against: the smooth one, or the cheapest."""
     has_saving = comparison[ComparisonColumn.SAVING].notna()
-    rivals = comparison[comparison[ComparisonColumn.ARRIVED].astype(bool) & has_saving]
+    is_own = comparison[ComparisonColumn.FLIGHT] == OPEN_LOOP
+    rivals = comparison[comparison[ComparisonColumn.ARRIVED].astype(bool) & has_saving & ~is_own]
     if rivals.empty:
         return None
     fair = rivals[rivals[ComparisonColumn.FLIGHT] == FAIR_BASELINE]

@@ -172,7 +172,7 @@ PALE = "#dddddd"
 
 _BLUE, _VERMILION, _GREEN = "#0072b2", "#d55e00", "#009e73"
 _ORANGE, _PURPLE, _SKY = "#e69f00", "#a8487f", "#56b4e9"
-_BROWN, _PINK = "#7a4b1e", "#f2a0c0"
+_BROWN, _PINK, _OLIVE, _TEAL = "#7a4b1e", "#f2a0c0", "#8a8a00", "#006d77"
 
 # A date would make two equal runs differ.
 _SVG_METADATA = {"Date": None, "Creator": None}
@@ -257,6 +257,8 @@ SERIES_STYLES = (
     LineStyle(color=MUTED, dashes=(5, 1.2, 1, 1.2), dash_name="dashdot", marker="d", hatch="oo"),
     LineStyle(color=_BROWN, dashes=(3, 1, 1, 1), dash_name="longdashdot", marker="<", hatch="||"),
     LineStyle(color=_PINK, dashes=(10, 2, 2, 2), dash_name="longdash", marker=">", hatch="**"),
+    LineStyle(color=_OLIVE, dashes=(1, 2), dash_name="dot", marker="p", hatch="//\\\\"),
+    LineStyle(color=_TEAL, dashes=(6, 1, 1, 1, 1, 1), dash_name="dash", marker="h", hatch="-|"),
 )
 
 _FLIGHTS = (

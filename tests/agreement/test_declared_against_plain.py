@@ -61,7 +61,7 @@ def test_state_derivative_with_drag(drag, is_exact):
     [
         pytest.param({"rotor_drag_plane": 1.19e-4}, marks=pytest.mark.slow),
         pytest.param({"rotor_drag_axis": 2.32e-4}, marks=pytest.mark.slow),
-        {"translational_lift": 3.4e-3},
+        pytest.param({"translational_lift": 3.4e-3}, marks=pytest.mark.slow),
         pytest.param({"parasitic_drag": [5e-3, 6e-3, 1e-2]}, marks=pytest.mark.slow),
         {"rotor_drag_plane": 1e-4, "rotor_drag_axis": 2e-4, "parasitic_drag": [0.0, 0.0, 1e-2]},
     ],

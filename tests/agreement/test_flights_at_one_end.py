@@ -132,6 +132,7 @@ def test_a_flight_without_a_plan_for_its_wind_has_no_price(planner):
     assert [untold.owed_energy_J, alone.owed_energy_J] == pytest.approx([nan, nan], nan_ok=True)
 
 
+@pytest.mark.slow
 def test_flights_in_a_wind_that_the_plan_was_not_told_are_priced_by_who_was():
     blowing = {"use": "constant", "speed": 1.0}
     one = (Reference.QUINTIC,)

@@ -267,6 +267,7 @@ def test_closed_errors_do_not_spoil_an_answer():
     assert in_shell("2>/dev/full", "library", "nonsense")[0] == ExitCode.BAD_INPUT
 
 
+@pytest.mark.slow
 def test_names_that_the_terminal_cannot_encode(tmp_path):
     folder = tmp_path / os.fsdecode(b"bericht-\xff-\xc3\xbc")
     file = write_scenario(tmp_path, 'title = "Überflug"')

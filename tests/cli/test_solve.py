@@ -149,6 +149,7 @@ def test_report_of_a_failure_is_headed_as_one(impossible):
     assert impossible.read("report.md").startswith("# Failed, infeasible: ")
 
 
+@pytest.mark.slow
 def test_refinement_that_gives_up_says_so(tmp_path, capsys):
     folder = tmp_path / "report"
     coarse = ("solver.elements=3", "solver.degree=3", "solver.max_refinements=0")

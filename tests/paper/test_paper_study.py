@@ -99,6 +99,7 @@ def test_a_literal_floor_is_infinite_beyond_the_zero_and_both_fall_with_the_boun
         assert np.isinf(energies[-1]) == (reading is Reading.LITERAL)
 
 
+@pytest.mark.slow
 def test_a_coarse_optimum_of_the_literal_problem_does_not_survive_a_flight():
     outcome = run_trial(MeshTrial(reading=Reading.LITERAL, bound=300.0, elements=5))
     floor = chattering_floors(Reading.LITERAL, (300.0,))[0, 1]

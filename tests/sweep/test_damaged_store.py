@@ -166,6 +166,7 @@ def test_fresh_deletes_stores_and_nothing_else(folder, tmp_path):
     assert file.is_file()
 
 
+@pytest.mark.slow
 def test_a_locked_store_is_said_to_be_locked(folder, monkeypatch, capsys):
     monkeypatch.setattr(store, "_LOCK_SECONDS", 0.1)
     with closing(sqlite3.connect(folder / STORE_NAME)) as other:
