@@ -327,8 +327,9 @@ def draw_energy_split(
     _annotate(whole, [flight.energy_J for flight in flights])
     whole.set(title="Whole: hover floor (grey) and the rest", xlabel="Energy (J)")
     draw_excess(above, flights, hover_energy_J, absent)
-    note = "; * did not arrive" if absent else ""
-    above.set(title="Above the hover floor only", xlabel=f"Energy above hovering (J){note}")
+    above.set(
+        title="Above the hover floor only", xlabel=f"Energy above hovering (J){_note(absent)}"
+    )
     return figure
 
 
@@ -349,9 +350,11 @@ def draw_excess(
     _annotate(axes, excess)
     labels = [f"{f.name} *" if f.name in absent else f.name for f in flights]
     axes.set_yticks(range(len(flights)), labels)
-    if absent:
-        axes.set_xlabel("* did not arrive")
     axes.invert_yaxis()
+
+
+def _note(absent: frozenset[str]) -> str:
+    return ", * did not arrive" if absent else ""
 
 
 def draw_excess_by_scenario(comparison: pd.DataFrame) -> Figure:
@@ -503,7 +506,7 @@ def draw_overview(
     label_time([over_time], flights[0].duration_s)
     in_total = figure.add_axes((0.66, 0.19, 0.32, 0.32))
     draw_excess(in_total, flights, hover_energy_J, absent)
-    in_total.set_title("At the end (J)")
+    in_total.set_title(f"At the end (J){_note(absent)}")
     legend_below(figure, over_time)
     return figure
 

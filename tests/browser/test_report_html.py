@@ -145,7 +145,7 @@ def test_no_table_is_cut_on_a_phone(page):
     )
     assert wide == 0
     beside = "return getComputedStyle(document.querySelector('td'), '::before').content"
-    assert on_a_phone(page, beside) == '"Energy (J)"'
+    assert on_a_phone(page, beside) == '"Duration (s)"'
 
 
 def seconds(page):
@@ -214,9 +214,9 @@ def test_drag_turns_the_view(page):
 def test_a_table_sorts_by_its_numbers_both_ways(page):
     column = (
         "return [...document.querySelectorAll('table')[0].tBodies[0].rows]"
-        ".map(row => row.cells[1].textContent)"
+        ".map(row => row.cells[2].textContent)"
     )
-    click = "document.querySelectorAll('table')[0].tHead.querySelectorAll('button')[1].click()"
+    click = "document.querySelectorAll('table')[0].tHead.querySelectorAll('button')[2].click()"
     page.execute_script(click)
     rising = [float(text) for text in page.execute_script(column)]
     assert rising == sorted(rising)

@@ -100,6 +100,7 @@ def test_solving_imports_neither_statistics_nor_plots(first):
     assert slow.isdisjoint(modules_after(f"{first}\nimport pyomo_quad.cli.solving"))
 
 
+@pytest.mark.slow
 def test_a_solve_without_figures_imports_nothing_that_draws(tmp_path):
     arguments = ["solve", PAPER_CALM, *QUICK, "--quiet", "--figures", "none", "--out"]
     program = f"from pyomo_quad.cli import main\nmain({[*arguments, str(tmp_path / 'report')]!r})"

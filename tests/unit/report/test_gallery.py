@@ -62,6 +62,7 @@ def test_a_fault_of_another_process_is_met_again_here(tmp_path, monkeypatch, cap
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_more_figures_than_places_in_the_queue(drawings, tmp_path, monkeypatch):
     monkeypatch.setattr(gallery, "_PLACES", 2)
     assert len(drawn(drawings, tmp_path / "many")) == 2 * len(drawings)
