@@ -12,14 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from pyomo_quad.collocation import Mesh, TranscriptionError, interpolate, interpolate_rates
 from pyomo_quad.flight import COLUMNS, Plan, PlanStatus
-from pyomo_quad.flight.flight import POSITION_STATES, TIME
+from pyomo_quad.flight.flight import POSITION_STATES, TIME, VELOCITY_STATES
 from pyomo_quad.report.tables import PLAN_NAME, SUMMARY_NAME, read_report, refuse_report
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.messages import printable, shown
 
 FloatArray = NDArray[np.float64]
 
-VELOCITY_STATES = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")
 ATTITUDE_STATES = ("rigid_body.phi", "rigid_body.theta", "rigid_body.psi")
 RATE_STATES = ("rigid_body.p", "rigid_body.q", "rigid_body.r")
 

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PPoly, make_interp_spline
 
-from pyomo_quad.exports.motion import ATTITUDE_STATES, VELOCITY_STATES, Motion
-from pyomo_quad.flight.flight import POSITION_STATES
+from pyomo_quad.exports.motion import ATTITUDE_STATES, Motion
+from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.scenario import ScenarioError
 
 FloatArray = NDArray[np.float64]

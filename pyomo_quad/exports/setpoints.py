@@ -7,8 +7,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from pyomo_quad.exports.motion import ATTITUDE_STATES, RATE_STATES, VELOCITY_STATES, Motion
-from pyomo_quad.flight.flight import POSITION_STATES
+from pyomo_quad.exports.motion import ATTITUDE_STATES, RATE_STATES, Motion
+from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.scenario import ScenarioError
 
 FloatArray = NDArray[np.float64]

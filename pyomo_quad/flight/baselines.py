@@ -21,7 +21,14 @@ from pyomo_quad.flight.controller import (
     mixer_matrix,
 )
 from pyomo_quad.flight.cruise import cruise
-from pyomo_quad.flight.flight import POSITION_STATES, Flight, Flown, flight_frame
+from pyomo_quad.flight.flight import (
+    AIR_FORCE,
+    POSITION_STATES,
+    VELOCITY_STATES,
+    Flight,
+    Flown,
+    flight_frame,
+)
 from pyomo_quad.flight.plan import Plan, Trajectories
 from pyomo_quad.flight.references import ReferencePath, SampledPath, minimum_snap, quintic, step
 from pyomo_quad.flight.verification import (
@@ -108,10 +115,30 @@ def _charge_drawn(scenario: Scenario, dynamics: Dynamics) -> float:
 # Gives energies to 1e-7 and better with either integrator.
 _TOLERANCE = 1e-7
 # Longest step, s: a smooth stretch must not step over a gust or a change of the reference.
-_LONGEST_STEP = 0.1
+LONGEST_STEP = 0.1
 # A flight under control takes some 500 evaluations per second; ten times that is a tumble, which
 # would keep the integrator busy for hours.
 _MOST_EVALUATIONS_PER_SECOND = 5000
+# Samples of a flight's table per second of flight.
+RATE_HZ = 100.0
+
+
+class TumblingGuard:
+    """Gives a flight up that takes more evaluations than any under control."""
+
+    def __init__(self, flight: str, duration: float) -> None:
+        self.evaluations = 0
+        self._flight = flight
+        self._most = _MOST_EVALUATIONS_PER_SECOND * max(1.0, duration)
+
+    def evaluated(self, t: float) -> None:
+        """Count an evaluation of the right-hand side."""
+        self.evaluations += 1
+        if self.evaluations > self._most:
+            raise SolveError(
+                f"{self._flight}: out of control at {t:.4g} s, stopped after {self._most:g} "
+                "evaluations; check the gains and limits of the scenario."
+            )
 
 
 class Integrator(StrEnum):
@@ -171,7 +198,7 @@ def fly(
         t_eval=times,
         rtol=_TOLERANCE,
         atol=_TOLERANCE,
-        max_step=_LONGEST_STEP,
+        max_step=LONGEST_STEP,
     )
     if not solution.success:
         raise SolveError(
@@ -201,8 +228,7 @@ class _Loop:
             if isinstance(dynamics, Dynamics)
             else _Interpreted(dynamics, law)
         )
-        self._evaluations = 0
-        self._most_evaluations = _MOST_EVALUATIONS_PER_SECOND * max(1.0, duration)
+        self._guard = TumblingGuard("controlled flight", duration)
 
     def started(self, t: float, state: FloatArray) -> FloatArray:
         """Return the joint state at the start."""
@@ -211,13 +237,7 @@ class _Loop:
 
     def rates(self, t: float, joint: FloatArray) -> FloatArray:
         """Return the derivative of the joint state."""
-        self._evaluations += 1
-        if self._evaluations > self._most_evaluations:
-            raise SolveError(
-                f"controlled flight: out of control at {t:.4g} s, stopped after "
-                f"{self._most_evaluations:g} evaluations; check the gains and limits of the "
-                "scenario."
-            )
+        self._guard.evaluated(t)
         return self._system.rates(t, joint, self._controller.command(self._reference, t))
 
     def flight(self, times: FloatArray, rows: FloatArray) -> ClosedLoopFlight:
@@ -231,7 +251,7 @@ class _Loop:
                 energy=rows[:, -1],
             ),
             controller_states=rows[:, self._size : -1],
-            evaluations=self._evaluations,
+            evaluations=self._guard.evaluations,
         )
 
 
@@ -267,18 +287,15 @@ _PATHS = {
     Reference.QUINTIC: quintic,
     Reference.MINIMUM_SNAP: minimum_snap,
 }
-# Samples of a flight's table per second of flight.
-_RATE_HZ = 100.0
 # Samples of the plan per second between which its reference is interpolated.
 _PLAN_RATE_HZ = 5.0
 # Place, its rate and the rate of that, as the declared model names them.
 _PLACE = (*POSITION_STATES, "rigid_body.psi")
-_RATE = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz", "rigid_body.dpsi_dt")
+_RATE = (*VELOCITY_STATES, "rigid_body.dpsi_dt")
 _ACCELERATION = tuple(f"rigid_body.d{name}_dt" for name in ("vx", "vy", "vz", "r"))
 _YAW_REACTION = "rotors.yaw_reaction"
 # s, over which the planned yaw rate is differentiated along the flight.
 _INSTANT = 1e-4
-_AIR_FORCE = tuple(f"aerodynamics.force_{axis}" for axis in "xyz")
 
 
 def baseline_name(reference: Reference, speed: float | None = None) -> str:
@@ -319,10 +336,9 @@ def fly_baseline(
         baseline_name(reference, *(speeds or ())),
         scenario,
         dynamics,
-        first.flown,
+        (first.flown, second.flown),
         plan,
-        is_verified=agree(dynamics, first.flown, second.flown),
-        wall_s=perf_counter() - began,
+        began,
     )
 
 
@@ -333,7 +349,7 @@ def fly_reference(
     dynamics: Dynamics,
     plan: Plan | None = None,
     integrator: Integrator = Integrator.RUNGE_KUTTA,
-    rate_hz: float = _RATE_HZ,
+    rate_hz: float = RATE_HZ,
 ) -> ClosedLoopFlight:
     """Fly once, and keep the controller's own states; see `fly_baseline`.
 
@@ -390,28 +406,22 @@ def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
         fly_controls(dynamics, held.mesh, held.controls, start, held.horizon, method=method.value)
         for method in Integrator
     )
-    return assembled_flight(
-        OPEN_LOOP,
-        scenario,
-        dynamics,
-        first,
-        plan,
-        is_verified=agree(dynamics, first, second),
-        wall_s=perf_counter() - began,
-    )
+    return assembled_flight(OPEN_LOOP, scenario, dynamics, (first, second), plan, began)
 
 
 def assembled_flight(
     name: str,
     scenario: Scenario,
     dynamics: Dynamics,
-    flown: Flown,
+    flown_twice: tuple[Flown, Flown],
     plan: Plan | None,
-    *,
-    is_verified: bool,
-    wall_s: float,
+    began: float,
 ) -> Flight:
-    """Return samples of a flight as a flight, priced at the plan's costates where there is one."""
+    """Return a flight, priced at the plan's costates where there is one.
+
+    It is verified when two integrators agree about it and the battery can give its power.
+    """
+    flown, again = flown_twice
     final = dict(zip(dynamics.state_names, flown.states[-1].tolist(), strict=True))
     # The costates of a flight through another wind price another mission's end.
     is_told = scenario.wind.forecast is None
@@ -421,8 +431,9 @@ def assembled_flight(
         flown,
         wanted_at_goal(scenario, dynamics),
         flight_frame(dynamics, flown.t, flown.states, flown.controls, flown.energy),
-        is_verified=is_verified and battery_imbalance(dynamics, flown) <= BALANCE_TOLERANCE,
-        wall_s=wall_s,
+        is_verified=_agree(dynamics, flown, again)
+        and battery_imbalance(dynamics, flown) <= BALANCE_TOLERANCE,
+        wall_s=perf_counter() - began,
         owed_energy_J=plan.owed_energy(final) if plan is not None and is_told else nan,
     )
     missed = tuple(_missed_waypoints(scenario, dynamics, flown))
@@ -435,7 +446,7 @@ _PASSING_M, _PASSING_M_PER_S = 0.05, 0.1
 
 def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> Iterator[str]:
     """Yield what a flight does not keep of its waypoints, whose times are given."""
-    states = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *_RATE[:3])]
+    states = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     for k, waypoint in enumerate(scenario.mission.waypoints):
         if waypoint.at is None:
             continue
@@ -460,9 +471,9 @@ def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> Sampled
     keys = tuple((name, None) for name in (*_PLACE, *_RATE, *_ACCELERATION))
     rows = dynamics.table(keys, *flown)
     air = np.zeros((len(times), len(_PLACE)))
-    if all(dynamics.has(name) for name in _AIR_FORCE):
-        forces = dynamics.table(tuple((name, None) for name in _AIR_FORCE), *flown)
-        air[:, : len(_AIR_FORCE)] = forces / vehicle.total_mass
+    if all(dynamics.has(name) for name in AIR_FORCE):
+        forces = dynamics.table(tuple((name, None) for name in AIR_FORCE), *flown)
+        air[:, : len(AIR_FORCE)] = forces / vehicle.total_mass
     values, rates, accelerations = np.split(rows, 3, axis=1)
     if dynamics.has(_YAW_REACTION):
         # Rotors that gather speed turn the body more than their drag does; the law knows only that.
@@ -484,7 +495,7 @@ def _yaw_acceleration(
     return np.asarray((after - before)[:, 0] / (2 * _INSTANT))
 
 
-def agree(dynamics: Dynamics, first: Flown, second: Flown) -> bool:
+def _agree(dynamics: Dynamics, first: Flown, second: Flown) -> bool:
     """Say whether two flights end at the same place and spend the same energy."""
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     apart = np.linalg.norm(first.states[-1, columns] - second.states[-1, columns])

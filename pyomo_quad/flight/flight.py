@@ -118,6 +118,8 @@ VIOLATION_TOLERANCE = 1e-4
 #: The states that say where the vehicle is, as the declared model names them.
 POSITION_STATES = ("rigid_body.x", "rigid_body.y", "rigid_body.z")
 VELOCITY_STATES = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")
+#: What the air does to the vehicle beside its rotors' thrust [N], along world axes.
+AIR_FORCE = tuple(f"aerodynamics.force_{axis}" for axis in "xyz")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -34,8 +34,10 @@ from scipy.spatial.transform import Rotation
 
 from pyomo_quad.collocation import Dynamics, SolveError, control_polynomial
 from pyomo_quad.flight.baselines import (
+    LONGEST_STEP,
+    RATE_HZ,
     Integrator,
-    agree,
+    TumblingGuard,
     assembled_flight,
     even_times,
     reference_path,
@@ -65,10 +67,7 @@ _MISSING = "RotorPy is not installed; install it with pip install 'pyomo_quad[ro
 _TOLERANCE, _TIGHT = 1e-7, 1e-11
 # Share of a part of a flight after which the law is that of the part.
 _INSIDE = 1e-9
-_LONGEST_STEP = 0.1
-_RATE_HZ = 100.0
 _WIND_RATE_HZ = 1000.0
-_MOST_EVALUATIONS_PER_SECOND = 5000
 # Where RotorPy keeps them in its vector.
 _POSITION, _VELOCITY, _QUATERNION = slice(0, 3), slice(3, 6), slice(6, 10)
 _BODY_RATES, _WIND, _SPEEDS = slice(10, 13), slice(13, 16), slice(16, 20)
@@ -285,23 +284,17 @@ class OutsidePlant:
         SolveError
             If the vehicle tumbles or the integration breaks down.
         """
-        most = _MOST_EVALUATIONS_PER_SECOND * max(1.0, borders[-1] - borders[0])
-        evaluations, inside = 0, borders[0]
+        guard = TumblingGuard("RotorPy", borders[-1] - borders[0])
+        inside = borders[0]
 
         def rates(t: float, joint: FloatArray) -> FloatArray:
-            nonlocal evaluations
-            evaluations += 1
-            if evaluations > most:
-                raise SolveError(
-                    f"RotorPy: out of control at {t:.4g} s, stopped after {most:g} evaluations; "
-                    "check the gains and limits of the scenario."
-                )
+            guard.evaluated(t)
             return self.rates(max(t, inside), joint, law)
 
         joint = self.started(start, own)
         times, rows = [np.array(borders[:1])], [joint[None, :]]
         for first, last in pairwise(borders):
-            part = even_times(first, last, _RATE_HZ)
+            part = even_times(first, last, RATE_HZ)
             inside = first + _INSIDE * (last - first)
             flown = solve_ivp(
                 rates,
@@ -311,7 +304,7 @@ class OutsidePlant:
                 t_eval=part[1:],
                 rtol=tolerance,
                 atol=tolerance,
-                max_step=_LONGEST_STEP,
+                max_step=LONGEST_STEP,
             )
             if not flown.success:
                 raise SolveError(f"RotorPy: {flown.message} Check the gains of the scenario.")
@@ -402,15 +395,8 @@ def fly_outside(
         plant.fly(law, start, own, borders, integrator=method, tolerance=tolerance)
         for method in Integrator
     )
-    return assembled_flight(
-        outside_name(pilot, reference),
-        scenario,
-        dynamics,
-        first,
-        plan,
-        is_verified=agree(dynamics, first, second),
-        wall_s=perf_counter() - began,
-    )
+    name = outside_name(pilot, reference)
+    return assembled_flight(name, scenario, dynamics, (first, second), plan, began)
 
 
 def _adaptive(

@@ -33,8 +33,8 @@ from pyomo_quad.collocation import (
     compile,
 )
 from pyomo_quad.flight.baselines import (
+    RATE_HZ,
     Integrator,
-    agree,
     assembled_flight,
     even_times,
     fly,
@@ -48,7 +48,7 @@ from pyomo_quad.flight.controller import (
     mixer_matrix,
     rotor_columns,
 )
-from pyomo_quad.flight.flight import Flight, Flown, Resolve
+from pyomo_quad.flight.flight import AIR_FORCE, VELOCITY_STATES, Flight, Flown, Resolve
 from pyomo_quad.flight.plan import Plan, Trajectories
 from pyomo_quad.flight.planning import Planner, trajectories_of
 from pyomo_quad.flight.references import SampledPath
@@ -63,11 +63,9 @@ FloatArray = NDArray[np.float64]
 Computer = Callable[[float], float]
 """Processor seconds that a solve took here -> seconds that it takes aboard."""
 
-_AXES = "xyz"
 _HORIZONTAL = "xy"
-_SPEEDS = tuple(f"rigid_body.v{axis}" for axis in _AXES)
-_SLOPES = tuple((f"rigid_body.dv{axis}_dt", None) for axis in _AXES)
-_FORCES = tuple((f"aerodynamics.force_{axis}", None) for axis in _AXES)
+_SLOPES = tuple((f"rigid_body.dv{axis}_dt", None) for axis in "xyz")
+_FORCES = tuple((name, None) for name in AIR_FORCE)
 # Shares of the thrust expected that may be lacking or left over: of a mass from half to twice.
 _MOST_AMISS = (-0.5, 1.0)
 # With less of the weight carried, nothing is said of the mass.
@@ -79,7 +77,6 @@ _OPTIONS = SolverOptions(tolerance=1e-6, max_iterations=30)
 _AT_LEISURE = SolverOptions(tolerance=1e-6, max_iterations=300)
 # Rest of the mission [s] that is flown under feedback instead of being planned again.
 _LAST = 0.6
-_RATE_HZ = 100.0
 # Of what is predicted while a solve goes on, and of the estimate; both are far below the noise of
 # any sensor.
 _TOLERANCE = 1e-6
@@ -191,7 +188,7 @@ class Replanner:
         self, course: _Course, start: float, end: float, state: FloatArray, unexplained: FloatArray
     ) -> FloatArray:
         """Return the state that a course leads to."""
-        speeds = [self.dynamics.state_names.index(name) for name in _SPEEDS]
+        speeds = [self.dynamics.state_names.index(name) for name in VELOCITY_STATES]
 
         def rates(t: float, x: FloatArray) -> FloatArray:
             slope = self.dynamics.rates(t, x, course.plan.controls_at(np.array([t]))[0])
@@ -236,7 +233,7 @@ class _Observer:
         gains = scenario.baseline.gains
         self._dynamics = dynamics
         self._mass, self._gravity = scenario.vehicle.total_mass, scenario.gravity
-        self._columns = [dynamics.state_names.index(name) for name in _SPEEDS]
+        self._columns = [dynamics.state_names.index(name) for name in VELOCITY_STATES]
         # Without errors to close, the loop is its identifier alone.
         self._loop = BacksteppingLoop(
             outer=(0.0,) * 3,
@@ -302,7 +299,7 @@ class _Aircraft:
                 controller=AdaptiveController(_with_mass(self._scenario, belief), self._mixer),
                 reference=self._replanner.path(leg.course),
                 initial_state=state,
-                times=even_times(leg.start, leg.end, _RATE_HZ),
+                times=even_times(leg.start, leg.end, RATE_HZ),
                 integrator=integrator,
             ).flown
         shortest = np.diff(plan.mesh.breakpoints).min() * (plan.horizon[1] - plan.horizon[0])
@@ -312,7 +309,7 @@ class _Aircraft:
             state,
             plan.horizon,
             part=(leg.start, leg.end),
-            samples_per_element=ceil(min(shortest, leg.end - leg.start) * _RATE_HZ),
+            samples_per_element=ceil(min(shortest, leg.end - leg.start) * RATE_HZ),
             method=integrator.value,
         )
 
@@ -349,7 +346,7 @@ class _ReplannedFlight:
         self._course = _Course(plan=trajectories_of(first), belief=replanner.belief)
         # When the next plan is due, and the last one's controls are no longer applied alone.
         self._due = settings.interval + settings.solve_time
-        speeds = [dynamics.state_names.index(name) for name in _SPEEDS]
+        speeds = [dynamics.state_names.index(name) for name in VELOCITY_STATES]
         self._observer = _Observer(scenario, replanner.dynamics, state[speeds])
         self.legs: list[_Leg] = []
         self.parts: list[Flown] = []
@@ -503,9 +500,8 @@ def fly_replanned(
         replanned_name(knowledge),
         scenario,
         dynamics,
-        flown,
+        (flown, flight.flown_again()),
         plan,
-        is_verified=agree(dynamics, flown, flight.flown_again()),
-        wall_s=perf_counter() - began,
+        began,
     )
     return replace(assembled, resolves=tuple(flight.resolves))

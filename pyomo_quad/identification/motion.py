@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Dynamics, Instants
 from pyomo_quad.flight import Planner
+from pyomo_quad.flight.flight import VELOCITY_STATES
 from pyomo_quad.identification.logs import (
     AIR_VELOCITY,
     DENSITY,
@@ -28,7 +29,6 @@ from pyomo_quad.scenario import Scenario, ScenarioError, scenario_from_mapping
 FloatArray = NDArray[np.float64]
 
 _MASS, _DENSITY = "vehicle.mass", "power.air_density"
-_SPEEDS = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")
 _TURNED = ("rigid_body.phi", "rigid_body.theta")
 _ROTOR = "rotors.omega["
 _ACCELERATIONS = (
@@ -88,7 +88,7 @@ class LoggedMotion:
         air = frame[list(AIR_VELOCITY)].to_numpy() * vehicle.anemometer_factor
         # In still air the vehicle moves as it does through the air; nothing else reads its speed.
         velocity = np.column_stack([air, frame[VELOCITY[2]]])
-        self._states[:, [names.index(name) for name in _SPEEDS]] = velocity
+        self._states[:, [names.index(name) for name in VELOCITY_STATES]] = velocity
         self._wanted = _accelerations(frame)
         self._payload, self._mass = frame[PAYLOAD].to_numpy(), vehicle.mass
         self._told = {_DENSITY: frame[DENSITY].to_numpy()}
@@ -117,7 +117,7 @@ class LoggedMotion:
                 continue
             again = self._evaluate(self._states_found[few], few, {name: 1.7})
             same_rates = np.array_equal(
-                again.inputs[0][:, : len(_SPEEDS)], rates[few, : len(_SPEEDS)]
+                again.inputs[0][:, : len(VELOCITY_STATES)], rates[few, : len(VELOCITY_STATES)]
             )
             if np.array_equal(again.inputs[2], algebraics[few]) and same_rates:
                 found.append(name)

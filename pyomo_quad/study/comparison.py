@@ -18,6 +18,7 @@ from pyomo_quad.flight.baselines import (
 )
 from pyomo_quad.flight.controller import CONTROLLER_STATES
 from pyomo_quad.flight.flight import (
+    AIR_FORCE,
     POSITION_STATES,
     ROTORS,
     TIME,
@@ -38,7 +39,6 @@ ESTIMATED = tuple(f"estimated_disturbance_{axis}_m_per_s2" for axis in "xyz")
 TRUE = tuple(f"true_disturbance_{axis}_m_per_s2" for axis in "xyz")
 
 _ESTIMATES = tuple(f"disturbance_{axis}_m_per_s2" for axis in "xyz")
-_FORCES = tuple(f"aerodynamics.force_{axis}" for axis in "xyz")
 
 
 def adaptation_study(
@@ -56,7 +56,7 @@ def adaptation_study(
         for adapts in (True, False)
     )
     flown = with_it.flown
-    keys = tuple((force, None) for force in _FORCES)
+    keys = tuple((force, None) for force in AIR_FORCE)
     forces = vehicle.table(keys, flown.t, flown.states, flown.controls)
     columns = [CONTROLLER_STATES.index(name) for name in _ESTIMATES]
     table = {
