@@ -35,6 +35,11 @@ class Run:
     def summary(self):
         return json.loads((self.folder / "summary.json").read_text(encoding="utf-8"))
 
+    @property
+    def complaints(self):
+        """What it said on standard error but for the progress that slow machines get to see."""
+        return [line for line in self.err.splitlines() if not line.startswith("iteration ")]
+
     def read(self, name):
         return (self.folder / name).read_text(encoding="utf-8")
 

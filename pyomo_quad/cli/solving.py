@@ -261,17 +261,22 @@ _OUTCOMES = {
 _SHOWN = {
     ComparisonColumn.SCENARIO: ("scenario", ""),
     ComparisonColumn.FLIGHT: ("flight", ""),
-    ComparisonColumn.DURATION: ("time s", ".2f"),
-    ComparisonColumn.ENERGY: ("energy J", ".2f"),
-    ComparisonColumn.OWED_ENERGY: ("owed J", "z.2f"),
-    ComparisonColumn.EXCESS_ENERGY: ("above hover J", ".2f"),
-    ComparisonColumn.SAVING: ("optimum saves %", "z.3f"),
-    ComparisonColumn.SAVING_OF_EXCESS: ("of excess %", "z.1f"),
-    ComparisonColumn.TERMINAL_MISS: ("miss m", ".1e"),
-    ComparisonColumn.ARRIVED: ("arrived", ""),
-    ComparisonColumn.LIMITS_KEPT: ("limits kept", ""),
-    ComparisonColumn.VERIFIED: ("verified", ""),
+    ComparisonColumn.DURATION: ("time\ns", ".2f"),
+    ComparisonColumn.ENERGY: ("energy\nJ", ".2f"),
+    ComparisonColumn.OWED_ENERGY: ("owed\nJ", "z.2f"),
+    ComparisonColumn.EXCESS_ENERGY: ("above\nhover", ".2f"),
+    ComparisonColumn.SAVING: ("saved\n%", "z.3f"),
+    ComparisonColumn.SAVING_OF_EXCESS: ("excess\nsaved %", "z.1f"),
+    ComparisonColumn.TERMINAL_MISS: ("miss\nm", ".1e"),
 }
+# What keeps a flight from being compared, the first that there is.
+_AMISS = {
+    ComparisonColumn.ARRIVED: "missed",
+    ComparisonColumn.LIMITS_KEPT: "limits",
+    ComparisonColumn.VERIFIED: "unverified",
+}
+# What the flights have in common stands in the lines above their table.
+_TOLD_ABOVE = (ComparisonColumn.SCENARIO, ComparisonColumn.DURATION)
 
 
 def verdict_lines(plan: Plan) -> Iterator[str]:
@@ -333,14 +338,22 @@ def comparison_table(comparison: pd.DataFrame) -> Table:
     Returns
     -------
     Table
-        The columns that answer what the optimum saves.
+        The columns that answer what the optimum saves, and that say something of these flights.
     """
-    table = Table(box=SIMPLE_HEAD)
-    for column, (heading, _) in _SHOWN.items():
+    shown = {
+        column: how
+        for column, how in _SHOWN.items()
+        if comparison[column].nunique() > (1 if column in _TOLD_ABOVE else 0)
+    }
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for column, (heading, _) in shown.items():
         is_text = column in (ComparisonColumn.SCENARIO, ComparisonColumn.FLIGHT)
-        table.add_column(heading, justify="left" if is_text else "right", no_wrap=is_text)
+        table.add_column(heading, justify="left" if is_text else "right", no_wrap=True)
+    table.add_column("as\nwanted", no_wrap=True)
     for _, row in comparison.iterrows():
-        table.add_row(*(escape(_cell(row[column], form)) for column, (_, form) in _SHOWN.items()))
+        amiss = (words for column, words in _AMISS.items() if not row[column])
+        cells = [_cell(row[column], form) for column, (_, form) in shown.items()]
+        table.add_row(*map(escape, cells), next(amiss, "yes"))
     return table
 
 
@@ -365,8 +378,6 @@ def answer(
 
 
 def _cell(value: Any, form: str) -> str:  # noqa: ANN401  a cell of any column
-    if isinstance(value, bool):
-        return "yes" if value else "no"
     if isinstance(value, float) and isnan(value):
         return ""
     return format(value, form)

@@ -157,8 +157,8 @@ def compare_flights(
     another wind than the others flew in.
 
     ``hover_energy_J`` is of the mission's duration; a flight that took another has its own hover
-    floor, and a bound only where the certificate is one of its duration.  What the optimum saves
-    above hover is the difference of the two excesses.
+    floor, a bound only where the certificate is one of its duration, and no saving above hover:
+    the two would be above different floors.
     """
     is_told_the_wind = scenario.wind.forecast is None
     optimum = next((f for f in flights if f.name == OPTIMAL and is_comparable(f)), None)
@@ -175,10 +175,11 @@ def compare_flights(
         is_rival = is_comparable(flight) and is_told_the_wind and not is_optimum
         hover = _hover_energy(scenario, flight, hover_energy_J)
         excess = settled - hover
-        saved = spared = nan
+        saved = saved_of_excess = nan
         if optimum is not None and is_rival:
             saved = settled - settled_energy(optimum)
-            spared = saved - (hover - _hover_energy(scenario, optimum, hover_energy_J))
+            if isclose(flight.duration_s, optimum.duration_s, rel_tol=SAME_TIME):
+                saved_of_excess = saved
         rows.append(
             {
                 ComparisonColumn.SCENARIO: scenario.name,
@@ -193,7 +194,7 @@ def compare_flights(
                     certificate.gap_percent(settled), is_bounded
                 ),
                 ComparisonColumn.SAVING: _percent(saved, settled),
-                ComparisonColumn.SAVING_OF_EXCESS: _percent(spared, excess),
+                ComparisonColumn.SAVING_OF_EXCESS: _percent(saved_of_excess, excess),
                 ComparisonColumn.TERMINAL_MISS: flight.terminal_miss_m,
                 ComparisonColumn.ARRIVED: arrived,
                 ComparisonColumn.LIMITS_KEPT: not flight.broken_limits,

@@ -56,7 +56,7 @@ def wind(tmp_path_factory):
 
 
 def test_run_is_verified_and_compared(wind):
-    assert (wind.status, wind.err) == (ExitCode.VERIFIED, "")
+    assert (wind.status, wind.complaints) == (ExitCode.VERIFIED, [])
     frame = pd.read_csv(wind.folder / "comparison.csv")
     assert list(frame.columns)[: len(FIRST_COLUMNS)] == FIRST_COLUMNS
     assert frame["flight"].tolist() == FLIGHTS
@@ -67,6 +67,13 @@ def test_run_is_verified_and_compared(wind):
     settled = rows["energy_J"] + rows["owed_energy_J"]
     saved = 100 * (1 - settled["optimal"] / settled["adaptive/quintic"])
     assert rows.loc["adaptive/quintic", "saving_percent"] == pytest.approx(saved, rel=1e-6)
+
+
+def test_the_table_of_flights_fits_a_terminal(wind):
+    table = [line.rstrip() for line in wind.out.splitlines() if line.startswith(" ")]
+    assert max(map(len, table)) <= 80
+    assert [line.split()[0] for line in table if "e-" in line] == FLIGHTS
+    assert [line.split()[-1] for line in table if "e-" in line] == ["yes"] * len(FLIGHTS)
 
 
 def test_optimum_is_within_a_percent_of_the_best(wind):

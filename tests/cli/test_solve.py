@@ -46,7 +46,7 @@ def impossible(tmp_path_factory):
 
 
 def test_paper_calm_is_verified(calm):
-    assert (calm.status, calm.err) == (ExitCode.VERIFIED, "")
+    assert (calm.status, calm.complaints) == (ExitCode.VERIFIED, [])
     summary = calm.summary
     assert set(SUMMARY_KEYS) <= set(summary)
     assert (summary["status"], summary["verified"]) == ("verified", True)

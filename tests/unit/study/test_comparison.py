@@ -1,5 +1,6 @@
 """The comparison against arithmetic done by hand."""
 
+from dataclasses import replace
 from math import acos, cos, nan
 
 import numpy as np
@@ -138,6 +139,14 @@ def test_energy_below_hover_has_no_share_above_it():
     table = compared(flight("optimal", 390.0), flight("adaptive/quintic", 395.0))
     assert table.loc["adaptive/quintic", Column.SAVING] == pytest.approx(100 * 5 / 395)
     assert np.isnan(table.loc["adaptive/quintic", Column.SAVING_OF_EXCESS])
+
+
+def test_flights_of_other_durations_stand_on_other_floors():
+    slow = replace(flight("adaptive/cruise 2 m/s", 830.0), duration_s=8.0)
+    row = compared(flight("optimal", 410.0), slow).loc["adaptive/cruise 2 m/s"]
+    assert (row[Column.HOVER_ENERGY], row[Column.EXCESS_ENERGY]) == (800.0, 30.0)
+    assert row[Column.SAVING] == pytest.approx(100 * 420 / 830)
+    assert np.isnan(row[Column.SAVING_OF_EXCESS])
 
 
 def test_an_optimum_for_another_wind_is_compared_with_nothing():
