@@ -191,6 +191,7 @@ def synthetic_plan(
     is_flown = status in (PlanStatus.VERIFIED, PlanStatus.SOLVED)
     return SimpleNamespace(
         scenario=scenario,
+        mission_flown=scenario,
         duration_s=flight.duration_s,
         energy=flight.energy_J,
         hover_energy_J=HOVER_ENERGY_J,
@@ -234,6 +235,7 @@ def synthetic_run(path="scenarios/paper_wind.toml", overrides=(), flights=tuple(
         comparison=compare_flights(scenario, flown, certificate, HOVER_ENERGY_J),
         certificate=certificate,
         adaptation=None,
+        front=pd.DataFrame(),
         timings={"solve": 1.0},
         warnings=(),
     )

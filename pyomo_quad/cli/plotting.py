@@ -1,7 +1,7 @@
 """`pyomo-quad plot`: a figure of a run, a solve or a flight, from the tables of its report."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,10 +12,12 @@ from pyomo_quad.report.tables import (
     FLIGHT_NAME,
     PLAN_NAME,
     SUMMARY_NAME,
+    read_front,
     read_report,
     refuse_report,
 )
-from pyomo_quad.scenario.messages import ScenarioError, printable, shown
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.messages import PyomoQuadError, ScenarioError, printable, shown
 
 if TYPE_CHECKING:
     from pyomo_quad.report.style import StyledFlight
@@ -40,11 +42,20 @@ def plot(
     """Draw a figure of a finished run: path, states, energy, battery, ... or any column."""
     if out is not None and out.suffix not in _ENDINGS:
         raise ScenarioError(f"--out {out}: must end in {', '.join(_ENDINGS)}.")
-    flight, hover_energy_J = _flight(run)
-    from pyomo_quad.report.gallery import column_drawing, flight_drawings  # noqa: PLC0415
+    flight, hover_energy_J, mission = _flight(run)
+    front = read_front(run)
+    from pyomo_quad.report.gallery import (  # noqa: PLC0415
+        column_drawing,
+        flight_drawings,
+        front_drawing,
+    )
     from pyomo_quad.report.style import write_figure  # noqa: PLC0415  matplotlib takes a second
 
-    drawings = {drawing.name: drawing for drawing in flight_drawings([flight], hover_energy_J)}
+    offered = (
+        *flight_drawings([flight], hover_energy_J, mission=mission),
+        *(() if front is None else (front_drawing(front),)),
+    )
+    drawings = {drawing.name: drawing for drawing in offered}
     if what not in drawings and what not in flight.frame:
         raise ScenarioError(
             f"WHAT = {shown(what)}; must be one of {', '.join(drawings)}, or a column of the table:"
@@ -59,7 +70,7 @@ def plot(
     return ExitCode.VERIFIED
 
 
-def _flight(run: Path) -> "tuple[StyledFlight, float]":
+def _flight(run: Path) -> "tuple[StyledFlight, float, Scenario | None]":
     is_flight = (run / FLIGHT_NAME).is_file()
     summary, frame = read_report(run, FLIGHT_NAME if is_flight else PLAN_NAME)
     name, hover_energy_J = summary.get("flight", "optimal"), summary.get("hover_energy_J")
@@ -67,4 +78,13 @@ def _flight(run: Path) -> "tuple[StyledFlight, float]":
         refuse_report(run / SUMMARY_NAME, "is not the summary of a run, a solve or a flight")
     from pyomo_quad.report.style import flight_of_table  # noqa: PLC0415
 
-    return flight_of_table(printable(name), frame), float(hover_energy_J)
+    return flight_of_table(printable(name), frame), float(hover_energy_J), _mission(summary)
+
+
+def _mission(summary: dict[str, Any]) -> Scenario | None:
+    """Return the mission with its passing times, None where another version wrote it."""
+    try:
+        scenario = Scenario.model_validate(summary["scenario_resolved"])
+        return scenario.lasting(summary["duration_s"], summary.get("passing_times_s", ()))
+    except (PyomoQuadError, KeyError, TypeError, ValueError):
+        return None

@@ -1,7 +1,7 @@
 """The figures of a plan or a run, one function each; of several flights the optimum is first."""
 
 from collections.abc import Sequence
-from math import isfinite
+from math import ceil, isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from pyomo_quad.report.style import (
     ENERGY,
     FULL_WIDTH,
     INK,
+    LEGEND_COLUMNS,
     MOTOR,
     MUTED,
     PALE,
@@ -47,12 +48,18 @@ from pyomo_quad.study.comparison import (
     ERROR_WITHOUT,
     ESTIMATED,
     FAIR_BASELINE,
+    OPTIMAL,
     TRUE,
     ComparisonColumn,
+    LegColumn,
+    leg_table,
+    way_flown,
 )
+from pyomo_quad.study.front import FrontColumn
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation import Mesh, MeshRecord
+    from pyomo_quad.scenario import Scenario
 
 _CENTIMETRES = 100.0
 _SMALLEST_ERROR = 1.0  # cm
@@ -508,6 +515,75 @@ def draw_overview(
     draw_excess(in_total, flights, hover_energy_J, absent)
     in_total.set_title(f"At the end (J){_note(absent)}")
     legend_below(figure, over_time)
+    return figure
+
+
+_FRONT: dict[str, Any] = {"color": MUTED, "marker": "o", "markersize": 4, "linewidth": 1.0}
+_WAY_HEIGHT = 2.3  # inches
+_LEG_ROW = 0.2  # inches
+
+
+def draw_way(flights: Sequence[StyledFlight], mission: "Scenario") -> Figure:
+    """Draw the speed over the way flown, and the energy of each leg of the first flight.
+
+    Parameters
+    ----------
+    mission : Scenario
+        With the times at which the first flight passes its waypoints.
+    """
+    optimum, legs = flights[0], leg_table(mission, flights[0].frame)
+    below = 0.45 + 0.2 * ceil(len(flights) / LEGEND_COLUMNS)
+    height = max(_WAY_HEIGHT, _LEG_ROW * len(legs) + 0.3 + below)
+    figure = Figure(figsize=(FULL_WIDTH, height))
+    room = {"top": 1 - 0.3 / height, "bottom": below / height}
+    over_way = figure.add_gridspec(1, 5, left=0.075, right=0.985, wspace=1.2, **room)
+    speeds = figure.add_subplot(over_way[0, : 3 if len(legs) else 5])
+    for flight in flights:
+        axes_of_speed = [signal.of(flight.frame) for signal in VELOCITY]
+        speed = np.linalg.norm(axes_of_speed, axis=0)
+        speeds.plot(way_flown(flight.frame), speed, label=flight.name, **flight.style.line)
+    if mission.limits.speed_max is not None:
+        speeds.axhline(mission.limits.speed_max, color=INK, linewidth=0.8, linestyle=(0, (4, 2)))
+    times, way = TIME.of(optimum.frame), way_flown(optimum.frame)
+    for number, waypoint in enumerate(mission.mission.waypoints, start=1):
+        place = np.interp(times[-1] if waypoint.at is None else waypoint.at, times, way)
+        speeds.axvline(place, color=MUTED, linewidth=0.8, linestyle=(0, (1, 1.5)), zorder=1)
+        speeds.annotate(str(number), (place, 1.0), xycoords=("data", "axes fraction"), va="top")
+    speeds.set(title="Speed (m/s)", xlabel="Way flown (m)", xlim=(0.0, None), ylim=(0.0, None))
+    if len(legs):
+        _draw_legs(figure.add_subplot(over_way[0, 3:]), optimum, legs)
+    legend_below(figure, speeds)
+    return figure
+
+
+def _draw_legs(axes: Axes, flight: StyledFlight, legs: pd.DataFrame) -> None:
+    energies = legs[LegColumn.ENERGY].tolist()
+    for row, energy in enumerate(energies):
+        axes.barh(row, energy, **_look(flight))
+    axes.set_yticks(range(len(legs)), legs[LegColumn.LEG])
+    axes.invert_yaxis()
+    _annotate(axes, energies)
+    axes.set(title="Energy of each leg (J)")
+
+
+def draw_front(front: pd.DataFrame) -> Figure:
+    """Draw energy over duration for each price of time, with the plan marked."""
+    figure, panels = panel_grid(1, 1, panel_height=2.4, legend_entries=2)
+    (axes,) = panels.flat
+    optimum, is_plan = flight_styles((OPTIMAL,))[OPTIMAL], front[FrontColumn.IS_PLAN].astype(bool)
+    over = (FrontColumn.DURATION, FrontColumn.ENERGY)
+    axes.plot(*(front[name] for name in over), label="other prices of time", **_FRONT)
+    plan = [front.loc[is_plan, name] for name in over]
+    axes.plot(*plan, label="the plan", color=optimum.color, marker="*", markersize=12, ls="none")
+    for _, row in front.iterrows():
+        price = row[FrontColumn.PRICE]
+        if isfinite(price):
+            place = (row[FrontColumn.DURATION], row[FrontColumn.ENERGY])
+            axes.annotate(f"{price:.3g} W", place, xytext=(6, 4), textcoords="offset points")
+    axes.set(title="Energy (J), and the price of a second at each point", xlabel="Duration (s)")
+    axes.margins(0.1, 0.2)
+    keep_span([axes], ENERGY.smallest_span)
+    legend_below(figure, axes)
     return figure
 
 

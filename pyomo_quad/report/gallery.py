@@ -28,10 +28,12 @@ from pyomo_quad.report.flight_figures import (
     draw_energy,
     draw_energy_split,
     draw_excess_by_scenario,
+    draw_front,
     draw_mesh,
     draw_overview,
     draw_rotors,
     draw_states,
+    draw_way,
     draw_wind,
     is_calm,
 )
@@ -53,6 +55,7 @@ from pyomo_quad.report.style import (
     POWER,
     ROTOR_ACCELERATION,
     STATE_GRID,
+    VELOCITY,
     WIND,
     Signal,
     StyledFlight,
@@ -65,9 +68,11 @@ from pyomo_quad.study.comparison import ComparisonColumn
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
+    from pyomo_quad.scenario import Scenario
     from pyomo_quad.study.run import RunResult
 
 PATH_NAME = "path"
+FRONT_FIGURE = "front"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,8 +113,10 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
     """
     has_forecast = plan.scenario.wind.forecast is not None
     blowing = flights[1] if has_forecast and len(flights) > 1 else None
+    mission = plan.mission_flown
     return (
-        *flight_drawings(flights, plan.hover_energy_J, blowing),
+        *flight_drawings(flights, plan.hover_energy_J, blowing, mission),
+        *(_way(flights, mission) if _has_way(plan.scenario) else ()),
         *(_costates(plan) if plan.verification is not None else ()),
         Drawing(
             name="mesh",
@@ -123,13 +130,19 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
 
 
 def flight_drawings(
-    flights: Sequence[StyledFlight], hover_energy_J: float, blowing: StyledFlight | None = None
+    flights: Sequence[StyledFlight],
+    hover_energy_J: float,
+    blowing: StyledFlight | None = None,
+    mission: "Scenario | None" = None,
 ) -> tuple[Drawing, ...]:
-    """List the figures that the tables of flights hold; ``blowing`` met another wind than told."""
+    """List the figures that the tables of flights hold.
+
+    ``blowing`` met another wind than told; ``mission`` has the passing times of its plan.
+    """
     frame = flights[0].frame
     finite = {name for name in frame if np.isfinite(frame[name]).all()}
     drawings = (
-        *(_path(flights) if finite.issuperset(_columns(POSITION)) else ()),
+        *(_path(flights, mission) if finite.issuperset(_columns(POSITION)) else ()),
         *_motion(flights),
         *_supply(flights, hover_energy_J),
         *_wind(flights[0], blowing),
@@ -207,6 +220,17 @@ def adaptation_drawing(study: pd.DataFrame) -> Drawing:
     )
 
 
+def front_drawing(front: pd.DataFrame) -> Drawing:
+    """Return the figure of an energy-time front."""
+    return Drawing(
+        name=FRONT_FIGURE,
+        title="Energy against time",
+        caption="The least energy for each price of a second, with the plan marked (star): no "
+        "flight on the plan's route is both shorter and cheaper.",
+        draw=lambda: draw_front(front),
+    )
+
+
 def draw_plan(folder: Path, plan: "Plan", figures: Figures) -> tuple[Drawing, ...]:
     """Draw a plan into its report's folder, and return what is there to show."""
     drawings = wanted_drawings(plan_drawings(plan, styled_flights([plan_flight(plan)])), figures)
@@ -219,14 +243,17 @@ def draw_run(
 ) -> tuple[tuple[Drawing, ...], tuple[Drawing, ...], tuple[Drawing, ...]]:
     """Draw a run into its report's folder, and return what is there to show.
 
-    That is the flights beside each other, what adaptation is worth, and the plan.
+    That is the flights beside each other, what adaptation and time are worth, and the plan.
     """
     flights = _styled(result)
     compared, studied, planned = (
         wanted_drawings(part, figures)
         for part in (
             _comparison(result, flights),
-            () if result.adaptation is None else (adaptation_drawing(result.adaptation),),
+            (
+                *(() if result.adaptation is None else (adaptation_drawing(result.adaptation),)),
+                *((front_drawing(result.front),) if len(result.front) > 1 else ()),
+            ),
             plan_drawings(result.plan, flights),
         )
     )
@@ -342,16 +369,55 @@ def _cores(most: int) -> int:
     return min(len(os.sched_getaffinity(0)), most)
 
 
-def _path(flights: Sequence[StyledFlight]) -> tuple[Drawing]:
+def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> tuple[Drawing]:
     optimum, distinct = flights[0], distinct_paths(flights)
     beat = optimum.duration_s / BEAT_COUNT
+    course = "" if mission is None else _course(mission)
     return (
         Drawing(
             name=PATH_NAME,
             title="Path",
             caption=f"Paths from start (dot) to goal (star), with a mark every {beat:.3g} s."
+            f"{course}{left_out(flights)}",
+            draw=lambda: draw_path(distinct, mission),
+        ),
+    )
+
+
+def _course(mission: "Scenario") -> str:
+    """Say what of a mission stands in the picture of its paths, and what lies beyond."""
+    airspace, said = mission.airspace, ""
+    if mission.mission.waypoints:
+        said += " Crosses: the waypoints, with the times at which the plan passes them."
+    if airspace.keep_out:
+        named = ", ".join(zone.name for zone in airspace.keep_out)
+        margin = ", within a dashed line their clearance" if airspace.clearance else ""
+        said += f" Red: the keep-outs ({named}){margin}."
+    limits = (("floor", airspace.floor), ("ceiling", airspace.ceiling))
+    told = [f"{name} at {height:g} m" for name, height in limits if height is not None]
+    return f"{said} {' and '.join(told).capitalize()}." if told else said
+
+
+def _has_way(scenario: "Scenario") -> bool:
+    """Say whether a mission asks for more than to get from start to goal in a given time."""
+    mission, airspace = scenario.mission, scenario.airspace
+    has_more = mission.is_free or mission.waypoints or airspace.keep_out
+    return bool(has_more or scenario.limits.speed_max)
+
+
+def _way(flights: Sequence[StyledFlight], mission: "Scenario") -> tuple[Drawing, ...]:
+    if not set(_columns(POSITION, VELOCITY, (ENERGY,))) <= set(flights[0].frame):
+        return ()
+    waypoints = mission.mission.waypoints
+    legs = " Right: what each leg of the optimal flight takes." if waypoints else ""
+    marks = " Dotted: where the optimal flight passes the waypoints." if waypoints else ""
+    return (
+        Drawing(
+            name="way",
+            title="Speed and energy over the way",
+            caption=f"{'Left: s' if waypoints else 'S'}peed over the way flown.{marks}{legs}"
             f"{left_out(flights)}",
-            draw=lambda: draw_path(distinct),
+            draw=lambda: draw_way(distinct_paths(flights), mission),
         ),
     )
 

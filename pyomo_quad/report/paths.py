@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 
@@ -35,6 +36,7 @@ from pyomo_quad.report.style import (
     StyledFlight,
     legend_below,
 )
+from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.airspace import Airspace, KeepOut
 
 _PROJECTIONS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
@@ -45,6 +47,18 @@ COINCIDENT, ASTRAY = 0.02, 1.0
 _MARGIN = 0.08
 _MOST_TICKS = 9
 _SMALLEST_SIDE = 0.2  # m
+# As shares of the largest side of all paths: of zones, floor and ceiling no more is shown.
+_AROUND = 0.25
+_ZONE = "#a33a2a"  # as in the page's view
+_UP = 2
+_AT_LEFT: Any = ("axes fraction", "data")
+_BESIDE: dict[str, Any] = {
+    "xytext": (0, 4),
+    "textcoords": "offset points",
+    "annotation_clip": True,
+    "fontsize": 7,
+    "zorder": 5,
+}
 
 
 def distinct_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
@@ -52,15 +66,26 @@ def distinct_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     return (flights[0], *_further(flights, COINCIDENT))
 
 
-def draw_path(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw all paths in space, and seen along each axis."""
+def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) -> Figure:
+    """Draw all paths in space, and seen along each axis with what the mission has on the way.
+
+    Parameters
+    ----------
+    mission : Scenario, optional
+        With the passing times that its plan has; its zones and waypoints are drawn.
+    """
     figure = Figure(figsize=(FULL_WIDTH, FULL_WIDTH))
     limits = _limits(flights)
+    if mission is not None:
+        limits = _with_airspace(limits, mission.airspace)
     space: Axes3D = figure.add_axes((0.0, 0.53, 0.5, 0.46), projection="3d")
     draw_space(space, flights)
     boxes = ((0.575, 0.595, 0.405, 0.37), (0.075, 0.115, 0.405, 0.37), (0.575, 0.115, 0.405, 0.37))
     for (across, up, title), box in zip(_PROJECTIONS, boxes, strict=True):
-        _draw_projection(figure.add_axes(box), flights, limits, (across, up), title)
+        axes = figure.add_axes(box)
+        if mission is not None:
+            _draw_mission(axes, mission, (across, up))
+        _draw_projection(axes, flights, limits, (across, up), title)
     legend_below(figure, space)
     return figure
 
@@ -137,6 +162,75 @@ def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
     """Return points with those left out that a view in space would draw outside its axes."""
     is_inside = np.all((limits[:, 0] <= points) & (points <= limits[:, 1]), axis=1)
     return np.where(is_inside[:, None], points, np.nan)
+
+
+def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
+    """Return limits with the near part of zones, floor and ceiling inside."""
+    room = _AROUND * float(np.ptp(limits, axis=1).max())
+    furthest = limits + room * np.array([-1.0, 1.0])
+    wanted = limits.copy()
+    sides = [
+        (axis, centre + sign * (ball.radius + airspace.clearance))
+        for zone in airspace.keep_out
+        for ball in zone.balls
+        for axis, centre in zip(ball.axes, ball.centre, strict=True)
+        for sign in (-1.0, 1.0)
+    ]
+    beyond = _MARGIN * room
+    ends = ((airspace.floor, -beyond), (airspace.ceiling, beyond))
+    heights = [(_UP, height + margin) for height, margin in ends if height is not None]
+    # A floor or a ceiling that is further away than that is not in the picture.
+    sides += [side for side in heights if furthest[_UP, 0] <= side[1] <= furthest[_UP, 1]]
+    for axis, place in sides:
+        wanted[axis] = min(wanted[axis, 0], place), max(wanted[axis, 1], place)
+    return np.column_stack(
+        [np.maximum(wanted[:, 0], furthest[:, 0]), np.minimum(wanted[:, 1], furthest[:, 1])]
+    )
+
+
+def _draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> None:
+    """Draw zones, floor, ceiling and waypoints as seen along an axis."""
+    airspace = mission.airspace
+    for zone in airspace.keep_out:
+        if airspace.clearance:
+            grown = _outline(zone, directions, airspace.clearance)
+            grown.set(fill=False, edgecolor=_ZONE, linewidth=0.6, linestyle=(0, (2, 2)))
+            axes.add_patch(grown)
+        shape = _outline(zone, directions)
+        shape.set(facecolor=_ZONE, alpha=0.25, linewidth=0.0, zorder=1)
+        axes.add_patch(shape)
+    for name, height in (("floor", airspace.floor), ("ceiling", airspace.ceiling)):
+        if height is not None and directions[1] == _UP:
+            axes.axhline(height, color=_ZONE, linewidth=1.0)
+            axes.annotate(name, (0.0, height), xycoords=_AT_LEFT, color=_ZONE, **_BESIDE)
+    passed: dict[tuple[float, float], list[str]] = {}
+    for number, waypoint in enumerate(mission.mission.waypoints, start=1):
+        place = waypoint.position[directions[0]], waypoint.position[directions[1]]
+        if waypoint.radius:
+            axes.add_patch(Circle(place, waypoint.radius, fill=False, ec=MUTED, linewidth=0.6))
+        # The view from above has the times; from aside one place may hide another.
+        has_time = waypoint.at is not None and directions[1] != _UP
+        label = f"{number}: {waypoint.at:.1f} s" if has_time else str(number)
+        passed.setdefault(place, []).append(label)
+    middle = float(np.mean([across for across, _ in passed])) if passed else 0.0
+    for (across, up), said in passed.items():
+        axes.plot(across, up, marker="x", color=INK, markersize=5, linestyle="none", zorder=4)
+        side = "left" if across <= middle else "right"
+        axes.annotate(", ".join(said), (across, up), ha=side, **_BESIDE)
+
+
+def _outline(zone: KeepOut, directions: tuple[int, int], clearance: float = 0.0) -> Patch:
+    """Return the shape of a zone, its clearance around it, as seen along an axis."""
+    for ball in zone.balls:
+        if set(directions) <= set(ball.axes):
+            middle = [ball.centre[ball.axes.index(axis)] for axis in directions]
+            return Circle((middle[0], middle[1]), ball.radius + clearance)
+    extent = _extent(zone)
+    (left, right), (low, high) = (
+        (extent["low"]["xyz"[axis]] - clearance, extent["high"]["xyz"[axis]] + clearance)
+        for axis in directions
+    )
+    return Rectangle((left, low), right - left, high - low)
 
 
 def _draw_projection(

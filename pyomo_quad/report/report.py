@@ -8,12 +8,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
 
 from pyomo_quad.collocation import pyomo_unaware
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
-from pyomo_quad.flight.flight import COLUMNS, POSITION_STATES, VIOLATION_TOLERANCE
+from pyomo_quad.flight.flight import COLUMNS, VIOLATION_TOLERANCE
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
     ENERGY_TOLERANCE,
@@ -22,6 +21,7 @@ from pyomo_quad.flight.verification import (
 from pyomo_quad.report import Figures
 from pyomo_quad.report.render import FIGURE_FOLDER, STATUS_WORDS, render_html, render_markdown
 from pyomo_quad.report.tables import (
+    FRONT_NAME,
     PLAN_NAME,
     SUMMARY_NAME,
     installed_versions,
@@ -37,9 +37,13 @@ from pyomo_quad.study.comparison import (
     INSIDE_DISTANCE_M,
     RESERVE,
     ComparisonColumn,
+    LegColumn,
     ReplanningColumn,
+    leg_table,
     replanning_table,
+    way_flown,
 )
+from pyomo_quad.study.front import FrontColumn
 from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
@@ -104,6 +108,8 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
     write_plan_table(folder, result.plan)
     if not result.comparison.empty:
         write_comparison(folder, result.comparison, _title(result.plan))
+    if not result.front.empty:
+        write_table(result.front, folder / FRONT_NAME)
     replanned = replanning_table(result.flights)
     if not replanned.empty:
         write_table(replanned, folder / REPLANNING_NAME)
@@ -231,10 +237,13 @@ def _title(plan: "Plan") -> str:
 
 def _of_plan(plan: "Plan") -> dict[str, Any]:
     """Return what the templates say of a plan."""
+    frame = plan.flight().frame
     return {
         "title": _title(plan),
         "plan": plan,
-        "asked_energy": _asked_energy(plan),
+        "asked_energy": _asked_energy(plan, frame),
+        "legs": leg_table(plan.mission_flown, frame).to_dict("records"),
+        "leg": LegColumn,
         "allowed": {
             "miss": MISS_TOLERANCE,
             "violation": VIOLATION_TOLERANCE,
@@ -247,14 +256,11 @@ def _of_plan(plan: "Plan") -> dict[str, Any]:
     }
 
 
-def _asked_energy(plan: "Plan") -> dict[str, float | None]:
+def _asked_energy(plan: "Plan", frame: pd.DataFrame) -> dict[str, float | None]:
     """Return the plan's energy as people ask for it, and what a whole charge is good for."""
     if plan.verification is None:
         return {"path_m": 0.0, "battery_percent": None}
-    frame = plan.flight().frame
-    places = [_COLUMN_OF[state] for state in POSITION_STATES if _COLUMN_OF[state] in frame]
-    steps = np.diff(frame[places].to_numpy(dtype=float), axis=0)
-    path = float(np.linalg.norm(steps, axis=1).sum())
+    path = float(way_flown(frame)[-1])
     path = path if path > _SHORTEST_PATH_M else 0.0
     if _CHARGE not in frame:
         return {"path_m": path, "battery_percent": None}
@@ -306,6 +312,9 @@ def _of_run(result: "RunResult") -> dict[str, Any]:
         "saved_percent": 100.0 * (1.0 - _spent(followed) / _spent(fair))
         if followed and fair
         else None,
+        "front": result.front.to_dict("records"),
+        "front_column": FrontColumn,
+        "FRONT_NAME": FRONT_NAME,
         "REPORT_NAME": REPORT_NAME,
         "PAGE_NAME": PAGE_NAME,
         "COMPARISON_NAME": COMPARISON_NAME,

@@ -168,7 +168,9 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
         Seconds of the phases that the result's own timings do not hold.
     """
     summary = plan_summary(result.plan, wall_s=wall_s, warnings=result.warnings)
-    summary["wall_s"] |= {phase: _number(result.timings[phase]) for phase in ("fly", "certify")}
+    summary["wall_s"] |= {
+        phase: _number(result.timings[phase]) for phase in ("fly", "certify", "front")
+    }
     certificate = result.certificate
     summary["certificate"] = {
         "applies": certificate.applies,
@@ -265,6 +267,32 @@ def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "
     except (ValueError, RecursionError):
         refuse_report(file, "is not valid JSON")
     return summary if isinstance(summary, dict) else {}, _read_table(folder / table)
+
+
+FRONT_NAME = "front.csv"
+
+
+def read_front(folder: Path) -> "pd.DataFrame | None":
+    """Read the energy-time front of a report that may come from a stranger, None without one.
+
+    Raises
+    ------
+    ScenarioError
+        If it is too large or damaged.
+    """
+    import pandas as pd  # noqa: PLC0415  see `write_table`
+
+    from pyomo_quad.study.front import FrontColumn  # noqa: PLC0415
+
+    file = folder / FRONT_NAME
+    if not file.exists():
+        return None
+    kinds = dict.fromkeys(FrontColumn, float) | {FrontColumn.IS_PLAN: bool}
+    try:
+        front = pd.read_csv(BytesIO(_content(file)))[list(kinds)].astype(kinds)
+    except (ValueError, KeyError):
+        refuse_report(file, "is not the table of an energy-time front")
+    return front
 
 
 def refuse_report(file: Path, what: str) -> NoReturn:

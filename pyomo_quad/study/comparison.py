@@ -1,6 +1,6 @@
 """The flights of a mission beside each other, one row each, and what adaptation is worth."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from math import isclose, isfinite, nan
 
@@ -19,6 +19,7 @@ from pyomo_quad.flight.baselines import (
 from pyomo_quad.flight.controller import CONTROLLER_STATES
 from pyomo_quad.flight.flight import (
     AIR_FORCE,
+    ENERGY,
     POSITION_STATES,
     ROTORS,
     TIME,
@@ -92,6 +93,7 @@ INSIDE_DISTANCE_M = 0.1
 
 _EVERY_ROTOR = range(1, MOST_ROTORS + 1)
 _COLUMN_OF = {(shown.component, shown.index): shown.name for shown in columns_of(_EVERY_ROTOR)}
+_HAS_LEGS = {ENERGY, *(_COLUMN_OF[name, None] for name in POSITION_STATES)}
 
 
 class ComparisonColumn(StrEnum):
@@ -218,6 +220,67 @@ def _hover_energy(scenario: Scenario, flight: Flight, hover_energy_J: float) -> 
     if not has_own_time(scenario, flight.duration_s):
         return hover_energy_J
     return hover_energy_J * flight.duration_s / scenario.mission.fixed_duration
+
+
+class LegColumn(StrEnum):
+    """Columns of the legs of a flight, in order."""
+
+    LEG = "leg"
+    BEGUN = "begun_s"
+    ENDED = "ended_s"
+    LENGTH = "length_m"
+    ENERGY = "energy_J"
+
+
+def leg_table(mission: Scenario, frame: pd.DataFrame) -> pd.DataFrame:
+    """Return what each leg of a flight took, between waypoints and while held at one.
+
+    Parameters
+    ----------
+    mission : Scenario
+        With the times at which the flight passes its waypoints (`Plan.mission_flown`).
+    frame : DataFrame
+        The flight, columns of `flight.columns`.
+
+    Returns
+    -------
+    DataFrame
+        Columns of `LegColumn`; no rows for a mission without waypoints.
+    """
+    columns = [column.value for column in LegColumn]
+    if not mission.mission.waypoints or not _HAS_LEGS.issubset(frame):
+        return pd.DataFrame(columns=columns)
+    time, way = frame[TIME].to_numpy(dtype=float), way_flown(frame)
+    rows = []
+    for name, begun, ended in _legs(mission, float(time[-1])):
+        lengths, energies = (
+            np.interp((begun, ended), time, held) for held in (way, frame[ENERGY].to_numpy())
+        )
+        rows.append((name, begun, ended, float(np.ptp(lengths)), float(energies[1] - energies[0])))
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _legs(mission: Scenario, duration_s: float) -> Iterator[tuple[str, float, float]]:
+    """Yield name, begin and end [s] of every leg, and of what is held between two."""
+    left, place = 0.0, "start"
+    for number, waypoint in enumerate(mission.mission.waypoints, start=1):
+        reached = duration_s if waypoint.at is None else waypoint.at
+        yield f"{place} to {number}", left, reached
+        left, place = reached + waypoint.hold, str(number)
+        if waypoint.hold:
+            yield f"held at {number}", reached, left
+    yield f"{place} to goal", left, duration_s
+
+
+def way_flown(frame: pd.DataFrame) -> FloatArray:
+    """Return the length of the way flown until each row of a flight's table, m.
+
+    Axes that a model of the user's own does not have count for nothing.
+    """
+    names = [_COLUMN_OF[state, None] for state in POSITION_STATES]
+    places = frame[[name for name in names if name in frame]].to_numpy(dtype=float)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 class ReplanningColumn(StrEnum):

@@ -17,6 +17,7 @@ from pyomo_quad.scenario import Reference, Scenario, ScenarioError
 from pyomo_quad.study.certificate import Certificate, certify
 from pyomo_quad.study.check import plan_cautions
 from pyomo_quad.study.comparison import OPTIMAL, adaptation_study, combine, compare_flights
+from pyomo_quad.study.front import energy_time_front
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -36,8 +37,10 @@ class RunResult(Summarised):
         Of the mission in the wind that really blows.
     adaptation : DataFrame or None
         What adaptation is worth in that wind, see `study.adaptation`; None where none blows.
+    front : DataFrame
+        Energy against time, see `study.front`; no rows where the mission fixes its duration.
     timings : mapping
-        Seconds of the plan's phases, of the flights and of the certificate.
+        Seconds of the plan's phases, of the flights, of the certificate and of the front.
     warnings : tuple of str
         What a reader should know beside the numbers, one line each.
     """
@@ -48,6 +51,7 @@ class RunResult(Summarised):
     comparison: pd.DataFrame
     certificate: Certificate
     adaptation: pd.DataFrame | None
+    front: pd.DataFrame
     timings: Mapping[str, float]
     warnings: tuple[str, ...]
 
@@ -102,6 +106,8 @@ def run_scenario(
     if flights:
         comparison = compare_flights(mission, flights, certificate, plan.hover_energy_J)
     certified = perf_counter()
+    front = energy_time_front(plan, planner=planner, progress=progress)
+    swept = perf_counter()
     return RunResult(
         scenario=scenario,
         plan=plan,
@@ -109,7 +115,13 @@ def run_scenario(
         comparison=comparison,
         certificate=certificate,
         adaptation=adaptation,
-        timings={**plan.timings, "fly": flown - solved, "certify": certified - flown},
+        front=front,
+        timings={
+            **plan.timings,
+            "fly": flown - solved,
+            "certify": certified - flown,
+            "front": swept - certified,
+        },
         warnings=(*plan_cautions(plan, planner=planner), *failures),
     )
 

@@ -1,0 +1,69 @@
+"""The energy-time front: what a mission of free duration takes where its time is dearer or cheaper.
+
+Flights of least energy plus price times duration are those of which none is both shorter and
+cheaper: where the least energy is convex in the duration, each price picks one of them, and the
+slope of the front there is minus the price.
+"""
+
+from enum import StrEnum
+from math import isclose, isfinite, nan
+
+import pandas as pd
+
+from pyomo_quad.collocation import Progress
+from pyomo_quad.flight import Plan, Planner
+from pyomo_quad.scenario.mission import Aim
+
+# Prices of time, as shares of the power of hovering, beside the mission's own.
+_PRICES = (0.0, 0.3, 1.0, 3.0)
+# Durations that differ by less than this share are those of one flight, at one of its limits.
+_SAME_TIME = 1e-4
+
+
+class FrontColumn(StrEnum):
+    """Columns of an energy-time front, in order."""
+
+    PRICE = "price_of_time_W"
+    DURATION = "duration_s"
+    ENERGY = "energy_J"
+    IS_PLAN = "is_plan"
+
+
+def energy_time_front(
+    plan: Plan, *, planner: Planner, progress: Progress | None = None
+) -> pd.DataFrame:
+    """Return energy and duration of a mission's flights at a few prices of time.
+
+    Each starts from the plan, so that it passes zones on the plan's sides, and is solved on the
+    plan's mesh alone: the mesh gives their energies to many digits, but not their limits.
+
+    Parameters
+    ----------
+    plan : Plan
+    progress : callable, optional
+        Called at each Ipopt iteration; returning False stops the solve.
+
+    Returns
+    -------
+    DataFrame
+        Columns of `FrontColumn`, the shortest first; no rows where the plan is not verified or
+        its duration was not free.  The plan's price is NaN where its aim is the least time.
+    """
+    columns = [column.value for column in FrontColumn]
+    if not plan.is_verified or not plan.scenario.mission.is_free:
+        return pd.DataFrame(columns=columns)
+    own = plan.scenario.mission.price_of_time if plan.scenario.mission.aim is Aim.ENERGY else nan
+    rows = [(own, plan.duration_s, plan.energy, True)]
+    hover_power = plan.hover_energy_J / plan.duration_s
+    prices = [share * hover_power for share in _PRICES] if isfinite(hover_power) else []
+    for price in prices:
+        if isclose(price, own, rel_tol=0.1, abs_tol=0.1 * hover_power):
+            continue
+        once = {"solver": plan.scenario.solver.model_copy(update={"max_refinements": 0})}
+        dearer = plan.scenario.with_mission(price_of_time=price, aim=Aim.ENERGY)
+        found = planner.solve(dearer.model_copy(update=once), warm_start=plan, progress=progress)
+        is_new = not any(isclose(found.duration_s, row[1], rel_tol=_SAME_TIME) for row in rows)
+        if found.verification is not None and is_new:
+            rows.append((price, found.duration_s, found.energy, False))
+    front = pd.DataFrame(rows, columns=columns)
+    return front.sort_values(FrontColumn.DURATION, ignore_index=True)

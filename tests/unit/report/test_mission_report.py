@@ -1,0 +1,204 @@
+"""What a report says of a mission's way: the map, the legs, the speed and the front."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.patches import Circle, Rectangle
+from PIL import Image
+
+from pyomo_quad.cli import main
+from pyomo_quad.flight import Planner
+from pyomo_quad.report import Figures
+from pyomo_quad.report.flight_figures import draw_front, draw_way
+from pyomo_quad.report.paths import draw_path
+from pyomo_quad.report.report import write_run_report
+from pyomo_quad.report.style import styled_flights
+from pyomo_quad.report.tables import write_table
+from pyomo_quad.scenario import load_scenario
+from pyomo_quad.study.comparison import leg_table
+from pyomo_quad.study.front import energy_time_front
+from tests.synthetic_run import synthetic_run
+
+ZONES = """[
+    {name = "mast", shape = "cylinder", centre = [2.0, 5.0], radius = 1.0, bottom = 0.0, top = 6.0},
+    {name = "kite", shape = "sphere", centre = [5.0, 2.0, 3.0], radius = 0.5},
+    {name = "shed", shape = "box", low = [4.0, 0.0, 0.0], high = [6.0, 1.0, 2.0]},
+]"""
+PLACES = """[
+    {position = [1.5, 1.75, 2.0], at = 3.0, hold = 1.0}, {position = [4.5, 5.25, 6.0], at = 7.5},
+]"""
+AIRSPACE = (
+    "airspace.floor = -0.5",
+    "airspace.ceiling = 9.0",
+    "airspace.clearance = 0.25",
+    f"airspace.keep_out = {ZONES}",
+)
+WAYPOINTS = (f"mission.waypoints = {PLACES}",)
+OVERRIDES = (*AIRSPACE, *WAYPOINTS)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return synthetic_run("scenarios/paper_calm.toml", OVERRIDES, ("optimal", "adaptive/step"))
+
+
+def test_legs_of_an_even_flight_share_way_and_energy_by_their_time(run):
+    time = np.linspace(0.0, 10.0, 401)
+    frame = pd.DataFrame({"time_s": time, "x_m": 3.0 * time, "y_m": -4.0 * time, "z_m": 0.0 * time})
+    legs = leg_table(run.scenario, frame.assign(energy_J=70.0 * time))
+    assert legs["leg"].tolist() == ["start to 1", "held at 1", "1 to 2", "2 to goal"]
+    lasting = np.array([3.0, 1.0, 3.5, 2.5])
+    np.testing.assert_allclose(legs["ended_s"] - legs["begun_s"], lasting)
+    np.testing.assert_allclose(legs["length_m"], 5.0 * lasting)
+    np.testing.assert_allclose(legs["energy_J"], 70.0 * lasting)
+
+
+def test_energies_of_the_legs_add_up_to_the_flights(run):
+    optimum = styled_flights(run.flights)[0]
+    figure = draw_way([optimum], run.scenario)
+    bars = [patch.get_width() for patch in figure.axes[1].patches]
+    assert len(bars) == 4
+    assert sum(bars) == pytest.approx(run.flights[0].energy_J, rel=1e-12)
+
+
+def test_a_mission_without_waypoints_has_no_legs():
+    calm = synthetic_run("scenarios/paper_calm.toml", AIRSPACE, ("optimal",))
+    assert leg_table(calm.scenario, calm.flights[0].frame).empty
+    assert len(draw_way(styled_flights(calm.flights), calm.scenario).axes) == 1
+
+
+def test_speed_is_drawn_over_the_way_and_each_flight_keeps_its_colour(run):
+    flights = styled_flights(run.flights)
+    lines = draw_way(flights, run.scenario).axes[0].get_lines()
+    for flight, line in zip(flights, lines, strict=False):
+        # Start and goal are (6, 7, 8) m apart, and the path between them is straight.
+        assert line.get_xdata()[-1] == pytest.approx(np.sqrt(149.0), rel=1e-6)
+        assert line.get_color() == flight.style.color
+        slope = np.gradient(line.get_xdata(), flight.frame["time_s"].to_numpy())
+        np.testing.assert_allclose(line.get_ydata(), slope, atol=0.05)
+
+
+def outlines(axes, kind):
+    return [patch for patch in axes.patches if isinstance(patch, kind)]
+
+
+def test_the_map_shows_zones_with_their_clearance_floor_ceiling_and_passing_times(run):
+    _, above, front, side = draw_path(styled_flights(run.flights), run.scenario).axes
+    circles = {(*c.center, c.radius) for c in outlines(above, Circle)}
+    mast, kite = {(2.0, 5.0, 1.0), (2.0, 5.0, 1.25)}, {(5.0, 2.0, 0.5), (5.0, 2.0, 0.75)}
+    assert circles == mast | kite
+    assert {(*c.center, c.radius) for c in outlines(side, Circle)} == {
+        (2.0, 3.0, 0.5),
+        (2.0, 3.0, 0.75),
+    }
+    corners = [tuple(np.ravel(box.get_bbox().get_points())) for box in outlines(front, Rectangle)]
+    assert {(1.0, 0.0, 3.0, 6.0), (4.0, 0.0, 6.0, 2.0)} <= set(corners)
+    level = {line.get_ydata()[0] for line in front.get_lines() if len(line.get_ydata()) == 2}
+    assert {-0.5, 9.0} <= level
+    assert {"1: 3.0 s", "2: 7.5 s"} <= {text.get_text() for text in above.texts}
+    assert {"1", "2", "floor", "ceiling"} <= {text.get_text() for text in side.texts}
+    assert front.get_ylim()[1] > 9.0
+
+
+def test_a_far_zone_does_not_shrink_the_paths():
+    far = 'airspace.keep_out = [{name = "hill", shape = "sphere", centre = [400.0, 0.0, 0.0], '
+    run = synthetic_run("scenarios/paper_calm.toml", (far + "radius = 300.0}]",), ("optimal",))
+    _, above, *_ = draw_path(styled_flights(run.flights), run.scenario).axes
+    assert np.ptp(above.get_xlim()) < 15.0
+
+
+PRICES = (200.0, 70.0, 0.0)
+FRONT = pd.DataFrame(
+    {
+        "price_of_time_W": PRICES,
+        "duration_s": [3.0, 4.0, 5.0],
+        "energy_J": [400.0, 330.0, 300.0],
+        "is_plan": [False, True, False],
+    }
+)
+
+
+def test_the_front_marks_the_plan():
+    (axes,) = draw_front(FRONT).axes
+    star = next(line for line in axes.get_lines() if line.get_marker() == "*")
+    assert (list(star.get_xdata()), list(star.get_ydata())) == ([4.0], [330.0])
+    assert [text.get_text() for text in axes.texts] == ["200 W", "70 W", "0 W"]
+
+
+def test_the_front_is_stored_and_drawn_again(tmp_path, monkeypatch, capsys):
+    run = synthetic_run("scenarios/paper_calm.toml", (), ("optimal",))
+    run.front = FRONT
+    write_run_report(tmp_path, run, Figures.NONE)
+    assert "| 70.00 | 4.000 | 330.00 | the plan |" in (tmp_path / "report.md").read_text()
+    monkeypatch.chdir(tmp_path)
+    summary = '{"hover_energy_J": 700.0}'
+    (tmp_path / "summary.json").write_text(summary)
+    write_table(run.flights[0].frame, tmp_path / "plan.csv")
+    assert main(["plot", str(tmp_path), "front", "--out", "again.png"]) == 0
+    with Image.open(tmp_path / "again.png") as picture:
+        assert min(picture.size) > 300
+    (tmp_path / "front.csv").write_text("duration_s\nlong\n")
+    assert main(["plot", str(tmp_path), "front"]) == 2
+    said = capsys.readouterr().err
+    assert "front.csv: is not the table of an energy-time front; solve the scenario again." in said
+
+
+class Told:
+    """A planner whose flights of T seconds take a / T + b T joules."""
+
+    a, b = 900.0, 100.0
+
+    def solve(self, scenario, **_):
+        mission = scenario.mission
+        least, greatest = mission.duration_limits
+        best = np.sqrt(self.a / (self.b + mission.price_of_time))
+        duration = min(max(best, least), greatest)
+        return SimpleNamespace(
+            scenario=scenario,
+            duration_s=duration,
+            energy=self.a / duration + self.b * duration,
+            hover_energy_J=80.0 * duration,
+            is_verified=True,
+            verification=object(),
+        )
+
+
+def front_of(*overrides):
+    planner = Told()
+    plan = planner.solve(load_scenario("scenarios/paper_free.toml", list(overrides)))
+    return energy_time_front(plan, planner=planner)
+
+
+def test_the_front_is_that_of_the_flights_of_least_cost():
+    front = front_of("mission.price_of_time = 50.0")
+    assert front["price_of_time_W"].tolist() == [240.0, 80.0, 50.0, 24.0, 0.0]
+    assert front.loc[front["is_plan"], "price_of_time_W"].tolist() == [50.0]
+    np.testing.assert_allclose(front["duration_s"], np.sqrt(900 / (100 + front["price_of_time_W"])))
+    assert front["energy_J"].is_monotonic_decreasing
+
+
+def test_flights_at_a_limit_of_the_duration_stand_in_the_front_once():
+    front = front_of("mission.duration_min = 2.5")
+    assert front["duration_s"].tolist() == [2.5, pytest.approx(np.sqrt(900 / 124)), 3.0]
+
+
+def test_a_fixed_duration_has_no_front():
+    plan = SimpleNamespace(is_verified=True, scenario=load_scenario("scenarios/paper_calm.toml"))
+    assert energy_time_front(plan, planner=None).empty
+
+
+@pytest.mark.slow
+def test_the_front_of_a_real_mission_has_its_prices_for_slopes():
+    planner = Planner()
+    hop = ("mission.goal.position = [2.0, 1.0, 0.5]", "solver.tolerance = 1e-4")
+    plan = planner.solve(load_scenario("scenarios/paper_free.toml", list(hop)))
+    front = energy_time_front(plan, planner=planner)
+    assert len(front) == 4
+    price, duration, energy = (
+        front[name].to_numpy() for name in ("price_of_time_W", "duration_s", "energy_J")
+    )
+    for k, own in enumerate(price):
+        cost = energy + own * duration
+        assert np.all(cost >= cost[k] - 1e-4 * energy[k])
