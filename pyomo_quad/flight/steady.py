@@ -213,6 +213,16 @@ class SteadyFlight:
             return self.power(speed)
         return np.sum([self._over_speeds(_UNCREDITED, speed, index=j) for j in rotors], axis=0)
 
+    def power_of_accelerating(self, speed: ArrayLike) -> FloatArray:
+        """Return what all rotors draw for each rad/s^2 that they gain at some speeds [J s/rad].
+
+        That part of the power is linear in the acceleration and so stored, not spent; what an
+        acceleration costs beside it, either way, is left out.
+        """
+        name = _UNCREDITED if self._dynamics.has(_UNCREDITED) else "power.rotor_power"
+        up, down = (self.rotor_value(name, speed, sign) for sign in (1.0, -1.0))
+        return len(self._rotors) * (up - down) / 2.0
+
     def power_at_thrust(self, thrust: float) -> float:
         """Return the power [W] of steady flight at a total thrust [N], not negative."""
         if thrust <= 0.0:

@@ -81,7 +81,7 @@ _PASSAGES: tuple[tuple[str, object, str, float | None], ...] = (
     ("at", units.s, "when it is passed", None),
 )
 # How far a vehicle may be from a place, and how fast, that hovers there.
-_HOVERING_M, _HOVERING_M_PER_S = 0.05, 0.1
+HOVERING_M, HOVERING_M_PER_S = 0.05, 0.1
 
 
 def _passage(
@@ -210,14 +210,14 @@ def _declare_holds(
     def hold_distance(b: Block, k: int, t: float) -> Any:
         if not reached[k] < t <= left[k]:
             return Constraint.Skip
-        return _distance_squared(b, k, t) <= (_HOVERING_M * units.m) ** 2
+        return _distance_squared(b, k, t) <= (HOVERING_M * units.m) ** 2
 
     @b.Constraint(held, m.time, doc="hovering at a waypoint: speed [m^2/s^2]")
     def hold_speed(b: Block, k: int, t: float) -> Any:
         if not reached[k] < t <= left[k]:
             return Constraint.Skip
         speed = _speed_squared(b.parent_block().rigid_body, t)
-        return speed <= (_HOVERING_M_PER_S * units.m / units.s) ** 2
+        return speed <= (HOVERING_M_PER_S * units.m / units.s) ** 2
 
 
 def _distance_squared(b: Block, k: int, t: float) -> NumericExpression:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import count
-from math import inf
+from math import inf, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 from scipy.linalg import null_space
-from scipy.optimize import OptimizeResult, minimize, minimize_scalar
+from scipy.optimize import OptimizeResult, minimize
 
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight
 from pyomo_quad.model.aerodynamics import acts_in_body_axes
 from pyomo_quad.scenario import PowerModel, Scenario
+from pyomo_quad.scenario.mission import Order
+from pyomo_quad.study.legs import Itinerary, legs_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -242,112 +244,99 @@ def _bound(scenario: Scenario, planner: Planner) -> tuple[float | None, str]:
     power = _SteadyPower(scenario, planner.steady_flight(scenario))
     if not power.is_polynomial:
         return None, "the power of steady flight is not a polynomial of the rotor speed."
+    uncounted = _uncounted(scenario, demand)
+    bounds = [_bound_as_a_whole(scenario, demand, power, uncounted)]
+    if not uncounted and (scenario.mission.is_free or scenario.mission.waypoints):
+        bounds.append(_bound_by_legs(scenario, planner, demand, power))
+    return max(bounds, key=lambda found: -inf if found[0] is None else found[0])
+
+
+_Found = tuple[float | None, str]
+
+
+def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
+    """Say why passages and a free duration cannot be bounded; nothing where they can."""
+    times = np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES)
+    standing = np.array([demand.thrust(float(t)) for t in times])
+    if np.ptp(standing, axis=0).max() > _ROUNDING * np.abs(standing).max():
+        return "in a wind that changes with time"
+    if np.max(np.abs(demand.drag)) > 0.0:
+        return "with drag"
+    if scenario.mission.order is Order.BEST and len(scenario.mission.waypoints) > 1:
+        return "where their order is open"
+    return ""
+
+
+def _bound_as_a_whole(
+    scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, uncounted: str
+) -> _Found:
+    """Bound the flights of a fixed duration from start to goal, whatever they pass on the way."""
     mission = scenario.mission
-    displacement = np.subtract(mission.goal.position, mission.start.position)
+    if mission.released > 0.0:
+        return None, f"no bound is known for a mass that changes on the way {uncounted}."
     if mission.is_free:
-        return _bound_of_any_duration(scenario, demand, power, displacement)
+        return None, f"no bound is known for a free duration {uncounted}."
+    displacement = np.subtract(mission.goal.position, mission.start.position)
     duration = mission.fixed_duration
     # A bound above what full power for the whole flight would spend proves that there is none.
     ceiling = float(np.max(power.power)) * duration * (1 + _ROUNDING)
-    moments = ThrustMoments(demand, displacement, duration)
-    found, _ = _best_bound(moments, power, ceiling)
+    found = _best_bound(ThrustMoments(demand, displacement, duration), power, ceiling)
     if found > ceiling:
         return None, _IMPOSSIBLE
+    left_out = f"; no bound is known that counts waypoints {uncounted}, so these are left out"
     return found, (
         "momentum balance and displacement fix two means of the thrust vector, and steady power "
-        f"under power.model {scenario.power.model.value} bounds what they cost; holds for every "
+        f"under power.model {scenario.power.model.value} bounds what they cost"
+        f"{left_out if mission.waypoints else ''}; holds for every "
         "flight that meets the boundary conditions within the rotor speed limits"
         f"{_less_room(scenario)}."
     )
 
 
-def _bound_of_any_duration(
-    scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, displacement: FloatArray
-) -> tuple[float | None, str]:
-    """Return the least bound over all durations allowed, and what it rests on.
-
-    A price p of the thrust that goes from p0 to p1 in a straight line bounds the energy of every
-    flight of duration T by A / T + G T: A = -m (p1 - p0) . displacement, and G the mean over the
-    line of p . standing force - conjugate(|p|).  Where both are positive that is convex in T, so
-    its least value is known on the whole interval.
-    """
-    times = np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES)
-    standing = np.array([demand.thrust(float(t)) for t in times])
-    scale = float(np.max(np.abs(standing)))
-    if np.max(np.abs(standing - standing[0])) > _ROUNDING * scale:
-        return None, "no bound is known for a free duration in a wind that changes with time."
-    if np.max(np.abs(demand.drag)) > 0.0:
-        return None, "no bound is known for a free duration with drag."
-    free = _FreeTime(demand.mass * displacement, standing[0], power, scenario)
-    prices = _prices_of_cheapest_duration(scenario, demand, power, displacement)
-    bound = free.bound(prices)
-    least, greatest = scenario.mission.duration_limits
-    return bound, (
-        "momentum balance and displacement fix two means of the thrust vector, and steady power "
-        f"under power.model {scenario.power.model.value} bounds what they cost; one price of the "
-        f"thrust bounds every duration from {least:g} to {greatest:g} s, for every flight that "
-        f"meets the boundary conditions within the rotor speed limits{_less_room(scenario)}."
+def _bound_by_legs(
+    scenario: Scenario, planner: Planner, demand: MomentumDemand, power: _SteadyPower
+) -> _Found:
+    """Bound the flights that pass the waypoints, at any times and of any duration allowed."""
+    mission = scenario.mission
+    standing = demand.thrust(0.0)
+    thrust = float(np.linalg.norm(standing))
+    legs, shared = legs_of(scenario)
+    itinerary = Itinerary(legs, shared, standing, float(demand.mass[0]), power.conjugate)
+    found = itinerary.bound(power.slope(thrust) * standing / thrust)
+    least, greatest = mission.duration_limits
+    if found > float(np.max(power.power)) * greatest * (1 + _ROUNDING):
+        return None, _IMPOSSIBLE
+    found -= _given_back(scenario, planner)
+    passing = (
+        f"on each of {len(legs)} legs, their velocities at the passages free, momentum balance"
+        if mission.waypoints
+        else "momentum balance"
+    )
+    times = f"every duration from {least:g} to {greatest:g} s" if mission.is_free else ""
+    times += " and " * bool(times and mission.waypoints)
+    times += "all passing times" if mission.waypoints else ""
+    return max(found, 0.0), (
+        f"{passing} and displacement fix two means of the thrust vector, and steady power "
+        f"under power.model {scenario.power.model.value} bounds what they cost; one price of "
+        f"momentum bounds {times}, for every flight that meets the boundary conditions within "
+        f"the rotor speed limits{_less_room(scenario)}."
     )
 
 
 # Where the standing force is compared with itself to see if it changes.
 _STANDING_SAMPLES = 101
-# How near to the duration that is bounded least, relative: the bound is flat there.
-_DURATION_ERROR = 1e-3
-# Full power for so many times the duration is more than any flight spends.
-_IMPOSSIBLY_LONG = 10.0
-# s. A flight that may take longer may take as long as it likes.
-_ENDLESS = 86_400.0
 
 
-def _prices_of_cheapest_duration(
-    scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, displacement: FloatArray
-) -> FloatArray:
-    """Return the price of thrust at start and end of the fixed duration that is bounded least."""
-    most = float(np.max(power.power))
-    found: dict[float, FloatArray] = {}
-
-    def bound(duration: float) -> float:
-        moments = ThrustMoments(demand, displacement, duration)
-        value, x = _best_bound(moments, power, _IMPOSSIBLY_LONG * most * duration)
-        # Without drag the weights are 1 and, from start to end, 1/2 to -1/2.
-        found[duration] = np.concatenate([x[0] + x[1] / 2, x[0] - x[1] / 2])
-        return value
-
-    least, greatest = scenario.mission.duration_limits
-    usual = scenario.nominal_duration
-    search = minimize_scalar(
-        bound,
-        bounds=(max(least, usual / 8), min(greatest, 2 * usual)),
-        method="bounded",
-        options={"xatol": _DURATION_ERROR * usual},
-    )
-    return found[float(search.x)]
-
-
-class _FreeTime:
-    """The bound of all durations as a function of the price of thrust at start and end."""
-
-    def __init__(
-        self, lever: FloatArray, standing: FloatArray, power: _SteadyPower, scenario: Scenario
-    ) -> None:
-        self._lever, self._standing, self._power = lever, standing, power
-        self._limits = scenario.mission.duration_limits
-        self._shares, self._widths = _gauss(1.0, _PANELS)
-
-    def bound(self, prices: FloatArray) -> float:
-        """Return the least bound over all durations, nought where it is none."""
-        first, last = np.split(prices, 2)
-        price = first + np.outer(self._shares, last - first)
-        conjugate, _ = self._power.conjugate(np.linalg.norm(price, axis=1))
-        gained = float(-(last - first) @ self._lever)
-        spent = float(self._widths @ (price @ self._standing - conjugate))
-        least, greatest = self._limits
-        if gained < 0.0 or (spent <= 0.0 and greatest >= _ENDLESS):
-            return 0.0
-        best = np.sqrt(gained / spent) if spent > 0.0 else greatest
-        duration = float(np.clip(best, least, greatest))
-        return max(0.0, gained / duration + duration * spent)
+def _given_back(scenario: Scenario, planner: Planner) -> float:
+    """Return what the rotors give back that turn slower at the goal, with less to carry [J]."""
+    if not scenario.mission.released:
+        return 0.0
+    steady = planner.steady_flight(scenario)
+    slower = steady.hover_speed * sqrt(scenario.mass_at_goal / scenario.vehicle.total_mass)
+    nodes, widths = np.polynomial.legendre.leggauss(_GAUSS_NODES)
+    speeds = slower + (steady.hover_speed - slower) * (nodes + 1) / 2
+    stored = steady.power_of_accelerating(speeds)
+    return float((steady.hover_speed - slower) * (widths / 2) @ stored)
 
 
 def _less_room(scenario: Scenario) -> str:
@@ -362,8 +351,6 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
     """Yield why no bound is known, the plainest first."""
     if scenario.model is not None:
         yield f"no bound is known for a model of one's own ({scenario.model})."
-    if scenario.mission.released > 0:
-        yield "no bound is known for a mass that changes on the way."
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield (
             "power.model efficiency has no bound: its power is not convex in the rotor "
@@ -385,10 +372,8 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
         yield _IMPOSSIBLE
 
 
-def _best_bound(
-    moments: ThrustMoments, power: _SteadyPower, ceiling: float
-) -> tuple[float, FloatArray]:
-    """Return the largest bound found, at least that of Jensen's inequality, and its multipliers.
+def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> float:
+    """Return the largest bound found, at least that of Jensen's inequality.
 
     `ceiling` is where the search may stop, since no flight spends so much.
     """
@@ -416,10 +401,7 @@ def _best_bound(
         callback=stop_above,
         options={"maxiter": _ITERATIONS},
     )
-    plain = -negative(jensen.ravel())[0]
-    if plain > -float(found.fun):
-        return plain, jensen
-    return -float(found.fun), found.x.reshape(2, 3)
+    return max(-negative(jensen.ravel())[0], -float(found.fun))
 
 
 class _SteadyPower:
@@ -448,7 +430,9 @@ class _SteadyPower:
         power, self.power, has_power = _fit(steady.uncredited_power(speeds), speeds, samples)
         self._slope = power.deriv()(samples[1:]) / thrust.deriv()(samples[1:])
         self.is_polynomial = has_thrust and has_power
-        self._floor = _below(self.thrust, self.power)
+        corners = _corners(self.thrust, _below(self.thrust, self.power))
+        self._thrust, self._floor = corners
+        self._chords = np.diff(self._floor) / np.diff(self._thrust)
 
     def slope(self, thrust: float) -> float:
         """Return the derivative of power with respect to thrust [W/N]."""
@@ -476,9 +460,8 @@ class _SteadyPower:
         lesser of the two, so that their maximum is an upper bound of the maximum over all
         thrusts.
         """
-        worth = price[:, None] * self.thrust - self._floor
-        best = np.argmax(worth, axis=1)
-        return worth[np.arange(price.size), best], self.thrust[best]
+        best = np.searchsorted(self._chords, price)
+        return price * self._thrust[best] - self._floor[best], self._thrust[best]
 
 
 def _fit(
@@ -497,3 +480,16 @@ def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
     # The power rises with thrust, so the first step extends a level line.
     extended = power[:-1] + np.concatenate([[0.0], chords[:-1]]) * np.diff(thrust)
     return np.concatenate([power[:1], np.minimum(power[1:], extended)])
+
+
+def _corners(thrust: FloatArray, power: FloatArray) -> FloatArray:
+    """Return the points, shape (2, n), that are the cheapest at some price of thrust."""
+    kept: list[tuple[float, float]] = []
+    for x, y in zip(thrust.tolist(), power.tolist(), strict=True):
+        while len(kept) > 1:
+            (x0, y0), (x1, y1) = kept[-2:]
+            if (x1 - x0) * (y - y1) > (y1 - y0) * (x - x1):
+                break
+            kept.pop()
+        kept.append((x, y))
+    return np.array(kept).T

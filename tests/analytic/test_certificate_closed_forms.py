@@ -1,9 +1,11 @@
 """The lower bound on energy against arithmetic done by hand and against relaxed flights."""
 
+from itertools import pairwise
 from math import hypot
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from pyomo_quad.study.certificate import certify
 from tests.declared_model import scenario, steady
@@ -108,3 +110,80 @@ def test_friction_is_bounded_by_the_chord_over_the_rotor_speeds():
     share = MASS * GRAVITY / (4 * KB * full**2)
     chord = 4 * ((1 - share) * rotor(0.0) + share * rotor(full))
     assert found.lower_bound_J == pytest.approx(10.0 * chord, rel=1e-4)
+
+
+PASSED = np.array([[0.0, 0.0, 0.0], [2.0, 5.0, 2.0], [7.0, 6.0, 5.0], [6.0, 7.0, 8.0]])
+
+
+def energy_of_spline(told, times):
+    """What a point with free thrust spends on the path that bends least, at rest at both ends."""
+    bend = CubicSpline(times, PASSED, bc_type="clamped").derivative(2)
+    nodes, widths = np.polynomial.legendre.leggauss(12)
+    flight, energy, weight = steady(told), 0.0, np.array([0.0, 0.0, GRAVITY])
+    for begun, over in pairwise(times):
+        for node, width in zip(nodes, widths, strict=True):
+            force = MASS * (bend(begun + (over - begun) * (node + 1) / 2) + weight)
+            power = flight.power_at_thrust(float(np.linalg.norm(force)))
+            energy += (over - begun) / 2 * width * power
+    return energy
+
+
+def waypoints(**each):
+    return [
+        {"position": place.tolist()} | {k: v[n] for k, v in each.items()}
+        for n, place in enumerate(PASSED[1:-1])
+    ]
+
+
+def test_passages_at_given_times_are_bounded_by_the_spline_through_them():
+    # Gentle, the power is nearly quadratic in the acceleration, of which splines have least.
+    told = scenario(mission={"waypoints": waypoints(at=(6.0, 11.0)), "duration": 16.0})
+    found, energy = certify(told).lower_bound_J, energy_of_spline(told, [0.0, 6.0, 11.0, 16.0])
+    assert found <= energy
+    assert found == pytest.approx(energy, rel=1e-4)
+    assert found > certify(scenario(mission={"duration": 16.0})).lower_bound_J * 1.0005
+
+
+@pytest.mark.slow
+def test_free_passages_are_bounded_below_those_at_any_given_times():
+    of = {"duration": 16.0}
+    least = certify(scenario(mission=of | {"waypoints": waypoints()})).lower_bound_J
+    times = ((5.0, 11.0), (6.3, 10.5), (7.0, 12.0))
+    given = [scenario(mission=of | {"waypoints": waypoints(at=at)}) for at in times]
+    found = [certify(told).lower_bound_J for told in given]
+    assert least < min(found)
+    assert least == pytest.approx(min(found), rel=1e-3)
+
+
+def test_passing_within_a_distance_is_never_dearer():
+    missions = [{"waypoints": waypoints(radius=(r, r)), "duration": 9.0} for r in (0.0, 0.5)]
+    exact, near = (certify(scenario(mission=m)).lower_bound_J for m in missions)
+    assert exact > near
+
+
+def test_a_parcel_left_while_hovering_lightens_the_rest_by_hand():
+    # At 1 cm from where the flight starts and ends, for 4 s of 10.
+    parcel = {"position": [0.01, 0.0, 0.0], "at": 4.0, "release": 0.3, "speed_max": 0.001}
+    told = scenario(
+        power={"model": "shaft"},
+        mission=IN_PLACE | {"waypoints": [parcel]},
+        vehicle={"payload": 0.3},
+    )
+    carried, left = (MASS + 0.3) * GRAVITY, MASS * GRAVITY
+    expected = 4.0 * shaft_power(carried) + 6.0 * shaft_power(left)
+    # What the rotors held, I_r omega^2 / 2, they give back.
+    expected -= 4 * 4.1904e-5 / 2 * (carried - left) / (4 * KB)
+    assert certify(told).lower_bound_J == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_a_hover_on_the_way_adds_its_time_at_least():
+    still = {"position": [6.0, 0.0, 0.0], "hold": 5.0}
+    mission = {"goal": {"position": [12.0, 0.0, 0.0]}, "duration": "free", "waypoints": [still]}
+    there = {"goal": {"position": [6.0, 0.0, 0.0]}, "duration": "free"}
+    told = scenario(mission=mission)
+    leg = certify(scenario(mission=there)).lower_bound_J
+    hovering = 5.0 * steady(told).hover_power
+    # Hovering may move by 5 cm at 0.1 m/s.
+    assert certify(told).lower_bound_J <= 2 * leg + hovering
+    assert certify(told).lower_bound_J == pytest.approx(2 * leg + hovering, rel=2e-2)

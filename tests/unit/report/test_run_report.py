@@ -100,6 +100,14 @@ def test_no_certificate_is_said(tmp_path):
 
 
 @pytest.mark.usefixtures("_no_figures")
+@pytest.mark.parametrize("waypoints", ["[]", "[{position = [1.0, 2.0, 3.0]}]"])
+def test_a_bound_over_passing_times_is_explained_to_pilots(tmp_path, waypoints):
+    text = write(tmp_path, synthetic_run(overrides=(f"mission.waypoints={waypoints}",)))
+    explained = "The bound is the least over all such choices at once"
+    assert (explained in text) == (waypoints != "[]")
+
+
+@pytest.mark.usefixtures("_no_figures")
 def test_cheapest_rival_is_named_when_the_fair_one_did_not_arrive(tmp_path):
     run = synthetic_run(flights=("optimal", "adaptive/minimum_snap", "adaptive/step"))
     assert "less than `adaptive/minimum_snap` (729.30 J)" in write(tmp_path, run)
