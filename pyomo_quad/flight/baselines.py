@@ -38,6 +38,7 @@ from pyomo_quad.flight.verification import (
     battery_imbalance,
     fly_controls,
 )
+from pyomo_quad.model.mission import HOVERING_M, HOVERING_M_PER_S
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.mission import Hover
 from pyomo_quad.scenario.tables import Reference
@@ -435,6 +436,7 @@ def assembled_flight(
         and battery_imbalance(dynamics, flown) <= BALANCE_TOLERANCE,
         wall_s=perf_counter() - began,
         owed_energy_J=plan.owed_energy(final) if plan is not None and is_told else nan,
+        allowed=_ALLOWED_HOVERING,
     )
     missed = tuple(_missed_waypoints(scenario, dynamics, flown))
     return replace(flight, broken_limits=(*flight.broken_limits, *missed))
@@ -442,6 +444,11 @@ def assembled_flight(
 
 # How much further off, and faster, than it should a flight under control may pass a waypoint.
 _PASSING_M, _PASSING_M_PER_S = 0.05, 0.1
+# The same of a hold, whose limits are of squares.
+_ALLOWED_HOVERING = {
+    "mission.hold_distance": (HOVERING_M + _PASSING_M) ** 2 - HOVERING_M**2,
+    "mission.hold_speed": (HOVERING_M_PER_S + _PASSING_M_PER_S) ** 2 - HOVERING_M_PER_S**2,
+}
 
 
 def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> Iterator[str]:

@@ -223,8 +223,12 @@ class Flight(Summarised):
         is_verified: bool,
         wall_s: float,
         owed_energy_J: float = nan,
+        allowed: Mapping[str, float] | None = None,
     ) -> Flight:
-        """Make a flight of its samples and the final values wanted of its states."""
+        """Make a flight of its samples and the final values wanted of its states.
+
+        ``allowed`` is how far past a limit of a name, whatever its index, a flight may go.
+        """
         miss = terminal_miss_of(dynamics, flown.states[-1], wanted)
         breaches = dynamics.violations(flown.t, flown.states, flown.controls)
         worst: Violation = breaches[0]
@@ -240,16 +244,19 @@ class Flight(Summarised):
             is_verified=is_verified,
             wall_s=wall_s,
             owed_energy_J=owed_energy_J,
-            broken_limits=broken_limits(dynamics, breaches),
+            broken_limits=broken_limits(dynamics, breaches, allowed or {}),
         )
 
 
-def broken_limits(dynamics: Dynamics, breaches: Sequence[Violation]) -> tuple[str, ...]:
-    """Return the limits broken by more than rounding, each with its breach, as "mast by 0.4 m"."""
+def broken_limits(
+    dynamics: Dynamics, breaches: Sequence[Violation], allowed: Mapping[str, float]
+) -> tuple[str, ...]:
+    """Return the limits broken by more than rounding, or than is allowed, as "mast by 0.4 m"."""
     return tuple(
         f"{breach.name} by {breach.size:.2g} {dynamics.unit(breach.name)}".rstrip()
         for breach in breaches
         if breach.relative > VIOLATION_TOLERANCE
+        and breach.size > allowed.get(breach.name.partition("[")[0], 0.0)
     )
 
 

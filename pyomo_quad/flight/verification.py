@@ -335,7 +335,7 @@ def verify_controls(
             and imbalance <= BALANCE_TOLERANCE
             and np.isfinite(flown_energy)
         ),
-        broken_limits=broken_limits(dynamics, breaches),
+        broken_limits=broken_limits(dynamics, breaches, {}),
         passing_misses_m=passing,
         battery_imbalance=imbalance,
     )

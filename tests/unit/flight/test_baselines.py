@@ -8,6 +8,7 @@ import pytest
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import baselines
 from pyomo_quad.flight.baselines import (
+    assembled_flight,
     baseline_name,
     fly,
     fly_baseline,
@@ -18,7 +19,8 @@ from pyomo_quad.flight.baselines import (
     wanted_at_goal,
 )
 from pyomo_quad.flight.controller import AdaptiveController, mixer_matrix
-from pyomo_quad.scenario import ScenarioError
+from pyomo_quad.flight.flight import POSITION_STATES, Flown
+from pyomo_quad.scenario import ScenarioError, scenario_from_mapping
 from pyomo_quad.scenario.tables import MISSION_TIMED, Reference
 from tests import flights
 
@@ -143,6 +145,23 @@ def test_a_flight_out_of_control_is_given_up(monkeypatch):
             Reference.QUINTIC,
             dynamics=flights.vehicle("paper_calm"),
         )
+
+
+@pytest.mark.parametrize(("off", "is_kept"), [(0.049, True), (0.099, True), (0.101, False)])
+def test_a_hold_under_control_may_be_as_far_off_again_as_a_plan_may(off, is_kept):
+    stop = {"position": [1.0, 1.0, 1.0], "at": 2.0, "hold": 2.0}
+    mission = {"goal": {"position": [0.0, 2.0, 2.0]}, "duration": 6.0, "waypoints": [stop]}
+    told = scenario_from_mapping({"name": "hold", "mission": mission})
+    dynamics = flights.planner().dynamics(told)
+    times = np.linspace(0.0, 6.0, 61)
+    states = np.tile(start_state(told, dynamics), (len(times), 1))
+    places = [dynamics.state_names.index(name) for name in POSITION_STATES]
+    states[:, places] = np.add(stop["position"], (off, 0.0, 0.0))
+    controls = np.zeros((len(times), len(dynamics.control_names)))
+    flown = Flown(t=times, states=states, controls=controls, energy=times)
+    flight = assembled_flight("aside", told, dynamics, (flown, flown), None, 0.0)
+    broken = [limit for limit in flight.broken_limits if "hold" in limit]
+    assert (broken == []) == is_kept
 
 
 def test_the_plan_as_reference_needs_a_plan():
