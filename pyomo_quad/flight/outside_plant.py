@@ -333,7 +333,7 @@ def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatAr
         values[:, : len(keys)] = dynamics.table(keys, times, states, controls)
         return values
 
-    if scenario.wind.profile is not None:
+    if scenario.wind.varies_with_height:
         return lambda t, x: read(np.array([t]), x[None, :])[0]
     times = even_times(0.0, scenario.mission.fixed_duration, _WIND_RATE_HZ)
     still = np.zeros((len(times), len(dynamics.state_names)))

@@ -14,16 +14,20 @@ logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), sect
 
 with h the vehicle's height z above the ground.  Below the larger of 0.1 m and z_0, where neither
 law holds, the wind stays what it is there: h is a smooth largest of that and z, which never falls
-as z rises and from half a metre above on is z to 1e-12 m.
+as z rises and from half a metre above on is z to 1e-12 m.  A wind measured over heights is a cubic
+spline through them, of h between the lowest and the highest, beyond which it stays likewise.
 
 The gust of eq. (12) peaks at v_gmax a quarter of a period after its start.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from math import cos, pi, tau
 from math import sin as sine
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from pyomo.core.base.units_container import UnitsError
 from pyomo.core.expr import NumericExpression
 from pyomo.environ import Block, ConcreteModel, Expression, Param, exp, log, sin, sqrt, units
@@ -33,7 +37,10 @@ from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.wind import FrequencyUnit, WindAxis, WindLaw, WindProfile, WindSeries
 
+FloatArray = NDArray[np.float64]
+
 HARMONICS = (1, 2, 3)
+_CUBIC = 3
 _SPEED = units.get_units(units.m / units.s)
 
 # The least height at which a law of the wind over height is taken at its word.
@@ -91,6 +98,19 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
         *(PARAMETERS if wind.series is None else ()),
         *((_VERTICAL,) if wind.vertical else ()),
         *(() if wind.profile is None else _profile_parameters(wind.profile)),
+        *(() if wind.series is None else _measured_heights(wind.series)),
+    )
+
+
+def _measured_heights(series: WindSeries) -> tuple[Parameter, ...]:
+    """Return the lowest and the highest height of a measured wind, where it has them."""
+    ends = (
+        ("least_height", 0, "h_0: height below which the wind changes no more"),
+        ("greatest_height", -1, "h_1: height above which the wind changes no more"),
+    )
+    return tuple(
+        Parameter(name=name, units=units.m, value=partial(_given, series.heights[end]), doc=doc)
+        for name, end, doc in (ends if series.heights else ())
     )
 
 
@@ -156,6 +176,8 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
     """
     b = m.wind
     declare_parameters(b, parameters_of(scenario), scenario)
+    if scenario.wind.varies_with_height:
+        _declare_height(b, m)
     if scenario.wind.profile is not None:
         _declare_profile(b, m, scenario.wind.profile.law)
     series = scenario.wind.series
@@ -170,8 +192,8 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
             return 1 * b.vertical
 
 
-def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
-    """Declare what the wind at the vehicle's height is of that at the reference height."""
+def _declare_height(b: Block, m: ConcreteModel) -> None:
+    """Declare the height at which the wind is read, which is never below the least."""
 
     @b.Expression(m.time, doc="height above the least height [m]")
     def height_above(b: Block, t: float) -> NumericExpression:
@@ -179,9 +201,18 @@ def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
 
     @b.Expression(m.time, doc="height at which the wind is read [m]")
     def height(b: Block, t: float) -> NumericExpression:
-        above, width = b.height_above[t], HEIGHT_SMOOTHING
-        rounding = width**2 * exp(-((above / width) ** 2))
-        return b.least_height + (above + sqrt(above**2 + rounding)) / 2
+        return b.least_height + _smooth_positive(b.height_above[t])
+
+
+def _smooth_positive(height: NumericExpression) -> NumericExpression:
+    """Return the larger of a height and nought, smoothly."""
+    width = HEIGHT_SMOOTHING
+    rounding = width**2 * exp(-((height / width) ** 2))
+    return (height + sqrt(height**2 + rounding)) / 2
+
+
+def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
+    """Declare what the wind at the vehicle's height is of that at the reference height."""
 
     def power(b: Block, t: float) -> NumericExpression:
         return (b.height[t] / b.reference_height) ** b.exponent
@@ -263,35 +294,108 @@ def _declare_gust(axis: Block, m: ConcreteModel) -> None:
 
 def _declare_series(m: ConcreteModel, series: WindSeries, offset: float) -> None:
     b = m.wind
-    splines = {
-        f"measured_{name}": _spline(series.times, speeds, offset)
-        for name, speeds in (("x", series.wind_x), ("y", series.wind_y))
-    }
-    for name, spline in splines.items():
+    heights = np.array(series.heights)
+    if series.heights:
+        _declare_shapes(b, m, heights)
+    for name, speeds in (("x", series.wind_x), ("y", series.wind_y)):
+        table = np.reshape(speeds, (-1, max(1, len(heights))))
+        weights = np.linalg.solve(_shapes(heights), table.T) if series.heights else table.T
+        measured = [f"measured_{name}{_after(k, series)}" for k in range(len(weights))]
+        for component, row in zip(measured, weights, strict=True):
+            if series.times:
+                _declare_measured(b, m, component, _spline(series.times, row, offset))
+            else:
+                _declare_steady(b, component, float(row[0]))
+        _declare_velocity(b, m, name, measured)
 
-        def measured(_b: Block, t: float, spline: Callable[[float], float] = spline) -> float:
-            return spline(t)
 
-        table = Param(
-            m.time,
-            initialize=measured,
-            mutable=True,
-            units=_SPEED,
-            doc=f"{name} along its world axis, cubic spline [m/s]",
-        )
-        b.add_component(name, table)
+def _after(number: int, series: WindSeries) -> str:
+    return f"_{number}" if series.heights else ""
 
-    @b.Expression(m.time, doc="wind along world x [m/s]")
-    def velocity_x(b: Block, t: float) -> NumericExpression:
-        return _at_height(b, t, b.measured_x[t])
 
-    @b.Expression(m.time, doc="wind along world y [m/s]")
-    def velocity_y(b: Block, t: float) -> NumericExpression:
-        return _at_height(b, t, b.measured_y[t])
+def _declare_measured(
+    b: Block, m: ConcreteModel, name: str, spline: Callable[[float], float]
+) -> None:
+    def measured(_b: Block, t: float) -> float:
+        return spline(t)
+
+    table = Param(
+        m.time,
+        initialize=measured,
+        mutable=True,
+        units=_SPEED,
+        doc=f"{name} along its world axis, cubic spline [m/s]",
+    )
+    b.add_component(name, table)
+
+
+def _declare_steady(b: Block, name: str, speed: float) -> None:
+    table = Param(initialize=speed, mutable=True, units=_SPEED, doc=f"{name} along its world axis")
+    b.add_component(name, table)
+
+
+def _declare_velocity(b: Block, m: ConcreteModel, name: str, measured: Sequence[str]) -> None:
+    def velocity(b: Block, t: float) -> NumericExpression:
+        parts = [held[t] if held.is_indexed() else held for held in map(b.component, measured)]
+        if b.component("shape") is None:
+            return _at_height(b, t, parts[0])
+        return sum(part * b.shape[k, t] for k, part in enumerate(parts))
+
+    b.add_component(
+        f"velocity_{name}", Expression(m.time, rule=velocity, doc=f"wind along world {name} [m/s]")
+    )
+
+
+def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
+    """Declare the functions of height that a measured wind is a sum of.
+
+    They are those of a cubic spline without knots beside its ends; below the lowest and above the
+    highest height the wind is held, with a passage as smooth as that of a profile.
+    """
+    shares, functions = _shares(heights), _truncated_powers(_shares(heights))
+
+    @b.Expression(m.time, doc="height below the greatest height [m]")
+    def height_below(b: Block, t: float) -> NumericExpression:
+        return b.greatest_height - b.height[t]
+
+    @b.Expression(m.time, doc="share of the measured heights below the vehicle")
+    def height_share(b: Block, t: float) -> NumericExpression:
+        read = b.greatest_height - _smooth_positive(b.height_below[t])
+        return (read - b.least_height) / (b.greatest_height - b.least_height)
+
+    @b.Expression(range(len(shares)), m.time, doc="cubic spline: powers and truncated powers")
+    def shape(b: Block, k: int, t: float) -> NumericExpression:
+        return functions[k](b.height_share[t])
+
+
+def _shares(heights: FloatArray) -> FloatArray:
+    return (heights - heights[0]) / (heights[-1] - heights[0])
+
+
+def _shapes(heights: FloatArray) -> FloatArray:
+    """Return the functions of height, in columns, at the heights themselves, in rows."""
+    shares = _shares(heights)
+    return np.column_stack([[f(share) for share in shares] for f in _truncated_powers(shares)])
+
+
+def _truncated_powers(shares: FloatArray) -> list[Callable[[Any], Any]]:
+    """Return the powers up to the third, and third powers that begin at inner heights."""
+    degree = min(_CUBIC, len(shares) - 1)
+    begun = [partial(_power_from, float(share)) for share in shares[2:-2]]
+    return [*(partial(_power, degree=n) for n in range(degree + 1)), *begun]
+
+
+def _power(share: Any, degree: int) -> Any:
+    return share**degree if degree else 1.0
+
+
+def _power_from(start: float, share: Any) -> Any:
+    beyond = share - start
+    return ((beyond + abs(beyond)) / 2) ** _CUBIC
 
 
 def _spline(
-    times: tuple[float, ...], speeds: tuple[float, ...], offset: float
+    times: tuple[float, ...], speeds: FloatArray, offset: float
 ) -> Callable[[float], float]:
     """Return measured speed as a function of the time in flight."""
     spline = CubicSpline(times, speeds)

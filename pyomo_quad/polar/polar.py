@@ -19,6 +19,7 @@ from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import SteadyFlight, Trim
 from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.wind import USUAL_HEIGHT
 
 FloatArray = NDArray[np.float64]
 
@@ -205,7 +206,13 @@ def mean_wind(scenario: Scenario) -> tuple[float, float]:
     """Return the mean of a wind along world x and y, m/s: that of a profile's reference height."""
     wind = scenario.wind
     if wind.series is not None:
-        return float(np.mean(wind.series.wind_x)), float(np.mean(wind.series.wind_y))
+        heights = wind.series.heights or (USUAL_HEIGHT,)
+        along_x, along_y = (
+            np.reshape(speeds, (-1, len(heights))).mean(axis=0)
+            for speeds in (wind.series.wind_x, wind.series.wind_y)
+        )
+        mean_x, mean_y = (np.interp(USUAL_HEIGHT, heights, mean) for mean in (along_x, along_y))
+        return float(mean_x), float(mean_y)
     return (
         wind.x.mean + wind.speed * float(np.cos(wind.direction)),
         wind.y.mean + wind.speed * float(np.sin(wind.direction)),

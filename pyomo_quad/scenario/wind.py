@@ -103,11 +103,14 @@ class WindProfile(Part):
 
 
 class WindSeries(Part):
-    """A measured wind, read and validated from `wind.file`."""
+    """A measured wind, read and validated from `wind.file`; by height alone it has no times."""
 
     times: tuple[Number, ...] = quantity("s", "times from the start of the mission")
     wind_x: tuple[Number, ...] = quantity("m/s", "wind toward +x")
     wind_y: tuple[Number, ...] = quantity("m/s", "wind toward +y")
+    heights: tuple[Number, ...] = quantity(
+        "m", "heights that the wind runs over at each time, or at all of them", (), is_late=True
+    )
 
 
 class Wind(Part):
@@ -144,7 +147,11 @@ class Wind(Part):
         sound=Sound(-LATEST_TIME, LATEST_TIME, "wind is not known for more than thirty years"),
     )
     file: Text | None = quantity(
-        "", "CSV file time_s,wind_x_m_per_s,wind_y_m_per_s in place of eq. (11)-(12)", None
+        "",
+        "CSV file time_s,wind_x_m_per_s,wind_y_m_per_s in place of eq. (11)-(12); with height_m "
+        "in place of time_s, or after it with all heights at each time, the wind by height, held "
+        "beyond the lowest and the highest",
+        None,
     )
     series: WindSeries | None = quantity("", "the wind read from file", None)
     x: WindAxis = quantity("", "wind toward +x")
@@ -161,6 +168,19 @@ class Wind(Part):
     forecast: Self | None = quantity(
         "", "the wind that the optimiser is told, the true one when absent", None
     )
+
+    @property
+    def varies_with_height(self) -> bool:
+        """Whether the horizontal wind depends on where the vehicle flies."""
+        return self.profile is not None or bool(self.series and self.series.heights)
+
+    @model_validator(mode="after")
+    def _has_one_profile(self) -> Self:
+        if self.profile is not None and self.series is not None and self.series.heights:
+            raise ValueError(
+                "profile has no part in a wind whose file has heights; leave profile out"
+            )
+        return self
 
     @model_validator(mode="before")
     @classmethod

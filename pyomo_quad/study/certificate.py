@@ -361,7 +361,7 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
             "power.model momentum has no bound: its power depends on the airspeed, so the least "
             "power of hover bounds no flight."
         )
-    if scenario.wind.profile is not None:
+    if scenario.wind.varies_with_height:
         yield ("no bound is known in a wind that varies with height: its mean depends on the path.")
     if acts_in_body_axes(scenario):
         yield (

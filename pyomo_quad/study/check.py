@@ -192,7 +192,7 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
         )
         return
     yield from _yaw_findings(scenario, steady)
-    if scenario.wind.profile is not None:
+    if scenario.wind.varies_with_height:
         return  # what the wind asks for depends on the heights that the plan chooses
     demand = MomentumDemand(planner.dynamics(scenario))
     if demand.is_linear:
@@ -369,6 +369,7 @@ def diagnose(
             findings += pack_findings(told, planner)
         findings += power_findings(told, planner.steady_flight(told))
         findings += _idle_limits(told)
+    findings += _beyond_measured_heights(told)
     findings += screen_model(planner.model(told))
     return tuple(sorted(findings, key=lambda f: f.severity is not Severity.IMPOSSIBLE))
 
@@ -384,6 +385,21 @@ def _angles_in_degrees(scenario: Scenario) -> Iterator[Finding]:
                 message=f"{field.path} = {degrees:g} rad is {abs(degrees) / (2 * pi):.3g} turns; "
                 f"were degrees meant? {degrees:g} degrees are {radians(degrees):.4g} rad.",
             )
+
+
+def _beyond_measured_heights(scenario: Scenario) -> Iterator[Finding]:
+    """Say of a wind measured over heights where the mission goes beyond them."""
+    series = scenario.wind.series
+    heights = () if series is None else series.heights
+    flown = [place[2] for place in scenario.mission.positions]
+    if heights and not heights[0] <= min(flown) <= max(flown) <= heights[-1]:
+        yield Finding(
+            severity=Severity.CAUTION,
+            subject="wind.file",
+            message=f"wind.file = {scenario.wind.file} is of {heights[0]:g} to {heights[-1]:g} m, "
+            f"the mission goes from {min(flown):g} to {max(flown):g} m; beyond, the wind is held "
+            "as it is at the nearest height: give the heights that are flown.",
+        )
 
 
 def _idle_limits(scenario: Scenario) -> Iterator[Finding]:

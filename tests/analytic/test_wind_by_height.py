@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from pyomo_quad.flight import Planner
 from pyomo_quad.model import build_model, inspect_model, parameter_values
+from pyomo_quad.polar.polar import mean_wind
 from pyomo_quad.study.certificate import certify
-from pyomo_quad.study.check import reach_findings
+from pyomo_quad.study.check import diagnose, reach_findings
 from tests.declared_model import Instant, scenario
 
 POWER = {"law": "power", "exponent": 0.22, "reference_height": 8.0}
@@ -77,6 +79,110 @@ def test_units_and_numbers_are_declared(coupling, profile):
     assert inspect_model(model).unit_errors == ()
     for name, number in parameter_values(told).items():
         assert model.find_component(name).value == pytest.approx(number), name
+
+
+def measured(folder, heights, wind, times=()):
+    """A wind of these heights, along x as the function says and along y half of it, in a file."""
+    rows = [
+        [*key, f"{z:.17g}", f"{wind(*key, z):.17g}", f"{0.5 * wind(*key, z):.17g}"]
+        for key in ([(t,) for t in times] or [()])
+        for z in heights
+    ]
+    header = ["time_s"] * bool(times) + ["height_m", "wind_x_m_per_s", "wind_y_m_per_s"]
+    file = folder / f"wind_{len(heights)}.csv"
+    file.write_text("\n".join(",".join(map(str, row)) for row in [header, *rows]) + "\n")
+    return {"use": "calm", "file": str(file)}
+
+
+def law(z):
+    return 6.0 * (z / 8.0) ** 0.22
+
+
+def test_a_measured_profile_is_the_cubic_spline_and_nears_its_law_by_the_fourth_order(tmp_path):
+    tried = np.linspace(3.1, 39.3, 60)
+    errors = []
+    for count in (8, 15, 29):
+        heights = np.linspace(2.0, 40.0, count)
+        instant = Instant.of(wind=measured(tmp_path, heights, law))
+        found = speeds(instant, tried)
+        np.testing.assert_allclose(found, CubicSpline(heights, law(heights))(tried), rtol=1e-9)
+        along_y = speeds(instant, tried, "wind.velocity_y")
+        np.testing.assert_allclose(along_y, 0.5 * found, rtol=1e-9)
+        errors.append(np.abs(found - speeds_by_law(tried)).max())
+    assert errors[-1] < 3e-3
+    # The steps are halved twice; near the ends the law's own bend keeps the order a little lower.
+    assert np.log2(errors[0] / errors[-1]) / 2 > 2.5
+
+
+def speeds_by_law(heights):
+    profile = {"law": "power", "exponent": 0.22, "reference_height": 8.0}
+    return speeds(Instant.of(wind={"use": "constant", "speed": 6.0, "profile": profile}), heights)
+
+
+def test_beyond_the_measured_heights_the_wind_is_held_smoothly(tmp_path):
+    instant = Instant.of(wind=measured(tmp_path, (2.0, 3.0, 5.0, 9.0), law))
+    for beyond, end in (((-50.0, 0.0, 1.4), 2.0), ((9.6, 20.0, 1e4), 9.0)):
+        np.testing.assert_allclose(speeds(instant, beyond), law(end), rtol=1e-9)
+    for end in (2.0, 9.0):
+        found = speeds(instant, np.linspace(end - 0.6, end + 0.6, 481))
+        assert np.all(np.diff(found) >= -1e-12)
+        assert np.max(np.abs(np.diff(found, 2))) < 0.05 * np.max(np.diff(found))
+
+
+MANY = (tuple(np.linspace(0.0, 60.0, 40)), tuple(np.geomspace(0.5, 100.0, 40)))
+
+
+@pytest.mark.parametrize("heights", [(2.0, 12.0), (2.0, 5.0, 12.0), *MANY])
+def test_few_heights_and_many(tmp_path, heights):
+    def bent(z):
+        return np.sin(z / 4.0)
+
+    known = bent(np.array(heights))
+    through = (
+        CubicSpline if len(heights) > 3 else lambda z, v: np.poly1d(np.polyfit(z, v, len(z) - 1))
+    )
+    inner = np.linspace(heights[0] + 0.7, heights[-1] - 0.7, 33)
+    instant = Instant.of(wind=measured(tmp_path, heights, bent))
+    np.testing.assert_allclose(speeds(instant, inner), through(heights, known)(inner), atol=1e-9)
+
+
+def test_a_wind_over_time_and_height_is_the_spline_of_both(tmp_path):
+    times, heights = np.linspace(0.0, 12.0, 25), np.array([1.0, 2.0, 4.0, 7.0, 11.0])
+
+    def gust(t, z):
+        return 3.0 * np.sin(0.4 * t + 0.1 * z) + 0.2 * z
+
+    wind = measured(tmp_path, heights, gust, tuple(times)) | {"time_offset": 1.3}
+    instant = Instant.of(wind=wind)
+    table = gust(times[:, None], heights)
+    when = CubicSpline(times, table)(instant.t + 1.3)
+    tried = np.array([1.6, 3.0, 6.1, 10.3])
+    np.testing.assert_allclose(speeds(instant, tried), CubicSpline(heights, when)(tried), rtol=1e-9)
+    np.testing.assert_allclose(speeds(instant, tried), gust(instant.t + 1.3, tried), atol=2e-2)
+
+
+def test_what_does_not_know_heights_says_so_of_measured_ones(tmp_path):
+    told = scenario(wind=measured(tmp_path, (0.0, 3.0, 5.0, 7.0), law) | {"coupling": "drag"})
+    assert inspect_model(build_model(told)).unit_errors == ()
+    assert certify(told).reason.startswith("no bound is known in a wind that varies with height")
+    assert mean_wind(told) == pytest.approx((law(7.0), 0.5 * law(7.0)))
+    (said,) = (f.message for f in diagnose(told) if f.subject == "wind.file")
+    assert said.endswith(
+        "is of 0 to 7 m, the mission goes from 0 to 8 m; beyond, the wind is held as it is at the "
+        "nearest height: give the heights that are flown."
+    )
+
+
+@pytest.mark.slow
+def test_a_plan_in_a_measured_profile_is_that_in_its_law(tmp_path):
+    heights = np.linspace(0.5, 20.0, 30)
+    by_table = measured(tmp_path, heights, lambda z: -8.0 * (z / 10.0) ** 0.4)
+    told = course(10.0, {"use": "calm", "file": by_table["file"], "speed": 0.0})
+    growing = course(10.0, AGAINST | GROWING | {"speed": 8.0})
+    table, formula = Planner().solve(told), Planner().solve(growing)
+    assert table.is_verified
+    assert table.to_frame()["z_m"].min() < 9.0
+    assert table.energy == pytest.approx(formula.energy, rel=1e-2)
 
 
 def test_an_updraft_lifts_as_its_coupling_says():

@@ -473,6 +473,69 @@ def test_wind_file(tmp_path, times, wind, message):
     assert one_line(caught).startswith(f'{file}: wind.file = "wind.csv"; ')
 
 
+BY_HEIGHT = "height_m,wind_x_m_per_s,wind_y_m_per_s"
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        (BY_HEIGHT + "\n1,2,3", "1 rows; must have 2 to 200000"),
+        (BY_HEIGHT + "\n1,2,3\n1,2,3", "height 1 m follows 1 m; heights must rise"),
+        (BY_HEIGHT + "\n3,2,3\n1,2,3", "height 1 m follows 3 m; heights must rise"),
+        (BY_HEIGHT + "\n1,2,3\n2,2", "line 3 must hold 3 numbers"),
+        (BY_HEIGHT + "\n1,2,3\n2,2,nan", "line 3 holds a number that is not finite"),
+        (BY_HEIGHT + "\n1,2,3\n2,151,3", "line 3 has a wind of 151 m/s; must be within 150 m/s"),
+        (
+            BY_HEIGHT + "\n1,2,3\n2e6,2,3",
+            "line 3 is of 2e+06 m; heights must be within 100000 m",
+        ),
+        (
+            BY_HEIGHT + "".join(f"\n{z},2,3" for z in range(41)),
+            "41 heights; must have 2 to 40",
+        ),
+        (
+            "height_m,time_s,wind_x_m_per_s,wind_y_m_per_s",
+            "time_s,wind_x_m_per_s,wind_y_m_per_s, with height_m in place of or after time_s for",
+        ),
+        (
+            "time_s," + BY_HEIGHT + "\n0,1,2,3\n0,2,2,3\n1,1,2,3\n1,3,2,3",
+            "for the heights of 0 s; every time must have the same heights, in the same order.",
+        ),
+        (
+            "time_s," + BY_HEIGHT + "\n0,1,2,3\n0,2,2,3\n1,1,2,3\n2,2,2,3",
+            "the rows of 1 s are not for the heights of 0 s;",
+        ),
+        (
+            "time_s," + BY_HEIGHT + "\n0,1,2,3\n0,2,2,3\n1,1,2,3\n1,2,2,3\n2,1,2,3",
+            "the rows of 2 s are not for the heights of 0 s;",
+        ),
+        (
+            "time_s," + BY_HEIGHT + "\n0,1,2,3\n0,2,2,3\n9,1,2,3\n9,2,2,3",
+            "2 times; must have at least 4.",
+        ),
+        (
+            "time_s," + BY_HEIGHT + "".join(f"\n{t},{z},2,3" for t in range(5) for z in (1, 2)),
+            "wind from 0 to 4 s does not cover the mission from 0 to 5 s;",
+        ),
+    ],
+)
+def test_wind_file_by_height(tmp_path, table, message):
+    (tmp_path / "wind.csv").write_text(table)
+    file = write_scenario(tmp_path, 'wind.file = "wind.csv"')
+    with pytest.raises(ScenarioError, match=re.escape(message)) as caught:
+        load_scenario(file)
+    assert one_line(caught).startswith(f'{file}: wind.file = "wind.csv"; ')
+
+
+def test_wind_by_height_has_no_other_profile_and_any_duration(tmp_path):
+    (tmp_path / "wind.csv").write_text(BY_HEIGHT + "\n0,2,3\n9,4,6")
+    line = 'wind.file = "wind.csv"'
+    assert load_scenario(write_scenario(tmp_path, FREE, line)).wind.varies_with_height
+    file = write_scenario(tmp_path, line, 'wind.profile = {law = "power", exponent = 0.2}')
+    with pytest.raises(ScenarioError, match="profile has no part in a wind whose file has heights"):
+        load_scenario(file)
+
+
 def test_wind_file_with_other_columns(tmp_path):
     (tmp_path / "wind.csv").write_text("t,x,y\n0,1,2\n")
     file = write_scenario(tmp_path, 'wind.file = "wind.csv"')
