@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Prices:
-    """Slopes of the declared objective: densities at the points, and single numbers, by name."""
+    """Slopes of the declared objective: functions of declared time, and single numbers, by name."""
 
-    over_time: dict[str, FloatArray] = field(default_factory=dict)
+    over_time: dict[str, Callable[[float], float]] = field(default_factory=dict)
     once: dict[str, float] = field(default_factory=dict)
 
 
@@ -45,10 +45,9 @@ def load_suffixes(*solutions: Solution) -> None:
     for solution in solutions if wanted.keys() & kinds.keys() else ():
         for name, prices in _suffixes(solution).items():
             if name in wanted:
-                at = {key: _function(solution, held) for key, held in prices.over_time.items()}
                 own = solution.problem.source
                 if isinstance(own, LiveModel):
-                    own.load_suffix(wanted[name], kinds[name], at, prices.once)
+                    own.load_suffix(wanted[name], kinds[name], prices.over_time, prices.once)
 
 
 def _suffixes(solution: Solution) -> dict[str, Prices]:
@@ -59,21 +58,28 @@ def _suffixes(solution: Solution) -> dict[str, Prices]:
     if problem.has_horizon and problem.compiled.declared.states:
         names = [s.name for s in problem.compiled.declared.states]
         sign = -1.0 if solution.program.is_negated else 1.0
-        held = dict(zip(names, sign * solution.costates.at_points.T, strict=True))
-        costates = Prices(over_time=held)
+        at = {name: _costate(solution, k, sign) for k, name in enumerate(names)}
+        costates = Prices(over_time=at)
     return {"dual": dual, "rc": reduced, "costate": costates}
 
 
-def _function(solution: Solution, density: FloatArray) -> Callable[[float], float]:
-    first, last = solution.problem.values.declared_horizon
+def _costate(solution: Solution, state: int, sign: float) -> Callable[[float], float]:
+    return lambda time: sign * float(solution.costates.at(_fraction(solution, time))[0, state])
 
+
+def _function(solution: Solution, density: FloatArray) -> Callable[[float], float]:
     def at(time: float) -> float:
-        fractions = np.array([(time - first) / (last - first)])
+        fractions = _fraction(solution, time)
         return float(
             interpolate(solution.mesh, density[:, None], fractions, with_start=False)[0, 0]
         )
 
     return at
+
+
+def _fraction(solution: Solution, time: float) -> FloatArray:
+    first, last = solution.problem.values.declared_horizon
+    return np.array([(time - first) / (last - first)])
 
 
 def _prices(solution: Solution) -> tuple[Prices, Prices]:
@@ -86,7 +92,7 @@ def _prices(solution: Solution) -> tuple[Prices, Prices]:
     if program.mesh is not None:
         over_time = rows[: program.first_condition_row].reshape(program.n_points, -1)
         for equation, held in zip(declared.equations, over_time.T, strict=True):
-            dual.over_time[equation.name] = held / _widths(solution)
+            dual.over_time[equation.name] = _function(solution, held / _widths(solution))
     conditions = rows[program.first_condition_row : program.first_integral_row]
     for condition, held in zip(declared.conditions, conditions.tolist(), strict=True):
         dual.once[condition.name] = held
@@ -124,6 +130,6 @@ def _share_bounds(solution: Solution, sign: float, dual: Prices, reduced: Prices
         table = dual if limit.name in of_constraints else reduced
         if program.mesh is not None and prices.size >= program.n_points > 1:
             own = prices[-program.n_points :]
-            table.over_time[limit.name] = own / _widths(solution)
+            table.over_time[limit.name] = _function(solution, own / _widths(solution))
         elif prices.size == 1:
             table.once[limit.name] = float(prices[0])

@@ -62,7 +62,8 @@ class JointSolution(Summarised):
         The solution on each, by the name of its continuous set.
     coupling : Solution
         Of the objective and the conditions that hold values of several horizons or of none.
-    status, ipopt_code, message, objective, iterations, size, wall_s, error_estimate, history
+    status, ipopt_code, message, objective, iterations, size, wall_s, error_estimate, state_error,
+    history
         As of `Solution`, for all horizons together.
     """
 
@@ -76,6 +77,7 @@ class JointSolution(Summarised):
     size: tuple[int, int]
     wall_s: float
     error_estimate: float = np.inf
+    state_error: float = np.inf
     history: tuple[MeshRecord, ...] = ()
 
     @property
@@ -106,6 +108,7 @@ class JointSolution(Summarised):
             status=self.status,
             message=self.message,
             error_estimate=self.error_estimate,
+            state_error=self.state_error,
             history=self.history,
         )
 

@@ -224,7 +224,7 @@ class Timeline:
         return np.where(is_last, first + inside, np.minimum(first + inside, last))
 
 
-def _by_element(mesh: Mesh, fractions: FloatArray) -> list[tuple[int, np.ndarray, FloatArray]]:
+def by_element(mesh: Mesh, fractions: FloatArray) -> list[tuple[int, np.ndarray, FloatArray]]:
     """Return (element, positions, local coordinates) for each element that is asked for."""
     elements = mesh.locate(fractions)
     starts = np.asarray(mesh.breakpoints)
@@ -258,7 +258,7 @@ def interpolate(
     ndarray, shape (n, k)
     """
     result = np.empty((len(fractions), values.shape[1]))
-    for e, positions, local in _by_element(mesh, fractions):
+    for e, positions, local in by_element(mesh, fractions):
         rule = radau_rule(mesh.degrees[e])
         first, last = mesh.first_node[e], mesh.first_node[e + 1]
         nodes = rule.nodes if with_start else rule.points
@@ -270,7 +270,7 @@ def interpolate(
 def interpolate_rates(mesh: Mesh, states: FloatArray, fractions: FloatArray) -> FloatArray:
     """Evaluate the slopes of the state polynomials, shape (n, n_states)."""
     result = np.empty((len(fractions), states.shape[1]))
-    for e, positions, local in _by_element(mesh, fractions):
+    for e, positions, local in by_element(mesh, fractions):
         rule = radau_rule(mesh.degrees[e])
         first, last = mesh.first_node[e], mesh.first_node[e + 1]
         slopes = np.vstack([rule.slope_at_start, rule.differentiation]) / mesh.widths[e]

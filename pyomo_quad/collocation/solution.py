@@ -10,6 +10,7 @@ import casadi
 import numpy as np
 import pandas as pd
 
+from pyomo_quad.collocation.costates import Costates, costate_errors_of, costates_of
 from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.formulation import index_tuple
@@ -140,74 +141,6 @@ def outside_tables(solution: Solution) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Costates:
-    """Costates per element: per_element[e] has shape (degree + 1, n_states), left end first.
-
-    `hamiltonian` holds H at the collocation points, shape (n_points,).
-    """
-
-    per_element: tuple[FloatArray, ...]
-    hamiltonian: FloatArray
-
-    @property
-    def at_points(self) -> FloatArray:
-        """Costates at the collocation points, shape (n_points, n_states)."""
-        return np.vstack([block[1:] for block in self.per_element])
-
-
-def costates_of(
-    program: Transcription, z: FloatArray, multipliers: FloatArray, timeline: Timeline
-) -> Costates:
-    """Map the multipliers of the path equations to costates and Hamiltonian.
-
-    Parameters
-    ----------
-    program : Transcription
-    z : ndarray
-        The solution.
-    multipliers : ndarray
-        Of all rows, as Ipopt returns them for the unscaled program.
-    timeline : Timeline
-        Physical times of the horizon.
-    """
-    mesh, compiled = program.mesh, program.compiled
-    if mesh is None:
-        return Costates(per_element=(), hamiltonian=np.zeros(0))
-    n_states, n = len(compiled.declared.states), compiled.n_equations
-    rows = multipliers[: mesh.points * n].reshape(mesh.points, n)
-    by_rate = _rate_products(program, z, rows, n_states)
-    inner = -by_rate / mesh.quadrature_weights[:, None]
-    values = []
-    for e, degree in enumerate(mesh.degrees):
-        points = slice(mesh.first_node[e], mesh.first_node[e + 1])
-        first_column = radau_rule(degree).differentiation[:, 0] / mesh.widths[e]
-        left = first_column @ by_rate[points]
-        values.append(np.vstack([left, inner[points]]))
-    states = z[program.layout.state_columns]
-    rates = program.layout.slope_matrix @ states
-    density = program.lagrangian_density(z, multipliers)
-    spans = timeline.span_at(mesh.point_fractions)
-    hamiltonian = (density + np.sum(inner * rates, axis=1)) / spans
-    return Costates(per_element=tuple(values), hamiltonian=hamiltonian)
-
-
-def _rate_products(
-    program: Transcription, z: FloatArray, rows: FloatArray, n_states: int
-) -> FloatArray:
-    """Return (dF/d rate)' multipliers at every point, shape (n_points, n_states)."""
-    compiled = program.compiled
-    jacobian = MappedFunction(compiled.path.jacobian, program.layout.points)
-    entries = jacobian(program.path_variables(z), program.data.at_points())[0]
-    products = np.zeros((program.layout.points, n_states))
-    for k, (row, column) in enumerate(
-        zip(compiled.path.jacobian_rows, compiled.path.jacobian_columns, strict=True)
-    ):
-        if column < n_states and row < compiled.n_equations:
-            products[:, column] += entries[:, k] * rows[:, row]
-    return products
-
-
-@dataclass(frozen=True, kw_only=True)
 class MeshRecord:
     """One mesh of a refinement: its size, its solve and its error."""
 
@@ -238,6 +171,10 @@ class Solution(Summarised):
         Unknowns on the mesh.
     error_estimate : float
         Relative, largest over elements and states; infinite when it was not estimated.
+    state_error : float
+        How far the states may be from the optimal ones, relative to their magnitudes: all
+        elements together, more where limits begin or cease to hold, and more again where a
+        singular arc leaves them to a flat objective; infinite when it was not estimated.
     history : tuple of MeshRecord
         One entry per mesh solved on.
     """
@@ -258,6 +195,7 @@ class Solution(Summarised):
     iterations: tuple[Iteration, ...]
     wall_s: float
     error_estimate: float = np.inf
+    state_error: float = np.inf
     history: tuple[MeshRecord, ...] = field(default=())
 
     @property
@@ -272,6 +210,7 @@ class Solution(Summarised):
         if self.problem.has_horizon:
             size = {
                 "estimated error": f"{self.error_estimate:.2g}",
+                **self._errors_of_others(),
                 "mesh": f"{self.mesh.points} points in {self.mesh.elements} elements",
                 "meshes": f"{len(self.history) or 1}",
             }
@@ -282,6 +221,16 @@ class Solution(Summarised):
             "objective": f"{self.objective:.10g}",
             **size,
             "message": self.message,
+        }
+
+    def _errors_of_others(self) -> dict[str, str]:
+        """Return what is known of states and costates where it was estimated."""
+        if not (np.isfinite(self.state_error) and self.problem.compiled.declared.states):
+            return {}
+        name, error = max(self.costate_errors.items(), key=lambda item: item[1])
+        return {
+            "states within": f"{self.state_error:.2g}",
+            "costates within": f"{error:.2g} ({name})",
         }
 
     @property
@@ -419,7 +368,14 @@ class Solution(Summarised):
         """Costates per element and Hamiltonian at the points; see `collocation.costates`."""
         if not self.problem.compiled.declared.states or not self.problem.has_horizon:
             raise TranscriptionError("costate: the model has no states over time.")
-        return costates_of(self.program, self.unknowns, self.multipliers.rows, self.timeline)
+        return costates_of(
+            self.program,
+            self.unknowns,
+            self.multipliers,
+            bounds=self.bounds,
+            timeline=self.timeline,
+            objective=self.nominal_objective,
+        )
 
     def costate(self, state: Any, t: Any, index: Any = None) -> Any:
         """Return the costate of a state at times; p is the slope of the optimum in the state."""
@@ -429,9 +385,27 @@ class Solution(Summarised):
         found = [k for k, s in enumerate(slots) if (s.component, s.index) == wanted]
         if not found:
             raise TranscriptionError(f"{name}: is not a state of the optimised model.")
-        inner = self.costates.at_points[:, found]
-        values = interpolate(self.mesh, inner, self.fractions(t), with_start=False)[:, 0]
+        values = self.costates.at(self.fractions(t))[:, found[0]]
         return float(values[0]) if np.ndim(t) == 0 else values.reshape(np.shape(t))
+
+    @cached_property
+    def costate_errors(self) -> dict[str, float]:
+        """Largest error of each costate anywhere, estimated, by the name of its state.
+
+        Relative to the costate's largest magnitude.  It is as large as a jump where a limit on a
+        state begins or ceases to hold within an element, in that element; infinite when the
+        errors of the states were not estimated.
+        """
+        own = costate_errors_of(
+            self.program,
+            self.unknowns,
+            self.multipliers,
+            bounds=self.bounds,
+            costates=self.costates,
+        )
+        largest = np.maximum(own, self.state_error)
+        slots = self.problem.compiled.declared.states
+        return {slot.name: float(e) for slot, e in zip(slots, largest, strict=True)}
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:

@@ -122,6 +122,55 @@ def test_costates(name):
         assert_close_in_the_mean(found, expected, slope_tolerance(name))
 
 
+def own_times(name):
+    """Return times all over the horizon, the mesh's among them, but for the very kinks."""
+    solution = solved(name)
+    times = np.unique([*np.linspace(*solution.horizon, 201), *solution.times])
+    return times[[not np.any(np.isclose(t, textbook(name).KINKS, atol=1e-6)) for t in times]]
+
+
+def farthest(found, expected):
+    return np.max(np.abs(found - expected)) / np.max(np.abs(expected))
+
+
+@pytest.mark.parametrize("name", offering("costate"))
+def test_no_costate_is_wronger_than_twice_what_it_claims(name):
+    solution, times = solved(name), own_times(name)
+    for component, expected in textbook(name).costate(times).items():
+        variable, index = split(component)
+        found = solution.costate(variable, times, index=index)
+        claimed = solution.costate_errors[variable if index is None else f"{variable}[{index}]"]
+        assert farthest(found, expected) <= 2 * claimed
+
+
+# Any polynomial of dido's slope satisfies the equations, so that its error stays unseen.
+@pytest.mark.parametrize("name", [name for name in offering("state") if name != "dido"])
+def test_no_state_is_wronger_than_twice_what_it_claims(name):
+    solution, times = solved(name), own_times(name)
+    for component, expected in textbook(name).state(times).items():
+        variable, index = split(component)
+        found = solution.value(variable, times, index=index)
+        error = np.max(np.abs(found - expected)) / max(1.0, np.max(np.abs(expected)))
+        assert error <= max(2 * solution.state_error, 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "costate"),
+    [
+        ("brachistochrone", "v"),
+        ("hyper_sensitive", "x"),
+        ("jacobson", "x1"),
+        ("scalar_regulator", "x"),
+        ("singular_arc", "x"),
+        ("stiff_tracking", "x"),
+    ],
+)
+def test_costates_are_as_sharp_as_asked_for_where_no_limit_pulls_them(name, costate):
+    times = own_times(name)
+    found = solved(name).costate(costate, times)
+    assert farthest(found, textbook(name).costate(times)[costate]) <= 5 * TOLERANCE
+
+
 @pytest.mark.parametrize(
     "name", ["brachistochrone", "dido", "double_integrator", "hyper_sensitive", "mass_chain"]
 )

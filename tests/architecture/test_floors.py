@@ -30,6 +30,7 @@ ENGINE = {
     "reading": 1,
     "program": 2,
     "formulation": 3,
+    "costates": 3,
     "guess": 3,
     "dynamics": 3,
     "feedback": 3,

@@ -75,7 +75,7 @@ def limits_of(
     program: Transcription, start_data: FloatArray, fixed: dict[tuple[str, float], float]
 ) -> list[Limit]:
     """Return what each declaration demands of the unknowns by itself; see `bounds_of`."""
-    found = list(_at_points(program))
+    found = list(limits_at_points(program))
     if program.mesh is not None:
         found.extend(_over_time(program, start_data))
         found.extend(_fixed(program, fixed))
@@ -150,7 +150,7 @@ def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Ite
             )
 
 
-def _at_points(program: Transcription) -> Iterator[Limit]:
+def limits_at_points(program: Transcription) -> Iterator[Limit]:
     """Yield conditions on one value and the bounds of static variables."""
     compiled, layout = program.compiled, program.layout
     declared = compiled.declared

@@ -16,6 +16,8 @@ from pyomo_quad.collocation.program.sparsity import (
 )
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from pyomo_quad.collocation.mesh import FloatArray
     from pyomo_quad.collocation.program.compiled import CompiledModel
 
@@ -305,15 +307,18 @@ class Transcription:
         factor = self._sign * factor
         path = np.zeros(0)
         if self.layout.points:
-            weights = self._path_weights(z, multipliers, factor)
+            weights = self.path_weights(z, multipliers, factor)
             path = self._path[2](self.path_variables(z), self._path_data, weights)[0].ravel()
         conditions = multipliers[self.first_condition_row : self.first_integral_row]
         point_weights = np.append(conditions, factor)[None, :]
         point = self._point[2](self.point_variables(z), self._point_data, point_weights)[0]
         return self._hessian.values(np.concatenate([path, point.ravel()]))
 
-    def _path_weights(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
+    def path_weights(
+        self, z: FloatArray, multipliers: FloatArray, factor: float | None = None
+    ) -> FloatArray:
         """Return the multiplier of each path equation and each integrand at each point."""
+        factor = self._sign if factor is None else factor
         n, points = self.compiled.n_equations, self.layout.points
         on_integral = self._integral_weights(z, multipliers, factor)
         densities = self._weights()[:, None] * on_integral[None, :]
@@ -336,12 +341,25 @@ class Transcription:
         Shape (n_points, n_variables), in the order of `path_variables`.
         """
         path = self.compiled.path
-        weights = self._path_weights(z, multipliers, self._sign)
-        held = self._path[2](self.path_variables(z), self._path_data, weights)[0]
+        held = self._path_hessian(z, multipliers)
         curvatures = np.zeros((self.layout.points, path.values.size1_in(0)))
         own = path.hessian_rows == path.hessian_columns
         curvatures[:, path.hessian_rows[own]] = held[:, own]
-        return np.asarray(curvatures / self._weights()[:, None])
+        return curvatures
+
+    def path_hessians(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
+        """Return the same for pairs of variables, shape (n_points, n_variables, n_variables)."""
+        path = self.compiled.path
+        held, n = self._path_hessian(z, multipliers), path.values.size1_in(0)
+        hessians = np.zeros((self.layout.points, n, n))
+        hessians[:, path.hessian_rows, path.hessian_columns] = held
+        hessians[:, path.hessian_columns, path.hessian_rows] = held
+        return hessians
+
+    def _path_hessian(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
+        weights = self.path_weights(z, multipliers)
+        held = self._path[2](self.path_variables(z), self._path_data, weights)[0]
+        return np.asarray(held / self._weights()[:, None])
 
     def integral_weights(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return what each integral weighs in the Lagrangian, shape (n_integrals,)."""
@@ -351,3 +369,36 @@ class Transcription:
         """Return integrands times what they weigh in the Lagrangian, shape (n_points,)."""
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return np.asarray(densities @ self.integral_weights(z, multipliers))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Linearised:
+    """Partial derivatives of the differential equations.
+
+    Attributes
+    ----------
+    rows : ndarray of int, shape (n_rows,)
+        Which path equations these are.
+    by_rate, by_state : ndarray, shape (n_points, n_rows, n_states)
+    """
+
+    rows: NDArray[np.intp]
+    by_rate: FloatArray
+    by_state: FloatArray
+
+
+def linearised(program: Transcription, variables: FloatArray, data: FloatArray) -> Linearised:
+    """Return the derivatives at points, whose variables and data are given row by row."""
+    compiled, n = program.compiled, program.layout.n_states
+    path = compiled.path
+    is_equality = compiled.is_equality
+    by_rate = path.jacobian_columns < n
+    rows = np.unique(
+        [r for r in path.jacobian_rows[by_rate] if r < compiled.n_equations and is_equality[r]]
+    ).astype(np.intp)
+    entries = MappedFunction(path.jacobian, variables.shape[0])(variables, data)[0]
+    matrices = np.zeros((variables.shape[0], rows.size, 2 * n))
+    wanted = np.isin(path.jacobian_rows, rows) & (path.jacobian_columns < 2 * n)
+    at = np.searchsorted(rows, path.jacobian_rows[wanted])
+    matrices[:, at, path.jacobian_columns[wanted]] = entries[:, wanted]
+    return Linearised(rows=rows, by_rate=matrices[:, :, :n], by_state=matrices[:, :, n:])

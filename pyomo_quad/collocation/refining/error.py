@@ -12,45 +12,13 @@ from numpy.polynomial.legendre import leggauss
 from pyomo_quad.collocation.mesh import FloatArray, radau_rule
 from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.program.ipopt import barrier_gap
+from pyomo_quad.collocation.program.transcription import linearised
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pyomo_quad.collocation.program.transcription import Transcription
+    from pyomo_quad.collocation.program.transcription import Linearised, Transcription
     from pyomo_quad.collocation.solution import Solution
-
-
-@dataclass(frozen=True, kw_only=True)
-class Linearised:
-    """Partial derivatives of the differential equations.
-
-    Attributes
-    ----------
-    rows : ndarray of int, shape (n_rows,)
-        Which path equations these are.
-    by_rate, by_state : ndarray, shape (n_points, n_rows, n_states)
-    """
-
-    rows: NDArray[np.intp]
-    by_rate: FloatArray
-    by_state: FloatArray
-
-
-def linearised(program: Transcription, variables: FloatArray, data: FloatArray) -> Linearised:
-    """Return the derivatives at points, whose variables and data are given row by row."""
-    compiled, n = program.compiled, program.layout.n_states
-    path = compiled.path
-    is_equality = compiled.is_equality
-    by_rate = path.jacobian_columns < n
-    rows = np.unique(
-        [r for r in path.jacobian_rows[by_rate] if r < compiled.n_equations and is_equality[r]]
-    ).astype(np.intp)
-    entries = MappedFunction(path.jacobian, variables.shape[0])(variables, data)[0]
-    matrices = np.zeros((variables.shape[0], rows.size, 2 * n))
-    wanted = np.isin(path.jacobian_rows, rows) & (path.jacobian_columns < 2 * n)
-    at = np.searchsorted(rows, path.jacobian_rows[wanted])
-    matrices[:, at, path.jacobian_columns[wanted]] = entries[:, wanted]
-    return Linearised(rows=rows, by_rate=matrices[:, :, :n], by_state=matrices[:, :, n:])
 
 
 def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
@@ -183,8 +151,7 @@ def estimate_error(
     allowance = allowance or Allowance()
     degrees = np.asarray(solution.mesh.degrees)
     finer = _sampled(solution, [radau_rule(d + 1).points for d in degrees])
-    # A limit is broken at the peaks of the polynomials, which lie anywhere between points.
-    dense = _sampled(solution, [np.linspace(_START, 1.0, _SAMPLES * (d + 1) + 1) for d in degrees])
+    dense = densely_sampled(solution)
     panels = _sampled(solution, [_panelled(d)[0] for d in degrees])
     moved = _state_corrections(solution, _slope_corrections(solution.program, finer))
     return ErrorEstimate(
@@ -225,6 +192,12 @@ def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
     inner = (np.arange(_PANELS)[:, None] + 0.5 * (1.0 + points)) / _PANELS
     places = np.append(inner.ravel(), 1.0)
     return places, np.append(np.tile(0.5 * weights / _PANELS, _PANELS), 0.0)
+
+
+def densely_sampled(solution: Solution) -> _Samples:
+    """Sample where limits are broken: at the peaks of the polynomials, anywhere between points."""
+    degrees = solution.mesh.degrees
+    return _sampled(solution, [np.linspace(_START, 1.0, _SAMPLES * (d + 1) + 1) for d in degrees])
 
 
 def _sampled(solution: Solution, places: list[FloatArray]) -> _Samples:
@@ -273,17 +246,21 @@ def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArra
 
 
 def _relative(solution: Solution, moved: list[FloatArray]) -> FloatArray:
+    return np.array([np.abs(m).max(axis=0) / state_sizes(solution) for m in moved])
+
+
+def state_sizes(solution: Solution) -> FloatArray:
+    """Return the states' largest magnitudes, at least nominal, shape (n_states,)."""
     slots = solution.problem.compiled.declared.states
     nominal = np.array([s.nominal or 1.0 for s in slots])
-    size = np.maximum(np.abs(solution.trajectory.states).max(axis=0, initial=0.0), nominal)
-    return np.array([np.abs(m).max(axis=0) / size for m in moved])
+    return np.maximum(np.abs(solution.trajectory.states).max(axis=0, initial=0.0), nominal)
 
 
 def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray:
     mesh = solution.mesh
     if not solution.problem.compiled.declared.states:
         return np.zeros(mesh.elements)
-    ends = solution.costates.at_points[mesh.first_node[1:] - 1]
+    ends = solution.costates.stages[mesh.first_node[1:] - 1]
     changes = np.abs(np.sum(ends * np.array([m[-1] for m in moved]), axis=1))
     return _of_all(changes / solution.nominal_objective)
 
@@ -349,7 +326,7 @@ def _breaches(solution: Solution, samples: _Samples, allowance: Allowance) -> Fl
     mesh = solution.mesh
     residuals, limits, controls = (
         np.maximum.reduceat(worst, samples.first_of_element)
-        for worst in _violations(solution.program, samples)
+        for worst in violations(solution.program, samples)
     )
     moved = np.where(controls > allowance.control_breach, controls, controls * mesh.widths)
     earned = limits * _prices(solution) / solution.nominal_objective
@@ -365,7 +342,7 @@ def _prices(solution: Solution) -> FloatArray:
     return np.add.reduceat(on_states, solution.mesh.first_node[:-1])
 
 
-def _violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, ...]:
+def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, ...]:
     """Return the worst of each sample: of equations, of limits, and of controls' bounds."""
     compiled, n = program.compiled, program.layout.n_states
     variables, data = samples.variables, samples.data
@@ -396,3 +373,46 @@ def _outside(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatA
         below = (lower - values) / np.maximum(1.0, np.abs(lower))
         above = (values - upper) / np.maximum(1.0, np.abs(upper))
     return np.nan_to_num(np.fmax(np.fmax(below, above), 0.0), nan=0.0)
+
+
+def active_limits(solution: Solution) -> NDArray[np.bool_]:
+    """Say of every limit over time whether it holds at each point, shape (n_points, n_limits).
+
+    At an interior-point solution the product of multiplier and slack is the same small
+    number everywhere; a limit is active where the multiplier is the larger of the two.
+    """
+    program, layout = solution.program, solution.program.layout
+    bounds, scaling = solution.bounds, solution.scaling
+    density = scaling.objective / solution.mesh.quadrature_weights[:, None]
+    columns = np.hstack([layout.state_columns[1:], layout.algebraic_columns])
+    z, scale = solution.unknowns, scaling.unknowns
+    held = bounds.lower == bounds.upper
+    found = [
+        _exceeds(multiplier / scale, np.abs(z - limit) * scale, held, columns, density)
+        for multiplier, limit in (
+            (solution.multipliers.lower, bounds.lower),
+            (solution.multipliers.upper, bounds.upper),
+        )
+    ]
+    rows = np.arange(program.first_condition_row).reshape(
+        solution.mesh.points, program.compiled.n_equations
+    )
+    values = program.constraints(z)
+    held = bounds.row_lower == bounds.row_upper
+    multipliers, scale = solution.multipliers.rows, scaling.rows
+    for limit, sign in ((bounds.row_lower, -1.0), (bounds.row_upper, 1.0)):
+        pull = np.maximum(sign * multipliers, 0.0) / scale
+        found.append(_exceeds(pull, np.abs(values - limit) * scale, held, rows, density))
+    return np.hstack(found)
+
+
+def _exceeds(
+    multipliers: FloatArray,
+    slacks: FloatArray,
+    held: NDArray[np.bool_],
+    positions: NDArray[np.intp],
+    density: FloatArray,
+) -> NDArray[np.bool_]:
+    """Compare scaled multiplier densities with scaled slacks; equalities never count."""
+    is_active = multipliers[positions] * density > slacks[positions]
+    return np.asarray(is_active & ~held[positions])

@@ -11,6 +11,7 @@ import numpy as np
 
 from pyomo_quad.collocation.program.ipopt import SEEN, Status
 from pyomo_quad.collocation.refining.error import ErrorEstimate, estimate_error
+from pyomo_quad.collocation.refining.flatness import state_error
 from pyomo_quad.collocation.refining.remeshing import (
     Marks,
     RefinementOptions,
@@ -251,6 +252,7 @@ def refine(
     records: list[MeshRecord] = []
     dampings: tuple[Damping | None, ...] = (None,) * len(chosen)
     firmness = 1.0
+    before: tuple[Solution | None, ...] = (None,) * len(chosen)
     while True:
         solved = solve(chosen, warm_start, dampings)
         is_damped = any(dampings)
@@ -270,15 +272,34 @@ def refine(
             return solution
         finer = _next_meshes(solution, errors, tolerance, refinement, is_damped=is_damped)
         if finer is None:
-            return solution
+            return _with_state_error(solution, errors, before, tolerance)
         is_stuck = finer == _meshes(solution) and error > tolerance
         if is_stuck or len(records) >= refinement.max_meshes:
-            return _given_up(solution, error, tolerance)
+            return _with_state_error(
+                _given_up(solution, error, tolerance), errors, before, tolerance
+            )
         if is_damped and records[-1].iterations > _MANY_ITERATIONS:
             firmness = min(_FIRMER * firmness, _FIRMEST)
-        chosen, warm_start = finer, solution.warm_start
+        chosen, warm_start, before = finer, solution.warm_start, solution.parts
         weight = firmness * refinement.damping * tolerance
         dampings = tuple(damping_of(part, weight) for part in solution.parts)
+
+
+def _with_state_error(
+    solution: S,
+    errors: tuple[ErrorEstimate, ...],
+    before: tuple[Solution | None, ...],
+    tolerance: float,
+) -> S:
+    """Return a solution with what its states may be off by, all horizons together."""
+    change = _objective_change(solution.parts[0], tolerance)
+    change = change if np.isfinite(change) else 0.0
+    parts = zip(solution.parts, errors, before, strict=True)
+    found = [
+        state_error(part, error, last if junction_elements(part) else None, change)
+        for part, error, last in parts
+    ]
+    return solution.updated(state_error=max(found))
 
 
 def _errors(

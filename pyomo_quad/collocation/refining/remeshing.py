@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from pyomo_quad.collocation.mesh import FloatArray, Mesh, radau_rule
-from pyomo_quad.collocation.refining.error import Allowance
+from pyomo_quad.collocation.refining.error import Allowance, active_limits
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,7 +24,7 @@ def junction_elements(solution: Solution) -> frozenset[int]:
 
     A change where the equations themselves may change is where it has to be.
     """
-    active = _active_limits(solution)
+    active = active_limits(solution)
     element = solution.mesh.element_of_point
     is_known = np.isin(element[1:], np.flatnonzero(_known_boundaries(solution))) & (
         element[1:] > element[:-1]
@@ -38,49 +38,6 @@ def _known_boundaries(solution: Solution) -> NDArray[np.bool_]:
     required = solution.problem.required_breakpoints(solution.instance)
     starts = np.asarray(solution.mesh.breakpoints)
     return np.any(np.abs(starts[:, None] - np.array([0.0, *required, 1.0])) < _SAME, axis=1)
-
-
-def _active_limits(solution: Solution) -> NDArray[np.bool_]:
-    """Say of every limit over time whether it holds at each point, shape (n_points, n_limits).
-
-    At an interior-point solution the product of multiplier and slack is the same small
-    number everywhere; a limit is active where the multiplier is the larger of the two.
-    """
-    program, layout = solution.program, solution.program.layout
-    bounds, scaling = solution.bounds, solution.scaling
-    density = scaling.objective / solution.mesh.quadrature_weights[:, None]
-    columns = np.hstack([layout.state_columns[1:], layout.algebraic_columns])
-    z, scale = solution.unknowns, scaling.unknowns
-    held = bounds.lower == bounds.upper
-    found = [
-        _exceeds(multiplier / scale, np.abs(z - limit) * scale, held, columns, density)
-        for multiplier, limit in (
-            (solution.multipliers.lower, bounds.lower),
-            (solution.multipliers.upper, bounds.upper),
-        )
-    ]
-    rows = np.arange(program.first_condition_row).reshape(
-        solution.mesh.points, program.compiled.n_equations
-    )
-    values = program.constraints(z)
-    held = bounds.row_lower == bounds.row_upper
-    multipliers, scale = solution.multipliers.rows, scaling.rows
-    for limit, sign in ((bounds.row_lower, -1.0), (bounds.row_upper, 1.0)):
-        pull = np.maximum(sign * multipliers, 0.0) / scale
-        found.append(_exceeds(pull, np.abs(values - limit) * scale, held, rows, density))
-    return np.hstack(found)
-
-
-def _exceeds(
-    multipliers: FloatArray,
-    slacks: FloatArray,
-    held: NDArray[np.bool_],
-    positions: NDArray[np.intp],
-    density: FloatArray,
-) -> NDArray[np.bool_]:
-    """Compare scaled multiplier densities with scaled slacks; equalities never count."""
-    is_active = multipliers[positions] * density > slacks[positions]
-    return np.asarray(is_active & ~held[positions])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,203 @@
+"""Costates: what the multipliers of a solution say of the states over time, and how well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from pyomo_quad.collocation.mesh import (
+    FloatArray,
+    Mesh,
+    Timeline,
+    by_element,
+    interpolation_matrix,
+    radau_rule,
+)
+from pyomo_quad.collocation.program.bounds import limits_at_points
+from pyomo_quad.collocation.program.compiled import MappedFunction
+from pyomo_quad.collocation.program.transcription import linearised
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation.program.bounds import Bounds
+    from pyomo_quad.collocation.program.ipopt import Multipliers
+    from pyomo_quad.collocation.program.transcription import Transcription
+
+# A costate below this share of the objective for the size of its state is none.
+_LEAST = 1e-9
+# Of a limit's pull in an element, what no smooth growth tells where that may have been a blow.
+_ROUGH = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class Costates:
+    """Polynomials of an element's degree from its left end through its points.
+
+    Shapes: starts (n_elements, n_states), just after each left end, where a costate may jump;
+    at_points, stages (n_points, n_states); hamiltonian (n_points,); sizes (n_states,).
+
+    The multipliers at the points are values of a costate themselves, `stages`, but of an order
+    less than those of the states; the adjoint equations, integrated with them through each
+    element from its left end, which is sharp, give the order back: `at_points`.  `sizes` are
+    their largest magnitudes, of one that is next to nothing a share of the objective.
+    """
+
+    mesh: Mesh
+    starts: FloatArray
+    at_points: FloatArray
+    stages: FloatArray
+    hamiltonian: FloatArray
+    sizes: FloatArray
+
+    @property
+    def per_element(self) -> tuple[FloatArray, ...]:
+        """Costates of each element, shape (degree + 1, n_states), left end first."""
+        inner = np.split(self.at_points, self.mesh.first_node[1:-1])
+        return tuple(np.vstack(held) for held in zip(self.starts, inner, strict=True))
+
+    def at(self, fractions: FloatArray) -> FloatArray:
+        """Return the costates at fractions of the horizon, shape (n, n_states)."""
+        mesh, first = self.mesh, self.mesh.first_node
+        found = np.empty((len(fractions), self.starts.shape[1]))
+        for e, positions, local in by_element(mesh, fractions):
+            held = np.vstack([self.starts[e], self.at_points[first[e] : first[e + 1]]])
+            found[positions] = interpolation_matrix(radau_rule(mesh.degrees[e]).nodes, local) @ held
+        return found
+
+
+@lru_cache(maxsize=64)
+def _roughness(degree: int) -> FloatArray:
+    """Return what takes values at an element's nodes to what no polynomial of less degree tells."""
+    smooth = legendre.legvander(2.0 * radau_rule(degree).nodes - 1.0, max(degree - 2, 0))
+    return np.asarray(np.eye(degree + 1) - smooth @ np.linalg.pinv(smooth))
+
+
+def _by_degree(mesh: Mesh) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """Return each degree with its elements, shape (k,), and their points, shape (k, degree)."""
+    degrees = np.asarray(mesh.degrees)
+    groups = []
+    for degree in sorted(set(mesh.degrees)):
+        chosen = np.flatnonzero(degrees == degree)
+        groups.append((degree, chosen, mesh.first_node[chosen, None] + np.arange(degree)))
+    return groups
+
+
+def costates_of(
+    program: Transcription,
+    z: FloatArray,
+    multipliers: Multipliers,
+    *,
+    bounds: Bounds,
+    timeline: Timeline,
+    objective: float,
+) -> Costates:
+    """Map the multipliers of a solution to costates and Hamiltonian.
+
+    Parameters
+    ----------
+    program : Transcription
+        On a mesh.
+    z : ndarray
+        The solution.
+    multipliers : Multipliers
+        As Ipopt returns them for the unscaled program.
+    bounds : Bounds
+        What a state is held by at one time pulls there, and not on the element before.
+    timeline : Timeline
+        Physical times of the horizon.
+    objective : float
+        Its size.
+    """
+    mesh = program.mesh or Mesh.uniform(1, 1)
+    by_rate, by_state = _products(program, z, program.path_weights(z, multipliers.rows))
+    by_state += _pull_of_bounds(program, multipliers, bounds)
+    weights = mesh.quadrature_weights[:, None]
+    stages, slopes = -by_rate / weights, -by_state / weights
+    starts, at_points = np.empty((mesh.elements, by_rate.shape[1])), np.empty_like(stages)
+    for degree, chosen, points in _by_degree(mesh):
+        rule, widths = radau_rule(degree), mesh.widths[chosen, None]
+        starts[chosen] = np.einsum("j,ejs->es", rule.differentiation[:, 0], by_rate[points])
+        starts[chosen] /= widths
+        grown = widths[:, None] * (rule.integration @ slopes[points])
+        at_points[points] = starts[chosen, None] + grown
+    states = z[program.layout.state_columns]
+    density = program.lagrangian_density(z, multipliers.rows)
+    rates = program.layout.slope_matrix @ states
+    spans = timeline.span_at(mesh.point_fractions)
+    size = np.abs(states).max(axis=0, initial=0.0)
+    least = _LEAST * objective / np.where(size > 0.0, size, 1.0)
+    return Costates(
+        mesh=mesh,
+        starts=starts,
+        at_points=at_points,
+        stages=stages,
+        hamiltonian=(density + np.sum(stages * rates, axis=1)) / spans,
+        sizes=np.maximum(np.abs(np.vstack([starts, at_points])).max(axis=0), least),
+    )
+
+
+def _products(
+    program: Transcription, z: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return slopes of weighted rows in each point's own rates and states, (n_points, n_states)."""
+    path, n = program.compiled.path, program.layout.n_states
+    entries = MappedFunction(path.jacobian, program.n_points)(
+        program.path_variables(z), program.data.at_points()
+    )[0]
+    slopes = np.zeros((program.n_points, path.values.size1_in(0)))
+    for k, (row, column) in enumerate(zip(path.jacobian_rows, path.jacobian_columns, strict=True)):
+        if column < 2 * n:
+            slopes[:, column] += entries[:, k] * weights[:, row]
+    return slopes[:, :n], slopes[:, n : 2 * n]
+
+
+def _pull_of_bounds(program: Transcription, multipliers: Multipliers, bounds: Bounds) -> FloatArray:
+    """Return the multipliers of the states' bounds over time, shape (n_points, n_states)."""
+    is_held = bounds.lower == bounds.upper
+    for limit in limits_at_points(program):
+        is_held[limit.columns] = True
+    pull = np.where(is_held, 0.0, multipliers.upper - multipliers.lower)
+    return np.asarray(pull[program.layout.state_columns[1:]])
+
+
+def costate_errors_of(
+    program: Transcription,
+    z: FloatArray,
+    multipliers: Multipliers,
+    *,
+    bounds: Bounds,
+    costates: Costates,
+) -> FloatArray:
+    """Estimate the largest error of each costate, relative to its size, shape (n_states,).
+
+    Where all is smooth, it is what the adjoint equations, integrated once more with the costates
+    instead of `stages`, would change.  Where a limit on a state begins or ceases to hold, it may
+    pull all at once anywhere in the element: where its pull does not grow smoothly all of it
+    counts, and what that makes of the other costates.
+    """
+    mesh, weights = costates.mesh, costates.mesh.quadrature_weights[:, None]
+    equations = linearised(program, program.path_variables(z), program.data.at_points())
+    backwards = np.linalg.pinv(equations.by_rate)
+    growth = np.einsum("kra,kbr->kab", equations.by_state, backwards)
+    slopes = np.einsum("kab,kb->ka", growth, costates.at_points - costates.stages)
+    rows = np.zeros((program.n_points, program.compiled.path.values.numel_out(0)))
+    n = program.compiled.n_equations
+    rows[:, :n] = multipliers.rows[: rows.shape[0] * n].reshape(-1, n)
+    rows[:, :n][:, program.compiled.is_equality] = 0.0
+    pull = _products(program, z, rows)[1] + _pull_of_bounds(program, multipliers, bounds)
+    pull /= weights
+    largest = np.zeros(costates.sizes.size)
+    for degree, chosen, points in _by_degree(mesh):
+        rule, widths = radau_rule(degree), mesh.widths[chosen, None, None]
+        missed = 2.0 * np.abs(widths * (rule.integration @ slopes[points])).max(axis=1)
+        grown = widths * (rule.integration @ pull[points])
+        rough = np.abs(_roughness(degree)[:, 1:] @ grown).max(axis=1)
+        whole = np.abs(grown).max(axis=1)
+        uneven = np.where(rough > _ROUGH * whole, whole, rough)
+        carried = np.einsum("eab,eb->ea", np.abs(growth[points]).max(axis=1), uneven)
+        found = np.maximum.reduce([missed, uneven, widths[:, 0] * carried])
+        largest = np.maximum(largest, found.max(axis=0))
+    return np.asarray(largest / costates.sizes)
