@@ -14,7 +14,8 @@ from pyomo_quad.scenario import Scenario, ScenarioError
 if TYPE_CHECKING:
     import pandas as pd
 
-_SPLIT_COLUMNS = {"flight", "split"}
+# Of a list of flights, and what stands there for those that are read.
+_SPLIT, _READ = "split", "fit"
 
 Logs = Annotated[Path, typer.Argument(metavar="LOGS", help="Flights: .parquet, .csv or PX4 .ulg.")]
 Base = Annotated[
@@ -35,7 +36,7 @@ FlightList = Annotated[
     typer.Option(
         "--flights",
         metavar="CSV",
-        help="Columns flight and split: only flights with split = fit are read.",
+        help=f"Columns flight and {_SPLIT}: only flights with {_SPLIT} = {_READ} are read.",
     ),
 ]
 
@@ -121,14 +122,16 @@ def _read(logs: Path, vehicle: str, flights: Path | None) -> "tuple[Scenario, pd
 def _chosen(frame: "pd.DataFrame", flights: Path) -> "pd.DataFrame":
     import pandas as pd  # noqa: PLC0415
 
+    from pyomo_quad.identification.logs import FLIGHT  # noqa: PLC0415
+
     try:
         listed = pd.read_csv(flights)
     except (OSError, ValueError):
         raise ScenarioError(f"{flights}: cannot be read; give a CSV of flights.") from None
-    if not set(listed) >= _SPLIT_COLUMNS:
-        raise ScenarioError(f"{flights}: needs the columns flight and split.")
-    wanted = listed.loc[listed["split"] == "fit", "flight"]
-    chosen = frame[frame["flight"].isin(wanted)].reset_index(drop=True)
+    if not set(listed) >= {FLIGHT, _SPLIT}:
+        raise ScenarioError(f"{flights}: needs the columns {FLIGHT} and {_SPLIT}.")
+    wanted = listed.loc[listed[_SPLIT] == _READ, FLIGHT]
+    chosen = frame[frame[FLIGHT].isin(wanted)].reset_index(drop=True)
     if chosen.empty:
-        raise ScenarioError(f"{flights}: no flight of the log has split = fit.")
+        raise ScenarioError(f"{flights}: no flight of the log has {_SPLIT} = {_READ}.")
     return chosen

@@ -7,7 +7,14 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from pyomo_quad.flight import Planner
-from pyomo_quad.identification.fitting import Identification, cruise_speeds, energies
+from pyomo_quad.identification.fitting import (
+    ERROR,
+    MEASURED_ENERGY,
+    PREDICTED_ENERGY,
+    Identification,
+    cruise_speeds,
+    energies,
+)
 from pyomo_quad.identification.logs import (
     AIR_VELOCITY,
     CRUISE,
@@ -62,7 +69,7 @@ def draw_energies(found: Identification) -> Figure:
     figure = Figure(figsize=(FULL_WIDTH, 3.3))
     left, right = figure.subplots(1, 2)
     figure.subplots_adjust(left=0.09, right=0.98, top=0.92, bottom=0.15, wspace=0.28)
-    measured = table["measured_energy_J"] * _KILO
+    measured = table[MEASURED_ENERGY] * _KILO
     ends = [measured.min(), measured.max()]
     left.plot(ends, ends, color=MUTED, linewidth=0.8)
     right.axhspan(-2.0, 2.0, color=PALE, linewidth=0)
@@ -75,10 +82,8 @@ def draw_energies(found: Identification) -> Figure:
             "markersize": 3.5,
         }
         label = f"{value:g} kg"
-        left.plot(
-            measured[chosen], table["predicted_energy_J"][chosen] * _KILO, label=label, **look
-        )
-        right.plot(measured[chosen], table["error_percent"][chosen], **look)
+        left.plot(measured[chosen], table[PREDICTED_ENERGY][chosen] * _KILO, label=label, **look)
+        right.plot(measured[chosen], table[ERROR][chosen], **look)
     left.set(xlabel="Measured energy (kJ)", ylabel="Computed energy (kJ)", title="Energy")
     right.set(xlabel="Measured energy (kJ)", ylabel="Computed less measured (%)", title="Error")
     left.legend(title="Payload", frameon=False)

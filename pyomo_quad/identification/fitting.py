@@ -31,6 +31,9 @@ FITTABLE = (
     "profile_advance_factor",
     "electronics_power",
 )
+#: Columns of `energies` beside the flight.
+MEASURED_ENERGY, PREDICTED_ENERGY = "measured_energy_J", "predicted_energy_J"
+ERROR = "error_percent"
 _BLOCK = "power."
 _WINDOW_S = 10.0
 # Residual, W, beyond which a window counts by its size and no more by its square.
@@ -111,26 +114,24 @@ def energies(frame: pd.DataFrame, power: FloatArray) -> pd.DataFrame:
     steps = frame.groupby(FLIGHT, sort=False)[TIME].transform(lambda t: np.median(np.diff(t)))
     table = pd.DataFrame(
         {
-            "flight": frame[FLIGHT],
-            "measured_energy_J": frame[POWER] * steps,
-            "predicted_energy_J": power * steps,
+            FLIGHT: frame[FLIGHT],
+            MEASURED_ENERGY: frame[POWER] * steps,
+            PREDICTED_ENERGY: power * steps,
         }
     )
-    table = table.groupby("flight", sort=False, as_index=False).sum()
-    ratio = table["predicted_energy_J"] / table["measured_energy_J"]
-    return table.assign(error_percent=100.0 * (ratio - 1.0))
+    table = table.groupby(FLIGHT, sort=False, as_index=False).sum()
+    ratio = table[PREDICTED_ENERGY] / table[MEASURED_ENERGY]
+    return table.assign(**{ERROR: 100.0 * (ratio - 1.0)})
 
 
 def scores(frame: pd.DataFrame, power: FloatArray) -> Scores:
     """Compare powers with the measured ones, flight by flight."""
     table = energies(frame, power)
-    total = table[["measured_energy_J", "predicted_energy_J"]].sum()
+    total = table[[MEASURED_ENERGY, PREDICTED_ENERGY]].sum()
     return Scores(
         flights=len(table),
-        mean_absolute_error_percent=float(table["error_percent"].abs().mean()),
-        bias_percent=float(
-            100.0 * (total["predicted_energy_J"] / total["measured_energy_J"] - 1.0)
-        ),
+        mean_absolute_error_percent=float(table[ERROR].abs().mean()),
+        bias_percent=float(100.0 * (total[PREDICTED_ENERGY] / total[MEASURED_ENERGY] - 1.0)),
         power_rmse_W=float(np.sqrt(np.mean((power - frame[POWER].to_numpy()) ** 2))),
     )
 

@@ -6,6 +6,7 @@ those of `COLUMNS`; others are passed over.  World axes here are north, east and
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from os import SEEK_END
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,9 @@ _MOST: Mapping[str, tuple[float, str]] = {
     VOLTAGE: (1e3, "millivolts"),
     CURRENT: (2e3, "milliamperes"),
 }
-_MOST_POWER_PER_KG = 5e3
+_MOST_POWER_PER_KG, _LEAST_POWER_PER_KG = 5e3, 5.0
+# s; rows farther apart than this tell no flight.
+_LONGEST_STEP_S = 60.0
 _LARGEST_FILE_BYTES = 500_000_000
 
 
@@ -93,7 +96,7 @@ def read_logs(file: Path) -> pd.DataFrame:
     for name in known:
         if name not in _TEXTS and not pd.api.types.is_numeric_dtype(frame[name]):
             raise ScenarioError(f"{source}: column {name} holds text; it must hold numbers.")
-    frame = frame[frame[PHASE].isin(FLYING)].reset_index(drop=True)
+    frame = frame[frame[PHASE].isin(FLYING) | frame[PHASE].isna()].reset_index(drop=True)
     if frame.empty:
         raise ScenarioError(
             f"{source}: no row flies; {PHASE} must be 1, 2 or 3 for take-off, cruise and landing."
@@ -105,7 +108,7 @@ def read_logs(file: Path) -> pd.DataFrame:
 
 
 def _read(file: Path, source: str) -> pd.DataFrame:
-    readers = {".parquet": pd.read_parquet, ".csv": pd.read_csv, ".ulg": read_ulog}
+    readers = {".parquet": pd.read_parquet, ".csv": _read_csv, ".ulg": read_ulog}
     reader: Any = readers.get(file.suffix.lower())
     if reader is None:
         raise ScenarioError(f"{source}: is no log; give a .parquet, .csv or .ulg file.")
@@ -120,6 +123,15 @@ def _read(file: Path, source: str) -> pd.DataFrame:
         raise ScenarioError(f"{source}: cannot be read ({printable(reason)}).") from None
     except (ValueError, pa.ArrowException, pd.errors.ParserError, pd.errors.EmptyDataError):
         raise ScenarioError(f"{source}: is damaged or cut short; copy it anew.") from None
+
+
+def _read_csv(file: Path) -> pd.DataFrame:
+    frame = pd.read_csv(file)
+    with file.open("rb") as stream:
+        stream.seek(-1, SEEK_END)
+        if stream.read() not in b"\r\n":
+            raise ScenarioError("ends within a line; copy it anew, or end its last line.")
+    return frame
 
 
 def _renamed(frame: pd.DataFrame) -> pd.DataFrame:
@@ -147,6 +159,12 @@ def _complaints(frame: pd.DataFrame) -> Iterator[str]:
                 f"{name} has a median of {frame[name].median():.4g}, which must be {thousandths}; "
                 f"divide it by 1000."
             )
+    usual = frame[POWER].groupby(frame[FLIGHT], sort=False).median()
+    if usual.min() <= 0.0:
+        yield (
+            f"{POWER} of flight {usual.idxmin()} has a median of {usual.min():.4g} W; must be "
+            "positive in flight: is the current logged?"
+        )
     power = frame[POWER].to_numpy()
     lowest = int(np.argmin(power))
     if power[lowest] < _LEAST_POWER_W:
@@ -174,6 +192,11 @@ def _time_complaints(flight: str, times: np.ndarray) -> Iterator[str]:
             f"{TIME} of flight {flight} goes from {times[back]:g} to {times[back + 1]:g} s; "
             "times must rise within a flight."
         )
+    elif usual > _LONGEST_STEP_S:
+        yield (
+            f"{TIME} of flight {flight} rises by {usual:.4g} s a row, which must be milliseconds; "
+            "divide it by 1000."
+        )
     elif steps[longest] > _LONGEST_GAP * usual:
         yield (
             f"flight {flight} has a gap of {steps[longest]:g} s after {times[longest]:g} s; steps "
@@ -182,16 +205,21 @@ def _time_complaints(flight: str, times: np.ndarray) -> Iterator[str]:
 
 
 def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None:
-    """Refuse a power that is thousands of times what carries the vehicle's weight.
+    """Refuse a power that is a thousand times what carries the vehicle's weight, or a thousandth.
 
     Raises
     ------
     ScenarioError
-        If the median power is that of milliwatts.
+        If the median power is that of milliwatts or kilowatts.
     """
     median = float(frame[POWER].median())
+    wrong = None
     if median > _MOST_POWER_PER_KG * mass_kg:
+        wrong = "milliwatts; divide"
+    elif median < _LEAST_POWER_PER_KG * mass_kg:
+        wrong = "kilowatts; multiply"
+    if wrong is not None:
         raise ScenarioError(
             f"{printable(source)}: {POWER} has a median of {median:.4g} W for {mass_kg:.4g} kg, "
-            "which must be milliwatts; divide it by 1000."
+            f"which must be {wrong} it by 1000."
         )

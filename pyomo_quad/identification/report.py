@@ -10,7 +10,16 @@ import numpy as np
 import pandas as pd
 
 from pyomo_quad.identification.figures import identification_drawings
-from pyomo_quad.identification.fitting import Identification, Scores, changes, energies, scores
+from pyomo_quad.identification.fitting import (
+    ERROR,
+    MEASURED_ENERGY,
+    PREDICTED_ENERGY,
+    Identification,
+    Scores,
+    changes,
+    energies,
+    scores,
+)
 from pyomo_quad.identification.logs import DENSITY, FLIGHT, PAYLOAD
 from pyomo_quad.identification.regressions import regression_scores
 from pyomo_quad.report import Figures
@@ -52,11 +61,12 @@ def write_identification(
         densities=(float(found.frame[DENSITY].min()), float(found.frame[DENSITY].max())),
         models=models.to_dict("records"),
         drawings=drawings,
-        worst=table.reindex(table["error_percent"].abs().sort_values(ascending=False).index)
+        worst=table.reindex(table[ERROR].abs().sort_values(ascending=False).index)
         .head(5)
         .to_dict("records"),
         version=__version__,
         VEHICLE_NAME=VEHICLE_NAME,
+        energy_columns=(FLIGHT, MEASURED_ENERGY, PREDICTED_ENERGY, ERROR),
         PREDICTIONS_NAME=PREDICTIONS_NAME,
         PARAMETERS_NAME=_PARAMETERS_NAME,
         MODELS_NAME=_MODELS_NAME,

@@ -3,7 +3,15 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from pyomo_quad.polar.polar import Polar
+from pyomo_quad.polar.polar import (
+    ANGLE,
+    COURSE,
+    ENERGY_PER_METRE,
+    GROUND_SPEED,
+    REACH,
+    WIND,
+    Polar,
+)
 from pyomo_quad.report.gallery import Drawing
 from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, SERIES_STYLES
 
@@ -68,12 +76,12 @@ def draw_winds(polar: Polar) -> Figure:
     figure = Figure(figsize=(FULL_WIDTH, 3.3))
     left, right = figure.subplots(1, 2)
     figure.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.26, wspace=0.25)
-    speeds = polar.winds["wind_m_s"].unique().tolist()
+    speeds = polar.winds[WIND].unique().tolist()
     for wind, style in zip(speeds, SERIES_STYLES, strict=False):
-        rows = polar.winds[polar.winds["wind_m_s"] == wind]
-        angles = rows["angle_to_wind_deg"]
+        rows = polar.winds[polar.winds[WIND] == wind]
+        angles = rows[ANGLE]
         is_calm = len(rows) == 1
-        for axes, name in ((left, "ground_speed_m_s"), (right, "energy_per_metre_J_m")):
+        for axes, name in ((left, GROUND_SPEED), (right, ENERGY_PER_METRE)):
             x, y = (angles, rows[name]) if not is_calm else ([0, 180], [rows[name].iloc[0]] * 2)
             axes.plot(x, y, label=f"{wind:g} m/s", **style.line)
     for axes in (left, right):
@@ -90,8 +98,8 @@ def draw_reach(polar: Polar) -> Figure:
     """Draw how far out and back the pack carries in every direction."""
     figure = Figure(figsize=(FULL_WIDTH, 4.2))
     axes = figure.add_axes((0.25, 0.08, 0.5, 0.84), projection="polar")
-    courses = np.radians(polar.reach["course_deg"].to_numpy())
-    reach = polar.reach["reach_m"].to_numpy() * _KILO
+    courses = np.radians(polar.reach[COURSE].to_numpy())
+    reach = polar.reach[REACH].to_numpy() * _KILO
     closed = np.append(courses, courses[0] + 2 * np.pi), np.append(reach, reach[0])
     calm = 0.5 * polar.own.best_over_ground().range_m * _KILO
     axes.plot(

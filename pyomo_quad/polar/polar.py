@@ -23,6 +23,13 @@ from pyomo_quad.scenario.wind import USUAL_HEIGHT
 
 FloatArray = NDArray[np.float64]
 
+#: Columns of `Polar.winds` and `Polar.reach`.
+WIND, ANGLE = "wind_m_s", "angle_to_wind_deg"
+GROUND_SPEED, ENERGY_PER_METRE = "ground_speed_m_s", "energy_per_metre_J_m"
+COURSE, REACH = "course_deg", "reach_m"
+#: Columns of these and of the table of airspeeds.
+AIRSPEED, POWER, RANGE = "airspeed_m_s", "power_W", "range_m"
+
 _STEP_M_S = 0.5
 _FASTEST_M_S = 40.0
 # Shares of the scenario's mass that are carried besides its own payload.
@@ -264,13 +271,13 @@ def _winds(curve: SteadyCurve, winds: Sequence[float]) -> pd.DataFrame:
             best = curve.best_over_ground(wind, float(angle))
             rows.append(
                 {
-                    "wind_m_s": wind,
-                    "angle_to_wind_deg": float(np.degrees(angle)),
-                    "ground_speed_m_s": best.ground_speed,
-                    "airspeed_m_s": best.airspeed,
-                    "power_W": best.power,
-                    "energy_per_metre_J_m": best.energy_per_metre,
-                    "range_m": best.range_m,
+                    WIND: wind,
+                    ANGLE: float(np.degrees(angle)),
+                    GROUND_SPEED: best.ground_speed,
+                    AIRSPEED: best.airspeed,
+                    POWER: best.power,
+                    ENERGY_PER_METRE: best.energy_per_metre,
+                    RANGE: best.range_m,
                 }
             )
             if wind <= _NO_WIND:
@@ -291,10 +298,10 @@ def _reach(curve: SteadyCurve, wind: float, towards: float) -> pd.DataFrame:
         share = sum(1.0 / leg if leg > 0.0 else np.inf for leg in ranges)
         rows.append(
             {
-                "course_deg": float(np.degrees(course)),
-                "out_ground_speed_m_s": legs[0].ground_speed,
-                "back_ground_speed_m_s": legs[1].ground_speed,
-                "reach_m": 1.0 / share,
+                COURSE: float(np.degrees(course)),
+                f"out_{GROUND_SPEED}": legs[0].ground_speed,
+                f"back_{GROUND_SPEED}": legs[1].ground_speed,
+                REACH: 1.0 / share,
             }
         )
     return pd.DataFrame(rows)

@@ -7,7 +7,20 @@ import numpy as np
 import pandas as pd
 
 from pyomo_quad.polar.figures import polar_drawings
-from pyomo_quad.polar.polar import GroundSpeed, Polar, SteadyCurve
+from pyomo_quad.polar.polar import (
+    AIRSPEED,
+    ANGLE,
+    COURSE,
+    ENERGY_PER_METRE,
+    GROUND_SPEED,
+    POWER,
+    RANGE,
+    REACH,
+    WIND,
+    GroundSpeed,
+    Polar,
+    SteadyCurve,
+)
 from pyomo_quad.report import Figures
 from pyomo_quad.report.gallery import save_drawings, wanted_drawings
 from pyomo_quad.report.render import render_markdown
@@ -26,14 +39,17 @@ def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.ALL) -> N
     write_summary(folder, polar_summary(polar))
     drawings = wanted_drawings(polar_drawings(polar), figures)
     save_drawings(drawings, folder)
-    ends = polar.winds[polar.winds["angle_to_wind_deg"].isin((0.0, 90.0, 180.0))]
+    ends = polar.winds[polar.winds[ANGLE].isin((0.0, 90.0, 180.0))]
     text = render_markdown(
         "polar/report.md.j2",
         polar=polar,
         curves=[_facts(curve) for curve in polar.curves],
         ends=ends.to_dict("records"),
-        least=polar.reach.iloc[int(np.argmin(polar.reach["reach_m"]))].to_dict(),
-        most=polar.reach.iloc[int(np.argmax(polar.reach["reach_m"]))].to_dict(),
+        least=polar.reach.iloc[int(np.argmin(polar.reach[REACH]))].to_dict(),
+        most=polar.reach.iloc[int(np.argmax(polar.reach[REACH]))].to_dict(),
+        wind_columns=(WIND, ANGLE, GROUND_SPEED, AIRSPEED, POWER, ENERGY_PER_METRE, RANGE),
+        REACH=REACH,
+        COURSE=COURSE,
         drawings=drawings,
         version=__version__,
         **_NAMES,
@@ -51,14 +67,14 @@ def polar_summary(polar: Polar) -> dict[str, Any]:
         **facts,
         "best_speed_m_s": best.ground_speed,
         "best_power_W": best.power,
-        "energy_per_metre_J_m": best.energy_per_metre,
-        "range_m": best.range_m,
+        ENERGY_PER_METRE: best.energy_per_metre,
+        RANGE: best.range_m,
         "price_of_time_W": price,
         "speed_at_that_price_m_s": polar.own.best_over_ground(price_of_time=price).ground_speed,
-        "wind_m_s": polar.wind_m_s,
+        WIND: polar.wind_m_s,
         "wind_towards_deg": float(np.degrees(polar.wind_towards_rad)),
-        "least_reach_m": float(polar.reach["reach_m"].min()),
-        "greatest_reach_m": float(polar.reach["reach_m"].max()),
+        f"least_{REACH}": float(polar.reach[REACH].min()),
+        f"greatest_{REACH}": float(polar.reach[REACH].max()),
         "share_of_pack_used": polar.depth,
         "version": __version__,
     }
@@ -84,10 +100,10 @@ def _table(curve: SteadyCurve) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "payload_kg": curve.payload_kg,
-            "airspeed_m_s": curve.airspeeds,
-            "power_W": curve.powers,
-            "energy_per_metre_J_m": curve.powers / moving,
+            AIRSPEED: curve.airspeeds,
+            POWER: curve.powers,
+            ENERGY_PER_METRE: curve.powers / moving,
             "endurance_s": curve.endurances,
-            "range_m": curve.airspeeds * curve.endurances,
+            RANGE: curve.airspeeds * curve.endurances,
         }
     )

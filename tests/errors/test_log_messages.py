@@ -59,6 +59,28 @@ SPOILT = {
             "the flight there."
         ),
     ),
+    "no_phase": (
+        lambda: with_value("phase", np.nan),
+        "phase is no number at 15 s of flight 1; drop the row or fill it.",
+    ),
+    "milliseconds": (
+        lambda: three().assign(time_s=lambda f: 1e3 * f.time_s),
+        (
+            "time_s of flight 1 rises by 1000 s a row, which must be milliseconds; divide it by "
+            "1000."
+        ),
+    ),
+    "nothing_drawn": (
+        lambda: three().assign(power_W=lambda f: f.power_W * (f.flight != 2) - 3.0),
+        (
+            "power_W of flight 2 has a median of -3 W; must be positive in flight: is the current "
+            "logged?"
+        ),
+    ),
+    "kilowatts": (
+        lambda: three().assign(power_W=lambda f: 1e-3 * f["power_W"]),
+        "which must be kilowatts; multiply it by 1000.",
+    ),
     "negative": (
         lambda: with_value("power_W", -480.0),
         (
@@ -114,6 +136,9 @@ def test_files_that_are_no_logs(tmp_path, capsys):
     half = tmp_path / "half.parquet"
     half.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
     assert "is damaged or cut short; copy it anew." in refused(capsys, half)
+    cut = tmp_path / "cut.csv"
+    cut.write_text(three().to_csv(index=False)[:-3])
+    assert "ends within a line; copy it anew, or end its last line." in refused(capsys, cut)
     empty = tmp_path / "empty.csv"
     empty.write_text("")
     assert "is damaged or cut short; copy it anew." in refused(capsys, empty)
@@ -150,19 +175,26 @@ def ulog(messages):
     return log
 
 
-def flown_ulog(current):
-    times = np.arange(0, 30_000_000, 200_000)
+FLOWN = {
+    "vehicle_local_position": {"vx": 5.0, "vy": 1.0, "vz": 0.5},
+    "battery_status": {"voltage_v": 22.0, "current_a": 20.0},
+    "wind": {"windspeed_north": 2.0, "windspeed_east": 0.0},
+    "vehicle_land_detected": {"landed": 0.0},
+}
+
+
+def flown_ulog(current=20.0, without=()):
+    times = range(0, 30_000_000, 200_000)
+    topics = {
+        topic: {name: value for name, value in fields.items() if name not in without}
+        for topic, fields in FLOWN.items()
+    }
+    if "current_a" not in without:
+        topics["battery_status"]["current_a"] = current
     return ulog(
         {
-            "vehicle_local_position": (
-                ("vx", "vy", "vz"),
-                [(t, 5.0, 1.0, 0.5) for t in times],
-            ),
-            "battery_status": (
-                ("voltage_v", "current_a"),
-                [(t, 22.0, current) for t in times],
-            ),
-            "wind": (("windspeed_north", "windspeed_east"), [(t, 2.0, 0.0) for t in times]),
+            topic: (tuple(fields), [(t, *fields.values()) for t in times])
+            for topic, fields in topics.items()
         }
     )
 
@@ -183,6 +215,17 @@ def test_px4_logs(tmp_path, capsys):
     assert "battery_status has no current; fit a power module and log it." in refused(
         capsys, without
     )
+    for field, line in {
+        "voltage_v": "battery_status has no voltage_v or voltage_filtered_v; log it.",
+        "vz": "vehicle_local_position has no vz; log it.",
+        "windspeed_east": "wind has no windspeed_east; log it.",
+        "landed": "vehicle_land_detected has no landed; log it.",
+    }.items():
+        without.write_bytes(flown_ulog(without=(field,)))
+        assert line in refused(capsys, without)
+    broken = tmp_path / "broken.ulg"
+    broken.write_bytes(good.read_bytes()[:60])
+    assert "has no topic vehicle_local_position; log it." in refused(capsys, broken)
     short = tmp_path / "short.ulg"
     short.write_bytes(good.read_bytes()[:12])
     assert "is no whole PX4 log; copy it anew." in refused(capsys, short)
