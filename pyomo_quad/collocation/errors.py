@@ -11,3 +11,8 @@ class TranscriptionError(EngineError, ValueError):
 
 class SolveError(EngineError, RuntimeError):
     """A solve that the caller asked to be complete did not end in an optimum."""
+
+
+def raised(error: Exception) -> str:
+    """Return the type and the message of what a user's own code raised."""
+    return f"{type(error).__name__}: {error}".removesuffix(": ")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from html import escape
@@ -317,13 +318,13 @@ def control_polynomial(
 _HIGHEST_DEGREE = 100
 
 
-class Summarised:
+class Summarised(ABC):
     """What shows itself in one line, and as a small table in a notebook."""
 
     @property
+    @abstractmethod
     def summary(self) -> dict[str, str]:
         """What is worth knowing at a glance, by its name."""
-        raise NotImplementedError
 
     def __repr__(self) -> str:
         """Return the summary in one line."""

@@ -30,7 +30,7 @@ from pyomo_quad.collocation import (
 )
 from pyomo_quad.flight.flight import VIOLATION_TOLERANCE
 from pyomo_quad.flight.plan import Plan, PlanStatus, Trajectories
-from pyomo_quad.flight.rescue import DONE, Rescuer
+from pyomo_quad.flight.rescue import Rescuer
 from pyomo_quad.flight.routes import (
     Journey,
     NoRouteError,
@@ -107,7 +107,7 @@ def shortest_flight(
             refinement=RefinementOptions(max_meshes=meshes),
             progress=progress,
         )
-        if solution.status not in DONE:
+        if not solution.status.is_solved:
             break
         shortest = start = solution
         if not is_exact and abs(solution.objective - duration) > _CLOSE * duration:
@@ -332,7 +332,7 @@ class Planner:
         plan = replace(plan, routes=routes)
         if rescue is not None:
             plan = replace(plan, attempts=rescue.attempts, failure=rescue.failure)
-        if solution.status not in (Status.CONVERGED, Status.TOLERANCE_NOT_MET):
+        if not solution.status.is_solved:
             return plan
         return self._confirmed(_verified(plan, solution), problem, told, progress)
 
@@ -561,7 +561,7 @@ def _by_way_of(
             tried = problem.solve(**eased | on_mesh)
         if tried.status is Status.INTERRUPTED:
             return _as_far_as(tried, problem, arguments)
-        if tried.status in DONE:
+        if tried.status.is_solved:
             reached = tried
     if reached is None:
         return problem.solve(**arguments, guess=guess)

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation import Diagnosis
     from pyomo_quad.scenario.mission import NamedDuration
 
-DONE = (Status.CONVERGED, Status.TOLERANCE_NOT_MET)
-_ENDED = (*DONE, Status.INTERRUPTED)
 # Durations, as multiples of the mission's, through which a slow flight is sped up.
 _SLOWER = (3.0, 2.0, 1.5, 1.2, 1.1)
 _MOST_REMEDIES = 3
@@ -79,11 +77,11 @@ class Rescuer:
         diagnosis = diagnose(failed, progress=self._progress)
         if diagnosis.feasible_point is not None:
             solution = self._started_from(diagnosis.feasible_point, "elastic restoration")
-            if solution.status in _ENDED:
+            if _has_ended(solution):
                 return self._ended(solution, None)
         if not diagnosis.is_infeasible:
             solution = self._continued() or failed
-            if solution.status in _ENDED:
+            if _has_ended(solution):
                 return self._ended(solution, None)
         shortest = self._solve_shortest()
         least = None if shortest is None else shortest.objective
@@ -95,7 +93,7 @@ class Rescuer:
             held, statics = shortest.trajectory, failed.trajectory.statics
             path = held if len(held.statics) == len(statics) else replace(held, statics=statics)
             solution = self._started_from(path, "guess from the shortest flight")
-            if solution.status in _ENDED:
+            if _has_ended(solution):
                 return self._ended(solution, None)
         failure = Failure(
             longest=self._longest,
@@ -128,7 +126,7 @@ class Rescuer:
             self._note(f"duration x {factor:g}", slower)
             if slower.status is Status.INTERRUPTED:
                 return slower
-            if slower.status in DONE:
+            if slower.status.is_solved:
                 trajectory = slower.trajectory
         if trajectory is None:
             return None
@@ -146,3 +144,8 @@ class Rescuer:
                 continue
             found.extend(alone.relaxations)
         return tuple(found)
+
+
+def _has_ended(solution: Solution) -> bool:
+    """Say whether nothing more is to be tried: it is solved, or was stopped."""
+    return solution.status.is_solved or solution.status is Status.INTERRUPTED

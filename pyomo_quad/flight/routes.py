@@ -91,7 +91,6 @@ class Route:
         return np.column_stack([np.interp(at, reached, column) for column in self.places.T])
 
 
-_DONE = (Status.CONVERGED, Status.TOLERANCE_NOT_MET)
 _BESIDE = (Side.LEFT, Side.RIGHT)
 
 
@@ -447,7 +446,7 @@ _SAME = 1e-3
 
 def _is_same(one: Solution, other: Solution) -> bool:
     apart = np.abs(one.trajectory.states - other.trajectory.states)
-    is_flight = one.status in _DONE and other.status in _DONE
+    is_flight = one.status.is_solved and other.status.is_solved
     return is_flight and bool(np.all(apart <= _SAME * (1.0 + np.abs(one.trajectory.states))))
 
 
@@ -467,18 +466,18 @@ def best_of_journeys(
         if not any(_is_same(solution, other) for _, other in flown):
             flown.append((journey, solution))
     rough = [solution for _, solution in flown]
-    costs = [s.objective if s.status in _DONE else np.inf for s in rough]
+    costs = [s.objective if s.status.is_solved else np.inf for s in rough]
     order = sorted(range(len(flown)), key=lambda k: costs[k])
     least = costs[order[0]]
     near = [k for k in order if costs[k] <= (1.0 + _NEAR) * least][:_MOST_REFINED]
     refined: dict[int, Solution] = {}
     for k in [*near, *(k for k in order if k not in near and np.isfinite(costs[k]))]:
-        if k not in near and any(s.status in _DONE for s in refined.values()):
+        if k not in near and any(s.status.is_solved for s in refined.values()):
             break
         refined[k] = refine(rough[k])
         if refined[k].status is Status.INTERRUPTED:
             break
-    found = {k: s.objective for k, s in refined.items() if s.status in _DONE}
+    found = {k: s.objective for k, s in refined.items() if s.status.is_solved}
     best = min(found, key=lambda k: found[k]) if found else next(iter(refined), order[0])
     solution = refined.get(best, rough[best])
     return solution, tuple(

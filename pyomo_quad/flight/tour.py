@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pyomo_quad.collocation import Mesh, Status
+from pyomo_quad.collocation import Mesh
 from pyomo_quad.scenario.mission import Hover, Order
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ BEST_FEW = 3
 _LEG_MESH = Mesh.uniform(8, 4)
 # Places passed and the last of them -> costs and orders.
 _Tours = dict[tuple[int, int], list[tuple[float, tuple[int, ...]]]]
-_SOLVED = (Status.CONVERGED, Status.TOLERANCE_NOT_MET)
 
 
 def in_order(scenario: Scenario, order: Sequence[int]) -> Scenario:
@@ -62,7 +61,7 @@ def leg_energies(scenario: Scenario, solve: Callable[..., Any]) -> np.ndarray:
                 share = _length(leg) / _usual_length(scenario)
                 leg = leg.lasting(share * mission.fixed_duration)
             found = solve(leg, _LEG_MESH, known)
-            if found.status in _SOLVED:
+            if found.status.is_solved:
                 known = found
                 costs[here, there] = found.objective
     return costs

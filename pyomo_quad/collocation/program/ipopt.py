@@ -25,6 +25,11 @@ class Status(Enum):
     INTERRUPTED = "interrupted"
     TOLERANCE_NOT_MET = "tolerance_not_met"
 
+    @property
+    def is_solved(self) -> bool:
+        """Whether there is an optimum of the last mesh, be it as fine as asked for or not."""
+        return self in (Status.CONVERGED, Status.TOLERANCE_NOT_MET)
+
 
 # Share of its size by which a bound gives way where equations may leave it no interior.
 _RELAXED = 1e-10

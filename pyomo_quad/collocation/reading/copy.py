@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from traceback import walk_tb
 from types import CellType, CodeType, FunctionType, MethodType
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +27,7 @@ from pyomo.environ import (
 )
 from pyomo.network import Port
 
-from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.errors import TranscriptionError, raised
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -93,11 +94,7 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
             try:
                 rule(component.parent_block(), index)
             except Exception as error:
-                what = f"no member {error}" if isinstance(error, KeyError) else f"{error}"
-                raise TranscriptionError(
-                    f"{component.name}: its rule fails at a time that the model did not declare "
-                    f"({what}); let it read nothing but its time and components of the model."
-                ) from error
+                raise _refusal(component.name, error) from error
 
 
 def refuse_changed_members(copy: Any) -> None:
@@ -399,6 +396,21 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
     return tuple(copies)
 
 
+def _refusal(name: str, error: Exception) -> TranscriptionError:
+    return TranscriptionError(
+        f"{name}: its rule fails at a time that the model did not declare ({raised(error)}); let "
+        "it read nothing but its time and components of the model."
+    )
+
+
+def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
+    """Return the component that Pyomo was making when a rule failed, else the horizons' names."""
+    frames = [frame for frame, _ in walk_tb(error.__traceback__)]
+    made = [frame.f_locals.get("self") for frame in frames]
+    names = [held.name for held in made if isinstance(held, Component)]
+    return names[-1] if names else ", ".join(horizon.time.name for horizon in copies)
+
+
 def _expand(copy: Any, copies: list[WorkingCopy]) -> None:
     """Let rules make the instances at the template times."""
     try:
@@ -406,11 +418,7 @@ def _expand(copy: Any, copies: list[WorkingCopy]) -> None:
     except Exception as error:
         for horizon in copies:
             refuse_lost_members(copy, horizon.template_time)
-        names = ", ".join(horizon.time.name for horizon in copies)
-        raise TranscriptionError(
-            f"{names}: a rule over it fails at a time that the model did not declare "
-            f"({error}); let rules read nothing but their time and components of the model."
-        ) from error
+        raise _refusal(_culprit(error, copies), error) from error
     finally:
         for horizon in copies:
             horizon.time.set_changed(False)

@@ -12,7 +12,7 @@ from pyomo.core.base.units_container import UnitsError
 from pyomo.dae import DerivativeVar, Integral
 from pyomo.environ import Constraint, Var, units, value
 
-from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.errors import TranscriptionError, raised
 from pyomo_quad.collocation.reading.copy import rule_of
 from pyomo_quad.collocation.reading.interpolants import Interpolant, interpolant
 from pyomo_quad.collocation.reading.schedules import Reading, jumps, probes
@@ -147,9 +147,9 @@ class LiveModel:
                 return float(value(rule(block, join(component, slot.index, t))))
             except Exception as error:
                 raise TranscriptionError(
-                    f"{slot.name}: its rule fails at time {t:g} ({error}); a parameter over time "
-                    "needs a value at any time: declare it with initialize= a function of time "
-                    "that reads nothing but its time and parameters without time."
+                    f"{slot.name}: its rule fails at time {t:g} ({raised(error)}); a parameter "
+                    "over time needs a value at any time: declare it with initialize= a function "
+                    "of time that reads nothing but its time and parameters without time."
                 ) from error
 
         if held != [signal(t) for t in self.times]:

@@ -14,7 +14,7 @@ from pyomo.contrib.fbbt.fbbt import compute_bounds_on_expr
 from pyomo.core.base.external import PythonCallbackFunction
 from scipy.interpolate import make_interp_spline
 
-from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.errors import TranscriptionError, raised
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -263,7 +263,14 @@ def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
     extra = [function._fcn_id] if isinstance(function, PythonCallbackFunction) else []  # noqa: SLF001
 
     def call(*numbers: float) -> float:
-        return float(function.evaluate([*numbers, *extra]))
+        try:
+            return float(function.evaluate([*numbers, *extra]))
+        except Exception as error:
+            at = ", ".join(f"{number:g}" for number in numbers)
+            raise TranscriptionError(
+                f"{name} in {owner}: its function fails at {at} ({raised(error)}), between the "
+                "bounds of its arguments; tighten them, or let it have a value there."
+            ) from error
 
     for count in _SAMPLES[len(ranges)]:
         points = [np.linspace(lower, upper, count) for lower, upper in ranges]

@@ -20,7 +20,7 @@ from pyomo.dae import DerivativeVar
 from pyomo.dae import Integral as PyomoIntegral
 from pyomo.environ import Constraint, Expression, Param, Var
 
-from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.errors import TranscriptionError, raised
 from pyomo_quad.collocation.reading.copy import bounds_rule_of, rule_of
 from pyomo_quad.collocation.reading.schedules import BESIDE, Phases, Schedule, Statement
 from pyomo_quad.collocation.reading.symbols import (
@@ -320,10 +320,9 @@ class TemplateWriter:
         except TranscriptionError:
             raise
         except Exception as error:
-            what = f"no member {error}" if isinstance(error, KeyError) else f"{error}"
             raise TranscriptionError(
                 f"{name}: its rule fails at a time that the model did not declare, {time:g} "
-                f"({what}); let it read nothing but its time and components of the model."
+                f"({raised(error)}); let it read nothing but its time and components of the model."
             ) from error
         if self.symbols.clock.is_free and index.is_read:
             _refuse_number(name)
@@ -342,8 +341,8 @@ class TemplateWriter:
         position = self.addresses.join(component, address.index, symbol)
         try:
             said = rule(component.parent_block(), position)
-        except Exception:  # noqa: BLE001  the rule is the user's, and did with the number
-            _refuse_number(data.name)
+        except Exception as error:  # noqa: BLE001  the rule is the user's, and did with the number
+            _refuse_number(data.name, error)
         if symbol.is_read:
             _refuse_number(data.name)
         return ConstraintData(expr=said)
@@ -500,11 +499,12 @@ def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement |
         return None
 
 
-def _refuse_number(name: str) -> NoReturn:
+def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
+    told = "" if error is None else f" ({raised(error)})"
     raise TranscriptionError(
-        f"{name}: its rule reads its time as a number, which a free time moves; "
+        f"{name}: its rule reads its time as a number, which a free time moves{told}; "
         "compare it with declared times only, and calculate with Pyomo's functions."
-    )
+    ) from error
 
 
 def _as_numeric(statement: Statement) -> Statement:

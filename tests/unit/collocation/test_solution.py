@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from pyomo.environ import Constraint, Param, value
 
-from pyomo_quad.collocation import Mesh, Summarised, TranscriptionError, compile, solve
+from pyomo_quad.collocation import Mesh, Status, Summarised, TranscriptionError, compile, solve
 from tests.problems import bang_bang, dido, double_integrator, mass_chain, saving, waypoint
 
 MESH = Mesh.uniform(6, 4)
@@ -226,6 +226,19 @@ def test_a_mesh_of_several_degrees_and_a_problem_without_objective_are_shown():
     m = double_integrator.build()
     m.objective.deactivate()
     assert "objective: none" in repr(compile(m))
+
+
+def test_what_has_no_summary_cannot_be_made():
+    class Silent(Summarised):
+        pass
+
+    with pytest.raises(TypeError, match="abstract"):
+        Silent()
+
+
+def test_an_optimum_of_a_mesh_too_coarse_is_one_still():
+    solved = {status for status in Status if status.is_solved}
+    assert solved == {Status.CONVERGED, Status.TOLERANCE_NOT_MET}
 
 
 def test_a_name_is_escaped_in_a_notebook():

@@ -7,6 +7,7 @@ from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.environ import ConcreteModel, Constraint, Expression, Objective, Var
 
 from pyomo_quad.collocation import TranscriptionError, solve
+from pyomo_quad.collocation.errors import raised
 
 CAP = 1.2
 
@@ -97,6 +98,43 @@ def test_the_users_rules_stay_as_they_are():
     before = m.cap._rule._fcn
     solve(m)
     assert m.cap._rule._fcn is before
+
+
+def cap_by_night(t):
+    if t not in (0, 1):
+        raise RuntimeError("no weather at night")
+    return CAP
+
+
+@pytest.mark.parametrize(
+    "declare",
+    [
+        lambda m, cap: Constraint(m.t, rule=lambda b, t: b.u[t] <= cap(t)),
+        lambda m, cap: Expression(m.t, rule=lambda b, t: b.u[t] * cap(t)),
+        lambda m, cap: Var(m.t, bounds=lambda b, t: (0, cap(t))),
+        lambda m, cap: Var(m.t, initialize=lambda b, t: cap(t)),
+    ],
+)
+def test_what_a_rule_raises_is_told_with_its_type_and_the_rules_name(declare):
+    m = integrator()
+    m.made = declare(m, cap_by_night)
+    told = r"^made: its rule fails at a time .*\(RuntimeError: no weather at night\)"
+    with pytest.raises(TranscriptionError, match=told):
+        solve(m)
+
+
+def test_what_an_integrand_raises_is_told_with_its_type_and_name():
+    m = integrator()
+    m.made = Integral(m.t, wrt=m.t, rule=lambda b, t: b.u[t] * cap_by_night(t))
+    m.objective.set_value(m.miss + m.made)
+    told = r"^made: its rule fails at a time .*\(RuntimeError: no weather at night\)"
+    with pytest.raises(TranscriptionError, match=told):
+        solve(m)
+
+
+def test_an_error_without_a_message_is_told_by_its_type():
+    assert raised(AssertionError()) == "AssertionError"
+    assert raised(KeyError(0.5)) == "KeyError: 0.5"
 
 
 def test_a_rule_that_fails_between_declared_times_is_refused():

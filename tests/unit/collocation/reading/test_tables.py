@@ -112,6 +112,17 @@ def test_a_function_that_takes_no_symbols_is_sampled_between_bounds():
     )
 
 
+def test_what_a_function_raises_is_told_with_where_and_its_type():
+    def above_clouds(h):
+        if float(h) > 900:
+            raise RuntimeError("no air")
+        return 0.004
+
+    told = r"^drag in pull: its function fails at \d+ \(RuntimeError: no air\), between the bounds"
+    with pytest.raises(TranscriptionError, match=told):
+        solve(falling(ExternalFunction(above_clouds)))
+
+
 def test_a_wind_grid_bends_the_quickest_way_as_its_formula_does():
     across, along = np.linspace(-1, 3, 17), np.linspace(-2, 2, 33)
 
