@@ -28,7 +28,7 @@ _SAMPLES = {1: (17, 33, 65, 129, 257), 2: (9, 17, 33, 65)}
 _ACCURACY = 1e-7
 _COMPARED = 40
 # Points at which what a function makes of symbols must be what it makes of numbers.
-_CHECKED = 3
+_CHECKED = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +201,7 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
     if isinstance(function, Table):
         spline = function.spline
     else:
-        written = _symbolic(function, inputs) if is_python else None
+        written = _symbolic(function, inputs, stated) if is_python else None
         if written is not None:
             return written
         spline = _sampled(function, stated, owner)
@@ -220,7 +220,7 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
     return spline.written(inputs)
 
 
-def _symbolic(function: Any, inputs: Sequence[Any]) -> Any:
+def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> Any:
     """Return what a Python function makes of symbols, None if it needs numbers."""
     if function._fcn is None:  # noqa: SLF001
         return None
@@ -230,15 +230,22 @@ def _symbolic(function: Any, inputs: Sequence[Any]) -> Any:
             warnings.simplefilter("ignore")
             said = casadi.SX(function._fcn(*casadi.vertsplit(symbols)))  # noqa: SLF001
         found = casadi.Function("function", [symbols], [said])
-        places = np.random.default_rng(seed=0).uniform(0.1, 0.9, (_CHECKED, len(inputs)))
+        lower, upper = np.transpose([_range(argument) for argument in stated])
+        places = np.random.default_rng(seed=0).uniform(lower, upper, (_CHECKED, len(inputs)))
         # CasADi makes a NaN of a symbol that is asked for its number.
         is_same = all(
-            np.isclose(float(found(at)), function._fcn(*at.tolist()), rtol=1e-9)  # noqa: SLF001
+            np.isclose(float(found(at)), function._fcn(*at.tolist()), 1e-9, equal_nan=True)  # noqa: SLF001
             for at in places
         )
     except Exception:  # noqa: BLE001  the function is the user's: it may raise anything
         return None
     return None if not is_same else casadi.substitute(said, symbols, casadi.vertcat(*inputs))
+
+
+def _range(argument: Any) -> tuple[float, float]:
+    """Return where a function is checked: between the bounds of its argument, if it has both."""
+    lower, upper = compute_bounds_on_expr(argument)
+    return (0.1, 0.9) if lower is None or upper is None else (float(lower), float(upper))
 
 
 def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
