@@ -339,7 +339,7 @@ def _declare_velocity(b: Block, m: ConcreteModel, name: str, measured: Sequence[
         parts = [held[t] if held.is_indexed() else held for held in map(b.component, measured)]
         if b.component("shape") is None:
             return _at_height(b, t, parts[0])
-        return sum(part * b.shape[k, t] for k, part in enumerate(parts))
+        return parts[0] + sum(part * b.shape[k, t] for k, part in enumerate(parts[1:], start=1))
 
     b.add_component(
         f"velocity_{name}", Expression(m.time, rule=velocity, doc=f"wind along world {name} [m/s]")
@@ -363,7 +363,9 @@ def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
         read = b.greatest_height - _smooth_positive(b.height_below[t])
         return (read - b.least_height) / (b.greatest_height - b.least_height)
 
-    @b.Expression(range(len(shares)), m.time, doc="cubic spline: powers and truncated powers")
+    doc = "first function of the spline; then its powers, and third powers from inner heights on"
+
+    @b.Expression(range(1, len(shares)), m.time, doc=doc)
     def shape(b: Block, k: int, t: float) -> NumericExpression:
         return functions[k](b.height_share[t])
 
@@ -386,7 +388,7 @@ def _truncated_powers(shares: FloatArray) -> list[Callable[[Any], Any]]:
 
 
 def _power(share: Any, degree: int) -> Any:
-    return share**degree if degree else 1.0
+    return share**degree
 
 
 def _power_from(start: float, share: Any) -> Any:

@@ -6,6 +6,7 @@ from scipy.interpolate import CubicSpline
 
 from pyomo_quad.flight import Planner
 from pyomo_quad.model import build_model, inspect_model, parameter_values
+from pyomo_quad.model.typeset import typeset_equations
 from pyomo_quad.polar.polar import mean_wind
 from pyomo_quad.study.certificate import certify
 from pyomo_quad.study.check import diagnose, reach_findings
@@ -163,7 +164,9 @@ def test_a_wind_over_time_and_height_is_the_spline_of_both(tmp_path):
 
 def test_what_does_not_know_heights_says_so_of_measured_ones(tmp_path):
     told = scenario(wind=measured(tmp_path, (0.0, 3.0, 5.0, 7.0), law) | {"coupling": "drag"})
-    assert inspect_model(build_model(told)).unit_errors == ()
+    model = build_model(told)
+    assert inspect_model(model).unit_errors == ()
+    assert "wind.velocity_x" in {equation.name for equation in typeset_equations(model)}
     assert certify(told).reason.startswith("no bound is known in a wind that varies with height")
     assert mean_wind(told) == pytest.approx((law(7.0), 0.5 * law(7.0)))
     (said,) = (f.message for f in diagnose(told) if f.subject == "wind.file")
