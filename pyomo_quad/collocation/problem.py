@@ -21,7 +21,7 @@ from pyomo_quad.collocation.guess import (
     transfer,
     with_consistent_algebraics,
 )
-from pyomo_quad.collocation.mesh import Summarised
+from pyomo_quad.collocation.mesh import Mesh, Summarised
 from pyomo_quad.collocation.program.bounds import (
     bounds_of,
     is_defined,
@@ -50,12 +50,14 @@ from pyomo_quad.collocation.solution import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pyomo_quad.collocation.mesh import FloatArray, Mesh, Trajectory
+    from pyomo_quad.collocation.mesh import FloatArray, Trajectory
     from pyomo_quad.collocation.reading.values import Instance, Overrides
     from pyomo_quad.collocation.refining.refinement import Damping
 
 # Steps between the nodes of a first mesh, and a state that no simulation means.
 _SUBSTEPS, _LARGEST_STATE = 10, 1e12
+# First meshes where the usual one fails: so many times finer, and a coarse one.
+_FINER, _COARSE = (4, 2), Mesh.uniform(elements=4, degree=3)
 #: Largest relative error of a solution that is refined without a tolerance being asked for.
 DEFAULT_TOLERANCE = 1e-6
 
@@ -172,13 +174,8 @@ class Problem(Summarised, Formulation):
         ) -> Solution:
             if self.has_horizon and tolerance is not None:
                 options = options.suiting(tolerance)
-            solve_on = partial(
-                self.solve_on_mesh,
-                instance=instance,
-                guess=guess,
-                options=options,
-                progress=progress,
-            )
+            on_mesh = partial(self.solve_on_mesh, instance=instance, options=options)
+            solve_on = partial(on_mesh, guess=guess, progress=progress)
             best = self._best_of(starts, partial(solve_on, first), start) if starts > 1 else None
             begun = start if best is None else best.warm_start
             if first is None or tolerance is None:
@@ -200,6 +197,8 @@ class Problem(Summarised, Formulation):
                 if path is not None:
                     solve_on = partial(solve_on, guess=path)
                     found = refined()
+                elif mesh is None:
+                    found = self._on_another_mesh(found, first, solve_on, refined)
             return found
 
         return limited(
@@ -209,6 +208,26 @@ class Problem(Summarised, Formulation):
             tolerance=tolerance,
             has_mesh=mesh is not None,
         )
+
+    @staticmethod
+    def _on_another_mesh(
+        failed: Solution,
+        mesh: Mesh,
+        solve_on: Callable[..., Solution],
+        refined: Callable[..., Solution],
+    ) -> Solution:
+        """Return what finer first meshes lead to, or a coarse one first, else what failed.
+
+        A first mesh may be too coarse for what limits ask, or too fine for how far the first
+        point is off.
+        """
+        for finer in _FINER:
+            found = refined(meshes=(Mesh.uniform(finer * mesh.elements, mesh.degrees[0]),))
+            if found.status not in FAILED:
+                return found
+        coarse = solve_on(_COARSE)
+        found = refined(warm_start=coarse.warm_start) if coarse.is_converged else failed
+        return failed if found.status in FAILED else found
 
     def _simulated(self, mesh: Mesh, instance: Instance) -> Trajectory | None:
         """Return what the equations make of the first states, None where something is free."""

@@ -153,7 +153,8 @@ def estimate_error(
     finer = _sampled(solution, [radau_rule(d + 1).points for d in degrees])
     dense = densely_sampled(solution)
     panels = _sampled(solution, [_panelled(d)[0] for d in degrees])
-    moved = _state_corrections(solution, _slope_corrections(solution.program, finer))
+    slopes = rate_corrections(solution.program, finer.variables, finer.data, finer.rows)
+    moved = _state_corrections(solution, slopes)
     return ErrorEstimate(
         states=_relative(solution, moved),
         objective=_objective_errors(solution, moved),
@@ -226,10 +227,12 @@ def _sampled(solution: Solution, places: list[FloatArray]) -> _Samples:
     )
 
 
-def _slope_corrections(program: Transcription, samples: _Samples) -> FloatArray:
+def rate_corrections(
+    program: Transcription, variables: FloatArray, data: FloatArray, rows: FloatArray
+) -> FloatArray:
     """Return what must be added to the rates for the differential equations to hold."""
-    equations = linearised(program, samples.variables, samples.data)
-    matrices, residuals = equations.by_rate, samples.rows[:, equations.rows]
+    equations = linearised(program, variables, data)
+    matrices, residuals = equations.by_rate, rows[:, equations.rows]
     if matrices.shape[1] == matrices.shape[2]:
         return np.asarray(-np.linalg.solve(matrices, residuals[:, :, None])[:, :, 0], dtype=float)
     return np.asarray(-np.einsum("kij,kj->ki", np.linalg.pinv(matrices), residuals), dtype=float)

@@ -12,6 +12,7 @@ import numpy as np
 from pyomo_quad.collocation.program.ipopt import SEEN, Status
 from pyomo_quad.collocation.refining.error import ErrorEstimate, estimate_error
 from pyomo_quad.collocation.refining.flatness import state_error
+from pyomo_quad.collocation.refining.minimum_principle import improved_controls
 from pyomo_quad.collocation.refining.remeshing import (
     Marks,
     RefinementOptions,
@@ -179,6 +180,8 @@ _SETTLED = 0.5
 # they are damped so many times more, up to so many times in all.
 _MANY_ITERATIONS = 30
 _FIRMER, _FIRMEST = 5.0, 25.0
+# Times that a solution is started anew from the controls that minimise the Hamiltonian.
+_IMPROVEMENTS = 8
 
 
 class Solved(Protocol):
@@ -251,16 +254,12 @@ def refine(
     chosen = meshes
     records: list[MeshRecord] = []
     dampings: tuple[Damping | None, ...] = (None,) * len(chosen)
-    firmness = 1.0
+    firmness, improvements = 1.0, 0
+    reached: S | None = None
     before: tuple[Solution | None, ...] = (None,) * len(chosen)
     while True:
-        solved = solve(chosen, warm_start, dampings)
+        solved, dampings = _solved(solve, chosen, warm_start, dampings)
         is_damped = any(dampings)
-        if solved.status is Status.NOT_CONVERGED and is_damped:
-            dampings = tuple(d and d.times(_FIRMEST) for d in dampings)
-            solved = solve(chosen, warm_start, dampings)
-        if solved.status in FAILED and warm_start is not None:
-            solved = solve(chosen, None, dampings)
         errors = _errors(solved, tolerance, refinement)
         if past_the_barrier is not None and _is_held_by_the_barrier(solved, errors, tolerance):
             solved = past_the_barrier(solved, dampings)
@@ -269,10 +268,17 @@ def refine(
         records.append(_record(solved, error))
         solution = solved.updated(error_estimate=error, history=tuple(records))
         if solved.status is not Status.CONVERGED:
-            return solution
+            return _doubted(reached) if reached and solved.status in FAILED else solution
         finer = _next_meshes(solution, errors, tolerance, refinement, is_damped=is_damped)
         if finer is None:
-            return _with_state_error(solution, errors, before, tolerance)
+            reached = _with_state_error(solution, errors, before, tolerance)
+            better = _improved(solution, tolerance)
+            if better is None or improvements == _IMPROVEMENTS:
+                return reached if better is None else _doubted(reached)
+            improvements += 1
+            chosen, warm_start, before = _meshes(solution), better.warm_start, (None,)
+            dampings = (damping_of(better, firmness * refinement.damping * tolerance),)
+            continue
         is_stuck = finer == _meshes(solution) and error > tolerance
         if is_stuck or len(records) >= refinement.max_meshes:
             return _with_state_error(
@@ -283,6 +289,22 @@ def refine(
         chosen, warm_start, before = finer, solution.warm_start, solution.parts
         weight = firmness * refinement.damping * tolerance
         dampings = tuple(damping_of(part, weight) for part in solution.parts)
+
+
+def _solved(
+    solve: Callable[[tuple[Mesh, ...], Any, tuple[Damping | None, ...]], S],
+    meshes: tuple[Mesh, ...],
+    warm_start: Any,
+    dampings: tuple[Damping | None, ...],
+) -> tuple[S, tuple[Damping | None, ...]]:
+    """Solve, more firmly damped and then from the guess where that fails."""
+    solved = solve(meshes, warm_start, dampings)
+    if solved.status is Status.NOT_CONVERGED and any(dampings):
+        dampings = tuple(d and d.times(_FIRMEST) for d in dampings)
+        solved = solve(meshes, warm_start, dampings)
+    if solved.status in FAILED and warm_start is not None:
+        solved = solve(meshes, None, dampings)
+    return solved, dampings
 
 
 def _with_state_error(
@@ -321,6 +343,23 @@ def _is_held_by_the_barrier(
     is_hidden = size < SEEN and part.problem.compiled.declared.objective_name != ""
     is_solved = solution.status is Status.CONVERGED
     return is_solved and is_fine and (error.gap > tolerance or is_hidden)
+
+
+def _doubted(solution: S) -> S:
+    """Return a solution that says that it is the best of small changes only."""
+    return solution.updated(
+        status=Status.TOLERANCE_NOT_MET,
+        message=(
+            "by Pontryagin's principle another control earns more than the tolerance, but no "
+            "optimum was found from it; begin from another guess, or try `starts=6`."
+        ),
+    )
+
+
+def _improved(solution: Solved, tolerance: float) -> Solution | None:
+    """Return better controls to start from, None where there are none or several horizons."""
+    parts = solution.parts
+    return improved_controls(parts[0], tolerance) if len(parts) == 1 else None
 
 
 def _meshes(solution: Solved) -> tuple[Mesh, ...]:

@@ -65,6 +65,51 @@ def _great_circle_length():
     return float(np.arccos(np.sin(first) * np.sin(last) + across))
 
 
+def embedded_great_circle():
+    """The sphere is a path equation of index 2, and nothing is said of the way along it."""
+    ends = np.array([[1.0, 0.0, 0.0], EMBEDDED_END])
+    m = posed(
+        "great circle in space",
+        {axis: tuple(map(float, ends[:, k])) for k, axis in enumerate("xyz")},
+        {f"v{axis}": (None, None) for axis in "xyz"},
+        lambda m, t: {axis: m.component(f"v{axis}")[t] for axis in "xyz"},
+    )
+    m.sphere = Constraint(m.t, rule=lambda m, t: m.x[t] ** 2 + m.y[t] ** 2 + m.z[t] ** 2 == 1)
+    return minimised(m, total(m, lambda m, t: m.vx[t] ** 2 + m.vy[t] ** 2 + m.vz[t] ** 2))
+
+
+# On the sphere, 2 rad east and 0.5 rad north of the start.
+EMBEDDED_END = np.array([np.cos(2.0) * np.cos(0.5), np.sin(2.0) * np.cos(0.5), np.sin(0.5)])
+
+
+def geodesic():
+    """From New York to London on a spheroid, by headings in space, in 1000 km, without a guess."""
+    wide, high = 6.384, 6.353
+
+    def place(north, east):
+        north, east = np.radians(north), np.radians(east)
+        around = wide * np.cos(north)
+        return around * np.cos(east), around * np.sin(east), high * np.sin(north)
+
+    ends = zip(place(40.6413, -73.7781), place(51.47, -0.4543), strict=True)
+    m = posed(
+        "geodesic",
+        dict(zip("xyz", ends, strict=True)),
+        {"tilt": (0, np.pi), "turn": (-np.pi, np.pi)},
+        lambda m, t: {
+            "x": sin(m.tilt[t]) * cos(m.turn[t]),
+            "y": sin(m.tilt[t]) * sin(m.turn[t]),
+            "z": cos(m.tilt[t]),
+        },
+        free=(3, 10, 6),
+    )
+    m.spheroid = Constraint(
+        m.t,
+        rule=lambda m, t: (m.x[t] ** 2 + m.y[t] ** 2) / wide**2 + m.z[t] ** 2 / high**2 == 1,
+    )
+    return minimised(m, m.T)
+
+
 def zermelo():
     m = posed(
         "Zermelo",
@@ -99,6 +144,18 @@ CASES = (
         build=great_circle,
         published=_great_circle_length(),
         source="spherical law of cosines",
+    ),
+    Case(
+        name="embedded_circle",
+        build=embedded_great_circle,
+        published=float(np.arccos(EMBEDDED_END[0]) ** 2),
+        source="the angle between the ends, squared",
+    ),
+    Case(
+        name="geodesic",
+        build=geodesic,
+        published="5.5496819",
+        source="PSOPT 5, examples/geodesic: the exact geodesic",
     ),
     Case(
         name="zermelo",

@@ -3,12 +3,13 @@
 from dataclasses import replace
 
 import pytest
-from pyomo.environ import ConcreteModel, Objective, Var
+from pyomo.environ import ConcreteModel, Constraint, Objective, Var
 
 from pyomo_quad.collocation import RefinementOptions, Status, TranscriptionError, compile
 from pyomo_quad.collocation.refining.refinement import refine
 from tests.problems import double_integrator
 from tests.problems.published.flight import f8
+from tests.problems.published.geometry import geodesic
 
 
 def two_valleys():
@@ -40,6 +41,21 @@ def test_more_starts_find_the_quickest_manoeuvre():
     problem = compile(f8())
     assert problem.solve().objective > 5
     assert problem.solve(starts=6).objective == pytest.approx(3.78086, abs=1e-5)
+
+
+def test_where_the_first_mesh_fails_others_are_tried():
+    solution = compile(geodesic()).solve()
+    assert solution.is_converged
+    assert solution.history[0].elements > RefinementOptions().first_elements
+    assert solution.objective == pytest.approx(5.5496819, abs=5e-8)
+
+
+def test_what_fails_on_every_mesh_is_told_of_the_first():
+    m = double_integrator.build()
+    m.slow = Constraint(m.t, rule=lambda m, t: m.v[t] <= 0.5)  # half the way at most
+    solution = compile(m).solve()
+    assert solution.status is Status.INFEASIBLE
+    assert solution.mesh == RefinementOptions().first_mesh
 
 
 def test_a_warm_start_that_ends_infeasible_is_tried_again_from_the_guess():
