@@ -582,7 +582,6 @@ def draw_front(front: pd.DataFrame) -> Figure:
             axes.annotate(f"{price:.3g} W", place, xytext=(6, 4), textcoords="offset points")
     axes.set(title="Energy (J), and the price of a second at each point", xlabel="Duration (s)")
     axes.margins(0.1, 0.2)
-    keep_span([axes], ENERGY.smallest_span)
     legend_below(figure, axes)
     return figure
 
