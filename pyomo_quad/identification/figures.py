@@ -16,7 +16,6 @@ from pyomo_quad.identification.fitting import (
     energies,
 )
 from pyomo_quad.identification.logs import (
-    AIR_VELOCITY,
     CRUISE,
     DENSITY,
     FLIGHT,
@@ -131,10 +130,8 @@ def draw_power(found: Identification) -> Figure:
 
 def draw_curve(found: Identification) -> Figure:
     """Draw steady power over airspeed for each payload, with the data."""
-    frame = found.frame[found.frame[PHASE] == CRUISE]
-    factor = found.scenario.vehicle.anemometer_factor
-    north, east = (frame[name].to_numpy() * factor for name in AIR_VELOCITY)
-    airspeed = np.hypot(north, east)
+    is_cruise = (found.frame[PHASE] == CRUISE).to_numpy()
+    frame, airspeed = found.frame[is_cruise], found.airspeeds[is_cruise]
     fastest = min(_FASTEST_M_S, float(airspeed.max()))
     figure = Figure(figsize=(FULL_WIDTH, 3.6))
     axes = figure.subplots()

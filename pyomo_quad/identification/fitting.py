@@ -13,7 +13,16 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from pyomo_quad.identification.logs import CRUISE, FLIGHT, PAYLOAD, PHASE, POWER, TIME, VELOCITY
+from pyomo_quad.identification.logs import (
+    AIR_VELOCITY,
+    CRUISE,
+    FLIGHT,
+    PAYLOAD,
+    PHASE,
+    POWER,
+    TIME,
+    VELOCITY,
+)
 from pyomo_quad.identification.motion import LoggedMotion
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.tables import Vehicle
@@ -107,6 +116,23 @@ class Identification:
     fitted_power: FloatArray
     cross_validated: FloatArray
     trials: tuple[Trial, ...]
+
+    @property
+    def airspeeds(self) -> FloatArray:
+        """The level part of the true airspeed of each row, m/s."""
+        north, east = (self.frame[name].to_numpy() for name in AIR_VELOCITY)
+        return np.hypot(north, east) * self.scenario.vehicle.anemometer_factor
+
+    def excess(self, slowest: float, fastest: float) -> float:
+        """Return by how much measured power exceeds computed in cruise between airspeeds, W.
+
+        NaN where no row cruises there.
+        """
+        is_meant = (self.frame[PHASE] == CRUISE).to_numpy() & (slowest <= self.airspeeds)
+        is_meant = is_meant & (self.airspeeds < fastest)
+        if not is_meant.any():
+            return np.nan
+        return float((self.frame[POWER].to_numpy() - self.fitted_power)[is_meant].mean())
 
 
 def energies(frame: pd.DataFrame, power: FloatArray) -> pd.DataFrame:

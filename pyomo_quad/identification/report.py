@@ -34,6 +34,8 @@ VEHICLE_NAME = "vehicle.toml"
 PREDICTIONS_NAME = "predictions.csv"
 _PARAMETERS_NAME, _MODELS_NAME = "parameters.csv", "models.csv"
 _OURS = "momentum theory, declared"
+# Between hover and where the wake is left behind.
+_SLOW_M_S = (1.0, 4.0)
 
 
 def write_identification(
@@ -59,6 +61,8 @@ def write_identification(
         unseen=scores(found.frame, found.cross_validated),
         payloads=np.unique(found.frame[PAYLOAD]).tolist(),
         densities=(float(found.frame[DENSITY].min()), float(found.frame[DENSITY].max())),
+        slow_m_s=_SLOW_M_S,
+        slow_excess_W=found.excess(*_SLOW_M_S),
         models=models.to_dict("records"),
         drawings=drawings,
         worst=table.reindex(table[ERROR].abs().sort_values(ascending=False).index)

@@ -1,6 +1,7 @@
 """Identified and predicted vehicles against flights of the plain second writing."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,16 @@ def test_a_fit_to_its_own_vehicle_is_exact_on_flights_unseen(identified):
     assert found.mean_absolute_error_percent < 1e-3
     assert [trial.name for trial in identified.trials] == ["heavy to light", "slow to fast"]
     assert all(t.scores.mean_absolute_error_percent < 1e-2 for t in identified.trials)
+
+
+def test_what_slow_cruise_draws_beyond_the_fit(identified):
+    frame, power = identified.frame, identified.fitted_power
+    is_slow = (frame["phase"] == 2).to_numpy() & (identified.airspeeds < 6.0)
+    drawn = frame.assign(power_W=power + 30.0 * is_slow)
+    found = replace(identified, frame=drawn)
+    assert found.excess(0.0, 6.0) == pytest.approx(30.0)
+    assert found.excess(6.0, 20.0) == pytest.approx(0.0, abs=1e-9)
+    assert np.isnan(found.excess(90.0, 99.0))
 
 
 @pytest.mark.slow
