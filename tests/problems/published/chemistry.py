@@ -148,7 +148,7 @@ CASES = (
         name="long_catalyst_mixing",
         build=long_catalyst_mixing,
         published="0.192",
-        source="BOCOP 2.0.5 examples, Jackson",
+        source="BOCOP, test/examples.list.csv: jackson_basic",
     ),
     Case(name="parallel_reactions", build=parallel_reactions, published="0.5735", source=DADEBO),
     Case(name="batch_reactor", build=batch_reactor, published="0.6108", source=DADEBO),
@@ -174,7 +174,7 @@ CASES = (
         name="tumour",
         build=tumour,
         published="7571.67",
-        source="Betts (2010), example 8.17, after Ledzewicz and Schaettler (2007)",
+        source="Betts (2020), example 10.142: 7571.67158",
     ),
     Case(name="oil_shale", build=oil_shale, published="0.354", source="Luus (2000), section 9.4"),
 )

@@ -158,6 +158,52 @@ def f8():
     return minimised(m, m.T)
 
 
+def dynamic_soaring():
+    """The gradient of wind that just keeps a glider up, in a round; nothing is guessed."""
+    degree = np.pi / 180
+    area, mass, gravity = 45.09703, 5.6, 32.2
+    air = 0.002378 * area / 2 / mass
+
+    def rates(m, t):
+        v, climb, turn, gradient = m.v[t], m.climb[t], m.turn[t], m.gradient[t]
+        lift = air * m.lift[t] * v
+        drag = air * (0.00873 + 0.045 * m.lift[t] ** 2) * v**2
+        gust = gradient * sin(climb)
+        return {
+            "x": v * cos(climb) * sin(turn) + gradient * m.h[t],
+            "y": v * cos(climb) * cos(turn),
+            "h": v * sin(climb),
+            "v": -drag - gravity * sin(climb) - gust * v * sin(turn) * cos(climb),
+            "climb": lift * cos(m.bank[t])
+            - gravity * cos(climb) / v
+            + gust * sin(turn) * sin(climb),
+            "turn": (lift * sin(m.bank[t]) - gust * cos(turn)) / cos(climb),
+            "gradient": 0,
+        }
+
+    m = posed(
+        "dynamic soaring",
+        {
+            "x": (0, 0, -1500, 1500),
+            "y": (0, 0, -1000, 1000),
+            "h": (0, 0, 0, 1000),
+            "v": (None, None, 10, 350),
+            "climb": (None, None, -75 * degree, 75 * degree),
+            "turn": (None, None, -3 * np.pi, np.pi / 2),
+            "gradient": (None, None, 0.005, 0.15),
+        },
+        {"lift": (0, 1.5), "bank": (-75 * degree, 75 * degree)},
+        rates,
+        free=(10, 30, 24),
+    )
+    m.load_limit = Constraint(
+        m.t, rule=lambda m, t: (-2, air / gravity * m.lift[t] * m.v[t] ** 2, 5)
+    )
+    for state, turned in ((m.v, 0), (m.climb, 0), (m.turn, -2 * np.pi)):
+        m.add_component(f"{state.name}_again", Constraint(expr=state[1] == state[0] + turned))
+    return minimised(m, m.gradient[1])
+
+
 CASES = (
     Case(name="one_phase_goddard", build=goddard, published="1.0128", source=COPS),
     Case(name="hang_glider", build=hang_glider, published="1248.0", source=COPS),
@@ -166,6 +212,12 @@ CASES = (
         build=orbit_raising,
         published="1.525",
         source="Bryson and Ho (1975), section 2.5, after Moyer and Pinkham (1964)",
+    ),
+    Case(
+        name="dynamic_soaring",
+        build=dynamic_soaring,
+        published="0.063587",
+        source="YAPSS, tests/examples/test_dynamic_soaring.py, after Zhao (2004), OCAM 25",
     ),
     Case(name="reentry", build=reentry, published="34.1412", source=BETTS),
     Case(name="f8", build=f8, published="3.78086", source=PSOPT, starts=6),

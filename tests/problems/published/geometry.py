@@ -89,7 +89,9 @@ def geodesic():
     def place(north, east):
         north, east = np.radians(north), np.radians(east)
         around = wide * np.cos(north)
-        return around * np.cos(east), around * np.sin(east), high * np.sin(north)
+        return tuple(
+            map(float, (around * np.cos(east), around * np.sin(east), high * np.sin(north)))
+        )
 
     ends = zip(place(40.6413, -73.7781), place(51.47, -0.4543), strict=True)
     m = posed(

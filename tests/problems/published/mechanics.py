@@ -144,6 +144,54 @@ def two_link_arm():
     return minimised(m, m.T)
 
 
+def fuller():
+    """Switches without end, at intervals that shrink, until the singular arc of order 2."""
+    m = posed(
+        "Fuller",
+        {"x": (0, 0), "v": (1, 0)},
+        {"u": (-1, 1)},
+        lambda m, t: {"x": m.v[t], "v": m.u[t]},
+        end=3.5,
+    )
+    return minimised(m, total(m, lambda m, t: m.x[t] ** 2))
+
+
+def _fuller_cost():
+    """Each pair of arcs, to x = c v |v| and on to x = 0, is the last one at a smaller scale."""
+    c = np.sqrt((np.sqrt(33) - 1) / 24)
+    turn = 1 / np.sqrt(1 + 2 * c)
+    back = turn * np.sqrt(1 - 2 * c)
+    out = np.polynomial.Polynomial([0, 1, -0.5])
+    home = np.polynomial.Polynomial([c * turn**2, -turn, 0.5])
+    pair = (out**2).integ()(1 + turn) + (home**2).integ()(turn - back)
+    return float(pair / (1 - back**5))
+
+
+def free_flying_robot():
+    def rates(m, t):
+        left, right = m.u1[t] - m.u2[t], m.u3[t] - m.u4[t]
+        return {
+            "x": m.vx[t],
+            "y": m.vy[t],
+            "theta": m.spin[t],
+            "vx": (left + right) * cos(m.theta[t]),
+            "vy": (left + right) * sin(m.theta[t]),
+            "spin": 0.2 * left - 0.2 * right,
+        }
+
+    still = dict.fromkeys(("vx", "vy", "spin"), (0, 0))
+    m = posed(
+        "free-flying robot",
+        {"x": (-10, 0), "y": (-10, 0), "theta": (np.pi / 2, 0)} | still,
+        {f"u{k}": (0, 1) for k in (1, 2, 3, 4)},
+        rates,
+        end=12,
+    )
+    m.left = Constraint(m.t, rule=lambda m, t: m.u1[t] + m.u2[t] <= 1)
+    m.right = Constraint(m.t, rule=lambda m, t: m.u3[t] + m.u4[t] <= 1)
+    return minimised(m, total(m, lambda m, t: m.u1[t] + m.u2[t] + m.u3[t] + m.u4[t]))
+
+
 def cubic_hyper_sensitive():
     m = posed(
         "cubic hyper-sensitive",
@@ -290,7 +338,19 @@ CASES = (
         name="two_link_arm",
         build=two_link_arm,
         published="2.98",
-        source="Luus (2000), section 12.4",
+        source="Luus (2000), section 12.4.2; PSOPT 5 has 2.988662 on its coarse mesh",
+    ),
+    Case(
+        name="fuller",
+        build=fuller,
+        published=_fuller_cost(),
+        source="Fuller (1963); BOCOP's examples have 0.268",
+    ),
+    Case(
+        name="free_flying_robot",
+        build=free_flying_robot,
+        published="7.910",
+        source="Betts (2010): 7.910154646; GPOPS-II: 7.9101902; no digits but these agree",
     ),
     Case(
         name="cubic_hyper_sensitive",
@@ -298,12 +358,17 @@ CASES = (
         published="1.3308",
         source=PSOPT,
     ),
-    Case(name="rayleigh", build=rayleigh, published="44.8044", source="Maurer and Augustin (2001)"),
+    Case(
+        name="rayleigh",
+        build=rayleigh,
+        published="44.8044",
+        source="Maurer and Augustin (2001); PSOPT 5 has 44.77625 on its coarse mesh",
+    ),
     Case(
         name="van_der_pol",
         build=van_der_pol,
-        published="2.867",
-        source="Vassiliadis, Sargent and Pantelides (1994), I&EC Research 33",
+        published="2.86726",
+        source="Balsa-Canto et al. (2002), case 6.1, in the PROPT guide, example 124",
     ),
     Case(
         name="van_der_pol_floor",
