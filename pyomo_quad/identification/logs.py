@@ -5,7 +5,9 @@ those of `COLUMNS`; others are passed over.  World axes here are north, east and
 """
 
 from collections.abc import Iterator, Mapping
+from contextlib import redirect_stdout
 from dataclasses import dataclass
+from io import StringIO
 from os import SEEK_END
 from pathlib import Path
 from typing import Any
@@ -13,9 +15,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+from numpy.typing import NDArray
 
-from pyomo_quad.identification.px4 import read_ulog
 from pyomo_quad.scenario import ScenarioError
+from pyomo_quad.scenario.air import SEA_LEVEL_DENSITY
 from pyomo_quad.scenario.messages import printable
 
 
@@ -70,6 +73,13 @@ _MOST_POWER_PER_KG, _LEAST_POWER_PER_KG = 5e3, 5.0
 # s; rows farther apart than this tell no flight.
 _LONGEST_STEP_S = 60.0
 _LARGEST_FILE_BYTES = 500_000_000
+# Logs of the PX4 autopilot: unit, topics and fields, the newest firmware's name first.
+Topic = dict[str, NDArray[np.float64]]
+_MICROSECONDS = 1e-6
+_POSITION, _BATTERY, _LANDED = "vehicle_local_position", "battery_status", "vehicle_land_detected"
+_WINDS = ("wind", "wind_estimate")
+_AIR = "vehicle_air_data"
+_CURRENTS, _VOLTAGES = ("current_a", "current_average_a"), ("voltage_v", "voltage_filtered_v")
 
 
 def read_logs(file: Path) -> pd.DataFrame:
@@ -108,7 +118,7 @@ def read_logs(file: Path) -> pd.DataFrame:
 
 
 def _read(file: Path, source: str) -> pd.DataFrame:
-    readers = {".parquet": pd.read_parquet, ".csv": _read_csv, ".ulg": read_ulog}
+    readers = {".parquet": pd.read_parquet, ".csv": _read_csv, ".ulg": _read_ulog}
     reader: Any = readers.get(file.suffix.lower())
     if reader is None:
         raise ScenarioError(f"{source}: is no log; give a .parquet, .csv or .ulg file.")
@@ -223,3 +233,85 @@ def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None
             f"{printable(source)}: {POWER} has a median of {median:.4g} W for {mass_kg:.4g} kg, "
             f"which must be {wrong} it by 1000."
         )
+
+
+def _read_ulog(file: Path) -> pd.DataFrame:
+    """Return a PX4 log averaged over seconds, in the columns of `COLUMNS`.
+
+    All of it that is not on the ground counts as cruise; the payload is nought, and the air that
+    of sea level where there is no barometer.  The wind is that of the autopilot's estimator.
+
+    Raises
+    ------
+    ScenarioError
+        If `pyulog` is missing, or the log lacks a topic or a field.
+    """
+    try:
+        from pyulog import ULog  # noqa: PLC0415  an extra
+    except ImportError:
+        raise ScenarioError(
+            "PX4 logs need the package pyulog; pip install 'pyomo_quad[logs]'."
+        ) from None
+    try:
+        # The reader prints what it finds broken.
+        with file.open("rb") as stream, redirect_stdout(StringIO()):
+            topics = {d.name: d.data for d in ULog(stream).data_list if d.multi_id == 0}
+    except OSError:
+        raise
+    except Exception as error:
+        # A damaged log fails in as many ways as its reader has.
+        raise ScenarioError("is no whole PX4 log; copy it anew.") from error
+    battery = topics.get(_BATTERY, {})
+    currents = [name for name in _CURRENTS if name in battery and np.any(battery[name] > 0.0)]
+    if battery and not currents:
+        raise ScenarioError("battery_status has no current; fit a power module and log it.")
+    return _by_second(topics, currents)
+
+
+def _field(topics: dict[str, Topic], topic: str, *names: str) -> NDArray[np.float64]:
+    """Return the field of a topic that has the first of some names."""
+    if topic not in topics:
+        raise ScenarioError(f"has no topic {topic}; log it.")
+    for name in names:
+        if name in topics[topic]:
+            return np.asarray(topics[topic][name], dtype=float)
+    raise ScenarioError(f"{topic} has no {' or '.join(names)}; log it.")
+
+
+def _by_second(topics: dict[str, Topic], currents: list[str]) -> pd.DataFrame:
+    times = _field(topics, _POSITION, "timestamp") * _MICROSECONDS
+
+    def at_positions(topic: str, *names: str) -> np.ndarray:
+        values = _field(topics, topic, *names)
+        return np.interp(times, topics[topic]["timestamp"] * _MICROSECONDS, values)
+
+    power = at_positions(_BATTERY, *_VOLTAGES) * at_positions(_BATTERY, *currents)
+    wind = next((name for name in _WINDS if name in topics), None)
+    if wind is None:
+        raise ScenarioError("has no topic wind; let the estimator of wind run (EKF2_DRAG_CTRL).")
+    north, east, down = (_field(topics, _POSITION, name) for name in ("vx", "vy", "vz"))
+    is_flying = np.ones(len(times), dtype=bool)
+    if _LANDED in topics:
+        is_flying = at_positions(_LANDED, "landed") < 0.5
+    density = np.full(len(times), SEA_LEVEL_DENSITY)
+    if "rho" in topics.get(_AIR, {}):
+        density = at_positions(_AIR, "rho")
+    frame = pd.DataFrame(
+        {
+            TIME: times - times[0],
+            PHASE: np.where(is_flying, CRUISE, 0),
+            PAYLOAD: 0.0,
+            DENSITY: density,
+            POWER: power,
+            VELOCITY[0]: north,
+            VELOCITY[1]: east,
+            VELOCITY[2]: -down,
+            AIR_VELOCITY[0]: north - at_positions(wind, "windspeed_north"),
+            AIR_VELOCITY[1]: east - at_positions(wind, "windspeed_east"),
+        }
+    )
+    frame = frame[frame[PHASE] == CRUISE]
+    second = np.floor(frame[TIME])
+    averaged = frame.groupby(second).mean().reset_index(drop=True)
+    averaged.insert(0, FLIGHT, 1)
+    return averaged

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
+from pyomo_quad.scenario.air import SEA_LEVEL_DENSITY
 from pyomo_quad.scenario.fields import (
     ONE_LINE,
     Flag,
@@ -307,7 +308,7 @@ class Power(Part):
     air_density: Number = quantity(
         "kg/m^3",
         "momentum: density of the air",
-        1.225,
+        SEA_LEVEL_DENSITY,
         gt=0,
         sound=Sound(1e-3, 100, "it is 1.225 at sea level and 0.02 on Mars"),
         is_late=True,
