@@ -237,6 +237,36 @@ _PARTS = ("states", "algebraics", "statics")
 
 
 @dataclass(frozen=True, kw_only=True)
+class ColdStart:
+    """What a solve took without a warm start: more is not spent on a warm one of the same demand.
+
+    Attributes
+    ----------
+    first, iterations : int
+        Iterations on the first mesh, and on all.
+    tolerance : float
+        That was asked for, 0 for a single mesh.
+    """
+
+    first: int
+    iterations: int
+    tolerance: float
+
+    @property
+    def array(self) -> FloatArray:
+        """All three numbers, from which `from_arrays` makes it again."""
+        return np.array([float(self.first), float(self.iterations), self.tolerance])
+
+    @classmethod
+    def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> ColdStart | None:
+        """Make one of arrays that may come from a stranger, None where they hold none."""
+        if "cold_start" not in held:
+            return None
+        first, iterations, tolerance = real_array(held, "cold_start", (3,)).tolist()
+        return cls(first=int(first), iterations=int(iterations), tolerance=tolerance)
+
+
+@dataclass(frozen=True, kw_only=True)
 class WarmStart:
     """A point of a program and its multipliers, free of the problem that they were found with.
 
@@ -252,6 +282,8 @@ class WarmStart:
         Multipliers of the equations over time.
     conditions : ndarray, shape (n_conditions,)
         Multipliers of all other rows.
+    cold_start : ColdStart, optional
+        What it took without a warm start, where known.
     """
 
     model: str
@@ -260,6 +292,7 @@ class WarmStart:
     upper: Trajectory
     equations: FloatArray
     conditions: FloatArray
+    cold_start: ColdStart | None = None
 
     def __post_init__(self) -> None:
         for array in self._numbers().values():
@@ -299,6 +332,8 @@ class WarmStart:
             "breakpoints": np.asarray(self.mesh.breakpoints),
             "degrees": np.asarray(self.mesh.degrees),
         }
+        if self.cold_start is not None:
+            about["cold_start"] = self.cold_start.array
         return about | self._numbers()
 
     @classmethod
@@ -337,10 +372,16 @@ class WarmStart:
             upper=sides[2],
             equations=real_array(held, "equations", (points, None)),
             conditions=real_array(held, "conditions", (None,)),
+            cold_start=ColdStart.from_arrays(held),
         )
 
 
-def warm_start_of(program: Transcription, z: FloatArray, multipliers: Multipliers) -> WarmStart:
+def warm_start_of(
+    program: Transcription,
+    z: FloatArray,
+    multipliers: Multipliers,
+    cold_start: ColdStart | None,
+) -> WarmStart:
     """Return the warm start that a point of a program and its multipliers are."""
     first = program.first_condition_row
     return WarmStart(
@@ -352,6 +393,7 @@ def warm_start_of(program: Transcription, z: FloatArray, multipliers: Multiplier
             multipliers.rows[:first].reshape(program.n_points, program.compiled.n_equations)
         ),
         conditions=np.array(multipliers.rows[first:]),
+        cold_start=cold_start,
     )
 
 

@@ -17,7 +17,7 @@ from pyomo_quad.collocation.guess import (
     with_consistent_algebraics,
 )
 from pyomo_quad.collocation.mesh import Mesh, Summarised
-from pyomo_quad.collocation.problem import Problem, limited, load_values
+from pyomo_quad.collocation.problem import Problem, limited, load_values, within_budget
 from pyomo_quad.collocation.program.bounds import (
     bounds_of,
     is_defined,
@@ -37,7 +37,7 @@ from pyomo_quad.collocation.solution import MeshRecord, Solution, solution_from
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from pyomo_quad.collocation.guess import WarmStart
+    from pyomo_quad.collocation.guess import ColdStart, WarmStart
     from pyomo_quad.collocation.mesh import FloatArray
     from pyomo_quad.collocation.program.bounds import Bounds, Scaling
     from pyomo_quad.collocation.program.ipopt import (
@@ -63,7 +63,7 @@ class JointSolution(Summarised):
     coupling : Solution
         Of the objective and the conditions that hold values of several horizons or of none.
     status, ipopt_code, message, objective, iterations, size, wall_s, error_estimate, state_error,
-    history
+    history, cold_start
         As of `Solution`, for all horizons together.
     """
 
@@ -79,6 +79,7 @@ class JointSolution(Summarised):
     error_estimate: float = np.inf
     state_error: float = np.inf
     history: tuple[MeshRecord, ...] = ()
+    cold_start: ColdStart | None = None
 
     @property
     def summary(self) -> dict[str, str]:
@@ -110,6 +111,7 @@ class JointSolution(Summarised):
             error_estimate=self.error_estimate,
             state_error=self.state_error,
             history=self.history,
+            cold_start=self.cold_start,
         )
 
     def updated(self, **changes: Any) -> JointSolution:
@@ -231,23 +233,28 @@ class JointProblem(Summarised):
         given = self._meshes(mesh)
         instances = [part.instance(parameters) for part in self._parts]
         start = warm_start.warm_start if isinstance(warm_start, JointSolution) else warm_start
-        if start is not None and mesh is None:
-            given = [part.mesh for part in start[:-1]]
         solve_on = partial(self._solve_on, instances=instances, guesses=self._guesses(guess))
         chosen = refinement or RefinementOptions()
 
         def solved(
             options: SolverOptions, progress: Progress | None, tolerance: float | None
         ) -> JointSolution:
-            if tolerance is None:
-                return solve_on(given, start, options=options, progress=progress)
-            return refine(
-                partial(solve_on, options=options.suiting(tolerance), progress=progress),
-                meshes=tuple(mesh or chosen.first_mesh for mesh in given),
-                tolerance=tolerance,
-                refinement=chosen,
-                warm_start=start,
-            )
+            def attempt(start: tuple[WarmStart, ...] | None, progress: Progress) -> JointSolution:
+                on = given
+                if start is not None and mesh is None:
+                    on = [part.mesh for part in start[:-1]]
+                if tolerance is None:
+                    return solve_on(on, start, options=options, progress=progress)
+                return refine(
+                    partial(solve_on, options=options.suiting(tolerance), progress=progress),
+                    meshes=tuple(mesh or chosen.first_mesh for mesh in on),
+                    tolerance=tolerance,
+                    refinement=chosen,
+                    warm_start=start,
+                )
+
+            known = start[0].cold_start if start else None
+            return within_budget(attempt, start, known, tolerance, progress)
 
         return limited(
             solved,

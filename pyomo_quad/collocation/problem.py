@@ -14,6 +14,7 @@ from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.formulation import Formulation
 from pyomo_quad.collocation.guess import (
+    ColdStart,
     Guess,
     WarmStart,
     initial_point,
@@ -30,6 +31,7 @@ from pyomo_quad.collocation.program.bounds import (
 )
 from pyomo_quad.collocation.program.ipopt import (
     TIME_LIMIT_CODE,
+    Counter,
     Deadline,
     Progress,
     SolverOptions,
@@ -165,41 +167,24 @@ class Problem(Summarised, Formulation):
         instance = self.instance(parameters, horizon)
         start = warm_start.warm_start if isinstance(warm_start, Solution) else warm_start
         chosen = refinement or RefinementOptions()
-        first = mesh
-        if mesh is None and self.has_horizon:
-            first = chosen.first_mesh if start is None else start.mesh
 
         def solved(
             options: SolverOptions, progress: Progress | None, tolerance: float | None
         ) -> Solution:
             if self.has_horizon and tolerance is not None:
                 options = options.suiting(tolerance)
-            on_mesh = partial(self.solve_on_mesh, instance=instance, options=options)
-            solve_on = partial(on_mesh, guess=guess, progress=progress)
-            best = self._best_of(starts, partial(solve_on, first), start) if starts > 1 else None
-            begun = start if best is None else best.warm_start
-            if first is None or tolerance is None:
-                return solve_on(first, begun, to_the_gap=True)
-            refined = partial(
-                refine,
-                lambda meshes, start, dampings: solve_on(meshes[0], start, dampings[0]),
-                meshes=(first,),
+            attempt = partial(
+                self._attempt,
+                on_mesh=partial(self.solve_on_mesh, instance=instance, options=options),
+                mesh=mesh,
+                guess=guess,
+                starts=starts,
                 tolerance=tolerance,
                 refinement=chosen,
-                warm_start=begun,
-                past_the_barrier=lambda found, dampings: solve_on(
-                    found.mesh, found.warm_start, dampings[0], to_the_gap=True
-                ),
+                instance=instance,
             )
-            found = refined()
-            if begun is None and guess is None and found.status in FAILED:
-                path = self._simulated(first, instance)
-                if path is not None:
-                    solve_on = partial(solve_on, guess=path)
-                    found = refined()
-                elif mesh is None:
-                    found = self._on_another_mesh(found, first, solve_on, refined)
-            return found
+            known = start.cold_start if start is not None and starts == 1 else None
+            return within_budget(attempt, start, known, tolerance, progress)
 
         return limited(
             solved,
@@ -208,6 +193,49 @@ class Problem(Summarised, Formulation):
             tolerance=tolerance,
             has_mesh=mesh is not None,
         )
+
+    def _attempt(
+        self,
+        start: WarmStart | None,
+        progress: Progress,
+        *,
+        on_mesh: Callable[..., Solution],
+        mesh: Mesh | None,
+        guess: Guess | None,
+        starts: int,
+        tolerance: float | None,
+        refinement: RefinementOptions,
+        instance: Instance,
+    ) -> Solution:
+        """Solve from a warm start or a cold one; see `solve`."""
+        first = mesh
+        if mesh is None and self.has_horizon:
+            first = refinement.first_mesh if start is None else start.mesh
+        solve_on = partial(on_mesh, guess=guess, progress=progress)
+        best = self._best_of(starts, partial(solve_on, first), start) if starts > 1 else None
+        begun = start if best is None else best.warm_start
+        if first is None or tolerance is None:
+            return solve_on(first, begun, to_the_gap=True)
+        refined = partial(
+            refine,
+            lambda meshes, start, dampings: solve_on(meshes[0], start, dampings[0]),
+            meshes=(first,),
+            tolerance=tolerance,
+            refinement=refinement,
+            warm_start=begun,
+            past_the_barrier=lambda found, dampings: solve_on(
+                found.mesh, found.warm_start, dampings[0], to_the_gap=True
+            ),
+        )
+        found = refined()
+        if begun is None and guess is None and found.status in FAILED:
+            path = self._simulated(first, instance)
+            if path is not None:
+                solve_on = partial(solve_on, guess=path)
+                found = refined()
+            elif mesh is None:
+                found = self._on_another_mesh(found, first, solve_on, refined)
+        return found
 
     @staticmethod
     def _on_another_mesh(
@@ -370,6 +398,44 @@ def march(
 
 
 S = TypeVar("S", bound=Solved)
+W = TypeVar("W")
+
+
+def within_budget(
+    attempt: Callable[[W | None, Progress], S],
+    start: W | None,
+    known: ColdStart | None,
+    tolerance: float | None,
+    progress: Progress | None,
+) -> S:
+    """Solve from a warm start within the iterations that a cold one took, else from a cold one.
+
+    The first solve may take what the cold start took on its first mesh, all together what it took
+    in all, where that is known of the same tolerance; else there is no limit.  Where a new cold
+    start fails, the warm one goes on.
+    """
+    demand = tolerance or 0.0
+    warm = None
+    if start is not None:
+        if known is None or known.tolerance != demand:
+            return attempt(start, Counter(progress=progress))
+        counter = Counter(limits=(known.first, known.iterations), progress=progress)
+        warm = attempt(start, counter)
+        if not counter.is_over:
+            return warm.updated(cold_start=known)
+        spent = counter.count
+    counter = Counter(progress=progress)
+    cold = attempt(None, counter)
+    took = ColdStart(first=counter.first, iterations=counter.count, tolerance=demand)
+    if warm is None:
+        return cold.updated(cold_start=took if cold.status.is_solved else None)
+    if cold.status in FAILED:
+        return attempt(warm.warm_start, Counter(progress=progress))
+    message = (
+        f"{cold.message} The warm start was given up after {spent} iterations, more than its own "
+        f"cold start had taken; a new cold start took {took.iterations}."
+    )
+    return cold.updated(cold_start=took, message=message)
 
 
 def limited(

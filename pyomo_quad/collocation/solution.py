@@ -14,7 +14,7 @@ from pyomo_quad.collocation.costates import Costates, costate_errors_of, costate
 from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.formulation import index_tuple
-from pyomo_quad.collocation.guess import TIME_COLUMN, WarmStart, warm_start_of
+from pyomo_quad.collocation.guess import TIME_COLUMN, ColdStart, WarmStart, warm_start_of
 from pyomo_quad.collocation.mesh import (
     FloatArray,
     Mesh,
@@ -177,6 +177,8 @@ class Solution(Summarised):
         singular arc leaves them to a flat objective; infinite when it was not estimated.
     history : tuple of MeshRecord
         One entry per mesh solved on.
+    cold_start : ColdStart or None
+        What it took without a warm start; from a warm one, what that had taken.
     """
 
     problem: Formulation
@@ -197,6 +199,7 @@ class Solution(Summarised):
     error_estimate: float = np.inf
     state_error: float = np.inf
     history: tuple[MeshRecord, ...] = field(default=())
+    cold_start: ColdStart | None = None
 
     @property
     def mesh(self) -> Mesh:
@@ -284,7 +287,7 @@ class Solution(Summarised):
     @cached_property
     def warm_start(self) -> WarmStart:
         """What another solve can start from, free of this solution's problem."""
-        return warm_start_of(self.program, self.unknowns, self.multipliers)
+        return warm_start_of(self.program, self.unknowns, self.multipliers, self.cold_start)
 
     @property
     def dynamics(self) -> Dynamics:

@@ -102,7 +102,8 @@ def shortest_flight(
         solution = problem.solve(
             mesh=Mesh.uniform(*_MESH) if start is None else start.mesh,
             tolerance=settings.tolerance,
-            warm_start=start,
+            # It goes on with what it began: what the beginning took says nothing of the rest.
+            warm_start=None if start is None else replace(start.warm_start, cold_start=None),
             options=_OPTIONS,
             refinement=RefinementOptions(max_meshes=meshes),
             progress=progress,
@@ -417,7 +418,8 @@ class Planner:
         arguments = self._arguments(told, progress)
         easier = _easier(problem, told)
         if start is not None and start.fits(problem.compiled):
-            solution = problem.solve(**arguments | {"mesh": start.mesh}, warm_start=start)
+            # Its mesh is the first, and the mission's own where the warm start is given up.
+            solution = problem.solve(**arguments | {"mesh": None}, warm_start=start)
             if not easier or solution.status is not Status.NOT_CONVERGED:
                 return solution
         if not isinstance(warm_start, Plan):
@@ -434,7 +436,10 @@ class Planner:
             "horizon": _horizon(told),
             "options": SolverOptions(max_iterations=settings.max_iterations),
             "refinement": RefinementOptions(
-                max_meshes=settings.max_refinements + 1, allowance=_ALLOWANCE
+                first_elements=settings.elements,
+                first_degree=settings.degree,
+                max_meshes=settings.max_refinements + 1,
+                allowance=_ALLOWANCE,
             ),
             "progress": progress,
         }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -110,6 +111,39 @@ class Deadline:
     def __call__(self, line: Iteration) -> bool | None:
         """Return False once the time is up, else what the caller's own callback returns."""
         self.is_over = time.perf_counter() - self.started > self.limit_s
+        if self.is_over:
+            return False
+        return None if self.progress is None else self.progress(line)
+
+
+@dataclass(kw_only=True)
+class Counter:
+    """A progress callback that ends all solves together, or the first, after so many iterations.
+
+    Attributes
+    ----------
+    limits : (float, float)
+        Of the first solve and of all.
+    first, count : int
+        What these have taken.
+    """
+
+    limits: tuple[float, float] = (math.inf, math.inf)
+    progress: Progress | None
+    first: int = 0
+    count: int = 0
+    solves: int = 0
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the iterations are used up."""
+        return self.first > self.limits[0] or self.count > self.limits[1]
+
+    def __call__(self, line: Iteration) -> bool | None:
+        """Return False once they are, else what the caller's own callback returns."""
+        self.solves += line.iteration == 0
+        self.count += line.iteration > 0
+        self.first = self.count if self.solves == 1 else self.first
         if self.is_over:
             return False
         return None if self.progress is None else self.progress(line)

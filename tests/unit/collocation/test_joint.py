@@ -3,6 +3,7 @@
 import math
 import pickle
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -216,6 +217,12 @@ def test_three_phases_with_sets_of_their_own():
     warm = problem.solve(tolerance=1e-7, warm_start=cold)
     assert warm.objective == pytest.approx(cold.objective, rel=1e-9)
     assert sum(r.iterations for r in warm.history) < sum(r.iterations for r in cold.history)
+    assert warm.cold_start == cold.cold_start
+    first, *rest = warm.warm_start
+    hasty = replace(first, cold_start=replace(first.cold_start, first=0))
+    given_up = problem.solve(tolerance=1e-7, warm_start=(hasty, *rest))
+    assert "The warm start was given up after 1 iterations" in given_up.message
+    assert given_up.objective == pytest.approx(cold.objective, rel=1e-9)
 
 
 def coupled_program():

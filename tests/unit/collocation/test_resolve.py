@@ -1,5 +1,7 @@
 """Solving a compiled problem again: other numbers, horizons, guesses, warm starts; giving up."""
 
+import re
+
 import numpy as np
 import pytest
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
@@ -24,7 +26,9 @@ from pyomo_quad.collocation import (
     compile,
     solve,
 )
-from tests.problems import brachistochrone, hyper_sensitive, scalar_regulator
+from pyomo_quad.model import build_model, parameter_values
+from pyomo_quad.scenario import load_scenario
+from tests.problems import brachistochrone, goddard, hyper_sensitive, scalar_regulator
 
 MESH = Mesh.uniform(8, 5)
 
@@ -253,3 +257,104 @@ def swing_up():
     m.effort = Integral(m.t, rule=lambda m, t: m.torque[t] ** 2)
     m.cost = Objective(expr=m.effort)
     return m
+
+
+def counted(problem, **arguments):
+    """Return a solution and all the iterations that it took, of attempts given up as well."""
+    lines = []
+    solution = problem.solve(**arguments, progress=lines.append)
+    return solution, sum(line.iteration > 0 for line in lines)
+
+
+def wall_problem():
+    """Bryson and Denham's mass before a wall: none is met beyond 1/4, one touch from 1/6 on."""
+    m = ConcreteModel()
+    m.t = ContinuousSet(bounds=(0, 1))
+    m.wall = Param(initialize=0.2, mutable=True)
+    m.x, m.v, m.u = (Var(m.t) for _ in range(3))
+    m.dx, m.dv = DerivativeVar(m.x, wrt=m.t), DerivativeVar(m.v, wrt=m.t)
+    m.motion = Constraint(m.t, rule=lambda m, t: m.dx[t] == m.v[t])
+    m.force = Constraint(m.t, rule=lambda m, t: m.dv[t] == m.u[t])
+    m.keep_out = Constraint(m.t, rule=lambda m, t: m.x[t] <= m.wall)
+    for variable, time, number in ((m.x, 0, 0), (m.x, 1, 0), (m.v, 0, 1), (m.v, 1, -1)):
+        variable[time].fix(number)
+    m.effort = Integral(m.t, wrt=m.t, rule=lambda m, t: m.u[t] ** 2 / 2)
+    m.objective = Objective(expr=m.effort)
+    return compile(m)
+
+
+def ascent():
+    m = goddard.build()
+    return compile(m, times=goddard.times(m)), {}, {}
+
+
+def moved_mission():
+    here = load_scenario("scenarios/paper_calm.toml")
+    there = here.with_values({"mission.start.position": [0.5, 0.0, 0.0]})
+    return compile(build_model(here)), parameter_values(here), parameter_values(there)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        ascent,
+        moved_mission,
+        lambda: (compile(hyper_sensitive.build()), {}, {}),
+        lambda: (compile(swing_up()), {}, {"start": 0.02}),
+    ],
+    ids=["three phases", "a mission moved by 0.5 m", "hyper-sensitive", "swing-up"],
+)
+def test_a_warm_start_takes_no_more_iterations_than_a_cold_one(case):
+    problem, old, new = case()
+    first = problem.solve(tolerance=1e-6, parameters=old)
+    cold, takes_cold = counted(problem, tolerance=1e-6, parameters=new)
+    warm, takes_warm = counted(problem, tolerance=1e-6, parameters=new, warm_start=first)
+    assert warm.is_converged
+    assert takes_warm <= takes_cold
+    assert warm.objective == pytest.approx(cold.objective, rel=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [(0.2, 0.1), (0.1, 0.2), pytest.param(0.3, 0.08, marks=pytest.mark.slow)]
+)
+def test_where_other_limits_hold_a_warm_start_is_given_up_in_time(before, after):
+    problem = wall_problem()
+    first, first_took = counted(problem, tolerance=1e-6, parameters={"wall": before})
+    cold, takes_cold = counted(problem, tolerance=1e-6, parameters={"wall": after})
+    warm, takes_warm = counted(
+        problem, tolerance=1e-6, parameters={"wall": after}, warm_start=first
+    )
+    # The iteration at which it is given up is one more than allowed.
+    assert takes_warm <= takes_cold + first_took + 1
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-9)
+    told = (
+        r"The warm start was given up after \d+ iterations, more than its own cold start had taken"
+    )
+    assert re.search(told, warm.message)
+    assert warm.cold_start.iterations == takes_cold
+
+
+def test_only_a_start_of_the_same_demand_is_given_up():
+    problem = wall_problem()
+    first = problem.solve(tolerance=1e-4, parameters={"wall": 0.2})
+    warm = problem.solve(tolerance=1e-6, parameters={"wall": 0.1}, warm_start=first)
+    assert warm.is_converged
+    assert warm.cold_start is None
+    assert "given up" not in warm.message
+
+
+def test_what_a_cold_start_took_is_kept_through_warm_ones_and_in_arrays():
+    problem = compile(hyper_sensitive.build())
+    cold, took = counted(problem, tolerance=1e-6)
+    warm = problem.solve(tolerance=1e-6, warm_start=cold)
+    assert warm.cold_start == cold.cold_start
+    kept = WarmStart.from_arrays(warm.warm_start.arrays()).cold_start
+    assert (kept.iterations, kept.tolerance) == (took, 1e-6)
+
+
+def test_a_count_that_is_none_is_refused():
+    arrays = solve(brachistochrone.build(), mesh=MESH).warm_start.arrays()
+    with pytest.raises(TranscriptionError, match="cold_start: has the shape 2; must be 3"):
+        WarmStart.from_arrays(arrays | {"cold_start": np.zeros(2)})
+    del arrays["cold_start"]
+    assert WarmStart.from_arrays(arrays).cold_start is None
