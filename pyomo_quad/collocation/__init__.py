@@ -9,6 +9,7 @@ from typing import Any
 from pyomo_quad.collocation.deferral import pyomo_unaware
 from pyomo_quad.collocation.diagnosis import ActiveLimit, Diagnosis, Relaxation, Residual, diagnose
 from pyomo_quad.collocation.dynamics import Dynamics, Instants, Violation, split_algebraics
+from pyomo_quad.collocation.enclosure import Enclosure, symbols
 from pyomo_quad.collocation.errors import EngineError, SolveError, TranscriptionError
 from pyomo_quad.collocation.feedback import ClosedLoop, Law
 from pyomo_quad.collocation.guess import WarmStart
@@ -38,6 +39,7 @@ __all__ = [
     "ClosedLoop",
     "Diagnosis",
     "Dynamics",
+    "Enclosure",
     "EngineError",
     "FreeTimes",
     "Instants",
@@ -73,6 +75,7 @@ __all__ = [
     "real_array",
     "solve",
     "split_algebraics",
+    "symbols",
 ]
 
 

@@ -155,6 +155,31 @@ class Dynamics:
         unknowns, rest = self._right_hand_side(x, u, self._statics, data)
         return unknowns[: x.shape[0]] / rest[1], rest[0] / rest[1]
 
+    def expressions(
+        self, keys: tuple[tuple[str, Any], ...], t: float, values: Mapping[str, Any]
+    ) -> list[Any]:
+        """Return components, as (full name, index) pairs, as CasADi expressions of some symbols.
+
+        An equation, by its name, is what it leaves over.  `values` gives states and algebraic
+        variables by full name, as symbols or numbers; the others, and all rates, are nought.
+        """
+        declared, evaluator = self._formulation.compiled.declared, self._formulation.evaluator
+        columns = [
+            casadi.SX.zeros(evaluator.inputs[0].shape[0]),
+            _column([casadi.SX(values.get(name, 0.0)) for name in self.state_names]),
+            _column([casadi.SX(values.get(s.name, 0.0)) for s in declared.algebraics]),
+            casadi.SX(casadi.DM(self._statics)),
+            casadi.SX(casadi.DM(np.concatenate([self.moment(t), self._instance.parameters]))),
+        ]
+        equations = {e.name: e.expression for e in declared.equations}
+        written = casadi.vertcat(
+            *[equations[n] if n in equations else evaluator.expression(n, k) for n, k in keys]
+        )
+        found = casadi.substitute(
+            written, casadi.vertcat(*evaluator.inputs), casadi.vertcat(*columns)
+        )
+        return casadi.vertsplit(found)
+
     def _row(self, t: float) -> FloatArray:
         moment = self.moment(t)
         self._data[: len(moment)] = moment

@@ -19,6 +19,7 @@ from pyomo_quad.model.aerodynamics import acts_in_body_axes
 from pyomo_quad.scenario import PowerModel, Scenario
 from pyomo_quad.scenario.mission import Order
 from pyomo_quad.study.legs import Itinerary, legs_of
+from pyomo_quad.study.pairs import POWER_TOLERANCE, Pairs, bound_of_pairs, wind_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -236,22 +237,23 @@ def _bound(scenario: Scenario, planner: Planner) -> tuple[float | None, str]:
     if reason:
         return None, reason
     demand = MomentumDemand(planner.dynamics(scenario))
-    if not demand.is_linear:
-        return None, (
-            f"vehicle.drag_quadratic = {scenario.vehicle.drag_quadratic:g} kg/m: with quadratic "
-            "drag the mean thrust depends on the path, so no bound is known."
-        )
+    if scenario.power.model is PowerModel.MOMENTUM or not demand.is_linear:
+        return _bound_by_pairs(scenario, planner, demand)
     power = _SteadyPower(scenario, planner.steady_flight(scenario))
     if not power.is_polynomial:
         return None, "the power of steady flight is not a polynomial of the rotor speed."
     uncounted = _uncounted(scenario, demand)
     bounds = [_bound_as_a_whole(scenario, demand, power, uncounted)]
-    if not uncounted and (scenario.mission.is_free or scenario.mission.waypoints):
-        bounds.append(_bound_by_legs(scenario, planner, demand, power))
+    if scenario.mission.is_free or scenario.mission.waypoints:
+        if not uncounted:
+            bounds.append(_bound_by_legs(scenario, planner, demand, power))
+        elif uncounted == _WITH_DRAG:
+            bounds.append(_bound_by_pairs(scenario, planner, demand))
     return max(bounds, key=lambda found: -inf if found[0] is None else found[0])
 
 
 _Found = tuple[float | None, str]
+_WITH_DRAG = "with drag"
 
 
 def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
@@ -261,7 +263,7 @@ def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
     if np.ptp(standing, axis=0).max() > _ROUNDING * np.abs(standing).max():
         return "in a wind that changes with time"
     if np.max(np.abs(demand.drag)) > 0.0:
-        return "with drag"
+        return _WITH_DRAG
     if scenario.mission.order is Order.BEST and len(scenario.mission.waypoints) > 1:
         return "where their order is open"
     return ""
@@ -339,6 +341,50 @@ def _given_back(scenario: Scenario, planner: Planner) -> float:
     return float((steady.hover_speed - slower) * (widths / 2) @ stored)
 
 
+def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
+    """Bound the flights whose power or drag depends on the airspeed, by `pairs`."""
+    mission, dynamics = scenario.mission, planner.dynamics(scenario)
+    if scenario.power.model is PowerModel.MOTOR_WITH_FRICTION:
+        return (
+            None,
+            "power.model motor_with_friction has no bound here: it is not convex in thrust.",
+        )
+    wind = wind_of(dynamics, np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES))
+    if np.ptp(wind, axis=0).max() > _ROUNDING:
+        return None, (
+            "no bound is known in a wind that changes with time where power or drag depends on "
+            "the airspeed otherwise than linearly, or times are free."
+        )
+    if mission.order is Order.BEST and mission.released > 0.0:
+        return None, "no bound is known for a mass that changes where the order is open."
+    steady = planner.steady_flight(scenario)
+    standing = demand.thrust(dynamics.start, wind[0])
+    fastest = float(steady.thrust(scenario.limits.rotor_speed_max))
+    pairs = Pairs(scenario, dynamics, standing, fastest)
+    if pairs.fastest == inf:
+        return None, "no bound is known where no drag limits the airspeed; give limits.speed_max."
+    counted = scenario
+    if mission.order is Order.BEST:
+        counted = scenario.with_mission(waypoints=())
+    legs, shared = legs_of(counted)
+    found = bound_of_pairs(pairs, legs, shared, steady.hover_power)
+    found -= _given_back(scenario, planner)
+    if found <= 0.0:
+        return None, "no prices were found that bound the energy above nought."
+    of_legs = f" on each of {len(legs)} legs" if counted.mission.waypoints else ""
+    left_out = (
+        "; waypoints are left out where their order is open" if counted is not scenario else ""
+    )
+    return found, (
+        "the means of force, of its power and of velocity are fixed by rest at both ends and by "
+        f"the displacement{of_legs}{left_out}, and the least power over all pairs of thrust and "
+        f"airspeed under power.model {scenario.power.model.value} is proven by branch and bound to "
+        f"{100 * POWER_TOLERANCE:g} % of that of hover; holds at all passing times and durations "
+        "allowed, for every flight that meets the boundary conditions within the rotor speed limits"
+        f"{_less_room(scenario)}."
+    )
+
+
 def _less_room(scenario: Scenario) -> str:
     """Say why an airspace leaves the bound what it is, where there is one."""
     airspace = scenario.airspace
@@ -355,11 +401,6 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
         yield (
             "power.model efficiency has no bound: its power is not convex in the rotor "
             "acceleration, so flights that accelerate and coast in turn can undercut it."
-        )
-    if scenario.power.model is PowerModel.MOMENTUM:
-        yield (
-            "power.model momentum has no bound: its power depends on the airspeed, so the least "
-            "power of hover bounds no flight."
         )
     if scenario.wind.varies_with_height:
         yield ("no bound is known in a wind that varies with height: its mean depends on the path.")

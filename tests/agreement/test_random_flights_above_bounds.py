@@ -69,6 +69,8 @@ def mission_of(form):
 class Flights:
     """Flights of one mission, drawn at random: each quantity has one row for each of them."""
 
+    samples = SAMPLES
+
     def __init__(self, told, seed):
         self.mission, self.mass = told.mission, told.vehicle.total_mass
         self.positions = np.array(told.mission.positions)
@@ -105,7 +107,7 @@ class Flights:
             spent += self.holds[k] * self.power(np.zeros((1, 3)), mass)
             mass -= 0.0 if is_last else self.mission.waypoints[k].release
             here = there
-        return spent + stored(mass) - stored(self.mass)
+        return spent + self.stored(mass) - self.stored(self.mass)
 
     def passage(self, k):
         passed = self.mission.waypoints[k]
@@ -128,18 +130,23 @@ class Flights:
         bends = [np.array([0, 0, 2, 6 * e, 12 * e, 20 * e]) for e in (0.0, 1.0)]
         table = np.stack([rows[0], slopes[0], bends[0], rows[1], slopes[1], bends[1]])
         terms = np.einsum("ij,jna->ina", np.linalg.inv(table), ends)
-        nodes, widths = np.polynomial.legendre.leggauss(SAMPLES)
-        bend = np.stack([k * (k - 1) * ((nodes + 1) / 2) ** max(k - 2, 0) for k in powers])
+        nodes, widths = np.polynomial.legendre.leggauss(self.samples)
         # Beside the quintic, a swerve s^3 (1 - s)^3 that leaves the ends what they are.
-        share = (nodes + 1) / 2
-        swerve = 6 * share * (1 - share) * (1 - 5 * share + 5 * share**2)
-        acceleration = np.einsum("it,ina->nta", bend, terms) + np.einsum(
-            "t,na->nta", swerve, 20.0 * self.random.normal(size=(FLIGHTS, 3))
-        )
-        acceleration = acceleration / duration[:, :, None] ** 2
-        return duration[:, 0] / 2 * (self.power(acceleration, mass) @ widths)
+        share, swerve = (nodes + 1) / 2, np.polynomial.Polynomial([0, 0, 0, 1, -3, 3, -1])
+        off = 20.0 * self.random.normal(size=(FLIGHTS, 3))
+        motion = []
+        for order in (1, 2):
+            powers_of = [np.polynomial.Polynomial.basis(k).deriv(order)(share) for k in range(6)]
+            path = np.einsum("kt,kna->nta", np.array(powers_of), terms)
+            path += np.einsum("t,na->nta", swerve.deriv(order)(share), off)
+            motion.append(path / duration[:, :, None] ** order)
+        velocity, acceleration = motion
+        return duration[:, 0] / 2 * (self.power(acceleration, mass, velocity) @ widths)
 
-    def power(self, acceleration, mass):
+    def stored(self, mass):
+        return stored(mass)
+
+    def power(self, acceleration, mass, _velocity=0.0):
         force = mass * (acceleration - self.wind + plain.GRAVITY * plain.UP)
         omega = np.sqrt(np.linalg.norm(force, axis=-1) / (4 * plain.KB))
         return np.where(omega <= FASTEST, 4 * plain.motor(omega, 0.0)[2], inf)
@@ -162,4 +169,65 @@ def test_no_flight_drawn_at_random_is_below_its_bound(planner, form):
     found = certify(told, planner=planner)
     energies = Flights(told, seed=len(form)).energies()
     assert np.sum(energies < inf) > FLIGHTS / 2
+    assert found.lower_bound_J <= np.min(energies)
+
+
+LINEAR, QUADRATIC = 0.322, 0.038
+PAYLOAD = 0.25
+FAR = {"goal": {"position": [150.0, 40.0, 12.0]}}
+AIRSPEED_FORMS = {
+    "fixed": FAR | {"duration": 22.0},
+    "free": FAR | {"duration": "free"},
+    "passed": FAR | {"duration": 26.0, "waypoints": [waypoint(80.0, 0.0, 20.0, radius=2.0)]},
+    "delivered": FAR
+    | {"duration": "free", "waypoints": [waypoint(80.0, 0.0, 20.0, release=PAYLOAD)]},
+}
+
+
+class AirspeedFlights(Flights):
+    """Flights whose drag and power depend on the airspeed."""
+
+    samples = 6
+
+    def power(self, acceleration, mass, velocity=0.0):
+        air = np.broadcast_to(velocity - self.wind, acceleration.shape).reshape(-1, 3)
+        speed = np.sqrt(np.sum(air**2, axis=1, keepdims=True) + 1e-6)
+        force = mass * (acceleration.reshape(-1, 3) + plain.GRAVITY * plain.UP)
+        force = force + (LINEAR + QUADRATIC * speed) * air
+        powers = map(self.power_of, force, air)
+        return np.array(list(powers)).reshape(acceleration.shape[:-1])
+
+    def power_of(self, force, air):
+        thrust = np.linalg.norm(force)
+        x, y, z = force / thrust
+        body = np.array([0, 0, 0, *air, -np.arcsin(y), np.arctan2(x, z), 0, 0, 0, 0])
+        omega = np.full(4, np.sqrt(thrust / (4 * plain.M100["kb"])))
+        still = np.zeros(3)
+        return plain.momentum_power(body, omega, np.zeros(4), still, plain.M100)[1]
+
+    def stored(self, mass):
+        return 2 * plain.M100["drum"] * mass * plain.GRAVITY / (4 * plain.M100["kb"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wind", [0.0, 4.0])
+@pytest.mark.parametrize("form", AIRSPEED_FORMS)
+def test_no_flight_through_air_is_below_its_bound(form, wind):
+    craft, mission = plain.M100, AIRSPEED_FORMS[form]
+    fields = {
+        "mass": "mass", "rotor_radius": "radius", "thrust_coefficient": "kb",
+        "induced_power_factor": "induced", "profile_power_coefficient": "profile",
+        "profile_advance_factor": "advance", "climb_power_factor": "climb",
+        "descent_power_factor": "descent", "electronics_power": "electronics",
+        "rotor_inertia": "drum", "torque_constant": "kt", "motor_resistance": "resistance",
+    }  # fmt: skip
+    drag = {"drag_linear": LINEAR, "drag_quadratic": QUADRATIC, "payload": PAYLOAD}
+    told = scenario(
+        vehicle={"use": "dji_matrice_100"} | {k: craft[v] for k, v in fields.items()} | drag,
+        wind={"use": "constant", "speed": wind, "direction": 2.0, "coupling": "drag"},
+        power={"model": "momentum", "air_density": craft["density"]},
+        mission=mission,
+    )
+    found = certify(told)
+    energies = AirspeedFlights(told, seed=len(form)).energies()
     assert found.lower_bound_J <= np.min(energies)

@@ -26,6 +26,7 @@ TOP = 6
 ENGINE = {
     "deferral": 0,
     "errors": 0,
+    "enclosure": 1,
     "mesh": 0,
     "reading": 1,
     "program": 2,

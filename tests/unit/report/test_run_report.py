@@ -100,11 +100,18 @@ def test_no_certificate_is_said(tmp_path):
 
 
 @pytest.mark.usefixtures("_no_figures")
-@pytest.mark.parametrize("waypoints", ["[]", "[{position = [1.0, 2.0, 3.0]}]"])
+@pytest.mark.parametrize("waypoints", ["[]", "[{position = [1.0, 2.0, 3.0], at = 5.0}]"])
 def test_a_bound_over_passing_times_is_explained_to_pilots(tmp_path, waypoints):
     text = write(tmp_path, synthetic_run(overrides=(f"mission.waypoints={waypoints}",)))
     explained = "The bound is the least over all such choices at once"
     assert (explained in text) == (waypoints != "[]")
+
+
+@pytest.mark.usefixtures("_no_figures")
+def test_a_bound_over_ways_of_flying_is_explained_to_pilots(tmp_path):
+    of = ('vehicle.use="dji_matrice_100"', 'power.model="momentum"')
+    text = write(tmp_path, synthetic_run(overrides=of))
+    assert "In place it may circle rather than hang, which costs less." in text
 
 
 @pytest.mark.usefixtures("_no_figures")

@@ -10,6 +10,8 @@ from tests.declared_model import AIRSPACE, Instant, momentum_demand, scenario
 
 # Of a fit to seven values, relative to the largest of them.
 ROUNDING = 1e-12
+QUADRATIC = {"drag_quadratic": 0.01}
+PARCELS = [{"position": [1.0, 1.0, 1.0], "release": 0.1}, {"position": [4.0, 4.0, 6.0]}]
 BOUNDED = ("motor", "shaft", "constant_efficiency", "motor_with_friction")
 
 
@@ -63,11 +65,27 @@ def test_momentum_demand_is_read_off_the_declared_balance():
         ({"power": {"model": "efficiency"}}, "power.model efficiency has no bound"),
         (
             {"vehicle": {"use": "dji_matrice_100"}, "power": {"model": "momentum"}},
-            "power.model momentum has no bound",
+            "no drag limits the airspeed; give limits.speed_max",
         ),
         (
-            {"wind": {"use": "calm", "coupling": "drag"}, "vehicle": {"drag_quadratic": 0.01}},
-            "vehicle.drag_quadratic = 0.01 kg/m: with quadratic drag",
+            {"wind": {"use": "paper_table_2", "coupling": "drag"}, "vehicle": QUADRATIC},
+            "changes with time where power or drag depends on the airspeed",
+        ),
+        (
+            {
+                "wind": {"use": "calm", "coupling": "drag"},
+                "vehicle": QUADRATIC,
+                "power": {"model": "motor_with_friction"},
+            },
+            "power.model motor_with_friction has no bound here: it is not convex in thrust",
+        ),
+        (
+            {
+                "wind": {"use": "calm", "coupling": "drag"},
+                "vehicle": QUADRATIC | {"payload": 0.1},
+                "mission": {"waypoints": PARCELS, "order": "best"},
+            },
+            "a mass that changes where the order is open",
         ),
         ({"model": "own.py:build"}, "a model of one's own"),
         ({"mission": {"goal": {"position": [0.0, 0.0, 8.0]}, "duration": 0.3}}, "no flight meets"),

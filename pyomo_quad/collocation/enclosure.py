@@ -1,0 +1,136 @@
+"""Enclosures of declared expressions over boxes of their variables, by interval arithmetic.
+
+Each elementary operation of the compiled expression is carried out on the least and the greatest
+value of its arguments, for many boxes at once (Moore, Interval Analysis, 1966).  Rounding is not
+directed: an enclosure is good to some 1e-14 of the largest value in it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from pyomo_quad.collocation.errors import TranscriptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import ArrayLike
+
+FloatArray = NDArray[np.float64]
+Interval = tuple[FloatArray, FloatArray]
+
+
+def _product(a: Interval, b: Interval) -> Interval:
+    corners = np.stack([x * y for x in a for y in b])
+    # Nought times infinity: the finite factor was nought.
+    corners = np.where(np.isnan(corners), 0.0, corners)
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+def _inverse(a: Interval) -> Interval:
+    low, high = a
+    holds_nought = (low <= 0.0) & (high >= 0.0)
+    with np.errstate(divide="ignore"):
+        return (
+            np.where(holds_nought, -np.inf, 1.0 / high),
+            np.where(holds_nought, np.inf, 1.0 / low),
+        )
+
+
+def _square(a: Interval) -> Interval:
+    low, high = np.abs(a[0]), np.abs(a[1])
+    spans = (a[0] < 0.0) & (a[1] > 0.0)
+    return np.where(spans, 0.0, np.minimum(low, high) ** 2), np.maximum(low, high) ** 2
+
+
+def _difference(a: Interval, b: Interval) -> Interval:
+    return a[0] - b[1], a[1] - b[0]
+
+
+def _root(a: Interval) -> Interval:
+    return np.sqrt(np.maximum(a[0], 0.0)), np.sqrt(np.maximum(a[1], 0.0))
+
+
+_OPERATIONS: dict[int, Callable[..., Interval]] = {
+    casadi.OP_ADD: lambda a, b: (a[0] + b[0], a[1] + b[1]),
+    casadi.OP_SUB: _difference,
+    casadi.OP_MUL: _product,
+    casadi.OP_DIV: lambda a, b: _product(a, _inverse(b)),
+    casadi.OP_INV: _inverse,
+    casadi.OP_NEG: lambda a: (-a[1], -a[0]),
+    casadi.OP_TWICE: lambda a: (2.0 * a[0], 2.0 * a[1]),
+    casadi.OP_SQ: _square,
+    casadi.OP_SQRT: _root,
+}
+
+
+def symbols(*names: str) -> list[Any]:
+    """Return symbols that `Dynamics.expressions` and an enclosure take."""
+    return [casadi.SX.sym(name) for name in names]
+
+
+class Enclosure:
+    """An expression and its slopes, enclosed over boxes.
+
+    Parameters
+    ----------
+    expressions : sequence
+        CasADi expressions, as `Dynamics.expressions` gives them; the slopes are those of the first.
+    variables, numbers : sequence
+        Their symbols: those with an extent, and those that are given as numbers.
+
+    Raises
+    ------
+    TranscriptionError
+        If they hold an operation that has no enclosure here.
+    """
+
+    def __init__(
+        self, expressions: Sequence[Any], variables: Sequence[Any], numbers: Sequence[Any]
+    ) -> None:
+        columns = casadi.vertcat(*variables), casadi.vertcat(*numbers)
+        slopes = casadi.gradient(expressions[0], columns[0])
+        outputs = [casadi.densify(casadi.vertcat(*expressions)), casadi.densify(slopes)]
+        self._function = casadi.Function("enclosed", list(columns), outputs)
+        self._sizes = len(expressions), len(variables)
+        self._steps = list(map(self._step, range(self._function.n_instructions())))
+
+    def _step(self, k: int) -> tuple[int, list[int], list[int], float]:
+        f = self._function
+        operation = f.instruction_id(k)
+        known = (*_OPERATIONS, casadi.OP_CONST, casadi.OP_INPUT, casadi.OP_OUTPUT)
+        if operation not in known:
+            raise TranscriptionError(f"enclosure: operation {operation} of CasADi has none here.")
+        constant = f.instruction_constant(k) if operation == casadi.OP_CONST else 0.0
+        return operation, f.instruction_input(k), f.instruction_output(k), constant
+
+    def over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> tuple[Interval, ...]:
+        """Return enclosures of the expressions and of the slopes of the first.
+
+        Parameters
+        ----------
+        low, high : ndarray, shape (n_variables, n)
+            Corners of n boxes; points where they are the same.
+        numbers : array_like, shape (n_numbers,)
+        """
+        given = np.asarray(numbers, dtype=float)
+        held: dict[int, Interval] = {}
+        outputs = [np.empty((2, size, low.shape[1])) for size in self._sizes]
+        with np.errstate(invalid="ignore", over="ignore"):
+            for operation, inputs, results, constant in self._steps:
+                if operation == casadi.OP_OUTPUT:
+                    for side, value in enumerate(held[inputs[0]]):
+                        outputs[results[0]][side, results[1]] = value
+                elif operation == casadi.OP_INPUT:
+                    column, row = inputs
+                    corners = (low[row], high[row]) if column == 0 else (given[row], given[row])
+                    held[results[0]] = corners
+                elif operation == casadi.OP_CONST:
+                    held[results[0]] = np.array(constant), np.array(constant)
+                else:
+                    held[results[0]] = _OPERATIONS[operation](*(held[k] for k in inputs))
+        return tuple((found[0], found[1]) for found in outputs)

@@ -1,0 +1,469 @@
+"""The bound on flights through air: over pairs of thrust and airspeed, where both cost power.
+
+symbol | meaning
+u, v, W | thrust, airspeed and the steady wind, world axes
+f(v) | force of the air, against the airspeed
+s | thrust that holds the mass still in no airspeed, its weight as a rule
+p, w, eta | prices of momentum per mass, of the way, and of energy of motion
+T, a, r | size of the thrust, airspeed along it and across it
+
+Every flight from rest to rest has m dv/dt = u + f - s.  So over its duration the means of u + f - s
+and of v . (u + f - s) are nought, the latter because the airspeed ends as great as it began, and
+that of v + W is the displacement over the time.  Three prices make of that
+
+energy >= w . displacement + duration * H,
+H = least of P - p . (u + f - s) - w . (v + W) - eta v . (u + f - s) over all pairs u, v.
+
+Whatever way the pair is turned in space, P depends on T, a and r alone, and the turn that earns
+most is known: what it earns is the sum of the singular values of (u + f) p' + v q', q = w - eta s.
+That leaves three numbers.  Their least is bounded from below by branch and bound: the declared
+equations, compiled, are enclosed over boxes with their slopes, and a box is halved until it is
+proven not to undercut the best point found by more than a tolerance.  Under `momentum` the first
+number is the induced velocity, of which the declared balance gives the thrust.
+
+Rotors that share a thrust unequally draw no less than alike wherever a rotor's profile power over
+its thrust rises; where it falls, at much airspeed and hardly any thrust, that power is left out.
+
+The mass may change at a passage: p and eta times the mass are the same on all legs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter
+from scipy.optimize import brentq, linprog
+
+from pyomo_quad.collocation import Dynamics, Enclosure, symbols
+from pyomo_quad.flight.flight import VELOCITY_STATES
+from pyomo_quad.scenario import PowerModel, Scenario
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike
+
+    from pyomo_quad.study.legs import Leg
+
+FloatArray = NDArray[np.float64]
+# A CasADi expression or a number.
+Symbol = Any
+
+_INDUCED = "power.induced_velocity"
+_BALANCE = "power.induced_velocity_balance"
+_PROFILE = "power.profile_power"
+_UNCREDITED = "power.uncredited_power"
+_ROTOR_SPEED = "rotors.omega["
+# m/s or rad/s: beyond what flies or turns.
+_FASTER = 1e4
+# Samples along each of the three numbers; how many of the cheapest are looked at more closely, and
+# how often each time from half as far.
+_SAMPLES = 25
+_CANDIDATES = 8
+_ZOOMS = 9
+_FIRST_BOXES = 8
+_ROUNDS = 60
+_HEADINGS = 8
+_SURE = 1.5
+# Over what holds the vehicle still: no price of use is as large.
+_DEAREST = 6.0
+#: What is proven is so near to the least power, over that of hover.
+POWER_TOLERANCE = 1e-3
+# Boxes looked at, at most.
+_MOST_BOXES = 2_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prices:
+    """Prices of momentum per mass [W/N], of the way [N], and of energy of motion [1]."""
+
+    momentum: FloatArray
+    way: FloatArray
+    motion: float
+
+
+class Pairs:
+    """Pairs of thrust and airspeed of a vehicle, as its compiled equations have them.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    dynamics : Dynamics
+        In the steady wind that blows.
+    standing : ndarray, shape (3,)
+        Thrust that holds the vehicle still in no airspeed, N.
+    most_thrust : float
+        Of all rotors, N.
+    """
+
+    def __init__(
+        self, scenario: Scenario, dynamics: Dynamics, standing: FloatArray, most_thrust: float
+    ) -> None:
+        self._dynamics, self.standing, self._most_thrust = dynamics, standing, most_thrust
+        self._rotors = [n for n in dynamics.state_names if n.startswith(_ROTOR_SPEED)]
+        self.wind = wind_of(dynamics, np.array([dynamics.start]))[0]
+        self._has_induced = scenario.power.model is PowerModel.MOMENTUM
+        first, along, across = variables = symbols("first", "along", "across")
+        numbers = symbols("momentum", "way", "both", "area", "motion", "alike")
+        momentum, way, both, area, motion, alike = numbers
+        speed, thrust, power, profile, margin = self._of_rotors(first, along, across)
+        forward, upward = self._forces(along, across)
+        drag = -(forward * across + upward * along)
+        earned = (
+            momentum * (thrust**2 + forward**2 + upward**2 + 2 * thrust * upward)
+            + way * (along**2 + across**2)
+            + 2 * both * (thrust * along - drag)
+            + 2 * area * thrust * across
+        )
+        spent = power - (1 - alike) * profile
+        worth = spent + motion * (drag - thrust * along) - earned**0.5
+        expressions = [worth, thrust, speed, margin, forward, upward, spent]
+        self._enclosure = Enclosure(expressions, variables, numbers)
+        self._slowest = scenario.limits.rotor_speed_min
+        self.fastest = self._fastest(scenario)
+        self._corner = self._most_of_first()
+
+    def _values(
+        self, along: Symbol, across: Symbol, speed: Symbol, induced: Symbol
+    ) -> dict[str, Any]:
+        x, y, z = self.wind.tolist()
+        moving = dict(zip(VELOCITY_STATES, (x + across, y, z + along), strict=True))
+        return moving | {_INDUCED: induced} | dict.fromkeys(self._rotors, speed)
+
+    def _read(self, keys: Sequence[tuple[str, Any]], *at: Symbol) -> list[Any]:
+        return self._dynamics.expressions(tuple(keys), self._dynamics.start, self._values(*at))
+
+    def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
+        """Return rotor speed, thrust, power, its profile part, and where that rises per thrust."""
+        each = range(1, len(self._rotors) + 1)
+        powers: list[tuple[str, Any]] = [("power.total", None)]
+        if self._dynamics.has(_UNCREDITED):
+            powers = [(_UNCREDITED, j) for j in each]
+        keys = [("rotors.total_thrust", None), *powers]
+        if not self._has_induced:
+            thrust, *power = self._read(keys, along, across, first, 0.0)
+            return first, thrust, sum(power), 0.0 * first, 1.0 + 0.0 * first
+        # The balance is linear in the thrust, and so in the square of the speed.
+        per_square = -self._read([(_BALANCE, None)], 0.0, 0.0, 1.0, 0.0)[0]
+        squared = self._read([(_BALANCE, None)], along, across, 0.0, first)[0] / per_square
+        speed = squared**0.5
+        thrust, *power = self._read(keys, along, across, speed, first)
+        profile = self._read([(_PROFILE, j) for j in each], along, across, speed, first)
+        # Profile power is a cube of the speed and, in moving air, a multiple of it.
+        cube = self._read([(_PROFILE, 1)], 0.0, 0.0, 1.0, 0.0)[0]
+        multiple = self._read([(_PROFILE, 1)], along, across, 1.0, first)[0] - cube
+        return speed, thrust, sum(power), sum(profile), cube * squared - multiple
+
+    def _forces(self, along: Symbol, across: Symbol) -> tuple[Any, Any]:
+        """Return the force of moving air, level along the airspeed and upwards [N]."""
+        keys = [("aerodynamics.force_x", None), ("aerodynamics.force_z", None)]
+        moving = self._read(keys, along, across, 0.0, 0.0)
+        still = self._read(keys, 0.0, 0.0, 0.0, 0.0)
+        return moving[0] - still[0], moving[1] - still[1]
+
+    def _at(self, points: FloatArray, numbers: ArrayLike = (0.0,) * 6) -> FloatArray:
+        """Return worth, thrust, speed, margin, both forces and power at points, shape (3, n)."""
+        return np.asarray(self._enclosure.over(points, points, numbers)[0][0])
+
+    def _fastest(self, scenario: Scenario) -> float:
+        """Return an airspeed that no flight from rest exceeds; infinite where there is none."""
+        wind = float(np.linalg.norm(self.wind))
+        allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max + wind
+        most = self._most_thrust + float(np.linalg.norm(self.standing))
+
+        def excess(airspeed: float) -> float:
+            return -float(self._at(np.array([[1.0], [0.0], [airspeed]]))[4, 0]) - most
+
+        terminal = brentq(excess, 0.0, _FASTER) if excess(_FASTER) > 0.0 else inf
+        return min(allowed, max(terminal, wind))
+
+    def _most_of_first(self) -> float:
+        """Return what the first number cannot exceed: a rotor speed, or an induced velocity."""
+
+        def excess(first: float) -> float:
+            return float(self._at(np.array([[first], [0.0], [0.0]]))[1, 0]) - self._most_thrust
+
+        still = float(brentq(excess, 0.0, _FASTER))
+        # Air through the disc is no slower than v_i less the airspeed.
+        return still + self.fastest if self._has_induced else still
+
+    def _numbers(self, prices: Prices, mass: float) -> tuple[float, ...]:
+        way = prices.way - prices.motion * mass * self.standing
+        momentum = prices.momentum
+        area = float(np.linalg.norm(np.cross(momentum, way)))
+        sizes = float(momentum @ momentum), float(way @ way)
+        return *sizes, float(momentum @ way), area, prices.motion
+
+    def _constant(self, prices: Prices, mass: float) -> float:
+        return float(prices.momentum @ self.standing * mass - prices.way @ self.wind)
+
+    def cheapest(self, prices: Prices, mass: float) -> tuple[float, list[FloatArray]]:
+        """Return H as far as samples tell, and the pairs of which none near is cheaper.
+
+        Each is power and slopes of H, shape (8,).
+        """
+        numbers = (*self._numbers(prices, mass), 1.0)
+        edges = self._edges()
+        axes = [np.linspace(edge[0], edge[1], _SAMPLES) for edge in edges]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"))
+        worth = self._worth(points.reshape(3, -1), numbers).reshape(points.shape[1:])
+        is_least = (worth == minimum_filter(worth, size=3)) & np.isfinite(worth)
+        here = points[:, is_least][:, np.argsort(worth[is_least])[:_CANDIDATES]]
+        steps = np.stack(np.meshgrid(*[[-1.0, -0.5, 0.0, 0.5, 1.0]] * 3)).reshape(3, 1, -1)
+        reach = np.ptp(edges, axis=1) / (_SAMPLES - 1)
+        for _ in range(_ZOOMS):
+            near = here[:, :, None] + reach[:, None, None] * steps
+            near = np.clip(near, edges[:, 0, None, None], edges[:, 1, None, None])
+            around = self._worth(near.reshape(3, -1), numbers).reshape(near.shape[1:])
+            here = near[:, np.arange(here.shape[1]), np.argmin(around, axis=1)]
+            reach = reach / 2
+        found = self._at(here, numbers)
+        least = float(np.min(found[0])) + self._constant(prices, mass)
+        way = prices.way - prices.motion * mass * self.standing
+        return least, [
+            self._pair(*each, prices.momentum, way, mass)
+            for each in zip(here.T, found.T, strict=True)
+        ]
+
+    def _edges(self) -> FloatArray:
+        return np.array([[0.0, self._corner], [-self.fastest, self.fastest], [0.0, self.fastest]])
+
+    def _worth(self, points: FloatArray, numbers: ArrayLike) -> FloatArray:
+        found = self._at(points, numbers)
+        return np.where(found[1] <= self._most_thrust, found[0], inf)
+
+    def _pair(
+        self, at: FloatArray, found: FloatArray, momentum: FloatArray, way: FloatArray, mass: float
+    ) -> FloatArray:
+        """Return power and slopes of H of a pair, turned as earns most."""
+        _, along, across = at
+        _, thrust, _, _, forward, upward, power = found
+        force, air = np.array([forward, 0.0, thrust + upward]), np.array([across, 0.0, along])
+        left, _, right = np.linalg.svd(np.outer(force, momentum) + np.outer(air, way))
+        turn = (left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right).T
+        pushed, moved = turn @ force - mass * self.standing, turn @ air
+        return np.array([power, *-pushed, *-(moved + self.wind), -float(moved @ pushed)])
+
+    def turned(self, pair: FloatArray) -> list[FloatArray]:
+        """Return a pair, as `cheapest` gives it, turned about the vertical; its power is the same.
+
+        Only where the vertical is the one direction in which something pulls.
+        """
+        if np.any(self.standing[:2]):
+            return [pair]
+        found = []
+        for angle in 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS:
+            c, s = np.cos(angle), np.sin(angle)
+            turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+            moved = turn @ (pair[4:7] + self.wind) - self.wind
+            found.append(np.array([pair[0], *(turn @ pair[1:4]), *moved, pair[7]]))
+        return found
+
+    def least(self, prices: Prices, mass: float, tolerance: float) -> float:
+        """Return H, proven from below, to a tolerance [W] where the boxes suffice."""
+        numbers = np.array([*self._numbers(prices, mass), 1.0])
+        best = self.cheapest(prices, mass)[0] - self._constant(prices, mass)
+        cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
+        low = np.stack(np.meshgrid(*(c[:-1] for c in cuts), indexing="ij")).reshape(3, -1)
+        high = np.stack(np.meshgrid(*(c[1:] for c in cuts), indexing="ij")).reshape(3, -1)
+        looked_at = 0
+        while low.size:
+            looked_at += low.shape[1]
+            under, reached, split = self._box(low, high, numbers)
+            best = min(best, reached)
+            is_open = under < best - tolerance
+            if looked_at > _MOST_BOXES:
+                best = float(np.min(under[is_open], initial=best))
+                break
+            low, high, split = low[:, is_open], high[:, is_open], split[is_open]
+            low, high = _halved(low, high, split)
+        return best - tolerance + self._constant(prices, mass)
+
+    def _box(
+        self, low: FloatArray, high: FloatArray, numbers: FloatArray
+    ) -> tuple[FloatArray, float, NDArray[np.int_]]:
+        """Return what is proven of boxes, the least reached in them, and where to cut each.
+
+        What is proven is infinite where no flight is in a box.
+        """
+        given = np.repeat(numbers[:, None], low.shape[1], axis=1)
+        (under, over), _ = self._enclosure.over(low, high, given)
+        given[-1] = under[3] >= 0.0
+        (under, over), slopes = self._enclosure.over(low, high, given)
+        # Where the slopes leave it open which end is lower, between the two (Baumann, 1988).
+        falls, rises = slopes
+        with np.errstate(invalid="ignore"):
+            share = np.clip(-falls / (rises - falls), 0.0, 1.0)
+            lost = np.where((falls < 0.0) & (rises > 0.0), share * rises * (high - low), 0.0)
+        share = np.where(np.isnan(share), 0.5, share)
+        centre = low + share * (high - low)
+        reach = np.where(np.isfinite(falls) & np.isfinite(rises), lost, inf)
+        at_centre = self._at(centre, given)
+        middle, can_be = at_centre[0], (at_centre[1] <= self._most_thrust) & (given[-1] > 0.0)
+        proven = np.fmax(under[0], middle - np.sum(reach, axis=0))
+        nearest = np.minimum(np.abs(low[1]), np.abs(high[1])) * (low[1] * high[1] > 0.0)
+        is_empty = (
+            (under[1] > self._most_thrust)
+            | (over[2] < self._slowest)
+            | (np.hypot(nearest, low[2]) > self.fastest)
+        )
+        relative = (high - low) / np.array([[self._corner], [self.fastest], [self.fastest]])
+        by_reach = np.where(np.all(np.isfinite(reach), axis=0), reach, relative)
+        reached = float(np.min(middle[can_be], initial=inf))
+        return np.where(is_empty, inf, proven), reached, np.argmax(by_reach, axis=0)
+
+
+def _halved(
+    low: FloatArray, high: FloatArray, split: NDArray[np.int_]
+) -> tuple[FloatArray, FloatArray]:
+    columns = np.arange(split.size)
+    middle = (low[split, columns] + high[split, columns]) / 2
+    lower, upper = high.copy(), low.copy()
+    lower[split, columns] = upper[split, columns] = middle
+    return np.hstack([low, upper]), np.hstack([lower, high])
+
+
+def wind_of(dynamics: Dynamics, times: FloatArray) -> FloatArray:
+    """Return the wind at some times, m/s, world axes: shape (n, 3)."""
+    names = ("velocity_x", "velocity_y", "velocity_z")
+    keys = tuple((f"wind.{n}", None) for n in names if dynamics.has(f"wind.{n}"))
+    states = np.zeros((len(times), len(dynamics.state_names)))
+    controls = np.zeros((len(times), len(dynamics.control_names)))
+    found = np.zeros((len(times), 3))
+    found[:, : len(keys)] = dynamics.table(keys, times, states, controls)
+    return found
+
+
+def bound_of_pairs(
+    pairs: Pairs, legs: Sequence[Leg], shared: Sequence[tuple[float, float]], power: float
+) -> float:
+    """Return a bound on the energy of a flight in legs, at every passing time and duration [J].
+
+    The prices are those of a linear program over the pairs that were cheapest at the prices
+    before (Kelley, 1960); what it says is then proven for its last prices.
+
+    Parameters
+    ----------
+    legs, shared
+        As `legs.legs_of` gives them.
+    power : float
+        What hover draws, the scale of powers, W.
+    """
+    tolerance = POWER_TOLERANCE * power
+    program = _Program(legs, shared, power, pairs.standing)
+    best, centre = -inf, program.start
+    tried = centre
+    for _ in range(_ROUNDS):
+        prices, least = program.prices(tried), []
+        for k, leg in enumerate(legs):
+            value, found = pairs.cheapest(prices[k], leg.mass)
+            for pair in found:
+                for turned in pairs.turned(pair):
+                    program.add(k, turned)
+            least.append(value)
+        # Less by what the proof may take away.
+        bound = program.bound(prices, np.array(least) - _SURE * tolerance)
+        if bound > best:
+            best, centre = bound, tried
+        solution, promised = program.solve()
+        if promised - best <= 4 * POWER_TOLERANCE * abs(promised):
+            break
+        # Half way from the best: the program's own answer lies far off while it knows few pairs.
+        tried = (centre + solution) / 2
+    chosen = program.prices(centre)
+    proven = [pairs.least(p, leg.mass, tolerance) for p, leg in zip(chosen, legs, strict=True)]
+    return program.bound(chosen, np.array(proven))
+
+
+class _Program:
+    """The largest bound over prices, as far as the pairs found so far tell."""
+
+    def __init__(
+        self,
+        legs: Sequence[Leg],
+        shared: Sequence[tuple[float, float]],
+        power: float,
+        standing: FloatArray,
+    ) -> None:
+        self._legs, self._shared = legs, shared
+        margin, weight = 2 * POWER_TOLERANCE * power, float(np.linalg.norm(standing))
+        n = len(legs)
+        # In hover power grows as its thrust to the power of 3/2; what moves is worth what it did.
+        self.start = np.zeros(4 + 7 * n + len(shared))
+        self.start[:4] = *(1.5 * power / weight**2 * standing), 1.0
+        scales = np.repeat([power / weight, 1.0, weight], [3, 1, 6 * n])
+        self._dearest = _DEAREST * scales
+        # Prices of momentum and of motion for the whole mass; then of each leg's way, that price's
+        # size along each axis, and H; then what each party's time is worth.
+        self._way, self._length, self._least = 4, 4 + 3 * n, 4 + 6 * n
+        self._worth = 4 + 7 * n
+        self.size = self._worth + len(shared)
+        self._rows: list[FloatArray] = []
+        self._limits: list[float] = []
+        self._gain = np.zeros(self.size)
+        for k, leg in enumerate(legs):
+            self._gain[self._of(self._way, k)] = leg.way
+            self._gain[self._of(self._length, k)] = -leg.room
+            for sign in (1.0, -1.0):
+                for axis in range(3):
+                    row = {self._way + 3 * k + axis: sign, self._length + 3 * k + axis: -1.0}
+                    self._add(row, 0.0)
+            for time in shared[leg.party]:
+                held = 0.0 if len(set(shared[leg.party])) == 1 else margin
+                row = {self._worth + leg.party: 1.0, self._least + k: -time}
+                self._add(row, -held * time)
+        self._gain[self._worth :] = 1.0
+
+    def _of(self, first: int, k: int) -> slice:
+        return slice(first + 3 * k, first + 3 * k + 3)
+
+    def _add(self, row: dict[int, float], limit: float) -> None:
+        line = np.zeros(self.size)
+        line[list(row)] = list(row.values())
+        self._rows.append(line)
+        self._limits.append(limit)
+
+    def add(self, k: int, pair: FloatArray) -> None:
+        """Add that H of a leg is at most what a pair, by power and slopes of H, makes of it."""
+        mass, line = self._legs[k].mass, np.zeros(self.size)
+        line[:3], line[self._of(self._way, k)] = -pair[1:4] / mass, -pair[4:7]
+        line[3], line[self._least + k] = -pair[7] / mass, 1.0
+        self._rows.append(line)
+        self._limits.append(float(pair[0]))
+
+    def solve(self) -> tuple[FloatArray, float]:
+        """Return the best prices within bounds, and the bound that the pairs allow."""
+        limits = np.full((self.size, 2), [-inf, inf])
+        limits[: self._least] = np.stack([-self._dearest, self._dearest], axis=1)
+        limits[3, 0] = 0.0
+        found = linprog(
+            -self._gain, A_ub=np.array(self._rows), b_ub=self._limits, bounds=limits, method="highs"
+        )
+        return found.x, -float(found.fun)
+
+    def prices(self, solution: FloatArray) -> list[Prices]:
+        """Return the prices on each leg."""
+        return [
+            Prices(
+                momentum=solution[:3] / leg.mass,
+                way=solution[self._of(self._way, k)],
+                motion=float(solution[3] / leg.mass),
+            )
+            for k, leg in enumerate(self._legs)
+        ]
+
+    def bound(self, prices: Sequence[Prices], least: FloatArray) -> float:
+        """Return the bound of prices with an H of each leg."""
+        found = sum(
+            float(p.way @ leg.way) - leg.room * float(np.linalg.norm(p.way))
+            for p, leg in zip(prices, self._legs, strict=True)
+        )
+        for party, times in enumerate(self._shared):
+            of = [k for k, leg in enumerate(self._legs) if leg.party == party]
+            cheapest = float(np.min(least[of]))
+            found += min(time * cheapest for time in times)
+        return found
