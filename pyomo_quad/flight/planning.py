@@ -429,12 +429,15 @@ class Planner:
 
     def _arguments(self, told: Scenario, progress: Progress | None) -> dict[str, Any]:
         settings = told.solver
+        options = SolverOptions(max_iterations=settings.max_iterations)
+        if told.mission.is_free or told.mission.waypoints or told.airspace.keep_out:
+            options = options.for_moving_limits()
         return {
             "mesh": Mesh.uniform(settings.elements, settings.degree),
             "tolerance": settings.tolerance,
             "parameters": self.parameters(told),
             "horizon": _horizon(told),
-            "options": SolverOptions(max_iterations=settings.max_iterations),
+            "options": options,
             "refinement": RefinementOptions(
                 first_elements=settings.elements,
                 first_degree=settings.degree,

@@ -14,6 +14,7 @@ MODULES = {
     "engine": "engine_speed",
     "resolve": "resolve_speed",
     "robustness": "robustness",
+    "places": "random_places",
     "sweep": "sweep_speed",
     "mpc": "replanning",
 }
@@ -26,7 +27,7 @@ def main():
         "--against", type=Path, help="run: the Python of an environment to compare with."
     )
     parser.add_argument(
-        "--minutes", type=float, help="robustness, mpc: begin no mission after so long."
+        "--minutes", type=float, help="robustness, places, mpc: begin no mission after so long."
     )
     parser.add_argument("--render", action="store_true", help="Measure nothing.")
     arguments = parser.parse_args()

@@ -84,11 +84,12 @@ def missions(count, seed):
         yield (*settings, *pack, f"power.model='{model}'", credit)
 
 
-def fly(mission):
+def fly(mission, doubt=lambda _plan: ""):
+    """Fly a mission; a verified plan of which the doubt says something is lost."""
     seed, number, settings = mission
     planner = _PLANNERS.setdefault(None, Planner())
     started, processor = perf_counter(), process_time()
-    verdict, detail, attempts = _verdict(planner, settings)
+    verdict, detail, attempts = _verdict(planner, settings, doubt)
     return Outcome(
         seed=seed,
         number=number,
@@ -101,7 +102,7 @@ def fly(mission):
     )
 
 
-def _verdict(planner, settings):
+def _verdict(planner, settings, doubt):
     try:
         plan = planner.solve(load_scenario(BASE, settings))
     except FeasibilityError as error:
@@ -109,9 +110,11 @@ def _verdict(planner, settings):
     except PyomoQuadError as error:
         return LOST, str(error), ()
     if plan.status is PlanStatus.VERIFIED:
-        return VERIFIED, "", plan.attempts
+        said = doubt(plan)
+        return (LOST if said else VERIFIED), said, plan.attempts
     if plan.status is PlanStatus.INFEASIBLE:
-        return INFEASIBLE, next(iter(plan.failure.causes()), ""), plan.attempts
+        causes = () if plan.failure is None else plan.failure.causes()
+        return INFEASIBLE, next(iter(causes), plan.message), plan.attempts
     return LOST, f"{plan.status.value}: {plan.message}", plan.attempts
 
 
@@ -138,23 +141,17 @@ def finished(results):
     ]
 
 
-def fly_all(minutes):
-    """Fly every mission that the results do not hold, and write each down as it ends."""
-    known = {(outcome.seed, outcome.number) for outcome in finished(RESULTS)}
-    # Seed by seed in turn, so that a run that is stopped has flown as many of each.
-    wanted = sorted(
-        (number, seed, settings)
-        for seed in SEEDS
-        for number, settings in enumerate(missions(MISSIONS, seed))
-        if (seed, number) not in known
-    )
+def fly_all(minutes, drawn, results=RESULTS, fly_one=fly, workers=WORKERS):
+    """Fly every mission drawn that the results do not hold, and write each down as it ends."""
+    known = {(outcome.seed, outcome.number) for outcome in finished(results)}
+    wanted = [mission for mission in drawn if mission[:2] not in known]
     deadline = perf_counter() + 60.0 * (np.inf if minutes is None else minutes)
-    RESULTS.parent.mkdir(parents=True, exist_ok=True)
+    results.parent.mkdir(parents=True, exist_ok=True)
     with (
-        ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool,
-        RESULTS.open("a", encoding="utf-8") as file,
+        ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool,
+        results.open("a", encoding="utf-8") as file,
     ):
-        futures = [pool.submit(fly, (seed, number, told)) for number, seed, told in wanted]
+        futures = [pool.submit(fly_one, mission) for mission in wanted]
         for future in as_completed(futures):
             if future.cancelled():
                 continue
@@ -167,10 +164,21 @@ def fly_all(minutes):
 
 def measure(arguments):
     """Return a table of outcomes for each seed and for all, and the missions to look at."""
-    fly_all(arguments.minutes)
-    flown = sorted(finished(RESULTS), key=lambda o: (o.seed, o.number))
+    drawn = {seed: enumerate(missions(MISSIONS, seed)) for seed in SEEDS}
+    # Seed by seed in turn, so that a run that is stopped has flown as many of each.
+    turns = zip(*drawn.values(), strict=True)
+    fly_all(
+        arguments.minutes,
+        [(seed, *told) for turn in turns for seed, told in zip(SEEDS, turn, strict=True)],
+    )
+    return tables("robustness", SEEDS, RESULTS)
+
+
+def tables(name, seeds, results):
+    """Return what the results hold as tables of a benchmark."""
+    flown = sorted(finished(results), key=lambda o: (o.seed, o.number))
     rows = []
-    for seed in (*SEEDS, None):
+    for seed in seeds if len(seeds) == 1 else (*seeds, None):
         outcomes = [o for o in flown if seed is None or o.seed == seed]
         if outcomes:
             rows += outcome_rows("all" if seed is None else seed, outcomes)
@@ -182,9 +190,9 @@ def measure(arguments):
     outcome_header = ["seed", "outcome", "missions", "share", "median s", "95th percentile s"]
     header = ["outcome", "seed", "number", "mission", "what happened", "tried before"]
     return [
-        Table(name="robustness", title="Outcomes", header=outcome_header, rows=rows),
+        Table(name=name, title="Outcomes", header=outcome_header, rows=rows),
         Table(
-            name="robustness_remarkable",
+            name=f"{name}_remarkable",
             title="Lost, or verified only after a fallback",
             header=header,
             rows=remarkable,

@@ -34,6 +34,15 @@ class Status(Enum):
 
 # Share of its size by which a bound gives way where equations may leave it no interior.
 _RELAXED = 1e-10
+# How far a warm start is pushed off its bounds: by default, and where limits move.
+_NEAR, _INSIDE = 1e-9, 1e-4
+_PUSHES = (
+    "warm_start_bound_push",
+    "warm_start_bound_frac",
+    "warm_start_slack_bound_push",
+    "warm_start_slack_bound_frac",
+    "warm_start_mult_bound_push",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +73,14 @@ class SolverOptions:
         """
         relaxed = (("bound_relax_factor", _RELAXED), ("honor_original_bounds", "yes"))
         return replace(self, extra=(*relaxed, *self.extra))
+
+    def for_moving_limits(self) -> SolverOptions:
+        """Return the settings for warm starts whose limits begin or cease to hold elsewhere.
+
+        Where the points of another mesh lie differently to such a time, a start on its bounds
+        blocks Ipopt's first dozen steps; a little inside it does not.
+        """
+        return replace(self, extra=(*((name, _INSIDE) for name in _PUSHES), *self.extra))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,12 +288,7 @@ _WARM: dict[str, Any] = {
     "mu_strategy": "monotone",
     "mu_init": 1e-7,
     "barrier_tol_factor": 1e3,
-    "warm_start_bound_push": 1e-9,
-    "warm_start_bound_frac": 1e-9,
-    "warm_start_slack_bound_push": 1e-9,
-    "warm_start_slack_bound_frac": 1e-9,
-    "warm_start_mult_bound_push": 1e-9,
-}
+} | dict.fromkeys(_PUSHES, _NEAR)
 
 _SOLVED, _INFEASIBLE, _STOPPED = 0, 2, 5
 # Slacks beyond this are of no bound at all.
