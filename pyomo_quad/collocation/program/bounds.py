@@ -12,7 +12,7 @@ from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.program.transcription import row_place, unknown_place
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -313,17 +313,16 @@ def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> 
         Naming the equation, element and time that is not finite, or the counts.
     """
     refuse_not_finite(program, z)
-    held = np.flatnonzero(bounds.lower == bounds.upper)
-    names = {str(unknown_place(program, int(column)).name) for column in held}
-    refuse_overdetermined(bounds, names)
+    held = np.flatnonzero(bounds.lower == bounds.upper).tolist()
+    refuse_overdetermined(bounds, (unknown_place(program, column).name for column in held))
 
 
-def refuse_overdetermined(bounds: Bounds, held: set[str]) -> None:
+def refuse_overdetermined(bounds: Bounds, held: Iterable[str]) -> None:
     """Refuse more equations than free unknowns; `held` are the variables that are not free."""
     equalities = int(np.sum(bounds.row_lower == bounds.row_upper))
     free = int(np.sum(bounds.lower < bounds.upper))
     if equalities > free:
-        names = sorted(held)
+        names = sorted(set(held))
         raise TranscriptionError(
             f"model: {equalities} equations for {free} free unknowns; it is over-determined. "
             f"Release a fixed value or boundary condition of {', '.join(names[:8]) or 'the model'}"
