@@ -10,6 +10,7 @@ from pyomo_quad.collocation import RefinementOptions, Status, compile
 from pyomo_quad.collocation.refining import minimum_principle
 from pyomo_quad.collocation.refining.minimum_principle import improved_controls
 from tests.problems import bang_bang, bryson_denham
+from tests.problems.published.chemistry import oil_shale
 
 
 def two_valleys(first):
@@ -88,3 +89,11 @@ def test_a_control_that_an_equation_gives_is_not_moved():
     columns = program.layout.algebraic_columns
     bounds = solution.bounds.lower[columns], solution.bounds.upper[columns]
     assert minimum_principle._free_controls(program, *bounds).size == 0
+
+
+@pytest.mark.slow
+def test_a_looser_tolerance_finds_the_same_optimum_of_the_oil_shale():
+    problem = compile(oil_shale())
+    loose, tight = (problem.solve(tolerance=tolerance) for tolerance in (1e-6, 1e-8))
+    claimed = loose.error_estimate + tight.error_estimate
+    assert abs(loose.objective - tight.objective) <= 2 * claimed
