@@ -74,7 +74,7 @@ _DEAREST = 6.0
 #: What is proven is so near to the least power, over that of hover.
 POWER_TOLERANCE = 1e-3
 # Boxes looked at, at most.
-_MOST_BOXES = 2_000_000
+_MOST_BOXES = 500_000
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,9 +17,9 @@ M100 = {
 }
 
 
-def flying(goal, duration, **wind):
+def flying(goal, duration):
     mission = {"goal": {"position": goal}, "duration": duration}
-    return scenario(**(M100 | {"mission": mission, "wind": M100["wind"] | wind}))
+    return scenario(**(M100 | {"mission": mission}))
 
 
 @pytest.fixture(scope="module")
@@ -70,16 +70,12 @@ def test_what_is_proven_is_below_every_sample_and_near_the_least(pairs):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("speed", "direction"), [(0.0, 0.0), (4.0, np.pi), (4.0, np.pi / 2)], ids=str
-)
-def test_a_long_way_in_free_time_is_bounded_by_its_best_steady_speed(speed, direction):
-    told = flying([1000.0, 0.0, 0.0], "free", speed=speed, direction=direction)
-    wind = speed * np.array([np.cos(direction), np.sin(direction), 0.0])
+def test_a_long_way_in_free_time_is_bounded_by_its_best_steady_speed():
+    told = flying([1000.0, 0.0, 0.0], "free")
     steady = Planner().steady_flight(told)
-    over_ground = np.arange(4.0, 22.0, 0.5)
-    powers = [steady.trim(np.array([v, 0.0, 0.0]) - wind).power_W for v in over_ground]
-    best = 1000.0 * np.min(np.array(powers) / over_ground)
+    speeds = np.arange(4.0, 22.0, 0.5)
+    powers = [steady.trim([v, 0.0, 0.0]).power_W for v in speeds]
+    best = 1000.0 * np.min(np.array(powers) / speeds)
     found = certify(told).lower_bound_J
     assert found <= best
     assert found == pytest.approx(best, rel=1.5e-2)
