@@ -41,10 +41,6 @@ def test_the_paper_s_mission_of_free_time_is_bounded():
     ("tables", "reason"),
     [
         ({"wind": {"use": "paper_table_2"}}, "in a wind that changes with time"),
-        (
-            {"vehicle": {"drag_linear": 0.1}, "wind": {"coupling": "drag"}},
-            "for a free duration with drag",
-        ),
     ],
 )
 def test_where_no_bound_is_known_the_reason_is_given(tables, reason):
@@ -57,10 +53,6 @@ def test_where_no_bound_is_known_the_reason_is_given(tables, reason):
     ("tables", "reason"),
     [
         ({"wind": {"use": "paper_table_2"}}, "changes on the way in a wind that changes with time"),
-        (
-            {"vehicle": {"drag_linear": 0.1, "payload": 0.1}, "wind": {"coupling": "drag"}},
-            "changes on the way with drag",
-        ),
     ],
 )
 def test_where_a_mass_that_changes_has_no_bound_the_reason_is_given(tables, reason):
