@@ -4,7 +4,8 @@ Every interval the state is measured, and the flight of the rest of the mission 
 energy is solved for, from where the vehicle will be once the solve is done, warm-started from the
 plan that is being flown.  Its controls are applied until the next plan.  Where that comes late, or
 not at all, the last plan goes on, from then on under the adaptive controller, which also flies the
-end: with hardly any time left, a plan that meets the goal exactly answers every gust at any price.
+last seconds: there a plan that meets the goal exactly answers every gust at any price, and what it
+believes of the wind to come errs as much as a gust changes meanwhile.
 
 What no equation explains, a wind that was not told or a mass that is not what was believed, shows
 in the acceleration: the identifier of the adaptive law estimates it, and the plans count on it.
@@ -75,8 +76,10 @@ _ELEMENT_S, _FEWEST, _MOST, _DEGREE = 1.25, 8, 24, 4
 _OPTIONS = SolverOptions(tolerance=1e-6, max_iterations=30)
 # Before take-off there is time.
 _AT_LEISURE = SolverOptions(tolerance=1e-6, max_iterations=300)
-# Rest of the mission [s] that is flown under feedback instead of being planned again.
-_LAST = 0.6
+# Rest of the mission [s] that is flown under feedback instead of being planned again, and the
+# share of a short one.  Of five perturbed flights of ten seconds, planning to 0.6 s before the end
+# cost from 3 to 30 J more and ended from 1.2 to 1.7 times as far off.
+_LAST, _LAST_SHARE = 3.0, 0.3
 # Of what is predicted while a solve goes on, and of the estimate; both are far below the noise of
 # any sensor.
 _TOLERANCE = 1e-6
@@ -355,7 +358,8 @@ class _ReplannedFlight:
     def fly(self) -> None:
         """Fly the whole mission."""
         measured_at = self._settings.interval
-        while measured_at + self._settings.solve_time < self._end - _LAST:
+        last = self._end - min(_LAST, _LAST_SHARE * self._end)
+        while measured_at + self._settings.solve_time < last:
             self._advance(measured_at)
             arrived_at = self._replan(measured_at)
             measured_at = max(measured_at + self._settings.interval, arrived_at)
