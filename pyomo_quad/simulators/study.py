@@ -43,8 +43,9 @@ CASES: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
         BREEZE: ("as exact, with drag, in 3 m/s of wind", _EXACT | _DRAG | _BREEZE),
     }
 )
-# Shaft power hardly prices the rotors' acceleration: the last digits of a plan would take minutes.
-_PRICED = {"power.model": "shaft", "solver.tolerance": 1e-5}
+# Shaft power hardly prices the rotors' acceleration: a plan of light rotors to more digits takes
+# minutes, and this one ends less than a tenth of a millimetre off.
+_PRICED = {"power.model": "shaft", "solver.tolerance": 1e-3}
 _GOAL, _DURATION = [3.0, 2.0, 1.5], 6.0
 
 
