@@ -460,7 +460,8 @@ def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> I
         then = int(np.argmin(np.abs(flown.t - waypoint.at)))
         place, velocity = np.split(flown.states[then, states], 2)
         off = float(np.linalg.norm(place - waypoint.position))
-        if off > waypoint.radius + _PASSING_M:
+        near = max(waypoint.radius, HOVERING_M if waypoint.hold else 0.0)
+        if off > near + _PASSING_M:
             yield f"mission.waypoints[{k}].radius = {waypoint.radius:g} m passed {off:.3g} m off"
         speed, allowed = float(np.linalg.norm(velocity)), waypoint.speed_max
         if allowed is not None and speed > allowed + _PASSING_M_PER_S:
