@@ -189,6 +189,7 @@ def synthetic_plan(
     failure=None,
 ):
     is_flown = status in (PlanStatus.VERIFIED, PlanStatus.SOLVED)
+    known = flight.frame["time_s"].to_numpy()
     return SimpleNamespace(
         scenario=scenario,
         mission_flown=scenario,
@@ -207,6 +208,11 @@ def synthetic_plan(
         failure=failure,
         mesh=Mesh(breakpoints=(0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0), degrees=(6, 5, 4, 4, 5, 6)),
         flight=lambda name="optimal": SimpleNamespace(**(vars(flight) | {"name": name})),
+        trajectories=SimpleNamespace(horizon=(known[0], known[-1])),
+        times=lambda rate_hz=None: known[::10],
+        columns=lambda times: {
+            name: np.interp(times, known, column) for name, column in flight.frame.items()
+        },
         to_frame=lambda rate_hz=None: flight.frame.iloc[::10].reset_index(drop=True),
         costate_frame=lambda: synthetic_costates(scenario),
     )

@@ -94,33 +94,33 @@ def fly(
     folder = folder_of(resolved, out or _own_folder(resolved, (*flown, followed or knowledge)))
     refuse_output_folder(folder)
     with watch.phase("import"):
-        from pyomo_quad.cli import solving  # noqa: PLC0415  take a second, see there
+        from pyomo_quad.cli import flying, solving  # noqa: PLC0415  take a while, see there
     if plant is Plant.ROTORPY:
-        solving.refuse_outside(resolved)
+        flying.refuse_outside(resolved)
     planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
     plan = None
     if followed is Reference.PLAN or resolved.mission.is_free:
         with watch.phase("solve"):
-            made = solving.make_plan(planner, resolved)
+            made = flying.make_plan(planner, resolved)
         if isinstance(made, ExitCode):
             return made
         plan, resolved = made, made.mission_flown
     flight: Flight | ExitCode
     if plant is Plant.ROTORPY and followed is not None:
-        flight = solving.make_outside_flight(planner, resolved, controller.value, followed, plan)
+        flight = flying.make_outside_flight(planner, resolved, controller.value, followed, plan)
     elif controller is Controller.MPC:
-        flight = solving.make_replanned_flight(planner, resolved, knowledge)
+        flight = flying.make_replanned_flight(planner, resolved, knowledge)
     else:
         reference = followed if controller is Controller.ADAPTIVE else None
-        flight = solving.make_flight(planner, resolved, reference, plan)
+        flight = flying.make_flight(planner, resolved, reference, plan)
     if isinstance(flight, ExitCode):
         return flight
     with output_folder(folder) as aside:
-        summary = solving.write_flight(aside, planner, resolved, flight, watch.seconds)
+        summary = flying.write_flight(aside, planner, resolved, flight, watch.seconds)
     if as_json:
         print(summary_text(summary), end="")
     elif not quiet:
-        print(solving.verdict(resolved, flight))
+        print(flying.verdict(resolved, flight))
         print(f"Written to {folder}.")
     return ExitCode.VERIFIED if flight.is_verified else ExitCode.NOT_VERIFIED
 
@@ -182,7 +182,7 @@ def run(
     folder = folder_of(resolved, out)
     refuse_output_folder(folder)
     with watch.phase("import"):
-        from pyomo_quad.cli import solving  # noqa: PLC0415  takes a second, see there
+        from pyomo_quad.cli import solving  # noqa: PLC0415  takes a while, see there
         from pyomo_quad.report.report import write_run_report  # noqa: PLC0415
         from pyomo_quad.study.run import run_scenario  # noqa: PLC0415
     planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
@@ -213,9 +213,10 @@ def compare(
     """
     missions = [load_scenario(file, overrides or ()) for file in scenarios]
     refuse_output_folder(out)
-    from pyomo_quad.cli import solving  # noqa: PLC0415  takes a second, see there
-    from pyomo_quad.report.report import find_run, write_compare_report  # noqa: PLC0415
+    from pyomo_quad.cli import solving  # noqa: PLC0415  takes a while, see there
+    from pyomo_quad.report.report import RunRecord, find_run, write_compare_report  # noqa: PLC0415
     from pyomo_quad.study.comparison import combine  # noqa: PLC0415
+    from pyomo_quad.study.run import run_scenario  # noqa: PLC0415
 
     is_quiet = quiet or as_json
     planners = [
@@ -228,8 +229,10 @@ def compare(
             folder = folder_of(mission, None)
             record = find_run(folder, mission)
             if record is None:
-                record, ended = solving.make_run(planner, mission, out)
-                status = max(status, ended)
+                result = run_scenario(mission, planner=planner)
+                solving.complain_about(result.plan, out, result.warnings)
+                record = RunRecord.of(result)
+                status = max(status, solving.exit_code_of(result.plan))
             elif not is_quiet:
                 print(f"{mission.name}: taken from {folder}, which holds this very run.")
             records.append(record)
@@ -272,7 +275,7 @@ def solve(
     folder = folder_of(resolved, out)
     refuse_output_folder(folder)
     with watch.phase("import"):
-        from pyomo_quad.cli import solving  # noqa: PLC0415  takes a second, see there
+        from pyomo_quad.cli import solving  # noqa: PLC0415  takes a while, see there
         from pyomo_quad.report.report import write_solve_report  # noqa: PLC0415
         from pyomo_quad.study.check import plan_cautions  # noqa: PLC0415
     planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)

@@ -1,12 +1,11 @@
-"""What the commands that solve have in common; it imports the engine, which takes a second."""
+"""What the commands that solve have in common; it imports the engine, which takes a while."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import isnan
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape
@@ -14,42 +13,19 @@ from rich.table import Table
 
 from pyomo_quad.cli.endings import ExitCode, SolveStopped, stop_on_interrupt
 from pyomo_quad.cli.terminal import complain, live_line, result_console
-from pyomo_quad.collocation import (
-    Iteration,
-    Problem,
-    Progress,
-    SolveError,
-    TranscriptionError,
-    WarmStart,
-)
-from pyomo_quad.flight import Flight, Plan, Planner, PlanStatus
-from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop
-from pyomo_quad.flight.cruise import cruise_at
-from pyomo_quad.flight.outside_plant import (
-    MULTIROTOR,
-    OutsidePlant,
-    Pilot,
-    fly_outside,
-    refuse_pushing_wind,
-    rotorpy_module,
-)
+from pyomo_quad.collocation import Iteration, Problem, Progress, TranscriptionError, WarmStart
+from pyomo_quad.flight import Plan, Planner, PlanStatus
 from pyomo_quad.flight.planning import Builder
-from pyomo_quad.flight.replanning import fly_replanned
 from pyomo_quad.model import model_builder
 from pyomo_quad.report.folder import output_folder
-from pyomo_quad.report.report import RunRecord
-from pyomo_quad.report.tables import (
-    FLIGHT_NAME,
-    flight_summary,
-    summary_text,
-    write_plan_table,
-    write_summary,
-    write_table,
-)
+from pyomo_quad.report.tables import summary_text, write_plan_table
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.tables import Knowledge, Reference
-from pyomo_quad.study.comparison import ComparisonColumn, has_arrived
-from pyomo_quad.study.run import RunResult, run_scenario
+from pyomo_quad.study.comparison import ComparisonColumn
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from pyomo_quad.study.run import RunResult
 
 # An iterate that breaks the equations by less, relative, is worth keeping.
 _WORTH_KEEPING = 1e-4
@@ -152,105 +128,6 @@ def exit_code_of(plan: Plan) -> ExitCode:
     return _EXIT_CODES[plan.status]
 
 
-def make_run(planner: Planner, scenario: Scenario, folder: Path) -> tuple[RunRecord, ExitCode]:
-    """Run a scenario, complain about what is wrong with it, and return it with its exit status."""
-    result = run_scenario(scenario, planner=planner)
-    complain_about(result.plan, folder, result.warnings)
-    return RunRecord.of(result), exit_code_of(result.plan)
-
-
-def make_plan(planner: Planner, scenario: Scenario) -> Plan | ExitCode:
-    """Make the plan that a flight follows, or return the status to end with."""
-    plan = planner.solve(scenario)
-    status = exit_code_of(plan)
-    if status is ExitCode.VERIFIED:
-        return plan
-    complain(f"{scenario.name}: no plan to follow, {plan.status.value}: {plan.message}")
-    return status
-
-
-def make_flight(
-    planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
-) -> Flight | ExitCode:
-    """Fly the adaptive controller along a reference or, without one, the plan in open loop."""
-    if reference is Reference.CRUISE:
-        scenario = cruise_at(scenario)
-    dynamics = planner.dynamics(scenario)
-    try:
-        if reference is None and plan is not None:
-            return fly_open_loop(scenario, plan, dynamics)
-        return fly_baseline(scenario, reference or Reference.PLAN, dynamics=dynamics, plan=plan)
-    except SolveError as error:
-        complain(f"{scenario.name}: {error}")
-        return ExitCode.NOT_SOLVED
-
-
-def make_replanned_flight(
-    planner: Planner, scenario: Scenario, knowledge: Knowledge
-) -> Flight | ExitCode:
-    """Fly with the rest of the mission planned again and again."""
-    dynamics = planner.dynamics(scenario)
-    try:
-        return fly_replanned(scenario, knowledge, dynamics=dynamics, planner=planner)
-    except SolveError as error:
-        complain(f"{scenario.name}: {error}")
-        return ExitCode.NOT_SOLVED
-
-
-def refuse_outside(scenario: Scenario) -> None:
-    """Refuse what RotorPy cannot fly before anything is solved."""
-    rotorpy_module(MULTIROTOR)
-    refuse_pushing_wind(scenario)
-
-
-def make_outside_flight(
-    planner: Planner, scenario: Scenario, pilot: str, followed: Reference, plan: Plan | None
-) -> Flight | ExitCode:
-    """Fly RotorPy's vehicle."""
-    try:
-        plant = OutsidePlant(scenario, planner.dynamics(scenario))
-        return fly_outside(plant, Pilot(pilot), followed, plan)
-    except SolveError as error:
-        complain(f"{scenario.name}: {error}")
-        return ExitCode.NOT_SOLVED
-
-
-def write_flight(
-    folder: Path,
-    planner: Planner,
-    scenario: Scenario,
-    flight: Flight,
-    wall_s: Mapping[str, float],
-) -> dict[str, Any]:
-    """Write a flight's table and summary.
-
-    Parameters
-    ----------
-    wall_s : mapping
-        Seconds of each phase.
-    """
-    summary = flight_summary(
-        scenario,
-        flight,
-        hover_energy_J=planner.steady_flight(scenario).hover_power * flight.duration_s,
-        arrived=has_arrived(flight),
-        wall_s=wall_s,
-    )
-    write_table(flight.frame, folder / FLIGHT_NAME)
-    write_summary(folder, summary)
-    return summary
-
-
-def verdict(scenario: Scenario, flight: Flight) -> str:
-    """Return what became of a flight in one sentence."""
-    end = "arrived" if has_arrived(flight) else "did not arrive"
-    confirmed = "confirmed" if flight.is_verified else "not confirmed"
-    return (
-        f"{scenario.name}: {flight.name} {end}, {flight.terminal_miss_m:.2g} m from the goal; "
-        f"{flight.energy_J:.3f} J, {confirmed} by a second integrator."
-    )
-
-
 _OUTCOMES = {
     PlanStatus.SOLVED: "solved but not verified",
     PlanStatus.NOT_CONVERGED: "not converged",
@@ -310,7 +187,7 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
         complain(f"{name}: warning: {caution}")
 
 
-def run_lines(result: RunResult) -> Iterator[str | Table]:
+def run_lines(result: "RunResult") -> Iterator[str | Table]:
     """Yield the answer of a run: the optimum, the flights beside it, and the certificate."""
     yield from verdict_lines(result.plan)
     if not result.comparison.empty:
@@ -318,7 +195,7 @@ def run_lines(result: RunResult) -> Iterator[str | Table]:
     yield from _certificate_lines(result)
 
 
-def _certificate_lines(result: RunResult) -> Iterator[str]:
+def _certificate_lines(result: "RunResult") -> Iterator[str]:
     certificate, gap = result.certificate, result.gap_percent
     if not result.plan.is_verified:
         return
@@ -332,7 +209,7 @@ def _certificate_lines(result: RunResult) -> Iterator[str]:
             yield f"{bound}: the optimum is at most {gap:.3f} % above the best."
 
 
-def comparison_table(comparison: pd.DataFrame) -> Table:
+def comparison_table(comparison: "pd.DataFrame") -> Table:
     """Return the flights beside each other, for a terminal.
 
     Returns

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from pyomo.core import Constraint, Var
 from pyomo.core.base.suffix import active_import_suffix_generator
-from pyomo.environ import Constraint, Var
 
 from pyomo_quad.collocation.mesh import interpolate
 from pyomo_quad.collocation.program.bounds import limits_of

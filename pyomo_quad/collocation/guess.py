@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-import pandas as pd
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.mesh import Mesh, Trajectory, interpolate, real_array
@@ -15,6 +13,9 @@ from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.program.ipopt import Multipliers
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import pandas as pd
     from numpy.typing import NDArray
 
     from pyomo_quad.collocation.mesh import FloatArray
@@ -29,7 +30,7 @@ TIME_COLUMN = "time"
 #: A mapping from slot name to a function of time, a constant or samples over `TIME_COLUMN`;
 #: a pandas frame with a time column and one column per slot is such a mapping.  Or a whole
 #: trajectory on any mesh.
-Guess = Mapping[str, Any] | pd.DataFrame | Trajectory
+Guess: TypeAlias = "Mapping[str, Any] | pd.DataFrame | Trajectory"
 
 
 def point_from_trajectory(program: Transcription, trajectory: Trajectory) -> FloatArray:

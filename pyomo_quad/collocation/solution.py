@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import casadi
 import numpy as np
-import pandas as pd
 
 from pyomo_quad.collocation.costates import Costates, costate_errors_of, costates_of
 from pyomo_quad.collocation.dynamics import Dynamics
@@ -30,6 +29,8 @@ from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Multipl
 from pyomo_quad.collocation.reading.writer import symbol_names
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from pyomo_quad.collocation.formulation import Formulation
     from pyomo_quad.collocation.program.bounds import Bounds, Scaling
     from pyomo_quad.collocation.program.transcription import Transcription
@@ -445,6 +446,8 @@ class Solution(Summarised):
         Column "time" first, then one column per slot, named as ``rotors.omega[1]``; that of a
         variable of the model that is called time is "time (variable)".
         """
+        import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
         at = self.times if times is None else np.atleast_1d(np.asarray(times, dtype=float))
         _, states, algebraics, _, _ = self._inputs(self.fractions(at))
         declared = self.problem.compiled.declared

@@ -7,13 +7,14 @@ from math import nan
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Summarised
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    import pandas as pd
 
     from pyomo_quad.collocation import Dynamics, Violation
 
@@ -82,10 +83,10 @@ _OF_THE_WHOLE = (
 COLUMNS = columns_of(ROTORS)
 
 
-def flight_frame(
+def flight_columns(
     dynamics: Dynamics, t: FloatArray, states: FloatArray, controls: FloatArray, energy: FloatArray
-) -> pd.DataFrame:
-    """Return the table of a flight.
+) -> dict[str, FloatArray]:
+    """Return the columns of a flight's table.
 
     Parameters
     ----------
@@ -100,7 +101,7 @@ def flight_frame(
 
     Returns
     -------
-    DataFrame
+    dict
         `TIME` first, then `COLUMNS`.
     """
     count = sum(name.startswith(_ROTOR_CONTROL) for name in dynamics.control_names)
@@ -110,7 +111,16 @@ def flight_frame(
     values = dynamics.table(keys, t, states, controls)
     held = iter(values.T)
     columns = {c.name: energy if c.name == ENERGY else next(held) for c in shown}
-    return pd.DataFrame({TIME: t} | columns)
+    return {TIME: t} | columns
+
+
+def flight_frame(
+    dynamics: Dynamics, t: FloatArray, states: FloatArray, controls: FloatArray, energy: FloatArray
+) -> pd.DataFrame:
+    """Return the table of a flight, with the columns of `flight_columns`."""
+    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
+    return pd.DataFrame(flight_columns(dynamics, t, states, controls, energy))
 
 
 #: Largest breach of a limit between points, relative to the larger of 1 and the limit.

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Final, Literal, NoRe
 from zipfile import ZipFile
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from pydantic import AllowInfNan, ConfigDict, ValidationError
 
@@ -24,7 +23,7 @@ from pyomo_quad.collocation import (
     interpolate,
     real_array,
 )
-from pyomo_quad.flight.flight import TIME, Flight, Flown, flight_frame
+from pyomo_quad.flight.flight import TIME, Flight, Flown, flight_columns, flight_frame
 from pyomo_quad.flight.routes import TriedRoute  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.verification import Verification  # noqa: TC001  read by pydantic
 from pyomo_quad.scenario import Scenario, ScenarioError
@@ -34,8 +33,14 @@ from pyomo_quad.scenario.messages import PyomoQuadError, complaint, printable
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    import pandas as pd
+
     from pyomo_quad.collocation import Diagnosis, Dynamics, Iteration, Relaxation, Solution
     from pyomo_quad.scenario.mission import NamedDuration
+
+
+#: Of a plan where it stands beside other flights.
+FLIGHT_SAMPLES = 1001
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -499,23 +504,27 @@ class Plan(Summarised):
         ScenarioError
             If the rate is not positive, or the plan was loaded without its equations.
         """
-        start, end = self.trajectories.horizon
-        times = self.trajectories.node_times
-        if rate_hz is not None:
-            if not 0.0 < rate_hz <= 1e5:
-                raise ScenarioError(f"--rate = {rate_hz:g} Hz; must be above 0 and at most 1e5.")
-            times = np.linspace(start, end, max(2, round((end - start) * rate_hz) + 1))
-        return self._frame(times)
+        return flight_frame(*self._sampled(self.times(rate_hz)))
 
-    def _frame(self, times: FloatArray) -> pd.DataFrame:
+    def columns(self, times: FloatArray) -> dict[str, FloatArray]:
+        """Return the columns of `to_frame` at times [s], by name."""
+        return flight_columns(*self._sampled(times))
+
+    def times(self, rate_hz: float | None = None) -> FloatArray:
+        """Return the times of the rows of `to_frame` [s]."""
+        if rate_hz is None:
+            return self.trajectories.node_times
+        if not 0.0 < rate_hz <= 1e5:
+            raise ScenarioError(f"--rate = {rate_hz:g} Hz; must be above 0 and at most 1e5.")
+        start, end = self.trajectories.horizon
+        return np.linspace(start, end, max(2, round((end - start) * rate_hz) + 1))
+
+    def _sampled(
+        self, times: FloatArray
+    ) -> tuple[Dynamics, FloatArray, FloatArray, FloatArray, FloatArray]:
         held = self.trajectories
-        return flight_frame(
-            self.dynamics,
-            times,
-            held.states_at(times),
-            held.controls_at(times),
-            held.energy_at(times),
-        )
+        states, controls = held.states_at(times), held.controls_at(times)
+        return self.dynamics, times, states, controls, held.energy_at(times)
 
     def at(self, t: float) -> pd.Series:
         """Return the row of `to_frame` at one time [s].
@@ -528,14 +537,14 @@ class Plan(Summarised):
         start, end = self.trajectories.horizon
         if not start <= t <= end:
             raise ScenarioError(f"t = {t:g} s is outside the flight, [{start:g}, {end:g}] s.")
-        return self._frame(np.array([float(t)])).iloc[0]
+        return flight_frame(*self._sampled(np.array([float(t)]))).iloc[0]
 
-    def flight(self, name: str = "optimal", samples: int = 1001) -> Flight:
+    def flight(self, name: str = "optimal", samples: int = FLIGHT_SAMPLES) -> Flight:
         """Return the plan as a flight, with the verdict of its verification."""
         verification = self.verification
         return Flight(
             name=name,
-            frame=self._frame(np.linspace(*self.trajectories.horizon, samples)),
+            frame=flight_frame(*self._sampled(np.linspace(*self.trajectories.horizon, samples))),
             energy_J=self.energy,
             duration_s=self.duration_s,
             terminal_miss={} if verification is None else verification.terminal_miss,
@@ -550,6 +559,8 @@ class Plan(Summarised):
 
     def costate_frame(self) -> pd.DataFrame:
         """Return costates and Hamiltonian at the collocation points, "time_s" first."""
+        import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
         held = self.trajectories
         frame = pd.DataFrame(held.costates, columns=list(held.costate_names))
         frame.insert(0, TIME, held.node_times[1:])
@@ -558,6 +569,8 @@ class Plan(Summarised):
 
     def guess(self) -> pd.DataFrame:
         """Return states and controls at the nodes as a first guess for another solve."""
+        import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
         held, times = self.trajectories, self.trajectories.node_times
         frame = pd.DataFrame(held.states, columns=list(held.state_names))
         for name, column in zip(held.control_names, held.controls_at(times).T, strict=True):

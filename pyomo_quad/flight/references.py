@@ -26,7 +26,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BPoly, CubicSpline, PPoly, make_interp_spline
 
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.mission import Mission
@@ -115,6 +114,8 @@ class WaypointPath:
     """
 
     def __init__(self, mission: Mission, derivatives: int) -> None:
+        from scipy.interpolate import make_interp_spline  # noqa: PLC0415  not for every reference
+
         places, times = stops_of(mission)
         ends = [0, *(k + 1 for k, w in enumerate(mission.waypoints) if w.hold > 0), len(places) - 1]
         at_rest = [(order, np.zeros(len(_AT_REST))) for order in range(1, derivatives + 1)]
@@ -213,6 +214,8 @@ class SampledPath:
         accelerations: ArrayLike,
         disturbances: ArrayLike | None = None,
     ) -> None:
+        from scipy.interpolate import BPoly, CubicSpline, PPoly  # noqa: PLC0415  as above
+
         knots = np.asarray(times, dtype=float)
         samples = np.stack([np.asarray(rows, float) for rows in (values, rates, accelerations)], 1)
         place = PPoly.from_bernstein_basis(BPoly.from_derivatives(knots, samples))

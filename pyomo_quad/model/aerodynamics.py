@@ -23,8 +23,9 @@ damps the body rates, with no number of its own.  Each is declared only where it
 
 from collections.abc import Callable
 
+from pyomo.core import Block, ConcreteModel, Expression, Param, sqrt
+from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression
-from pyomo.environ import Block, ConcreteModel, Expression, Param, sqrt, units
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.model.rigid_body import BODY_AXES, BodyAxis

@@ -18,8 +18,9 @@ itself, the zone is exact.  Faces move out by the clearance, so that edges stay 
 from collections.abc import Callable, Hashable
 from functools import reduce
 
+from pyomo.core import Block, ConcreteModel, sqrt
+from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
-from pyomo.environ import Block, ConcreteModel, sqrt, units
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.model.rigid_body import PLACE

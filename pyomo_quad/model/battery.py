@@ -19,9 +19,10 @@ nine tenths of that power both guards are exact to rounding; `power_reserve` tur
 or the state of charge running below zero says that the pack cannot fly the mission.
 """
 
+from pyomo.core import Block, ConcreteModel, Expression, Var, exp, sqrt
+from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
-from pyomo.environ import Block, ConcreteModel, Expression, Var, exp, sqrt, units
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.model.smoothing import saturated

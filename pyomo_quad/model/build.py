@@ -2,8 +2,9 @@
 
 from collections.abc import Hashable, Iterator
 
+from pyomo.core import Block, ConcreteModel, Objective, Param, Suffix, Var, minimize
+from pyomo.core.base.units_container import units
 from pyomo.dae import ContinuousSet, Integral
-from pyomo.environ import Block, ConcreteModel, Objective, Param, Suffix, Var, minimize, units
 
 from pyomo_quad.model import (
     aerodynamics,

@@ -5,7 +5,7 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
-from pyomo.environ import ConcreteModel
+from pyomo.core import ConcreteModel
 
 from pyomo_quad.model.build import build_model
 from pyomo_quad.scenario import Scenario, ScenarioError

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from io import StringIO
 
 from pyomo.common.log import LoggingIntercept
+from pyomo.core import ConcreteModel, Constraint, Expression, Param, Var
 from pyomo.core.base.component import Component, ComponentData
 from pyomo.core.base.indexed_component import IndexedComponent
 from pyomo.core.base.units_container import InconsistentUnitsError, UnitsError
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
-from pyomo.environ import ConcreteModel, Constraint, Expression, Param, Var
-from pyomo.util.check_units import assert_units_consistent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,6 +95,8 @@ def unit_errors(model: ConcreteModel) -> tuple[str, ...]:
         One line for each inconsistent component, empty when all agree.
     """
     kinds = (Constraint, Expression)
+    from pyomo.util.check_units import assert_units_consistent  # noqa: PLC0415  has all of GDP
+
     found = []
     for component in model.component_objects(kinds, active=True, descend_into=True):
         if isinstance(component, Integral):

@@ -11,8 +11,9 @@ Both are declared only where they are not zero.
 
 from collections.abc import Callable
 
+from pyomo.core import Block, ConcreteModel, inequality, sqrt
+from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
-from pyomo.environ import Block, ConcreteModel, inequality, sqrt, units
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario

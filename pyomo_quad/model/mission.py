@@ -7,9 +7,10 @@ it is the exact speed at which 4 kappa_b omega^2 = m g.
 from collections.abc import Callable, Hashable, Mapping
 from typing import Any
 
+from pyomo.core import Block, ConcreteModel, Constraint, Param, Var, sqrt, value
+from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
-from pyomo.environ import Block, ConcreteModel, Constraint, Param, Var, sqrt, units, value
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.model.rigid_body import PLACE, STATES

@@ -34,8 +34,9 @@ rest, made the error out of sample 1.89 % instead of 1.86 %, and was left out.
 
 from math import nan, pi
 
+from pyomo.core import Block, ConcreteModel, Expression, Var, sqrt, value
+from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
-from pyomo.environ import Block, ConcreteModel, Expression, Var, sqrt, units, value
 
 from pyomo_quad.model.parameters import Parameter
 from pyomo_quad.model.rigid_body import thrust_axis

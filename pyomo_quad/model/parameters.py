@@ -4,7 +4,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pyomo.environ import Block, Param
+from pyomo.core import Block, Param
 
 from pyomo_quad.scenario import Scenario
 

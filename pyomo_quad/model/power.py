@@ -20,8 +20,9 @@ would earn more than it gave.
 
 from collections.abc import Callable
 
+from pyomo.core import Block, ConcreteModel, Expression
+from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression
-from pyomo.environ import Block, ConcreteModel, Expression, units
 
 from pyomo_quad.model import momentum
 from pyomo_quad.model.parameters import Parameter, declare_parameters

@@ -18,9 +18,10 @@ order of derivative.  Balances are undivided, as printed.
 from collections.abc import Callable
 
 from numpy import interp
+from pyomo.core import Block, ConcreteModel, Var, cos, sin, tan
+from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
-from pyomo.environ import Block, ConcreteModel, Var, cos, sin, tan, units
 
 from pyomo_quad.model.vehicle import mass_at
 from pyomo_quad.scenario import Scenario

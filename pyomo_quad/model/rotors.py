@@ -2,9 +2,10 @@
 
 from collections.abc import Callable, Iterable
 
+from pyomo.core import Block, ConcreteModel, Set, Var
+from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
-from pyomo.environ import Block, ConcreteModel, Set, Var, units
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario

@@ -7,10 +7,10 @@ from enum import StrEnum
 from itertools import permutations
 from math import inf
 
+from pyomo.core import ConcreteModel, Constraint, Suffix, Var, value
 from pyomo.core.base.constraint import ConstraintData
 from pyomo.core.base.var import VarData
 from pyomo.dae import ContinuousSet, DerivativeVar
-from pyomo.environ import ConcreteModel, Constraint, Suffix, Var, value
 from pyomo.repn import generate_standard_repn
 
 

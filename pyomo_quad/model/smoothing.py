@@ -1,7 +1,7 @@
 """Smooth stand-ins for `max`, so that every declared equation has two derivatives."""
 
+from pyomo.core import sqrt, tanh
 from pyomo.core.expr import NumericExpression
-from pyomo.environ import sqrt, tanh
 
 
 def positive_part(value: NumericExpression, width: NumericExpression) -> NumericExpression:

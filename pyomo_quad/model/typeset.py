@@ -4,13 +4,13 @@ from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
 from math import tau
 
+from pyomo.core import ConcreteModel, Constraint, Expression, value
 from pyomo.core.base.component import ComponentData
 from pyomo.core.base.indexed_component import IndexedComponent
 from pyomo.core.base.units_container import _PyomoUnit
 from pyomo.core.expr import numeric_expr, relational_expr
 from pyomo.core.expr.numvalue import NumericValue, native_numeric_types
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
-from pyomo.environ import ConcreteModel, Constraint, Expression, value
 
 from pyomo_quad.model.wind import HARMONICS
 

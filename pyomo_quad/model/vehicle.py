@@ -14,8 +14,9 @@ R | motor_resistance | ohm | winding
 T_f, D_f | friction_torque, viscous_damping | N m, N m s | only in the power model with friction
 """
 
+from pyomo.core import Block, ConcreteModel, Param
+from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression
-from pyomo.environ import Block, ConcreteModel, Param, units
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario

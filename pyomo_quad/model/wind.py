@@ -28,10 +28,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pyomo.core.base.units_container import UnitsError
+from pyomo.core import Block, ConcreteModel, Expression, Param, exp, log, sin, sqrt
+from pyomo.core.base.units_container import UnitsError, units
 from pyomo.core.expr import NumericExpression
-from pyomo.environ import Block, ConcreteModel, Expression, Param, exp, log, sin, sqrt, units
-from scipy.interpolate import CubicSpline
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
@@ -400,5 +399,7 @@ def _spline(
     times: tuple[float, ...], speeds: FloatArray, offset: float
 ) -> Callable[[float], float]:
     """Return measured speed as a function of the time in flight."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  for measured wind alone
+
     spline = CubicSpline(times, speeds)
     return lambda t: float(spline(t + offset))

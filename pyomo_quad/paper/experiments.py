@@ -26,7 +26,7 @@ from pyomo_quad.scenario import (
 )
 
 if TYPE_CHECKING:
-    from pyomo.environ import ConcreteModel
+    from pyomo.core import ConcreteModel
 
 #: Names of the two batteries in the library.
 PAPER_CELL = "paper_cell"

@@ -8,18 +8,19 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-import pandas as pd
+import numpy as np
 
 from pyomo_quad.collocation import pyomo_unaware
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.flight.flight import COLUMNS, VIOLATION_TOLERANCE
+from pyomo_quad.flight.plan import FLIGHT_SAMPLES
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
     ENERGY_TOLERANCE,
     MISS_TOLERANCE,
 )
 from pyomo_quad.report import Figures
-from pyomo_quad.report.render import FIGURE_FOLDER, STATUS_WORDS, render_html, render_markdown
+from pyomo_quad.report.render import FIGURE_FOLDER, STATUS_WORDS, render_markdown
 from pyomo_quad.report.tables import (
     FRONT_NAME,
     PLAN_NAME,
@@ -39,7 +40,7 @@ from pyomo_quad.study.comparison import (
     ComparisonColumn,
     LegColumn,
     ReplanningColumn,
-    leg_table,
+    leg_rows,
     replanning_table,
     way_flown,
 )
@@ -47,6 +48,8 @@ from pyomo_quad.study.front import FrontColumn
 from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from pyomo_quad.flight import Plan
     from pyomo_quad.report.gallery import Drawing
     from pyomo_quad.scenario import Scenario
@@ -130,7 +133,7 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
     (folder / PAGE_NAME).write_text(page, encoding="utf-8")
 
 
-def write_comparison(folder: Path, comparison: pd.DataFrame, title: str = "Comparison") -> None:
+def write_comparison(folder: Path, comparison: "pd.DataFrame", title: str = "Comparison") -> None:
     """Write a comparison as CSV and as Markdown.
 
     Parameters
@@ -155,7 +158,7 @@ class RunRecord:
     """What is kept of a run: its summary, and its flights beside each other."""
 
     summary: Mapping[str, Any]
-    comparison: pd.DataFrame
+    comparison: "pd.DataFrame"
 
     @classmethod
     def of(cls, result: "RunResult") -> "RunRecord":
@@ -169,6 +172,8 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     A run by other versions may differ in its numbers, and the code of a model of one's own may
     have changed since: neither is taken.
     """
+    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
     if scenario.model is not None:
         return None
     flags = (ComparisonColumn.ARRIVED, ComparisonColumn.LIMITS_KEPT, ComparisonColumn.VERIFIED)
@@ -195,7 +200,7 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
 
 
 def write_compare_report(
-    folder: Path, comparison: pd.DataFrame, *, is_good: bool, figures: Figures = Figures.ALL
+    folder: Path, comparison: "pd.DataFrame", *, is_good: bool, figures: Figures = Figures.ALL
 ) -> None:
     """Write the flights of many scenarios beside each other: tables, a figure and a page.
 
@@ -223,6 +228,8 @@ def write_compare_report(
         drawings=drawings,
     )
     (folder / COMPARISON_REPORT_NAME).write_text(text, encoding="utf-8")
+    from pyomo_quad.report.page import render_html  # noqa: PLC0415  a solve writes no page
+
     page = render_html(
         text, is_good=is_good, pictures=_pictures(folder, drawings), views={}, data=""
     )
@@ -237,12 +244,12 @@ def _title(plan: "Plan") -> str:
 
 def _of_plan(plan: "Plan") -> dict[str, Any]:
     """Return what the templates say of a plan."""
-    frame = plan.flight().frame
+    columns = plan.columns(np.linspace(*plan.trajectories.horizon, FLIGHT_SAMPLES))
     return {
         "title": _title(plan),
         "plan": plan,
-        "asked_energy": _asked_energy(plan, frame),
-        "legs": leg_table(plan.mission_flown, frame).to_dict("records"),
+        "asked_energy": _asked_energy(plan, columns),
+        "legs": leg_rows(plan.mission_flown, columns),
         "leg": LegColumn,
         "allowed": {
             "miss": MISS_TOLERANCE,
@@ -256,15 +263,15 @@ def _of_plan(plan: "Plan") -> dict[str, Any]:
     }
 
 
-def _asked_energy(plan: "Plan", frame: pd.DataFrame) -> dict[str, float | None]:
+def _asked_energy(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, float | None]:
     """Return the plan's energy as people ask for it, and what a whole charge is good for."""
     if plan.verification is None:
         return {"path_m": 0.0, "battery_percent": None}
-    path = float(way_flown(frame)[-1])
+    path = float(way_flown(columns)[-1])
     path = path if path > _SHORTEST_PATH_M else 0.0
-    if _CHARGE not in frame:
+    if _CHARGE not in columns:
         return {"path_m": path, "battery_percent": None}
-    used = float(frame[_CHARGE].iloc[0] - frame[_CHARGE].iloc[-1])
+    used = float(columns[_CHARGE][0] - columns[_CHARGE][-1])
     charges = 100.0 / used if used > 0.0 else inf
     return {
         "path_m": path,
@@ -274,7 +281,7 @@ def _asked_energy(plan: "Plan", frame: pd.DataFrame) -> dict[str, float | None]:
     }
 
 
-def _of_flights(comparison: pd.DataFrame) -> dict[str, Any]:
+def _of_flights(comparison: "pd.DataFrame") -> dict[str, Any]:
     """Return what the templates say of flights beside each other."""
     return {
         "column": ComparisonColumn,
@@ -322,7 +329,7 @@ def _of_run(result: "RunResult") -> dict[str, Any]:
     }
 
 
-def _rival(comparison: pd.DataFrame) -> dict[Any, Any] | None:
+def _rival(comparison: "pd.DataFrame") -> dict[Any, Any] | None:
     """Return the arrived baseline to measure against: the smooth one, or the cheapest."""
     has_saving = comparison[ComparisonColumn.SAVING].notna()
     is_own = comparison[ComparisonColumn.FLIGHT] == OPEN_LOOP
@@ -358,6 +365,8 @@ def _page(folder: Path, text: str, result: "RunResult", drawings: "Sequence[Draw
     data = ""
     if drawings and _gallery().PATH_NAME in [drawing.name for drawing in drawings]:
         views, data = _gallery().view_of_paths(result)
+    from pyomo_quad.report.page import render_html  # noqa: PLC0415  see above
+
     return render_html(
         text,
         is_good=_is_good(result),

@@ -1,9 +1,10 @@
 """Tables as CSV files and summaries for programs: the same bytes from run to run."""
 
+import csv
 import json
 import math
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
@@ -33,14 +34,18 @@ def neutral_cell(value: object) -> object:
     return value
 
 
-def write_table(frame: "pd.DataFrame", path: Path) -> None:
-    """Write a table as CSV."""
-    import pandas as pd  # noqa: PLC0415  takes a quarter of a second, and not all commands need it
+def write_table(table: "pd.DataFrame | Mapping[str, Iterable[object]]", path: Path) -> None:
+    """Write as CSV a frame, or columns by name, which spare a solve the 0.3 s of pandas."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([neutral_cell(name) for name, _ in table.items()])
+        writer.writerows(zip(*(map(_cell, column) for _, column in table.items()), strict=True))
 
-    safe = frame.rename(columns=neutral_cell)
-    texts = [name for name, kind in safe.dtypes.items() if not pd.api.types.is_numeric_dtype(kind)]
-    safe = safe.assign(**{str(name): safe[name].map(neutral_cell) for name in texts})
-    safe.to_csv(path, index=False, float_format=_NUMBER_FORMAT, lineterminator="\n")
+
+def _cell(value: object) -> object:
+    if isinstance(value, float):
+        return "" if math.isnan(value) else _NUMBER_FORMAT % value
+    return neutral_cell(value)
 
 
 def flight_summary(
@@ -91,10 +96,11 @@ def write_plan_table(folder: Path, plan: "Plan", rate_hz: float | None = None) -
     rate_hz : float, optional
         Rows per second; one per node of the mesh without.
     """
-    frame = plan.to_frame(rate_hz)
+    columns = plan.columns(plan.times(rate_hz))
+    status: dict[str, Iterable[object]] = {}
     if plan.verification is None:
-        frame[_STATUS_COLUMN] = plan.status.value
-    write_table(frame, folder / PLAN_NAME)
+        status[_STATUS_COLUMN] = [plan.status.value] * len(next(iter(columns.values())))
+    write_table({**columns, **status}, folder / PLAN_NAME)
 
 
 SUMMARY_NAME = "summary.json"

@@ -52,6 +52,7 @@ class Part(BaseModel):
         allow_inf_nan=False,
         use_attribute_docstrings=False,
         protected_namespaces=(),
+        defer_build=True,  # of the many tables, only those in use are worth the time
     )
 
     @model_serializer(mode="wrap")

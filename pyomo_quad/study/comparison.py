@@ -1,11 +1,11 @@
 """The flights of a mission beside each other, one row each, and what adaptation is worth."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from math import isclose, isfinite, nan
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Dynamics
@@ -32,6 +32,9 @@ from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.scenario.vehicle import MOST_ROTORS
 from pyomo_quad.study.certificate import SAME_TIME, Certificate
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 FloatArray = NDArray[np.float64]
 
 ERROR_WITH = "position_error_with_adaptation_m"
@@ -47,8 +50,10 @@ def adaptation_study(
     reference: Reference = Reference.QUINTIC,
     *,
     dynamics: Dynamics | None = None,
-) -> pd.DataFrame:
+) -> "pd.DataFrame":
     """Fly a mission under the adaptive controller, with adaptation and without."""
+    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
     vehicle = Planner().dynamics(scenario) if dynamics is None else dynamics
     with_it, without_it = (
         fly_reference(
@@ -138,7 +143,7 @@ def compare_flights(
     flights: Sequence[Flight],
     certificate: Certificate,
     hover_energy_J: float,
-) -> pd.DataFrame:
+) -> "pd.DataFrame":
     """Compare the flights of one mission.
 
     Returns
@@ -162,6 +167,8 @@ def compare_flights(
     floor, a bound only where the certificate is one of its duration, and no saving above hover:
     the two would be above different floors.
     """
+    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
     is_told_the_wind = scenario.wind.forecast is None
     optimum = next((f for f in flights if f.name == OPTIMAL and is_comparable(f)), None)
     rows = []
@@ -232,32 +239,48 @@ class LegColumn(StrEnum):
     ENERGY = "energy_J"
 
 
-def leg_table(mission: Scenario, frame: pd.DataFrame) -> pd.DataFrame:
+def leg_table(mission: Scenario, frame: "pd.DataFrame") -> "pd.DataFrame":
+    """Return `leg_rows` as a table with the columns of `LegColumn`."""
+    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
+    return pd.DataFrame(leg_rows(mission, frame), columns=[column.value for column in LegColumn])
+
+
+def leg_rows(
+    mission: Scenario, flown: "Mapping[str, FloatArray] | pd.DataFrame"
+) -> list[dict[str, str | float]]:
     """Return what each leg of a flight took, between waypoints and while held at one.
 
     Parameters
     ----------
     mission : Scenario
         With the times at which the flight passes its waypoints (`Plan.mission_flown`).
-    frame : DataFrame
+    flown : mapping or DataFrame
         The flight, columns of `flight.columns`.
 
     Returns
     -------
-    DataFrame
-        Columns of `LegColumn`; no rows for a mission without waypoints.
+    list of dict
+        Values by `LegColumn`; none for a mission without waypoints.
     """
-    columns = [column.value for column in LegColumn]
-    if not mission.mission.waypoints or not _HAS_LEGS.issubset(frame):
-        return pd.DataFrame(columns=columns)
-    time, way = frame[TIME].to_numpy(dtype=float), way_flown(frame)
-    rows = []
+    if not mission.mission.waypoints or not _HAS_LEGS.issubset(flown):
+        return []
+    time, way = np.asarray(flown[TIME], dtype=float), way_flown(flown)
+    rows: list[dict[str, str | float]] = []
     for name, begun, ended in _legs(mission, float(time[-1])):
         lengths, energies = (
-            np.interp((begun, ended), time, held) for held in (way, frame[ENERGY].to_numpy())
+            np.interp((begun, ended), time, held)
+            for held in (way, np.asarray(flown[ENERGY], dtype=float))
         )
-        rows.append((name, begun, ended, float(np.ptp(lengths)), float(energies[1] - energies[0])))
-    return pd.DataFrame(rows, columns=columns)
+        row: dict[str, str | float] = {
+            LegColumn.LEG.value: name,
+            LegColumn.BEGUN.value: begun,
+            LegColumn.ENDED.value: ended,
+            LegColumn.LENGTH.value: float(np.ptp(lengths)),
+            LegColumn.ENERGY.value: float(energies[1] - energies[0]),
+        }
+        rows.append(row)
+    return rows
 
 
 def _legs(mission: Scenario, duration_s: float) -> Iterator[tuple[str, float, float]]:
@@ -272,13 +295,14 @@ def _legs(mission: Scenario, duration_s: float) -> Iterator[tuple[str, float, fl
     yield f"{place} to goal", left, duration_s
 
 
-def way_flown(frame: pd.DataFrame) -> FloatArray:
+def way_flown(flown: "Mapping[str, FloatArray] | pd.DataFrame") -> FloatArray:
     """Return the length of the way flown until each row of a flight's table, m.
 
     Axes that a model of the user's own does not have count for nothing.
     """
     names = [_COLUMN_OF[state, None] for state in POSITION_STATES]
-    places = frame[[name for name in names if name in frame]].to_numpy(dtype=float)
+    held = [np.asarray(flown[name], dtype=float) for name in names if name in flown]
+    places = np.reshape(held, (-1, len(flown[TIME]))).T
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -298,7 +322,7 @@ class ReplanningColumn(StrEnum):
     LONGEST_SOLVE = "solve_longest_s"
 
 
-def replanning_table(flights: Sequence[Flight]) -> pd.DataFrame:
+def replanning_table(flights: Sequence[Flight]) -> "pd.DataFrame":
     """Return what became of each re-planned flight, and how long its solves took here.
 
     Returns
@@ -306,6 +330,8 @@ def replanning_table(flights: Sequence[Flight]) -> pd.DataFrame:
     DataFrame
         One row for each flight with solves, columns of `ReplanningColumn`.
     """
+    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
     rows = []
     for flight in flights:
         if not flight.resolves:
@@ -340,8 +366,10 @@ def settled_energy(flight: Flight) -> float:
     return flight.energy_J + (flight.owed_energy_J if is_priced else 0.0)
 
 
-def combine(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
+def combine(frames: "Sequence[pd.DataFrame]") -> "pd.DataFrame":
     """Put the comparisons of many scenarios under each other."""
+    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
     if not frames:
         return pd.DataFrame(columns=[column.value for column in ComparisonColumn])
     return pd.concat(frames, ignore_index=True)
@@ -356,7 +384,7 @@ def _percent(part: float, whole: float) -> float:
     return 100.0 * part / whole if whole > 0.0 else nan
 
 
-def _measured(scenario: Scenario, frame: pd.DataFrame) -> dict[ComparisonColumn, float]:
+def _measured(scenario: Scenario, frame: "pd.DataFrame") -> dict[ComparisonColumn, float]:
     """Return what is read off a flight's table; NaN where a user's model lacks the column."""
     alpha = _rotor_values(frame, "rotors.alpha")
     tilt = np.cos(_values(frame, "rigid_body.phi")) * np.cos(_values(frame, "rigid_body.theta"))
@@ -370,7 +398,7 @@ def _measured(scenario: Scenario, frame: pd.DataFrame) -> dict[ComparisonColumn,
     }
 
 
-def _reserve_percent(scenario: Scenario, frame: pd.DataFrame) -> float:
+def _reserve_percent(scenario: Scenario, frame: "pd.DataFrame") -> float:
     limits = scenario.limits
     speeds = _rotor_values(frame, "rotors.omega")
     thrust = _values(frame, "rotors.total_thrust")
@@ -378,7 +406,7 @@ def _reserve_percent(scenario: Scenario, frame: pd.DataFrame) -> float:
     return float(100.0 * (1.0 - used))
 
 
-def _time_inside(scenario: Scenario, frame: pd.DataFrame) -> float:
+def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
     """Return the time spent near the goal; half an interval where only one end of it is near."""
     position = np.column_stack([_values(frame, name) for name in POSITION_STATES])
     distance = np.linalg.norm(position - scenario.mission.goal.position, axis=1)
@@ -388,13 +416,13 @@ def _time_inside(scenario: Scenario, frame: pd.DataFrame) -> float:
     return float(np.trapezoid(is_near, frame[TIME].to_numpy(dtype=float)))
 
 
-def _rotor_values(frame: pd.DataFrame, component: str) -> FloatArray:
+def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
     """Return a column for each rotor, four at least; NaN where a user's model lacks one."""
     rotors = [j for j in _EVERY_ROTOR if j in ROTORS or _COLUMN_OF[component, j] in frame]
     return np.column_stack([_values(frame, component, rotor) for rotor in rotors])
 
 
-def _values(frame: pd.DataFrame, component: str, index: int | None = None) -> FloatArray:
+def _values(frame: "pd.DataFrame", component: str, index: int | None = None) -> FloatArray:
     name = _COLUMN_OF[component, index]
     if name not in frame:
         return np.full(len(frame), nan)

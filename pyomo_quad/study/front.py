@@ -7,12 +7,14 @@ slope of the front there is minus the price.
 
 from enum import StrEnum
 from math import isclose, isfinite, nan
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from pyomo_quad.collocation import Progress
 from pyomo_quad.flight import Plan, Planner
 from pyomo_quad.scenario.mission import Aim
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # Prices of time, as shares of the power of hovering, beside the mission's own.
 _PRICES = (0.0, 0.3, 1.0, 3.0)
@@ -31,7 +33,7 @@ class FrontColumn(StrEnum):
 
 def energy_time_front(
     plan: Plan, *, planner: Planner, progress: Progress | None = None
-) -> pd.DataFrame:
+) -> "pd.DataFrame":
     """Return energy and duration of a mission's flights at a few prices of time.
 
     Each starts from the plan, so that it passes zones on the plan's sides, and is solved on the
@@ -49,6 +51,8 @@ def energy_time_front(
         Columns of `FrontColumn`, the shortest first; no rows where the plan is not verified or
         its duration was not free.  The plan's price is NaN where its aim is the least time.
     """
+    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
     columns = [column.value for column in FrontColumn]
     if not plan.is_verified or not plan.scenario.mission.is_free:
         return pd.DataFrame(columns=columns)

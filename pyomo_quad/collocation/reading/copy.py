@@ -8,13 +8,7 @@ from traceback import walk_tb
 from types import CellType, CodeType, FunctionType, MethodType
 from typing import TYPE_CHECKING, Any
 
-from pyomo.core.base.component import ActiveComponent, Component, ComponentData
-from pyomo.core.base.initializer import Initializer
-from pyomo.core.expr.compare import compare_expressions
-from pyomo.core.expr.visitor import identify_mutable_parameters, identify_variables
-from pyomo.dae import ContinuousSet, DerivativeVar
-from pyomo.dae.misc import expand_components
-from pyomo.environ import (
+from pyomo.core import (
     Block,
     ComponentUID,
     Constraint,
@@ -25,6 +19,12 @@ from pyomo.environ import (
     Suffix,
     Var,
 )
+from pyomo.core.base.component import ActiveComponent, Component, ComponentData
+from pyomo.core.base.initializer import Initializer
+from pyomo.core.expr.compare import compare_expressions
+from pyomo.core.expr.visitor import identify_mutable_parameters, identify_variables
+from pyomo.dae import ContinuousSet, DerivativeVar
+from pyomo.dae.misc import expand_components
 from pyomo.network import Port
 
 from pyomo_quad.collocation.errors import TranscriptionError, raised

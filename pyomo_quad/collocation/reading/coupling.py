@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import casadi
+from pyomo.core import Var
 from pyomo.dae import Integral as PyomoIntegral
-from pyomo.environ import Var
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.reading.clock import FreeTimes, free_times

@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import casadi
+from pyomo.core import Constraint, Expression, Objective, Suffix, maximize, value
 from pyomo.core.expr.numvalue import native_types
 from pyomo.core.expr.visitor import identify_variables
 from pyomo.dae import DerivativeVar
-from pyomo.environ import Constraint, Expression, Objective, Suffix, maximize, value
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 

@@ -8,9 +8,9 @@ from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from pyomo.core.base.units_container import UnitsError
+from pyomo.core import Constraint, Var, value
+from pyomo.core.base.units_container import UnitsError, units
 from pyomo.dae import DerivativeVar, Integral
-from pyomo.environ import Constraint, Var, units, value
 
 from pyomo_quad.collocation.errors import TranscriptionError, raised
 from pyomo_quad.collocation.reading.copy import rule_of

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import casadi
 from pyomo.common.numeric_types import RegisterNumericType
+from pyomo.core import ConcreteModel, Param, value
 from pyomo.dae import DerivativeVar
-from pyomo.environ import ConcreteModel, Param, value
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.reading.clock import Clock
@@ -237,14 +237,18 @@ class AddressBook:
 
     def __init__(self, time: ContinuousSet | None) -> None:
         self._time = time
-        self._positions: dict[int, int | None] = {}
+        # Pyomo makes a component's name anew each time that it is asked for it.
+        self._known: dict[int, tuple[str, int | None]] = {}
 
     def time_position(self, component: Any) -> int | None:
         """Return where time stands in a component's index, None if it does not."""
+        return self._name_and_position(component)[1]
+
+    def _name_and_position(self, component: Any) -> tuple[str, int | None]:
         key = id(component)
-        if key not in self._positions:
-            self._positions[key] = self._find(component)
-        return self._positions[key]
+        if key not in self._known:
+            self._known[key] = component.name, self._find(component)
+        return self._known[key]
 
     def _find(self, component: Any) -> int | None:
         if self._time is None or not component.is_indexed():
@@ -268,11 +272,11 @@ class AddressBook:
     def split(self, component: Any, index: Any) -> Address:
         """Split a component's full index into the index without time, and the time."""
         whole = _as_tuple(index)
-        position = self.time_position(component)
+        name, position = self._name_and_position(component)
         if position is None:
-            return Address(component.name, whole, None)
+            return Address(name, whole, None)
         rest = whole[:position] + whole[position + 1 :]
-        return Address(component.name, rest, whole[position])
+        return Address(name, rest, whole[position])
 
     def join(self, component: Any, index: tuple[Any, ...], time: Any) -> Any:
         """Return a component's full index at a time: the inverse of `split`."""

@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import casadi
 import numpy as np
-from pyomo.contrib.fbbt.fbbt import compute_bounds_on_expr
 from pyomo.core.base.external import PythonCallbackFunction
-from scipy.interpolate import make_interp_spline
 
 from pyomo_quad.collocation.errors import TranscriptionError, raised
 
@@ -45,6 +43,8 @@ class Spline:
     @classmethod
     def through(cls, points: Sequence[FloatArray], values: FloatArray, degree: int) -> Self:
         """Return the spline through values on a grid."""
+        from scipy.interpolate import make_interp_spline  # noqa: PLC0415  few models have tables
+
         held, knots = np.asarray(values, dtype=float), []
         for axis, at in enumerate(points):
             spline = make_interp_spline(at, np.moveaxis(held, axis, 0), k=degree)
@@ -242,9 +242,16 @@ def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> An
     return None if not is_same else casadi.substitute(said, symbols, casadi.vertcat(*inputs))
 
 
+def _bounds(argument: Any) -> tuple[float | None, float | None]:
+    from pyomo.contrib.fbbt.fbbt import compute_bounds_on_expr  # noqa: PLC0415  as above
+
+    lower, upper = compute_bounds_on_expr(argument)
+    return lower, upper
+
+
 def _range(argument: Any) -> tuple[float, float]:
     """Return where a function is checked: between the bounds of its argument, if it has both."""
-    lower, upper = compute_bounds_on_expr(argument)
+    lower, upper = _bounds(argument)
     return (0.1, 0.9) if lower is None or upper is None else (float(lower), float(upper))
 
 
@@ -258,7 +265,7 @@ def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
         )
     ranges = []
     for place, argument in enumerate(stated, start=1):
-        lower, upper = compute_bounds_on_expr(argument)
+        lower, upper = _bounds(argument)
         if lower is None or upper is None or not upper > lower:
             raise TranscriptionError(
                 f"{name} in {owner}: its function takes no symbols, and argument {place} has no "

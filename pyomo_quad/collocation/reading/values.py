@@ -8,9 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pyomo.core import value
 from pyomo.core.base.component import Component
 from pyomo.core.expr.numvalue import NumericValue
-from pyomo.environ import value
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.reading.interpolants import Interpolant, interpolant

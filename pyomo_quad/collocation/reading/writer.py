@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import casadi
 import numpy as np
 from pyomo.common.log import LoggingIntercept
+from pyomo.core import Constraint, Expression, Param, Var
 from pyomo.core.base.constraint import ConstraintData
 from pyomo.core.base.units_container import _PyomoUnit
 from pyomo.core.expr import numeric_expr
@@ -18,7 +19,6 @@ from pyomo.core.expr.numvalue import NonNumericValue, NumericConstant, native_ty
 from pyomo.core.expr.visitor import StreamBasedExpressionVisitor
 from pyomo.dae import DerivativeVar
 from pyomo.dae import Integral as PyomoIntegral
-from pyomo.environ import Constraint, Expression, Param, Var
 
 from pyomo_quad.collocation.errors import TranscriptionError, raised
 from pyomo_quad.collocation.reading.copy import bounds_rule_of, rule_of
@@ -198,7 +198,9 @@ def same_expression(first: Any, second: Any) -> bool:
 
 def symbol_names(expression: Any) -> frozenset[str]:
     """Return the names of the symbols in a CasADi expression."""
-    return frozenset(s.name() for s in casadi.symvar(casadi.SX(expression)))
+    # Making an SX of an SX takes longer than finding its symbols.
+    held = expression if isinstance(expression, casadi.SX) else casadi.SX(expression)
+    return frozenset(s.name() for s in casadi.symvar(held))
 
 
 # What a lower bound, a body and an upper bound are that a rule does not give.

@@ -8,8 +8,8 @@ from html.parser import HTMLParser
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pyomo_quad.report.page import render_html
 from pyomo_quad.report.paths import script_json, view_data
-from pyomo_quad.report.render import render_html
 from pyomo_quad.report.style import styled_flights
 from tests.synthetic_run import synthetic_run
 from tests.unit.report.test_markdown import every_block, words_of

@@ -40,3 +40,13 @@ def test_heading_and_missing_number(tmp_path):
         pd.DataFrame({"=cmd": [1.0, float("nan")], "note": ["-x", None]}), tmp_path / "t.csv"
     )
     assert (tmp_path / "t.csv").read_text() == "'=cmd,note\n1,'-x\n,\n"
+
+
+def test_columns_and_frames_are_written_as_pandas_would(tmp_path):
+    numbers = [1.0, -1e-300, float("nan"), float("inf"), 1 / 3]
+    columns = {"x_m": numbers, "n": [1, 2, 3, 4, 5], "kept": [True, False] * 2 + [True]}
+    frame = pd.DataFrame(columns | {"note": ["a,b", 'say "so"', "", None, "two\nlines"]})
+    for table in (frame, dict(frame)):
+        write_table(table, tmp_path / "t.csv")
+        expected = frame.to_csv(index=False, float_format="%.12g", lineterminator="\n")
+        assert (tmp_path / "t.csv").read_bytes().decode() == expected

@@ -1,0 +1,118 @@
+"""What `pyomo-quad fly` flies, and what it says of it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.cli.solving import exit_code_of
+from pyomo_quad.cli.terminal import complain
+from pyomo_quad.collocation import SolveError
+from pyomo_quad.flight import Flight, Plan, Planner
+from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop
+from pyomo_quad.flight.cruise import cruise_at
+from pyomo_quad.flight.outside_plant import (
+    MULTIROTOR,
+    OutsidePlant,
+    Pilot,
+    fly_outside,
+    refuse_pushing_wind,
+    rotorpy_module,
+)
+from pyomo_quad.flight.replanning import fly_replanned
+from pyomo_quad.report.tables import FLIGHT_NAME, flight_summary, write_summary, write_table
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.tables import Knowledge, Reference
+from pyomo_quad.study.comparison import has_arrived
+
+
+def make_plan(planner: Planner, scenario: Scenario) -> Plan | ExitCode:
+    """Make the plan that a flight follows, or return the status to end with."""
+    plan = planner.solve(scenario)
+    status = exit_code_of(plan)
+    if status is ExitCode.VERIFIED:
+        return plan
+    complain(f"{scenario.name}: no plan to follow, {plan.status.value}: {plan.message}")
+    return status
+
+
+def make_flight(
+    planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
+) -> Flight | ExitCode:
+    """Fly the adaptive controller along a reference or, without one, the plan in open loop."""
+    if reference is Reference.CRUISE:
+        scenario = cruise_at(scenario)
+    dynamics = planner.dynamics(scenario)
+    try:
+        if reference is None and plan is not None:
+            return fly_open_loop(scenario, plan, dynamics)
+        return fly_baseline(scenario, reference or Reference.PLAN, dynamics=dynamics, plan=plan)
+    except SolveError as error:
+        complain(f"{scenario.name}: {error}")
+        return ExitCode.NOT_SOLVED
+
+
+def make_replanned_flight(
+    planner: Planner, scenario: Scenario, knowledge: Knowledge
+) -> Flight | ExitCode:
+    """Fly with the rest of the mission planned again and again."""
+    dynamics = planner.dynamics(scenario)
+    try:
+        return fly_replanned(scenario, knowledge, dynamics=dynamics, planner=planner)
+    except SolveError as error:
+        complain(f"{scenario.name}: {error}")
+        return ExitCode.NOT_SOLVED
+
+
+def refuse_outside(scenario: Scenario) -> None:
+    """Refuse what RotorPy cannot fly before anything is solved."""
+    rotorpy_module(MULTIROTOR)
+    refuse_pushing_wind(scenario)
+
+
+def make_outside_flight(
+    planner: Planner, scenario: Scenario, pilot: str, followed: Reference, plan: Plan | None
+) -> Flight | ExitCode:
+    """Fly RotorPy's vehicle."""
+    try:
+        plant = OutsidePlant(scenario, planner.dynamics(scenario))
+        return fly_outside(plant, Pilot(pilot), followed, plan)
+    except SolveError as error:
+        complain(f"{scenario.name}: {error}")
+        return ExitCode.NOT_SOLVED
+
+
+def write_flight(
+    folder: Path,
+    planner: Planner,
+    scenario: Scenario,
+    flight: Flight,
+    wall_s: Mapping[str, float],
+) -> dict[str, Any]:
+    """Write a flight's table and summary.
+
+    Parameters
+    ----------
+    wall_s : mapping
+        Seconds of each phase.
+    """
+    summary = flight_summary(
+        scenario,
+        flight,
+        hover_energy_J=planner.steady_flight(scenario).hover_power * flight.duration_s,
+        arrived=has_arrived(flight),
+        wall_s=wall_s,
+    )
+    write_table(flight.frame, folder / FLIGHT_NAME)
+    write_summary(folder, summary)
+    return summary
+
+
+def verdict(scenario: Scenario, flight: Flight) -> str:
+    """Return what became of a flight in one sentence."""
+    end = "arrived" if has_arrived(flight) else "did not arrive"
+    confirmed = "confirmed" if flight.is_verified else "not confirmed"
+    return (
+        f"{scenario.name}: {flight.name} {end}, {flight.terminal_miss_m:.2g} m from the goal; "
+        f"{flight.energy_J:.3f} J, {confirmed} by a second integrator."
+    )

@@ -1,0 +1,159 @@
+"""A report's Markdown as one self-contained HTML file."""
+
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+from html import escape
+from itertools import pairwise
+from pathlib import Path
+
+from markdown_it import MarkdownIt
+from markdown_it.renderer import RendererHTML
+from markdown_it.token import Token
+from markdown_it.utils import EnvType
+
+from pyomo_quad.report.render import environment, written
+
+_PNG_START = b"\x89PNG"
+
+
+def render_html(
+    markdown: str,
+    *,
+    is_good: bool,
+    pictures: Mapping[str, bytes],
+    views: Mapping[str, str],
+    data: str,
+) -> str:
+    """Return a report as an HTML page that loads nothing.
+
+    Parameters
+    ----------
+    markdown : str
+        The report, as `render_markdown` returns it.
+    is_good : bool
+        Whether its verdict is to look so.
+    pictures : mapping of str to bytes
+        SVG or PNG of each picture of the report, by name.
+    views : mapping of str to str
+        HTML of what stands above a picture on a screen, by the picture's name.
+    data : str
+        JSON of what the page's program plays, empty without.
+
+    Returns
+    -------
+    str
+        The file's text.
+    """
+    parser = MarkdownIt("commonmark", {"html": False}, renderer_cls=_PageRenderer).enable("table")
+    tokens = parser.parse(markdown)
+    settings = {"is_good": is_good, "pictures": pictures, "views": views}
+    body = parser.renderer.render(tokens, parser.options, settings)
+    return (
+        environment()
+        .get_template("report/page.html.j2")
+        .render(
+            title=written(_label(tokens[1])),
+            body=written(body),
+            data=written(data),
+            program=written(_PROGRAM.read_text(encoding="utf-8")),
+        )
+    )
+
+
+_PROGRAM = Path(__file__).with_name("page.js")
+
+
+def _label(inline: Token) -> str:
+    """Return the words of a line of Markdown, as HTML without tags."""
+    return escape("".join(child.content for child in inline.children or ()))
+
+
+def _role(tokens: Sequence[Token], at: int) -> str:
+    """Say what the paragraph that starts here is for: a picture, its caption, or a table's."""
+    if [child.type for child in tokens[at + 1].children or ()] == ["image"]:
+        return "picture"
+    if at >= 3 and tokens[at - 3].type == "paragraph_open" and _role(tokens, at - 3) == "picture":
+        return "figcaption"
+    return "caption" if tokens[at + 3 : at + 4] and tokens[at + 3].type == "table_open" else "p"
+
+
+def _scrolled(label: str) -> str:
+    # What is wider than a phone scrolls by itself, also with the keyboard.
+    return f'<div class="scroll" tabindex="0" role="group" aria-label="{label}">'
+
+
+class _PageRenderer(RendererHTML):
+    """Writes captions into their tables and figures, and sets the verdict apart.
+
+    The methods are markdown-it's rules: one for each kind of token, named after it.
+    """
+
+    def paragraph_open(self, tokens: Sequence[Token], idx: int, _: object, env: EnvType) -> str:
+        role, inline = _role(tokens, idx), tokens[idx + 1]
+        children = inline.children or []
+        if role == "picture":
+            return f"{env['views'].get(_name(children[0]), '')}<figure>{_scrolled(_label(inline))}"
+        if role == "caption":
+            return f"{_scrolled(_label(inline))}<table><caption>"
+        if role == "figcaption":
+            # The link to the file beside the report would lead nowhere once the page is sent.
+            end = [child.type for child in children].index("em_close")
+            del children[end + 1 :]
+        return f"<{role}>"
+
+    def paragraph_close(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
+        role = _role(tokens, idx - 2)
+        return {"picture": "</div>", "figcaption": "</figcaption></figure>\n"}.get(
+            role, f"</{role}>\n"
+        )
+
+    def image(self, tokens: Sequence[Token], idx: int, _: object, env: EnvType) -> str:
+        picture = env["pictures"][_name(tokens[idx])]
+        kind = "png" if picture.startswith(_PNG_START) else "svg+xml"
+        data = b64encode(picture).decode("ascii")
+        return f'<img alt="{_label(tokens[idx])}" src="data:image/{kind};base64,{data}">'
+
+    def heading_open(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
+        tag = tokens[idx].tag
+        return f'<{tag} id="{_anchor(tokens[idx + 1].content)}">' if tag == "h2" else f"<{tag}>"
+
+    def blockquote_open(self, _: Sequence[Token], __: int, ___: object, env: EnvType) -> str:
+        return f'<div class="verdict{" good" if env["is_good"] else ""}">'
+
+    def blockquote_close(self, tokens: Sequence[Token], *_: object) -> str:
+        links = "".join(
+            f'<li><a href="#{_anchor(inline.content)}">{_label(inline)}</a></li>'
+            for heading, inline in pairwise(tokens)
+            if heading.type == "heading_open" and heading.tag == "h2"
+        )
+        return f'</div>\n<nav aria-label="Contents"><ul>{links}</ul></nav>\n'
+
+    def table_open(self, *_: object) -> str:
+        return ""  # by its caption
+
+    def table_close(self, *_: object) -> str:
+        return "</table></div>\n"
+
+    def th_open(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
+        return f'<th scope="col"{_alignment(tokens[idx])}>'
+
+    def td_open(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
+        # The first column names the rows.
+        if tokens[idx - 1].type == "tr_open":
+            return '<th scope="row">'
+        return f"<td{_alignment(tokens[idx])}>"
+
+    def td_close(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
+        return "</th>" if tokens[idx - 3].type == "tr_open" else "</td>"
+
+
+def _name(image: Token) -> str:
+    return Path(str(image.attrs["src"])).stem
+
+
+def _alignment(cell: Token) -> str:
+    return ' class="number"' if cell.attrs.get("style") == "text-align:right" else ""
+
+
+def _anchor(text: str) -> str:
+    return "".join(c if c.isascii() and c.isalnum() else "-" for c in text.lower())
