@@ -118,8 +118,10 @@ def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) ->
     layout, compiled = program.layout, program.compiled
     first, z = 2 * layout.n_states, np.array(solution.unknowns)
     least = np.full(free.size, np.inf)
+    # Other algebraic variables may be without bounds.
+    lowest, width = lower[:, free], (upper - lower)[:, free]
     for share in np.linspace(0.0, 1.0, _TRIED):
-        z[layout.algebraic_columns[:, free]] = (lower + share * (upper - lower))[:, free]
+        z[layout.algebraic_columns[:, free]] = lowest + share * width
         curvatures = program.path_curvatures(z, solution.multipliers.rows)[:, first + free]
         least = np.minimum(least, np.nan_to_num(curvatures, nan=-np.inf).min(axis=0))
     rows, columns = compiled.path.hessian_rows, compiled.path.hessian_columns
