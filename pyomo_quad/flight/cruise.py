@@ -5,7 +5,7 @@ reach the speed, 0 along the leg, and -j, 0, j to stop.  On a leg too short for 
 cruise is left out and a lower speed reached; too short for the largest acceleration, that too.
 
 The vehicle stops at every waypoint, holds there as long as the mission says, and stops at every
-corner of the shortest clear way round keep-outs; at the goal it hovers `SETTLING_S`.
+corner of the shortest clear way round keep-outs; at the goal it hovers.
 Times that the mission gives are not kept: a cruise takes its own.
 
 .. [1] Biagiotti and Melchiorri, "Trajectory Planning for Automatic Machines and Robots",
@@ -25,8 +25,10 @@ from pyomo_quad.scenario import Scenario, ScenarioError
 
 FloatArray = NDArray[np.float64]
 
-#: s of hovering at the goal: with its default gains the controller then is at rest there.
+#: s of hovering at the goal, after which the controller mostly is at rest there.
 SETTLING_S = 1.5
+#: s, of which the first that suffices is taken where flights are compared.
+SETTLINGS_S = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
 # s; phases shorter than this are none.
 _INSTANT = 1e-9
 
@@ -90,7 +92,9 @@ def _peak_speed(distance: float, acceleration: float, jerk: float) -> float:
     return float((distance**2 * jerk / 4) ** (1 / 3))
 
 
-def cruise_at(scenario: Scenario, speed: float | None = None) -> Scenario:
+def cruise_at(
+    scenario: Scenario, speed: float | None = None, settling_s: float = SETTLING_S
+) -> Scenario:
     """Return a mission with the times that cruising takes, at a speed [m/s] or the one it has.
 
     Raises
@@ -107,7 +111,7 @@ def cruise_at(scenario: Scenario, speed: float | None = None) -> Scenario:
     for pieces, hold in zip(_legs(told), holds, strict=True):
         reached.append(left + sum(float(profile.times[-1]) for _, profile in pieces))
         left = reached[-1] + hold
-    return told.lasting(reached[-1] + SETTLING_S, reached[:-1])
+    return told.lasting(reached[-1] + settling_s, reached[:-1])
 
 
 def cruise(scenario: Scenario) -> SampledPath:

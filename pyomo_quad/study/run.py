@@ -10,13 +10,19 @@ import pandas as pd
 from pyomo_quad.collocation import Dynamics, EngineError, Progress, Summarised
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name, fly_baseline, fly_open_loop
-from pyomo_quad.flight.cruise import cruise_at
+from pyomo_quad.flight.cruise import SETTLINGS_S, cruise_at
 from pyomo_quad.flight.flight import WIND
 from pyomo_quad.flight.replanning import fly_replanned, replanned_name
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
 from pyomo_quad.study.certificate import Certificate, certify
 from pyomo_quad.study.check import plan_cautions
-from pyomo_quad.study.comparison import OPTIMAL, adaptation_study, combine, compare_flights
+from pyomo_quad.study.comparison import (
+    OPTIMAL,
+    adaptation_study,
+    combine,
+    compare_flights,
+    has_arrived,
+)
 from pyomo_quad.study.front import energy_time_front
 
 
@@ -194,6 +200,13 @@ def _baselines(
 
 
 def _fly_cruise(scenario: Scenario, speed: float, plan: Plan, planner: Planner) -> Flight:
-    """Fly the mission as an autopilot would, in the time that this takes."""
-    told = cruise_at(scenario, speed)
-    return fly_baseline(told, Reference.CRUISE, dynamics=planner.dynamics(told), plan=plan)
+    """Fly the mission as an autopilot would, in the time that this takes.
+
+    It waits at the goal until it has arrived there, or has waited longest.
+    """
+    for settling_s in SETTLINGS_S:
+        told = cruise_at(scenario, speed, settling_s)
+        flight = fly_baseline(told, Reference.CRUISE, dynamics=planner.dynamics(told), plan=plan)
+        if has_arrived(flight):
+            break
+    return flight
