@@ -23,6 +23,8 @@ from pyomo_quad.flight.controller import (
 from pyomo_quad.flight.cruise import cruise
 from pyomo_quad.flight.flight import (
     AIR_FORCE,
+    ARRIVAL_DISTANCE_M,
+    ARRIVAL_SPEED_M_PER_S,
     POSITION_STATES,
     VELOCITY_STATES,
     Flight,
@@ -442,12 +444,11 @@ def assembled_flight(
     return replace(flight, broken_limits=(*flight.broken_limits, *missed))
 
 
-# How much further off, and faster, than it should a flight under control may pass a waypoint.
-_PASSING_M, _PASSING_M_PER_S = 0.05, 0.1
-# The same of a hold, whose limits are of squares.
+# A flight under control may pass a waypoint, and hold there, as much further off and faster than it
+# should as it may arrive; the limits of a hold are of squares.
 _ALLOWED_HOVERING = {
-    "mission.hold_distance": (HOVERING_M + _PASSING_M) ** 2 - HOVERING_M**2,
-    "mission.hold_speed": (HOVERING_M_PER_S + _PASSING_M_PER_S) ** 2 - HOVERING_M_PER_S**2,
+    "mission.hold_distance": (HOVERING_M + ARRIVAL_DISTANCE_M) ** 2 - HOVERING_M**2,
+    "mission.hold_speed": (HOVERING_M_PER_S + ARRIVAL_SPEED_M_PER_S) ** 2 - HOVERING_M_PER_S**2,
 }
 
 
@@ -461,10 +462,10 @@ def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> I
         place, velocity = np.split(flown.states[then, states], 2)
         off = float(np.linalg.norm(place - waypoint.position))
         near = max(waypoint.radius, HOVERING_M if waypoint.hold else 0.0)
-        if off > near + _PASSING_M:
+        if off > near + ARRIVAL_DISTANCE_M:
             yield f"mission.waypoints[{k}].radius = {waypoint.radius:g} m passed {off:.3g} m off"
         speed, allowed = float(np.linalg.norm(velocity)), waypoint.speed_max
-        if allowed is not None and speed > allowed + _PASSING_M_PER_S:
+        if allowed is not None and speed > allowed + ARRIVAL_SPEED_M_PER_S:
             yield f"mission.waypoints[{k}].speed_max = {allowed:g} m/s passed at {speed:.3g} m/s"
 
 

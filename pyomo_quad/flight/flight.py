@@ -123,6 +123,12 @@ def flight_frame(
     return pd.DataFrame(flight_columns(dynamics, t, states, controls, energy))
 
 
+ARRIVAL_DISTANCE_M = 0.05
+"""Miss beyond which a flight has not arrived: a seventh of the paper's vehicle from rotor to
+rotor, and so little of a flight of metres that leaving it out saves no energy worth naming."""
+ARRIVAL_SPEED_M_PER_S = 0.1
+"""Final speed beyond which a flight passes the goal rather than arriving: from it, the controller
+with its default gains stops within the distance above."""
 #: Largest breach of a limit between points, relative to the larger of 1 and the limit.
 VIOLATION_TOLERANCE = 1e-4
 #: The states that say where the vehicle is, as the declared model names them.

@@ -12,7 +12,12 @@ import numpy as np
 
 from pyomo_quad.collocation import pyomo_unaware
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
-from pyomo_quad.flight.flight import COLUMNS, VIOLATION_TOLERANCE
+from pyomo_quad.flight.flight import (
+    ARRIVAL_DISTANCE_M,
+    ARRIVAL_SPEED_M_PER_S,
+    COLUMNS,
+    VIOLATION_TOLERANCE,
+)
 from pyomo_quad.flight.plan import FLIGHT_SAMPLES
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
@@ -32,8 +37,6 @@ from pyomo_quad.report.tables import (
 )
 from pyomo_quad.scenario import Reference
 from pyomo_quad.study.comparison import (
-    ARRIVAL_DISTANCE_M,
-    ARRIVAL_SPEED_M_PER_S,
     FAIR_BASELINE,
     INSIDE_DISTANCE_M,
     RESERVE,

@@ -8,7 +8,7 @@ import numpy as np
 
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
-from pyomo_quad.flight.flight import ROTORS, position_miss, terminal_miss_of
+from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, ROTORS, position_miss, terminal_miss_of
 from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight, battery_shortfalls
 from pyomo_quad.flight.verification import fly_controls
 from pyomo_quad.model import build_model
@@ -18,7 +18,6 @@ from pyomo_quad.scenario import Attitude, PowerModel, Scenario, describe_fields
 from pyomo_quad.scenario.fields import unit_of
 from pyomo_quad.scenario.tables import derived_limits
 from pyomo_quad.study.certificate import ThrustMoments, certify
-from pyomo_quad.study.comparison import ARRIVAL_DISTANCE_M
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan

@@ -19,6 +19,8 @@ from pyomo_quad.flight.baselines import (
 from pyomo_quad.flight.controller import CONTROLLER_STATES
 from pyomo_quad.flight.flight import (
     AIR_FORCE,
+    ARRIVAL_DISTANCE_M,
+    ARRIVAL_SPEED_M_PER_S,
     ENERGY,
     POSITION_STATES,
     ROTORS,
@@ -87,12 +89,6 @@ def _error(
 OPTIMAL = "optimal"
 FAIR_BASELINE = baseline_name(Reference.QUINTIC)
 """Flies the same mission smoothly, and needs no plan."""
-ARRIVAL_DISTANCE_M = 0.05
-"""Miss beyond which a flight has not arrived: a seventh of the paper's vehicle from rotor to
-rotor, and so little of a flight of metres that leaving it out saves no energy worth naming."""
-ARRIVAL_SPEED_M_PER_S = 0.1
-"""Final speed beyond which a flight passes the goal rather than arriving: from it, the controller
-with its default gains stops within the distance above."""
 INSIDE_DISTANCE_M = 0.1
 """Distance from the goal that counts as being there."""
 
