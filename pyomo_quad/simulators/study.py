@@ -1,10 +1,12 @@
-"""Missions flown by the declared vehicle and by RotorPy's, and what makes the ends differ."""
+"""Missions flown by the declared vehicle and by RotorPy's, and the report of their differences."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
+from importlib.metadata import version
 from math import dist
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -15,11 +17,17 @@ from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop
 from pyomo_quad.flight.flight import POSITION_STATES
-from pyomo_quad.flight.outside_plant import ACROSS, OutsidePlant, Pilot, fly_outside
+from pyomo_quad.flight.outside_plant import ACROSS, PLANT, OutsidePlant, Pilot, fly_outside
+from pyomo_quad.report.render import render_markdown, rough
+from pyomo_quad.report.report import REPORT_NAME
+from pyomo_quad.report.tables import write_table
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError, load_scenario
 from pyomo_quad.scenario.shipped import shipped_scenarios
 from pyomo_quad.simulators.vehicles import NAMES, rotorpy_parameters, vehicle_fields
 from pyomo_quad.study.comparison import has_arrived
+from pyomo_quad.version import __version__
+
+TABLE_NAME = "flights.csv"
 
 _EXACT = {"vehicle.attitude": "euler"}
 _BREEZE = {
@@ -202,3 +210,23 @@ def _apart(flight: Flight, ours: Flight | None) -> float:
         return np.nan
     here, there = ([f.terminal_miss[name] for name in POSITION_STATES] for f in (flight, ours))
     return dist(here, there)
+
+
+def write_outside_report(folder: Path, study: OutsideStudy) -> None:
+    """Write the table and `report.md` into an existing folder."""
+    write_table(study.flights, folder / TABLE_NAME)
+    apart = {case: study.apart(case, Plant.ROTORPY) for case in (PRINTED, EXACT, BREEZE)}
+    apart["bare"] = study.apart(EXACT, Plant.WITHOUT_ROTOR_INERTIA)
+    apart |= {name: study.apart(name, Plant.WITHOUT_ROTOR_INERTIA) for name in NAMES}
+    text = render_markdown(
+        "simulators/outside_plant.md.j2",
+        apart={cause: rough(distance) for cause, distance in apart.items()},
+        rows=study.flights.to_dict("records"),
+        column=Column,
+        cases=CASES,
+        sets=NAMES,
+        TABLE_NAME=TABLE_NAME,
+        version=__version__,
+        version_of_rotorpy=version(PLANT),
+    )
+    (folder / REPORT_NAME).write_text(text, encoding="utf-8")

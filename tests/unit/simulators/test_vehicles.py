@@ -12,8 +12,7 @@ from pyomo_quad.flight import Planner, outside_plant
 from pyomo_quad.flight.outside_plant import ACROSS, OutsidePlant
 from pyomo_quad.report.report import REPORT_NAME
 from pyomo_quad.scenario import ScenarioError, load_scenario
-from pyomo_quad.simulators.report import write_outside_report
-from pyomo_quad.simulators.study import CASES, Column, OutsideStudy, Plant
+from pyomo_quad.simulators.study import CASES, Column, OutsideStudy, Plant, write_outside_report
 from pyomo_quad.simulators.vehicles import NAMES, rotorpy_parameters, vehicle_file
 from tests.scenario_files import write_scenario
 
