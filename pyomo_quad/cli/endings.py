@@ -93,8 +93,11 @@ def stop_on_interrupt() -> Iterator[Interruption]:
 @contextmanager
 def raise_on_interrupt() -> Iterator[None]:
     """Turn the first signal into `KeyboardInterrupt`; the process ends soon all the same."""
+    is_asked = False
 
     def once(_signal: int, _frame: FrameType | None) -> None:
+        nonlocal is_asked
+        is_asked = True
         for number in _SIGNALS:
             signal.signal(number, signal.SIG_IGN)
         _enforce()
@@ -105,6 +108,11 @@ def raise_on_interrupt() -> Iterator[None]:
             yield
         except KeyboardInterrupt:
             raise Stopped from None  # typer would end without a word
+        except Exception:
+            # Libraries turn it into errors of their own: an import that it cuts short is one.
+            if is_asked:
+                raise Stopped from None
+            raise
 
 
 @contextmanager

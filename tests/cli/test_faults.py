@@ -17,7 +17,7 @@ import pytest
 
 from pyomo_quad import Plan
 from pyomo_quad.cli import main, solving
-from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.cli.endings import ExitCode, Stopped, raise_on_interrupt
 from pyomo_quad.report.folder import output_folder
 from tests.command import COMMAND, ENVIRONMENT, PAPER_CALM, QUICK, start
 from tests.scenario_files import write_scenario
@@ -146,6 +146,20 @@ def test_a_solve_stopped_early_leaves_nothing(tmp_path, monkeypatch, capsys):
     assert main(["solve", PAPER_CALM, "--out", str(tmp_path / "r")]) == ExitCode.INTERRUPTED
     assert capsys.readouterr().err == "paper_calm: interrupted; no report was written.\n"
     assert list(tmp_path.iterdir()) == []
+
+
+def cut_short():
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt as stop:
+        raise ImportError("a library is not there") from stop
+
+
+def test_what_a_library_makes_of_an_interrupt_is_an_interrupt():
+    with pytest.raises(Stopped), raise_on_interrupt():
+        cut_short()
+    with pytest.raises(ImportError, match="no interrupt"), raise_on_interrupt():
+        raise ImportError("no interrupt")
 
 
 @pytest.mark.slow
