@@ -1,11 +1,15 @@
-"""The real `pyomo-quad` command in a process of its own."""
+"""The `pyomo-quad` command, in a process of its own or in this one."""
 
 import json
 import os
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
+
+from pyomo_quad.cli import main
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 PAPER_CALM = str(SCENARIOS / "paper_calm.toml")
@@ -66,3 +70,10 @@ def run(*arguments, out=Path("reports"), cwd=None):
 def solve(out, *arguments, scenario=PAPER_CALM):
     """Run `pyomo-quad solve` into a folder."""
     return run("solve", str(scenario), "--out", str(out), *arguments, out=out)
+
+
+def run_here(*arguments, out):
+    """Run the command in this process, which has imported the engine already."""
+    with redirect_stdout(StringIO()) as said, redirect_stderr(StringIO()) as complained:
+        status = main([*arguments, "--out", str(out)])
+    return Run(status=status, out=said.getvalue(), err=complained.getvalue(), folder=Path(out))

@@ -6,7 +6,7 @@ import pytest
 from pyomo_quad import load_scenario
 from pyomo_quad import solve as solve_scenario
 from pyomo_quad.cli.endings import ExitCode
-from tests.command import PAPER_CALM, QUICK, SCENARIOS, solve
+from tests.command import PAPER_CALM, QUICK, SCENARIOS, run_here
 
 # The force balance is declared anew with drag in it; nothing else is edited.
 DRAG = 0.12
@@ -46,9 +46,8 @@ def with_drag(tmp_path_factory):
     (folder / "drag.py").write_text(WITH_DRAG)
     scenario = folder / "paper_calm.toml"
     scenario.write_text((SCENARIOS / "paper_calm.toml").read_text())
-    return solve(
-        folder / "report", *QUICK, '--set=model="drag.py:build"', "--allow-code", scenario=scenario
-    )
+    own = ('--set=model="drag.py:build"', "--allow-code", "--figures", "none")
+    return run_here("solve", str(scenario), *QUICK, *own, out=folder / "report")
 
 
 def energy_of(*overrides):

@@ -2,8 +2,6 @@
 
 import json
 import shutil
-from contextlib import redirect_stderr, redirect_stdout
-from io import StringIO
 
 import pandas as pd
 import pytest
@@ -12,7 +10,7 @@ from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.report.report import find_run
 from pyomo_quad.scenario import load_scenario
-from tests.command import IMPOSSIBLE, PAPER_CALM, QUICK, SCENARIOS, Run
+from tests.command import IMPOSSIBLE, PAPER_CALM, QUICK, SCENARIOS, run_here
 
 FIRST_COLUMNS = [
     "scenario",
@@ -50,9 +48,9 @@ ESTIMATED, NONE = (f"--set=baseline.mpc.knowledge=[{one}]" for one in ('"estimat
 @pytest.fixture(scope="module")
 def wind(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wind") / "report"
-    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
-        status = main(["run", str(SCENARIOS / "paper_wind.toml"), ESTIMATED, "--out", str(folder)])
-    return Run(status=status, out=out.getvalue(), err=err.getvalue(), folder=folder)
+    return run_here(
+        "run", str(SCENARIOS / "paper_wind.toml"), ESTIMATED, "--figures", "png", out=folder
+    )
 
 
 def test_run_is_verified_and_compared(wind):

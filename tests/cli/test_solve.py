@@ -9,7 +9,7 @@ import pytest
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.flight.flight import COLUMNS, TIME
-from tests.command import IMPOSSIBLE, PAPER_CALM, QUICK, solve
+from tests.command import IMPOSSIBLE, PAPER_CALM, QUICK, run_here, solve
 
 SUMMARY_KEYS = [
     "scenario",
@@ -35,14 +35,15 @@ HOVER_ENERGY_J = 4 * 1.8021601 * 9.8300573 * 10.0
 
 @pytest.fixture(scope="module")
 def calm(tmp_path_factory):
-    """The paper's calm mission, solved."""
+    """The paper's calm mission, solved in a process of its own."""
     return solve(tmp_path_factory.mktemp("calm") / "report")
 
 
 @pytest.fixture(scope="module")
 def impossible(tmp_path_factory):
     """A mission that cannot be flown: 8 m up in 0.3 s."""
-    return solve(tmp_path_factory.mktemp("impossible") / "report", *IMPOSSIBLE, "--json")
+    folder = tmp_path_factory.mktemp("impossible") / "report"
+    return run_here("solve", PAPER_CALM, *IMPOSSIBLE, "--json", "--figures", "none", out=folder)
 
 
 def test_paper_calm_is_verified(calm):
@@ -92,7 +93,7 @@ def test_plan_has_one_row_per_node_and_the_promised_columns(calm):
 
 def test_quiet_run_with_even_rows_in_the_default_folder(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    options = ("--quiet", "--rate", "50", "--set=battery.capacity=0.005")
+    options = ("--quiet", "--rate", "50", "--set=battery.capacity=0.005", "--figures", "none")
     # A flight beyond an empty pack is solved, and cannot be flown.
     assert main(["solve", PAPER_CALM, *QUICK, *options]) == ExitCode.NOT_VERIFIED
     said = capsys.readouterr()

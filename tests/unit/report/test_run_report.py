@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image
 
 from pyomo_quad.flight import PlanStatus
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
@@ -26,6 +27,10 @@ from pyomo_quad.study.comparison import (
 )
 from tests.synthetic_run import HOVER_ENERGY_J, synthetic_plan, synthetic_run
 
+FIGURES = {
+    "overview", "energy_split",
+    "path", "states", "controls", "energy", "motors", "battery", "wind", "costates", "mesh",
+}  # fmt: skip
 ANSWER = (
     "> **Verified.** The optimal flight spends 711.70 J, 1.67 % less than `adaptive/quintic` "
     "(723.80 J); above the 709.60 J of hovering for the same 10 s it spends 2.10 J against "
@@ -71,6 +76,16 @@ def test_every_number_travels_with_the_hover_floor(report):
     assert f"| `adaptive/quintic` | {row}" in text
     assert "| `adaptive/step` | 10.00 | 780.60 | n/a | 709.60 | 71.00 | n/a | n/a |" in text
     assert "| `adaptive/step` | no |" in text
+
+
+def test_every_figure_is_drawn_twice_and_linked(report):
+    text = (report / "report.md").read_text()
+    for name in FIGURES:
+        with Image.open(report / "figures" / f"{name}.png") as picture:
+            assert picture.width > 1000
+        assert "<svg" in (report / "figures" / f"{name}.svg").read_text()[:1000]
+        assert f"](figures/{name}.png)" in text
+    assert {file.stem for file in (report / "figures").iterdir()} == FIGURES
 
 
 @pytest.mark.parametrize("name", ["report.md", "report.html", "comparison.md"])
