@@ -4,10 +4,10 @@ import numpy as np
 from pyomo.dae import DerivativeVar
 from pyomo.environ import Constraint, value
 
-from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import MomentumDemand
 from pyomo_quad.model import build_model
 from pyomo_quad.scenario import scenario_from_mapping
+from tests.flights import PLANNER
 
 MISSION = {"goal": {"position": [6.0, 7.0, 8.0]}, "duration": 10.0}
 AIRSPACE = {
@@ -46,12 +46,12 @@ def scenario(**tables):
 
 def steady(told):
     """The scenario's vehicle in steady flight."""
-    return Planner().steady_flight(told)
+    return PLANNER.steady_flight(told)
 
 
 def momentum_demand(told):
     """What the scenario's motions ask of the thrust."""
-    return MomentumDemand(Planner().dynamics(told))
+    return MomentumDemand(PLANNER.dynamics(told))
 
 
 class Instant:

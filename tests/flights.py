@@ -8,7 +8,12 @@ from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import fly_baseline
 from pyomo_quad.flight.flight import POSITION_STATES
 from pyomo_quad.scenario import load_scenario
+from pyomo_quad.study.certificate import certify
+from pyomo_quad.study.check import diagnose
 from tests.command import SCENARIOS
+
+# What it has compiled serves the next test whose vehicle is declared alike.
+PLANNER = Planner()
 
 
 @cache
@@ -17,18 +22,13 @@ def scenario(name, *overrides):
 
 
 @cache
-def planner():
-    return Planner()
-
-
-@cache
 def plan(name, *overrides):
-    return planner().solve(scenario(name, *overrides))
+    return PLANNER.solve(scenario(name, *overrides))
 
 
 @cache
 def vehicle(name, *overrides):
-    return planner().dynamics(scenario(name, *overrides))
+    return PLANNER.dynamics(scenario(name, *overrides))
 
 
 @cache
@@ -46,3 +46,11 @@ def positions(dynamics, states):
 
 def distances(dynamics, states, place):
     return np.linalg.norm(positions(dynamics, states) - place, axis=1)
+
+
+def certified(told):
+    return certify(told, planner=PLANNER)
+
+
+def diagnosed(told):
+    return diagnose(told, planner=PLANNER)

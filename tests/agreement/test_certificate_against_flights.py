@@ -5,12 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import fly_baseline
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.scenario.tables import Reference
-from pyomo_quad.study.certificate import certify
 from tests.declared_model import ROTORS, scenario
+from tests.flights import PLANNER, certified
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 # On one coarse mesh the controls, flown, come this near to the goal, m: near enough for an
@@ -21,14 +20,14 @@ COARSE = {"elements": 25, "degree": 4, "max_refinements": 0}
 
 @pytest.fixture(scope="module")
 def planner():
-    return Planner()
+    return PLANNER
 
 
 @pytest.mark.parametrize("name", ["paper_calm", "paper_wind"])
 def test_the_paper_s_missions_are_within_one_per_cent(planner, name):
     told = load_scenario(SCENARIOS / f"{name}.toml")
     plan = planner.solve(told)
-    found = certify(told)
+    found = certified(told)
     assert plan.is_verified
     assert found.lower_bound_J <= plan.energy
     assert found.gap_percent(plan.energy) < 1.0
@@ -66,11 +65,11 @@ def test_no_plan_of_a_random_mission_is_below_its_bound(planner, power, coupling
         told = random_mission(generator, power, coupling)
         plan = planner.solve(told)
         assert plan.verification.terminal_miss_m < GOAL_MISSED, told.mission
-        found = certify(told)
+        found = certified(told)
         assert found.lower_bound_J <= plan.energy, told.mission
         assert found.gap_percent(plan.energy) < 1.0, told.mission
         for model in ("shaft", "constant_efficiency"):
-            other = certify(told.with_values({"power.model": model}))
+            other = certified(told.with_values({"power.model": model}))
             assert other.lower_bound_J <= energy_under(model, plan), told.mission
 
 
@@ -79,13 +78,13 @@ def test_the_plan_flown_under_feedback_is_not_below_the_bound(planner):
     told = load_scenario(SCENARIOS / "paper_wind.toml")
     plan = planner.solve(told)
     flight = fly_baseline(told, Reference.PLAN, dynamics=planner.dynamics(told), plan=plan)
-    assert certify(told).lower_bound_J <= flight.energy_J
+    assert certified(told).lower_bound_J <= flight.energy_J
 
 
 def test_a_controlled_flight_of_a_random_mission_is_not_below_its_bound(planner):
     told = random_mission(np.random.default_rng(5), "motor", "drag")
     flight = fly_baseline(told, Reference.QUINTIC, dynamics=planner.dynamics(told))
-    assert certify(told).lower_bound_J <= flight.energy_J
+    assert certified(told).lower_bound_J <= flight.energy_J
 
 
 def energy_under(model, plan):

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pyomo_quad.flight import Planner
 from pyomo_quad.flight.attitude import KINEMATICS
 from pyomo_quad.flight.baselines import fly_baseline
 from pyomo_quad.scenario import Attitude, Reference, load_scenario
@@ -20,6 +19,7 @@ from tests import flights
 from tests.agreement import plain_quadrotor as plain
 from tests.command import PAPER_CALM
 from tests.declared_model import Instant
+from tests.flights import PLANNER
 
 # m. Where a plan ends in an outside simulator.
 SAME_PLACE = 1e-3
@@ -34,7 +34,7 @@ SENSES = -plain.SPIN
 @cache
 def planned(attitude, *changes):
     scenario = load_scenario(PAPER_CALM, {"vehicle.attitude": attitude, **dict(changes)})
-    return Planner().solve(scenario)
+    return PLANNER.solve(scenario)
 
 
 def turned(quaternion, vector):

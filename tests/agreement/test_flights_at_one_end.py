@@ -9,11 +9,11 @@ from pyomo_quad import build_model
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop
 from pyomo_quad.scenario.tables import Reference
-from pyomo_quad.study.certificate import certify
 from pyomo_quad.study.comparison import ComparisonColumn as Column
 from pyomo_quad.study.comparison import compare_flights, has_arrived
 from pyomo_quad.study.run import run_scenario
 from tests.declared_model import ROTORS, scenario
+from tests.flights import PLANNER, certified
 
 COARSE = {"elements": 16, "degree": 4, "max_refinements": 0}
 HOP = {"goal": {"position": [1.0, 0.5, 0.5]}, "duration": 4.0}
@@ -37,12 +37,12 @@ def hop_to(displaced):
 
 @pytest.fixture(scope="module")
 def planner():
-    return Planner()
+    return PLANNER
 
 
 @pytest.fixture(scope="module")
 def vehicle():
-    return Planner().dynamics(coarse(limits={"battery_current_max": 50.0}))
+    return PLANNER.dynamics(coarse(limits={"battery_current_max": 50.0}))
 
 
 @pytest.fixture(scope="module")
@@ -107,13 +107,13 @@ def test_no_flight_that_arrives_lies_below_the_optimum_or_the_bound():
     told = coarse(
         power={"model": "constant_efficiency"}, mission=mission, solver=COARSE | {"elements": 20}
     )
-    planner = Planner()
+    planner = PLANNER
     plan, dynamics = planner.solve(told), planner.dynamics(told)
     flights = [
         fly_baseline(told, reference, dynamics=dynamics, plan=plan)
         for reference in (Reference.PLAN, Reference.QUINTIC)
     ]
-    bound = certify(told)
+    bound = certified(told)
     table = compare_flights(told, flights, bound, plan.hover_energy_J)
     assert flights[0].energy_J < bound.lower_bound_J
     assert table[Column.ARRIVED].all()
@@ -170,7 +170,7 @@ def test_a_limit_of_ones_own_that_a_flight_breaks_is_named_with_its_breach():
     (broken,) = flight.broken_limits
     # Through the middle: the square of the distance lacks all of 0.04 m^2.
     assert broken == "mast by 0.04 m**2"
-    kept = fly_baseline(told, Reference.QUINTIC, dynamics=Planner().dynamics(told))
+    kept = fly_baseline(told, Reference.QUINTIC, dynamics=PLANNER.dynamics(told))
     assert kept.broken_limits == ()
 
 
@@ -196,7 +196,7 @@ def test_units_are_those_an_engineer_writes(vehicle, name, unit):
 def test_no_flight_on_a_pack_that_cannot_feed_it_is_verified(cells_series, is_fed):
     # The published friction asks for 1.3 kW; the pack of three cells gives some 750 W.
     told = coarse(power={"model": "motor_with_friction"}, battery={"cells_series": cells_series})
-    planner = Planner()
+    planner = PLANNER
     plan, dynamics = planner.solve(told), planner.dynamics(told)
     assert plan.verification.terminal_miss_m < 0.05
     assert plan.verification.is_fed == is_fed
@@ -210,6 +210,6 @@ def test_no_flight_on_a_pack_that_cannot_feed_it_is_verified(cells_series, is_fe
 
 def test_a_flight_beyond_empty_is_not_fed():
     told = coarse(battery={"initial_state_of_charge": 0.01})
-    plan = Planner().solve(told)
+    plan = PLANNER.solve(told)
     assert not plan.is_verified
     assert plan.verification.battery_imbalance > 0.0

@@ -2,9 +2,9 @@
 
 import pytest
 
-from pyomo_quad.flight import Planner
 from tests.agreement.missions_by_hand import solve_legs
 from tests.declared_model import scenario
+from tests.flights import PLANNER
 
 ON_ONE_MESH = {"elements": 12, "degree": 4, "max_refinements": 0}
 ORIGIN = (0.0, 0.0, 0.0)
@@ -27,7 +27,7 @@ def free(goal=(6.0, 7.0, 8.0), *, wind="calm", solver=ON_ONE_MESH, **mission):
     ],
 )
 def test_same_optimum_on_the_same_mesh(goal, wind, price):
-    plan = Planner().solve(free(goal, wind=wind, price_of_time=price))
+    plan = PLANNER.solve(free(goal, wind=wind, price_of_time=price))
     by_hand = solve_legs(
         [ORIGIN, goal],
         elements=12,
@@ -43,7 +43,7 @@ def test_same_optimum_on_the_same_mesh(goal, wind, price):
 @pytest.mark.slow
 @pytest.mark.parametrize("wind", ["calm", "paper_table_2"])
 def test_the_paper_s_mission_agrees_with_a_fine_mesh(wind):
-    plan = Planner().solve(free(wind=wind, solver={}))
+    plan = PLANNER.solve(free(wind=wind, solver={}))
     by_hand = solve_legs(
         [ORIGIN, (6.0, 7.0, 8.0)],
         elements=60,
@@ -62,7 +62,7 @@ def test_the_paper_s_mission_agrees_with_a_fine_mesh(wind):
 
 @pytest.mark.slow
 def test_no_fixed_time_costs_less_than_the_chosen_one():
-    told, planner = free((2.0, 1.0, 3.0)), Planner()
+    told, planner = free((2.0, 1.0, 3.0)), PLANNER
     plan = planner.solve(told)
     times = [factor * plan.duration_s for factor in (0.99, 1.0, 1.02)]
     shorter, same, longer = (planner.solve(told.lasting(time)).energy for time in times)
@@ -73,5 +73,5 @@ def test_no_fixed_time_costs_less_than_the_chosen_one():
 @pytest.mark.parametrize("limits", [{"duration_min": 2.6}, {"duration_max": 2.39}])
 def test_a_limit_on_the_time_binds(limits):
     # The best time is 2.41 s.
-    plan = Planner().solve(free((2.0, 1.0, 3.0), **limits))
+    plan = PLANNER.solve(free((2.0, 1.0, 3.0), **limits))
     assert plan.duration_s == pytest.approx(next(iter(limits.values())), rel=1e-6)

@@ -10,10 +10,10 @@ from math import inf
 import numpy as np
 import pytest
 
-from pyomo_quad.flight import Planner
 from pyomo_quad.study.certificate import certify
 from tests.agreement import plain_quadrotor as plain
 from tests.declared_model import scenario
+from tests.flights import PLANNER, certified
 
 FLIGHTS = 500
 FASTEST = 1500.0
@@ -50,7 +50,7 @@ QUICK = ("fixed_in_wind", "free", "delivered_free")
 
 @pytest.fixture(scope="module")
 def planner():
-    return Planner()
+    return PLANNER
 
 
 def mission_of(form):
@@ -228,6 +228,6 @@ def test_no_flight_through_air_is_below_its_bound(form, wind):
         power={"model": "momentum", "air_density": craft["density"]},
         mission=mission,
     )
-    found = certify(told)
+    found = certified(told)
     energies = AirspeedFlights(told, seed=len(form)).energies()
     assert found.lower_bound_J <= np.min(energies)

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from pyomo_quad.flight import Planner
 from pyomo_quad.flight.controller import mixer_matrix
 from pyomo_quad.scenario import Reference, ScenarioError, load_scenario
 from pyomo_quad.study.run import run_scenario
 from tests.agreement import plain_quadrotor as plain
 from tests.command import PAPER_CALM
 from tests.declared_model import RIGID_BODY, scenario
+from tests.flights import PLANNER
 
 AGREEMENT = 1e-11
 AIR = {"rotor_drag_plane": 1.2e-4, "rotor_drag_axis": 2.3e-4, "translational_lift": 3e-3}
@@ -33,7 +33,7 @@ def test_state_derivative_of_other_rotors(rotors, air, monkeypatch):
     monkeypatch.setattr(plain, "POSITIONS", np.array([[*place, 0.0] for place in places]))
     monkeypatch.setattr(plain, "SPIN", np.array(spins, dtype=float))
     told = scenario(vehicle={"rotor_positions": places, "rotor_spins": spins} | air)
-    dynamics = Planner().dynamics(told)
+    dynamics = PLANNER.dynamics(told)
     names = list(dynamics.state_names)
     body = [names.index(f"rigid_body.{name}") for name in RIGID_BODY]
     speeds = [names.index(f"rotors.omega[{j}]") for j in range(1, len(places) + 1)]
@@ -57,7 +57,7 @@ def test_the_papers_cross_written_as_places_is_the_papers_vehicle():
     arm = plain.ARM
     cross = [[arm, 0.0], [0.0, arm], [-arm, 0.0], [0.0, -arm]]
     placed, papers = scenario(vehicle={"rotor_positions": cross}), scenario()
-    mixers = [mixer_matrix(Planner().dynamics(told)) for told in (placed, papers)]
+    mixers = [mixer_matrix(PLANNER.dynamics(told)) for told in (placed, papers)]
     np.testing.assert_allclose(*mixers, rtol=1e-14, atol=1e-20)
     assert placed.limits == papers.limits
     assert placed.vehicle.hover_speed(9.81) == papers.vehicle.hover_speed(9.81)
@@ -77,7 +77,7 @@ def test_a_hexacopter_is_planned_followed_and_certified():
     assert "omega_6_rad_per_s" in result.plan.to_frame(rate_hz=10)
     # Shaft power of hover goes with thrust^1.5 of each rotor: six share what four did.
     four, six = (
-        Planner().steady_flight(one.with_values({"power.model": "shaft"})).hover_power
+        PLANNER.steady_flight(one.with_values({"power.model": "shaft"})).hover_power
         for one in (load_scenario(PAPER_CALM), told)
     )
     assert six == pytest.approx(four * (4 / 6) ** 0.5, rel=1e-9)

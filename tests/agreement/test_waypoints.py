@@ -5,7 +5,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import fly_baseline
 from pyomo_quad.flight.plan import Plan
 from pyomo_quad.model import build_model
@@ -13,6 +12,7 @@ from pyomo_quad.model.screening import screen_model
 from pyomo_quad.scenario.tables import Reference
 from tests.agreement.missions_by_hand import solve_legs
 from tests.declared_model import scenario
+from tests.flights import PLANNER
 
 ON_ONE_MESH = {"elements": 12, "degree": 4, "max_refinements": 0}
 ORIGIN, CORNER, GOAL = (0.0, 0.0, 0.0), (3.0, 4.0, 0.0), (3.0, 4.0, 5.0)
@@ -37,7 +37,7 @@ def place(*position, **more):
 )
 def test_a_free_passage_is_that_of_the_same_mesh_by_hand(duration, guess):
     # Both legs are of one length, so that both take half of the mesh.
-    plan = Planner().solve(through(place(*CORNER), duration=duration, solver=ON_ONE_MESH))
+    plan = PLANNER.solve(through(place(*CORNER), duration=duration, solver=ON_ONE_MESH))
     total = None if duration == "free" else duration
     by_hand = solve_legs([ORIGIN, CORNER, GOAL], elements=6, degree=4, guess=guess, total=total)
     assert plan.energy == pytest.approx(by_hand.energy_J, rel=1e-6)
@@ -53,7 +53,7 @@ def test_a_free_passage_is_that_of_the_same_mesh_by_hand(duration, guess):
 )
 def test_a_refined_plan_is_that_of_a_fine_mesh_by_hand(duration, guess, wind):
     goal, corner = (6.0, 7.0, 8.0), (2.0, 4.0, 1.0)
-    plan = Planner().solve(through(place(*corner), duration=duration, goal=goal, wind=wind))
+    plan = PLANNER.solve(through(place(*corner), duration=duration, goal=goal, wind=wind))
     by_hand = solve_legs(
         [ORIGIN, corner, goal],
         elements=30,
@@ -68,7 +68,7 @@ def test_a_refined_plan_is_that_of_a_fine_mesh_by_hand(duration, guess, wind):
 
 
 def test_a_waypoint_that_the_best_flight_passes_anyway_costs_nothing(tmp_path):
-    planner = Planner()
+    planner = PLANNER
     without = planner.solve(through())
     at = 4.0
     there = without.at(at)[["x_m", "y_m", "z_m"]].tolist()
@@ -82,7 +82,7 @@ def test_a_waypoint_that_the_best_flight_passes_anyway_costs_nothing(tmp_path):
 
 def test_a_given_time_a_radius_and_a_speed_are_kept_and_a_baseline_flies_the_same_mission():
     asked = place(2.0, 4.0, 1.0, at=6.0, radius=0.5, speed_max=0.3, yaw=0.2)
-    told, planner = through(asked), Planner()
+    told, planner = through(asked), PLANNER
     plan = planner.solve(told)
     there = plan.at(6.0)
     off = np.linalg.norm(there[["x_m", "y_m", "z_m"]] - np.array(asked["position"], dtype=float))
@@ -104,7 +104,7 @@ def test_a_given_time_a_radius_and_a_speed_are_kept_and_a_baseline_flies_the_sam
 
 @pytest.mark.slow
 def test_a_parcel_is_left_where_the_flight_holds():
-    plan = Planner().solve(
+    plan = PLANNER.solve(
         through(
             place(2.0, 4.0, 1.0, hold=1.0, release=0.2),
             duration=12.0,
@@ -124,7 +124,7 @@ def test_a_parcel_is_left_where_the_flight_holds():
 
 
 def test_a_mirror_image_mission_has_the_mirror_image_route():
-    planner = Planner()
+    planner = PLANNER
     sides = (1.0, -1.0)
     plan, image = (
         planner.solve(through(place(2.0, 4.0 * side, 1.0), goal=(6.0, 7.0 * side, 8.0)))
@@ -140,7 +140,7 @@ def test_a_mirror_image_mission_has_the_mirror_image_route():
 
 @pytest.mark.slow
 def test_more_time_allowed_never_costs_more():
-    planner = Planner()
+    planner = PLANNER
     told = [
         through(place(2.0, 1.0, 1.0), goal=(3.0, 3.0, 2.0)).with_values(
             {"mission.duration": "free", "mission.duration_max": limit}

@@ -2,10 +2,10 @@
 
 import pytest
 
-from pyomo_quad.flight import Planner
 from pyomo_quad.scenario import load_scenario
 from tests.benchmarks.handwritten import solve_by_hand
 from tests.command import PAPER_CALM
+from tests.flights import PLANNER
 
 # On the straight line from (0, 0) to (6, 7), a little nearer to its right.
 X, Y, RADIUS = 3.0, 3.4, 0.8
@@ -14,7 +14,7 @@ AS_PRINTED = {"vehicle": {"attitude": "paper"}}
 
 
 def solve(**tables):
-    return Planner().solve(load_scenario(PAPER_CALM, AS_PRINTED | tables))
+    return PLANNER.solve(load_scenario(PAPER_CALM, AS_PRINTED | tables))
 
 
 def past(x, y):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from pyomo_quad.study.certificate import certify
 from tests.declared_model import scenario, steady
+from tests.flights import certified
 
 # What lowering the samples of the power costs, relative.
 SAMPLING = 2e-6
@@ -23,7 +23,7 @@ def shaft_power(thrust):
 
 @pytest.mark.parametrize("power", ["motor", "shaft", "constant_efficiency"])
 def test_hovering_in_place_is_its_own_bound(power):
-    found = certify(scenario(power={"model": power}, mission=IN_PLACE))
+    found = certified(scenario(power={"model": power}, mission=IN_PLACE))
     assert found.applies
     assert found.lower_bound_J == pytest.approx(found.hover_energy_J, rel=1e-5)
     assert found.lower_bound_J <= found.hover_energy_J
@@ -33,14 +33,14 @@ def test_hovering_in_place_is_its_own_bound(power):
 def test_a_steady_wind_as_acceleration_by_hand():
     # The mean thrust carries the weight and the wind's 3 m/s^2: u = m sqrt(g^2 + 3^2).
     wind = {"use": "constant", "speed": 3.0, "direction": 0.7}
-    found = certify(scenario(power={"model": "shaft"}, mission=IN_PLACE, wind=wind))
+    found = certified(scenario(power={"model": "shaft"}, mission=IN_PLACE, wind=wind))
     expected = 10.0 * shaft_power(MASS * hypot(GRAVITY, 3.0))
     assert found.lower_bound_J == pytest.approx(expected, rel=SAMPLING)
 
 
 def test_drag_against_a_steady_wind_by_hand():
     # Half a kilogram per second at 4 m/s: 2 N across, 12.753 N up.
-    found = certify(
+    found = certified(
         scenario(
             power={"model": "constant_efficiency", "efficiency": 0.5},
             mission=IN_PLACE,
@@ -56,7 +56,7 @@ def test_the_mean_of_a_harmonic_wind_by_hand():
     # One harmonic over one whole period leaves the mean of 1 m/s.
     axis = {"amplitudes": [0.5, 0.0, 0.0], "frequencies": [2 * np.pi / 10.0, 1.0, 1.0]}
     calm = {"mean": 0.0, "amplitudes": [0.0, 0.0, 0.0], "gust_amplitude": 0.0}
-    found = certify(
+    found = certified(
         scenario(
             power={"model": "shaft"},
             mission=IN_PLACE,
@@ -75,7 +75,7 @@ def test_the_bound_is_all_but_reached_by_a_point_with_free_thrust(power, couplin
     # problem, so never below the bound, and for gentle missions all but optimal in it.
     wind = {"use": "constant", "speed": 1.0, "coupling": coupling}
     told = scenario(power={"model": power}, wind=wind)
-    found = certify(told).lower_bound_J
+    found = certified(told).lower_bound_J
     flight, goal, duration, drag = steady(told), np.array([6.0, 7.0, 8.0]), 10.0, 0.43
     nodes, widths = np.polynomial.legendre.leggauss(24)
     energy = 0.0
@@ -93,14 +93,14 @@ def test_the_bound_is_all_but_reached_by_a_point_with_free_thrust(power, couplin
 def test_displacement_raises_the_bound_above_that_of_the_mean_thrust():
     # In calm air the mean thrust is that of hover, however far the goal.
     fast = {"goal": {"position": [6.0, 7.0, 8.0]}, "duration": 4.5}
-    found = certify(scenario(mission=fast))
+    found = certified(scenario(mission=fast))
     assert found.lower_bound_J > 1.02 * found.hover_energy_J
 
 
 def test_friction_is_bounded_by_the_chord_over_the_rotor_speeds():
     # The power is concave in thrust nearly up to the greatest speed: no tangent but the chord
     # between a rotor at rest and one at full speed lies below it.
-    found = certify(scenario(power={"model": "motor_with_friction"}, mission=IN_PLACE))
+    found = certified(scenario(power={"model": "motor_with_friction"}, mission=IN_PLACE))
     resistance, kt, kv, full = 0.2, 0.0104, 96.342, 1047.1975511965977
 
     def rotor(omega):
@@ -138,26 +138,26 @@ def waypoints(**each):
 def test_passages_at_given_times_are_bounded_by_the_spline_through_them():
     # Gentle, the power is nearly quadratic in the acceleration, of which splines have least.
     told = scenario(mission={"waypoints": waypoints(at=(6.0, 11.0)), "duration": 16.0})
-    found, energy = certify(told).lower_bound_J, energy_of_spline(told, [0.0, 6.0, 11.0, 16.0])
+    found, energy = certified(told).lower_bound_J, energy_of_spline(told, [0.0, 6.0, 11.0, 16.0])
     assert found <= energy
     assert found == pytest.approx(energy, rel=1e-4)
-    assert found > certify(scenario(mission={"duration": 16.0})).lower_bound_J * 1.0005
+    assert found > certified(scenario(mission={"duration": 16.0})).lower_bound_J * 1.0005
 
 
 @pytest.mark.slow
 def test_free_passages_are_bounded_below_those_at_any_given_times():
     of = {"duration": 16.0}
-    least = certify(scenario(mission=of | {"waypoints": waypoints()})).lower_bound_J
+    least = certified(scenario(mission=of | {"waypoints": waypoints()})).lower_bound_J
     times = ((5.0, 11.0), (6.3, 10.5), (7.0, 12.0))
     given = [scenario(mission=of | {"waypoints": waypoints(at=at)}) for at in times]
-    found = [certify(told).lower_bound_J for told in given]
+    found = [certified(told).lower_bound_J for told in given]
     assert least < min(found)
     assert least == pytest.approx(min(found), rel=1e-3)
 
 
 def test_passing_within_a_distance_is_never_dearer():
     missions = [{"waypoints": waypoints(radius=(r, r)), "duration": 9.0} for r in (0.0, 0.5)]
-    exact, near = (certify(scenario(mission=m)).lower_bound_J for m in missions)
+    exact, near = (certified(scenario(mission=m)).lower_bound_J for m in missions)
     assert exact > near
 
 
@@ -173,7 +173,7 @@ def test_a_parcel_left_while_hovering_lightens_the_rest_by_hand():
     expected = 4.0 * shaft_power(carried) + 6.0 * shaft_power(left)
     # What the rotors held, I_r omega^2 / 2, they give back.
     expected -= 4 * 4.1904e-5 / 2 * (carried - left) / (4 * KB)
-    assert certify(told).lower_bound_J == pytest.approx(expected, rel=1e-4)
+    assert certified(told).lower_bound_J == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.slow
@@ -182,8 +182,8 @@ def test_a_hover_on_the_way_adds_its_time_at_least():
     mission = {"goal": {"position": [12.0, 0.0, 0.0]}, "duration": "free", "waypoints": [still]}
     there = {"goal": {"position": [6.0, 0.0, 0.0]}, "duration": "free"}
     told = scenario(mission=mission)
-    leg = certify(scenario(mission=there)).lower_bound_J
+    leg = certified(scenario(mission=there)).lower_bound_J
     hovering = 5.0 * steady(told).hover_power
     # Hovering may move by 5 cm at 0.1 m/s.
-    assert certify(told).lower_bound_J <= 2 * leg + hovering
-    assert certify(told).lower_bound_J == pytest.approx(2 * leg + hovering, rel=2e-2)
+    assert certified(told).lower_bound_J <= 2 * leg + hovering
+    assert certified(told).lower_bound_J == pytest.approx(2 * leg + hovering, rel=2e-2)

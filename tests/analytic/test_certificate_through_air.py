@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import MomentumDemand
-from pyomo_quad.study.certificate import certify
 from pyomo_quad.study.pairs import POWER_TOLERANCE, Pairs, Prices
 from tests.declared_model import scenario
+from tests.flights import PLANNER, certified
 
 M100 = {
     "vehicle": {"use": "dji_matrice_100"},
@@ -24,7 +23,7 @@ def flying(goal, duration):
 
 @pytest.fixture(scope="module")
 def pairs():
-    planner, told = Planner(), flying([100.0, 0.0, 0.0], 10.0)
+    planner, told = PLANNER, flying([100.0, 0.0, 0.0], 10.0)
     dynamics, steady = planner.dynamics(told), planner.steady_flight(told)
     standing = MomentumDemand(dynamics).thrust(0.0)
     most = float(steady.thrust(told.limits.rotor_speed_max))
@@ -72,11 +71,11 @@ def test_what_is_proven_is_below_every_sample_and_near_the_least(pairs):
 @pytest.mark.slow
 def test_a_long_way_in_free_time_is_bounded_by_its_best_steady_speed():
     told = flying([1000.0, 0.0, 0.0], "free")
-    steady = Planner().steady_flight(told)
+    steady = PLANNER.steady_flight(told)
     speeds = np.arange(4.0, 22.0, 0.5)
     powers = [steady.trim([v, 0.0, 0.0]).power_W for v in speeds]
     best = 1000.0 * np.min(np.array(powers) / speeds)
-    found = certify(told).lower_bound_J
+    found = certified(told).lower_bound_J
     assert found <= best
     assert found == pytest.approx(best, rel=1.5e-2)
 
@@ -84,8 +83,8 @@ def test_a_long_way_in_free_time_is_bounded_by_its_best_steady_speed():
 @pytest.mark.slow
 def test_a_given_time_is_bounded_by_the_steady_speed_it_asks_for():
     told = flying([0.0, 1000.0, 0.0], 80.0)
-    cruise = 80.0 * Planner().steady_flight(told).trim([0.0, 12.5, 0.0]).power_W
-    found = certify(told).lower_bound_J
+    cruise = 80.0 * PLANNER.steady_flight(told).trim([0.0, 12.5, 0.0]).power_W
+    found = certified(told).lower_bound_J
     assert found <= cruise
     assert found == pytest.approx(cruise, rel=1e-2)
 
@@ -93,9 +92,9 @@ def test_a_given_time_is_bounded_by_the_steady_speed_it_asks_for():
 @pytest.mark.slow
 def test_staying_in_place_may_be_circling_and_costs_least_power_at_least():
     told = flying([0.0, 0.0, 0.0], 10.0)
-    steady = Planner().steady_flight(told)
+    steady = PLANNER.steady_flight(told)
     least = 10.0 * min(steady.trim([v, 0.0, 0.0]).power_W for v in np.arange(5.0, 11.0, 0.5))
-    found = certify(told)
+    found = certified(told)
     assert found.lower_bound_J <= found.hover_energy_J
     assert found.lower_bound_J == pytest.approx(least, rel=2e-2)
     assert "proven by branch and bound" in found.reason

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import fly_baseline
 from pyomo_quad.scenario import FeasibilityError, Reference, load_scenario
 from pyomo_quad.study.certificate import certify
 from pyomo_quad.study.comparison import RESERVE, compare_flights
 from tests.command import PAPER_CALM
 from tests.declared_model import scenario, steady
+from tests.flights import PLANNER, certified
 
 WEIGHT, ARM, KB, INERTIA = 1.3 * 9.81, 0.175, 3.8305e-6, 0.081
 HURRIED = {"vehicle.attitude": "euler", "mission.duration": 4.5, "solver.tolerance": 1e-3}
@@ -20,7 +20,7 @@ def test_drag_in_the_rotor_plane_tilts_level_flight():
     told = scenario(vehicle={"rotor_drag_plane": drag})
     flown = steady(told)
     trim = flown.trim((speed, 0.0, 0.0))
-    names = list(Planner().dynamics(told).state_names)
+    names = list(PLANNER.dynamics(told).state_names)
     pitch, rotor = (trim.states[names.index(n)] for n in ("rigid_body.theta", "rotors.omega[1]"))
     assert np.tan(pitch) == pytest.approx(4 * drag * rotor * speed / WEIGHT, rel=1e-6)
     assert 4 * KB * rotor**2 == pytest.approx(WEIGHT * np.cos(pitch), rel=1e-6)
@@ -38,7 +38,7 @@ def test_drag_along_the_axis_slows_a_climb_and_lift_speeds_level_flight_up():
 def test_parasitic_drag_stops_a_fall():
     drag = 0.05
     told = scenario(vehicle={"parasitic_drag": [0.0, 0.0, drag]})
-    dynamics = Planner().dynamics(told)
+    dynamics = PLANNER.dynamics(told)
     states = np.zeros(len(dynamics.state_names))
     falling = list(dynamics.state_names).index("rigid_body.vz")
     states[falling] = -np.sqrt(WEIGHT / drag)
@@ -57,7 +57,7 @@ def test_parasitic_drag_stops_a_fall():
 )
 def test_rotor_drag_damps_the_body_rates(number, rate, inertia, share):
     drag, speed, spin = 2e-4, 912.0, 0.7
-    dynamics = Planner().dynamics(scenario(vehicle={number: drag}))
+    dynamics = PLANNER.dynamics(scenario(vehicle={number: drag}))
     names = list(dynamics.state_names)
     states = np.zeros(len(names))
     states[[names.index(f"rotors.omega[{j}]") for j in range(1, 5)]] = speed
@@ -67,7 +67,7 @@ def test_rotor_drag_damps_the_body_rates(number, rate, inertia, share):
 
 
 def test_no_bound_is_claimed_where_the_air_acts_in_body_axes():
-    certificate = certify(scenario(vehicle={"rotor_drag_axis": 1e-4}))
+    certificate = certified(scenario(vehicle={"rotor_drag_axis": 1e-4}))
     assert not certificate.applies
     assert "air that acts in body axes" in certificate.reason
 
@@ -79,7 +79,7 @@ def _rotors(frame, quantity):
 def test_a_lagging_motor_accelerates_the_less_the_faster_it_turns():
     lag, speed = 0.4, 900.0
     told = load_scenario(PAPER_CALM, {"vehicle.motor_time_constant": lag})
-    dynamics = Planner().dynamics(told)
+    dynamics = PLANNER.dynamics(told)
     states = np.zeros((1, len(dynamics.state_names)))
     states[0, [dynamics.state_names.index(f"rotors.omega[{j}]") for j in range(1, 5)]] = speed
     most = (told.limits.rotor_speed_max - speed) / lag
@@ -96,7 +96,7 @@ def test_a_lagging_motor_accelerates_the_less_the_faster_it_turns():
 def test_the_controller_knows_the_lag_of_its_motors():
     lag = 0.1
     told = load_scenario(PAPER_CALM, {"mission.duration": 4.0, "vehicle.motor_time_constant": lag})
-    flight = fly_baseline(told, Reference.STEP, dynamics=Planner().dynamics(told))
+    flight = fly_baseline(told, Reference.STEP, dynamics=PLANNER.dynamics(told))
     assert not flight.broken_limits
     alpha = flight.frame[[f"alpha_{j}_rad_per_s2" for j in range(1, 5)]].to_numpy()
     allowed = (told.limits.rotor_speed_max - _rotors(flight.frame, "omega")) / lag
@@ -107,8 +107,8 @@ def test_the_controller_knows_the_lag_of_its_motors():
 def test_plans_leave_the_reserve_to_the_controller():
     reserve = 0.04
     told = load_scenario(PAPER_CALM, HURRIED | {"limits.reserve": reserve})
-    planner = Planner()
-    plan, free = planner.solve(told), Planner().solve(load_scenario(PAPER_CALM, HURRIED))
+    planner = PLANNER
+    plan, free = planner.solve(told), PLANNER.solve(load_scenario(PAPER_CALM, HURRIED))
     assert plan.is_verified
     assert plan.energy > free.energy
     flights = [
@@ -126,7 +126,7 @@ def test_plans_leave_the_reserve_to_the_controller():
         [100 * (1 - speed / most) for speed in fastest], abs=0.05
     )
     without = compare_flights(
-        free.scenario, [free.flight()], certify(free.scenario), free.hover_energy_J
+        free.scenario, [free.flight()], certified(free.scenario), free.hover_energy_J
     )
     assert RESERVE not in without
 

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from pyomo_quad.flight import Planner
 from pyomo_quad.model import build_model, inspect_model, parameter_values
 from pyomo_quad.model.typeset import typeset_equations
 from pyomo_quad.polar.polar import mean_wind
-from pyomo_quad.study.certificate import certify
-from pyomo_quad.study.check import diagnose, reach_findings
+from pyomo_quad.study.check import reach_findings
 from tests.declared_model import Instant, scenario
+from tests.flights import PLANNER, certified, diagnosed
 
 POWER = {"law": "power", "exponent": 0.22, "reference_height": 8.0}
 LOGARITHMIC = {"law": "logarithmic", "roughness": 0.05}
@@ -167,9 +166,9 @@ def test_what_does_not_know_heights_says_so_of_measured_ones(tmp_path):
     model = build_model(told)
     assert inspect_model(model).unit_errors == ()
     assert "wind.velocity_x" in {equation.name for equation in typeset_equations(model)}
-    assert certify(told).reason.startswith("no bound is known in a wind that varies with height")
+    assert certified(told).reason.startswith("no bound is known in a wind that varies with height")
     assert mean_wind(told) == pytest.approx((law(7.0), 0.5 * law(7.0)))
-    (said,) = (f.message for f in diagnose(told) if f.subject == "wind.file")
+    (said,) = (f.message for f in diagnosed(told) if f.subject == "wind.file")
     assert said.endswith(
         "is of 0 to 7 m, the mission goes from 0 to 8 m; beyond, the wind is held as it is at the "
         "nearest height: give the heights that are flown."
@@ -182,7 +181,7 @@ def test_a_plan_in_a_measured_profile_is_that_in_its_law(tmp_path):
     by_table = measured(tmp_path, heights, lambda z: -8.0 * (z / 10.0) ** 0.4)
     told = course(10.0, {"use": "calm", "file": by_table["file"], "speed": 0.0})
     growing = course(10.0, AGAINST | GROWING | {"speed": 8.0})
-    table, formula = Planner().solve(told), Planner().solve(growing)
+    table, formula = PLANNER.solve(told), PLANNER.solve(growing)
     assert table.is_verified
     assert table.to_frame()["z_m"].min() < 9.0
     assert table.energy == pytest.approx(formula.energy, rel=1e-2)
@@ -217,7 +216,7 @@ AGAINST, ALONG = {"direction": np.pi}, {"direction": 0.0}
 
 
 def test_the_plan_dives_below_a_head_wind():
-    growing = Planner().solve(course(10.0, AGAINST | GROWING))
+    growing = PLANNER.solve(course(10.0, AGAINST | GROWING))
     assert growing.is_verified
     flight = growing.to_frame()
     assert flight["z_m"].min() < 9.0
@@ -228,7 +227,7 @@ def test_the_plan_dives_below_a_head_wind():
 
 @pytest.mark.slow
 def test_higher_up_a_head_wind_costs_more():
-    planner = Planner()
+    planner = PLANNER
     energies = [planner.solve(course(z, AGAINST | GROWING)).energy for z in (2.0, 10.0, 40.0)]
     assert energies == sorted(energies)
     even = planner.solve(course(10.0, AGAINST))
@@ -238,7 +237,7 @@ def test_higher_up_a_head_wind_costs_more():
 
 
 def test_no_bound_is_claimed():
-    certificate = certify(course(10.0, AGAINST | GROWING))
+    certificate = certified(course(10.0, AGAINST | GROWING))
     assert certificate.lower_bound_J is None
     assert certificate.reason == (
         "no bound is known in a wind that varies with height: its mean depends on the path."
@@ -258,7 +257,7 @@ def test_no_mission_is_ruled_out_by_the_wind_at_another_height():
             "duration": 12.0,
         },
     )
-    planner = Planner()
+    planner = PLANNER
     at_the_ground = told.with_values({"wind.profile": None, "wind.speed": 6.0 * 0.01**0.4})
     assert [finding.subject for finding in reach_findings(at_the_ground, planner)]
     assert not list(reach_findings(told, planner))

@@ -42,15 +42,15 @@ FLIGHTS = [
 ]
 
 # Each flight that is planned again takes as long as all others together.
-ESTIMATED, NONE = (f"--set=baseline.mpc.knowledge=[{one}]" for one in ('"estimated"', ""))
+NONE = "--set=baseline.mpc.knowledge=[]"
+ESTIMATED = ("baseline.mpc.knowledge=['estimated']", "baseline.mpc.interval=1.0")
 
 
 @pytest.fixture(scope="module")
 def wind(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wind") / "report"
-    return run_here(
-        "run", str(SCENARIOS / "paper_wind.toml"), ESTIMATED, "--figures", "png", out=folder
-    )
+    options = (*(f"--set={field}" for field in ESTIMATED), "--figures", "png")
+    return run_here("run", str(SCENARIOS / "paper_wind.toml"), *options, out=folder)
 
 
 def test_run_is_verified_and_compared(wind):
@@ -143,7 +143,8 @@ def test_compare_takes_a_finished_run_that_matches_from_its_folder(
 ):
     monkeypatch.chdir(tmp_path)
     shutil.copytree(wind.folder, tmp_path / "reports" / "paper_wind")
-    assert main(["compare", str(SCENARIOS / "paper_wind.toml"), ESTIMATED]) == ExitCode.VERIFIED
+    options = [f"--set={field}" for field in ESTIMATED]
+    assert main(["compare", str(SCENARIOS / "paper_wind.toml"), *options]) == ExitCode.VERIFIED
     said = capsys.readouterr().out
     assert "paper_wind: taken from reports/paper_wind, which holds this very run." in said
     made = tmp_path / "reports" / "comparison" / "comparison.csv"
@@ -169,8 +170,7 @@ def replace_in(file, old, new):
 )
 def test_a_run_of_something_else_or_a_damaged_one_is_not_taken(wind, tmp_path, name, old, new):
     folder = shutil.copytree(wind.folder, tmp_path / "run")
-    setting = ESTIMATED.removeprefix("--set=")
-    scenario = load_scenario(SCENARIOS / "paper_wind.toml", [setting])
+    scenario = load_scenario(SCENARIOS / "paper_wind.toml", ESTIMATED)
     assert find_run(folder, scenario) is not None
     assert find_run(folder, scenario.with_values({"mission.duration": 9.0})) is None
     replace_in(folder / name, old, new)

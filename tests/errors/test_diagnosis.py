@@ -11,6 +11,7 @@ from pyomo_quad.model.screening import Severity, screen_model
 from pyomo_quad.study.check import diagnose
 from tests.agreement.test_certificate_against_flights import random_mission
 from tests.declared_model import scenario
+from tests.flights import diagnosed
 
 PLACE = {"goal": {"position": [6.0, 7.0, 8.0]}, "duration": 10.0}
 
@@ -146,7 +147,7 @@ def named(findings, subject):
 @pytest.mark.parametrize("kind", IMPOSSIBLE)
 def test_an_impossible_mission_names_its_cause(kind):
     tables, subject, cause = IMPOSSIBLE[kind]
-    findings = diagnose(scenario(**tables))
+    findings = diagnosed(scenario(**tables))
     # The impossible come first.
     assert findings[0].severity is Severity.IMPOSSIBLE
     (found,) = named(findings, subject)
@@ -158,7 +159,7 @@ def test_an_impossible_mission_names_its_cause(kind):
 @pytest.mark.parametrize("kind", DOUBTFUL)
 def test_a_doubtful_mission_names_its_doubt(kind):
     tables, subject, doubt = DOUBTFUL[kind]
-    findings = diagnose(scenario(**tables))
+    findings = diagnosed(scenario(**tables))
     (found,) = named(findings, subject)
     assert found.severity is Severity.CAUTION
     assert doubt in str(found)
@@ -167,7 +168,7 @@ def test_a_doubtful_mission_names_its_doubt(kind):
 
 @pytest.mark.parametrize("wind", ["calm", "paper_table_2"])
 def test_the_paper_s_missions_are_left_alone(wind):
-    assert diagnose(scenario(wind={"use": wind})) == ()
+    assert diagnosed(scenario(wind={"use": wind})) == ()
 
 
 @pytest.mark.parametrize("coupling", ["acceleration", "drag"])
@@ -175,7 +176,7 @@ def test_missions_that_can_be_flown_are_not_called_impossible(coupling):
     # The same missions are planned and verified where the bound on their energy is tested.
     generator = np.random.default_rng([len("motor"), len(coupling)])
     for _ in range(2):
-        assert diagnose(random_mission(generator, "motor", coupling)) == ()
+        assert diagnosed(random_mission(generator, "motor", coupling)) == ()
 
 
 def test_the_duration_asked_for_is_that_of_full_thrust_up_and_down():
@@ -183,7 +184,7 @@ def test_the_duration_asked_for_is_that_of_full_thrust_up_and_down():
     full, weight = 4 * 3.8305e-6 * 1047.1975511965977**2, 1.3 * 9.81
     least = sqrt(4 * 1.3 * full * 8.0 / (full**2 - weight**2))
     climb = {"goal": {"position": [0.0, 0.0, 8.0]}, "duration": 0.3}
-    (found,) = diagnose(scenario(mission=climb))
+    (found,) = diagnosed(scenario(mission=climb))
     named = float(str(found).partition("allow more than ")[2].partition(" s")[0])
     assert named == pytest.approx(least, rel=1e-2)
     assert named <= least
@@ -191,12 +192,12 @@ def test_the_duration_asked_for_is_that_of_full_thrust_up_and_down():
 
 def test_the_forecast_is_what_is_judged():
     wind = {"use": "constant", "speed": 9.0, "forecast": {"use": "calm"}}
-    assert diagnose(scenario(wind=wind)) == ()
+    assert diagnosed(scenario(wind=wind)) == ()
 
 
 def test_quadratic_drag_is_not_judged_by_linear_bounds():
     tables = {"wind": {"use": "calm", "coupling": "drag"}, "vehicle": {"drag_quadratic": 0.02}}
-    assert diagnose(scenario(**tables)) == ()
+    assert diagnosed(scenario(**tables)) == ()
 
 
 def own_model(_scenario=None):
@@ -247,11 +248,11 @@ def test_screening_finds_nothing_in_the_declared_model():
     ],
 )
 def test_angles_in_degrees_draw_a_doubt(tables, doubt):
-    (found,) = [f for f in diagnose(scenario(**tables)) if "degrees" in f.message]
+    (found,) = [f for f in diagnosed(scenario(**tables)) if "degrees" in f.message]
     assert found.severity is Severity.CAUTION
     assert doubt in found.message
 
 
 def test_angles_within_a_turn_draw_no_doubt():
     tables = {"wind": {"use": "constant", "direction": -6.28}, "limits": {"roll_max": 1.5}}
-    assert not [f for f in diagnose(scenario(**tables)) if "degrees" in f.message]
+    assert not [f for f in diagnosed(scenario(**tables)) if "degrees" in f.message]

@@ -5,7 +5,6 @@ import importlib
 import numpy as np
 import pytest
 
-from pyomo_quad.flight import Planner
 from pyomo_quad.model.typeset import EQUATION_TABLE
 from pyomo_quad.paper.claims import SAVING, implied_wind_optimum
 from pyomo_quad.paper.experiments import Experiment, MeshTrial, Reading, paper_scenario, run_trial
@@ -18,6 +17,7 @@ from pyomo_quad.paper.floors import (
     rotor_map,
 )
 from pyomo_quad.scenario import load_scenario
+from tests.flights import PLANNER
 
 # f_r as recovered, written again from its source: rows are powers of the torque.
 CUBIC, QUADRATIC = (-1.72e-5, 0.014, -0.8796), (1.95e-5, -0.0157, 0.3385)
@@ -59,10 +59,10 @@ def test_the_floor_of_a_convex_power_is_hover():
     acceleration = np.linspace(-3000.0, 3000.0, 61)
     hover = scenario.vehicle.hover_speed(scenario.gravity)
     speed = np.sort(np.append(np.linspace(0.0, scenario.limits.rotor_speed_max, 61), hover))
-    sampled = rotor_map(Planner().dynamics(scenario), speed, acceleration, None)
+    sampled = rotor_map(PLANNER.dynamics(scenario), speed, acceleration, None)
     floor = floor_energy(scenario, sampled, 3000.0)
     assert floor == pytest.approx(
-        Planner().steady_flight(scenario).hover_power * scenario.mission.duration, rel=1e-9
+        PLANNER.steady_flight(scenario).hover_power * scenario.mission.duration, rel=1e-9
     )
 
 

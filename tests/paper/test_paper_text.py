@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pyomo_quad.flight import Flight, Planner
+from pyomo_quad.flight import Flight
 from pyomo_quad.paper.claims import corrections
 from pyomo_quad.paper.examination import examination
 from pyomo_quad.paper.experiments import (
@@ -25,6 +25,7 @@ from pyomo_quad.paper.figures import energy_chain
 from pyomo_quad.paper.tables import baseline_saving, find_baseline, find_flight
 from pyomo_quad.report.render import render_markdown
 from pyomo_quad.scenario import PowerModel, Reference
+from tests.flights import PLANNER
 from tests.paper.test_paper_study import DRAG, efficiency
 
 HOVERING = {PowerModel.EFFICIENCY: 4868.0}
@@ -130,7 +131,7 @@ def test_the_note_on_braking_names_the_models_that_the_declared_power_credits():
     note = row.split(" | ")[2]
     without, with_it = note.split(" counts")[0].split("; ")
     for model in POWER_MODELS:
-        steady = Planner().steady_flight(paper_scenario(Experiment.CALM, {"power.model": model}))
+        steady = PLANNER.steady_flight(paper_scenario(Experiment.CALM, {"power.model": model}))
         powers = [
             steady.rotor_value("power.rotor_power", speed, acceleration)
             for speed in (300.0, 900.0)

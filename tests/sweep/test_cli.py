@@ -27,10 +27,19 @@ def study(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def quick(monkeypatch):
-    """Solve in this process and draw nothing."""
-    monkeypatch.setattr("pyomo_quad.sweep.process_workers", lambda _: nullcontext(Here()))
+def plain(monkeypatch):
+    """Draw nothing."""
     monkeypatch.setattr("pyomo_quad.sweep.report.save_drawings", lambda *_: None)
+
+
+@pytest.fixture
+def quick(plain, monkeypatch):
+    """Solve in this process and draw nothing."""
+    monkeypatch.setattr("pyomo_quad.sweep.process_workers", in_this_process)
+
+
+def in_this_process(_count):
+    return nullcontext(Here())
 
 
 def rewrite(study: Path, before: str, after: str) -> None:
@@ -41,7 +50,10 @@ def run(study: Path, folder: Path, *options: str) -> int:
     return main(["sweep", str(study), "--workers", "1", "--out", str(folder), *options])
 
 
-def test_a_sweep_writes_store_tables_and_report_and_goes_on_when_run_again(study, tmp_path, capsys):
+@pytest.mark.usefixtures("plain")
+def test_a_sweep_writes_store_tables_and_report_and_goes_on_when_run_again(
+    study, tmp_path, capsys, monkeypatch
+):
     folder = tmp_path / "out"
     assert run(study, folder, "--verbose") == 0
     shown = capsys.readouterr()
@@ -53,6 +65,7 @@ def test_a_sweep_writes_store_tables_and_report_and_goes_on_when_run_again(study
     study.write_text(
         study.read_text().replace("last = 13.0, count = 10", "last = 14.0, count = 11")
     )
+    monkeypatch.setattr("pyomo_quad.sweep.process_workers", in_this_process)
     assert run(study, folder) == 0
     shown = capsys.readouterr()
     assert "1 cases finished, 0 failed, 10 were there" in shown.out

@@ -45,6 +45,11 @@ normal = { mean = 4.0, standard_deviation = 0.5 }
 """
 
 
+@pytest.fixture
+def _no_figures(monkeypatch):
+    monkeypatch.setattr("pyomo_quad.sweep.report.save_drawings", lambda *_: None)
+
+
 @pytest.mark.parametrize(
     ("axes", "figures"),
     [
@@ -69,8 +74,8 @@ def test_each_design_gets_the_figures_that_fit_it(tmp_path, axes, figures):
     assert all(f"figures/{name}.png" in text for name in figures)
 
 
-def test_tables_hold_every_row_in_three_formats(tmp_path, monkeypatch):
-    monkeypatch.setattr("pyomo_quad.sweep.report.save_drawings", lambda *_: None)
+@pytest.mark.usefixtures("_no_figures")
+def test_tables_hold_every_row_in_three_formats(tmp_path):
     sweep(write_study(tmp_path), tmp_path / "out", Here())
     assert main(["sweep-report", str(tmp_path / "out")]) == 0
     report, expected = tmp_path / "out" / "report", rows(tmp_path / "out")
@@ -93,6 +98,7 @@ def test_report_is_equal_byte_for_byte_when_made_again(tmp_path):
     assert contents[0] == contents[1]
 
 
+@pytest.mark.usefixtures("_no_figures")
 def test_report_names_the_best_duration_and_the_failures(tmp_path):
     # The stand-in's energy is P T + 4000 / T^2, least at T = (8000 / P)^(1/3), P = 70 x 1.3^1.5.
     axes = '[[axis]]\npath = "mission.duration"\nvalues = [2.5, 3.0, 4.0, 4.25, 5.0, 10.0]\n'
@@ -108,11 +114,6 @@ def test_report_names_the_best_duration_and_the_failures(tmp_path):
 def test_an_empty_folder_and_an_empty_store_are_said_in_one_line(tmp_path, capsys):
     assert main(["sweep-report", str(tmp_path)]) == 1
     assert "holds no sweep.sqlite; give the folder of a sweep" in capsys.readouterr().err
-
-
-@pytest.fixture
-def _no_figures(monkeypatch):
-    monkeypatch.setattr("pyomo_quad.sweep.report.save_drawings", lambda *_: None)
 
 
 @pytest.mark.usefixtures("_no_figures")

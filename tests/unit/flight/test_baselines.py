@@ -152,7 +152,7 @@ def test_a_hold_under_control_may_be_as_far_off_again_as_a_plan_may(off, is_kept
     stop = {"position": [1.0, 1.0, 1.0], "at": 2.0, "hold": 2.0}
     mission = {"goal": {"position": [0.0, 2.0, 2.0]}, "duration": 6.0, "waypoints": [stop]}
     told = scenario_from_mapping({"name": "hold", "mission": mission})
-    dynamics = flights.planner().dynamics(told)
+    dynamics = flights.PLANNER.dynamics(told)
     times = np.linspace(0.0, 6.0, 61)
     states = np.tile(start_state(told, dynamics), (len(times), 1))
     places = [dynamics.state_names.index(name) for name in POSITION_STATES]

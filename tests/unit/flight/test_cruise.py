@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import fly_baseline
 from pyomo_quad.flight.cruise import SETTLINGS_S, cruise, cruise_at, speed_profile
 from pyomo_quad.scenario import ScenarioError, scenario_from_mapping
@@ -15,6 +14,7 @@ from pyomo_quad.study import run
 from pyomo_quad.study.comparison import ComparisonColumn as Column
 from pyomo_quad.study.comparison import has_arrived
 from pyomo_quad.sweep.study_file import Study
+from tests.flights import PLANNER
 
 ROUNDING = 1e-9
 
@@ -90,7 +90,7 @@ def test_a_cruise_stops_at_waypoints_holds_and_goes_round_a_zone():
 def test_each_speed_is_a_flight_with_its_own_time_that_arrives():
     told = mission(baseline={"cruise_speeds": [1.5, 3.0]}, solver={"elements": 10})
     table = run.run_scenario(told).comparison.set_index(Column.FLIGHT)
-    optimum, planner = table.loc["optimal"], Planner()
+    optimum, planner = table.loc["optimal"], PLANNER
     for speed in (1.5, 3.0):
         row = table.loc[f"adaptive/cruise {speed:g} m/s"]
         duration, moving = row[Column.DURATION], speed_profile(7.0, speed, 3.0, 4.0).times[-1]

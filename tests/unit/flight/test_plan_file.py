@@ -14,7 +14,7 @@ from pyomo_quad.flight import Planner
 from pyomo_quad.flight.verification import verify_controls
 from pyomo_quad.model import parameter_values
 from pyomo_quad.scenario import ScenarioError
-from tests.flights import plan, planner, scenario
+from tests.flights import PLANNER, plan, scenario
 
 COARSE = ("solver.tolerance=1e-5", "solver.elements=12")
 RAGGED = object()
@@ -120,7 +120,7 @@ def test_a_warm_start_without_some_conditions_is_left_aside(parts, tmp_path):
     file = tmp_path / "plan.npz"
     with file.open("wb") as stream:
         np.savez(stream, **parts | {name: parts[name][:-1]})
-    found = planner().solve(scenario("paper_calm", *COARSE), warm_start=Plan.load(file))
+    found = PLANNER.solve(scenario("paper_calm", *COARSE), warm_start=Plan.load(file))
     assert found.energy == pytest.approx(plan("paper_calm", *COARSE).energy, rel=1e-5)
 
 

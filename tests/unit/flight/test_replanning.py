@@ -35,7 +35,7 @@ def replanned(knowledge, *overrides, plant=(), plan=None, computer=None):
         mission,
         knowledge,
         dynamics=vehicle,
-        planner=flights.planner(),
+        planner=flights.PLANNER,
         plan=plan,
         computer=computer,
     )
@@ -121,9 +121,7 @@ def test_in_gusts_and_with_another_mass_it_ends_as_the_controller_does_for_less(
     believed = flights.scenario("paper_wind")
     vehicle = flights.vehicle("paper_wind", "vehicle.mass=1.282", *gusts, *steady)
     controlled = fly_baseline(believed, Reference.QUINTIC, dynamics=vehicle)
-    flight = fly_replanned(
-        believed, Knowledge.ESTIMATED, dynamics=vehicle, planner=flights.planner()
-    )
+    flight = fly_replanned(believed, Knowledge.ESTIMATED, dynamics=vehicle, planner=flights.PLANNER)
     assert has_arrived(flight)
     assert flight.energy_J < controlled.energy_J
     assert flight.terminal_miss_m < 1.1 * controlled.terminal_miss_m

@@ -5,9 +5,9 @@ from itertools import pairwise, permutations
 import numpy as np
 import pytest
 
-from pyomo_quad.flight import Planner
 from pyomo_quad.flight.tour import best_tours, in_order
 from tests.declared_model import scenario
+from tests.flights import PLANNER
 
 ON_ONE_MESH = {"elements": 10, "degree": 4, "max_refinements": 0}
 
@@ -39,7 +39,7 @@ def corners(order="best", mirrored=1.0):
 
 @pytest.mark.slow
 def test_the_best_order_is_the_cheapest_of_all_missions():
-    planner = Planner()
+    planner = PLANNER
     plan = planner.solve(corners())
     others = [planner.solve(in_order(corners(), order)) for order in permutations(range(3))]
     assert plan.energy == pytest.approx(min(other.energy for other in others), rel=1e-6)
@@ -47,7 +47,7 @@ def test_the_best_order_is_the_cheapest_of_all_missions():
 
 @pytest.mark.slow
 def test_a_mirror_image_mission_has_the_mirror_image_order():
-    plan, image = (Planner().solve(corners(mirrored=side)) for side in (1.0, -1.0))
+    plan, image = (PLANNER.solve(corners(mirrored=side)) for side in (1.0, -1.0))
     ordered = [w.position for w in plan.scenario.mission.waypoints]
     assert [w.position for w in image.scenario.mission.waypoints] == [
         (x, -y, z) for x, y, z in ordered

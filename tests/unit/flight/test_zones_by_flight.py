@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from pyomo_quad.flight import Planner
 from pyomo_quad.flight.flight import POSITION_STATES
 from pyomo_quad.flight.verification import split_at_breaches, verify_controls
 from tests.declared_model import scenario
+from tests.flights import PLANNER
 
 MAST = {"name": "mast", "shape": "cylinder", "radius": 0.02, "bottom": -50.0, "top": 50.0}
 FAR = [-30.0, 0.0]
@@ -20,7 +20,7 @@ def planned():
         airspace={"keep_out": [MAST | {"centre": FAR}]},
         solver={"tolerance": 1e-4},
     )
-    planner = Planner()
+    planner = PLANNER
     return planner, planner.solve(told)
 
 

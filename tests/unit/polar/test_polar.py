@@ -9,10 +9,10 @@ from scipy.optimize import minimize_scalar
 
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
-from pyomo_quad.flight import Planner
 from pyomo_quad.polar.polar import SteadyCurve
 from tests.agreement import plain_quadrotor as plain
 from tests.declared_model import scenario
+from tests.flights import PLANNER
 from tests.unit.identification.recorded import DRAG
 
 FIXED_W, CUBIC = 200.0, 0.05
@@ -79,7 +79,7 @@ def steady():
         wind={"coupling": "drag"},
         power={"model": "momentum", "air_density": craft["density"]},
     )
-    return Planner().steady_flight(told)
+    return PLANNER.steady_flight(told)
 
 
 @pytest.mark.parametrize("speed", [0.0, 7.0, 15.0])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from pyomo_quad.collocation import Mesh
-from pyomo_quad.flight.planning import Planner
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.study.check import plan_cautions
 from tests.command import PAPER_CALM
+from tests.flights import PLANNER
 
 BRAKING = -3000.0  # rad/s^2: far below the torque that holds a rotor's speed
 
@@ -17,7 +17,7 @@ BRAKING = -3000.0  # rad/s^2: far below the torque that holds a rotor's speed
 def plan_with(acceleration, *overrides):
     """Return a plan that hovers but for the rotor accelerations of its last half."""
     scenario = load_scenario(PAPER_CALM, ["power.model = 'efficiency'", *overrides])
-    dynamics = Planner().dynamics(scenario)
+    dynamics = PLANNER.dynamics(scenario)
     mesh = Mesh.uniform(2, 2)
     states = np.zeros((mesh.points + 1, len(dynamics.state_names)))
     speeds = [name.startswith("rotors.omega") for name in dynamics.state_names]

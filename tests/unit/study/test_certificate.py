@@ -5,8 +5,9 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from pyomo_quad.study.certificate import ThrustMoments, certify
+from pyomo_quad.study.certificate import ThrustMoments
 from tests.declared_model import AIRSPACE, Instant, momentum_demand, scenario
+from tests.flights import certified
 
 # Of a fit to seven values, relative to the largest of them.
 ROUNDING = 1e-12
@@ -93,7 +94,7 @@ def test_momentum_demand_is_read_off_the_declared_balance():
     ],
 )
 def test_where_there_is_none_the_reason_is_given(tables, reason):
-    found = certify(scenario(**tables) if "model" not in tables else own_model())
+    found = certified(scenario(**tables) if "model" not in tables else own_model())
     assert not found.applies
     assert found.lower_bound_J is None
     assert found.gap_percent(700.0) is None
@@ -105,20 +106,20 @@ def own_model():
 
 
 def test_zones_leave_the_bound_what_it_is_and_it_says_so():
-    free, kept_out = certify(scenario()), certify(scenario(airspace=AIRSPACE))
+    free, kept_out = certified(scenario()), certified(scenario(airspace=AIRSPACE))
     assert kept_out.lower_bound_J == free.lower_bound_J
     assert kept_out.reason.endswith(", and so for those of them that stay within the airspace too.")
 
 
 def test_the_gap_is_relative_to_the_energy():
-    found = certify(scenario())
+    found = certified(scenario())
     assert found.gap_percent(2 * found.lower_bound_J) == pytest.approx(50.0)
     assert "momentum balance" in found.reason
 
 
 def test_the_bound_does_not_depend_on_how_far_the_speed_limit_is():
-    usual = certify(scenario()).lower_bound_J
-    far = certify(scenario(limits={"rotor_speed_max": 2e4})).lower_bound_J
+    usual = certified(scenario()).lower_bound_J
+    far = certified(scenario(limits={"rotor_speed_max": 2e4})).lower_bound_J
     assert far == pytest.approx(usual, rel=1e-6)
 
 
@@ -126,10 +127,10 @@ def test_a_measured_wind_is_integrated_too(tmp_path):
     times = np.linspace(0.0, 10.0, 101)
     rows = "\n".join(f"{t},{1.0 + 0.1 * np.sin(0.5 * t)},0.5" for t in times)
     (tmp_path / "wind.csv").write_text(f"time_s,wind_x_m_per_s,wind_y_m_per_s\n{rows}\n")
-    measured = certify(scenario(wind={"use": "calm", "file": str(tmp_path / "wind.csv")}))
+    measured = certified(scenario(wind={"use": "calm", "file": str(tmp_path / "wind.csv")}))
     silent = {"amplitudes": [0.0, 0.0, 0.0], "gust_amplitude": 0.0}
     harmonic = {"amplitudes": [0.1, 0.0, 0.0], "gust_amplitude": 0.0}
-    formula = certify(scenario(wind={"use": "paper_table_2", "x": harmonic, "y": silent}))
+    formula = certified(scenario(wind={"use": "paper_table_2", "x": harmonic, "y": silent}))
     assert measured.lower_bound_J == pytest.approx(formula.lower_bound_J, rel=1e-7)
 
 
