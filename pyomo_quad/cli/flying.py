@@ -10,7 +10,6 @@ from pyomo_quad.cli.terminal import complain
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop
-from pyomo_quad.flight.cruise import cruise_at
 from pyomo_quad.flight.outside_plant import (
     MULTIROTOR,
     OutsidePlant,
@@ -24,6 +23,7 @@ from pyomo_quad.report.tables import FLIGHT_NAME, flight_summary, write_summary,
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Knowledge, Reference
 from pyomo_quad.study.comparison import has_arrived
+from pyomo_quad.study.run import fly_cruise
 
 
 def make_plan(planner: Planner, scenario: Scenario) -> Plan | ExitCode:
@@ -40,10 +40,10 @@ def make_flight(
     planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
 ) -> Flight | ExitCode:
     """Fly the adaptive controller along a reference or, without one, the plan in open loop."""
-    if reference is Reference.CRUISE:
-        scenario = cruise_at(scenario)
-    dynamics = planner.dynamics(scenario)
     try:
+        if reference is Reference.CRUISE:
+            return fly_cruise(scenario, None, plan, planner)
+        dynamics = planner.dynamics(scenario)
         if reference is None and plan is not None:
             return fly_open_loop(scenario, plan, dynamics)
         return fly_baseline(scenario, reference or Reference.PLAN, dynamics=dynamics, plan=plan)

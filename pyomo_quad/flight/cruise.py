@@ -25,9 +25,7 @@ from pyomo_quad.scenario import Scenario, ScenarioError
 
 FloatArray = NDArray[np.float64]
 
-#: s of hovering at the goal, after which the controller mostly is at rest there.
-SETTLING_S = 1.5
-#: s, of which the first that suffices is taken where flights are compared.
+#: s of hovering at the goal, of which a flight takes the first that suffices to arrive.
 SETTLINGS_S = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
 # s; phases shorter than this are none.
 _INSTANT = 1e-9
@@ -92,10 +90,10 @@ def _peak_speed(distance: float, acceleration: float, jerk: float) -> float:
     return float((distance**2 * jerk / 4) ** (1 / 3))
 
 
-def cruise_at(
-    scenario: Scenario, speed: float | None = None, settling_s: float = SETTLING_S
-) -> Scenario:
+def cruise_at(scenario: Scenario, speed: float | None = None, settling_s: float = 0.0) -> Scenario:
     """Return a mission with the times that cruising takes, at a speed [m/s] or the one it has.
+
+    At the goal it hovers for `settling_s`.
 
     Raises
     ------
@@ -136,7 +134,7 @@ def cruise(scenario: Scenario) -> SampledPath:
     if knots[-1] > duration:
         raise ScenarioError(
             f"{scenario.name}: mission.duration = {duration:g} s; reference cruise takes "
-            f"{knots[-1] + SETTLING_S:g} s and keeps its own time; fly it by itself or in a run."
+            f"{knots[-1]:g} s and keeps its own time; fly it by itself or in a run."
         )
     kept = np.diff(knots, append=np.inf) > _INSTANT
     return SampledPath(np.array(knots)[kept], *np.concatenate(rows, axis=1)[:, kept])

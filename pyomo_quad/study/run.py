@@ -184,7 +184,7 @@ def _baselines(
     for speed in scenario.baseline.cruise_speeds or () if Reference.CRUISE in references else ():
         yield (
             baseline_name(Reference.CRUISE, speed),
-            partial(_fly_cruise, scenario, speed, plan, planner),
+            partial(fly_cruise, scenario, speed, plan, planner),
         )
     for reference in references:
         if reference is Reference.CRUISE:
@@ -199,8 +199,10 @@ def _baselines(
     yield OPEN_LOOP, partial(fly_open_loop, scenario, plan, dynamics)
 
 
-def _fly_cruise(scenario: Scenario, speed: float, plan: Plan, planner: Planner) -> Flight:
-    """Fly the mission as an autopilot would, in the time that this takes.
+def fly_cruise(
+    scenario: Scenario, speed: float | None, plan: Plan | None, planner: Planner
+) -> Flight:
+    """Fly the mission as an autopilot would, at a speed or the one it has, in its own time.
 
     It waits at the goal until it has arrived there, or has waited longest.
     """

@@ -2,13 +2,20 @@
 
 import json
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.flight import baselines
-from pyomo_quad.flight.flight import COLUMNS, TIME
+from pyomo_quad.flight.cruise import SETTLINGS_S, speed_profile
+from pyomo_quad.flight.flight import (
+    ARRIVAL_DISTANCE_M,
+    ARRIVAL_SPEED_M_PER_S,
+    COLUMNS,
+    TIME,
+)
 from tests.command import IMPOSSIBLE, PAPER_CALM, QUICK
 
 
@@ -22,6 +29,24 @@ def test_a_quintic_is_flown_and_written(tmp_path, capsys):
     assert (summary["flight"], summary["arrived"]) == ("adaptive/quintic", True)
     assert frame["energy_J"].iloc[-1] == pytest.approx(summary["energy_J"], rel=1e-11)
     assert frame["x_m"].iloc[-1] == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_cruise_waits_no_longer_than_until_it_has_arrived(tmp_path, capsys):
+    cruising = ["--reference", "cruise", "--set=baseline.cruise_speeds=[4.0]", "--json"]
+    command = ["fly", PAPER_CALM, *cruising, "--out", str(tmp_path / "flight")]
+    assert main(command) == ExitCode.VERIFIED
+    duration = json.loads(capsys.readouterr().out)["duration_s"]
+    frame = pd.read_csv(tmp_path / "flight" / "flight.csv").set_index(TIME)
+    off = np.linalg.norm(frame[["x_m", "y_m", "z_m"]] - [6.0, 7.0, 8.0], axis=1)
+    moving = np.linalg.norm(frame[["vx_m_per_s", "vy_m_per_s", "vz_m_per_s"]], axis=1)
+    has_arrived = (off <= ARRIVAL_DISTANCE_M) & (moving <= ARRIVAL_SPEED_M_PER_S)
+    assert has_arrived[-1]
+    waited = duration - speed_profile(149.0**0.5, 4.0, 3.0, 4.0).times[-1]
+    sooner = [s for s in SETTLINGS_S if s < waited - 1e-9]
+    assert waited == pytest.approx(SETTLINGS_S[len(sooner)], abs=1e-9)
+    # With any shorter wait this same flight would have ended before it was there.
+    for wait in sooner:
+        assert not has_arrived[np.searchsorted(frame.index, duration - waited + wait)]
 
 
 def test_the_plan_in_open_loop_as_json_in_a_folder_of_its_own(tmp_path, capsys, monkeypatch):
