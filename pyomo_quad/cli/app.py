@@ -9,13 +9,10 @@ import typer
 
 from pyomo_quad.cli.commands import compare, fly, run, solve
 from pyomo_quad.cli.endings import ExitCode, Stopped, before_the_end
-from pyomo_quad.cli.exporting import export
+from pyomo_quad.cli.finished import export, plot
 from pyomo_quad.cli.identifying import identify, predict
 from pyomo_quad.cli.looking import check, init, library, schema
-from pyomo_quad.cli.paper import paper
-from pyomo_quad.cli.plotting import plot
-from pyomo_quad.cli.polar import polar
-from pyomo_quad.cli.simulating import outside_plant, rotorpy_vehicle
+from pyomo_quad.cli.studies import outside_plant, paper, polar, rotorpy_vehicle
 from pyomo_quad.cli.sweeping import sweep, sweep_report
 from pyomo_quad.cli.terminal import claim_streams, complain, gives_up_output
 from pyomo_quad.report.folder import discard_unfinished

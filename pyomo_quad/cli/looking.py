@@ -53,7 +53,7 @@ def check(
     """Validate a scenario and print every field with its unit and where it came from."""
     resolved = load_scenario(scenario, overrides or ())
     # Pyomo takes a second to import: a refused scenario need not wait for it.
-    from pyomo_quad.model.custom import model_builder  # noqa: PLC0415
+    from pyomo_quad.model.build import model_builder  # noqa: PLC0415
     from pyomo_quad.model.inspection import inspect_model  # noqa: PLC0415
 
     builder = model_builder(resolved, is_code_allowed=allow_code)

@@ -4,10 +4,11 @@ from pyomo_quad.model.build import (
     ask_for_least_time,
     build_model,
     build_remaining,
+    load_builder,
+    model_builder,
     parameter_values,
     structure_key,
 )
-from pyomo_quad.model.custom import load_builder, model_builder
 from pyomo_quad.model.inspection import ModelInspection, inspect_model
 
 __all__ = [

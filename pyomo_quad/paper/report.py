@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from pyomo_quad.model import build_model
@@ -17,24 +18,33 @@ from pyomo_quad.paper.claims import (
     corrections,
     implied_wind_optimum,
 )
-from pyomo_quad.paper.examination import examination
 from pyomo_quad.paper.experiments import (
     POWER_MODELS,
     BaselineFlight,
     Experiment,
     PaperFlight,
+    Reading,
+    full_speed_energy,
     paper_scenario,
 )
 from pyomo_quad.paper.figures import floor_drawing, paper_drawings
 from pyomo_quad.paper.study import PaperStudy
-from pyomo_quad.paper.tables import TABLES, baseline_saving, find_flight, paper_tables
+from pyomo_quad.paper.tables import (
+    TABLES,
+    baseline_saving,
+    find_baseline,
+    find_flight,
+    kilojoules,
+    metres,
+    paper_tables,
+)
 from pyomo_quad.report import Figures
 from pyomo_quad.report.gallery import save_drawings, wanted_drawings
 from pyomo_quad.report.render import render_markdown
 from pyomo_quad.report.report import REPORT_NAME
 from pyomo_quad.report.style import BATTERY, POWER
 from pyomo_quad.report.tables import write_table
-from pyomo_quad.scenario import PowerModel, WindCoupling
+from pyomo_quad.scenario import PowerModel, Reference, WindCoupling
 from pyomo_quad.study.comparison import settled_energy
 
 _OTHER_POWERS = tuple(model for model in POWER_MODELS if model is not PowerModel.MOTOR)
@@ -219,3 +229,87 @@ def _typeset(field: str = "", value: object = None) -> tuple[TypesetEquation, ..
     return typeset_equations(
         build_model(paper_scenario(Experiment.WIND, {field: value} if field else {}))
     )
+
+
+def examination(study: PaperStudy) -> dict[str, Any]:
+    """Return the numbers of the templates of the conclusion and of the examination."""
+    bound, least = map(float, study.floors[Reading.REGULARISED][-1])
+    regularised, literal = study.floors[Reading.REGULARISED], study.floors[Reading.LITERAL]
+    trials = [outcome for outcome in study.trials if outcome.trial.reading is Reading.LITERAL]
+    lowest = min(trials, key=lambda outcome: outcome.energy_J)
+    believed = [outcome for outcome in trials if outcome.has_converged]
+    # One case may stand in two tables.
+    flown = {flight.case: flight for flight in (*study.flights, *study.wind_flights)}.values()
+    return {
+        "flown": len(flown),
+        "confirmed": sum(flight.flight.is_verified for flight in flown),
+        "best": find_flight(study.flights, Experiment.CALM, PowerModel.EFFICIENCY),
+        "printed_J": OPTIMAL_ENERGY[1].value,
+        "printed_bound": _bound_of_printed_optimum(study),
+        "largest_bound": bound,
+        "least_J": least,
+        "critical_acceleration": study.critical_acceleration,
+        "critical_speed": study.critical_speed,
+        "floors": np.column_stack([regularised, literal[:, 1]]).tolist(),
+        "trials": study.trials,
+        "lowest": lowest,
+        "cheapest": min(believed, key=lambda outcome: outcome.energy_J, default=lowest),
+        "adaptive": [_adaptive(study, experiment) for experiment in Experiment],
+        "savings": [_saving(study, experiment) for experiment in Experiment],
+        "packs": study.packs,
+        "kilojoules": kilojoules,
+        "metres": metres,
+    }
+
+
+def _bound_of_printed_optimum(study: PaperStudy) -> float:
+    """Return the rotor acceleration, rad/s², up to which the literal f_r has the printed floor."""
+    bounds, energies = study.floors[Reading.LITERAL].T
+    finite = np.isfinite(energies)
+    return float(np.interp(-OPTIMAL_ENERGY[1].value, -energies[finite], bounds[finite]))
+
+
+def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
+    """Return what a printed adaptive flight is judged by."""
+    printed = ADAPTIVE_ENERGY[experiment.value].value
+    smooth, jump = (
+        find_baseline(study, experiment, PowerModel.EFFICIENCY, reference).flight.energy_J
+        for reference in _references(study)
+    )
+    optimum = find_flight(study.flights, experiment, PowerModel.EFFICIENCY)
+    return {
+        "printed_J": printed,
+        "saving_percent": SAVING[experiment.value].value,
+        "hover_J": optimum.hover_energy_J,
+        "smooth_J": smooth,
+        "jump_J": jump,
+        "fastest_J": full_speed_energy(experiment),
+        "mean_power_W": printed / optimum.case.scenario.mission.fixed_duration,
+        "pack_power_W": max(pack.greatest_power_W for pack in study.packs),
+    }
+
+
+def _references(study: PaperStudy) -> tuple[Reference, Reference]:
+    has_jump = any(flown.case.reference is Reference.STEP for flown in study.baselines)
+    return Reference.QUINTIC, Reference.STEP if has_jump else Reference.QUINTIC
+
+
+def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
+    """Return what the optimum saves against the stand-in on a smooth reference."""
+    motor, efficiency = (
+        find_baseline(study, experiment, model, Reference.QUINTIC)
+        for model in (PowerModel.MOTOR, PowerModel.EFFICIENCY)
+    )
+    by_motor, of_excess = baseline_saving(study, motor)
+    by_efficiency, _ = baseline_saving(study, efficiency)
+    optimum = find_flight(study.flights, experiment, PowerModel.MOTOR)
+    return {
+        "experiment": experiment.value,
+        "printed_percent": SAVING[experiment.value].value,
+        "by_motor_percent": by_motor,
+        "of_excess_percent": of_excess,
+        "by_efficiency_percent": by_efficiency,
+        "spent_J": settled_energy(motor.priced_by(optimum)),
+        "optimum_J": optimum.flight.energy_J,
+        "hover_J": optimum.hover_energy_J,
+    }

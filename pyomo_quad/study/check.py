@@ -12,7 +12,7 @@ from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, ROTORS, position_miss, 
 from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight, battery_shortfalls
 from pyomo_quad.flight.verification import fly_controls
 from pyomo_quad.model import build_model
-from pyomo_quad.model.custom import Builder
+from pyomo_quad.model.build import Builder
 from pyomo_quad.model.screening import Finding, Severity, screen_model
 from pyomo_quad.scenario import Attitude, PowerModel, Scenario, describe_fields
 from pyomo_quad.scenario.fields import unit_of

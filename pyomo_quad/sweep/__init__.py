@@ -1,7 +1,6 @@
 """Sweeps: many cases of one scenario, on many workers, into a store that loses nothing."""
 
 from pyomo_quad.sweep.design import SweepDesign
-from pyomo_quad.sweep.errors import ClusterError, StoreError, StudyError
 from pyomo_quad.sweep.report import write_sweep_report
 from pyomo_quad.sweep.runner import (
     SilentListener,
@@ -11,9 +10,9 @@ from pyomo_quad.sweep.runner import (
     SweepSummary,
     estimate_sweep,
 )
-from pyomo_quad.sweep.store import ResultStore, adopt_design, results_frame
-from pyomo_quad.sweep.study_file import design_sweep, load_study
-from pyomo_quad.sweep.workers import Workers, cluster_workers, process_workers
+from pyomo_quad.sweep.store import ResultStore, StoreError, adopt_design, results_frame
+from pyomo_quad.sweep.study_file import StudyError, design_sweep, load_study
+from pyomo_quad.sweep.workers import ClusterError, Workers, cluster_workers, process_workers
 
 __all__ = [
     "ClusterError",

@@ -10,9 +10,8 @@ from pyomo_quad.scenario.messages import PyomoQuadError
 from pyomo_quad.scenario.schema import Scenario
 from pyomo_quad.sweep.case import CaseOutcome, CaseStatus, CaseTask, perform
 from pyomo_quad.sweep.design import Case, SweepDesign, expand
-from pyomo_quad.sweep.errors import ClusterError
 from pyomo_quad.sweep.store import STORE_NAME, ResultStore
-from pyomo_quad.sweep.workers import Workers
+from pyomo_quad.sweep.workers import ClusterError, Workers
 
 FLIGHT_SOLVER = "pyomo_quad.sweep.case:solve_case"
 

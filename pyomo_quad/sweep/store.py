@@ -15,10 +15,9 @@ from typing import Annotated, Any
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field, Json, Strict, ValidationError
 
-from pyomo_quad.scenario.messages import printable, shown
+from pyomo_quad.scenario.messages import OutputError, printable, shown
 from pyomo_quad.sweep.case import LARGEST_OUTPUT, CaseOutcome, CaseStatus
 from pyomo_quad.sweep.design import Case, SweepDesign, case_key, cell_of, expand
-from pyomo_quad.sweep.errors import StoreError
 from pyomo_quad.version import __version__
 
 STORE_NAME = "sweep.sqlite"
@@ -43,6 +42,10 @@ _TABLES = {
     ),
     "warm_start": "(case_key TEXT PRIMARY KEY, arrays BLOB)",
 }
+
+
+class StoreError(OutputError):
+    """A result store cannot be used for what was asked."""
 
 
 @contextmanager

@@ -20,9 +20,12 @@ from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.scenario.tree import FieldPath, leaves, parse_path, spell
 from pyomo_quad.sweep.case import StudyTask, output_columns, unknown_column
 from pyomo_quad.sweep.design import MOST_CASES, Axis, Dimension, SweepDesign
-from pyomo_quad.sweep.errors import StudyError
 
 _MOST_SAMPLES = 100_000
+
+
+class StudyError(ScenarioError):
+    """A study file says something that is not allowed."""
 
 
 class SamplingMethod(StrEnum):

@@ -21,9 +21,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from pyomo_quad.scenario.messages import PyomoQuadError
 from pyomo_quad.study.processes import end_processes, environment_of_workers, pool_of
 from pyomo_quad.sweep.case import CaseOutcome, CaseTask, perform, worker_version
-from pyomo_quad.sweep.errors import ClusterError
 from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
@@ -34,6 +34,10 @@ _TASKS_PER_WORKER = 2
 _CONNECT_SECONDS = 10.0
 # How often a silent executor is asked whether it still lives, and how many workers it has.
 _WATCH_SECONDS = 2.0
+
+
+class ClusterError(PyomoQuadError, RuntimeError):
+    """A Dask cluster cannot be reached or was lost; finished cases are kept."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,6 @@ import pytest
 
 from pyomo_quad.flight import Flight
 from pyomo_quad.paper.claims import corrections
-from pyomo_quad.paper.examination import examination
 from pyomo_quad.paper.experiments import (
     POWER_MODELS,
     BaselineCase,
@@ -22,6 +21,7 @@ from pyomo_quad.paper.experiments import (
     wind_cases,
 )
 from pyomo_quad.paper.figures import energy_chain
+from pyomo_quad.paper.report import examination
 from pyomo_quad.paper.tables import baseline_saving, find_baseline, find_flight
 from pyomo_quad.report.render import render_markdown
 from pyomo_quad.scenario import PowerModel, Reference
