@@ -7,6 +7,7 @@ directed: an enclosure is good to some 1e-14 of the largest value in it.
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 import casadi
@@ -24,11 +25,21 @@ FloatArray = NDArray[np.float64]
 Interval = tuple[FloatArray, FloatArray]
 
 
+def _number(value: float) -> Interval:
+    both = np.array(value)
+    return both, both
+
+
 def _product(a: Interval, b: Interval) -> Interval:
-    corners = np.stack([x * y for x in a for y in b])
-    # Nought times infinity: the finite factor was nought.
-    corners = np.where(np.isnan(corners), 0.0, corners)
-    return corners.min(axis=0), corners.max(axis=0)
+    # A number, as most factors are, has both ends in one place.
+    ours, theirs = (ends[:1] if ends[0] is ends[1] else ends for ends in (a, b))
+    corners = [x * y for x in ours for y in theirs]
+    low = reduce(np.minimum, corners)
+    if np.isnan(low).any():
+        # Nought times infinity: the finite factor was nought.
+        corners = [np.where(np.isnan(corner), 0.0, corner) for corner in corners]
+        low = reduce(np.minimum, corners)
+    return low, low if len(corners) == 1 else reduce(np.maximum, corners)
 
 
 def _inverse(a: Interval) -> Interval:
@@ -127,10 +138,9 @@ class Enclosure:
                         outputs[results[0]][side, results[1]] = value
                 elif operation == casadi.OP_INPUT:
                     column, row = inputs
-                    corners = (low[row], high[row]) if column == 0 else (given[row], given[row])
-                    held[results[0]] = corners
+                    held[results[0]] = (low[row], high[row]) if column == 0 else _number(given[row])
                 elif operation == casadi.OP_CONST:
-                    held[results[0]] = np.array(constant), np.array(constant)
+                    held[results[0]] = _number(constant)
                 else:
                     held[results[0]] = _OPERATIONS[operation](*(held[k] for k in inputs))
         return tuple((found[0], found[1]) for found in outputs)

@@ -1,6 +1,7 @@
 """The floors: data goes one way, and each heavy library has one home."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 from scipy.sparse import csr_array
@@ -93,15 +94,17 @@ def imports_of(tree, *, with_types=True):
             yield from imports_of(node, with_types=with_types)
 
 
+@cache
 def trees():
-    for file in sorted(PACKAGE.rglob("*.py")):
-        yield module_of(file), ast.parse(file.read_text(encoding="utf-8"))
+    files = sorted(PACKAGE.rglob("*.py"))
+    return [(module_of(file), ast.parse(file.read_text(encoding="utf-8"))) for file in files]
 
 
 def is_inside(module, library):
     return module == library or module.startswith(f"{library}.")
 
 
+@cache
 def imports_by_module():
     """Return the package's modules, each with those it imports anywhere in its file."""
     found = dict(trees())
