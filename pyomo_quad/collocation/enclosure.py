@@ -104,11 +104,35 @@ class Enclosure:
         self, expressions: Sequence[Any], variables: Sequence[Any], numbers: Sequence[Any]
     ) -> None:
         columns = casadi.vertcat(*variables), casadi.vertcat(*numbers)
-        slopes = casadi.gradient(expressions[0], columns[0])
-        outputs = [casadi.densify(casadi.vertcat(*expressions)), casadi.densify(slopes)]
-        self._function = casadi.Function("enclosed", list(columns), outputs)
-        self._sizes = len(expressions), len(variables)
-        self._steps = list(map(self._step, range(self._function.n_instructions())))
+        values = casadi.densify(casadi.vertcat(*expressions))
+        slopes = casadi.densify(casadi.gradient(expressions[0], columns[0]))
+        self._values = _Steps(casadi.Function("values", list(columns), [values]))
+        self._all = _Steps(casadi.Function("enclosed", list(columns), [values, slopes]))
+
+    def over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> tuple[Interval, ...]:
+        """Return enclosures of the expressions and of the slopes of the first.
+
+        Parameters
+        ----------
+        low, high : ndarray, shape (n_variables, n)
+            Corners of n boxes; points where they are the same.
+        numbers : array_like, shape (n_numbers,)
+        """
+        return self._all.over(low, high, numbers)
+
+    def at(self, points: FloatArray, numbers: ArrayLike) -> FloatArray:
+        """Return the expressions at points, shape (n_variables, n): one row for each."""
+        ((values, _),) = self._values.over(points, points, numbers)
+        return values
+
+
+class _Steps:
+    """The elementary operations of a function, one after the other, on intervals."""
+
+    def __init__(self, function: Any) -> None:
+        self._function = function
+        self._sizes = [function.size1_out(k) for k in range(function.n_out())]
+        self._steps = list(map(self._step, range(function.n_instructions())))
 
     def _step(self, k: int) -> tuple[int, list[int], list[int], float]:
         f = self._function
@@ -120,14 +144,7 @@ class Enclosure:
         return operation, f.instruction_input(k), f.instruction_output(k), constant
 
     def over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> tuple[Interval, ...]:
-        """Return enclosures of the expressions and of the slopes of the first.
-
-        Parameters
-        ----------
-        low, high : ndarray, shape (n_variables, n)
-            Corners of n boxes; points where they are the same.
-        numbers : array_like, shape (n_numbers,)
-        """
+        """Return enclosures of the function's outputs."""
         given = np.asarray(numbers, dtype=float)
         held: dict[int, Interval] = {}
         outputs = [np.empty((2, size, low.shape[1])) for size in self._sizes]

@@ -167,7 +167,7 @@ class Pairs:
 
     def _at(self, points: FloatArray, numbers: ArrayLike = (0.0,) * 6) -> FloatArray:
         """Return worth, thrust, speed, margin, both forces and power at points, shape (3, n)."""
-        return np.asarray(self._enclosure.over(points, points, numbers)[0][0])
+        return self._enclosure.at(points, numbers)
 
     def _fastest(self, scenario: Scenario) -> float:
         """Return an airspeed that no flight from rest exceeds; infinite where there is none."""

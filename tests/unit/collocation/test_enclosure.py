@@ -34,9 +34,11 @@ def test_values_and_slopes_are_enclosed():
 def test_a_point_encloses_itself():
     x, y, c = symbols("x", "y", "c")
     at = np.array([[0.3, -0.2], [0.1, 0.4]])
-    (under, over), _ = Enclosure([written(x, y, c)], [x, y], [c]).over(at, at, [0.7])
+    enclosure = Enclosure([written(x, y, c)], [x, y], [c])
+    (under, over), _ = enclosure.over(at, at, [0.7])
     np.testing.assert_allclose(under[0], written(*at, 0.7), rtol=1e-13)
     np.testing.assert_array_equal(under, over)
+    np.testing.assert_array_equal(enclosure.at(at, [0.7]), under)
 
 
 def test_nought_in_a_divisor_leaves_everything_open():
