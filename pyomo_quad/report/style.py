@@ -305,7 +305,7 @@ def save_figure(
     ``draw`` makes the figure; it is called with the style in force.
     """
     with mpl.rc_context(_RC):
-        figure = draw()
+        figure = _drawn(draw)
         _save_png(figure, folder / f"{name}.png")
         if is_vector:
             figure.savefig(folder / f"{name}.svg", metadata=_SVG_METADATA)
@@ -314,12 +314,22 @@ def save_figure(
 def write_figure(draw: Callable[[], Figure], path: Path, ending: str) -> None:
     """Draw a figure in the house style and write it to one file of the kind of an ending."""
     with mpl.rc_context(_RC):
-        figure = draw()
+        figure = _drawn(draw)
         if ending == ".png":
             _save_png(figure, path)
         else:
             dated = {"Date": None} if ending == ".svg" else {"CreationDate": None}
             figure.savefig(path, format=ending.removeprefix("."), metadata=dated)
+
+
+def _drawn(draw: Callable[[], Figure]) -> Figure:
+    """Draw a figure whose axes without a label look for no place to put it: a tenth of the time."""
+    figure = draw()
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if not axis.get_label_text():
+                axis.set_label_coords(0.0, 0.0)
+    return figure
 
 
 def _save_png(figure: Figure, path: Path) -> None:

@@ -35,7 +35,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter
 from scipy.optimize import brentq, linprog
 
 from pyomo_quad.collocation import Dynamics, Enclosure, symbols
@@ -206,6 +205,8 @@ class Pairs:
 
         Each is power and slopes of H, shape (8,).
         """
+        from scipy.ndimage import minimum_filter  # noqa: PLC0415  not for every certificate
+
         numbers = (*self._numbers(prices, mass), 1.0)
         edges = self._edges()
         axes = [np.linspace(edge[0], edge[1], _SAMPLES) for edge in edges]
