@@ -1,6 +1,9 @@
 """The declared model at one instant: states in, declared values and rates out."""
 
+from functools import cached_property
+
 import numpy as np
+from pyomo.core.expr.visitor import identify_variables
 from pyomo.dae import DerivativeVar
 from pyomo.environ import Constraint, value
 
@@ -85,22 +88,28 @@ class Instant:
 
     def rates(self):
         """Solve each balance for its derivative, by derivative name."""
+        for _, derivative, _ in self._balances:
+            derivative.set_value(0.0)
         found = {}
-        for variable in self.model.component_objects(DerivativeVar, descend_into=True):
-            for index in variable:
-                if (index[-1] if isinstance(index, tuple) else index) == self.t:
-                    variable[index].set_value(0.0)
-        for constraint in self.model.component_objects(Constraint, descend_into=True):
-            for index, data in constraint.items():
-                if (index[-1] if isinstance(index, tuple) else index) == self.t and data.equality:
-                    name, rate = _solved_for_derivative(data)
-                    found[name] = rate
+        for name, derivative, balance in self._balances:
+            left, right = balance.expr.args
+            derivative.set_value(1.0)
+            found[name] = value(right) / value(left)
+            derivative.set_value(0.0)
         return found
 
+    @cached_property
+    def _balances(self):
+        """The name of each derivative, its variable and the balance that has it."""
+        return [
+            _balance_of_derivative(data)
+            for constraint in self.model.component_objects(Constraint, descend_into=True)
+            for index, data in constraint.items()
+            if (index[-1] if isinstance(index, tuple) else index) == self.t and data.equality
+        ]
 
-def _solved_for_derivative(balance):
-    from pyomo.core.expr.visitor import identify_variables
 
+def _balance_of_derivative(balance):
     (derivative,) = (
         v
         for v in identify_variables(balance.expr)
@@ -108,9 +117,4 @@ def _solved_for_derivative(balance):
     )
     index = derivative.index()
     name = derivative.parent_component().local_name
-    left, right = balance.expr.args
-    derivative.set_value(1.0)
-    coefficient = value(left)
-    rate = value(right) / coefficient
-    derivative.set_value(0.0)
-    return (f"{name}[{index[0]}]" if isinstance(index, tuple) else name), rate
+    return (f"{name}[{index[0]}]" if isinstance(index, tuple) else name), derivative, balance

@@ -5,9 +5,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-# Before the libraries that it watches for: those that it finds it completes at once.
-from pyomo.common import dependencies
-from pyomo.core.base.units_container import PyomoUnitsContainer, units
+
+@contextmanager
+def _unseen(*names: str) -> Iterator[None]:
+    """Let a block find that libraries have not been imported."""
+    held = {name: sys.modules.pop(name) for name in names if name in sys.modules}
+    try:
+        yield
+    finally:
+        sys.modules.update(held)
+
+
+# What it finds it completes at once, as `pyomo_unaware` says.
+with _unseen("scipy", "matplotlib"):
+    from pyomo.common import dependencies
+from pyomo.core.base.units_container import PyomoUnitsContainer, units  # noqa: E402  see above
 
 
 @contextmanager

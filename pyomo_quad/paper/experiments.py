@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
+from functools import cache
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -106,6 +107,7 @@ def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
     )
 
 
+@cache
 def full_speed_energy(experiment: Experiment) -> float:
     """Return what all rotors steady at their greatest speed take under f_r over an experiment, J.
 

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 
 import pytest
 
+from pyomo_quad.report import Figures
 from pyomo_quad.report.paths import VIEW_ELEMENT
 from pyomo_quad.report.report import PAGE_NAME, write_run_report
 from tests.synthetic_run import FLIGHTS, synthetic_run
@@ -57,7 +58,8 @@ def page(tmp_path_factory):
 
     with _browser() as browser:
         folder = tmp_path_factory.mktemp("report")
-        write_run_report(folder, synthetic_run(overrides=(f"title={TITLE!r}", ZONE)))
+        result = synthetic_run(overrides=(f"title={TITLE!r}", ZONE))
+        write_run_report(folder, result, Figures.PNG)
         browser.set_page_load_timeout(TIMEOUT)
         browser.get((folder / PAGE_NAME).as_uri())
         WebDriverWait(browser, TIMEOUT).until(
