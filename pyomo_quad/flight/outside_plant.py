@@ -8,20 +8,20 @@ quadratic drag | added to c_Dx = c_Dy = c_Dz, on body axes
 linear drag | added to k_d = k_z, times four rotors at the speed of hover, at the rotors
 
 RotorPy's rotors have no inertia: the gyroscopic moment and the reaction of the body to their
-acceleration are added beside its own moments, unless they are to be left out.  Its motors follow a
-command with a lag; the command is the one under which they accelerate as wanted.  Energy is the
-declared power at RotorPy's rotor speeds.
+acceleration are added beside its own moments.  Its motors follow a command with a lag; the command
+is the one under which they accelerate as wanted, at every moment.  Energy is the declared power at
+RotorPy's rotor speeds.  `Habits` brings back, one by one, what RotorPy does otherwise.
 
 .. [1] Folk, Paulos and Kumar, "RotorPy: A Python-based Multirotor Simulator with Aerodynamics for
    Education and Research", arXiv 2306.04485.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from importlib import import_module
 from itertools import pairwise
-from math import pi, tau
+from math import pi, sqrt, tau
 from time import perf_counter
 from types import ModuleType
 from typing import Any
@@ -53,6 +53,7 @@ from pyomo_quad.flight.controller import (
 )
 from pyomo_quad.flight.flight import Flight, Flown
 from pyomo_quad.flight.plan import Plan
+from pyomo_quad.flight.references import ReferencePath
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
 from pyomo_quad.scenario.wind import WindAxis, WindCoupling
 
@@ -65,9 +66,13 @@ MULTIROTOR = "vehicles.multirotor"
 _MISSING = "RotorPy is not installed; install it with pip install 'pyomo_quad[rotorpy]'."
 # Of controlled flights, and of the plan's own controls, whose errors nothing corrects.
 _TOLERANCE, _TIGHT = 1e-7, 1e-11
+# Absolute, of SciPy's integrators where nothing is said, as RotorPy says nothing.
+_ABSOLUTE = 1e-6
 # The yaw reaction answers a command at once, SE3's at thousands per second: explicit steps would
 # be a third of a millisecond.
-_STIFF = ("Radau", Integrator.MULTISTEP.value)
+_STIFF: tuple[str, str] = ("Radau", Integrator.MULTISTEP)
+# Held commands make parts of milliseconds, each of a step or two.
+_EXPLICIT: tuple[str, str] = ("RK45", Integrator.RUNGE_KUTTA)
 # Share of a part of a flight after which the law is that of the part.
 _INSIDE = 1e-9
 _WIND_RATE_HZ = 1000.0
@@ -94,6 +99,24 @@ class BodyFrame:
     order: tuple[int, ...] = (0, 1, 2, 3)
     """Which of our rotors each of theirs is."""
 
+
+@dataclass(frozen=True, kw_only=True)
+class Habits:
+    """What RotorPy does in its own way; by default nothing, so that equations are compared."""
+
+    gravity: float | None = None
+    """Other than the scenario's [m/s^2]."""
+    has_gyroscopic_moment: bool = True
+    has_yaw_reaction: bool = True
+    command_rate_hz: float | None = None
+    """How often a command changes, which the motors then follow with their lag."""
+    tolerance: float | None = None
+    """Relative, of the integrator that RotorPy steps with."""
+
+
+MASSLESS_ROTORS = Habits(has_gyroscopic_moment=False, has_yaw_reaction=False)
+AS_IT_COMES = replace(MASSLESS_ROTORS, command_rate_hz=100.0, tolerance=1e-3)
+"""All that RotorPy's own simulation does by default."""
 
 ACROSS = BodyFrame(turn=-pi / 4, order=(0, 3, 2, 1))
 """That of a vehicle with two rotors ahead, numbered clockwise from the left one."""
@@ -161,8 +184,8 @@ class OutsidePlant:
         RotorPy's own; those of the scenario's vehicle by default.
     frame : BodyFrame, optional
         Of these parameters.
-    has_rotor_inertia : bool, optional
-        Whether the rotors' inertia acts on the body.
+    habits : Habits, optional
+        RotorPy's own ways that it is flown in.
     """
 
     def __init__(
@@ -172,7 +195,7 @@ class OutsidePlant:
         *,
         parameters: Mapping[str, Any] | None = None,
         frame: BodyFrame | None = None,
-        has_rotor_inertia: bool = True,
+        habits: Habits | None = None,
     ) -> None:
         refuse_other_vehicles(scenario, dynamics)
         refuse_pushing_wind(scenario)
@@ -184,15 +207,19 @@ class OutsidePlant:
             )
         self.scenario, self.dynamics = scenario, dynamics
         self.parameters = dict(parameters or quad_parameters(scenario, dynamics))
-        frame = frame or BodyFrame()
+        frame, self.habits = frame or BodyFrame(), habits or Habits()
         self._vehicle = rotorpy_module(MULTIROTOR).Multirotor(
             self.parameters, control_abstraction="cmd_motor_speeds"
         )
-        self._vehicle.g = scenario.gravity
-        self._vehicle.weight = np.array([0.0, 0.0, -self.parameters["mass"] * scenario.gravity])
+        gravity = self.habits.gravity or scenario.gravity
+        self._vehicle.g = gravity
+        self._vehicle.weight = np.array([0.0, 0.0, -self.parameters["mass"] * gravity])
+        self.turn = frame.turn
         self._turn = Rotation.from_euler("z", frame.turn)
         self._order = list(frame.order)
-        self._rotor_inertia = scenario.vehicle.rotor_inertia if has_rotor_inertia else 0.0
+        inertia = scenario.vehicle.rotor_inertia
+        self._gyroscopic = inertia if self.habits.has_gyroscopic_moment else 0.0
+        self._reacting = inertia if self.habits.has_yaw_reaction else 0.0
         names = dynamics.state_names
         body = [names.index(name) for name in MEASURED_STATES]
         self._place, self._angles, self._rates = body[:6], body[6:9], body[9:12]
@@ -268,7 +295,8 @@ class OutsidePlant:
         directions = self._vehicle.rotor_dir
         spin, gathering = directions @ s[_SPEEDS], directions @ alpha
         p, q, _ = s[_BODY_RATES]
-        return self._rotor_inertia * np.array([q * spin, -p * spin, gathering])
+        turning = self._gyroscopic * spin
+        return np.array([q * turning, -p * turning, self._reacting * gathering])
 
     def fly(
         self,
@@ -287,40 +315,65 @@ class OutsidePlant:
         SolveError
             If the vehicle tumbles or the integration breaks down.
         """
-        guard = TumblingGuard("RotorPy", borders[-1] - borders[0])
-        inside = borders[0]
-
-        def rates(t: float, joint: FloatArray) -> FloatArray:
-            guard.evaluated(t)
-            return self.rates(max(t, inside), joint, law)
-
+        rate = self.habits.command_rate_hz
+        if rate is not None:
+            borders = even_times(borders[0], borders[-1], rate).tolist()
         joint = self.started(start, own)
-        times, rows = [np.array(borders[:1])], [joint[None, :]]
+        times: list[float] = []
+        rows, applied = [], []
         for first, last in pairwise(borders):
-            part = even_times(first, last, RATE_HZ)
             inside = first + _INSIDE * (last - first)
+            now = law if rate is None else self._held(law, inside, joint)
+            part = even_times(first, last, RATE_HZ)
             flown = solve_ivp(
-                rates,
+                self._slope(now, inside, last),
                 (first, last),
                 joint,
                 method=integrator,
-                t_eval=part[1:],
+                t_eval=part,
                 rtol=tolerance,
-                atol=tolerance,
+                atol=min(tolerance, _ABSOLUTE),
                 max_step=LONGEST_STEP,
             )
             if not flown.success:
                 raise SolveError(f"RotorPy: {flown.message} Check the gains of the scenario.")
             joint = flown.y[:, -1]
-            times.append(part[1:])
-            rows.append(flown.y.T)
-        t, joints = np.concatenate(times), np.vstack(rows)
-        states = np.array([self.read(row) for row in joints])
-        applied = [
-            law(time, x, self.own(row))[0]
-            for time, x, row in zip(t.tolist(), states, joints, strict=True)
-        ]
-        return Flown(t=t, states=states, controls=np.array(applied), energy=joints[:, -1])
+            for t, row in list(zip(part.tolist(), flown.y.T, strict=True))[bool(times) :]:
+                times.append(t)
+                rows.append(row)
+                applied.append(now(t, self.read(row), self.own(row))[0])
+        joints = np.array(rows)
+        return Flown(
+            t=np.array(times),
+            states=np.array([self.read(row) for row in rows]),
+            controls=np.array(applied),
+            energy=joints[:, -1],
+        )
+
+    def _slope(
+        self, law: Law, inside: float, last: float
+    ) -> Callable[[float, FloatArray], FloatArray]:
+        """Return the derivative of the joint state in a part of a flight, tumbling refused."""
+        guard = TumblingGuard("RotorPy", last - inside)
+
+        def slope(t: float, joint: FloatArray) -> FloatArray:
+            guard.evaluated(t)
+            return self.rates(max(t, inside), joint, law)
+
+        return slope
+
+    def _held(self, law: Law, t: float, joint: FloatArray) -> Law:
+        """Return a law that holds the command of one moment, which motors follow with a lag."""
+        x, lag = self.read(joint), self.parameters["tau_m"]
+        command = x[self._rotors] + lag * np.asarray(law(t, x, self.own(joint))[0], dtype=float)
+
+        def held(
+            t: float, x: FloatArray, own: Sequence[float]
+        ) -> tuple[Sequence[float], Sequence[float]]:
+            own_rates = law(t, x, own)[1] if own else ()
+            return ((command - x[self._rotors]) / lag).tolist(), own_rates
+
+        return held
 
 
 _WIND_VELOCITY = ("wind.velocity_x", "wind.velocity_y", "wind.velocity_z")
@@ -379,32 +432,55 @@ def fly_outside(
     SolveError
         If the flight is out of control.
     """
-    began = perf_counter()
-    scenario, dynamics = plant.scenario, plant.dynamics
-    start = start_state(scenario, dynamics, plan)
-    borders: Sequence[float] = (0.0, scenario.mission.fixed_duration)
+    scenario = plant.scenario
     own: Sequence[float] = ()
+    borders = None
     match pilot:
         case Pilot.ADAPTIVE:
-            law, own = _adaptive(plant, reference, plan, start)
+            law, own = _adaptive(plant, reference, plan)
         case Pilot.SE3:
-            law = _se3(plant, reference, plan)
+            law = se3_law(plant, reference_path(scenario, reference, plan))
         case Pilot.OPEN_LOOP:
             if plan is None:
                 raise ScenarioError(f"{scenario.name}: open loop needs a plan; solve it first.")
-            law, borders = _open_loop(plan)
-    is_alone = pilot is Pilot.OPEN_LOOP
-    tolerance = _TIGHT if is_alone else _TOLERANCE
+            law, borders = _open_loop(plan, plant)
+    return fly_under(plant, outside_name(pilot, reference), law, plan, own=own, borders=borders)
+
+
+def fly_under(
+    plant: OutsidePlant,
+    name: str,
+    law: Law,
+    plan: Plan | None = None,
+    *,
+    own: Sequence[float] = (),
+    borders: Sequence[float] | None = None,
+) -> Flight:
+    """Fly RotorPy's vehicle under a law; one with borders is without feedback."""
+    began = perf_counter()
+    scenario, dynamics, habits = plant.scenario, plant.dynamics, plant.habits
+    methods: tuple[str, ...] = _STIFF if borders is None else tuple(Integrator)
+    tight = _TOLERANCE if borders is None else _TIGHT
+    if habits.tolerance is not None:
+        methods = _EXPLICIT
+    if habits.command_rate_hz is not None:
+        methods, tight = _EXPLICIT, _TOLERANCE
     first, second = (
-        plant.fly(law, start, own, borders, integrator=method, tolerance=tolerance)
-        for method in (Integrator if is_alone else _STIFF)
+        plant.fly(
+            law,
+            start_state(scenario, dynamics, plan),
+            own,
+            borders or (0.0, scenario.mission.fixed_duration),
+            integrator=method,
+            tolerance=tolerance,
+        )
+        for method, tolerance in zip(methods, (habits.tolerance or tight, tight), strict=True)
     )
-    name = outside_name(pilot, reference)
     return assembled_flight(name, scenario, dynamics, (first, second), plan, began)
 
 
 def _adaptive(
-    plant: OutsidePlant, reference: Reference, plan: Plan | None, start: FloatArray
+    plant: OutsidePlant, reference: Reference, plan: Plan | None
 ) -> tuple[Law, list[float]]:
     path = reference_path(plant.scenario, reference, plan)
     controller = AdaptiveController(plant.scenario, mixer_matrix(plant.dynamics))
@@ -416,13 +492,15 @@ def _adaptive(
         return feedback(controller.command(path, t), x.tolist(), own)
 
     body = [plant.dynamics.state_names.index(name) for name in MEASURED_STATES]
-    return law, controller.started(path(0.0), start[body].tolist())
+    start = start_state(plant.scenario, plant.dynamics, plan)[body]
+    return law, controller.started(path(0.0), start.tolist())
 
 
-def _se3(plant: OutsidePlant, reference: Reference, plan: Plan | None) -> Law:
-    """Return RotorPy's own controller; its commands reach the rotors within their limits."""
-    path = reference_path(plant.scenario, reference, plan)
+def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0) -> Law:
+    """Return RotorPy's own controller, stiffer in place; its commands keep the rotors' limits."""
     control = rotorpy_module("controllers.quadrotor_control").SE3Control(plant.parameters)
+    control.kp_pos *= stiffness
+    control.kd_pos *= sqrt(stiffness)
     limits, lag = plant.scenario.limits, plant.parameters["tau_m"]
     rotors = rotor_columns(plant.dynamics)
 
@@ -434,7 +512,8 @@ def _se3(plant: OutsidePlant, reference: Reference, plan: Plan | None) -> Law:
             "x": np.array(place[:3]),
             "x_dot": np.array(rate[:3]),
             "x_ddot": np.array(acceleration[:3]),
-            "yaw": place[3],
+            # It is their body that it turns.
+            "yaw": place[3] + plant.turn,
             "yaw_dot": rate[3],
         }
         wanted = control.update(t, plant.seen(x), flat)["cmd_motor_speeds"]
@@ -445,9 +524,12 @@ def _se3(plant: OutsidePlant, reference: Reference, plan: Plan | None) -> Law:
     return law
 
 
-def _open_loop(plan: Plan) -> tuple[Law, list[float]]:
-    """Return the plan's own controls and the borders of its elements."""
-    held = plan.trajectories
+def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[Law, list[float]]:
+    """Return the plan's own controls and the borders of its elements.
+
+    Commands that are held are of the planned speeds, whatever the speeds at hand.
+    """
+    held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon
     borders = start + (end - start) * np.asarray(held.mesh.breakpoints)
     pieces = [
@@ -456,9 +538,13 @@ def _open_loop(plan: Plan) -> tuple[Law, list[float]]:
     ]
 
     def law(
-        t: float, _x: FloatArray, _own: Sequence[float]
+        t: float, x: FloatArray, _own: Sequence[float]
     ) -> tuple[Sequence[float], Sequence[float]]:
         k = int(np.clip(np.searchsorted(borders, t, side="left") - 1, 0, len(pieces) - 1))
-        return pieces[k](t).tolist(), ()
+        alpha = pieces[k](t)
+        if plant.habits.command_rate_hz is not None:
+            planned = held.states_at(np.array([t]))[0, rotors]
+            alpha = alpha + (planned - x[rotors]) / plant.parameters["tau_m"]
+        return alpha.tolist(), ()
 
     return law, borders.tolist()

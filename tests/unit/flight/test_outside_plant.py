@@ -9,15 +9,20 @@ import pytest
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.flight import outside_plant
+from pyomo_quad.flight.baselines import reference_path, start_state
 from pyomo_quad.flight.controller import MEASURED_STATES
 from pyomo_quad.flight.outside_plant import (
     ACROSS,
+    AS_IT_COMES,
+    MASSLESS_ROTORS,
+    Habits,
     OutsidePlant,
     Pilot,
     fly_outside,
     quad_parameters,
     refuse_pushing_wind,
     rotorpy_module,
+    se3_law,
 )
 from pyomo_quad.scenario import Reference, ScenarioError
 from pyomo_quad.study.comparison import has_arrived
@@ -102,8 +107,53 @@ def test_with_exact_attitude_the_plan_ends_micrometres_off_without_feedback():
     assert flight.terminal_miss_m < 2e-5
     assert flight.energy_J == pytest.approx(plan.energy, rel=1e-6)
     assert flight.is_verified
-    bare = OutsidePlant(scenario, flights.vehicle("paper_calm", *HOP), has_rotor_inertia=False)
+    bare = OutsidePlant(scenario, flights.vehicle("paper_calm", *HOP), habits=MASSLESS_ROTORS)
     assert fly_outside(bare, Pilot.OPEN_LOOP, Reference.PLAN, plan).terminal_miss_m > 1e-4
+
+
+@has_rotorpy
+def test_se3_is_told_the_heading_of_the_body_that_it_turns():
+    """Where the path begins, at rest, it asks for hover, whichever way its body is named."""
+    scenario, dynamics = flights.scenario("paper_calm", *HOP), flights.vehicle("paper_calm", *HOP)
+    theirs = turned(quad_parameters(scenario, dynamics))
+    plant = OutsidePlant(scenario, dynamics, parameters=theirs, frame=ACROSS)
+    law = se3_law(plant, reference_path(scenario, Reference.QUINTIC))
+    assert law(0.0, start_state(scenario, dynamics), ())[0] == pytest.approx([0.0] * 4, abs=1e-6)
+
+
+@has_rotorpy
+def test_held_commands_fly_as_the_simulators_own_steps_do():
+    """RotorPy's public step, with its own integrator, motors and clock, is the other writing."""
+    hop = (*HOP, "mission.duration=0.6")
+    scenario, dynamics = flights.scenario("paper_calm", *hop), flights.vehicle("paper_calm", *hop)
+    plant = OutsidePlant(scenario, dynamics, habits=AS_IT_COMES)
+    path = reference_path(scenario, Reference.QUINTIC)
+    rate, start = AS_IT_COMES.command_rate_hz, start_state(scenario, dynamics)
+    law = se3_law(plant, path)
+    flown = plant.fly(law, start, (), (0.0, 0.6), integrator="RK45", tolerance=1e-3)
+    vehicle = rotorpy_module("vehicles.multirotor").Multirotor(plant.parameters)
+    state = {name: value.copy() for name, value in plant.seen(start).items()}
+    state["wind"] = np.zeros(3)
+    lag, limits = plant.parameters["tau_m"], scenario.limits
+    for k in range(round(0.6 * rate)):
+        x = plant.read(np.concatenate([*(state[n] for n in ("x", "v", "q", "w", "wind")),
+                                       state["rotor_speeds"], np.zeros(4)]))  # fmt: skip
+        command = state["rotor_speeds"] + lag * np.array(law(k / rate, x, ())[0])
+        state = vehicle.step(state, {"cmd_motor_speeds": command}, 1.0 / rate)
+    assert limits.rotor_speed_min < state["rotor_speeds"].min()
+    place = [dynamics.state_names.index(f"rigid_body.{axis}") for axis in "xyz"]
+    # Both integrate to a thousandth.
+    way = np.linalg.norm(state["x"])
+    assert flown.states[-1, place] == pytest.approx(state["x"], abs=1e-3 * way)
+    assert way > 0.1
+
+
+@has_rotorpy
+def test_gravity_of_its_own_is_missed_by_what_falling_gives():
+    scenario, dynamics = flights.scenario("paper_calm", *HOP), flights.vehicle("paper_calm", *HOP)
+    lighter = OutsidePlant(scenario, dynamics, habits=Habits(gravity=scenario.gravity - 0.1))
+    flight = fly_outside(lighter, Pilot.OPEN_LOOP, Reference.PLAN, flights.plan("paper_calm", *HOP))
+    assert flight.terminal_miss["rigid_body.z"] == pytest.approx(0.1 * 2.0**2 / 2, rel=1e-3)
 
 
 @has_rotorpy

@@ -1,6 +1,7 @@
 """Vehicles of RotorPy: their files load, fly there, and their bodies are the same body turned."""
 
 from importlib import util
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -9,10 +10,22 @@ import pytest
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.flight import Planner, outside_plant
-from pyomo_quad.flight.outside_plant import ACROSS, OutsidePlant
+from pyomo_quad.flight.outside_plant import ACROSS, MASSLESS_ROTORS, OutsidePlant, Pilot
 from pyomo_quad.report.report import REPORT_NAME
-from pyomo_quad.scenario import ScenarioError, load_scenario
-from pyomo_quad.simulators.study import CASES, Column, OutsideStudy, Plant, write_outside_report
+from pyomo_quad.scenario import Reference, ScenarioError, load_scenario
+from pyomo_quad.simulators.study import (
+    BREEZE,
+    CASES,
+    CAUSES,
+    EXACT,
+    OUR_HEADING,
+    STIFF,
+    TOLD,
+    Column,
+    OutsideStudy,
+    Plant,
+    write_outside_report,
+)
 from pyomo_quad.simulators.vehicles import NAMES, rotorpy_parameters, vehicle_file
 from tests.scenario_files import write_scenario
 
@@ -34,7 +47,7 @@ def test_the_file_is_the_vehicle_that_rotorpy_flies(name, tmp_path, capsys):
         dynamics,
         parameters=rotorpy_parameters(name),
         frame=ACROSS,
-        has_rotor_inertia=False,
+        habits=MASSLESS_ROTORS,
     )
     hover = scenario.vehicle.hover_speed(scenario.gravity)
     turning = hover * np.array([1.02, 0.99, 1.01, 0.97])
@@ -69,25 +82,53 @@ def test_names_that_are_none_are_refused(tmp_path, monkeypatch, capsys):
 
 @has_rotorpy
 def test_the_report_says_how_far_apart_flights_end(tmp_path):
+    """Of flights whose numbers say which they are."""
+    flights = list(
+        product(
+            (*CASES, *NAMES),
+            Plant,
+            (*Pilot, TOLD, STIFF, OUR_HEADING),
+            (Reference.PLAN, Reference.QUINTIC, Reference.STEP),
+        )
+    )
     rows = [
         {
             Column.CASE: case,
             Column.PLANT: plant.value,
-            Column.CONTROLLER: "open_loop",
-            Column.FOLLOWED: "plan",
+            Column.CONTROLLER: str(controller),
+            Column.FOLLOWED: followed.value,
             Column.APART: 1e-6 * (k + 1),
             Column.ENERGY: 700.0 + k,
             Column.ENERGY_DIFFERENCE: 0.1,
             Column.MISS: 0.5,
-            Column.ARRIVED: k == 0,
+            Column.ARRIVED: case == EXACT,
             Column.VERIFIED: True,
         }
-        for k, case in enumerate((*CASES, *NAMES))
-        for plant in Plant
+        for k, (case, plant, controller, followed) in enumerate(flights)
     ]
-    study = OutsideStudy(flights=pd.DataFrame(rows), planned={})
+    times = np.linspace(0.0, 10.0, 5)
+    tracks = {
+        (case, plant, pilot): (times, 1e-3 * times)
+        for case, plant in CAUSES.values()
+        for pilot in (Pilot.OPEN_LOOP, Pilot.ADAPTIVE)
+    }
+    study = OutsideStudy(flights=pd.DataFrame(rows), tracks=tracks, lag_s=0.0125)
     write_outside_report(tmp_path, study)
     text = (tmp_path / REPORT_NAME).read_text()
-    assert "plan made with exact attitude ends 2e-06 m from where" in text
-    assert "| `printed`, RotorPy against declared | 1e-06 |" in text
+    alone = EXACT, Plant.ROTORPY, Pilot.OPEN_LOOP, Reference.PLAN
+    assert f"plan made with exact attitude ends {1e-6 * (flights.index(alone) + 1):.2g} m" in text
+    # Two plants that fly the missions, not those of a single cause, and no leaps to the goal.
+    assert "under feedback 4 of 20 flights of our controller arrive there" in text
+    for cause, (case, plant) in CAUSES.items():
+        ends = [
+            f"{1e-6 * (flights.index((case, plant, pilot, Reference.PLAN)) + 1):.2g} | 0.100"
+            for pilot in (Pilot.OPEN_LOOP, Pilot.ADAPTIVE)
+        ]
+        assert f"| {cause} | `{case}`, {plant.value} | {' | '.join(ends)} |" in text
+    leap = flights.index((EXACT, Plant.WITHOUT_SLEW_LIMIT, Pilot.SE3, Reference.STEP))
+    assert f"| `se3` | as fast as asked | {700 + leap}.00 | 0.5 | yes |" in text
+    told = flights.index((BREEZE, Plant.ROTORPY, TOLD, Reference.QUINTIC))
+    assert f"told the air's force, it ends 0.5 m from the goal for {700 + told}.00 J" in text
+    assert "with their lag, of 12.5 ms" in text
+    assert (tmp_path / "figures" / "causes.png").is_file()
     assert len(pd.read_csv(tmp_path / "flights.csv")) == len(rows)
