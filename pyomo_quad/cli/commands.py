@@ -99,7 +99,9 @@ def fly(
         flying.refuse_outside(resolved)
     planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
     plan = None
-    if followed is Reference.PLAN or resolved.mission.is_free:
+    is_untimed = any(waypoint.at is None for waypoint in resolved.mission.waypoints)
+    is_replanned = controller is Controller.MPC
+    if followed is Reference.PLAN or resolved.mission.is_free or (is_replanned and is_untimed):
         with watch.phase("solve"):
             made = flying.make_plan(planner, resolved)
         if isinstance(made, ExitCode):
@@ -108,7 +110,7 @@ def fly(
     flight: Flight | ExitCode
     if plant is Plant.ROTORPY and followed is not None:
         flight = flying.make_outside_flight(planner, resolved, controller.value, followed, plan)
-    elif controller is Controller.MPC:
+    elif is_replanned:
         flight = flying.make_replanned_flight(planner, resolved, knowledge)
     else:
         reference = followed if controller is Controller.ADAPTIVE else None

@@ -171,6 +171,7 @@ def fly(
     initial_state: FloatArray,
     times: FloatArray,
     integrator: Integrator = Integrator.RUNGE_KUTTA,
+    tolerance: float = _TOLERANCE,
 ) -> ClosedLoopFlight:
     """Fly a reference under feedback.
 
@@ -185,6 +186,8 @@ def fly(
         State of the vehicle at the first time.
     times : ndarray, shape (n,)
         Rising times at which the flight is returned, s.
+    tolerance : float, optional
+        Of the integrator, relative and absolute.
 
     Raises
     ------
@@ -199,8 +202,8 @@ def fly(
         loop.started(times[0], initial_state),
         method=integrator.value,
         t_eval=times,
-        rtol=_TOLERANCE,
-        atol=_TOLERANCE,
+        rtol=tolerance,
+        atol=tolerance,
         max_step=LONGEST_STEP,
     )
     if not solution.success:

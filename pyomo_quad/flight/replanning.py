@@ -7,16 +7,22 @@ not at all, the last plan goes on, from then on under the adaptive controller, w
 last seconds: there a plan that meets the goal exactly answers every gust at any price, and what it
 believes of the wind to come errs as much as a gust changes meanwhile.
 
+Waypoints are passed at their times.  Shortly before one, and as long as the vehicle holds there,
+nothing is planned again: the last plan goes on, under the adaptive controller.  Behind it another
+mission is left, of its own equations, which is compiled and solved for once before take-off.
+
 What no equation explains, a wind that was not told or a mass that is not what was believed, shows
 in the acceleration: the identifier of the adaptive law estimates it, and the plans count on it.
 What is amiss upwards is taken for the mass, an untold updraft included; the rest is a wind.
 """
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import accumulate
 from math import ceil, inf
 from time import perf_counter, process_time
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +35,9 @@ from pyomo_quad.collocation import (
     Solution,
     SolveError,
     SolverOptions,
+    Timeline,
+    Trajectory,
     TranscriptionError,
-    WarmStart,
     compile,
 )
 from pyomo_quad.flight.baselines import (
@@ -55,12 +62,13 @@ from pyomo_quad.flight.planning import Planner, trajectories_of
 from pyomo_quad.flight.references import SampledPath
 from pyomo_quad.flight.verification import OpenLoop
 from pyomo_quad.model import build_model, build_remaining, parameter_values, structure_key
-from pyomo_quad.model.mission import measured_start
+from pyomo_quad.model.mission import free_times, measured_start
 from pyomo_quad.model.wind import still_air
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.tables import Clock, Knowledge, Replanning
 
 FloatArray = NDArray[np.float64]
+Numbers = dict[str, float | Callable[[float], float]]
 Computer = Callable[[float], float]
 """Processor seconds that a solve took here -> seconds that it takes aboard."""
 
@@ -80,9 +88,14 @@ _AT_LEISURE = SolverOptions(tolerance=1e-6, max_iterations=300)
 # share of a short one.  Of five perturbed flights of ten seconds, planning to 0.6 s before the end
 # cost from 3 to 30 J more and ended from 1.2 to 1.7 times as far off.
 _LAST, _LAST_SHARE = 3.0, 0.3
+# The same ahead of a waypoint, of which only the place must be met.
+_NEAR = 1.0
 # Of what is predicted while a solve goes on, and of the estimate; both are far below the noise of
 # any sensor.
 _TOLERANCE = 1e-6
+# Of parts under feedback with others behind them, which without it add to an error: within four
+# seconds, ten thousand times as much.
+_AMID = {"tolerance": 1e-11}
 
 
 def replanned_name(knowledge: Knowledge) -> str:
@@ -98,12 +111,56 @@ class _Belief:
     unexplained: tuple[float, float]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Remainder:
+    """What is left of a mission behind some of its waypoints."""
+
+    problem: Problem
+    begin: float
+    """When the last waypoint behind is left [s]."""
+    passages: tuple[float, ...]
+    """When those ahead are reached and left [s]."""
+    end: float
+    """Of the mission [s]."""
+    released: float
+    """What has been left behind [kg]."""
+    numbers: Mapping[str, float]
+
+    @property
+    def planned_until(self) -> float:
+        """Until when it is planned again [s]."""
+        if not self.passages:
+            return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
+        return self.passages[0] - min(_NEAR, _LAST_SHARE * (self.passages[0] - self.begin))
+
+    def path(self, t: float, last: Solution) -> Trajectory:
+        """Return what is left of a solution at a time, as the first point of what is left then."""
+        now = Timeline(
+            fractions=np.array(self.problem.compiled.declared.clock.fractions),
+            times=np.array([t, *self.passages, self.end]),
+        )
+        path, mesh = last.trajectory, last.mesh
+        nodes, points = (
+            last.timeline.fraction(now.time(fractions))
+            for fractions in (mesh.node_fractions, mesh.point_fractions)
+        )
+        left = replace(path, states=path.states_at(nodes), algebraics=path.algebraics_at(points))
+        if last.problem is self.problem:
+            return left
+        statics = [
+            self.problem.values.static_value(slot)
+            for slot in self.problem.compiled.declared.statics
+        ]
+        return replace(left, statics=np.array(statics, dtype=float))
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Course:
     """A plan that is flown, and what it was made with."""
 
     plan: Trajectories
     belief: _Belief
+    rest: _Remainder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,25 +192,39 @@ class Replanner:
                 f"{scenario.name}: re-planning knows the declared model only; leave out "
                 "baseline.mpc or the own model."
             )
-        if scenario.mission.waypoints:
-            raise ScenarioError(
-                f"{scenario.name}: re-planning flies from start to goal; leave out baseline.mpc or "
-                "mission.waypoints."
-            )
+        for k, waypoint in enumerate(scenario.mission.waypoints):
+            if waypoint.at is None:
+                raise ScenarioError(
+                    f"{scenario.name}: re-planning passes waypoints at times that are given; solve "
+                    f"the mission first, or give mission.waypoints[{k}].at."
+                )
         is_told = knowledge is Knowledge.TOLD
         believed = scenario.as_it_blows() if is_told else scenario.as_forecast()
         self._end = scenario.mission.fixed_duration
         self._scenario = scenario
         self.belief = _Belief(mass=scenario.vehicle.total_mass, unexplained=(0.0, 0.0))
         whole, _ = planner.problem_for(believed)
-        self._numbers: dict[str, float | Callable[[float], float]] = {**parameter_values(believed)}
-        if not is_told and scenario.wind.forecast is None:
-            self._numbers |= still_air(whole.model)
-        self._problem = _remaining_problem(believed)
-        self.dynamics = whole.dynamics(parameters=self._numbers, horizon=(0.0, self._end))
+        is_untold = not is_told and scenario.wind.forecast is None
+        self._air: Numbers = {**still_air(whole.model)} if is_untold else {}
+        self.remainders = _remainders(believed)
+        numbers = {**parameter_values(believed)} | self._air
+        self.dynamics = whole.dynamics(parameters=numbers, horizon=(0.0, self._end))
         elements = min(max(ceil(self._end / _ELEMENT_S), _FEWEST), _MOST)
         self._mesh = Mesh.uniform(elements, _DEGREE)
-        self._last: Solution | None = None
+        self._last: dict[_Remainder, Solution] = {}
+
+    def released(self, t: float) -> float:
+        """Return what has been left behind until a time [kg]."""
+        return max((rest.released for rest in self.remainders if rest.begin < t), default=0.0)
+
+    def at(self, t: float) -> _Remainder:
+        """Return what is left of the mission at a time."""
+        return next(rest for rest in self.remainders[::-1] if rest.begin <= t)
+
+    def prepare(self, plan: Trajectories, belief: _Belief) -> None:
+        """Solve what is left behind each waypoint once, from where a first plan leaves it."""
+        for rest in self.remainders[1:]:
+            self.solve(rest.begin, plan.states_at(np.array([rest.begin]))[0], belief)
 
     def solve(self, t: float, state: FloatArray, belief: _Belief) -> Solution:
         """Return the rest of the mission from a time and a state on."""
@@ -164,28 +235,38 @@ class Replanner:
             name: min(max(held[name], limits.rotor_speed_min), limits.rotor_speed_max)
             for name in (self.dynamics.state_names[k] for k in rotor_columns(self.dynamics))
         }
-        solution = self._problem.solve(
+        rest = self.at(t)
+        last = self._last.get(rest)
+        start: dict[str, Any] = {"options": _AT_LEISURE}
+        if last is not None:
+            start = {
+                "options": _OPTIONS,
+                "warm_start": replace(last.warm_start, trajectory=rest.path(t, last)),
+            }
+        elif self._last:
+            start["guess"] = rest.path(t, next(iter(self._last.values())))
+        solution = rest.problem.solve(
             mesh=self._mesh,
-            parameters=self._with(belief) | measured_start(held),
+            parameters=self._with(belief, rest) | measured_start(held),
             horizon=(t, self._end),
-            warm_start=None if self._last is None else _shifted(self._last, t),
-            options=_AT_LEISURE if self._last is None else _OPTIONS,
+            **start,
         )
         if solution.is_converged:
-            self._last = solution
+            self._last[rest] = solution
         return solution
 
-    def _with(self, belief: _Belief) -> dict[str, float | Callable[[float], float]]:
+    def _with(self, belief: _Belief, rest: _Remainder) -> Numbers:
         air = dict(zip(_HORIZONTAL, belief.unexplained, strict=True))
         learnt = {f"aerodynamics.unexplained[{axis}]": value for axis, value in air.items()}
-        return self._numbers | learnt | {"vehicle.mass": belief.mass}
+        return {**rest.numbers} | self._air | learnt | {"vehicle.mass": belief.mass - rest.released}
 
     def path(self, course: _Course) -> SampledPath:
         """Return a course as a reference for the controller."""
-        flow = self._problem.dynamics(
-            parameters=self._with(course.belief), horizon=course.plan.horizon
+        flow = course.rest.problem.dynamics(
+            parameters=self._with(course.belief, course.rest), horizon=course.plan.horizon
         )
-        return path_of(course.plan, flow, _with_mass(self._scenario, course.belief).vehicle)
+        vehicle = _with_mass(self._scenario, course.belief, course.rest.released).vehicle
+        return path_of(course.plan, flow, vehicle)
 
     def predicted(
         self, course: _Course, start: float, end: float, state: FloatArray, unexplained: FloatArray
@@ -193,8 +274,12 @@ class Replanner:
         """Return the state that a course leads to."""
         speeds = [self.dynamics.state_names.index(name) for name in VELOCITY_STATES]
 
+        inside = self.dynamics.just_after(start)
+
         def rates(t: float, x: FloatArray) -> FloatArray:
-            slope = self.dynamics.rates(t, x, course.plan.controls_at(np.array([t]))[0])
+            slope = self.dynamics.rates(
+                max(t, inside), x, course.plan.controls_at(np.array([t]))[0]
+            )
             slope[speeds] += unexplained
             return slope
 
@@ -204,37 +289,49 @@ class Replanner:
         return np.asarray(flown.y[:, -1])
 
 
-_REMAINING: dict[Hashable, Problem] = {}
+_REMAINING: dict[Hashable, tuple[Problem, ...]] = {}
 
 
-def _remaining_problem(believed: Scenario) -> Problem:
-    """Return the compiled rest of a mission; the last one is kept."""
+def _remainders(believed: Scenario) -> tuple[_Remainder, ...]:
+    """Return what is left of a mission behind none, one, .. all of its waypoints."""
+    mission, times = believed.mission, believed.nominal_times
+    ahead = [
+        believed.model_copy(
+            update={"mission": mission.model_copy(update={"waypoints": mission.waypoints[k:]})}
+        )
+        for k in range(len(mission.waypoints) + 1)
+    ]
     key = structure_key(believed)
     if key not in _REMAINING:
         _REMAINING.clear()
-        _REMAINING[key] = compile(build_remaining(believed))
-    return _REMAINING[key]
-
-
-def _shifted(last: Solution, t: float) -> WarmStart:
-    """Return a warm start whose first point is what is left of the last solution."""
-    start, end = last.horizon
-    held = last.warm_start
-    mesh, path = held.mesh, held.trajectory
-    nodes, points = (
-        (t + (end - t) * fractions - start) / (end - start)
-        for fractions in (mesh.node_fractions, mesh.point_fractions)
+        _REMAINING[key] = tuple(map(_compiled, ahead))
+    released = [0.0, *accumulate(waypoint.release for waypoint in mission.waypoints)]
+    return tuple(
+        _Remainder(
+            problem=problem,
+            begin=times[2 * k - 1] if k else 0.0,
+            # One that does not hold is reached and left at once.
+            passages=tuple(dict.fromkeys(times[2 * k : -1])),
+            end=times[-1],
+            released=released[k],
+            numbers=parameter_values(left),
+        )
+        for k, (problem, left) in enumerate(zip(_REMAINING[key], ahead, strict=True))
     )
-    left = replace(path, states=path.states_at(nodes), algebraics=path.algebraics_at(points))
-    return replace(held, trajectory=left)
+
+
+def _compiled(left: Scenario) -> Problem:
+    model = build_remaining(left)
+    return compile(model, times=free_times(model, left))
 
 
 class _Observer:
     """The identifier of the adaptive law: what accelerates the vehicle beside the equations."""
 
-    def __init__(self, scenario: Scenario, dynamics: Dynamics, velocity: FloatArray) -> None:
+    def __init__(self, scenario: Scenario, replanner: Replanner, velocity: FloatArray) -> None:
         gains = scenario.baseline.gains
-        self._dynamics = dynamics
+        self._dynamics = dynamics = replanner.dynamics
+        self._released = replanner.released
         self._mass, self._gravity = scenario.vehicle.total_mass, scenario.gravity
         self._columns = [dynamics.state_names.index(name) for name in VELOCITY_STATES]
         # Without errors to close, the loop is its identifier alone.
@@ -259,13 +356,15 @@ class _Observer:
         last = flown.t[-1:], flown.states[-1:], flown.controls[-1:]
         acceleration = self._dynamics.table(_SLOPES, *last)[0]
         forces = self._dynamics.table(_FORCES, *last)[0]
-        thrust = acceleration - forces / self._mass
+        released = self._released(float(flown.t[-1]))
+        mass = self._mass - released
+        thrust = acceleration - forces / mass
         thrust[2] += self._gravity
         along, aside, upwards = self.estimate.tolist()
         lifting = max(float(thrust[2]), _LEAST_LIFT * self._gravity)
         excess = min(max(upwards / lifting, _MOST_AMISS[0]), _MOST_AMISS[1])
         return _Belief(
-            mass=self._mass / (1.0 + excess),
+            mass=mass / (1.0 + excess) + released,
             unexplained=(along - excess * float(thrust[0]), aside - excess * float(thrust[1])),
         )
 
@@ -299,11 +398,15 @@ class _Aircraft:
         if leg.is_tracked:
             return fly(
                 dynamics=self.dynamics,
-                controller=AdaptiveController(_with_mass(self._scenario, belief), self._mixer),
+                controller=AdaptiveController(
+                    _with_mass(self._scenario, belief, self._replanner.released(leg.end)),
+                    self._mixer,
+                ),
                 reference=self._replanner.path(leg.course),
                 initial_state=state,
                 times=even_times(leg.start, leg.end, RATE_HZ),
                 integrator=integrator,
+                **({} if leg.end >= self._scenario.mission.fixed_duration else _AMID),
             ).flown
         shortest = np.diff(plan.mesh.breakpoints).min() * (plan.horizon[1] - plan.horizon[0])
         return self._alone.fly(
@@ -317,10 +420,10 @@ class _Aircraft:
         )
 
 
-def _with_mass(scenario: Scenario, belief: _Belief) -> Scenario:
-    """Return what the controller knows of the vehicle, with the mass that was learnt."""
+def _with_mass(scenario: Scenario, belief: _Belief, released: float) -> Scenario:
+    """Return what the controller knows of the vehicle, with the mass learnt less what is left."""
     vehicle = scenario.vehicle
-    learnt = vehicle.model_copy(update={"mass": belief.mass - vehicle.payload})
+    learnt = vehicle.model_copy(update={"mass": belief.mass - released - vehicle.payload})
     return scenario.model_copy(update={"vehicle": learnt})
 
 
@@ -346,11 +449,12 @@ class _ReplannedFlight:
         first = replanner.solve(0.0, state, replanner.belief)
         if not first.is_converged:
             raise SolveError(f"re-planning: no plan before take-off: {first.message}")
-        self._course = _Course(plan=trajectories_of(first), belief=replanner.belief)
+        self._take(first, replanner.belief, 0.0)
+        replanner.prepare(self._course.plan, replanner.belief)
         # When the next plan is due, and the last one's controls are no longer applied alone.
         self._due = settings.interval + settings.solve_time
         speeds = [dynamics.state_names.index(name) for name in VELOCITY_STATES]
-        self._observer = _Observer(scenario, replanner.dynamics, state[speeds])
+        self._observer = _Observer(scenario, replanner, state[speeds])
         self.legs: list[_Leg] = []
         self.parts: list[Flown] = []
         self.resolves: list[Resolve] = []
@@ -358,12 +462,13 @@ class _ReplannedFlight:
     def fly(self) -> None:
         """Fly the whole mission."""
         measured_at = self._settings.interval
-        last = self._end - min(_LAST, _LAST_SHARE * self._end)
-        while measured_at + self._settings.solve_time < last:
-            self._advance(measured_at)
-            arrived_at = self._replan(measured_at)
-            measured_at = max(measured_at + self._settings.interval, arrived_at)
-        self._due = self._t
+        for rest in self._replanner.remainders:
+            measured_at = max(measured_at, rest.begin)
+            while measured_at + self._settings.solve_time < rest.planned_until:
+                self._advance(measured_at)
+                arrived_at = self._replan(measured_at)
+                measured_at = max(measured_at + self._settings.interval, arrived_at)
+            self._due = min(self._due, self._t)
         self._advance(self._end)
 
     def _replan(self, measured_at: float) -> float:
@@ -382,7 +487,7 @@ class _ReplannedFlight:
         arrived_at = min(max(meant_for, measured_at + aboard), self._end)
         self._advance(arrived_at)
         if solution is not None:
-            self._course = _Course(plan=trajectories_of(solution), belief=belief)
+            self._take(solution, belief, meant_for)
             self._due = arrived_at + self._settings.interval
         self.resolves.append(
             Resolve(
@@ -394,6 +499,10 @@ class _ReplannedFlight:
             )
         )
         return arrived_at
+
+    def _take(self, solution: Solution, belief: _Belief, t: float) -> None:
+        plan = trajectories_of(solution)
+        self._course = _Course(plan=plan, belief=belief, rest=self._replanner.at(t))
 
     def _solved(self, t: float, state: FloatArray, belief: _Belief) -> Solution | None:
         """Return the rest of the mission; None where it is not found, or none starts out there."""

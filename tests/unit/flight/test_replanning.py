@@ -134,10 +134,57 @@ def test_own_models_are_not_planned_again():
         replanning.Replanner(scenario, Knowledge.TOLD, planner)
 
 
-def test_waypoints_are_not_planned_again():
+def test_waypoints_without_times_are_not_planned_again():
     way = "mission.waypoints=[{position=[0.5, 0.0, 0.0]}]"
-    with pytest.raises(ScenarioError, match=r"leave out baseline\.mpc or mission\.waypoints"):
+    with pytest.raises(ScenarioError, match=r"solve the mission first, or give mission\.waypoints"):
         replanned(Knowledge.TOLD, way)
+
+
+WAY = (
+    "mission.goal.position=[4.0, 2.0, 1.5]",
+    "mission.duration=11.0",
+    "vehicle.payload=0.2",
+    """mission.waypoints=[{position=[1.5, 1.5, 0.5], at=3.5, hold=1.0, release=0.2},
+    {position=[3.0, 1.0, 1.0], at=7.5, radius=0.2}]""",
+    "baseline.mpc.interval=0.3",
+)
+
+
+@pytest.mark.slow
+def test_the_rest_of_a_way_is_optimal_before_and_behind_its_waypoints():
+    """Bellman, over a hold and what is left there: both parts add up to the optimum."""
+    plan = flights.plan("paper_calm", *WAY)
+    held, mission = plan.trajectories, plan.mission_flown
+    replanner = replanning.Replanner(mission, Knowledge.TOLD, flights.planner())
+    reached, passed = plan.passing_times_s
+    for begin, ahead in ((0.5 * reached, 2), (reached + 1.0, 1), (0.5 * (passed + 11.0), 0)):
+        inside = held.states_at(np.array([begin]))[0]
+        rest = replanner.solve(begin, inside, replanner.belief)
+        assert len(replanner.at(begin).passages) == (3, 1, 0)[2 - ahead]
+        spent = held.energy_at(np.array([begin]))[0]
+        assert spent + rest.objective == pytest.approx(plan.energy, rel=2e-5)
+
+
+@pytest.mark.slow
+def test_waypoints_are_passed_held_at_and_left_lighter_in_an_untold_wind():
+    plan = flights.plan("paper_calm", *WAY)
+    mission = plan.mission_flown
+    vehicle = flights.planner().dynamics(
+        mission.with_values({"wind.use": "constant", "wind.speed": 0.6, "wind.direction": 0.7})
+    )
+    flight = fly_replanned(
+        mission, Knowledge.ESTIMATED, dynamics=vehicle, planner=flights.planner()
+    )
+    assert has_arrived(flight)
+    assert flight.broken_limits == ()
+    assert flight.is_verified
+    assert all(solve.is_converged for solve in flight.resolves)
+    # Nothing is planned as long as it holds, and something behind every waypoint.
+    reached, passed = plan.passing_times_s
+    measured = np.array([solve.t for solve in flight.resolves])
+    assert not np.any((measured > reached - 0.5) & (measured < reached + 1.0))
+    assert np.any((measured > reached + 0.9) & (measured < passed))
+    assert np.any(measured > passed)
 
 
 def test_an_interval_beyond_the_mission_is_refused():
