@@ -227,7 +227,6 @@ class LineStyle:
 
     color: str
     dashes: tuple[float, ...] = ()
-    dash_name: str = "solid"  # the nearest that the interactive view has
     marker: str = "o"
     width: float = 1.4
     hatch: str = ""
@@ -242,23 +241,17 @@ class LineStyle:
 #: For curves that are no flights, as those of a sweep.
 SERIES_STYLES = (
     LineStyle(color=_BLUE, marker="o", width=1.9),
-    LineStyle(color=_VERMILION, dashes=(4.5, 1.6), dash_name="dash", marker="s", hatch="///"),
-    LineStyle(color=_GREEN, dashes=(6, 1.5, 1.2, 1.5), dash_name="dashdot", marker="^", hatch=".."),
-    LineStyle(color=INK, dashes=(1.2, 1.4), dash_name="dot", marker="D", hatch="xx"),
-    LineStyle(color=_PURPLE, dashes=(8, 2), dash_name="longdash", marker="v", hatch="\\\\"),
-    LineStyle(
-        color=_ORANGE,
-        dashes=(3, 1.3, 1, 1.3, 1, 1.3),
-        dash_name="longdashdot",
-        marker="P",
-        hatch="++",
-    ),
-    LineStyle(color=_SKY, dashes=(2.2, 1.1), dash_name="dash", marker="X", hatch="--"),
-    LineStyle(color=MUTED, dashes=(5, 1.2, 1, 1.2), dash_name="dashdot", marker="d", hatch="oo"),
-    LineStyle(color=_BROWN, dashes=(3, 1, 1, 1), dash_name="longdashdot", marker="<", hatch="||"),
-    LineStyle(color=_PINK, dashes=(10, 2, 2, 2), dash_name="longdash", marker=">", hatch="**"),
-    LineStyle(color=_OLIVE, dashes=(1, 2), dash_name="dot", marker="p", hatch="//\\\\"),
-    LineStyle(color=_TEAL, dashes=(6, 1, 1, 1, 1, 1), dash_name="dash", marker="h", hatch="-|"),
+    LineStyle(color=_VERMILION, dashes=(4.5, 1.6), marker="s", hatch="///"),
+    LineStyle(color=_GREEN, dashes=(6, 1.5, 1.2, 1.5), marker="^", hatch=".."),
+    LineStyle(color=INK, dashes=(1.2, 1.4), marker="D", hatch="xx"),
+    LineStyle(color=_PURPLE, dashes=(8, 2), marker="v", hatch="\\\\"),
+    LineStyle(color=_ORANGE, dashes=(3, 1.3, 1, 1.3, 1, 1.3), marker="P", hatch="++"),
+    LineStyle(color=_SKY, dashes=(2.2, 1.1), marker="X", hatch="--"),
+    LineStyle(color=MUTED, dashes=(5, 1.2, 1, 1.2), marker="d", hatch="oo"),
+    LineStyle(color=_BROWN, dashes=(3, 1, 1, 1), marker="<", hatch="||"),
+    LineStyle(color=_PINK, dashes=(10, 2, 2, 2), marker=">", hatch="**"),
+    LineStyle(color=_OLIVE, dashes=(1, 2), marker="p", hatch="//\\\\"),
+    LineStyle(color=_TEAL, dashes=(6, 1, 1, 1, 1, 1), marker="h", hatch="-|"),
 )
 
 _FLIGHTS = (
