@@ -120,7 +120,9 @@ class _PageRenderer(RendererHTML):
     def blockquote_open(self, _: Sequence[Token], __: int, ___: object, env: EnvType) -> str:
         return f'<div class="verdict{" good" if env["is_good"] else ""}">'
 
-    def blockquote_close(self, tokens: Sequence[Token], *_: object) -> str:
+    def blockquote_close(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
+        if any(token.type == "blockquote_close" for token in tokens[idx + 1 :]):
+            return "</div>\n"  # the contents stand once, below the last
         links = "".join(
             f'<li><a href="#{_anchor(inline.content)}">{_label(inline)}</a></li>'
             for heading, inline in pairwise(tokens)

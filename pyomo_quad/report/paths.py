@@ -60,6 +60,8 @@ _BESIDE: dict[str, Any] = {
     "fontsize": 7,
     "zorder": 5,
 }
+# Ends nearer than this share of the way stand at one place in every picture.
+_SAME_PLACE = 0.01
 
 
 def distinct_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
@@ -261,7 +263,11 @@ def _draw_projection(
 
 
 def _ends(optimum: StyledFlight) -> tuple[tuple[np.ndarray, str, str], ...]:
+    """Return place, name and marker of start and goal, as one where a flight comes home."""
     track = _track(optimum)
+    way = np.linalg.norm(np.diff(track, axis=0), axis=1).sum()
+    if np.linalg.norm(track[-1] - track[0]) <= _SAME_PLACE * way:
+        return ((track[-1], "start and goal", "*"),)
     return (track[0], "start", "o"), (track[-1], "goal", "*")
 
 

@@ -23,6 +23,7 @@ ZONE = (
 )
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 PHONE = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+TABLET = {"width": 820, "height": 1180, "deviceScaleFactor": 2, "mobile": True}
 TIMEOUT = 60  # s; drawing in software on a busy machine is slow
 
 
@@ -131,23 +132,32 @@ def test_phone_scrolls_in_one_direction_only(page):
     assert width <= PHONE["width"]
 
 
-def on_a_phone(page, script):
-    page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", PHONE)
+def on_a_screen(page, screen, script):
+    page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
     try:
         return page.execute_script(script)
     finally:
         page.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
-def test_no_table_is_cut_on_a_phone(page):
-    wide = on_a_phone(
+@pytest.mark.parametrize("screen", [PHONE, TABLET], ids=["phone", "tablet"])
+def test_no_table_is_cut(page, screen):
+    wide = on_a_screen(
         page,
+        screen,
         "return [...document.querySelectorAll('table, td, tbody th, figure img, .chart')]"
         ".filter(part => part.getBoundingClientRect().right > innerWidth + 1).length",
     )
     assert wide == 0
+
+
+def test_a_phone_names_each_cell(page):
     beside = "return getComputedStyle(document.querySelector('td'), '::before').content"
-    assert on_a_phone(page, beside) == '"Duration (s)"'
+    assert on_a_screen(page, PHONE, beside) == '"Duration (s)"'
+
+
+def test_the_contents_stand_once(page):
+    assert page.execute_script("return document.querySelectorAll('nav').length") == 1
 
 
 def seconds(page):

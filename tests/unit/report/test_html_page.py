@@ -2,9 +2,11 @@
 
 import json
 import re
+from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
 
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -114,3 +116,24 @@ def test_view_holds_the_paths_and_no_end_of_script():
     assert set(run.flights[0].frame) - set(shown) == {"time_s", "thrust_N"}
     assert all(len(optimum["series"][key]) == len(optimum["t"]) for key in shown)
     assert "</script" not in script_json({"name": "</script><script>attack()"})
+
+
+def test_the_contents_stand_once_below_the_last_verdict():
+    """A report of a free time gives two verdicts."""
+    text = "# Title\n\n> one\n\nbetween\n\n> two\n\n## Part\n\ntext\n"
+    page = render_html(text, is_good=True, pictures={}, views={}, data="{}")
+    assert page.count("<nav") == 1
+    assert page.index("two") < page.index("<nav") < page.index("<h2")
+
+
+def test_a_flight_that_comes_home_has_its_ends_at_one_mark():
+    run = synthetic_run()
+    there = styled_flights(run.flights)[0]
+    back = there.frame.iloc[::-1].assign(time_s=there.frame["time_s"].to_numpy())
+    later = back.assign(time_s=back["time_s"] + there.frame["time_s"].iloc[-1])
+    home = replace(there, frame=pd.concat([there.frame, later]))
+    ends = [view_data((flight,), run.scenario.airspace)["ends"] for flight in (there, home)]
+    assert [[name for name, _ in named] for named in ends] == [
+        ["start", "goal"],
+        ["start and goal"],
+    ]
