@@ -3,13 +3,10 @@
 import ast
 import io
 import tokenize
+from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2] / "pyomo_quad"
-TREES = {
-    str(file.relative_to(PACKAGE)): ast.parse(file.read_text(encoding="utf-8"))
-    for file in sorted(PACKAGE.rglob("*.py"))
-}
 # Lines of code: what is left without blank lines, comments and docstrings.
 LONGEST_FILE = 500
 LONGEST_FUNCTION = 50
@@ -17,9 +14,17 @@ FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 UNPICKLERS = {"pickle", "dill", "cloudpickle", "shelve", "marshal"}
 
 
+@cache
+def trees():
+    return {
+        str(file.relative_to(PACKAGE)): ast.parse(file.read_text(encoding="utf-8"))
+        for file in sorted(PACKAGE.rglob("*.py"))
+    }
+
+
 def nodes(kind):
     """Yield every node of a kind in the package, with its file."""
-    for name, tree in TREES.items():
+    for name, tree in trees().items():
         for node in ast.walk(tree):
             if isinstance(node, kind):
                 yield name, node
@@ -47,15 +52,18 @@ def code_lines(text, tree):
     return lines
 
 
-CODE = {
-    name: code_lines((PACKAGE / name).read_text(encoding="utf-8"), tree)
-    for name, tree in TREES.items()
-}
+@cache
+def code():
+    """Return the lines of each file of the package that hold code."""
+    return {
+        name: code_lines((PACKAGE / name).read_text(encoding="utf-8"), tree)
+        for name, tree in trees().items()
+    }
 
 
 def body_length(name, function):
     """Return the lines of code of a function's body."""
-    return len(CODE[name] & set(range(function.body[0].lineno, function.end_lineno + 1)))
+    return len(code()[name] & set(range(function.body[0].lineno, function.end_lineno + 1)))
 
 
 def test_code_is_counted_without_docstrings_comments_and_blank_lines():
@@ -64,7 +72,7 @@ def test_code_is_counted_without_docstrings_comments_and_blank_lines():
 
 
 def test_files_are_short():
-    lengths = {name: len(lines) for name, lines in CODE.items()}
+    lengths = {name: len(lines) for name, lines in code().items()}
     assert {name: length for name, length in lengths.items() if length > LONGEST_FILE} == {}
 
 
@@ -74,8 +82,8 @@ def test_functions_are_short():
 
 
 def test_modules_and_public_names_say_what_they_do():
-    silent = [name for name, tree in TREES.items() if not ast.get_docstring(tree)]
-    for name, tree in TREES.items():
+    silent = [name for name, tree in trees().items() if not ast.get_docstring(tree)]
+    for name, tree in trees().items():
         for node in tree.body:
             is_public = isinstance(node, (*FUNCTIONS, ast.ClassDef)) and node.name[0] != "_"
             if is_public and not ast.get_docstring(node):
