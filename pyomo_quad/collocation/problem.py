@@ -339,13 +339,17 @@ class Problem(Summarised, Formulation):
             z = np.clip(z, bounds.lower, bounds.upper)
         refuse_unsolvable(program, bounds, z)
         scaling = scaling_of(program, bounds, z)
+        if self.compiled.declared.clock.phases:
+            options = options.for_phases()
+        if damping is not None and damping.gap and warm_start is not None:
+            options = options.near_the_path(damping.gap * scaling.objective / bounds.sides)
         solve = partial(run_past_the_barrier, size=program.objective_size) if to_the_gap else run
         result = solve(
             program if damping is None else damping.applied_to(program),
             bounds,
             scaling,
             z,
-            options=options.for_phases() if self.compiled.declared.clock.phases else options,
+            options=options,
             multipliers=multipliers,
             progress=progress,
         )

@@ -30,6 +30,16 @@ class Bounds:
     row_lower: FloatArray
     row_upper: FloatArray
 
+    @property
+    def sides(self) -> int:
+        """Number of limits that hold something in and leave it an interior."""
+        pairs = ((self.lower, self.upper), (self.row_lower, self.row_upper))
+        return sum(
+            int(np.count_nonzero(np.isfinite(side) & (lower < upper)))
+            for lower, upper in pairs
+            for side in (lower, upper)
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:

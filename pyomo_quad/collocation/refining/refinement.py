@@ -8,7 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
+from pyomo_quad.collocation.mesh import radau_rule
 from pyomo_quad.collocation.program.ipopt import SEEN, Status
 from pyomo_quad.collocation.refining.error import ErrorEstimate, estimate_error
 from pyomo_quad.collocation.refining.flatness import state_error
@@ -45,11 +47,15 @@ class Damping:
         Positions among the algebraic variables.
     prices : ndarray
         For each of them, the price of a unit of its mean square distance over the horizon.
+    gap : float
+        What the barrier shall leave of the objective, of which the course has been found: then it
+        is the controls themselves.
     """
 
     solution: Solution
     controls: NDArray[np.intp]
     prices: FloatArray
+    gap: float
 
     def times(self, factor: float) -> Damping:
         """Return the damping with its prices multiplied."""
@@ -58,17 +64,37 @@ class Damping:
     def applied_to(self, program: Transcription) -> DampedProgram:
         """Return a program of the same model with the price on its objective."""
         mesh = program.mesh or self.solution.mesh
-        held = self.solution.trajectory.algebraics[:, self.controls]
-        # Toward the points themselves, chatter would be kept; and beside a jump the polynomials
-        # swing far beyond.
-        middles, means = _element_means(self.solution.mesh, held)
-        near = [np.interp(mesh.point_fractions, middles, mean) for mean in means.T]
         return DampedProgram(
             program=program,
             columns=program.layout.algebraic_columns[:, self.controls].ravel(),
             weights=(mesh.quadrature_weights[:, None] * self.prices).ravel(),
-            near=np.column_stack(near).ravel(),
+            near=self._near(mesh.point_fractions).ravel(),
         )
+
+    def _near(self, fractions: FloatArray) -> FloatArray:
+        """Return what the controls are drawn to, shape (n_fractions, n_controls)."""
+        mesh, held = self.solution.mesh, self.solution.trajectory.algebraics[:, self.controls]
+        if self.gap:
+            lower, upper = (limit[self.controls] for limit in self.solution.algebraic_limits)
+            return np.clip(_smoothed(mesh, held, fractions), lower, upper)
+        # Toward the points themselves, chatter would be kept.
+        middles, means = _element_means(mesh, held)
+        return np.column_stack([np.interp(fractions, middles, mean) for mean in means.T])
+
+
+def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArray:
+    """Return values at points, in each element by the lower half of their Legendre terms."""
+    starts, found = np.asarray(mesh.breakpoints), np.empty((fractions.size, values.shape[1]))
+    element = np.clip(np.searchsorted(starts, fractions) - 1, 0, mesh.elements - 1)
+    for e in np.unique(element):
+        degree, points = mesh.degrees[e], slice(mesh.first_node[e], mesh.first_node[e + 1])
+        kept, root = (degree - 1) // 2, np.sqrt(radau_rule(degree).weights)[:, None]
+        terms = root * legvander(2.0 * radau_rule(degree).points - 1.0, kept)
+        coefficients = np.linalg.lstsq(terms, root * values[points], rcond=None)[0]
+        inside = element == e
+        places = 2.0 * (fractions[inside] - starts[e]) / mesh.widths[e] - 1.0
+        found[inside] = legvander(places, kept) @ coefficients
+    return found
 
 
 def _element_means(mesh: Mesh, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -80,7 +106,7 @@ def _element_means(mesh: Mesh, values: FloatArray) -> tuple[FloatArray, FloatArr
     return means[:, 0], means[:, 1:-1]
 
 
-def damping_of(solution: Solution, weight: float) -> Damping | None:
+def damping_of(solution: Solution, weight: float, *, gap: float = 0.0) -> Damping | None:
     """Return the damping toward a solution; None where no bounded control is nearly linear.
 
     Beside a corner of the cost, which curves at the corner alone, a control chatters like one that
@@ -91,6 +117,8 @@ def damping_of(solution: Solution, weight: float) -> Damping | None:
     solution : Solution
     weight : float
         Share of the objective that a control a whole range away from the solution's costs.
+    gap : float
+        Share of the objective that the barrier shall leave.
     """
     lower, upper = solution.algebraic_limits
     width = upper - lower
@@ -102,7 +130,12 @@ def damping_of(solution: Solution, weight: float) -> Damping | None:
     controls = np.flatnonzero(is_bounded & (_least_curvatures(solution) < prices))
     if controls.size == 0:
         return None
-    return Damping(solution=solution, controls=controls, prices=prices[controls])
+    return Damping(
+        solution=solution,
+        controls=controls,
+        prices=prices[controls],
+        gap=gap * solution.nominal_objective,
+    )
 
 
 def _least_curvatures(solution: Solution) -> FloatArray:
@@ -176,10 +209,12 @@ class DampedProgram:
 FAILED = (Status.NOT_CONVERGED, Status.INFEASIBLE)
 # The objective's last change, as a share of the tolerance, at which it counts as settled.
 _SETTLED = 0.5
-# A warm start that takes more iterations than this leaves its linear controls undetermined:
-# they are damped so many times more, up to so many times in all.
-_MANY_ITERATIONS = 30
-_FIRMER, _FIRMEST = 5.0, 25.0
+# A warm start that takes more iterations than this leaves its linear controls undetermined, as do
+# costs that settled so many meshes ago: they are damped so many times more, up to so many.
+_MANY_ITERATIONS, _MANY_SETTLED = 30, 4
+_FIRMER, _FIRM, _FIRMEST = 5.0, 25.0, 125.0
+# What the barrier then leaves of the objective: a share of the tolerance, and of it at most.
+_GAP, _LARGEST_GAP = 0.03, 3e-7
 # Times that a solution is started anew from the controls that minimise the Hamiltonian.
 _IMPROVEMENTS = 8
 
@@ -254,7 +289,8 @@ def refine(
     chosen = meshes
     records: list[MeshRecord] = []
     dampings: tuple[Damping | None, ...] = (None,) * len(chosen)
-    firmness, improvements = 1.0, 0
+    firmness, improvements, settled = 1.0, 0, 0
+    gap = min(_GAP * tolerance, _LARGEST_GAP)
     reached: S | None = None
     before: tuple[Solution | None, ...] = (None,) * len(chosen)
     while True:
@@ -277,18 +313,22 @@ def refine(
                 return reached if better is None else _doubted(reached)
             improvements += 1
             chosen, warm_start, before = _meshes(solution), better.warm_start, (None,)
-            dampings = (damping_of(better, firmness * refinement.damping * tolerance),)
+            weight = firmness * refinement.damping * tolerance
+            dampings = (damping_of(better, weight),)
             continue
         is_stuck = finer == _meshes(solution) and error > tolerance
         if is_stuck or len(records) >= refinement.max_meshes:
             return _with_state_error(
                 _given_up(solution, error, tolerance), errors, before, tolerance
             )
-        if is_damped and records[-1].iterations > _MANY_ITERATIONS:
-            firmness = min(_FIRMER * firmness, _FIRMEST)
+        settled += is_damped and _has_settled(solution, tolerance)
+        is_stalled = settled >= _MANY_SETTLED
+        if is_damped and (is_stalled or records[-1].iterations > _MANY_ITERATIONS):
+            firmness = max(firmness, min(_FIRMER * firmness, _FIRMEST if is_stalled else _FIRM))
         chosen, warm_start, before = finer, solution.warm_start, solution.parts
         weight = firmness * refinement.damping * tolerance
-        dampings = tuple(damping_of(part, weight) for part in solution.parts)
+        held = gap if is_stalled else 0.0
+        dampings = tuple(damping_of(part, weight, gap=held) for part in solution.parts)
 
 
 def _solved(
@@ -300,7 +340,7 @@ def _solved(
     """Solve, more firmly damped and then from the guess where that fails."""
     solved = solve(meshes, warm_start, dampings)
     if solved.status is Status.NOT_CONVERGED and any(dampings):
-        dampings = tuple(d and d.times(_FIRMEST) for d in dampings)
+        dampings = tuple(d and d.times(_FIRM) for d in dampings)
         solved = solve(meshes, warm_start, dampings)
     if solved.status in FAILED and warm_start is not None:
         solved = solve(meshes, None, dampings)
@@ -381,7 +421,7 @@ def _next_meshes(
     parts = solution.parts
     junctions = [junction_elements(part) for part in parts]
     is_met = all(error.largest <= tolerance for error in errors)
-    has_settled = _objective_change(parts[0], tolerance) <= _SETTLED * tolerance
+    has_settled = _has_settled(solution, tolerance)
     if is_met and (has_settled or not (any(junctions) or is_damped)):
         return None
     finer = []
@@ -394,6 +434,11 @@ def _next_meshes(
         finer.append(refined_mesh(part, error, marks, tolerance, refinement))
     is_same = tuple(finer) == _meshes(solution)
     return None if is_same and is_met and not is_damped else tuple(finer)
+
+
+def _has_settled(solution: Solved, tolerance: float) -> bool:
+    """Say whether the last mesh changed the objective by little."""
+    return _objective_change(solution.parts[0], tolerance) <= _SETTLED * tolerance
 
 
 def _objective_change(solution: Solution, tolerance: float) -> float:

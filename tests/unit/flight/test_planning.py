@@ -199,13 +199,24 @@ def test_a_kinked_power_is_reached_from_wider_corners():
 
 
 @pytest.mark.slow
-def test_rotors_that_chatter_under_a_flat_power_come_to_rest_within_the_limit():
-    mission = [
-        "mission.goal.position=[10.716, 25.477, 10.246]",
-        "mission.duration=11.419",
-        "wind={use='constant', speed=2.54, direction=5.201}",
-        "vehicle.payload=0.102",
-    ]
+@pytest.mark.parametrize(
+    "mission",
+    [
+        (
+            "mission.goal.position=[10.716, 25.477, 10.246]",
+            "mission.duration=11.419",
+            "wind={use='constant', speed=2.54, direction=5.201}",
+            "vehicle.payload=0.102",
+        ),
+        (
+            "mission.goal.position=[25.520, -0.599, 6.175]",
+            "mission.duration=8.536",
+            "wind={use='constant', speed=1.547, direction=2.925, coupling='acceleration'}",
+            "vehicle.payload=0.205",
+        ),
+    ],
+)
+def test_rotors_that_chatter_under_a_flat_power_come_to_rest_within_the_limit(mission):
     flat = [*KINKED[:1], "power.regeneration=true", "solver.time_limit=150"]
     plan = solve_scenario(load_scenario(PAPER_CALM, [*flat, *mission]))
     assert plan.is_verified

@@ -4,14 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.polynomial.legendre import legval
 from scipy.optimize import approx_fprime
 
 from pyomo_quad import collocation
-from pyomo_quad.collocation import Mesh, Status
+from pyomo_quad.collocation import Mesh, SolverOptions, Status
+from pyomo_quad.collocation.mesh import radau_rule
 from pyomo_quad.collocation.refining.refinement import damping_of
 from tests.problems import bang_bang, double_integrator, singular_arc
 
-WEIGHT = 1e-3
+WEIGHT, GAP = 1e-3, 1e-6
 MESH = Mesh.uniform(6, 3)
 
 
@@ -53,6 +55,26 @@ def test_chatter_within_elements_is_no_part_of_the_course_that_controls_are_draw
     drawn = damping_of(chattering, WEIGHT).applied_to(damped.program)
     assert np.abs(algebraics - held.algebraics).max() > 0.1
     assert drawn.near == pytest.approx(damped.near, abs=1e-12)
+
+
+def test_once_the_costs_have_settled_controls_are_drawn_to_where_they_jump(solution, damped):
+    jump = np.where(np.arange(MESH.elements) < MESH.elements // 2, -0.8, 0.8)
+    chatter = 0.2 * legval(2.0 * radau_rule(3).points - 1.0, [0.0, 0.0, 1.0])
+    algebraics = (jump[:, None] + chatter).reshape(-1, 1)
+    moved = replace(solution, trajectory=replace(solution.trajectory, algebraics=algebraics))
+    drawn = damping_of(moved, WEIGHT, gap=GAP).applied_to(damped.program)
+    fractions = damped.program.mesh.point_fractions
+    assert drawn.near == pytest.approx(np.where(fractions <= 0.5, -0.8, 0.8), abs=1e-12)
+
+
+def test_then_the_barrier_leaves_as_much_as_it_shall(solution):
+    damping = damping_of(solution, WEIGHT, gap=GAP)
+    arguments = {"instance": solution.instance, "options": SolverOptions()}
+    found = solution.problem.solve_on_mesh(MESH, solution.warm_start, damping, **arguments)
+    z, bounds = found.unknowns, found.bounds
+    pulls = (found.multipliers.lower, z - bounds.lower), (found.multipliers.upper, bounds.upper - z)
+    left = sum(pull[np.isfinite(slack)] @ slack[np.isfinite(slack)] for pull, slack in pulls)
+    assert left == pytest.approx(GAP * solution.nominal_objective, rel=1e-2)
 
 
 def test_derivatives_are_those_of_finite_differences(damped):
