@@ -1,6 +1,9 @@
-"""Study files written by tests."""
+"""Study files and designs made by tests."""
 
 from pathlib import Path
+
+from pyomo_quad.sweep.case import StudyTask
+from pyomo_quad.sweep.design import Dimension, SweepDesign
 
 SCENARIO = """
 name = "base"
@@ -28,3 +31,17 @@ def write_study(folder: Path, axes: str = DURATION_AXIS + PAYLOAD_AXIS, head: st
     study = folder / "study.toml"
     study.write_text(f'name = "study"\ntitle = "A study"\nscenario = "base.toml"\n{head}\n{axes}')
     return study
+
+
+def made_design(*dimensions: Dimension, base=(), report_on: str = "energy_J") -> SweepDesign:
+    return SweepDesign(
+        name="grid",
+        title="",
+        about="",
+        task=StudyTask.OPTIMISE,
+        baselines=(),
+        outputs=(),
+        report_on=(report_on,),
+        base=dict(base),
+        dimensions=dimensions,
+    )

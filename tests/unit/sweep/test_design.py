@@ -20,22 +20,15 @@ from pyomo_quad.sweep.design import (
     expand,
 )
 from pyomo_quad.sweep.study_file import Sampling
+from tests.sweep.studies import made_design
 
 
 def design(*sizes: int) -> SweepDesign:
-    return SweepDesign(
-        name="grid",
-        title="",
-        about="",
-        task=StudyTask.OPTIMISE,
-        baselines=(),
-        outputs=(),
-        report_on=("energy_J",),
-        base={},
-        dimensions=tuple(
+    return made_design(
+        *(
             Dimension(paths=(f"field_{index}",), steps=tuple((float(k),) for k in range(size)))
             for index, size in enumerate(sizes)
-        ),
+        )
     )
 
 

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pyomo_quad.sweep.case import StudyTask
-from pyomo_quad.sweep.design import Dimension, SweepDesign
+from pyomo_quad.sweep.design import Dimension
 from pyomo_quad.sweep.views import (
     best_along,
     curves_along,
@@ -16,24 +15,15 @@ from pyomo_quad.sweep.views import (
     sensitivities,
     spread_of,
 )
+from tests.sweep.studies import made_design
 
 A = Dimension(paths=("a",), steps=((1.0,), (2.0,), (3.0,)))
 B = Dimension(paths=("b",), steps=((0.0,), (10.0,), (20.0,)))
 NAME = Dimension(paths=("name",), steps=(("calm",), ("windy",)))
 
 
-def design(*dimensions: Dimension, base=()) -> SweepDesign:
-    return SweepDesign(
-        name="grid",
-        title="",
-        about="",
-        task=StudyTask.OPTIMISE,
-        baselines=(),
-        outputs=(),
-        report_on=("y",),
-        base=dict(base),
-        dimensions=dimensions,
-    )
+def design(*dimensions: Dimension, base=()):
+    return made_design(*dimensions, base=base, report_on="y")
 
 
 def grid() -> pd.DataFrame:
