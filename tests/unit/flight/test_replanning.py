@@ -187,6 +187,15 @@ def test_waypoints_are_passed_held_at_and_left_lighter_in_an_untold_wind():
     assert np.any(measured > passed)
 
 
+@pytest.mark.slow
+def test_zones_are_kept_clear_of_between_the_points_of_a_coarse_mesh():
+    """Planned to the clearance itself, it was broken by 0.2 mm."""
+    scenario, vehicle = flights.scenario("delivery"), flights.vehicle("delivery")
+    flight = fly_replanned(scenario, Knowledge.TOLD, dynamics=vehicle, planner=flights.planner())
+    assert flight.broken_limits == ()
+    assert flight.is_verified
+
+
 def test_an_interval_beyond_the_mission_is_refused():
     line = "baseline.mpc.interval = 3 s; must be below mission.duration = 3 s"
     with pytest.raises(ScenarioError, match=re.escape(line)):
