@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from importlib.metadata import version
-from math import dist
+from math import ceil, dist
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -39,7 +39,7 @@ from pyomo_quad.flight.references import ReferencePath, Setpoint
 from pyomo_quad.report.gallery import Drawing, save_drawings
 from pyomo_quad.report.render import render_markdown
 from pyomo_quad.report.report import REPORT_NAME
-from pyomo_quad.report.style import SERIES_STYLES, label_time, panel_grid
+from pyomo_quad.report.style import LEGEND_COLUMNS, SERIES_STYLES, label_time, panel_grid
 from pyomo_quad.report.tables import write_table
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError, load_scenario
 from pyomo_quad.scenario.shipped import shipped_scenarios
@@ -80,7 +80,8 @@ _PRICED = {"power.model": "shaft", "solver.tolerance": 1e-3}
 _GOAL, _DURATION = [3.0, 2.0, 1.5], 6.0
 _NO_SLEW_LIMIT = {"limits.rotor_acceleration_max": 1e7}
 _MOST_SAMPLES = 250
-_LEAST_SHOWN = 1e-9  # m
+# Distances that are told apart [m].
+_LEAST_SHOWN, _LEAST_LED = 1e-9, 1e-4
 _CAUSES_ABREAST = 3
 
 Track = tuple[np.ndarray, np.ndarray]
@@ -362,16 +363,18 @@ def _apart(flight: Flight, ours: Flight | None) -> float:
 
 def draw_causes(study: OutsideStudy) -> "Figure":
     """Draw how far flights are from their plan over time, by what makes them differ."""
-    figure, (panels,) = panel_grid(1, 2, panel_height=2.6, legend_entries=len(CAUSES))
-    for axes, pilot, title in (
-        (panels[0], Pilot.OPEN_LOOP, "Without feedback: distance from the plan (m)"),
-        (panels[1], Pilot.ADAPTIVE, "Under our controller: distance from the plan (m)"),
+    # The labels are long, so that the legend takes more lines than usual.
+    lines = ceil(len(CAUSES) / _CAUSES_ABREAST)
+    figure, (panels,) = panel_grid(1, 2, panel_height=2.6, legend_entries=lines * LEGEND_COLUMNS)
+    for axes, pilot, title, least in (
+        (panels[0], Pilot.OPEN_LOOP, "Without feedback: distance from the plan (m)", _LEAST_SHOWN),
+        (panels[1], Pilot.ADAPTIVE, "Under our controller: distance from the plan (m)", _LEAST_LED),
     ):
         for (cause, (case, plant)), style in zip(CAUSES.items(), SERIES_STYLES, strict=True):
             track = study.tracks.get((case, plant, pilot))
             if track is not None:
                 t, distance = track
-                axes.plot(t, np.maximum(distance, _LEAST_SHOWN), label=cause, **style.line)
+                axes.plot(t, np.maximum(distance, least), label=cause, **style.line)
         axes.set_yscale("log")
         axes.set_title(title)
     label_time(panels, max(t[-1] for t, _ in study.tracks.values()))
@@ -387,7 +390,7 @@ def write_outside_report(folder: Path, study: OutsideStudy) -> None:
         name="causes",
         title="Over time",
         caption="How far each flight is from its plan, one cause at a time; what is nearer than "
-        f"{_LEAST_SHOWN:g} m is drawn there.",
+        f"{_LEAST_SHOWN:g} m, or {_LEAST_LED:g} m under feedback, is drawn there.",
         draw=lambda: draw_causes(study),
     )
     save_drawings((drawing,), folder)
