@@ -34,10 +34,11 @@ def move(
     """Simulate e'' = delivered + d under the law; return times, e, e' and the loop's states."""
 
     def slope(t, y):
-        states = y[6:].tolist()
-        achieved = delivered(t, np.array(law(y[:3], y[3:6], (0, 0, 0), (0, 0, 0), states)[0]))
-        rates = law(y[:3], y[3:6], (0, 0, 0), achieved, states)[1]
-        return [*y[3:6], *(achieved + disturbance), *rates]
+        # Python's own numbers: the law takes each by itself.
+        error, rate, states = y[:3].tolist(), y[3:6].tolist(), y[6:].tolist()
+        achieved = delivered(t, np.array(law(error, rate, (0, 0, 0), (0, 0, 0), states)[0]))
+        rates = law(error, rate, (0, 0, 0), achieved.tolist(), states)[1]
+        return [*rate, *(achieved + disturbance), *rates]
 
     states = law.started(ERROR, np.zeros(3)) if start is None else start
     times = np.linspace(0.0, span, 401)
