@@ -28,6 +28,7 @@ from pyomo_quad.collocation import (
     compile,
     split_algebraics,
 )
+from pyomo_quad.flight import long_flight
 from pyomo_quad.flight.flight import VIOLATION_TOLERANCE
 from pyomo_quad.flight.plan import Plan, PlanStatus, Trajectories
 from pyomo_quad.flight.rescue import Rescuer
@@ -423,9 +424,26 @@ class Planner:
             if not easier or solution.status is not Status.NOT_CONVERGED:
                 return solution
         if not isinstance(warm_start, Plan):
+            if not easier and self._builder is build_model and long_flight.is_long(told):
+                return self._solve_long(problem, told, arguments)
             return _by_way_of(easier, problem, arguments, None)
         on_mesh = arguments | {"mesh": warm_start.mesh}
         return _by_way_of(easier, problem, on_mesh, warm_start.guess())
+
+    def _solve_long(self, problem: Problem, told: Scenario, arguments: dict[str, Any]) -> Solution:
+        """Solve a flight that is long beside a change of attitude, from a cruise."""
+        dynamics = problem.dynamics(parameters=self.parameters(told), horizon=_horizon(told))
+        guess = long_flight.guess_of(told, SteadyFlight(told, dynamics))
+        options = arguments["options"].for_moving_limits().for_small_changes()
+        duration = (guess or {}).get("duration", told.nominal_duration)
+        rough = problem.solve(
+            **arguments | {"mesh": long_flight.rough_mesh(duration), "tolerance": None},
+            guess=guess,
+        )
+        if not rough.status.is_solved:
+            return rough
+        mesh = long_flight.fine_mesh(rough.horizon[1], told.solver.degree)
+        return problem.solve(**arguments | {"options": options, "mesh": mesh}, warm_start=rough)
 
     def _arguments(self, told: Scenario, progress: Progress | None) -> dict[str, Any]:
         settings = told.solver

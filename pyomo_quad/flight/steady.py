@@ -27,11 +27,12 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-_ROLL, _PITCH, _YAW = "rigid_body.phi", "rigid_body.theta", "rigid_body.psi"
+ROLL, PITCH, _YAW = "rigid_body.phi", "rigid_body.theta", "rigid_body.psi"
 _ROTOR_SPEED = "rotors.omega["
 _CHARGE = "battery.charge_drawn"
 _CHARGE_RATE = "battery.dcharge_drawn_dt"
 _FIRST_ROTOR = 1
+_INDUCED = "power.induced_velocity"
 _UNCREDITED = "power.uncredited_power"
 _STILL = np.zeros(3)
 # Largest rate that a trim leaves in a state meant to rest, in the state's own unit per second.
@@ -145,6 +146,15 @@ class SteadyFlight:
         return self._rows(tuple((n, None) for n in names), trim.states[None], trim.controls[None])[
             0
         ]
+
+    def held_in(self, trim: Trim) -> dict[str, float]:
+        """Return states of a steady flight by name, beside place and velocity, and v_i if any."""
+        moved = {*self._dynamics.states_used_up, *POSITION_STATES, *VELOCITY_STATES}
+        named = dict(zip(self._dynamics.state_names, trim.states.tolist(), strict=True))
+        held = {name: value for name, value in named.items() if name not in moved}
+        if self._dynamics.has(_INDUCED):
+            held[_INDUCED] = float(self.reading((_INDUCED,), trim)[0])
+        return held
 
     def rotor_speeds(self, trim: Trim) -> FloatArray:
         """Return the speed of each rotor in a steady flight, rad/s."""
@@ -375,9 +385,9 @@ class MomentumDemand:
         names, start = self._dynamics.state_names, self._dynamics.start
         states = self._at_rest.copy()
         if axis == 0:
-            states[names.index(_PITCH)] = np.pi / 2
+            states[names.index(PITCH)] = np.pi / 2
         elif axis == 1:
-            states[names.index(_ROLL)] = -np.pi / 2
+            states[names.index(ROLL)] = -np.pi / 2
         without = self._acceleration(start, states)
         states[self._rotors] = 1e3
         keys = (("rotors.total_thrust", None),)

@@ -187,6 +187,7 @@ def structure_key(scenario: Scenario) -> Hashable:
         tuple(row.name for row in aerodynamics.parameters_of(scenario)),
         tuple(row.name for row in limits.parameters_of(scenario)),
         airspace.structure_of(scenario),
+        scenario.keeps_yaw,
         scenario.mission if scenario.mission.waypoints else scenario.mission.is_free,
     )
 

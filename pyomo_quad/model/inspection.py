@@ -68,7 +68,7 @@ def inspect_model(model: ConcreteModel) -> ModelInspection:
         equations=sum(d.equality for d in path),
         path_limits=sum(not d.equality for d in path),
         boundary_conditions=sum(
-            len(c)
+            sum(row.active for row in c.values())
             for c in model.component_objects(Constraint, active=True, descend_into=True)
             if not any(c is other for other in whole)
         ),

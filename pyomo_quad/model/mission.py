@@ -7,13 +7,13 @@ it is the exact speed at which 4 kappa_b omega^2 = m g.
 from collections.abc import Callable, Hashable, Mapping
 from typing import Any
 
-from pyomo.core import Block, ConcreteModel, Constraint, Param, Var, sqrt, value
+from pyomo.core import Block, ConcreteModel, Constraint, Param, Var, inequality, sqrt, value
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters
-from pyomo_quad.model.rigid_body import PLACE, STATES
+from pyomo_quad.model.rigid_body import PLACE, STATES, turning
 from pyomo_quad.model.vehicle import mass_at
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.mission import Hover
@@ -65,9 +65,18 @@ _DURATION = (
 )
 
 
+_TURNING = Parameter(
+    name="turning_max",
+    units=STATES["r"][0],
+    value=lambda _: 0.0,
+    doc="largest rate of turn about the vertical, of a heading that is kept",
+)
+
+
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the numbers of a scenario's mission, as parameters of block `mission`."""
     table = _ENDS + (_DURATION if scenario.mission.is_free else ())
+    table += (_TURNING,) if scenario.keeps_yaw else ()
     if not scenario.mission.waypoints:
         return table
     return table + tuple(filter(None, (_passage(scenario, *row) for row in _PASSAGES)))
@@ -117,6 +126,8 @@ def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
 
     _declare_start(b, m)
     _declare_goal(b, m)
+    if scenario.keeps_yaw:
+        _declare_kept_yaw(b, m)
     if scenario.mission.waypoints:
         _declare_waypoints(b, m, scenario)
 
@@ -276,6 +287,22 @@ def _declare_goal(b: Block, m: ConcreteModel) -> None:
         return m.rotors.omega[j, m.time.last()] == _hover_speed(m, mass_at(m, m.time.last()))
 
 
+def _goal_of_turning(b: Block) -> tuple[Any, ...]:
+    """Return what the goal says of the heading, which is so anyway where it is kept."""
+    return b.goal_place["psi"], b.goal_rest["r"]
+
+
+def _declare_kept_yaw(b: Block, m: ConcreteModel) -> None:
+    # A limit and no balance: what is flown turns as its rotors make it.
+    @b.Constraint(m.time, doc="psi' cos(theta) = 0: the heading is kept [rad/s]")
+    def yaw_keeping(b: Block, t: float) -> RelationalExpression:
+        body = b.parent_block().rigid_body
+        return inequality(-b.turning_max, turning(body, t), b.turning_max)
+
+    for row in _goal_of_turning(b):
+        row.deactivate()
+
+
 def start_where_measured(m: ConcreteModel) -> None:
     """Replace what the mission says of the start by mutable parameters in block `start`.
 
@@ -287,6 +314,11 @@ def start_where_measured(m: ConcreteModel) -> None:
     for said in (m.mission.start_place, m.mission.start_rest, m.mission.start_rotor_speed):
         said.deactivate()
     m.battery.initial_charge.deactivate()
+    if m.mission.component("yaw_keeping") is not None:
+        # Blown off its heading, it turns back.
+        m.mission.yaw_keeping.deactivate()
+        for row in _goal_of_turning(m.mission):
+            row.activate()
     m.start = Block(doc="where the rest of the mission starts")
     for rate in m.component_objects(DerivativeVar, descend_into=True):
         _start_measured(m.start, m.time.first(), rate.get_state_var())

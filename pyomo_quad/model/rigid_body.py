@@ -135,11 +135,12 @@ def _declare_translation(b: Block, m: ConcreteModel) -> None:
         return b.dz_dt[t] == b.vz[t]
 
 
-def _declare_euler_rates(b: Block, m: ConcreteModel) -> None:
-    # What turns the vehicle about the world's vertical, as seen from body y and z.
-    def turning(b: Block, t: float) -> NumericExpression:
-        return b.q[t] * sin(b.phi[t]) + b.r[t] * cos(b.phi[t])
+def turning(b: Block, t: float) -> NumericExpression:
+    """Return what turns the vehicle about the world's vertical, as seen from body y and z."""
+    return b.q[t] * sin(b.phi[t]) + b.r[t] * cos(b.phi[t])
 
+
+def _declare_euler_rates(b: Block, m: ConcreteModel) -> None:
     @b.Constraint(m.time, doc="Beard and McLain (2012), eq. (3.3) row 1: roll angle [rad/s]")
     def roll_kinematics(b: Block, t: float) -> RelationalExpression:
         return b.dphi_dt[t] == b.p[t] + turning(b, t) * tan(b.theta[t])

@@ -42,6 +42,13 @@ class Order(StrEnum):
     BEST = "best"
 
 
+class Yaw(StrEnum):
+    """Whether the heading may change on the way."""
+
+    FREE = "free"
+    KEPT = "kept"
+
+
 class Waypoint(Part):
     """A place to pass between start and goal, and what happens there."""
 
@@ -137,6 +144,13 @@ class Mission(Part):
     order: Order = quantity(
         "", "order of the waypoints: as given, or that of least energy", Order.GIVEN, is_late=True
     )
+    yaw: Yaw | None = quantity(
+        "",
+        "whether the heading may change on the way; when absent it is kept under power.model "
+        "momentum where start, waypoints and goal have the same",
+        None,
+        is_late=True,
+    )
 
     @property
     def positions(self) -> tuple[tuple[float, float, float], ...]:
@@ -148,6 +162,12 @@ class Mission(Part):
     def released(self) -> float:
         """Payload left on the way, kg."""
         return sum(waypoint.release for waypoint in self.waypoints)
+
+    @property
+    def is_turning(self) -> bool:
+        """Whether start, waypoints and goal ask for more than one heading."""
+        asked = [waypoint.yaw for waypoint in self.waypoints if waypoint.yaw is not None]
+        return any(yaw != self.start.yaw for yaw in (*asked, self.goal.yaw))
 
     def paced(self, legs: Sequence[float]) -> tuple[float, ...]:
         """Return when each waypoint is reached and left, and the end.
@@ -243,6 +263,15 @@ class Mission(Part):
             raise ValueError(
                 'duration = "free" with the goal at the start; the least flight is none at all: '
                 "give duration_min or a fixed duration"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _yaw_can_be_kept(self) -> Self:
+        if self.yaw is Yaw.KEPT and self.is_turning:
+            raise ValueError(
+                'yaw = "kept" where start, waypoints and goal have several headings; give all of '
+                'them the same, or yaw = "free"'
             )
         return self
 

@@ -14,7 +14,7 @@ from pyomo_quad.scenario.air import Air
 from pyomo_quad.scenario.airspace import Airspace
 from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Sound, Text, quantity
 from pyomo_quad.scenario.messages import FeasibilityError, ScenarioError, complaint, shown
-from pyomo_quad.scenario.mission import Mission
+from pyomo_quad.scenario.mission import Mission, Yaw
 from pyomo_quad.scenario.resolution import Origin, resolve, whose
 from pyomo_quad.scenario.tables import (
     Baseline,
@@ -25,7 +25,7 @@ from pyomo_quad.scenario.tables import (
     Solver,
 )
 from pyomo_quad.scenario.tree import leaves, parse_path, spell
-from pyomo_quad.scenario.vehicle import Vehicle
+from pyomo_quad.scenario.vehicle import Attitude, Vehicle
 from pyomo_quad.scenario.wind import Wind
 
 # Share of gravity that a vehicle without spare thrust is taken to accelerate by, and how much
@@ -112,6 +112,7 @@ class Scenario(Part):
         scenario._check_replanning(origin.source)  # noqa: SLF001
         scenario._check_airspace(origin.source)  # noqa: SLF001
         scenario._check_payload(origin.source)  # noqa: SLF001
+        scenario._check_yaw(origin.source)  # noqa: SLF001
         return scenario
 
     def __eq__(self, other: object) -> bool:
@@ -237,6 +238,19 @@ class Scenario(Part):
         return self.lasting(duration).mission.paced(legs)
 
     @property
+    def keeps_yaw(self) -> bool:
+        """Whether the heading stays that of the start all the way.
+
+        Where power depends on thrust and airspeed alone it costs next to nothing to turn, and so
+        no heading is the best: unless one is asked for, a flight keeps its own, as autopilots do.
+        """
+        if self.mission.yaw is not None:
+            return self.mission.yaw is Yaw.KEPT
+        is_exact = self.vehicle.attitude is Attitude.EULER
+        is_undetermined = self.power.model is PowerModel.MOMENTUM and is_exact
+        return is_undetermined and not self.mission.is_turning
+
+    @property
     def mass_at_goal(self) -> float:
         """Mass in flight after all that is released on the way, kg."""
         return self.vehicle.total_mass - self.mission.released
@@ -280,6 +294,14 @@ class Scenario(Part):
             raise ScenarioError(
                 f"{source}: mission.waypoints release {released:g} kg in all; must be at most "
                 f"vehicle.payload = {carried:g} kg; release less or carry more."
+            )
+
+    def _check_yaw(self, source: str) -> None:
+        if self.mission.yaw is Yaw.KEPT and self.vehicle.attitude is not Attitude.EULER:
+            raise ScenarioError(
+                f'{source}: mission.yaw = "kept" under vehicle.attitude = '
+                f'"{self.vehicle.attitude.value}"; must be "free" where rotors that gather speed '
+                'do not turn the body: leave it out, or give vehicle.attitude = "euler".'
             )
 
     def _check_hover(self, source: str) -> None:

@@ -36,6 +36,7 @@ REFUSED = {
         'leave aim out or give duration = "free".'
     ),
     'mission.aim = "speed"': "mission.aim = \"speed\"; must be one of 'energy' or 'time'.",
+    'mission.yaw = "left"': "mission.yaw = \"left\"; must be one of 'free' or 'kept'.",
     "mission.price_of_time = -1.0": "mission.price_of_time = -1 W; must be >= 0.",
     "mission.goal.position = [1.0, inf, 2.0]": (
         "mission.goal.position[1] = inf m; must be finite."
@@ -674,3 +675,28 @@ def test_what_is_missing_comes_with_an_example_that_works(given, example, tmp_pa
         suggested,
     )
     assert load_scenario(whole).name in {"hop", "delivery"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"mission.yaw": "kept", "mission.goal.yaw": 1.0},
+            (
+                'mission: yaw = "kept" where start, waypoints and goal have several headings; give '
+                'all of them the same, or yaw = "free".'
+            ),
+        ),
+        (
+            {"mission.yaw": "kept", "vehicle.attitude": "paper"},
+            (
+                'mission.yaw = "kept" under vehicle.attitude = "paper"; must be "free" where '
+                "rotors that gather speed do not turn the body: leave it out, or give "
+                'vehicle.attitude = "euler".'
+            ),
+        ),
+    ],
+)
+def test_a_yaw_that_cannot_be_kept(tmp_path, changes, message):
+    with pytest.raises(ScenarioError, match=re.escape(message)):
+        load_scenario(write_scenario(tmp_path), changes)

@@ -36,6 +36,10 @@ class Status(Enum):
 _RELAXED = 1e-10
 # How far a warm start is pushed off its bounds: by default, and where limits move.
 _NEAR, _INSIDE = 1e-9, 1e-4
+# The barrier that a warm start of which little is to change begins with.
+_LOW_BARRIER = 1e-10
+# What is left over of an equation, in its own unit, where that matters.
+_LEFT_OVER = 1e-9
 _PUSHES = (
     "warm_start_bound_push",
     "warm_start_bound_frac",
@@ -90,6 +94,15 @@ class SolverOptions:
         blocks Ipopt's first dozen steps; a little inside it does not.
         """
         return replace(self, extra=(*((name, _INSIDE) for name in _PUSHES), *self.extra))
+
+    def for_small_changes(self) -> SolverOptions:
+        """Return the settings for warm starts of which a new mesh changes but a small part.
+
+        The usual barrier would first lead away from what is right already; and nothing corrects
+        for long what an equation leaves over.
+        """
+        sharp = (("mu_init", _LOW_BARRIER), ("constr_viol_tol", _LEFT_OVER))
+        return replace(self, extra=(*sharp, *self.extra))
 
 
 @dataclass(frozen=True, kw_only=True)

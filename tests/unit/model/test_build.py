@@ -1,10 +1,11 @@
 """The model as a whole: parts, numbers, boundary conditions, what forces a rebuild."""
 
+import numpy as np
 import pytest
 from pyomo.environ import Param, value
 
 from pyomo_quad.model import build_model, inspect_model, parameter_values, structure_key
-from tests.declared_model import AIRSPACE, ROTORS, Instant, scenario
+from tests.declared_model import AIRSPACE, MISSION, ROTORS, Instant, scenario
 
 VARIANTS = [
     {},
@@ -12,6 +13,10 @@ VARIANTS = [
     {"power": {"model": "constant_efficiency"}, "wind": {"use": "calm", "coupling": "drag"}},
     {"limits": {"battery_current_max": 30.0, "speed_max": 5.0}},
     {"airspace": AIRSPACE},
+    KEPT := {
+        "vehicle": {"use": "dji_phantom_2", "attitude": "euler"},
+        "mission": MISSION | {"yaw": "kept"},
+    },
 ]
 
 
@@ -52,6 +57,38 @@ def test_boundary_conditions_hold_at_hover_and_nowhere_else():
     assert largest_boundary_residual(model) < 1e-12
     model.rigid_body.q[model.time.last()].set_value(0.01)
     assert largest_boundary_residual(model) == pytest.approx(0.01)
+
+
+def test_a_kept_heading_takes_the_place_of_what_the_goal_says_of_it():
+    kept, free = scenario(**KEPT), scenario(**KEPT | {"mission": MISSION})
+    found = inspect_model(build_model(kept))
+    assert found.boundary_conditions == inspect_model(build_model(free)).boundary_conditions - 2
+    assert found.is_unit_consistent
+    assert structure_key(kept) != structure_key(free)
+    model = build_model(kept)
+    t = model.time.first()
+    model.rigid_body.q[t], model.rigid_body.phi[t] = 0.2, 0.5
+    model.rigid_body.r[t] = -0.2 * np.tan(0.5)
+    assert value(model.mission.yaw_keeping[t].body) == pytest.approx(0.0, abs=1e-15)
+    assert value(model.mission.yaw_keeping[t].lower) == value(model.mission.yaw_keeping[t].upper)
+
+
+@pytest.mark.parametrize(
+    ("power", "mission", "is_kept"),
+    [
+        ("momentum", {}, True),
+        ("motor", {}, False),
+        ("motor", {"yaw": "kept"}, True),
+        ("momentum", {"yaw": "free"}, False),
+        ("momentum", {"goal": {"position": [6.0, 7.0, 8.0], "yaw": 1.0}}, False),
+        ("momentum", {"waypoints": [{"position": [3.0, 3.0, 3.0], "yaw": 1.0}]}, False),
+    ],
+)
+def test_which_missions_keep_their_heading(power, mission, is_kept):
+    told = scenario(
+        vehicle={"use": "dji_matrice_100"}, power={"model": power}, mission=MISSION | mission
+    )
+    assert told.keeps_yaw is is_kept
 
 
 def largest_boundary_residual(model):
