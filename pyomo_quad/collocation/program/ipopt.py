@@ -38,8 +38,6 @@ _RELAXED = 1e-10
 _NEAR, _INSIDE = 1e-9, 1e-4
 # The barrier that a warm start of which little is to change begins with.
 _LOW_BARRIER = 1e-10
-# What is left over of an equation, in its own unit, where that matters.
-_LEFT_OVER = 1e-9
 _PUSHES = (
     "warm_start_bound_push",
     "warm_start_bound_frac",
@@ -98,11 +96,9 @@ class SolverOptions:
     def for_small_changes(self) -> SolverOptions:
         """Return the settings for warm starts of which a new mesh changes but a small part.
 
-        The usual barrier would first lead away from what is right already; and nothing corrects
-        for long what an equation leaves over.
+        The usual barrier would first lead away from what is right already.
         """
-        sharp = (("mu_init", _LOW_BARRIER), ("constr_viol_tol", _LEFT_OVER))
-        return replace(self, extra=(*sharp, *self.extra))
+        return replace(self, extra=(("mu_init", _LOW_BARRIER), *self.extra))
 
 
 @dataclass(frozen=True, kw_only=True)
