@@ -22,6 +22,7 @@ from pyomo_quad.collocation import (
     WarmStart,
     interpolate,
     real_array,
+    split_algebraics,
 )
 from pyomo_quad.flight.flight import TIME, Flight, Flown, flight_columns, flight_frame
 from pyomo_quad.flight.routes import TriedRoute  # noqa: TC001  read by pydantic
@@ -132,6 +133,28 @@ class Trajectories:
         """Times of the nodes [s]."""
         start, end = self.horizon
         return start + (end - start) * self.mesh.node_fractions
+
+
+def trajectories_of(solution: Solution) -> Trajectories:
+    """Return what a solution says over time, by name."""
+    declared = solution.problem.compiled.declared
+    costates = solution.costates
+    # What equations determine is no command: a flight solves for it.
+    controls, _ = split_algebraics(solution.problem)
+    names = {slot.name for slot in controls}
+    is_control = [slot.name in names for slot in declared.algebraics]
+    return Trajectories(
+        mesh=solution.mesh_in_time,
+        horizon=solution.horizon,
+        state_names=tuple(s.name for s in (*declared.states, *declared.outputs)),
+        control_names=tuple(s.name for s in controls),
+        costate_names=tuple(s.name for s in declared.states),
+        states=np.hstack([solution.trajectory.states, solution.output_states]),
+        controls=solution.trajectory.algebraics[:, is_control],
+        energy=solution.running_objective,
+        costates=costates.at_points,
+        hamiltonian=costates.hamiltonian,
+    )
 
 
 _FORMAT: Final = 2

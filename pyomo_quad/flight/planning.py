@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from functools import partial
-from math import nan
+from math import inf, nan
 from typing import Any
 
 import numpy as np
@@ -26,11 +26,10 @@ from pyomo_quad.collocation import (
     Trajectory,
     WarmStart,
     compile,
-    split_algebraics,
 )
 from pyomo_quad.flight import long_flight
 from pyomo_quad.flight.flight import VIOLATION_TOLERANCE
-from pyomo_quad.flight.plan import Plan, PlanStatus, Trajectories
+from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
 from pyomo_quad.flight.rescue import Rescuer
 from pyomo_quad.flight.routes import (
     Journey,
@@ -65,9 +64,14 @@ _CLOSE = 2e-3
 # the slow, easy one that the search starts from.
 _RANGE = (0.01, 100.0)
 _SLOW = 4.0
-# How much longer than the least time a flight is that asks for the least: in no time less a
-# flight is left that could be the cheapest.
-_CLOSE_TO_LEAST = 1e-4
+# How much longer than the least time flights are that come closer and closer to it: the last is
+# bang-bang, and hard to prove.  A step closer ends after so many times the effort of the first.
+_ABOVE_LEAST = (1e-2, 3e-3, 1e-3, 3e-4)
+_MOST_EFFORT = 3.0
+# To what share of it the least time is known where it is what is asked for: a limit broken between
+# the points counts by the time it saves, and the damping has the price that it has by default.
+_TIME_TOLERANCE = 1e-4
+_TIMED = RefinementOptions(damping=1.0, allowance=Allowance(limit_breach=inf))
 
 
 def shortest_flight(
@@ -76,7 +80,7 @@ def shortest_flight(
     """Fly the mission of a model in the least time.
 
     A few meshes do unless the mission's duration is close to what they give: then they are
-    refined to the mission's own tolerance.
+    refined to the mission's own tolerance, for a time that is asked for to `_TIME_TOLERANCE`.
 
     Parameters
     ----------
@@ -86,7 +90,7 @@ def shortest_flight(
     progress : callable or None
         Called at each iteration; returning False stops the solve.
     is_exact : bool, optional
-        Refine the time to the mission's tolerance wherever it lies.
+        Refine the time wherever it lies.
 
     Returns
     -------
@@ -98,21 +102,24 @@ def shortest_flight(
     free = _free_times(model, scenario)
     end = ask_for_least_time(model, bounds, _SLOW * duration)
     problem = compile(model, times=free | {scenario.nominal_duration: end})
+    most = settings.max_refinements + 1
+    tolerance = _TIME_TOLERANCE if is_exact else settings.tolerance
+    refinement = _TIMED if is_exact else RefinementOptions()
     shortest, start = None, None
-    for meshes in (_FEW_MESHES, settings.max_refinements + 1):
+    for meshes in (most,) if is_exact else (_FEW_MESHES, most):
         solution = problem.solve(
             mesh=Mesh.uniform(*_MESH) if start is None else start.mesh,
-            tolerance=settings.tolerance,
+            tolerance=tolerance,
             # It goes on with what it began: what the beginning took says nothing of the rest.
             warm_start=None if start is None else replace(start.warm_start, cold_start=None),
             options=_OPTIONS,
-            refinement=RefinementOptions(max_meshes=meshes),
+            refinement=replace(refinement, max_meshes=meshes),
             progress=progress,
         )
         if not solution.status.is_solved:
             break
         shortest = start = solution
-        if not is_exact and abs(solution.objective - duration) > _CLOSE * duration:
+        if abs(solution.objective - duration) > _CLOSE * duration:
             break
     return shortest
 
@@ -168,7 +175,22 @@ class _Deadline:
             f"given up after solver.time_limit = {self._limit_s:g} s; allow more time, or ask for "
             "a looser solver.tolerance or fewer solver.elements."
         )
+        if plan.attempts:
+            message += f" Tried: {'; '.join(plan.attempts)}."
         return replace(plan, status=PlanStatus.NOT_CONVERGED, message=message, failure=None)
+
+
+class _Effort:
+    """Stops a solve after so many iterations times points, which it counts."""
+
+    def __init__(self, progress: Progress, most: float = inf) -> None:
+        self._progress = progress
+        self._most = most
+        self.spent = 0
+
+    def __call__(self, iteration: Iteration) -> bool:
+        self.spent += iteration.mesh_points
+        return self.spent <= self._most and self._progress(iteration) is not False
 
 
 class Planner:
@@ -296,7 +318,10 @@ class Planner:
     def _solve_quickest(
         self, scenario: Scenario, warm_start: Plan | WarmStart | None, progress: Progress
     ) -> Plan:
-        """Return the flight of least energy among those of least time."""
+        """Return the flight of least energy among those of nearly the least time.
+
+        The last to be verified of some that come closer and closer to it, each begun from the last.
+        """
         told = scenario.as_forecast()
         started = time.perf_counter()
         shortest = shortest_flight(self._builder(told), told, progress, is_exact=True)
@@ -306,11 +331,32 @@ class Planner:
             plan = self._solve(scenario, warm_start, progress)
             line = f"no shortest flight was found, for mission.aim = {scenario.mission.aim.value}."
             return replace(plan, status=PlanStatus.NOT_CONVERGED, message=line)
-        duration = min(max((1 + _CLOSE_TO_LEAST) * shortest.objective, least), greatest)
-        plan = self._solve(scenario.lasting(duration), shortest, progress)
-        timings = dict(plan.timings) | {"solve": plan.timings["solve"] + spent}
-        attempts = (f"shortest flight: {shortest.objective:.6g} s", *plan.attempts)
-        return replace(plan, scenario=scenario, timings=timings, attempts=attempts)
+        attempts = [f"shortest flight: {shortest.objective:.6g} s"]
+        plans: list[Plan] = []
+        start: Solution | None = shortest
+        most = inf
+        durations = (min(max((1 + a) * shortest.objective, least), greatest) for a in _ABOVE_LEAST)
+        for duration in dict.fromkeys(durations):
+            effort = _Effort(progress, most)
+            plans.append(self._solve(scenario.lasting(duration), start, effort))
+            start = plans[-1].solution
+            most = min(most, _MOST_EFFORT * effort.spent)
+            spent += plans[-1].timings["solve"]
+            attempts += [f"{duration:.6g} s: {plans[-1].status.value}", *plans[-1].attempts]
+            if not plans[-1].is_verified:
+                break
+        best = next((plan for plan in reversed(plans) if plan.is_verified), plans[0])
+        message = (
+            f"{best.message} It takes {best.duration_s:.6g} s, where the least time is "
+            f"{shortest.objective:.6g} s."
+        )
+        return replace(
+            best,
+            scenario=scenario,
+            message=message,
+            timings=dict(best.timings) | {"solve": spent},
+            attempts=tuple(attempts),
+        )
 
     def _solve(
         self, scenario: Scenario, warm_start: Plan | WarmStart | Solution | None, progress: Progress
@@ -599,28 +645,6 @@ def _as_far_as(stopped: Solution, problem: Problem, arguments: dict[str, Any]) -
     here = {"tolerance": None, "mesh": stopped.mesh, "options": SolverOptions(max_iterations=0)}
     read = problem.solve(**arguments | here | {"progress": None}, warm_start=stopped)
     return replace(read, status=stopped.status, message=stopped.message)
-
-
-def trajectories_of(solution: Solution) -> Trajectories:
-    """Return what a solution says over time, by name."""
-    declared = solution.problem.compiled.declared
-    costates = solution.costates
-    # What equations determine is no command: a flight solves for it.
-    controls, _ = split_algebraics(solution.problem)
-    names = {slot.name for slot in controls}
-    is_control = [slot.name in names for slot in declared.algebraics]
-    return Trajectories(
-        mesh=solution.mesh_in_time,
-        horizon=solution.horizon,
-        state_names=tuple(s.name for s in (*declared.states, *declared.outputs)),
-        control_names=tuple(s.name for s in controls),
-        costate_names=tuple(s.name for s in declared.states),
-        states=np.hstack([solution.trajectory.states, solution.output_states]),
-        controls=solution.trajectory.algebraics[:, is_control],
-        energy=solution.running_objective,
-        costates=costates.at_points,
-        hamiltonian=costates.hamiltonian,
-    )
 
 
 def _passages(plan: Plan) -> list[Passage]:

@@ -59,8 +59,8 @@ from pyomo_quad.flight.controller import (
     rotor_columns,
 )
 from pyomo_quad.flight.flight import AIR_FORCE, VELOCITY_STATES, Flight, Flown, Resolve
-from pyomo_quad.flight.plan import Plan, Trajectories
-from pyomo_quad.flight.planning import Planner, trajectories_of
+from pyomo_quad.flight.plan import Plan, Trajectories, trajectories_of
+from pyomo_quad.flight.planning import Planner
 from pyomo_quad.flight.references import SampledPath
 from pyomo_quad.flight.verification import OpenLoop
 from pyomo_quad.model import build_model, build_remaining, parameter_values, structure_key

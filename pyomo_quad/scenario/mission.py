@@ -133,7 +133,8 @@ class Mission(Part):
     )
     aim: Aim = quantity(
         "",
-        "what a free duration is chosen for: least energy, or least time",
+        "what a free duration is chosen for: least energy, or least time, of which the plan says "
+        "how close it came",
         Aim.ENERGY,
         is_late=True,
     )

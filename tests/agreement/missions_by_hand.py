@@ -40,10 +40,13 @@ def hovering(place):
     return np.concatenate([place, np.zeros(9), np.full(4, HOVER_SPEED)])
 
 
-def solve_legs(places, *, elements, degree, guess, total=None, price=0.0, has_wind=False):
+def solve_legs(
+    places, *, elements, degree, guess, total=None, price=0.0, has_wind=False, is_quickest=False
+):
     """Fly from hover at the first place through the others to hover at the last.
 
-    `guess` is the duration of each leg; `total` fixes their sum.
+    `guess` is the duration of each leg; `total` fixes their sum.  The quickest flight counts no
+    energy.
     """
     point = equations(has_wind=has_wind)
     nodes = casadi.collocation_points(degree, "radau")
@@ -88,7 +91,11 @@ def solve_legs(places, *, elements, degree, guess, total=None, price=0.0, has_wi
     solver = casadi.nlpsol(
         "by_hand",
         "ipopt",
-        {"x": unknowns, "f": energy + price * now, "g": casadi.vertcat(*program.rows)},
+        {
+            "x": unknowns,
+            "f": now if is_quickest else energy + price * now,
+            "g": casadi.vertcat(*program.rows),
+        },
         {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": 1e-9},
     )
     found = solver(

@@ -1,7 +1,11 @@
 """Missions that choose their own time, against CasADi by hand and against fixed times."""
 
+import re
+
 import pytest
 
+from pyomo_quad.flight.planning import shortest_flight
+from pyomo_quad.model import build_model
 from tests.agreement.missions_by_hand import solve_legs
 from tests.declared_model import scenario
 from tests.flights import PLANNER
@@ -75,3 +79,25 @@ def test_a_limit_on_the_time_binds(limits):
     # The best time is 2.41 s.
     plan = PLANNER.solve(free((2.0, 1.0, 3.0), **limits))
     assert plan.duration_s == pytest.approx(next(iter(limits.values())), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_the_least_time_is_that_by_hand():
+    told = free(solver={})
+    shortest = shortest_flight(build_model(told), told, None, is_exact=True)
+    by_hand = solve_legs(
+        [ORIGIN, (6.0, 7.0, 8.0)], elements=120, degree=3, guess=[4.0], is_quickest=True
+    )
+    assert shortest.objective == pytest.approx(by_hand.duration_s, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_who_asks_for_the_least_time_is_told_it_and_flies_nearly_as_fast():
+    plan = PLANNER.solve(free(solver={}, aim="time"))
+    (least,) = re.findall(r"where the least time is (\S+) s\.", plan.message)
+    assert plan.is_verified
+    assert plan.attempts[0] == f"shortest flight: {least} s"
+    assert float(least) < plan.duration_s <= 1.01 * float(least)
+    # Of all that take as long it is the one of least energy.
+    fixed = PLANNER.solve(free(solver={}).lasting(plan.duration_s), warm_start=plan)
+    assert plan.energy == pytest.approx(fixed.energy, rel=1e-5)

@@ -1,6 +1,6 @@
 """A solve ends within its time limit, whatever it is at, and falls back in a given order."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import pytest
@@ -66,6 +66,24 @@ def test_the_command_says_that_time_ran_out(capsys):
         "solver.time_limit = 0.001 s; allow more time"
     )
     assert len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("settings", "durations"),
+    [((), (4.04, 4.012, 4.004, 4.0012)), (["mission.duration_min=4.02"], (4.04, 4.02))],
+)
+def test_the_least_time_is_approached_by_flights_that_are_proven(monkeypatch, settings, durations):
+    hop = ["mission.goal.position=[1.0, 0.0, 0.5]", "solver.elements=10"]
+    slow = solve_scenario(load_scenario(PAPER_CALM, [*hop, "mission.duration=4.0"]))
+    shortest = replace(slow.solution, objective=4.0)
+    monkeypatch.setattr(planning, "shortest_flight", lambda *_told, **_how: shortest)
+    asked = ["mission.duration='free'", "mission.aim='time'", *settings]
+    plan = solve_scenario(load_scenario(PAPER_CALM, [*hop, *asked]))
+    tried = tuple(f"{duration:g} s: verified" for duration in durations)
+    assert plan.attempts == ("shortest flight: 4 s", *tried)
+    assert plan.is_verified
+    assert plan.duration_s == pytest.approx(durations[-1], abs=1e-9)
+    assert plan.message.endswith(f"It takes {durations[-1]:g} s, where the least time is 4 s.")
 
 
 @pytest.mark.parametrize("value", ["0", "-1.0", "1e300"])
