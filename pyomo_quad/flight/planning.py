@@ -30,7 +30,7 @@ from pyomo_quad.collocation import (
 from pyomo_quad.flight import long_flight
 from pyomo_quad.flight.flight import VIOLATION_TOLERANCE
 from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
-from pyomo_quad.flight.rescue import Rescuer
+from pyomo_quad.flight.rescue import Rescuer, by_way_of, easier_numbers, under
 from pyomo_quad.flight.routes import (
     Journey,
     NoRouteError,
@@ -50,7 +50,6 @@ from pyomo_quad.flight.verification import (
 from pyomo_quad.model import ask_for_least_time, build_model, parameter_values, structure_key
 from pyomo_quad.model.limits import without_reserve
 from pyomo_quad.model.mission import free_times
-from pyomo_quad.model.power import wider_smoothings
 from pyomo_quad.model.wind import still_air
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.mission import Aim, Order
@@ -133,8 +132,6 @@ _TIGHTER = 0.1
 _ROUTE_ELEMENTS = 20
 # The wind that the optimiser is told, and the one that blows.
 _KEPT = 2
-# How well, and on how many meshes, a kinked power is first solved with its corner rounded widely.
-_ROUGHLY = {"tolerance": 1e-2, "refinement": RefinementOptions(max_meshes=5)}
 # The verification allows twice as much.
 _ALLOWANCE = Allowance(
     control_breach=0.5 * VIOLATION_TOLERANCE,
@@ -424,7 +421,7 @@ class Planner:
 
         No route at all is proof that there is no flight, which the solution's message tells.
         """
-        arguments, easier = self._arguments(told, progress), _easier(problem, told)
+        arguments, easier = self._arguments(told, progress), easier_numbers(problem, told)
         try:
             journeys = find_journeys(told.airspace, told.mission.positions)
         except NoRouteError as error:
@@ -432,7 +429,7 @@ class Planner:
             closed = problem.solve(**arguments | unsolved | {"progress": None})
             return replace(closed, status=Status.INFEASIBLE, message=str(error)), ()
         mesh = Mesh.uniform(max(told.solver.elements, _ROUTE_ELEMENTS), told.solver.degree)
-        roughly = _under(arguments, easier[0]) if easier else arguments
+        roughly = under(arguments, easier[0]) if easier else arguments
         roughly = roughly | {"tolerance": None, "mesh": mesh}
 
         def fly(journey: Journey) -> Solution:
@@ -441,7 +438,7 @@ class Planner:
         def refine(rough: Solution) -> Solution:
             on_mesh = arguments | {"mesh": rough.mesh}
             if easier:
-                return _by_way_of(easier, problem, on_mesh, rough.trajectory)
+                return by_way_of(easier, problem, on_mesh, rough.trajectory)
             return problem.solve(**on_mesh, warm_start=rough)
 
         return best_of_journeys(journeys, fly, refine, partial(_energy, told))
@@ -455,15 +452,15 @@ class Planner:
     ) -> Solution:
         if isinstance(warm_start, Solution):
             path = replace(warm_start.trajectory, statics=np.zeros(0))
-            return _by_way_of(
-                _easier(problem, told),
+            return by_way_of(
+                easier_numbers(problem, told),
                 problem,
                 self._arguments(told, progress) | {"mesh": path.mesh},
                 path,
             )
         start = warm_start.warm_start if isinstance(warm_start, Plan) else warm_start
         arguments = self._arguments(told, progress)
-        easier = _easier(problem, told)
+        easier = easier_numbers(problem, told)
         if start is not None and start.fits(problem.compiled):
             # Its mesh is the first, and the mission's own where the warm start is given up.
             solution = problem.solve(**arguments | {"mesh": None}, warm_start=start)
@@ -472,9 +469,9 @@ class Planner:
         if not isinstance(warm_start, Plan):
             if not easier and self._builder is build_model and long_flight.is_long(told):
                 return self._solve_long(problem, told, arguments)
-            return _by_way_of(easier, problem, arguments, None)
+            return by_way_of(easier, problem, arguments, None)
         on_mesh = arguments | {"mesh": warm_start.mesh}
-        return _by_way_of(easier, problem, on_mesh, warm_start.guess())
+        return by_way_of(easier, problem, on_mesh, warm_start.guess())
 
     def _solve_long(self, problem: Problem, told: Scenario, arguments: dict[str, Any]) -> Solution:
         """Solve a flight that is long beside a change of attitude, from a cruise."""
@@ -513,8 +510,8 @@ class Planner:
 
     def _rescuer(self, problem: Problem, told: Scenario, progress: Progress | None) -> Rescuer:
         arguments = self._arguments(told, progress)
-        easier = _easier(problem, told)
-        easiest = _under(arguments, easier[0]) if easier else arguments
+        easier = easier_numbers(problem, told)
+        easiest = under(arguments, easier[0]) if easier else arguments
 
         def slowly(duration: float, guess: Trajectory | None) -> Solution | None:
             if told.mission.is_free:
@@ -524,7 +521,7 @@ class Planner:
 
         return Rescuer(
             longest=told.mission.longest,
-            solve=lambda trajectory: _by_way_of(easier, problem, arguments, trajectory),
+            solve=lambda trajectory: by_way_of(easier, problem, arguments, trajectory),
             solve_slowly=slowly,
             solve_shortest=lambda: shortest_flight(self._builder(told), told, progress),
             progress=progress,
@@ -604,47 +601,6 @@ def _energy(scenario: Scenario, solution: Solution) -> float:
 def _make_room(kept: dict[Any, Any]) -> None:
     while len(kept) >= _KEPT:
         kept.pop(next(iter(kept)))
-
-
-def _easier(problem: Problem, told: Scenario) -> tuple[dict[str, float], ...]:
-    """Return the easier numbers that a compiled problem has, the easiest first."""
-    held = {p.name for p in problem.compiled.declared.parameters}
-    return tuple(numbers for numbers in wider_smoothings(told) if numbers.keys() <= held)
-
-
-def _under(arguments: dict[str, Any], numbers: dict[str, float]) -> dict[str, Any]:
-    return arguments | {"parameters": (arguments["parameters"] or {}) | numbers}
-
-
-def _by_way_of(
-    easier: tuple[dict[str, float], ...],
-    problem: Problem,
-    arguments: dict[str, Any],
-    guess: Any,
-) -> Solution:
-    """Solve from a guess by way of easier numbers, each from the solution under the last."""
-    reached: Solution | None = None
-    for numbers in easier:
-        eased = _under(arguments, numbers)
-        if reached is None:
-            tried = problem.solve(**eased | _ROUGHLY, guess=guess)
-        else:
-            on_mesh = {"tolerance": None, "mesh": reached.mesh, "warm_start": reached}
-            tried = problem.solve(**eased | on_mesh)
-        if tried.status is Status.INTERRUPTED:
-            return _as_far_as(tried, problem, arguments)
-        if tried.status.is_solved:
-            reached = tried
-    if reached is None:
-        return problem.solve(**arguments, guess=guess)
-    return problem.solve(**arguments | {"mesh": reached.mesh}, warm_start=reached)
-
-
-def _as_far_as(stopped: Solution, problem: Problem, arguments: dict[str, Any]) -> Solution:
-    """Return a solve that was stopped under easier numbers, read under the mission's own."""
-    here = {"tolerance": None, "mesh": stopped.mesh, "options": SolverOptions(max_iterations=0)}
-    read = problem.solve(**arguments | here | {"progress": None}, warm_start=stopped)
-    return replace(read, status=stopped.status, message=stopped.message)
 
 
 def _passages(plan: Plan) -> list[Passage]:

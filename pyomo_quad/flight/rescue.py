@@ -1,31 +1,37 @@
-"""What is tried when a solve fails, and what is said when that fails too."""
+"""What leads to a solve that is hard, is tried when it fails, and is said when that fails too."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pyomo_quad.collocation import (
     Progress,
+    RefinementOptions,
     Relaxation,
     Solution,
+    SolverOptions,
     Status,
     Trajectory,
     TranscriptionError,
     diagnose,
 )
 from pyomo_quad.flight.plan import Failure
+from pyomo_quad.model.power import wider_smoothings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pyomo_quad.collocation import Diagnosis
+    from pyomo_quad.collocation import Diagnosis, Problem
+    from pyomo_quad.scenario import Scenario
     from pyomo_quad.scenario.mission import NamedDuration
 
 # Durations, as multiples of the mission's, through which a slow flight is sped up.
 _SLOWER = (3.0, 2.0, 1.5, 1.2, 1.1)
 _MOST_REMEDIES = 3
 _LIMITS = "limits."
+# How well, and on how many meshes, a kinked power is first solved with its corner rounded widely.
+_ROUGHLY = {"tolerance": 1e-2, "refinement": RefinementOptions(max_meshes=5)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,3 +155,45 @@ class Rescuer:
 def _has_ended(solution: Solution) -> bool:
     """Say whether nothing more is to be tried: it is solved, or was stopped."""
     return solution.status.is_solved or solution.status is Status.INTERRUPTED
+
+
+def easier_numbers(problem: Problem, told: Scenario) -> tuple[dict[str, float], ...]:
+    """Return the easier numbers that a compiled problem has, the easiest first."""
+    held = {p.name for p in problem.compiled.declared.parameters}
+    return tuple(numbers for numbers in wider_smoothings(told) if numbers.keys() <= held)
+
+
+def under(arguments: dict[str, Any], numbers: dict[str, float]) -> dict[str, Any]:
+    """Return a solve's arguments with other numbers."""
+    return arguments | {"parameters": (arguments["parameters"] or {}) | numbers}
+
+
+def by_way_of(
+    easier: tuple[dict[str, float], ...],
+    problem: Problem,
+    arguments: dict[str, Any],
+    guess: Any,
+) -> Solution:
+    """Solve from a guess by way of easier numbers, each from the solution under the last."""
+    reached: Solution | None = None
+    for numbers in easier:
+        eased = under(arguments, numbers)
+        if reached is None:
+            tried = problem.solve(**eased | _ROUGHLY, guess=guess)
+        else:
+            on_mesh = {"tolerance": None, "mesh": reached.mesh, "warm_start": reached}
+            tried = problem.solve(**eased | on_mesh)
+        if tried.status is Status.INTERRUPTED:
+            return _as_far_as(tried, problem, arguments)
+        if tried.status.is_solved:
+            reached = tried
+    if reached is None:
+        return problem.solve(**arguments, guess=guess)
+    return problem.solve(**arguments | {"mesh": reached.mesh}, warm_start=reached)
+
+
+def _as_far_as(stopped: Solution, problem: Problem, arguments: dict[str, Any]) -> Solution:
+    """Return a solve that was stopped under easier numbers, read under the mission's own."""
+    here = {"tolerance": None, "mesh": stopped.mesh, "options": SolverOptions(max_iterations=0)}
+    read = problem.solve(**arguments | here | {"progress": None}, warm_start=stopped)
+    return replace(read, status=stopped.status, message=stopped.message)
