@@ -48,26 +48,3 @@ def test_speed_in_the_middle(wind, price):
     flown = float(frame["rigid_body.vx"].to_numpy()[middle].mean())
     best = find_polar(mission).own.best_over_ground(wind, np.pi, price)
     assert flown == pytest.approx(best.ground_speed, rel=0.01)
-
-
-@pytest.mark.slow
-def test_a_kilometre_is_verified_and_cruises_at_the_best_speed():
-    mission = told(0.0, 0.0).with_values(
-        {
-            "vehicle.attitude": "euler",
-            "limits.roll_max": 0.61,
-            "airspace": {},
-            "mission.goal.position": [1000.0, 0.0, 0.0],
-        }
-    )
-    plan = Planner().solve(mission)
-    assert plan.is_verified
-    frame = plan.to_frame(rate_hz=10)
-    shares = frame["time_s"].to_numpy() / plan.trajectories.horizon[1]
-    flown = float(frame["vx_m_per_s"].to_numpy()[np.abs(shares - 0.5) < 0.05].mean())
-    best = find_polar(mission).own.best_over_ground()
-    assert flown == pytest.approx(best.ground_speed, rel=0.01)
-    np.testing.assert_allclose(frame["psi_rad"], 0.0, atol=1e-8)
-    # No steady flight is cheaper, and its ends cost little beside it.
-    least = 1000.0 * best.energy_per_metre
-    assert 0.99 * least < plan.energy < 1.03 * least
