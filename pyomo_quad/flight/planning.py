@@ -433,7 +433,8 @@ class Planner:
         roughly = roughly | {"tolerance": None, "mesh": mesh}
 
         def fly(journey: Journey) -> Solution:
-            return problem.solve(**roughly, guess=guess_along(journey, told.nominal_times))
+            guess = guess_along(journey, told.nominal_times, is_open=told.mission.is_free)
+            return problem.solve(**roughly, guess=guess)
 
         def refine(rough: Solution) -> Solution:
             on_mesh = arguments | {"mesh": rough.mesh}

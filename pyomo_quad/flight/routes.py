@@ -187,13 +187,17 @@ class NoRouteError(Exception):
     """Zones leave no way from a stop to the next."""
 
 
-def guess_along(journey: Journey, times: Sequence[float]) -> dict[str, FloatArray]:
+def guess_along(
+    journey: Journey, times: Sequence[float], *, is_open: bool = False
+) -> dict[str, FloatArray]:
     """Return places and velocities along a journey as a first guess.
 
     Parameters
     ----------
     times : sequence of float
         When each waypoint is reached and left, and the end [s].
+    is_open : bool, optional
+        Whether the end is free: then the guess is told in shares of the horizon.
     """
     begun = (0.0, *times[1::2])
     instants, places = [], []
@@ -207,7 +211,8 @@ def guess_along(journey: Journey, times: Sequence[float]) -> dict[str, FloatArra
     where = np.vstack(places)[kept]
     rates = np.gradient(where, when, axis=0)
     columns = dict(zip(POSITION_STATES, where.T, strict=True))
-    return {"time": when} | columns | dict(zip(VELOCITY_STATES, rates.T, strict=True))
+    told = when / times[-1] if is_open else when
+    return {"time": told} | columns | dict(zip(VELOCITY_STATES, rates.T, strict=True))
 
 
 def _hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) -> list[KeepOut]:

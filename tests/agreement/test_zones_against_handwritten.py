@@ -51,3 +51,23 @@ def test_a_mirror_image_flies_the_mirror_image_and_a_zone_never_saves():
     more = past(4.0, 0.3)
     more["keep_out"].append(MAST | {"name": "second", "centre": [6.0, -0.6]})
     assert solve(mission=goal, airspace=more).energy > one.energy * (1 - 1e-6)
+
+
+@pytest.mark.slow
+def test_in_free_time_every_way_is_begun_where_it_leads():
+    one, other = (
+        solve(
+            mission={
+                "duration": "free",
+                "goal": {"position": [6.0, side * 7.0, 8.0]},
+                "waypoints": [{"position": [3.0, side, 2.0]}],
+            },
+            airspace={"keep_out": [MAST | {"centre": [4.5, side * 4.0], "radius": 0.8}]},
+        )
+        for side in (1.0, -1.0)
+    )
+    assert one.is_verified
+    assert other.is_verified
+    # Within a way there are optima that lie as close; the longer way costs a tenth more.
+    assert one.energy == pytest.approx(other.energy, rel=1e-3)
+    assert [len(plan.routes) for plan in (one, other)] == [2, 2]

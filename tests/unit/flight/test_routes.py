@@ -163,3 +163,6 @@ def test_a_journey_goes_from_stop_to_stop_and_its_guess_is_there_in_time():
     assert x == pytest.approx([10.0] * 3)
     assert y == pytest.approx([6.0] * 3)
     assert guess["time"][-1] == 11.0
+    shares = guess_along(journeys[0], (4.0, 6.0, 11.0), is_open=True)
+    assert shares["time"] == pytest.approx(guess["time"] / 11.0)
+    assert all(np.all(shares[name] == guess[name]) for name in guess if name != "time")
