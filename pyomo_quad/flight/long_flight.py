@@ -12,7 +12,6 @@ from math import cos, inf, sin, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import minimize_scalar
 
 from pyomo_quad.collocation import Mesh, SolveError
@@ -78,6 +77,8 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
     steady : SteadyFlight
         In the air that the flight goes through.
     """
+    from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  few flights are long
+
     mission = scenario.mission
     way = np.subtract(mission.goal.position, mission.start.position)
     distance = float(np.linalg.norm(way))
