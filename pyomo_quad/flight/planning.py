@@ -476,7 +476,8 @@ class Planner:
 
     def _solve_long(self, problem: Problem, told: Scenario, arguments: dict[str, Any]) -> Solution:
         """Solve a flight that is long beside a change of attitude, from a cruise."""
-        dynamics = problem.dynamics(parameters=self.parameters(told), horizon=_horizon(told))
+        flown = {name: arguments[name] for name in ("parameters", "horizon")}
+        dynamics = problem.dynamics(**flown)
         guess = long_flight.guess_of(told, SteadyFlight(told, dynamics))
         options = arguments["options"].for_moving_limits().for_small_changes()
         duration = (guess or {}).get("duration", told.nominal_duration)

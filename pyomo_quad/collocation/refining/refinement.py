@@ -117,8 +117,8 @@ def damping_of(solution: Solution, weight: float, *, gap: float = 0.0) -> Dampin
     solution : Solution
     weight : float
         Share of the objective that a control a whole range away from the solution's costs.
-    gap : float
-        Share of the objective that the barrier shall leave.
+    gap : float, optional
+        Share of the objective that the barrier shall leave once the costs have settled.
     """
     lower, upper = solution.algebraic_limits
     width = upper - lower
