@@ -22,10 +22,11 @@ TITLE = "Whole commands"
 ABOUT = (
     "From the start of the process to its end, imports, figures and report included. Processor "
     "seconds are those of the process and its children, user and system; the least, middle and "
-    "greatest of some runs. `before` is another environment, whose runs take turns with these. The "
-    "last column is the clock on the wall without what the command itself counts as its solve."
+    "greatest of some runs. `before` is another environment, whose runs take turns with these, "
+    "each with the scenario of that name in its own checkout. The last column is the clock on the "
+    "wall without what the command itself counts as its solve."
 )
-SCENARIOS = Path(__file__).parents[2] / "scenarios"
+PACKAGE = "import pyomo_quad; print(pyomo_quad.__file__)"
 COMMANDS = (
     ("run", "paper_calm.toml"),
     ("run", "paper_wind.toml"),
@@ -36,13 +37,20 @@ TIMES = 5
 _BAD_USAGE = 2
 
 
-def spent(python, command, scenario, *options):
+def scenarios_of(python):
+    """Return the scenarios of an environment's own checkout, whose fields are of its age."""
+    elsewhere = tempfile.gettempdir()
+    module = subprocess.check_output([python, "-c", PACKAGE], text=True, cwd=elsewhere)
+    return Path(module).parents[1] / "scenarios"
+
+
+def spent(python, scenarios, command, scenario, *options):
     """Return processor and wall seconds of one command in a folder of its own, and those to spare.
 
     The last are wall seconds beyond the command's own solve, as its summary has it. None where an
     older environment does not know an option.
     """
-    arguments = [python, "-m", "pyomo_quad", command, str(SCENARIOS / scenario), *options]
+    arguments = [python, "-m", "pyomo_quad", command, str(scenarios / scenario), *options]
     with tempfile.TemporaryDirectory() as folder:
         before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
         finished = subprocess.run(
@@ -69,12 +77,13 @@ def measure(arguments):
     pythons = {"now": sys.executable}
     if arguments.against is not None:
         pythons = {"before": str(arguments.against), **pythons}
+    environments = {name: (python, scenarios_of(python)) for name, python in pythons.items()}
     rows, gains = [], []
     for command in COMMANDS:
-        found = {name: [] for name in pythons}
+        found = {name: [] for name in environments}
         for _ in range(TIMES):
-            for name, python in pythons.items():
-                found[name].append(spent(python, *command))
+            for name, environment in environments.items():
+                found[name].append(spent(*environment, *command))
         found = {name: times for name, times in found.items() if None not in times}
         label = f"`{' '.join(command)}`"
         for name, times in found.items():
