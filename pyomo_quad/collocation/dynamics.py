@@ -132,6 +132,16 @@ class Dynamics:
             return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
         return _implicit(rows, unknowns, inputs, rest)
 
+    def control_limits(self, breach: float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """Return constant lower and upper limits of the controls, shape (n_controls,) each.
+
+        Further apart by a breach, relative to the larger of 1 and the limit.
+        """
+        names = [s.name for s in self._formulation.compiled.declared.algebraics]
+        chosen = [names.index(name) for name in self.control_names]
+        lower, upper = control_limits(self._formulation, self._instance, breach)
+        return lower[chosen], upper[chosen]
+
     def just_after(self, t: float) -> float:
         """Return a time at which the equations are what they are after t.
 
@@ -386,6 +396,21 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
         tuple(s for s in declared.algebraics if s.name not in determined),
         tuple(s for s in declared.algebraics if s.name in determined),
     )
+
+
+def control_limits(
+    formulation: Formulation, instance: Instance, breach: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return constant limits of the algebraic variables that are controls, with a breach of them.
+
+    Shape (n_algebraics,) each, infinite for what equations determine.
+    """
+    controls = {slot.name for slot in split_algebraics(formulation)[0]}
+    is_control = np.array([s.name in controls for s in formulation.compiled.declared.algebraics])
+    lower, upper = formulation.algebraic_limits(instance)
+    lower = lower - breach * np.maximum(1.0, np.abs(lower))
+    upper = upper + breach * np.maximum(1.0, np.abs(upper))
+    return np.where(is_control, lower, -np.inf), np.where(is_control, upper, np.inf)
 
 
 def _objective_density(formulation: Formulation) -> Any:

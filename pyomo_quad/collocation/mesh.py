@@ -280,10 +280,21 @@ def interpolate_rates(mesh: Mesh, states: FloatArray, fractions: FloatArray) -> 
     return result
 
 
+# Times per point at which a polynomial is looked at for whether it goes beyond limits.
+_LOOKS = 4
+
+
 def control_polynomial(
-    mesh: Mesh, values: FloatArray, element: int, start: float, end: float
+    mesh: Mesh,
+    values: FloatArray,
+    element: int,
+    start: float,
+    end: float,
+    limits: tuple[FloatArray, FloatArray] = (np.array(-np.inf), np.array(np.inf)),
 ) -> Callable[[float], FloatArray]:
     """Return one element's polynomial through values at its points, as a function of time.
+
+    It is held to the limits where it goes beyond them between the points.
 
     Parameters
     ----------
@@ -292,6 +303,8 @@ def control_polynomial(
     element : int
     start, end : float
         Times of the element's ends.
+    limits : (ndarray, ndarray), optional
+        Lower and upper, shape (k,).
 
     Returns
     -------
@@ -311,7 +324,11 @@ def control_polynomial(
         terms = weights / difference
         return np.asarray(terms @ held / terms.sum(), dtype=float)
 
-    return polynomial
+    looked_at = np.linspace(start, end, _LOOKS * (points.size + 1) + 1)
+    found = np.array([polynomial(t) for t in looked_at])
+    if np.all((limits[0] <= found) & (found <= limits[1])):
+        return polynomial
+    return lambda t: np.clip(polynomial(t), *limits)
 
 
 # Of a mesh that is read from a file; nodes of a higher degree take long to compute.

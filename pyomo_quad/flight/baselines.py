@@ -25,6 +25,7 @@ from pyomo_quad.flight.flight import (
     AIR_FORCE,
     ARRIVAL_DISTANCE_M,
     ARRIVAL_SPEED_M_PER_S,
+    HELD_BREACH,
     POSITION_STATES,
     VELOCITY_STATES,
     Flight,
@@ -479,7 +480,8 @@ def _planned_path(plan: Plan) -> SampledPath:
 def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> SampledPath:
     """Return a plan as a reference, with accelerations and air of the equations it obeys."""
     times = even_times(*held.horizon, _PLAN_RATE_HZ)
-    flown = times, held.states_at(times), held.controls_at(times)
+    controls = np.clip(held.controls_at(times), *dynamics.control_limits(HELD_BREACH))
+    flown = times, held.states_at(times), controls
     keys = tuple((name, None) for name in (*_PLACE, *_RATE, *_ACCELERATION))
     rows = dynamics.table(keys, *flown)
     air = np.zeros((len(times), len(_PLACE)))

@@ -131,6 +131,8 @@ ARRIVAL_SPEED_M_PER_S = 0.1
 with its default gains stops within the distance above."""
 #: Largest breach of a limit between points, relative to the larger of 1 and the limit.
 VIOLATION_TOLERANCE = 1e-4
+#: Breach of a control's limit, likewise, at which a flight holds it.
+HELD_BREACH = 0.5 * VIOLATION_TOLERANCE
 #: The states that say where the vehicle is, as the declared model names them.
 POSITION_STATES = ("rigid_body.x", "rigid_body.y", "rigid_body.z")
 VELOCITY_STATES = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")

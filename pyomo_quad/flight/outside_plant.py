@@ -51,7 +51,7 @@ from pyomo_quad.flight.controller import (
     mixer_matrix,
     rotor_columns,
 )
-from pyomo_quad.flight.flight import Flight, Flown
+from pyomo_quad.flight.flight import HELD_BREACH, Flight, Flown
 from pyomo_quad.flight.plan import Plan
 from pyomo_quad.flight.references import ReferencePath
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
@@ -532,8 +532,9 @@ def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[Law, list[float]]:
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon
     borders = start + (end - start) * np.asarray(held.mesh.breakpoints)
+    limits = plant.dynamics.control_limits(HELD_BREACH)
     pieces = [
-        control_polynomial(held.mesh, held.controls, k, borders[k], borders[k + 1])
+        control_polynomial(held.mesh, held.controls, k, borders[k], borders[k + 1], limits)
         for k in range(held.mesh.elements)
     ]
 

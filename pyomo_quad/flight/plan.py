@@ -24,7 +24,14 @@ from pyomo_quad.collocation import (
     real_array,
     split_algebraics,
 )
-from pyomo_quad.flight.flight import TIME, Flight, Flown, flight_columns, flight_frame
+from pyomo_quad.flight.flight import (
+    HELD_BREACH,
+    TIME,
+    Flight,
+    Flown,
+    flight_columns,
+    flight_frame,
+)
 from pyomo_quad.flight.routes import TriedRoute  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.verification import Verification  # noqa: TC001  read by pydantic
 from pyomo_quad.scenario import Scenario, ScenarioError
@@ -546,8 +553,8 @@ class Plan(Summarised):
         self, times: FloatArray
     ) -> tuple[Dynamics, FloatArray, FloatArray, FloatArray, FloatArray]:
         held = self.trajectories
-        states, controls = held.states_at(times), held.controls_at(times)
-        return self.dynamics, times, states, controls, held.energy_at(times)
+        controls = np.clip(held.controls_at(times), *self.dynamics.control_limits(HELD_BREACH))
+        return self.dynamics, times, held.states_at(times), controls, held.energy_at(times)
 
     def at(self, t: float) -> pd.Series:
         """Return the row of `to_frame` at one time [s].

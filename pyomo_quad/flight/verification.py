@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 from pyomo_quad.collocation import ClosedLoop, Dynamics, Mesh, SolveError, control_polynomial
 from pyomo_quad.flight.flight import (
+    HELD_BREACH,
     POSITION_STATES,
     VIOLATION_TOLERANCE,
     FloatArray,
@@ -46,7 +47,7 @@ def fly_controls(
     samples_per_element: int | Sequence[int] = SAMPLES_PER_ELEMENT,
     method: str = "DOP853",
 ) -> Flown:
-    """Fly piecewise polynomial controls open loop.
+    """Fly piecewise polynomial controls open loop, held to their limits.
 
     Parameters
     ----------
@@ -79,6 +80,7 @@ class OpenLoop:
     def __init__(self, dynamics: Dynamics) -> None:
         n_controls = len(dynamics.control_names)
         self._just_after = dynamics.just_after
+        self._limits = dynamics.control_limits(HELD_BREACH)
         self._flow = ClosedLoop(
             dynamics, lambda command, _x, _own: (command, ()), n_command=n_controls, n_own=0
         )
@@ -109,7 +111,7 @@ class OpenLoop:
             if first >= last:
                 continue
             polynomial = control_polynomial(
-                mesh, controls, element, borders[element], borders[element + 1]
+                mesh, controls, element, borders[element], borders[element + 1], self._limits
             )
             samples = np.linspace(first, last, counts[element] + 1)[1:]
             inside = self._just_after(first)

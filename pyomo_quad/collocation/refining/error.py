@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
+from pyomo_quad.collocation.dynamics import control_limits
 from pyomo_quad.collocation.mesh import FloatArray, radau_rule
 from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.program.ipopt import barrier_gap
@@ -64,6 +65,8 @@ def _transition(solution: Solution, equations: Linearised, e: int) -> FloatArray
     return np.asarray(moved[-n:])
 
 
+# By what share rounding may take a control past where it is held.
+_ROUNDING = 1e-9
 # Samples per collocation point at which limits are checked.
 _SAMPLES = 4
 # Panels of an element on which integrals are computed anew.
@@ -78,9 +81,11 @@ class Allowance:
 
     Attributes
     ----------
-    control_breach, limit_breach : float
-        Relative breach between the points, of a control's bound and of any other limit, above
-        which it counts as it is; a smaller one counts by what it moves or earns.
+    control_breach : float
+        Relative breach of a control's bound between the points at which it is held when it is
+        flown; what this changes in states and objective counts, and a smaller one by what it moves.
+    limit_breach : float
+        Of any other limit, above which it counts as it is; a smaller one counts by what it earns.
     final_miss : float
         Of the final states, relative to the larger of 1 and their magnitude.
     """
@@ -150,11 +155,16 @@ def estimate_error(
     """
     allowance = allowance or Allowance()
     degrees = np.asarray(solution.mesh.degrees)
-    finer = _sampled(solution, [radau_rule(d + 1).points for d in degrees])
-    dense = densely_sampled(solution)
-    panels = _sampled(solution, [_panelled(d)[0] for d in degrees])
+    limits = None
+    if np.isfinite(allowance.control_breach):
+        limits = control_limits(solution.problem, solution.instance, allowance.control_breach)
+    finer = _sampled(solution, [radau_rule(d + 1).points for d in degrees], limits)
+    dense = densely_sampled(solution, limits)
+    panels = _sampled(solution, [_panelled(d)[0] for d in degrees], limits)
     slopes = rate_corrections(solution.program, finer.variables, finer.data, finer.rows)
     moved = _state_corrections(solution, slopes)
+    for e, end in _held_corrections(solution, panels, dense.is_held).items():
+        moved[e][-1] = end
     return ErrorEstimate(
         states=_relative(solution, moved),
         objective=_objective_errors(solution, moved),
@@ -178,12 +188,16 @@ def _gap(solution: Solution) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class _Samples:
-    """The path equations between the points: variables, data and values, one row each."""
+    """The path equations between the points: variables, data and values, one row each.
+
+    `is_held` says of each element whether a control is held to its limit in it.
+    """
 
     variables: FloatArray
     data: FloatArray
     rows: FloatArray
     first_of_element: NDArray[np.intp]
+    is_held: NDArray[np.bool_]
 
 
 @lru_cache(maxsize=64)
@@ -195,14 +209,23 @@ def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
     return places, np.append(np.tile(0.5 * weights / _PANELS, _PANELS), 0.0)
 
 
-def densely_sampled(solution: Solution) -> _Samples:
+def densely_sampled(
+    solution: Solution, limits: tuple[FloatArray, FloatArray] | None = None
+) -> _Samples:
     """Sample where limits are broken: at the peaks of the polynomials, anywhere between points."""
-    degrees = solution.mesh.degrees
-    return _sampled(solution, [np.linspace(_START, 1.0, _SAMPLES * (d + 1) + 1) for d in degrees])
+    places = [np.linspace(_START, 1.0, _SAMPLES * (d + 1) + 1) for d in solution.mesh.degrees]
+    return _sampled(solution, places, limits)
 
 
-def _sampled(solution: Solution, places: list[FloatArray]) -> _Samples:
-    """Evaluate the path equations at places of each element, the last one its end."""
+def _sampled(
+    solution: Solution,
+    places: list[FloatArray],
+    limits: tuple[FloatArray, FloatArray] | None = None,
+) -> _Samples:
+    """Evaluate the path equations at places of each element, the last one its end.
+
+    The algebraic variables are held to their limits where some are given.
+    """
     program, mesh, path = solution.program, solution.mesh, solution.trajectory
     counts = np.array([len(p) for p in places])
     fractions = np.concatenate(
@@ -210,11 +233,18 @@ def _sampled(solution: Solution, places: list[FloatArray]) -> _Samples:
     )
     # A point on a boundary belongs to the element that it ends.
     fractions[np.cumsum(counts) - 1] = mesh.breakpoints[1:]
+    algebraics = path.algebraics_at(fractions)
+    first = np.concatenate(([0], np.cumsum(counts)[:-1]))
+    is_held = np.zeros(mesh.elements, dtype=bool)
+    if limits is not None:
+        held = np.clip(algebraics, *limits)
+        is_held = np.logical_or.reduceat(np.any(held != algebraics, axis=1), first)
+        algebraics = held
     variables = np.hstack(
         [
             path.rates_at(fractions),
             path.states_at(fractions),
-            path.algebraics_at(fractions),
+            algebraics,
             np.broadcast_to(path.statics, (fractions.size, path.statics.size)),
         ]
     )
@@ -223,7 +253,8 @@ def _sampled(solution: Solution, places: list[FloatArray]) -> _Samples:
         variables=variables,
         data=data,
         rows=MappedFunction(program.compiled.path.values, fractions.size)(variables, data)[0],
-        first_of_element=np.concatenate(([0], np.cumsum(counts)[:-1])),
+        first_of_element=first,
+        is_held=is_held,
     )
 
 
@@ -246,6 +277,23 @@ def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArra
         moved.append(mesh.widths[e] * radau_rule(degree + 1).integration @ local)
         first += degree + 1
     return moved
+
+
+def _held_corrections(
+    solution: Solution, panels: _Samples, is_held: NDArray[np.bool_]
+) -> dict[int, FloatArray]:
+    """Return, by element, by how much states end elsewhere where a control is held to its limit.
+
+    Held for a part of an element only, it is no polynomial: panels see what points may miss.
+    """
+    if not np.any(is_held):
+        return {}
+    mesh, found = solution.mesh, {}
+    slopes = rate_corrections(solution.program, panels.variables, panels.data, panels.rows)
+    for e in np.flatnonzero(is_held).tolist():
+        weights, first = _panelled(mesh.degrees[e])[1], panels.first_of_element[e]
+        found[e] = mesh.widths[e] * weights @ slopes[first : first + weights.size]
+    return found
 
 
 def _relative(solution: Solution, moved: list[FloatArray]) -> FloatArray:
@@ -331,7 +379,8 @@ def _breaches(solution: Solution, samples: _Samples, allowance: Allowance) -> Fl
         np.maximum.reduceat(worst, samples.first_of_element)
         for worst in violations(solution.program, samples)
     )
-    moved = np.where(controls > allowance.control_breach, controls, controls * mesh.widths)
+    most = (1.0 + _ROUNDING) * allowance.control_breach
+    moved = np.where(controls > most, controls, controls * mesh.widths)
     earned = limits * _prices(solution) / solution.nominal_objective
     large = np.where(limits > allowance.limit_breach, limits, 0.0)
     return np.maximum.reduce([residuals, large, moved, earned])
