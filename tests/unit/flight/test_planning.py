@@ -232,6 +232,12 @@ def test_a_kinked_power_is_reached_from_wider_corners():
             "wind={use='constant', speed=1.547, direction=2.925, coupling='acceleration'}",
             "vehicle.payload=0.205",
         ),
+        (
+            "mission.goal.position=[20.178, 3.551, 1.184]",
+            "mission.duration=18.294",
+            "wind={use='constant', speed=2.351, direction=2.884, coupling='drag'}",
+            "vehicle.payload=0.013",
+        ),
     ],
 )
 def test_rotors_that_chatter_under_a_flat_power_come_to_rest_within_the_limit(mission):

@@ -5,11 +5,12 @@ The optimum of Bryson and Denham is 4 / (9 l) for a wall at l: moving it by d ea
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from pyomo_quad import collocation
-from pyomo_quad.collocation import Allowance, Mesh
+from pyomo_quad.collocation import Allowance, Mesh, control_polynomial
 from pyomo_quad.collocation.refining.error import estimate_error, final_misses
-from tests.problems import double_integrator, hyper_sensitive, implicit_dae
+from tests.problems import bang_bang, double_integrator, hyper_sensitive, implicit_dae
 from tests.problems.bryson_denham import WALL, build
 
 EARNED_PER_METRE = 4 / (9 * WALL**2)
@@ -42,6 +43,35 @@ def test_a_breach_above_what_is_forgiven_is_not(solution, breach):
         estimate_error(solution, allowance=Allowance(limit_breach=b)) for b in (0.0, 0.5 * breach)
     )
     assert lax.violation.max() == pytest.approx(strict.violation.max())
+
+
+@pytest.mark.parametrize("breach", [0.0, 0.01])
+def test_a_control_held_to_its_limit_misses_what_its_flight_does(breach):
+    # The switch lies inside an element, and the polynomial goes beyond both limits beside it.
+    solution = collocation.compile(bang_bang.build()).solve(mesh=Mesh.uniform(4, 4))
+    mesh, path = solution.mesh, solution.trajectory
+    dynamics = solution.problem.dynamics(statics=path.statics)
+    limits = dynamics.control_limits(breach)
+    assert limits[0] == pytest.approx([-2.0 * (1.0 + breach)], abs=1e-12)
+    assert limits[1] == pytest.approx([1.0 + breach], abs=1e-12)
+    state = path.states[0]
+    for e in range(mesh.elements):
+        start, end = solution.times[mesh.first_node[[e, e + 1]]]
+        held = control_polynomial(mesh, path.algebraics, e, start, end, limits)
+        flown = solve_ivp(
+            lambda t, x, held=held: dynamics.rates(t, x, held(t)),
+            (start, end),
+            state,
+            max_step=(end - start) / 500,
+        )
+        state = flown.y[:, -1]
+    missed = abs(dict(zip(dynamics.state_names, state, strict=True))["v"])
+    assert missed > 0.5
+    allowance = Allowance(control_breach=breach, final_miss=1.0)
+    estimate = estimate_error(solution, tolerance=1.0, allowance=allowance)
+    assert estimate.miss.max() == pytest.approx(missed, rel=0.05)
+    assert estimate.violation.max() <= breach + 1e-12
+    assert estimate_error(solution).violation.max() > 0.01
 
 
 SIZE = 1e-3
