@@ -108,7 +108,8 @@ class ErrorEstimate:
     the error of the quadrature likewise, of the objective and of every integral, the latter
     relative to the larger of 1 and the integral.  `miss` is what the state errors become at the
     end, as a share of what is allowed of which the tolerance is all.  `gap` is what the barrier
-    leaves of the objective, which no mesh makes smaller.
+    leaves of the objective, which no mesh makes smaller.  `is_held` says where a control is held to
+    its limit, a corner that no degree resolves.
     """
 
     states: FloatArray
@@ -117,6 +118,7 @@ class ErrorEstimate:
     integrals: FloatArray
     miss: FloatArray
     gap: float
+    is_held: NDArray[np.bool_]
 
     @property
     def per_element(self) -> FloatArray:
@@ -172,6 +174,7 @@ def estimate_error(
         integrals=_quadrature_errors(solution, panels),
         miss=_missed(solution, moved, tolerance / allowance.final_miss),
         gap=_gap(solution),
+        is_held=dense.is_held,
     )
 
 

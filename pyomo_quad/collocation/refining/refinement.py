@@ -57,9 +57,10 @@ class Damping:
     prices: FloatArray
     gap: float
 
-    def times(self, factor: float) -> Damping:
-        """Return the damping with its prices multiplied."""
-        return replace(self, prices=factor * self.prices)
+    def firmer(self, factor: float, gap: float) -> Damping:
+        """Return the damping with its prices multiplied, and a gap that is a share of the cost."""
+        gap *= self.solution.nominal_objective
+        return replace(self, prices=factor * self.prices, gap=gap)
 
     def applied_to(self, program: Transcription) -> DampedProgram:
         """Return a program of the same model with the price on its objective."""
@@ -294,7 +295,7 @@ def refine(
     reached: S | None = None
     before: tuple[Solution | None, ...] = (None,) * len(chosen)
     while True:
-        solved, dampings = _solved(solve, chosen, warm_start, dampings)
+        solved, dampings = _solved(solve, chosen, warm_start, dampings, gap)
         is_damped = any(dampings)
         errors = _errors(solved, tolerance, refinement)
         if past_the_barrier is not None and _is_held_by_the_barrier(solved, errors, tolerance):
@@ -336,11 +337,12 @@ def _solved(
     meshes: tuple[Mesh, ...],
     warm_start: Any,
     dampings: tuple[Damping | None, ...],
+    gap: float,
 ) -> tuple[S, tuple[Damping | None, ...]]:
     """Solve, more firmly damped and then from the guess where that fails."""
     solved = solve(meshes, warm_start, dampings)
     if solved.status is Status.NOT_CONVERGED and any(dampings):
-        dampings = tuple(d and d.times(_FIRM) for d in dampings)
+        dampings = tuple(d and d.firmer(_FIRM, gap) for d in dampings)
         solved = solve(meshes, warm_start, dampings)
     if solved.status in FAILED and warm_start is not None:
         solved = solve(meshes, None, dampings)

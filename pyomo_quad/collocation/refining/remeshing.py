@@ -200,7 +200,7 @@ def _finer(
     degree, size = mesh.degrees[e], float(error.per_element[e])
     if mesh.widths[e] < 2.0 * options.smallest_width:
         return [_Piece(mesh.breakpoints[e + 1], degree, size, is_changed=True)]
-    if size <= tolerance:
+    if size <= tolerance or error.is_held[e]:
         return _parts(mesh, e, _CORNER_PARTS, min(degree, _CORNER_DEGREE), size)
     sizes = _legendre_sizes(solution, e)
     if degree == 2 and error.violation[e] == size and sizes[2] < _STRAIGHT * size:
