@@ -2,9 +2,14 @@
 
 import numpy as np
 import pytest
+from pyomo.dae import ContinuousSet, DerivativeVar, Integral
+from pyomo.environ import ConcreteModel, Constraint, Objective, Var
 
+from pyomo_quad.collocation import Mesh, compile
+from pyomo_quad.collocation.mesh import radau_rule
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.long_flight import fine_mesh, guess_of, is_long
+from pyomo_quad.flight.verification import fly_controls
 from tests.declared_model import scenario
 
 DISTANCE_M = 1000.0
@@ -60,3 +65,26 @@ def test_a_flight_is_long_where_equal_elements_would_be():
     assert is_long(told(duration=31.0))
     assert not is_long(told(duration=30.0))
     assert not is_long(told(waypoints=[{"position": [300.0, 0.0, 0.0]}]))
+
+
+def test_ripples_of_a_control_are_flown():
+    # Too small for the integrator's own estimate of its error, which takes their square.
+    duration = 60.0
+    m = ConcreteModel()
+    m.time = ContinuousSet(bounds=(0.0, duration))
+    m.omega, m.alpha = Var(m.time), Var(m.time)
+    m.rate = DerivativeVar(m.omega, wrt=m.time)
+    m.motor = Constraint(m.time, rule=lambda m, t: m.rate[t] == m.alpha[t])
+    m.heat = Integral(m.time, wrt=m.time, rule=lambda m, t: m.alpha[t] ** 2)
+    m.cost = Objective(expr=m.heat)
+    degree, width, rippled = 12, 0.0175, 20
+    breakpoints = (0.0, *(width / duration * np.arange(1, rippled + 1)).tolist(), 1.0)
+    mesh = Mesh(breakpoints=breakpoints, degrees=(*[degree] * rippled, 1))
+    course = np.polyval([100.0, 200.0, -1400.0], radau_rule(degree).points)
+    ripples = 1e-4 * np.random.default_rng(0).standard_normal((rippled, degree))
+    alpha = np.append(course + ripples, 0.0)[:, None]
+    dynamics = compile(m).dynamics()
+    flown = fly_controls(dynamics, mesh, alpha, np.array([500.0]), (0.0, duration))
+    exact = 500.0 + duration * mesh.quadrature_weights @ alpha[:, 0]
+    # After a minute a place is off by 0.15 m for 1e-6 rad/s.
+    assert flown.states[-1, 0] == pytest.approx(exact, abs=1e-9, rel=0.0)
