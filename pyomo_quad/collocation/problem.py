@@ -342,7 +342,8 @@ class Problem(Summarised, Formulation):
         if self.compiled.declared.clock.phases:
             options = options.for_phases()
         if damping is not None and damping.gap and warm_start is not None:
-            options = options.near_the_path(damping.gap * scaling.objective / bounds.sides)
+            parameter = damping.gap * scaling.objective / bounds.sides
+            options = options.on_the_path(parameter, is_near=damping.is_still)
         solve = partial(run_past_the_barrier, size=program.objective_size) if to_the_gap else run
         result = solve(
             program if damping is None else damping.applied_to(program),

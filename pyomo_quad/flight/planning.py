@@ -493,7 +493,8 @@ class Planner:
     def _arguments(self, told: Scenario, progress: Progress | None) -> dict[str, Any]:
         settings = told.solver
         options = SolverOptions(max_iterations=settings.max_iterations)
-        if told.mission.is_free or told.mission.waypoints or told.airspace.keep_out:
+        limits_move = bool(told.mission.is_free or told.mission.waypoints or told.airspace.keep_out)
+        if limits_move:
             options = options.for_moving_limits()
         return {
             "mesh": Mesh.uniform(settings.elements, settings.degree),
@@ -506,6 +507,7 @@ class Planner:
                 first_degree=settings.degree,
                 max_meshes=settings.max_refinements + 1,
                 allowance=_ALLOWANCE,
+                limits_move=limits_move,
             ),
             "progress": progress,
         }

@@ -76,14 +76,16 @@ class SolverOptions:
         relaxed = (("bound_relax_factor", _RELAXED), ("honor_original_bounds", "yes"))
         return replace(self, extra=(*relaxed, *self.extra))
 
-    def near_the_path(self, parameter: float) -> SolverOptions:
-        """Return the settings for a warm start near the central path that stays at its parameter.
+    def on_the_path(self, parameter: float, *, is_near: bool) -> SolverOptions:
+        """Return the settings for a warm start that goes to a point of the central path.
 
         Of all points that cost nearly the same, that of a barrier parameter is one: it moves little
-        from mesh to mesh, where the optimum's controls jump now here and now there.
+        from mesh to mesh, where the optimum's controls jump now here and now there.  What is near
+        it stays on its bounds.
         """
         chosen = (("mu_target", parameter), ("mu_init", parameter))
-        return replace(self, extra=(*chosen, *self.extra, *((name, _NEAR) for name in _PUSHES)))
+        pushes = tuple((name, _NEAR) for name in _PUSHES) if is_near else ()
+        return replace(self, extra=(*chosen, *self.extra, *pushes))
 
     def for_moving_limits(self) -> SolverOptions:
         """Return the settings for warm starts whose limits begin or cease to hold elsewhere.

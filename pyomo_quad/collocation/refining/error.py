@@ -134,6 +134,11 @@ class ErrorEstimate:
         )
 
     @property
+    def of_integrals(self) -> float:
+        """Largest of the objective and the integrals."""
+        return float(max(self.objective.max(initial=0.0), self.integrals.max(initial=0.0)))
+
+    @property
     def largest(self) -> float:
         """Largest of all."""
         return max(self.gap, float(self.per_element.max(initial=0.0)))

@@ -48,19 +48,21 @@ class Damping:
     prices : ndarray
         For each of them, the price of a unit of its mean square distance over the horizon.
     gap : float
-        What the barrier shall leave of the objective, of which the course has been found: then it
-        is the controls themselves.
+        What the barrier shall leave of the objective, zero for as little as Ipopt does.
+    is_still : bool
+        Whether the course has been found: then it is the controls themselves.
     """
 
     solution: Solution
     controls: NDArray[np.intp]
     prices: FloatArray
     gap: float
+    is_still: bool
 
     def firmer(self, factor: float, gap: float) -> Damping:
-        """Return the damping with its prices multiplied, and a gap that is a share of the cost."""
-        gap *= self.solution.nominal_objective
-        return replace(self, prices=factor * self.prices, gap=gap)
+        """Return the damping, still, with its prices multiplied and that share as gap at least."""
+        gap = max(gap * self.solution.nominal_objective, self.gap)
+        return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
 
     def applied_to(self, program: Transcription) -> DampedProgram:
         """Return a program of the same model with the price on its objective."""
@@ -75,12 +77,13 @@ class Damping:
     def _near(self, fractions: FloatArray) -> FloatArray:
         """Return what the controls are drawn to, shape (n_fractions, n_controls)."""
         mesh, held = self.solution.mesh, self.solution.trajectory.algebraics[:, self.controls]
-        if self.gap:
+        if self.is_still:
             lower, upper = (limit[self.controls] for limit in self.solution.algebraic_limits)
             return np.clip(_smoothed(mesh, held, fractions), lower, upper)
         # Toward the points themselves, chatter would be kept.
         middles, means = _element_means(mesh, held)
-        return np.column_stack([np.interp(fractions, middles, mean) for mean in means.T])
+        near = [np.interp(fractions, middles, mean) for mean in means.T]
+        return np.reshape(near, (self.controls.size, fractions.size)).T
 
 
 def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArray:
@@ -107,8 +110,12 @@ def _element_means(mesh: Mesh, values: FloatArray) -> tuple[FloatArray, FloatArr
     return means[:, 0], means[:, 1:-1]
 
 
-def damping_of(solution: Solution, weight: float, *, gap: float = 0.0) -> Damping | None:
-    """Return the damping toward a solution; None where no bounded control is nearly linear.
+def damping_of(
+    solution: Solution, weight: float, *, gap: float = 0.0, is_still: bool = False
+) -> Damping | None:
+    """Return the damping toward a solution.
+
+    None where no bounded control is nearly linear, and the barrier may leave what it does.
 
     Beside a corner of the cost, which curves at the corner alone, a control chatters like one that
     enters linearly.
@@ -119,23 +126,25 @@ def damping_of(solution: Solution, weight: float, *, gap: float = 0.0) -> Dampin
     weight : float
         Share of the objective that a control a whole range away from the solution's costs.
     gap : float, optional
-        Share of the objective that the barrier shall leave once the costs have settled.
+        Share of the objective that the barrier shall leave.
+    is_still : bool, optional
+        Whether the costs have settled, so that controls are held where they are.
     """
     lower, upper = solution.algebraic_limits
     width = upper - lower
     is_bounded = np.isfinite(width) & (width > 0.0)
-    if weight == 0.0 or not np.any(is_bounded):
-        return None
-    prices = np.zeros(width.size)
-    prices[is_bounded] = 2.0 * weight * solution.nominal_objective / width[is_bounded] ** 2
-    controls = np.flatnonzero(is_bounded & (_least_curvatures(solution) < prices))
-    if controls.size == 0:
+    prices, controls = np.zeros(width.size), np.zeros(0, dtype=np.intp)
+    if weight > 0.0 and np.any(is_bounded):
+        prices[is_bounded] = 2.0 * weight * solution.nominal_objective / width[is_bounded] ** 2
+        controls = np.flatnonzero(is_bounded & (_least_curvatures(solution) < prices))
+    if controls.size == 0 and gap == 0.0:
         return None
     return Damping(
         solution=solution,
         controls=controls,
         prices=prices[controls],
         gap=gap * solution.nominal_objective,
+        is_still=is_still,
     )
 
 
@@ -216,6 +225,9 @@ _MANY_ITERATIONS, _MANY_SETTLED = 30, 4
 _FIRMER, _FIRM, _FIRMEST = 5.0, 25.0, 125.0
 # What the barrier then leaves of the objective: a share of the tolerance, and of it at most.
 _GAP, _LARGEST_GAP = 0.03, 3e-7
+# Where limits move, it leaves this share of the error that the last mesh had, of the tolerance at
+# least, and of the objective at most: what is not known yet is not worth sharpening.
+_INEXACT, _LEAST_INEXACT, _MOST_INEXACT = 0.3, 0.2, 1e-3
 # Times that a solution is started anew from the controls that minimise the Hamiltonian.
 _IMPROVEMENTS = 8
 
@@ -296,7 +308,7 @@ def refine(
     before: tuple[Solution | None, ...] = (None,) * len(chosen)
     while True:
         solved, dampings = _solved(solve, chosen, warm_start, dampings, gap)
-        is_damped = any(dampings)
+        is_damped = _are_damped(dampings)
         errors = _errors(solved, tolerance, refinement)
         if past_the_barrier is not None and _is_held_by_the_barrier(solved, errors, tolerance):
             solved = past_the_barrier(solved, dampings)
@@ -328,8 +340,13 @@ def refine(
             firmness = max(firmness, min(_FIRMER * firmness, _FIRMEST if is_stalled else _FIRM))
         chosen, warm_start, before = finer, solution.warm_start, solution.parts
         weight = firmness * refinement.damping * tolerance
-        held = gap if is_stalled else 0.0
-        dampings = tuple(damping_of(part, weight, gap=held) for part in solution.parts)
+        left = gap if is_stalled else 0.0
+        if refinement.limits_move and not is_stalled:
+            rough = _INEXACT * max(e.of_integrals for e in errors)
+            left = max(min(rough, _MOST_INEXACT), _LEAST_INEXACT * tolerance)
+        dampings = tuple(
+            damping_of(part, weight, gap=left, is_still=is_stalled) for part in solution.parts
+        )
 
 
 def _solved(
@@ -341,12 +358,16 @@ def _solved(
 ) -> tuple[S, tuple[Damping | None, ...]]:
     """Solve, more firmly damped and then from the guess where that fails."""
     solved = solve(meshes, warm_start, dampings)
-    if solved.status is Status.NOT_CONVERGED and any(dampings):
+    if solved.status is Status.NOT_CONVERGED and _are_damped(dampings):
         dampings = tuple(d and d.firmer(_FIRM, gap) for d in dampings)
         solved = solve(meshes, warm_start, dampings)
     if solved.status in FAILED and warm_start is not None:
         solved = solve(meshes, None, dampings)
     return solved, dampings
+
+
+def _are_damped(dampings: tuple[Damping | None, ...]) -> bool:
+    return any(damping is not None and damping.controls.size > 0 for damping in dampings)
 
 
 def _with_state_error(
@@ -426,11 +447,12 @@ def _next_meshes(
     has_settled = _has_settled(solution, tolerance)
     if is_met and (has_settled or not (any(junctions) or is_damped)):
         return None
+    are_left = has_settled or (refinement.limits_move and not is_met)
     finer = []
     for part, error, mine in zip(parts, errors, junctions, strict=True):
         marks = Marks(
             coarse=frozenset(np.flatnonzero(error.per_element > tolerance).tolist())
-            | (frozenset() if has_settled else mine),
+            | (frozenset() if are_left else mine),
             kept=mine,
         )
         finer.append(refined_mesh(part, error, marks, tolerance, refinement))

@@ -63,6 +63,10 @@ class RefinementOptions:
     damping : float
         What a control that enters linearly costs when it is a whole range away from that of
         the last mesh, as a share of the objective and in units of the tolerance.
+    limits_move : bool
+        Where many limits begin and cease to hold, most such junctions cost nothing: split elements
+        for their sake alone only once no error asks for it, and sharpen limits only as far as the
+        last mesh knew the costs.
     """
 
     first_elements: int = 10
@@ -75,6 +79,7 @@ class RefinementOptions:
     max_points: int = 60_000
     allowance: Allowance = field(default_factory=Allowance)
     damping: float = 100.0
+    limits_move: bool = False
 
     @property
     def first_mesh(self) -> Mesh:
@@ -90,7 +95,10 @@ _MARGIN = 1e-2
 _MERGING_MESHES = 8
 # Corners are approached by small elements; a high degree gains nothing at them.
 _CORNER_PARTS = 3
+_MOST_PARTS = 4
 _CORNER_DEGREE = 4
+# Nor does one above this where a limit of states begins or ceases to hold.
+_TOUCHING_DEGREE = 6
 # A control that changes by more than this share of its range jumps.
 _JUMP_SHARE = 0.25
 # States that curve by less than this multiple of the breach of a limit curve on its account.
@@ -206,6 +214,8 @@ def _finer(
     if degree == 2 and error.violation[e] == size and sizes[2] < _STRAIGHT * size:
         # Straight lines keep the limits that their ends keep.
         return _parts(mesh, e, 2, 1, size)
+    if options.limits_move and error.violation[e] == size:
+        return _parts(mesh, e, _MOST_PARTS, min(degree, _TOUCHING_DEGREE), size)
     decades = math.log10(size / (_AIM * tolerance))
     decay = _decay(sizes)
     gain = decay
@@ -215,7 +225,7 @@ def _finer(
     wanted = degree + max(1, math.ceil(decades / max(gain, 1e-3)))
     if decay >= options.smooth_decay and wanted <= options.max_degree:
         return [_Piece(mesh.breakpoints[e + 1], wanted, size, is_changed=True)]
-    parts = min(4, max(2, math.ceil(10.0 ** (decades / (degree + 1.0)))))
+    parts = min(_MOST_PARTS, max(2, math.ceil(10.0 ** (decades / (degree + 1.0)))))
     return _parts(mesh, e, parts, degree, size)
 
 

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.polynomial.legendre import legval
+from pyomo.environ import Constraint, inequality
 from scipy.optimize import approx_fprime
 
 from pyomo_quad import collocation
-from pyomo_quad.collocation import Mesh, SolverOptions, Status
+from pyomo_quad.collocation import Mesh, RefinementOptions, SolverOptions, Status
 from pyomo_quad.collocation.mesh import radau_rule
 from pyomo_quad.collocation.refining.refinement import damping_of
 from tests.problems import bang_bang, double_integrator, singular_arc
@@ -62,13 +63,14 @@ def test_once_the_costs_have_settled_controls_are_drawn_to_where_they_jump(solut
     chatter = 0.2 * legval(2.0 * radau_rule(3).points - 1.0, [0.0, 0.0, 1.0])
     algebraics = (jump[:, None] + chatter).reshape(-1, 1)
     moved = replace(solution, trajectory=replace(solution.trajectory, algebraics=algebraics))
-    drawn = damping_of(moved, WEIGHT, gap=GAP).applied_to(damped.program)
+    drawn = damping_of(moved, WEIGHT, is_still=True).applied_to(damped.program)
     fractions = damped.program.mesh.point_fractions
     assert drawn.near == pytest.approx(np.where(fractions <= 0.5, -0.8, 0.8), abs=1e-12)
 
 
-def test_then_the_barrier_leaves_as_much_as_it_shall(solution):
-    damping = damping_of(solution, WEIGHT, gap=GAP)
+@pytest.mark.parametrize("weight", [WEIGHT, 0.0])
+def test_the_barrier_leaves_as_much_as_it_shall(solution, weight):
+    damping = damping_of(solution, weight, gap=GAP, is_still=True)
     arguments = {"instance": solution.instance, "options": SolverOptions()}
     found = solution.problem.solve_on_mesh(MESH, solution.warm_start, damping, **arguments)
     z, bounds = found.unknowns, found.bounds
@@ -95,3 +97,23 @@ def test_damping_leaves_no_bias_in_a_refined_optimum():
     refined = collocation.compile(bang_bang.build()).solve(tolerance=1e-7)
     assert refined.status is Status.CONVERGED
     assert refined.objective == pytest.approx(bang_bang.objective(), rel=1e-7)
+
+
+# A mass moved in 1 s with |u| <= 5 holds that until 1/2 - b, then falls to the other limit: of the
+# speed it needs b^2 = 3 (1/4 - 1/5), of effort 25 (1/2 - 2 b / 3).
+MOST = 5.0
+EFFORT = MOST**2 * (1 / 2 - 2 / 3 * np.sqrt(3 * (1 / 4 - 1 / MOST)))
+
+
+def test_limits_that_move_take_half_the_effort_and_leave_no_more_than_the_tolerance():
+    m, tolerance = double_integrator.build(), 1e-8
+    m.most = Constraint(m.t, rule=lambda m, t: inequality(-MOST, m.u[t], MOST))
+    problem = collocation.compile(m)
+    efforts = []
+    for limits_move in (False, True):
+        options = RefinementOptions(limits_move=limits_move)
+        found = problem.solve(tolerance=tolerance, refinement=options)
+        assert found.status is Status.CONVERGED
+        assert found.objective == pytest.approx(EFFORT, rel=tolerance)
+        efforts.append(sum(record.points * record.iterations for record in found.history))
+    assert efforts[1] < 0.5 * efforts[0]
