@@ -155,7 +155,7 @@ def test_the_rest_of_a_way_is_optimal_before_and_behind_its_waypoints():
     """Bellman, over a hold and what is left there: both parts add up to the optimum."""
     plan = flights.plan("paper_calm", *WAY)
     held, mission = plan.trajectories, plan.mission_flown
-    replanner = replanning.Replanner(mission, Knowledge.TOLD, flights.planner())
+    replanner = replanning.Replanner(mission, Knowledge.TOLD, flights.PLANNER)
     reached, passed = plan.passing_times_s
     for begin, ahead in ((0.5 * reached, 2), (reached + 1.0, 1), (0.5 * (passed + 11.0), 0)):
         inside = held.states_at(np.array([begin]))[0]
@@ -169,11 +169,11 @@ def test_the_rest_of_a_way_is_optimal_before_and_behind_its_waypoints():
 def test_waypoints_are_passed_held_at_and_left_lighter_in_an_untold_wind():
     plan = flights.plan("paper_calm", *WAY)
     mission = plan.mission_flown
-    vehicle = flights.planner().dynamics(
+    vehicle = flights.PLANNER.dynamics(
         mission.with_values({"wind.use": "constant", "wind.speed": 0.6, "wind.direction": 0.7})
     )
     flight = fly_replanned(
-        mission, Knowledge.ESTIMATED, dynamics=vehicle, planner=flights.planner()
+        mission, Knowledge.ESTIMATED, dynamics=vehicle, planner=flights.PLANNER
     )
     assert has_arrived(flight)
     assert flight.broken_limits == ()
@@ -191,7 +191,7 @@ def test_waypoints_are_passed_held_at_and_left_lighter_in_an_untold_wind():
 def test_zones_are_kept_clear_of_between_the_points_of_a_coarse_mesh():
     """Planned to the clearance itself, it was broken by 0.2 mm."""
     scenario, vehicle = flights.scenario("delivery"), flights.vehicle("delivery")
-    flight = fly_replanned(scenario, Knowledge.TOLD, dynamics=vehicle, planner=flights.planner())
+    flight = fly_replanned(scenario, Knowledge.TOLD, dynamics=vehicle, planner=flights.PLANNER)
     assert flight.broken_limits == ()
     assert flight.is_verified
 
