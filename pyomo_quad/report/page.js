@@ -113,10 +113,43 @@
     pen.stroke();
     pen.setLineDash([]);
   };
-  const label = (text, point, color = "#333", dx = 6) => {
-    const [x, y] = project(point);
-    pen.fillStyle = color;
-    pen.fillText(text, x + dx, y - 4);
+  // Labels are written last, the important ones first: each where it meets no other, and left out
+  // where there is no such place.
+  const [NAME, AXIS, TICK] = [0, 1, 2];
+  const HIGH = 14, GAP = 6;
+  let labels = [];
+  const label = (text, point, color, rank, way = 1) => {
+    labels.push({ text: `${text}`, point: project(point), color, rank, way });
+  };
+  const write = () => {
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+    const placed = [];
+    pen.font = "12px system-ui, sans-serif";
+    pen.lineWidth = 3;
+    pen.strokeStyle = "#fff";
+    pen.lineJoin = "round";
+    for (const { text, point: [x, y], color, rank, way } of labels.sort((a, b) => a.rank - b.rank)) {
+      const wide = pen.measureText(text).width;
+      const isSeen = x >= 0 && x <= width && y >= 0 && y <= height;
+      if (!isSeen && rank !== AXIS) continue;
+      const beside = way > 0 ? [x + GAP, x - GAP - wide] : [x - GAP - wide, x + GAP];
+      const places = [beside[0], x - wide / 2, beside[1]]
+        .flatMap((left) => [y - HIGH, y + GAP / 2, y - 2 * HIGH].map((top) => [left, top]))
+        .map(([left, top]) => [
+          Math.min(Math.max(left, 2), width - wide - 2), Math.min(Math.max(top, 2), height - HIGH - 2),
+        ]);
+      const place = places.find(([left, top]) => placed.every((other) => (
+        left > other.right || left + wide < other.left
+        || top > other.bottom || top + HIGH < other.top)));
+      if (!place) continue;
+      const [left, top] = place;
+      placed.push({ text, left, top, right: left + wide, bottom: top + HIGH });
+      pen.fillStyle = color;
+      pen.strokeText(text, left, top + HIGH - 3);
+      pen.fillText(text, left, top + HIGH - 3);
+    }
+    labels = [];
+    view.labels = placed;
   };
   const step = (span) => {
     const rough = span / 4, power = 10 ** Math.floor(Math.log10(rough));
@@ -128,24 +161,23 @@
   });
   const grid = () => {
     const [bx, by, bz] = box, floor = bz[0], pace = step(size);
-    pen.font = "12px system-ui, sans-serif";
     const range = ([low, high]) => [Math.floor(low / pace) * pace, Math.ceil(high / pace) * pace];
     const [[x0, x1], [y0, y1], [, z1]] = [bx, by, bz].map(range);
     for (let x = x0; x <= x1 + pace / 9; x += pace) {
       line([[x, y0, floor], [x, y1, floor]], "#dcdcdc");
-      label(+x.toFixed(6), [x, y0, floor], "#666");
+      label(+x.toFixed(6), [x, y0, floor], "#666", TICK);
     }
     for (let y = y0; y <= y1 + pace / 9; y += pace) {
       line([[x0, y, floor], [x1, y, floor]], "#dcdcdc");
-      if (y > y0) label(+y.toFixed(6), [x0, y, floor], "#666");
+      if (y > y0) label(+y.toFixed(6), [x0, y, floor], "#666", TICK);
     }
     line([[x0, y0, floor], [x0, y0, z1]], "#bbb");
     for (let z = Math.ceil(floor / pace) * pace; z <= z1 + pace / 9; z += pace) {
-      if (z > floor) label(+z.toFixed(6), [x0, y0, z], "#666", -22);
+      if (z > floor) label(+z.toFixed(6), [x0, y0, z], "#666", TICK, -1);
     }
-    label("x (m)", [(x0 + x1) / 2, y0 - pace / 2, floor], "#222");
-    label("y (m)", [x0 - pace / 2, (y0 + y1) / 2, floor], "#222");
-    label("z (m)", [x0, y0, z1 + pace / 4], "#222", -22);
+    label("x (m)", [(x0 + x1) / 2, y0 - pace / 2, floor], "#222", AXIS);
+    label("y (m)", [x0 - pace / 2, (y0 + y1) / 2, floor], "#222", AXIS);
+    label("z (m)", [x0, y0, z1 + pace / 4], "#222", AXIS, -1);
   };
   const zones = () => {
     for (const zone of scene.zones.map(cut)) {
@@ -170,7 +202,7 @@
           }
         }
       }
-      label(zone.name, [(a.x + b.x) / 2, (a.y + b.y) / 2, b.z], color);
+      label(zone.name, [(a.x + b.x) / 2, (a.y + b.y) / 2, b.z], color, NAME);
     }
   };
   const body = (flight, t) => {
@@ -219,7 +251,7 @@
       if (speed > 1e-3) {
         const from = centre.map((c, i) => c + (i === 2 ? 2 * arm : 0));
         arrow(from, [...wind.map((w) => (0.16 * size * w) / scene.fastest_wind), 0], "#3a6ea5", 2);
-        if (flight === shown()[0]) label(`wind ${speed.toFixed(1)} m/s`, from, "#3a6ea5");
+        if (flight === shown()[0]) label(`wind ${speed.toFixed(1)} m/s`, from, "#3a6ea5", NAME);
       }
     }
   };
@@ -244,9 +276,10 @@
       const [x, y] = project(point);
       pen.fillStyle = "#222";
       pen.fillRect(x - 3, y - 3, 6, 6);
-      label(text, point, "#222");
+      label(text, point, "#222", NAME);
     }
     for (const flight of shown()) vehicle(flight, now);
+    write();
   };
 
   // Drag turns; a finger that goes up or down scrolls the page.

@@ -2,6 +2,7 @@
 
 import shutil
 from contextlib import contextmanager
+from itertools import combinations
 
 import pytest
 
@@ -221,6 +222,30 @@ def test_drag_turns_the_view(page):
     ActionChains(page).drag_and_drop_by_offset(canvas, 150, 0).perform()
     assert page.execute_script(turned) - before == pytest.approx(1.0, abs=0.1)
     assert pixels(page) != picture
+
+
+def test_labels_in_the_view_do_not_meet_on_a_phone(page):
+    """From all around, and all inside; the ends, the axes and the zone are named."""
+    written = on_a_screen(
+        page,
+        PHONE,
+        f"const view = document.getElementById('{VIEW_ELEMENT}');"
+        "const slider = document.getElementById('flight-time'), before = view.camera.azimuth;"
+        "const seen = Array.from({length: 24}, (_, k) => {"
+        "  view.camera.azimuth = before + k * Math.PI / 12; slider.value = 5;"
+        "  slider.dispatchEvent(new Event('input')); return view.labels; });"
+        "view.camera.azimuth = before; slider.dispatchEvent(new Event('input'));"
+        "return [view.clientWidth, view.clientHeight, seen]",
+    )
+    width, height, seen = written
+    assert width <= PHONE["width"]
+    for labels in seen:
+        assert all(one["left"] >= 0 and one["right"] <= width for one in labels)
+        assert all(one["top"] >= 0 and one["bottom"] <= height for one in labels)
+        for one, other in combinations(labels, 2):
+            is_aside = one["right"] <= other["left"] or other["right"] <= one["left"]
+            assert is_aside or one["bottom"] <= other["top"] or other["bottom"] <= one["top"]
+    assert {"start", "goal", "x (m)", "y (m)", "z (m)", "mast"} <= {one["text"] for one in seen[0]}
 
 
 def test_a_table_sorts_by_its_numbers_both_ways(page):
