@@ -172,9 +172,7 @@ def test_waypoints_are_passed_held_at_and_left_lighter_in_an_untold_wind():
     vehicle = flights.PLANNER.dynamics(
         mission.with_values({"wind.use": "constant", "wind.speed": 0.6, "wind.direction": 0.7})
     )
-    flight = fly_replanned(
-        mission, Knowledge.ESTIMATED, dynamics=vehicle, planner=flights.PLANNER
-    )
+    flight = fly_replanned(mission, Knowledge.ESTIMATED, dynamics=vehicle, planner=flights.PLANNER)
     assert has_arrived(flight)
     assert flight.broken_limits == ()
     assert flight.is_verified
