@@ -165,13 +165,14 @@ def estimate_error(
     limits = None
     if np.isfinite(allowance.control_breach):
         limits = control_limits(solution.problem, solution.instance, allowance.control_breach)
-    finer = _sampled(solution, [radau_rule(d + 1).points for d in degrees], limits)
-    dense = densely_sampled(solution, limits)
+    finer = _sampled(solution, [radau_rule(d + 1).points for d in degrees])
+    free = densely_sampled(solution)
+    dense = free if limits is None else densely_sampled(solution, limits)
     panels = _sampled(solution, [_panelled(d)[0] for d in degrees], limits)
     slopes = rate_corrections(solution.program, finer.variables, finer.data, finer.rows)
     moved = _state_corrections(solution, slopes)
-    for e, end in _held_corrections(solution, panels, dense.is_held).items():
-        moved[e][-1] = end
+    for e, change in _held_corrections(solution, free, dense).items():
+        moved[e][-1] += change
     return ErrorEstimate(
         states=_relative(solution, moved),
         objective=_objective_errors(solution, moved),
@@ -221,8 +222,11 @@ def densely_sampled(
     solution: Solution, limits: tuple[FloatArray, FloatArray] | None = None
 ) -> _Samples:
     """Sample where limits are broken: at the peaks of the polynomials, anywhere between points."""
-    places = [np.linspace(_START, 1.0, _SAMPLES * (d + 1) + 1) for d in solution.mesh.degrees]
-    return _sampled(solution, places, limits)
+    return _sampled(solution, [_dense_places(d) for d in solution.mesh.degrees], limits)
+
+
+def _dense_places(degree: int) -> FloatArray:
+    return np.linspace(_START, 1.0, _SAMPLES * (degree + 1) + 1)
 
 
 def _sampled(
@@ -287,20 +291,19 @@ def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArra
     return moved
 
 
-def _held_corrections(
-    solution: Solution, panels: _Samples, is_held: NDArray[np.bool_]
-) -> dict[int, FloatArray]:
+def _held_corrections(solution: Solution, free: _Samples, held: _Samples) -> dict[int, FloatArray]:
     """Return, by element, by how much states end elsewhere where a control is held to its limit.
 
-    Held for a part of an element only, it is no polynomial: panels see what points may miss.
+    Held for a part of an element only, it is no polynomial: what is cut off is summed over the
+    dense samples, of which a peak at an element's end counts for more than it is.
     """
-    if not np.any(is_held):
+    if not np.any(held.is_held):
         return {}
     mesh, found = solution.mesh, {}
-    slopes = rate_corrections(solution.program, panels.variables, panels.data, panels.rows)
-    for e in np.flatnonzero(is_held).tolist():
-        weights, first = _panelled(mesh.degrees[e])[1], panels.first_of_element[e]
-        found[e] = mesh.widths[e] * weights @ slopes[first : first + weights.size]
+    cut = rate_corrections(solution.program, held.variables, held.data, held.rows - free.rows)
+    for e in np.flatnonzero(held.is_held).tolist():
+        places, first = _dense_places(mesh.degrees[e]), held.first_of_element[e]
+        found[e] = mesh.widths[e] * np.trapezoid(cut[first : first + places.size], places, axis=0)
     return found
 
 

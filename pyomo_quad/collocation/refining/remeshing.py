@@ -93,6 +93,9 @@ _AIM = 0.3
 _MARGIN = 1e-2
 # Mergers end after so many meshes, so that they and the splits cannot chase each other.
 _MERGING_MESHES = 8
+# A control that is still held after so many meshes becomes constant in so many parts of its
+# element: nothing between their points goes beyond a limit, whatever the next solve chooses.
+_CHASING_MESHES, _CONSTANT_PARTS = 12, 8
 # Corners are approached by small elements; a high degree gains nothing at them.
 _CORNER_PARTS = 3
 _MOST_PARTS = 4
@@ -209,7 +212,9 @@ def _finer(
     if mesh.widths[e] < 2.0 * options.smallest_width:
         return [_Piece(mesh.breakpoints[e + 1], degree, size, is_changed=True)]
     if size <= tolerance or error.is_held[e]:
-        return _parts(mesh, e, _CORNER_PARTS, min(degree, _CORNER_DEGREE), size)
+        is_chased = error.is_held[e] and len(solution.history) > _CHASING_MESHES
+        parts = (_CONSTANT_PARTS, 1) if is_chased else (_CORNER_PARTS, min(degree, _CORNER_DEGREE))
+        return _parts(mesh, e, *parts, size)
     sizes = _legendre_sizes(solution, e)
     if degree == 2 and error.violation[e] == size and sizes[2] < _STRAIGHT * size:
         # Straight lines keep the limits that their ends keep.
