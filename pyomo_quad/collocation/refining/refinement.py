@@ -220,8 +220,9 @@ FAILED = (Status.NOT_CONVERGED, Status.INFEASIBLE)
 # The objective's last change, as a share of the tolerance, at which it counts as settled.
 _SETTLED = 0.5
 # A warm start that takes more iterations than this leaves its linear controls undetermined, as do
-# costs that settled so many meshes ago: they are damped so many times more, up to so many.
-_MANY_ITERATIONS, _MANY_SETTLED = 30, 4
+# costs that settled so many meshes ago: they are damped so many times more, up to so many, and
+# without end where that was twice as many ago.
+_MANY_ITERATIONS, _MANY_SETTLED, _TOO_MANY_SETTLED = 30, 4, 8
 _FIRMER, _FIRM, _FIRMEST = 5.0, 25.0, 125.0
 # What the barrier then leaves of the objective: a share of the tolerance, and of it at most.
 _GAP, _LARGEST_GAP = 0.03, 3e-7
@@ -337,7 +338,9 @@ def refine(
         settled += is_damped and _has_settled(solution, tolerance)
         is_stalled = settled >= _MANY_SETTLED
         if is_damped and (is_stalled or records[-1].iterations > _MANY_ITERATIONS):
-            firmness = max(firmness, min(_FIRMER * firmness, _FIRMEST if is_stalled else _FIRM))
+            most = _FIRMEST if is_stalled else _FIRM
+            most = math.inf if settled >= _TOO_MANY_SETTLED else most
+            firmness = max(firmness, min(_FIRMER * firmness, most))
         chosen, warm_start, before = finer, solution.warm_start, solution.parts
         weight = firmness * refinement.damping * tolerance
         left = gap if is_stalled else 0.0

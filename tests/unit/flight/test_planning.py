@@ -238,6 +238,13 @@ def test_a_kinked_power_is_reached_from_wider_corners():
             "wind={use='constant', speed=2.351, direction=2.884, coupling='drag'}",
             "vehicle.payload=0.013",
         ),
+        (
+            "mission.goal.position=[7.706, -8.787, 27.629]",
+            "mission.duration=11.291",
+            "wind={use='constant', speed=4.424, direction=3.895, coupling='acceleration'}",
+            "vehicle.payload=0.172",
+            "power.model='shaft'",
+        ),
     ],
 )
 def test_rotors_that_chatter_under_a_flat_power_come_to_rest_within_the_limit(mission):
