@@ -56,6 +56,10 @@ def test_the_command_names_every_format():
         (["--to", "px4", "--origin", "47,8,400"], "--origin means nothing to px4"),
         (["--to", "px4", "--path-error", "0.1"], "it is for qgroundcontrol and crazyflie and"),
         (["--to", "crazyflie", "--rate", "10"], "--rate means nothing to crazyflie"),
+        (
+            ["--to", "crazyflie", "--path-error", "1e-6"],
+            "31 pieces of degree 7, the most that the format holds, come within",
+        ),
         (["--to", "px4", "--rate", "2"], "PX4's offboard mode must have more than 2 Hz"),
         (["--to", "px4", "--rate", "nan"], "--rate = nan Hz"),
         (["--to", "ros2", "--rate", "0"], "--rate = 0 Hz; must be above 0"),
@@ -77,10 +81,10 @@ def test_the_extra_to_install_is_named(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
     out = tmp_path / "bag"
     assert main(["export", REPORT, "--to", "ros2", "--out", str(out)]) == ExitCode.BAD_INPUT
-    assert "rosbags is not installed; install it with pip install 'pyomo_quad[ros]'" in (
-        capsys.readouterr().err
-    )
-    assert not out.exists()
+    complaint = capsys.readouterr().err
+    assert "rosbags is not installed; install it with pip install 'pyomo_quad[ros]'" in complaint
+    assert complaint.count("\n") == 1
+    assert not list(tmp_path.iterdir())
 
 
 def damaged(folder, *, summary=None, table=None):
@@ -127,11 +131,20 @@ def test_a_report_without_attitude_serves_formats_that_need_none(tmp_path, capsy
     folder, out = damaged(tmp_path / "report"), tmp_path / "x.plan"
     command = ["export", folder, "--to", "qgroundcontrol", "--origin", "1,2,3", "--out", str(out)]
     assert main(command) == ExitCode.VERIFIED
-    assert main(["export", folder, "--to", "px4", "--out", str(out)]) == ExitCode.BAD_INPUT
-    assert "hop: the plan has no rigid_body.psi, which PX4's offboard mode needs" in (
-        capsys.readouterr().err
-    )
     assert json.loads(out.read_text())["fileType"] == "Plan"
+    capsys.readouterr()
+    for reader, lacking in (
+        ("px4", "rigid_body.psi, which PX4's offboard mode needs"),
+        ("ros2", "rigid_body.phi, which a ROS 2 trajectory needs"),
+        ("crazyflie", "rigid_body.psi, which a polynomial needs"),
+        ("rotorpy", "rigid_body.psi, which a polynomial needs"),
+    ):
+        command = ["export", folder, "--to", reader, "--out", str(tmp_path / reader)]
+        assert main(command) == ExitCode.BAD_INPUT
+        complaint = capsys.readouterr().err
+        assert f"hop: the plan has no {lacking}" in complaint
+        assert complaint.count("\n") == 1
+    assert {path.name for path in tmp_path.iterdir()} == {"report", "x.plan"}
 
 
 @pytest.mark.parametrize("place", ["nowhere", "nowhere/plan.npz"])
