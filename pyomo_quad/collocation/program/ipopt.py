@@ -216,7 +216,9 @@ class _Callbacks:
     history: list[Iteration] = field(default_factory=list)
     best: tuple[float, FloatArray | None] = (np.inf, None)
     error: BaseException | None = None
-    problem: Any = None
+    # Ipopt asks for the Jacobian at its iterates alone, of which fetching one from it would cost a
+    # tenth of a warm re-solve.
+    iterate: FloatArray | None = None
 
     def _guard(self, evaluate: Callable[[], Any], size: int | None) -> Any:
         if self.error is None:
@@ -239,6 +241,7 @@ class _Callbacks:
         return self.program.jacobianstructure()
 
     def jacobian(self, z: FloatArray) -> FloatArray:
+        self.iterate = np.array(z)
         size = len(self.program.jacobianstructure()[0])
         return np.asarray(self._guard(lambda: self.program.jacobian(z), size))
 
@@ -271,18 +274,13 @@ class _Callbacks:
             mesh_points=self.program.n_points,
         )
         self.history.append(line)
+        if infeasibility <= 0.1 * self.best[0] and self.iterate is not None:
+            self.best = (infeasibility, self.iterate)
         try:
-            self._keep_best(infeasibility)
             return self.progress is None or self.progress(line) is not False
         except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  raised again later
             self.error = error
             return False
-
-    def _keep_best(self, infeasibility: float) -> None:
-        if infeasibility <= 0.1 * self.best[0]:
-            iterate = self.problem.get_current_iterate()
-            if iterate is not None:
-                self.best = (infeasibility, np.array(iterate["x"]))
 
 
 _TOLERANCE = 1e-9
@@ -352,7 +350,6 @@ def run(
         cl=bounds.row_lower,
         cu=bounds.row_upper,
     )
-    callbacks.problem = problem
     _set_options(problem, options, is_warm=multipliers is not None)
     problem.set_problem_scaling(scaling.objective, scaling.unknowns, scaling.rows)
     dual = {}
