@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.mesh import Mesh, Trajectory, interpolate, real_array
+from pyomo_quad.collocation.mesh import Mesh, Timeline, Trajectory, interpolate, real_array
 from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.program.ipopt import Multipliers
 
@@ -319,6 +319,55 @@ class WarmStart:
             and held.statics.size == len(declared.statics)
             and self.equations.shape[1] == compiled.n_equations
             and self.conditions.size == len(declared.conditions) + len(compiled.static_of_integral)
+        )
+
+    def continued(self, mesh: Mesh, was: Timeline, now: Timeline) -> WarmStart:
+        """Return it on the mesh of another horizon, with what held at each time.
+
+        Parameters
+        ----------
+        mesh : Mesh
+            Of the other horizon, which lies inside its own.
+        was, now : Timeline
+            Of its own horizon and of the other.
+
+        Returns
+        -------
+        WarmStart
+            Its multipliers of what is imposed at a time are carried over like those of a mesh.
+        """
+        nodes, points = (
+            was.fraction(now.time(fractions))
+            for fractions in (mesh.node_fractions, mesh.point_fractions)
+        )
+        old = self.mesh.quadrature_weights * was.span_at(self.mesh.point_fractions)
+        new = mesh.quadrature_weights * now.span_at(mesh.point_fractions)
+
+        def carried(values: FloatArray) -> FloatArray:
+            density = values / old[:, None]
+            return interpolate(self.mesh, density, points, with_start=False) * new[:, None]
+
+        path = self.trajectory
+        lower, upper = (
+            replace(
+                side,
+                mesh=mesh,
+                states=np.vstack([side.states[:1], np.maximum(carried(side.states[1:]), 0.0)]),
+                algebraics=np.maximum(carried(side.algebraics), 0.0),
+            )
+            for side in (self.lower, self.upper)
+        )
+        return replace(
+            self,
+            trajectory=replace(
+                path,
+                mesh=mesh,
+                states=path.states_at(nodes),
+                algebraics=path.algebraics_at(points),
+            ),
+            lower=lower,
+            upper=upper,
+            equations=carried(self.equations),
         )
 
     def _numbers(self) -> dict[str, FloatArray]:

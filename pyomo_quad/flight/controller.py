@@ -292,13 +292,20 @@ class BacksteppingLoop:
     disturbance_max: float
     """Bound of the estimate, in the unit of the acceleration."""
 
-    def started(self, error: Sequence[float], error_rate: Sequence[float]) -> list[float]:
-        """Return the states to start with: nothing learnt, compensated errors zero.
+    def started(
+        self,
+        error: Sequence[float],
+        error_rate: Sequence[float],
+        learnt: Sequence[float] = (0.0,) * _AXES,
+    ) -> list[float]:
+        """Return the states to start with: compensated errors zero.
 
         Parameters
         ----------
         error, error_rate : sequence of three floats
             Tracking error e and e' at the start.
+        learnt : sequence of three floats, optional
+            The disturbance as estimated before.
 
         Returns
         -------
@@ -309,7 +316,7 @@ class BacksteppingLoop:
         missing = [
             v + k * shrink * e for k, e, v in zip(self.outer, error, error_rate, strict=True)
         ]
-        return [*error, *missing, *(0.0,) * _AXES]
+        return [*error, *missing, *learnt]
 
     def __call__(
         self,
@@ -513,9 +520,13 @@ class AdaptiveController:
         Vehicle, limits, gravity and gains that the controller knows. Its wind is not read.
     mixer : ndarray, shape (4, n_rotors)
         Thrust and moments over squared rotor speeds, of `mixer_matrix`.
+    learnt : sequence of three floats, optional
+        Acceleration of the air [m/s^2] that its adaptation has found before it starts.
     """
 
-    def __init__(self, believed: Scenario, mixer: FloatArray) -> None:
+    def __init__(
+        self, believed: Scenario, mixer: FloatArray, learnt: Sequence[float] = (0.0,) * _AXES
+    ) -> None:
         vehicle, limits, gains = believed.vehicle, believed.limits, believed.baseline.gains
         self._kinematics = KINEMATICS[vehicle.attitude]
         self._mass = vehicle.total_mass
@@ -541,9 +552,10 @@ class AdaptiveController:
             tilt_max=min(gains.tilt_max, limits.roll_max, limits.pitch_max),
         )
         self._position_loop, self._attitude_loop = _loops(believed)
+        self._learnt = learnt if believed.baseline.adaptation else (0.0,) * _AXES
 
     def started(self, setpoint: Setpoint, body: Sequence[float]) -> list[float]:
-        """Return the controller's states at the start of a flight, with nothing learnt.
+        """Return the controller's states at the start of a flight.
 
         Parameters
         ----------
@@ -563,7 +575,9 @@ class AdaptiveController:
         yaw_rate_error = angle_rates[2] - setpoint.rate[3]
         return [
             *self._position_loop.started(
-                _difference(position, setpoint.place[:3]), _difference(velocity, setpoint.rate[:3])
+                _difference(position, setpoint.place[:3]),
+                _difference(velocity, setpoint.rate[:3]),
+                self._learnt,
             ),
             *self._attitude_loop.started((0.0, 0.0, yaw_error), (0.0, 0.0, yaw_rate_error)),
             *attitude[:2],

@@ -21,6 +21,7 @@ from pyomo_quad.collocation import (
     RefinementOptions,
     SolverOptions,
     Status,
+    Timeline,
     TranscriptionError,
     WarmStart,
     compile,
@@ -358,3 +359,19 @@ def test_a_count_that_is_none_is_refused():
         WarmStart.from_arrays(arrays | {"cold_start": np.zeros(2)})
     del arrays["cold_start"]
     assert WarmStart.from_arrays(arrays).cold_start is None
+
+
+def test_what_is_left_of_an_optimum_starts_with_its_multipliers_in_time(regulator):
+    """Bellman: from a state on the optimum, states and multipliers of the rest are as they were."""
+    whole = scalar_regulator.DURATION
+    first = regulator.solve(mesh=Mesh.uniform(8, 6))
+    begin, mesh = 0.7, Mesh.uniform(5, 6)
+    ends = np.array([0.0, 1.0])
+    rest = Timeline(fractions=ends, times=np.array([begin, whole]))
+    start = first.warm_start.continued(mesh, first.timeline, rest)
+    numbers = {"x0": float(first.value("x", begin))}
+    cold = regulator.solve(mesh=mesh, parameters=numbers, horizon=(begin, whole))
+    np.testing.assert_allclose(start.equations, cold.warm_start.equations, rtol=1e-6)
+    np.testing.assert_allclose(start.trajectory.states, cold.trajectory.states, rtol=1e-7)
+    warm = regulator.solve(mesh=mesh, parameters=numbers, horizon=(begin, whole), warm_start=start)
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-9)

@@ -113,6 +113,20 @@ def test_where_every_solve_fails_the_first_plan_is_flown_under_feedback(monkeypa
     assert replanning_table([replace(flight, resolves=())]).empty
 
 
+def test_with_every_plan_lost_the_controller_goes_on_learning(monkeypatch):
+    """Where one part of the flight ends and the next begins it forgets nothing."""
+    monkeypatch.setattr(replanning, "_OPTIONS", SolverOptions(max_iterations=0))
+    flight = replanned(Knowledge.UNTOLD, *STEADY)
+    controlled = fly_baseline(
+        flights.scenario("paper_calm", *SHORT, *STEADY),
+        Reference.PLAN,
+        dynamics=flights.vehicle("paper_calm", *SHORT, *STEADY),
+        plan=flights.plan("paper_calm", *SHORT),
+    )
+    # Nothing learnt at the start of each part, it cost 12 % more.
+    assert flight.energy_J < 1.05 * controlled.energy_J
+
+
 @pytest.mark.slow
 def test_in_gusts_and_with_another_mass_it_ends_as_the_controller_does_for_less():
     """To the end planned again, the last half second alone took 30 J more."""
