@@ -300,12 +300,14 @@ _DEFAULTS: dict[str, Any] = {
 }
 
 # A barrier problem counts as solved when one step has brought it near: waiting for more of a start
-# that is good costs an iteration, and saves none of one that is not.
+# that is good costs an iteration, and saves none of one that is not.  Beside a curved limit a whole
+# step costs more before the next ones gain: three of them are too few to tell.
 _WARM: dict[str, Any] = {
     "warm_start_init_point": "yes",
     "mu_strategy": "monotone",
     "mu_init": 1e-7,
     "barrier_tol_factor": 1e3,
+    "watchdog_trial_iter_max": 8,
 } | dict.fromkeys(_PUSHES, _NEAR)
 
 _SOLVED, _INFEASIBLE, _STOPPED = 0, 2, 5

@@ -381,9 +381,10 @@ def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> Float
 def _breaches(solution: Solution, samples: _Samples, allowance: Allowance) -> FloatArray:
     """Return the worst breach in each element, as what it changes in states or objective.
 
-    An equation counts by its relative residual.  A control beyond its bound counts by what it
-    moves within the element, any other limit by what its multipliers say that a breach earns,
-    unless the breach is too large to be flown: then it counts as it is.
+    An equation counts by its relative residual.  A control beyond its bound, or several beyond a
+    limit on them alone, count by what they move within the element, any other limit by what its
+    multipliers say that a breach earns, unless the breach is too large to be flown: then it counts
+    as it is.
     """
     mesh = solution.mesh
     residuals, limits, controls = (
@@ -406,14 +407,17 @@ def _prices(solution: Solution) -> FloatArray:
 
 
 def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, ...]:
-    """Return the worst of each sample: of equations, of limits, and of controls' bounds."""
+    """Return the worst of each sample: of equations, of limits, and of those on controls alone."""
     compiled, n = program.compiled, program.layout.n_states
     variables, data = samples.variables, samples.data
     lower, upper = MappedFunction(compiled.path_bounds, len(variables))(data)
     held = samples.rows[:, : compiled.n_equations]
-    differential = np.unique(compiled.path.jacobian_rows[compiled.path.jacobian_columns < n])
-    is_algebraic = ~np.isin(np.arange(compiled.n_equations), differential)
-    is_equality = compiled.is_equality
+    every = np.arange(compiled.n_equations)
+    named = compiled.path.jacobian_columns
+    is_algebraic, is_of_controls = (
+        ~np.isin(every, compiled.path.jacobian_rows[named < first]) for first in (n, 2 * n)
+    )
+    is_limit = is_algebraic & ~compiled.is_equality
     low, high, simple_low, simple_high = MappedFunction(compiled.variable_limits, len(variables))(
         data
     )
@@ -423,11 +427,11 @@ def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, .
     own = _outside(values, low, high)
     simple = _outside(values[:, chosen], simple_low, simple_high)
     rows = _outside(held, lower, upper)
-    limits = np.hstack([rows[:, is_algebraic & ~is_equality], own[:, :n], simple[:, chosen < n]])
-    controls = np.hstack([own[:, n:], simple[:, chosen >= n]])
+    limits = np.hstack([rows[:, is_limit & ~is_of_controls], own[:, :n], simple[:, chosen < n]])
+    controls = np.hstack([own[:, n:], simple[:, chosen >= n], rows[:, is_limit & is_of_controls]])
     return tuple(
         worst.max(axis=1, initial=0.0)
-        for worst in (rows[:, is_algebraic & is_equality], limits, controls)
+        for worst in (rows[:, is_algebraic & compiled.is_equality], limits, controls)
     )
 
 

@@ -24,7 +24,7 @@ from pyomo_quad.collocation.refining.remeshing import (
 from pyomo_quad.collocation.solution import MeshRecord, Solution
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -229,6 +229,9 @@ _GAP, _LARGEST_GAP = 0.03, 3e-7
 # Where limits move, it leaves this share of the error that the last mesh had, of the tolerance at
 # least, and of the objective at most: what is not known yet is not worth sharpening.
 _INEXACT, _LEAST_INEXACT, _MOST_INEXACT = 0.3, 0.2, 1e-3
+# Searches from one mesh to the next that took so many iterations twice in succession, and left more
+# than this share of the error, are lost.
+_LOST_ITERATIONS, _LEFT = 150, 0.5
 # Times that a solution is started anew from the controls that minimise the Hamiltonian.
 _IMPROVEMENTS = 8
 
@@ -331,10 +334,9 @@ def refine(
             dampings = (damping_of(better, weight),)
             continue
         is_stuck = finer == _meshes(solution) and error > tolerance
-        if is_stuck or len(records) >= refinement.max_meshes:
-            return _with_state_error(
-                _given_up(solution, error, tolerance), errors, before, tolerance
-            )
+        if is_stuck or len(records) >= refinement.max_meshes or _is_lost(records):
+            ended = _given_up(solution, before, error, tolerance)
+            return _with_state_error(ended, errors, before, tolerance)
         settled += is_damped and _has_settled(solution, tolerance)
         is_stalled = settled >= _MANY_SETTLED
         if is_damped and (is_stalled or records[-1].iterations > _MANY_ITERATIONS):
@@ -479,16 +481,54 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
     return min(moved, default=math.inf) / solution.nominal_objective
 
 
-def _given_up(solution: S, error: float, tolerance: float) -> S:
-    meshes = len(solution.parts[0].history)
+def _is_lost(records: Sequence[MeshRecord]) -> bool:
+    """Say whether two searches in succession were long, and the second gained next to nothing."""
+    if len(records) < 3:
+        return False
+    last, now = records[-2:]
+    is_long = min(last.iterations, now.iterations) > _LOST_ITERATIONS
+    return is_long and now.error > _LEFT * last.error
+
+
+def _given_up(
+    solution: S, before: tuple[Solution | None, ...], error: float, tolerance: float
+) -> S:
+    history = solution.parts[0].history
+    why = "allow more meshes, elements or a higher degree, or ask for less."
+    if _is_lost(history):
+        why = (
+            f"the last two took {history[-2].iterations} and {history[-1].iterations} iterations "
+            f"and gained nothing; {_most_moved(solution, before)}begin from a better guess, or let "
+            "the controls' squares cost a little."
+        )
     return solution.updated(
         status=Status.TOLERANCE_NOT_MET,
         message=(
-            f"refinement stopped after {meshes} meshes with an estimated error of "
-            f"{error:.3g}, above the tolerance {tolerance:.3g}; allow more "
-            "meshes, elements or a higher degree, or ask for less."
+            f"refinement stopped after {len(history)} meshes with an estimated error of "
+            f"{error:.3g}, above the tolerance {tolerance:.3g}; {why}"
         ),
     )
+
+
+def _most_moved(solution: Solved, before: tuple[Solution | None, ...]) -> str:
+    """Return what says which control the last mesh moved most, where, and by how much."""
+    found = []
+    for part, last in zip(solution.parts, before, strict=True):
+        if last is None or part.trajectory.algebraics.size == 0:
+            continue
+        mesh, lower, upper = part.mesh, *part.algebraic_limits
+        now, then = (s.trajectory.algebraics_at(mesh.point_fractions) for s in (part, last))
+        own = np.ptp(now, axis=0)
+        ranges = np.where(np.isfinite(upper - lower), upper - lower, own)
+        shares = np.abs(now - np.clip(then, lower, upper)) / np.where(ranges > 0.0, ranges, 1.0)
+        means = mesh.quadrature_weights @ shares
+        k = int(means.argmax())
+        point = int(shares[:, k].argmax())
+        time = float(part.timeline.time(mesh.point_fractions[point]))
+        name = part.problem.compiled.declared.algebraics[k].name
+        line = f"{name} still moves, at {time:.4g} by {shares[point, k]:.0%} of its range: "
+        found.append((means[k], line))
+    return max(found)[1] if found else ""
 
 
 def _record(solution: Solved, error: float) -> MeshRecord:

@@ -121,6 +121,37 @@ def tumour():
     return minimised(m, m.p[1])
 
 
+def lee_ramirez():
+    """A bioreactor whose feed of glucose is singular: Ipopt finds no way to 6.15 (Banga 2005)."""
+
+    def rates(m, t):
+        x1, x2, x3, x4, x5, x6, x7 = (m.component(f"x{k}")[t] for k in range(1, 8))
+        fed = m.glucose[t] + m.inducer[t]
+        taken = x3 / (14.35 + x3 + x3**2 / 111.5)
+        growth = taken * (x6 + 0.22 * x7 / (0.22 + x5))
+        shock = 0.09 * x5 / (0.034 + x5)
+        return {
+            "x1": fed,
+            "x2": growth * x2 - fed * x2 / x1,
+            "x3": 100 * m.glucose[t] / x1 - fed * x3 / x1 - growth * x2 / 0.51,
+            "x4": 0.233 * taken * (0.0005 + x5) / (0.022 + x5) * x2 - fed * x4 / x1,
+            "x5": 4 * m.inducer[t] / x1 - fed * x5 / x1,
+            "x6": -shock * x6,
+            "x7": shock * (1 - x7),
+        }
+
+    first = (1, 0.1, 40, 0, 0, 1, 0)
+    m = posed(
+        "Lee-Ramirez",
+        {f"x{k}": (x, None) for k, x in enumerate(first, start=1)},
+        {"glucose": (0, 1, 0.1), "inducer": (0, 1, 0.05)},
+        rates,
+        end=10,
+    )
+    guessed(m, **{f"x{k}": lambda _s, x=x: x for k, x in enumerate(first, start=1)})
+    return maximised(m, m.x1[10] * m.x4[10])
+
+
 def oil_shale():
     laws = ((8.86, 20300.0), (24.25, 37400.0), (23.67, 33800.0), (18.75, 28200.0), (20.70, 31000.0))
 

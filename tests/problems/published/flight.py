@@ -82,6 +82,43 @@ def orbit_raising():
     return maximised(m, m.r[3.32])
 
 
+def orbit_raising_by_direction():
+    """The same by components of a unit vector, from YAPSS' guess: a way that leaves nothing out."""
+
+    def rates(m, t):
+        push = 0.1405 / (1 - 0.0749 * t)
+        return {
+            "r": m.u[t],
+            "theta": m.v[t] / m.r[t],
+            "u": m.v[t] ** 2 / m.r[t] - 1 / m.r[t] ** 2 + push * m.outward[t],
+            "v": -m.u[t] * m.v[t] / m.r[t] + push * m.along[t],
+        }
+
+    m = posed(
+        "orbit raising",
+        {
+            "r": (1, None, 1, 10),
+            "theta": (0, None, -np.pi, np.pi),
+            "u": (0, 0, -10, 10),
+            "v": (1, None, -np.pi, np.pi),
+        },
+        {"outward": (-1.1, 1.1), "along": (-1.1, 1.1)},
+        rates,
+        end=3.32,
+    )
+    guessed(
+        m,
+        r=lambda s: 1 + 0.5 * s,
+        theta=lambda s: np.pi * s,
+        v=lambda s: 1 - 0.5 * s,
+        outward=lambda s: s,
+        along=lambda s: 1 - s,
+    )
+    m.unit = Constraint(m.t, rule=lambda m, t: m.outward[t] ** 2 + m.along[t] ** 2 == 1)
+    m.circular = Constraint(expr=m.v[3.32] == sqrt(1 / m.r[3.32]))
+    return maximised(m, m.r[3.32])
+
+
 def reentry():
     degree = np.pi / 180
 
@@ -212,6 +249,12 @@ CASES = (
         build=orbit_raising,
         published="1.525",
         source="Bryson and Ho (1975), section 2.5, after Moyer and Pinkham (1964)",
+    ),
+    Case(
+        name="orbit_by_direction",
+        build=orbit_raising_by_direction,
+        published="1.5252777",
+        source="YAPSS, tests/examples/test_orbit_raising.py",
     ),
     Case(
         name="dynamic_soaring",

@@ -2,7 +2,7 @@
 
 import numpy as np
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
-from pyomo.environ import ConcreteModel, Constraint, Var, cos, log, sin
+from pyomo.environ import ConcreteModel, Constraint, Var, cos, exp, log, sin
 from scipy.optimize import brentq
 
 from tests.problems.published.statement import (
@@ -165,6 +165,63 @@ def _fuller_cost():
     home = np.polynomial.Polynomial([c * turn**2, -turn, 0.5])
     pair = (out**2).integ()(1 + turn) + (home**2).integ()(turn - back)
     return float(pair / (1 - back**5))
+
+
+def alp_rider():
+    """Over a terrain that rises four times, a curved limit on fast and slow states together."""
+
+    def square(m, t):
+        return m.a[t] ** 2 + m.b[t] ** 2 + m.c[t] ** 2 + m.d[t] ** 2
+
+    def terrain(t):
+        peaks = ((3, 3, 12), (3, 6, 10), (3, 10, 6), (8, 15, 4))
+        return 0.01 + sum(height * exp(-steep * (t - at) ** 2) for height, at, steep in peaks)
+
+    m = posed(
+        "alp rider",
+        {"a": (2, 2), "b": (1, 3), "c": (2, 1), "d": (1, -2)},
+        {"u": (None, None, 0), "w": (None, None, 0)},
+        lambda m, t: {
+            "a": -10 * m.a[t] + m.u[t] + m.w[t],
+            "b": -2 * m.b[t] + m.u[t] + 2 * m.w[t],
+            "c": -3 * m.c[t] + 5 * m.d[t] + m.u[t] - m.w[t],
+            "d": 5 * m.c[t] - 3 * m.d[t] + m.u[t] + 3 * m.w[t],
+        },
+        end=20,
+    )
+    m.above = Constraint(m.t, rule=lambda m, t: square(m, t) >= terrain(t))
+    cost = total(m, lambda m, t: 100 * square(m, t) + 0.01 * (m.u[t] ** 2 + m.w[t] ** 2))
+    return minimised(m, cost)
+
+
+def container_crane(effort=0.01):
+    m = posed(
+        "container crane",
+        {
+            "x": (0, 10),
+            "rope": (22, 14),
+            "swing": (0, 0),
+            "vx": (0, 2.5, -2.5, 2.5),
+            "hoist": (-1, 0, -1, 1),
+            "spin": (0, 0),
+        },
+        {"u": (-2.83374, 2.83374), "w": (-0.80865, 0.71265)},
+        lambda m, t: {
+            "x": m.vx[t],
+            "rope": m.hoist[t],
+            "swing": m.spin[t],
+            "vx": m.u[t] + 17.2656 * m.swing[t],
+            "hoist": m.w[t],
+            "spin": -(m.u[t] + 27.0756 * m.swing[t] + 2 * m.hoist[t] * m.spin[t]) / m.rope[t],
+        },
+        end=9,
+    )
+
+    def cost(m, t):
+        efforts = effort * (m.u[t] ** 2 + m.w[t] ** 2)
+        return (m.swing[t] ** 2 + m.spin[t] ** 2 + efforts) / 2
+
+    return minimised(m, total(m, cost))
 
 
 def free_flying_robot():
@@ -351,6 +408,18 @@ CASES = (
         build=free_flying_robot,
         published="7.910",
         source="Betts (2010): 7.910154646; GPOPS-II: 7.9101902; no digits but these agree",
+    ),
+    Case(
+        name="alp_rider",
+        build=alp_rider,
+        published="2030.856",
+        source="Betts (2010): 2030.85609, as opty's example of it says",
+    ),
+    Case(
+        name="container_crane",
+        build=container_crane,
+        published="0.0375195",
+        source="Augustin and Maurer (2001), as Maptor's example of it solves it",
     ),
     Case(
         name="cubic_hyper_sensitive",

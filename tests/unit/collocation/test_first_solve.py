@@ -5,11 +5,13 @@ from dataclasses import replace
 import pytest
 from pyomo.environ import ConcreteModel, Constraint, Objective, Var
 
-from pyomo_quad.collocation import RefinementOptions, Status, TranscriptionError, compile
+from pyomo_quad.collocation import Mesh, RefinementOptions, Status, TranscriptionError, compile
 from pyomo_quad.collocation.refining.refinement import refine
 from tests.problems import double_integrator
+from tests.problems.published.chemistry import lee_ramirez
 from tests.problems.published.flight import f8
 from tests.problems.published.geometry import geodesic
+from tests.problems.published.mechanics import alp_rider
 
 
 def two_valleys():
@@ -78,3 +80,21 @@ def test_a_warm_start_that_ends_infeasible_is_tried_again_from_the_guess():
     )
     assert [start is None for start in tried] == [False, True]
     assert solution.is_converged
+
+
+@pytest.mark.slow
+def test_a_curved_limit_does_not_hold_up_a_warm_start():
+    problem = compile(alp_rider())
+    coarse = problem.solve(mesh=Mesh.uniform(40, 4))
+    finer = problem.solve(mesh=Mesh.uniform(80, 5), warm_start=coarse)
+    assert finer.is_converged
+    assert finer.iterations[-1].iteration < 100
+
+
+@pytest.mark.slow
+def test_a_search_that_gains_nothing_names_what_it_chases():
+    solution = compile(lee_ramirez()).solve()
+    assert solution.status is Status.TOLERANCE_NOT_MET
+    assert len(solution.history) <= 5
+    assert solution.error_estimate > 1e-3
+    assert "and gained nothing; glucose still moves, at " in solution.message

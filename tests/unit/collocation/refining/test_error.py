@@ -5,6 +5,7 @@ The optimum of Bryson and Denham is 4 / (9 l) for a wall at l: moving it by d ea
 
 import numpy as np
 import pytest
+from pyomo.environ import Constraint, Var
 from scipy.integrate import solve_ivp
 
 from pyomo_quad import collocation
@@ -72,6 +73,22 @@ def test_a_control_held_to_its_limit_misses_what_its_flight_does(breach):
     assert estimate.miss.max() == pytest.approx(missed, rel=0.05)
     assert estimate.violation.max() <= breach + 1e-12
     assert estimate_error(solution).violation.max() > 0.01
+
+
+def test_a_limit_on_controls_together_counts_as_a_bound_does():
+    bounded, together = bang_bang.build(), bang_bang.build()
+    for t in together.tau:
+        together.u[t].setlb(None)
+        together.u[t].setub(None)
+    together.idle = Var(together.tau, bounds=(0, 0), initialize=0)
+    lower, upper = bounded.u[0].bounds
+    together.limit = Constraint(together.tau, rule=lambda m, t: (lower, m.u[t] + m.idle[t], upper))
+    found = [
+        estimate_error(collocation.compile(m).solve(mesh=Mesh.uniform(7, 4))).violation
+        for m in (bounded, together)
+    ]
+    assert found[0].max() > 1e-3
+    assert found[1] == pytest.approx(found[0], abs=1e-6)
 
 
 SIZE = 1e-3

@@ -11,7 +11,7 @@ from scipy.optimize import approx_fprime
 from pyomo_quad import collocation
 from pyomo_quad.collocation import Mesh, RefinementOptions, SolverOptions, Status
 from pyomo_quad.collocation.mesh import radau_rule
-from pyomo_quad.collocation.refining.refinement import damping_of
+from pyomo_quad.collocation.refining.refinement import damping_of, refine
 from tests.problems import bang_bang, double_integrator, singular_arc
 
 WEIGHT, GAP = 1e-3, 1e-6
@@ -117,3 +117,42 @@ def test_limits_that_move_take_half_the_effort_and_leave_no_more_than_the_tolera
         assert found.objective == pytest.approx(EFFORT, rel=tolerance)
         efforts.append(sum(record.points * record.iterations for record in found.history))
     assert efforts[1] < 0.5 * efforts[0]
+
+
+def searched(solution, *, iterations, by):
+    """A solution as if a search had taken so long and moved its control at the fifth point."""
+    held = solution.trajectory
+    algebraics = np.array(held.algebraics)
+    algebraics[4] += by
+    line = replace(solution.iterations[-1], iteration=iterations)
+    moved = replace(held, algebraics=algebraics)
+    return replace(solution, trajectory=moved, iterations=(line,))
+
+
+def refined_by(searches):
+    return refine(
+        lambda *_: next(searches),
+        meshes=(MESH,),
+        tolerance=1e-9,
+        refinement=RefinementOptions(max_meshes=4),
+        warm_start=None,
+    )
+
+
+def test_long_searches_that_gain_nothing_end_and_say_what_still_moves(solution):
+    told = ((180, 0.0), (200, 0.5), (300, 0.0), (9, 0.0))
+    lost = refined_by(searched(solution, iterations=n, by=by) for n, by in told)
+    assert lost.status is Status.TOLERANCE_NOT_MET
+    assert len(lost.history) == 3
+    time = solution.times[5]
+    for words in (
+        "the last two took 200 and 300 iterations and gained nothing",
+        f"u still moves, at {time:.4g} by 25% of its range",
+    ):
+        assert words in lost.message
+
+
+@pytest.mark.parametrize("iterations", [(180, 9, 300, 9), (180, 300, 9, 200)])
+def test_a_long_search_by_itself_ends_nothing(solution, iterations):
+    ended = refined_by(searched(solution, iterations=n, by=0.0) for n in iterations)
+    assert len(ended.history) == 4
