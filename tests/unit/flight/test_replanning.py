@@ -104,27 +104,18 @@ def test_the_last_plan_goes_on_while_a_solve_is_late():
 
 def test_where_every_solve_fails_the_first_plan_is_flown_under_feedback(monkeypatch):
     monkeypatch.setattr(replanning, "_OPTIONS", SolverOptions(max_iterations=0))
-    flight = replanned(Knowledge.TOLD, *STEADY)
+    flight = replanned(Knowledge.UNTOLD, *STEADY)
     assert not any(solve.is_converged for solve in flight.resolves)
-    assert has_arrived(flight)
+    # As a controller that flies all the way; forgetful from part to part, it spent 12 % more.
+    wind, calm = flights.vehicle("paper_calm", *SHORT, *STEADY), flights.plan("paper_calm", *SHORT)
+    mission = flights.scenario("paper_calm", *SHORT, *STEADY)
+    controlled = fly_baseline(mission, Reference.PLAN, dynamics=wind, plan=calm)
+    assert flight.energy_J < 1.05 * controlled.energy_J
+    assert flight.terminal_miss_m < 0.02
     row = replanning_table([flight]).iloc[0]
     assert row["failed"] == row["solves"] == len(flight.resolves)
     assert row["settled_energy_J"] == settled_energy(flight)
     assert replanning_table([replace(flight, resolves=())]).empty
-
-
-def test_with_every_plan_lost_the_controller_goes_on_learning(monkeypatch):
-    """Where one part of the flight ends and the next begins it forgets nothing."""
-    monkeypatch.setattr(replanning, "_OPTIONS", SolverOptions(max_iterations=0))
-    flight = replanned(Knowledge.UNTOLD, *STEADY)
-    controlled = fly_baseline(
-        flights.scenario("paper_calm", *SHORT, *STEADY),
-        Reference.PLAN,
-        dynamics=flights.vehicle("paper_calm", *SHORT, *STEADY),
-        plan=flights.plan("paper_calm", *SHORT),
-    )
-    # Nothing learnt at the start of each part, it cost 12 % more.
-    assert flight.energy_J < 1.05 * controlled.energy_J
 
 
 @pytest.mark.slow
