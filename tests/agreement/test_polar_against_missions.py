@@ -48,3 +48,20 @@ def test_speed_in_the_middle(wind, price):
     flown = float(frame["rigid_body.vx"].to_numpy()[middle].mean())
     best = find_polar(mission).own.best_over_ground(wind, np.pi, price)
     assert flown == pytest.approx(best.ground_speed, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wind", [0.0, HEAD_WIND_M_S])
+def test_a_kilometre_is_verified_and_cruises_at_the_best_speed(wind):
+    free = {"vehicle.attitude": "euler", "limits.roll_max": 0.61, "airspace": {}}
+    mission = told(wind, 0.0).with_values(free | {"mission.goal.position": [1000.0, 0.0, 0.0]})
+    plan = Planner().solve(mission)
+    assert plan.is_verified
+    frame = plan.to_frame(rate_hz=10)
+    shares = frame["time_s"].to_numpy() / plan.duration_s
+    flown = float(frame["vx_m_per_s"].to_numpy()[np.abs(shares - 0.5) < 0.05].mean())
+    best = find_polar(mission).own.best_over_ground(wind, np.pi)
+    assert flown == pytest.approx(best.ground_speed, rel=0.01)
+    # No steady flight is cheaper, and its ends cost little beside it.
+    least = best.power / best.ground_speed * 1000.0
+    assert 0.99 * least < plan.energy < 1.03 * least
