@@ -64,4 +64,4 @@ def test_a_kilometre_is_verified_and_cruises_at_the_best_speed(wind):
     assert flown == pytest.approx(best.ground_speed, rel=0.01)
     # No steady flight is cheaper, and its ends cost little beside it.
     least = best.power / best.ground_speed * 1000.0
-    assert 0.99 * least < plan.energy < 1.03 * least
+    assert least < plan.energy < 1.05 * least
