@@ -488,7 +488,10 @@ class Planner:
         if not rough.status.is_solved:
             return rough
         mesh = long_flight.fine_mesh(rough.horizon[1], told.solver.degree)
-        return problem.solve(**arguments | {"options": options, "mesh": mesh}, warm_start=rough)
+        # One limit or two hold for long, at the ends: their junctions are few, and worth finding.
+        refinement = replace(arguments["refinement"], limits_move=False)
+        chosen = {"options": options, "mesh": mesh, "refinement": refinement}
+        return problem.solve(**arguments | chosen, warm_start=rough)
 
     def _arguments(self, told: Scenario, progress: Progress | None) -> dict[str, Any]:
         settings = told.solver
