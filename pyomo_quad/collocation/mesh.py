@@ -324,8 +324,8 @@ def control_polynomial(
         terms = weights / difference
         return np.asarray(terms @ held / terms.sum(), dtype=float)
 
-    looked_at = np.linspace(start, end, _LOOKS * (points.size + 1) + 1)
-    found = np.array([polynomial(t) for t in looked_at])
+    looked_at = np.linspace(0.0, 1.0, _LOOKS * (points.size + 1) + 1)
+    found = interpolation_matrix(points, looked_at) @ held
     if np.all((limits[0] <= found) & (found <= limits[1])):
         return polynomial
     return lambda t: np.clip(polynomial(t), *limits)

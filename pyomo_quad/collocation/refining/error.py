@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -162,16 +162,18 @@ def estimate_error(
     """
     allowance = allowance or Allowance()
     degrees = np.asarray(solution.mesh.degrees)
-    limits = None
-    if np.isfinite(allowance.control_breach):
-        limits = control_limits(solution.problem, solution.instance, allowance.control_breach)
     finer = _sampled(solution, [radau_rule(d + 1).points for d in degrees])
     free = densely_sampled(solution)
-    dense = free if limits is None else densely_sampled(solution, limits)
-    panels = _sampled(solution, [_panelled(d)[0] for d in degrees], limits)
+    dense, panels = free, _sampled(solution, [_panelled(d)[0] for d in degrees])
+    if np.isfinite(allowance.control_breach):
+        limits = control_limits(solution.problem, solution.instance, allowance.control_breach)
+        dense, panels = (_held(solution.program, samples, limits) for samples in (free, panels))
+    is_held = np.logical_or.reduceat(
+        np.any(dense.variables != free.variables, axis=1), free.first_of_element
+    )
     slopes = rate_corrections(solution.program, finer.variables, finer.data, finer.rows)
     moved = _state_corrections(solution, slopes)
-    for e, change in _held_corrections(solution, free, dense).items():
+    for e, change in _held_corrections(solution, free, dense, is_held).items():
         moved[e][-1] += change
     return ErrorEstimate(
         states=_relative(solution, moved),
@@ -180,7 +182,7 @@ def estimate_error(
         integrals=_quadrature_errors(solution, panels),
         miss=_missed(solution, moved, tolerance / allowance.final_miss),
         gap=_gap(solution),
-        is_held=dense.is_held,
+        is_held=is_held,
     )
 
 
@@ -197,16 +199,12 @@ def _gap(solution: Solution) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class _Samples:
-    """The path equations between the points: variables, data and values, one row each.
-
-    `is_held` says of each element whether a control is held to its limit in it.
-    """
+    """The path equations between the points: variables, data and values, one row each."""
 
     variables: FloatArray
     data: FloatArray
     rows: FloatArray
     first_of_element: NDArray[np.intp]
-    is_held: NDArray[np.bool_]
 
 
 @lru_cache(maxsize=64)
@@ -218,26 +216,17 @@ def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
     return places, np.append(np.tile(0.5 * weights / _PANELS, _PANELS), 0.0)
 
 
-def densely_sampled(
-    solution: Solution, limits: tuple[FloatArray, FloatArray] | None = None
-) -> _Samples:
+def densely_sampled(solution: Solution) -> _Samples:
     """Sample where limits are broken: at the peaks of the polynomials, anywhere between points."""
-    return _sampled(solution, [_dense_places(d) for d in solution.mesh.degrees], limits)
+    return _sampled(solution, [_dense_places(d) for d in solution.mesh.degrees])
 
 
 def _dense_places(degree: int) -> FloatArray:
     return np.linspace(_START, 1.0, _SAMPLES * (degree + 1) + 1)
 
 
-def _sampled(
-    solution: Solution,
-    places: list[FloatArray],
-    limits: tuple[FloatArray, FloatArray] | None = None,
-) -> _Samples:
-    """Evaluate the path equations at places of each element, the last one its end.
-
-    The algebraic variables are held to their limits where some are given.
-    """
+def _sampled(solution: Solution, places: list[FloatArray]) -> _Samples:
+    """Evaluate the path equations at places of each element, the last one its end."""
     program, mesh, path = solution.program, solution.mesh, solution.trajectory
     counts = np.array([len(p) for p in places])
     fractions = np.concatenate(
@@ -245,18 +234,11 @@ def _sampled(
     )
     # A point on a boundary belongs to the element that it ends.
     fractions[np.cumsum(counts) - 1] = mesh.breakpoints[1:]
-    algebraics = path.algebraics_at(fractions)
-    first = np.concatenate(([0], np.cumsum(counts)[:-1]))
-    is_held = np.zeros(mesh.elements, dtype=bool)
-    if limits is not None:
-        held = np.clip(algebraics, *limits)
-        is_held = np.logical_or.reduceat(np.any(held != algebraics, axis=1), first)
-        algebraics = held
     variables = np.hstack(
         [
             path.rates_at(fractions),
             path.states_at(fractions),
-            algebraics,
+            path.algebraics_at(fractions),
             np.broadcast_to(path.statics, (fractions.size, path.statics.size)),
         ]
     )
@@ -265,9 +247,21 @@ def _sampled(
         variables=variables,
         data=data,
         rows=MappedFunction(program.compiled.path.values, fractions.size)(variables, data)[0],
-        first_of_element=first,
-        is_held=is_held,
+        first_of_element=np.concatenate(([0], np.cumsum(counts)[:-1])),
     )
+
+
+def _held(
+    program: Transcription, samples: _Samples, limits: tuple[FloatArray, FloatArray]
+) -> _Samples:
+    """Return the samples with the algebraic variables held to limits, the same if all keep them."""
+    layout, variables = program.layout, samples.variables.copy()
+    chosen = slice(2 * layout.n_states, 2 * layout.n_states + layout.n_algebraics)
+    variables[:, chosen] = np.clip(variables[:, chosen], *limits)
+    if np.array_equal(variables, samples.variables):
+        return samples
+    values = MappedFunction(program.compiled.path.values, len(variables))
+    return replace(samples, variables=variables, rows=values(variables, samples.data)[0])
 
 
 def rate_corrections(
@@ -291,17 +285,19 @@ def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArra
     return moved
 
 
-def _held_corrections(solution: Solution, free: _Samples, held: _Samples) -> dict[int, FloatArray]:
+def _held_corrections(
+    solution: Solution, free: _Samples, held: _Samples, is_held: NDArray[np.bool_]
+) -> dict[int, FloatArray]:
     """Return, by element, by how much states end elsewhere where a control is held to its limit.
 
     Held for a part of an element only, it is no polynomial: what is cut off is summed over the
     dense samples, of which a peak at an element's end counts for more than it is.
     """
-    if not np.any(held.is_held):
+    if not np.any(is_held):
         return {}
     mesh, found = solution.mesh, {}
     cut = rate_corrections(solution.program, held.variables, held.data, held.rows - free.rows)
-    for e in np.flatnonzero(held.is_held).tolist():
+    for e in np.flatnonzero(is_held).tolist():
         places, first = _dense_places(mesh.degrees[e]), held.first_of_element[e]
         found[e] = mesh.widths[e] * np.trapezoid(cut[first : first + places.size], places, axis=0)
     return found
