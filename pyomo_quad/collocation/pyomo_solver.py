@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from inspect import signature
 from pathlib import Path
 from tempfile import mkstemp
 from typing import TYPE_CHECKING, Any, Self
 from weakref import WeakKeyDictionary
 
+from pyomo.common.collections import Bunch
 from pyomo.opt import (
     ProblemSense,
     SolverFactory,
@@ -64,11 +66,11 @@ class PyomoSolver:
 
     def __init__(self, **options: Any) -> None:
         options.pop("solver_io", None)
-        self.options: dict[str, Any] = {**options.pop("options", {}), **options}
+        self.options = Bunch(**{**options.pop("options", {}), **options})
         self._last: WeakKeyDictionary[Any, WarmStart | tuple[WarmStart, ...]] = WeakKeyDictionary()
 
     @staticmethod
-    def available(*, exception_flag: bool = False) -> bool:
+    def available(exception_flag: bool = False) -> bool:
         """Return True: Ipopt comes with the package's dependencies."""
         del exception_flag
         return True
@@ -90,6 +92,7 @@ class PyomoSolver:
         warmstart: bool = False,
         options: dict[str, Any] | None = None,
         load_solutions: bool = True,
+        symbolic_solver_labels: bool = True,
         final_time: Any = None,
         times: FreeTimes | None = None,
         **arguments: Any,
@@ -114,6 +117,8 @@ class PyomoSolver:
             Ipopt options by name.
         load_solutions : bool, optional
             Whether the model takes the solution's values, integrals included.
+        symbolic_solver_labels : bool, optional
+            Changes nothing: messages always name the model's components.
         final_time : Var, optional
         times : mapping, optional
             See `Problem`.
@@ -132,6 +137,7 @@ class PyomoSolver:
             If the model declares something incomplete or unsupported, or the time limit is
             not above 0.
         """
+        del symbolic_solver_labels
         chosen = {**self.options, **(options or {})}
         limit = chosen.pop("max_wall_time", None) if timelimit is None else timelimit
         chosen.pop("max_wall_time", None)
@@ -140,6 +146,7 @@ class PyomoSolver:
         if warmstart and model in self._last:
             arguments.setdefault("warm_start", self._last[model])
         problem = compiled_of(model, final_time, times)
+        _refuse_unknown(arguments, problem)
         with ExitStack() as files:
             writers = [sys.stdout.write] if tee else []
             if keepfiles and logfile is None:
@@ -158,6 +165,15 @@ class PyomoSolver:
         if solution.is_converged:
             self._last[model] = solution.warm_start
         return _results(problem, solution)
+
+
+def _refuse_unknown(arguments: dict[str, Any], problem: Problem | JointProblem) -> None:
+    known = {*signature(PyomoSolver.solve).parameters, *signature(problem.solve).parameters}
+    taken = known - {"self", "model", "arguments", "progress"}
+    for name in arguments.keys() - taken:
+        raise TranscriptionError(
+            f"{name}: is no argument of solve, which takes {', '.join(sorted(taken))}."
+        )
 
 
 def _results(problem: Problem | JointProblem, solution: Solution | JointSolution) -> SolverResults:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import cyipopt
 import numpy as np
 
+from pyomo_quad.collocation.errors import TranscriptionError
+
 if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
     from pyomo_quad.collocation.program.bounds import Bounds, NonlinearProgram, Scaling
@@ -450,7 +452,13 @@ def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None
     if is_warm:
         chosen |= _WARM
     for name, value in (chosen | dict(options.extra)).items():
-        problem.add_option(name, value)
+        try:
+            problem.add_option(name, value)
+        except TypeError as error:
+            raise TranscriptionError(
+                f"options: Ipopt does not take {name} = {value!r}; its options stand at "
+                "https://coin-or.github.io/Ipopt/OPTIONS.html."
+            ) from error
 
 
 def _result(

@@ -14,8 +14,11 @@ from pyomo.core import (
     Constraint,
     ConstraintList,
     Expression,
+    Model,
     Objective,
     Param,
+    Piecewise,
+    SOSConstraint,
     Suffix,
     Var,
 )
@@ -23,7 +26,7 @@ from pyomo.core.base.component import ActiveComponent, Component, ComponentData
 from pyomo.core.base.initializer import Initializer
 from pyomo.core.expr.compare import compare_expressions
 from pyomo.core.expr.visitor import identify_mutable_parameters, identify_variables
-from pyomo.dae import ContinuousSet, DerivativeVar
+from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.dae.misc import expand_components
 from pyomo.network import Port
 
@@ -254,14 +257,26 @@ class WorkingCopy:
         return len(owners) != 1 if self.time is None else owners == {id(self.time)}
 
 
+def _refuse_other_than_models(model: Any) -> None:
+    if not isinstance(model, Model):
+        raise TranscriptionError(
+            f"model: a {type(model).__name__}; must be a ConcreteModel of pyomo.environ as a whole."
+        )
+    if not model.is_constructed():
+        raise TranscriptionError(
+            f"model: {model.name} is abstract; give what its create_instance() returns."
+        )
+
+
 def continuous_sets(model: Any) -> tuple[Any, ...]:
     """Return the model's continuous sets that are not discretised: its horizons.
 
     Raises
     ------
     TranscriptionError
-        If a component is over two of them, or none is over one of several.
+        If it is no model, or a component is over two of them, or none is over one of several.
     """
+    _refuse_other_than_models(model)
     sets = tuple(
         s
         for s in model.component_objects(ContinuousSet, descend_into=True)
@@ -292,6 +307,10 @@ _INSTEAD = {
     "Complementarity": "write it as inequalities: a >= 0, b >= 0 and a * b <= a small number",
     "Arc": "apply the transformation network.expand_arcs first",
 }
+_INSTEAD_OVER_TIME = {
+    "Block": "index the variables and constraints inside one block by time",
+    "Objective": "let one Objective hold an Integral over time, or values at single times",
+}
 
 
 def _refuse_unknown(model: Any) -> None:
@@ -311,28 +330,47 @@ def _is_over(component: Any, time: Any) -> bool:
     return any(part is time for part in component.index_set().subsets())
 
 
-def _drop_unknown(copy: Any, time: Any) -> None:
-    """Delete what is not active and what Pyomo could not give another time."""
+# What gets another time: by Pyomo, or when it is asked for.
+_EXPANDED = (Var, DerivativeVar, Param, Constraint, Expression, Integral, Suffix)
+
+
+def _drop_unexpanded(copy: Any, time: Any) -> None:
+    """Delete what says nothing, being neither active nor known, and could not get another time."""
     for component in list(copy.component_objects(descend_into=True)):
-        is_unknown = isinstance(component, ActiveComponent) and component.ctype not in _UNDERSTOOD
-        if is_unknown and _is_over(component, time):
+        if component.ctype not in _EXPANDED and _is_over(component, time):
             component.parent_block().del_component(component)
 
 
+def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
+    """Refuse functions by pieces that need integers or stand at every time; others are linear."""
+    for block in model.component_objects(Block, active=True, descend_into=True):
+        if isinstance(block, Piecewise) and (
+            any(_is_over(block, time) for time in times)
+            or any(block.component_data_objects(SOSConstraint))
+            or any(not v.is_continuous() for v in block.component_data_objects(Var))
+        ):
+            raise TranscriptionError(
+                f"{block.name}: Piecewise is not supported; give its points to a Table, which is "
+                "a smooth function of states."
+            )
+
+
 def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
+    _refuse_piecewise(model, times)
     _refuse_unknown(model)
-    for variable in model.component_data_objects(Var, descend_into=True):
-        if not variable.is_continuous():
+    for variable in model.component_data_objects(Var, active=True, descend_into=True):
+        if not variable.is_continuous() and not variable.fixed:
             raise TranscriptionError(
                 f"{variable.name}: domain {variable.domain} is not continuous; integer variables "
-                "are not supported."
+                "are not supported unless they are fixed."
             )
-    for block in model.component_objects(Block, active=True, descend_into=True):
+    for component in model.component_objects((Block, Objective), active=True, descend_into=True):
         for time in times:
-            if block.is_indexed() and _is_over(block, time):
+            if _is_over(component, time):
+                kind = component.ctype.__name__
+                instead = _INSTEAD_OVER_TIME[kind]
                 raise TranscriptionError(
-                    f"{block.name}: a block indexed by {time.name} is not supported; index the "
-                    "variables and constraints inside one block by time."
+                    f"{component.name}: {kind} indexed by {time.name} is not supported; {instead}."
                 )
     for derivative in model.component_objects(DerivativeVar, descend_into=True):
         sets = derivative.get_continuousset_list()
@@ -377,7 +415,7 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
     refuse_changed_members(copy)
     copies = []
     for time in times:
-        _drop_unknown(copy, time)
+        _drop_unexpanded(copy, time)
         _keep_parameters(copy, time)
         declared = tuple(float(t) for t in sorted(time))
         template = declared[0] + _TEMPLATE_FRACTION * (declared[-1] - declared[0])

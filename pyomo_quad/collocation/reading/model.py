@@ -16,7 +16,6 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.reading.clock import FreeTimes, free_times
 from pyomo_quad.collocation.reading.copy import (
-    bounds_rule_of,
     continuous_sets,
     copies_with_template_times,
     rule_of,
@@ -25,13 +24,19 @@ from pyomo_quad.collocation.reading.symbols import (
     Declarations,
     PathEquation,
     PointCondition,
+    PointSymbol,
     Slot,
     indexed_name,
 )
-from pyomo_quad.collocation.reading.writer import TemplateWriter, same_expression, symbol_names
+from pyomo_quad.collocation.reading.writer import (
+    TemplateWriter,
+    is_unbounded,
+    same_expression,
+    symbol_names,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 
 # Of 1 and a constraint's size: what rounding may leave of it where all is fixed.
@@ -62,12 +67,18 @@ class RelationReader:
                 for index in component.index_set():
                     groups.setdefault(self.addresses.split(component, index).index, {})
             for index, data in component.items():
-                if data.active and self.copy.takes(component, data):
+                if self.copy.takes(component, data):
                     address = self.addresses.split(component, index)
                     groups.setdefault(address.index, {})[address.time] = data
             for index, instances in groups.items():
-                self._group(component, index, instances, equations, conditions)
-        return equations, conditions
+                active = {t: data for t, data in instances.items() if data.active}
+                # The template, made anew, is active: it goes with all that the user deactivated.
+                declared = instances.keys() - {self.copy.template_time}
+                if declared.isdisjoint(active) and declared:
+                    continue
+                self._group(component, index, active, equations, conditions)
+            self._refuse_listed(component)
+        return [*equations, *self._rate_limits()], conditions
 
     def _group(
         self,
@@ -83,11 +94,35 @@ class RelationReader:
         if self.addresses.time_position(component) is not None:
             equation = self._writer.path_equation(component, index, template)
         if equation is None:
+            if self.copy.time and instances.keys() == set(self.copy.declared_times):
+                self._refuse_alike(component, list(instances.values()))
             conditions.extend(self._imposed(self._condition(data)) for data in instances.values())
             return
         equations.append(equation)
         conditions.extend(self._start_and_end(equation, instances))
         conditions.extend(self._between(equation, template, instances))
+
+    def _refuse_alike(self, component: Any, instances: list[Any]) -> None:
+        """Refuse members given one by one that say the same at every declared time."""
+        if all(self._is_alike(instances[0], other) for other in instances[1:]):
+            raise TranscriptionError(
+                f"{component.name}: says the same at every declared time, but has no rule for the "
+                "times between; give it one, or index it by a Set of the times that are meant."
+            )
+
+    def _refuse_listed(self, component: Any) -> None:
+        """Refuse what a list says of algebraic variables at every declared time, one by one."""
+        members = [data for data in component.values() if data.active]
+        if self.copy.time is None or len(members) != len(self.copy.declared_times):
+            return
+        times = set()
+        for data in members:
+            held = [self.addresses.of(v) for v in identify_variables(data.body)]
+            if any(a.time is None or a.component in self.symbols.derivatives for a in held):
+                return
+            times |= {a.time for a in held}
+        if times == set(self.copy.declared_times):
+            self._refuse_alike(component, members)
 
     def _relation(self, data: Any, name: str) -> tuple[Any, Any, Any]:
         lower, body, upper = data.to_bounded_expression()
@@ -220,8 +255,9 @@ class RelationReader:
         """Return what is fixed at declared times; add bounds that hold only there."""
         fixed = []
         table = self.symbols
-        for slot in (*table.states.values(), *table.algebraics.values()):
+        for slot in (*table.states.values(), *table.algebraics.values(), *self._rates()):
             variable = self.copy.model.find_component(slot.component)
+            is_changed = self._writer.changed_bounds(slot) is not None
             for time in self.copy.declared_times:
                 data = variable[self.addresses.join(variable, slot.index, time)]
                 if data.fixed and data.value is None:
@@ -230,7 +266,7 @@ class RelationReader:
                     fixed.append((slot.name, table.clock.fraction_of(time)))
                 elif data.fixed:
                     conditions.append(self._held(data))
-                elif data.bounds != self._bounds_over_time(variable, slot, time):
+                elif not is_changed and data.bounds != self._writer.declared_bounds(data):
                     conditions.append(
                         PointCondition(
                             name=data.name,
@@ -241,25 +277,41 @@ class RelationReader:
                     )
         return fixed
 
+    def _rates(self) -> Iterator[Slot]:
+        """Yield derivatives over time with their bounds, as if they were variables."""
+        for derivative in self.copy.model.component_objects(DerivativeVar, descend_into=True):
+            for position, data in derivative.items():
+                address = self.addresses.split(derivative, position)
+                if self.copy.time and address.time == self.copy.template_time:
+                    yield Slot(
+                        name=address.name,
+                        component=derivative.name,
+                        index=address.index,
+                        symbol=None,
+                        lower=data.lower,
+                        upper=data.upper,
+                    )
+
+    def _rate_limits(self) -> Iterator[PathEquation]:
+        """Yield the bounds of derivatives as limits over time."""
+        for slot in self._rates():
+            lower, upper = self._writer.bounds_over_time(slot)
+            if not is_unbounded(lower, upper):
+                derivative = self.copy.model.find_component(slot.component)
+                yield PathEquation(
+                    name=slot.name,
+                    expression=self._writer.write_at_template(derivative, slot.index),
+                    lower=lower,
+                    upper=upper,
+                    is_equality=False,
+                )
+
     def _held(self, data: Any) -> PointCondition:
         """Return the condition that an algebraic variable keeps its fixed value at a time."""
         number = self.symbols.fixed_value(data)
         expression = casadi.SX(self._writer.write(data, data.name)) - number
         return PointCondition(
             name=data.name, expression=expression, lower=casadi.SX(0), upper=casadi.SX(0)
-        )
-
-    def _bounds_over_time(self, variable: Any, slot: Slot, time: float) -> tuple[Any, Any]:
-        """Return the bounds that a variable has at a time because it has them at all times."""
-        rule = bounds_rule_of(variable)
-        if rule is None:
-            time = self.copy.template_time
-            return tuple(variable[self.addresses.join(variable, slot.index, time)].bounds)
-        index = self.addresses.join(variable, slot.index, time)
-        lower, upper = rule(variable.parent_block(), index)
-        return (
-            None if lower is None else value(lower),
-            None if upper is None else value(upper),
         )
 
 
@@ -343,10 +395,11 @@ class ModelReader:
         table = self.symbols
         nominal = self._nominal_magnitudes()
         used = symbol_names(casadi.vertcat(cost, *[c.expression for c in conditions]))
+        points = tuple(p for p in table.points.values() if p.symbol.name() in used)
         return Declarations(
             states=self._finished(table.states, nominal, self.writer.bounds_over_time),
             algebraics=self._finished(
-                self._used_algebraics(self.equations, cost), nominal, self.writer.bounds_over_time
+                self._used_algebraics(points), nominal, self.writer.bounds_over_time
             ),
             statics=self._finished(table.statics, nominal, self._bounds),
             signals=tuple(table.signals.values()),
@@ -354,7 +407,7 @@ class ModelReader:
             clock=table.clock,
             equations=tuple(self.equations),
             conditions=tuple(conditions),
-            point_symbols=tuple(p for p in table.points.values() if p.symbol.name() in used),
+            point_symbols=points,
             integrals=tuple(self.writer.integrals.values()),
             objective=cost,
             fixed=tuple(fixed),
@@ -377,11 +430,11 @@ class ModelReader:
                     if address.time == self.copy.template_time:
                         self.writer.write_at_template(component, address.index)
 
-    def _used_algebraics(self, equations: list[PathEquation], cost: Any) -> dict[str, Slot]:
-        """Return the algebraic variables that some equation or integrand holds."""
-        parts = [part for e in equations for part in (e.expression, e.lower, e.upper)]
+    def _used_algebraics(self, points: tuple[PointSymbol, ...]) -> dict[str, Slot]:
+        """Return the algebraic variables that some equation, integrand or value at a time holds."""
+        parts = [part for e in self.equations for part in (e.expression, e.lower, e.upper)]
         parts += [i.integrand for i in self.writer.integrals.values()]
-        used = symbol_names(casadi.vertcat(cost, *parts))
+        used = symbol_names(casadi.vertcat(*parts)) | {point.slot for point in points}
         return {name: s for name, s in self.symbols.algebraics.items() if name in used}
 
     def objective(self) -> Any:

@@ -16,7 +16,7 @@ from pyomo_quad.collocation.errors import TranscriptionError, raised
 from pyomo_quad.collocation.reading.copy import rule_of
 from pyomo_quad.collocation.reading.interpolants import Interpolant, interpolant
 from pyomo_quad.collocation.reading.schedules import Reading, jumps, probes
-from pyomo_quad.collocation.reading.symbols import AddressBook
+from pyomo_quad.collocation.reading.symbols import AddressBook, indexed_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -105,8 +105,21 @@ class LiveModel:
     def parameter(self, slot: Slot) -> float | None:
         """Return the value of a parameter without time, None if it has none."""
         component = self.model.find_component(slot.component)
-        found = value(self._member(component, slot), exception=False)
+        member = self._member(component, slot)
+        if slot.name == member.name and self._addresses.of(member).time is not None:
+            self._refuse_other_values(component, self._addresses.of(member).index)
+        found = value(member, exception=False)
         return None if found is None else float(found)
+
+    def _refuse_other_values(self, variable: Any, index: tuple[Any, ...]) -> None:
+        """Refuse a variable fixed at all declared times, but not to one number."""
+        held = {variable[self._addresses.join(variable, index, t)].value for t in self.times}
+        if len(held) > 1:
+            raise TranscriptionError(
+                f"{indexed_name(variable.name, index)}: is fixed to other values at other declared "
+                "times, which leaves open what holds between; make it a Param over time with "
+                "initialize= a function of time."
+            )
 
     def variable(self, slot: Slot, time: float | None = None) -> float | None:
         """Return what a variable holds at a declared time, None if nothing or no variable."""

@@ -411,7 +411,7 @@ class SymbolTable:
         self.signals: dict[str, Slot] = {}
         self.points: dict[tuple[str, float, bool], PointSymbol] = {}
         self.signal_points: dict[tuple[str, float], Any] = {}
-        self._derivatives = {
+        self.derivatives = {
             d.get_state_var().name: d
             for d in copy.model.component_objects(DerivativeVar, descend_into=True)
         }
@@ -549,7 +549,7 @@ class SymbolTable:
             if name in table:
                 return table[name]
         template = variable[self._addresses.join(variable, address.index, self._copy.template_time)]
-        is_state = variable.name in self._derivatives
+        is_state = variable.name in self.derivatives
         if not is_state and self._is_fixed_throughout(variable, address.index):
             return None
         symbol = casadi.SX.sym(name)

@@ -266,7 +266,7 @@ class TemplateWriter:
             return _relation(rule(block, self.addresses.join(component, index, time)), name)
 
         (lower, body, upper), is_equality = self._over_time(name, say)
-        if body.is_constant() and _is_unbounded(lower, upper):
+        if body.is_constant() and is_unbounded(lower, upper):
             return None
         if is_equality:
             body, lower, upper = body - upper, casadi.SX(0), casadi.SX(0)
@@ -277,10 +277,12 @@ class TemplateWriter:
     def bounds_over_time(self, slot: Slot) -> tuple[Any, Any]:
         """Return the bounds of a variable over time."""
         variable = self.copy.model.find_component(slot.component)
-        rule = bounds_rule_of(variable)
-        if rule is None:
-            bounds = (slot.lower, -casadi.inf), (slot.upper, casadi.inf)
-            return tuple(self.bound(b, otherwise, slot.name) for b, otherwise in bounds)
+        rule, changed = bounds_rule_of(variable), self.changed_bounds(slot)
+        if rule is None or changed is not None:
+            lower, upper = changed or (slot.lower, slot.upper)
+            return self.bound(lower, -casadi.inf, slot.name), self.bound(
+                upper, casadi.inf, slot.name
+            )
         block = variable.parent_block()
 
         def say(time: Any) -> Statement:
@@ -288,7 +290,51 @@ class TemplateWriter:
             return Statement(parts=(lower, 0.0, upper))
 
         (lower, _, upper), _ = self._over_time(slot.name, say)
-        return lower, upper
+        lowest, highest = self._member(slot, self.copy.template_time).domain.bounds()
+        return (
+            lower if lowest is None else casadi.fmax(lower, lowest),
+            upper if highest is None else casadi.fmin(upper, highest),
+        )
+
+    def changed_bounds(self, slot: Slot) -> tuple[Any, Any] | None:
+        """Return the bounds that a user gave to every declared time instead of those declared.
+
+        A state's ends may be meant alone, unless one is fixed, of which no bounds are needed.
+
+        Raises
+        ------
+        TranscriptionError
+            If it is not clear what holds between.
+        """
+        members = [self._member(slot, time) for time in self.copy.declared_times]
+        if any(m.bounds == self.declared_bounds(m) for m in members):
+            return None
+        is_same = all(m.bounds == members[0].bounds for m in members)
+        is_state = slot.rate is not None and not any(m.fixed for m in members)
+        if is_same and not is_state:
+            return members[0].lower, members[0].upper
+        if is_state and not is_same:
+            return None
+        raise TranscriptionError(
+            f"{slot.name}: its bounds were changed at every declared time, which leaves open what "
+            "holds between; declare it with bounds= for all times, or write a Constraint for some."
+        )
+
+    def declared_bounds(self, data: Any) -> tuple[float | None, float | None]:
+        """Return the bounds that a variable's declaration gives a member, as numbers."""
+        variable, address = data.parent_component(), self.addresses.of(data)
+        rule = bounds_rule_of(variable)
+        if rule is None:
+            position = self.addresses.join(variable, address.index, self.copy.template_time)
+            return tuple(variable[position].bounds)
+        member = type(data)(variable)
+        member.domain = data.domain
+        member.bounds = rule(variable.parent_block(), data.index())
+        return tuple(member.bounds)
+
+    def _member(self, slot: Slot, time: float) -> Any:
+        variable = self.copy.model.find_component(slot.component)
+        return variable[self.addresses.join(variable, slot.index, time)]
 
     def _over_time(self, name: str, say: Callable[[Any], Statement]) -> tuple[list[Any], bool]:
         """Return the parts of what a rule says as functions of time, and if they are an equality.
@@ -515,7 +561,8 @@ def _as_numeric(statement: Statement) -> Statement:
     return replace(statement, parts=tuple(parts))
 
 
-def _is_unbounded(lower: Any, upper: Any) -> bool:
+def is_unbounded(lower: Any, upper: Any) -> bool:
+    """Say whether neither of two CasADi bounds holds anything."""
     sides = (lower, -casadi.inf), (upper, casadi.inf)
     return all(casadi.is_equal(side, casadi.SX(limit)) for side, limit in sides)
 

@@ -271,7 +271,7 @@ def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
     coefficients = np.linalg.solve(matrix, states[first : last + 1])
     nominal = np.array([s.nominal or 1.0 for s in solution.problem.compiled.declared.states])
     size = np.maximum(np.abs(states).max(axis=0, initial=0.0), nominal)
-    return np.asarray(np.abs(coefficients / size).max(axis=1), dtype=float)
+    return np.asarray(np.abs(coefficients / size).max(axis=1, initial=0.0), dtype=float)
 
 
 def _integrand_sizes(solution: Solution, e: int) -> FloatArray:

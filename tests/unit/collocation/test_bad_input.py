@@ -3,6 +3,7 @@
 import pytest
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.environ import (
+    AbstractModel,
     Binary,
     Block,
     BooleanVar,
@@ -13,6 +14,8 @@ from pyomo.environ import (
     LogicalConstraint,
     Objective,
     Param,
+    Piecewise,
+    Set,
     SOSConstraint,
     Var,
     log,
@@ -216,6 +219,54 @@ def test_binary_variable_over_time(m):
     refused(m, r"switch\[0\]: domain Binary is not continuous")
 
 
+def test_a_switch_that_is_fixed_is_a_number(m):
+    m.is_on = Var(domain=Binary)
+    m.use = Constraint(m.t, rule=lambda m, t: m.u[t] <= m.is_on)
+    m.is_on.fix(1)
+    compile(m)
+
+
+@pytest.mark.parametrize("kind", [{"pw_repn": "SOS2"}, {"pw_repn": "INC"}])
+def test_a_function_by_pieces(m, kind):
+    m.x.setlb(0)
+    m.x.setub(3)
+    m.y = Var(m.t, bounds=(-5, 5))
+    m.drag = Piecewise(
+        m.t, m.y, m.x, pw_pts=[0, 1, 3], f_rule=[0, 1, 2], pw_constr_type="EQ", **kind
+    )
+    refused(m, "^drag: Piecewise is not supported; give its points to a Table, which is a smooth")
+
+
+def test_an_objective_at_every_time(m):
+    m.objective.deactivate()
+    m.each = Objective(m.t, rule=lambda m, t: m.u[t] ** 2)
+    refused(m, "^each: Objective indexed by t is not supported; let one Objective hold an Integ")
+    m.each.deactivate()
+    m.objective.activate()
+    compile(m)
+
+
+def test_a_block_at_every_time(m):
+    m.part = Block(m.t)
+    refused(m, "^part: Block indexed by t is not supported; index the variables and constraints")
+
+
+@pytest.mark.parametrize("kind", [BooleanVar, Set])
+def test_what_says_nothing_at_every_time_is_left_alone(m, kind):
+    m.aside = kind(m.t)
+    compile(m)
+
+
+def test_what_is_no_model():
+    m = ConcreteModel()
+    m.part = Block()
+    for wrong, name in ((m.part, "ScalarBlock"), ({"x": 1}, "dict")):
+        with pytest.raises(TranscriptionError, match=rf"^model: a {name}; must be a ConcreteModel"):
+            compile(wrong)
+    with pytest.raises(TranscriptionError, match=r"^model: unknown is abstract; give what its cre"):
+        compile(AbstractModel())
+
+
 def test_second_derivative(m):
     m.y = Var(m.t)
     m.d2y_dt2 = DerivativeVar(m.y, wrt=(m.t, m.t))
@@ -292,8 +343,8 @@ def test_expr_if(m):
 
 
 def test_conditions_that_cross(m):
-    m.x.setlb(3)
-    m.x.setub(2)
+    m.x[1].setlb(3)
+    m.x[1].setub(2)
     refused(m, "lower bound 3 is above upper bound 2")
 
 

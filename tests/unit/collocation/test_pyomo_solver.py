@@ -174,6 +174,22 @@ def test_options_of_the_factory():
     assert results.solver.termination_condition is TerminationCondition.maxIterations
 
 
+def test_what_pyomo_gives_every_solver_is_taken(solver):
+    assert solver.available(False)
+    solver.options.max_iter = 1
+    results = solver.solve(hock_schittkowski_71(), symbolic_solver_labels=True)
+    assert results.solver.termination_condition is TerminationCondition.maxIterations
+
+
+def test_what_is_unknown_is_refused_by_name(solver):
+    m = hock_schittkowski_71()
+    with pytest.raises(TranscriptionError, match=r"^nlp: is no argument of solve, which takes fin"):
+        solver.solve(m, nlp="cyipopt")
+    for options in ({"max_iteration": 5}, {"max_iter": -3}):
+        with pytest.raises(TranscriptionError, match=r"^options: Ipopt does not take max_iter"):
+            solver.solve(m, options=options)
+
+
 def test_an_unbounded_program_says_so(solver):
     m = ConcreteModel()
     m.x = Var(initialize=1.0)

@@ -1,22 +1,31 @@
-"""Rules say the same wherever they keep the model: in a closure, a helper, a default, a list."""
+"""Rules say the same wherever they keep the model, and members what was done to them since."""
 
 from functools import partial
 
+import numpy as np
 import pytest
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
-from pyomo.environ import ConcreteModel, Constraint, Expression, Objective, Var
+from pyomo.environ import (
+    Any,
+    ConcreteModel,
+    Constraint,
+    Expression,
+    NonNegativeReals,
+    Objective,
+    Var,
+)
 
-from pyomo_quad.collocation import TranscriptionError, solve
+from pyomo_quad.collocation import TranscriptionError, compile, solve
 from pyomo_quad.collocation.errors import raised
 
 CAP = 1.2
 
 
-def integrator():
+def integrator(**control):
     """Move x from 0 to 1 with u as near t as a cap allows; the rules read their own block."""
     m = ConcreteModel()
     m.t = ContinuousSet(bounds=(0, 1))
-    m.x, m.u = Var(m.t, initialize=0.0), Var(m.t, initialize=0.0)
+    m.x, m.u = Var(m.t, initialize=0.0), Var(m.t, initialize=0.0, **control)
     m.dx_dt = DerivativeVar(m.x, wrt=m.t)
     m.x[0].fix(0.0)
     m.x[1].fix(1.0)
@@ -153,3 +162,139 @@ def test_a_member_changed_after_its_rule_is_refused():
         m.doubled[t].set_value(3 * m.u[t])
     with pytest.raises(TranscriptionError, match=r"doubled\[1\]: was changed after its rule"):
         solve(m)
+
+
+# Members changed since
+
+
+def by_each_member(m):
+    for t in m.t:
+        m.u[t].setub(CAP)
+
+
+def by_slice(m):
+    m.u[:].setub(CAP)
+
+
+def by_rate(m):
+    for t in m.t:
+        m.dx_dt[t].setub(CAP)
+
+
+@pytest.mark.parametrize("change", [by_each_member, by_slice, by_rate, lambda m: m.u.setub(CAP)])
+@pytest.mark.parametrize("declared", [None, (None, 9.0), lambda _m, t: (None, 9.0 - t)])
+def test_bounds_given_to_every_member_hold_all_the_time(change, declared, capped):
+    m = integrator(bounds=declared)
+    change(m)
+    assert solve(m).objective == pytest.approx(capped, rel=1e-6)
+
+
+def test_bounds_of_a_derivative_hold_all_the_time(capped):
+    m = integrator()
+    m.y = Var(m.t)
+    m.dy_dt = DerivativeVar(m.y, wrt=m.t, bounds=lambda _m, _t: (None, CAP))
+    m.again = Constraint(m.t, rule=lambda m, t: m.dy_dt[t] == m.u[t])
+    m.y[0].fix(0)
+    assert solve(m).objective == pytest.approx(capped, rel=1e-6)
+
+
+def test_a_domain_holds_beside_bounds_by_a_rule():
+    # What u falls short of t - 1/2 by while that is below 0: the third of 1/8.
+    m = integrator(domain=NonNegativeReals, bounds=lambda _m, t: (None, 9 + t))
+    m.x[1].unfix()
+    m.late = Integral(m.t, wrt=m.t, rule=lambda m, t: (m.u[t] - t + 0.5) ** 2)
+    m.objective.set_value(m.late)
+    assert solve(m).objective == pytest.approx(1 / 24, rel=1e-5)
+
+
+def test_bounds_of_a_state_with_a_fixed_end_hold_all_the_time():
+    m = integrator()
+    m.x[1].unfix()
+    m.x.setub(0.2)
+    found = solve(m)
+    assert found.value(m.x, np.linspace(0, 1, 101)).max() == pytest.approx(0.2, abs=1e-6)
+
+
+def box(m, ends):
+    for end in ends:
+        m.x[end].unfix()
+        m.x[end].setlb(0.7)
+
+
+def test_bounds_that_may_be_meant_for_the_ends_alone_are_refused():
+    m = integrator()
+    box(m, (0, 1))
+    with pytest.raises(
+        TranscriptionError, match=r"^x: its bounds were changed at every declared t"
+    ):
+        solve(m)
+    m = integrator()
+    for t in m.t:
+        m.u[t].setub(CAP + t)
+    with pytest.raises(TranscriptionError, match=r"^u: its bounds were changed .* bounds= for all"):
+        solve(m)
+
+
+def test_bounds_of_one_end_stay_there():
+    m = integrator()
+    box(m, (0,))
+    found = solve(m)  # From 0.7 on, u = t - 0.2.
+    assert found.value(m.x, 0.0) == pytest.approx(0.7, abs=1e-6)
+    assert found.objective == pytest.approx(0.04, rel=1e-5)
+
+
+def test_what_is_deactivated_at_every_declared_time_is_not_imposed(capped):
+    m = integrator()
+    m.cap = Constraint(m.t, rule=by_block(m))
+    m.cap[0].deactivate()
+    assert solve(m).objective == pytest.approx(capped, rel=1e-9)
+    m.cap[1].deactivate()
+    assert solve(m).objective == pytest.approx(0.25, rel=1e-9)
+
+
+def decay():
+    m = ConcreteModel()
+    m.t = ContinuousSet(bounds=(0, 1))
+    m.x, m.u = Var(m.t, initialize=1.0), Var(m.t, initialize=0.0)
+    m.dx_dt = DerivativeVar(m.x, wrt=m.t)
+    m.ode = Constraint(m.t, rule=lambda m, t: m.dx_dt[t] == m.u[t] - m.x[t])
+    return m
+
+
+def test_a_rate_is_fixed_at_the_start():
+    m = decay()
+    m.u.fix(0.5)
+    m.dx_dt[0].fix(-1.5)
+    assert solve(m).value(m.x, 1.0) == pytest.approx(0.5 + 1.5 * np.exp(-1), rel=1e-6)
+
+
+def test_a_control_fixed_to_other_numbers_at_other_times_is_refused():
+    m = decay()
+    m.x[0].fix(1)
+    m.u.fix(0.5)
+    problem = compile(m)
+    assert problem.solve().value(m.x, 1.0) == pytest.approx(0.5 + 0.5 * np.exp(-1), rel=1e-6)
+    m.u[1].fix(0.7)
+    with pytest.raises(TranscriptionError, match=r"^u: is fixed to other values at other declared"):
+        problem.solve()
+
+
+@pytest.mark.parametrize("kind", [lambda m: Constraint(m.t), lambda _: Constraint(Any)])
+def test_members_without_a_rule_that_are_alike_are_refused(kind):
+    m = integrator()
+    m.cap = kind(m)
+    for t in m.t:
+        m.cap[t] = m.u[t] <= CAP
+    with pytest.raises(
+        TranscriptionError, match=r"^cap: says the same at every declared time, but"
+    ):
+        solve(m)
+
+
+def test_a_variable_at_a_single_time_needs_no_equation():
+    m = integrator()
+    m.price = Var(m.t, bounds=(0.5, 2))
+    m.objective.set_value(m.miss + m.price[1] ** 2)
+    found = solve(m)
+    assert found.objective == pytest.approx(0.5, rel=1e-5)
+    assert m.price[1].value == pytest.approx(0.5, rel=1e-5)
