@@ -23,6 +23,7 @@ from pyomo.core import (
     Var,
 )
 from pyomo.core.base.component import ActiveComponent, Component, ComponentData
+from pyomo.core.base.indexed_component import IndexedComponent
 from pyomo.core.base.initializer import Initializer
 from pyomo.core.expr.compare import compare_expressions
 from pyomo.core.expr.visitor import identify_mutable_parameters, identify_variables
@@ -284,6 +285,8 @@ def continuous_sets(model: Any) -> tuple[Any, ...]:
     )
     if len(sets) < 2:
         return sets
+    active = {id(s) for s in model.component_objects(ContinuousSet, active=True)}
+    sets = tuple(s for s in sets if id(s) in active or _is_asked_for(model, s))
     used: set[int] = set()
     for component in model.component_objects((Var, DerivativeVar), descend_into=True):
         over = [s for s in sets if component.is_indexed() and _is_over(component, s)]
@@ -296,6 +299,15 @@ def continuous_sets(model: Any) -> tuple[Any, ...]:
             )
         used.update(id(s) for s in over)
     return tuple(s for s in sets if id(s) in used)
+
+
+def _is_asked_for(model: Any, time: Any) -> bool:
+    """Say whether an active constraint or objective holds a value over a set."""
+    return any(
+        _is_over(variable.parent_component(), time)
+        for data in model.component_data_objects((Constraint, Objective), active=True)
+        for variable in identify_variables(data.expr)
+    )
 
 
 # Active components whose meaning the engine knows; a port only names variables.
@@ -337,7 +349,8 @@ _EXPANDED = (Var, DerivativeVar, Param, Constraint, Expression, Integral, Suffix
 def _drop_unexpanded(copy: Any, time: Any) -> None:
     """Delete what says nothing, being neither active nor known, and could not get another time."""
     for component in list(copy.component_objects(descend_into=True)):
-        if component.ctype not in _EXPANDED and _is_over(component, time):
+        is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED
+        if is_unknown and _is_over(component, time):
             component.parent_block().del_component(component)
 
 

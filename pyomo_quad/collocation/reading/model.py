@@ -453,8 +453,9 @@ class ModelReader:
     def _require_variables(self) -> None:
         table = self.symbols
         if not (table.states or table.algebraics or table.statics):
+            where = self.copy.time.name if self.copy.others else "model"
             raise TranscriptionError(
-                "model: nothing to solve for; declare a Var that is not fixed and an active "
+                f"{where}: nothing to solve for; declare a Var that is not fixed and an active "
                 "Constraint or Objective that holds it."
             )
 

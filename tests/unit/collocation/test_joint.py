@@ -292,6 +292,28 @@ def test_as_a_pyomo_solver_with_suffixes():
     assert m.costate[m.second.x[0]] == pytest.approx(-1.5, abs=1e-5)
 
 
+def test_a_horizon_that_is_deactivated_is_left_out():
+    m = least_effort()
+    m.first.deactivate()
+    m.same_speed.deactivate()
+    m.same_place.deactivate()
+    m.second.x[0].fix(0)
+    m.second.v[0].fix(0)
+    m.cost.set_value(m.second.effort)
+    assert solve(m).objective == pytest.approx(6.0, rel=1e-8)
+    m.same_speed.activate()
+    refused(m, "^first.t: nothing to solve for; declare a Var that is not fixed and an active Con")
+
+
+def test_both_are_shown_in_one_short_line_and_a_table():
+    problem = compile(least_effort())
+    for shown, fact in ((problem, "first.t"), (problem.solve(), "status: converged")):
+        assert repr(shown).startswith(f"<{type(shown).__name__} ")
+        assert fact in repr(shown)
+        assert "\n" not in repr(shown)
+        assert shown._repr_html_().startswith("<table")
+
+
 def test_what_needs_no_horizon_is_kept():
     m = least_effort()
     m.free = Var(bounds=(0, 9))

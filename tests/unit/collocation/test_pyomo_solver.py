@@ -20,7 +20,7 @@ from pyomo.environ import (
 )
 from pyomo.opt import TerminationCondition
 
-from pyomo_quad.collocation import TranscriptionError
+from pyomo_quad.collocation import RefinementOptions, TranscriptionError
 from pyomo_quad.collocation.program import ipopt
 from tests.problems import bryson_denham, double_integrator, hyper_sensitive
 
@@ -188,6 +188,13 @@ def test_what_is_unknown_is_refused_by_name(solver):
     for options in ({"max_iteration": 5}, {"max_iter": -3}):
         with pytest.raises(TranscriptionError, match=r"^options: Ipopt does not take max_iter"):
             solver.solve(m, options=options)
+
+
+def test_a_mesh_that_is_too_coarse_ends_otherwise(solver):
+    few = RefinementOptions(max_meshes=1)
+    results = solver.solve(bryson_denham.build(), tolerance=1e-9, refinement=few)
+    assert results.solver.termination_condition is TerminationCondition.other
+    assert "refinement stopped after 1 meshes" in results.solver.message
 
 
 def test_an_unbounded_program_says_so(solver):
