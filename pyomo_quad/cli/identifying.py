@@ -17,7 +17,12 @@ if TYPE_CHECKING:
 # Of a list of flights, and what stands there for those that are read.
 _SPLIT, _READ = "split", "fit"
 
-Logs = Annotated[Path, typer.Argument(metavar="LOGS", help="Flights: .parquet, .csv or PX4 .ulg.")]
+Logs = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="LOGS...", help="Flights: .parquet, .csv or PX4 .ulg, one file or more."
+    ),
+]
 Base = Annotated[
     str, typer.Option("--base", metavar="VEHICLE", help="Vehicle of the library, or its file.")
 ]
@@ -25,7 +30,8 @@ Vehicle = Annotated[
     str, typer.Option("--vehicle", metavar="VEHICLE", help="Vehicle of the library, or its file.")
 ]
 Output = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Output folder, reports/LOGS without.")
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Output folder, named after the first log."),
 ]
 Wanted = Annotated[
     list[str] | None,
@@ -52,7 +58,7 @@ def identify(
     quiet: Quiet = False,
 ) -> int:
     """Fit a vehicle's power to measured flights: a vehicle file, and how far to trust it."""
-    folder = out or Path("reports") / logs.stem
+    folder = out or Path("reports") / logs[0].stem
     refuse_output_folder(folder)
     from pyomo_quad.identification.fitting import (  # noqa: PLC0415  takes a second
         FITTABLE,
@@ -90,7 +96,7 @@ def identify(
 
 def predict(logs: Logs, *, vehicle: Vehicle, out: Output = None, quiet: Quiet = False) -> int:
     """Compute the energy of measured flights from their motion, and compare."""
-    folder = out or Path("reports") / f"{logs.stem}_predicted"
+    folder = out or Path("reports") / f"{logs[0].stem}_predicted"
     refuse_output_folder(folder)
     from pyomo_quad.identification.motion import LoggedMotion  # noqa: PLC0415  takes a second
     from pyomo_quad.identification.report import write_predictions  # noqa: PLC0415
@@ -107,13 +113,19 @@ def predict(logs: Logs, *, vehicle: Vehicle, out: Output = None, quiet: Quiet = 
     return ExitCode.VERIFIED
 
 
-def _read(logs: Path, vehicle: str, flights: Path | None) -> "tuple[Scenario, pd.DataFrame]":
-    from pyomo_quad.identification.logs import read_logs, refuse_wrong_units  # noqa: PLC0415
+def _read(logs: list[Path], vehicle: str, flights: Path | None) -> "tuple[Scenario, pd.DataFrame]":
+    from pyomo_quad.identification.logs import (  # noqa: PLC0415
+        read_logs,
+        refuse_wrong_units,
+        together,
+    )
     from pyomo_quad.identification.motion import vehicle_scenario  # noqa: PLC0415
 
     scenario = vehicle_scenario(vehicle)
-    frame = read_logs(logs)
-    refuse_wrong_units(frame, scenario.vehicle.mass, str(logs))
+    read = [(file, read_logs(file)) for file in logs]
+    for file, frame in read:
+        refuse_wrong_units(frame, scenario.vehicle.mass, str(file))
+    frame = together(read)
     if flights is not None:
         frame = _chosen(frame, flights)
     return scenario, frame

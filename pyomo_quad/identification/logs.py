@@ -4,7 +4,7 @@ A log is a table, Parquet or CSV, of one row a second or so, or a PX4 `.ulg`.  I
 those of `COLUMNS`; others are passed over.  World axes here are north, east and up.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 from numpy.typing import NDArray
+from pyarrow import parquet
 
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.air import SEA_LEVEL_DENSITY
@@ -72,7 +73,7 @@ _MOST: Mapping[str, tuple[float, str]] = {
 _MOST_POWER_PER_KG, _LEAST_POWER_PER_KG = 5e3, 5.0
 # s; rows farther apart than this tell no flight.
 _LONGEST_STEP_S = 60.0
-_LARGEST_FILE_BYTES = 500_000_000
+_LARGEST_FILE_BYTES, _MOST_ROWS = 500_000_000, 2_000_000
 # Logs of the PX4 autopilot: unit, topics and fields, the newest firmware's name first.
 Topic = dict[str, NDArray[np.float64]]
 _MICROSECONDS = 1e-6
@@ -117,8 +118,32 @@ def read_logs(file: Path) -> pd.DataFrame:
     return frame.astype(dict.fromkeys(numbers, float))
 
 
+def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
+    """Return the flights of several logs as one; where names meet, each log's own stands before.
+
+    Raises
+    ------
+    ScenarioError
+        If one flight is there twice.
+    """
+    held = [frame for _, frame in logs]
+    flights = pd.concat([frame[FLIGHT].drop_duplicates() for frame in held])
+    if not flights.is_unique or len({frame[FLIGHT].dtype for frame in held}) > 1:
+        held = [
+            frame.assign(**{FLIGHT: f"{file.stem} " + frame[FLIGHT].astype(str)})
+            for file, frame in logs
+        ]
+    flights = pd.concat([frame[FLIGHT].drop_duplicates() for frame in held])
+    if not flights.is_unique:
+        twice = printable(str(flights[flights.duplicated()].iloc[0]))
+        raise ScenarioError(
+            f"logs: flight {twice} is there twice; give each log once, under a name of its own."
+        )
+    return pd.concat(held, ignore_index=True)
+
+
 def _read(file: Path, source: str) -> pd.DataFrame:
-    readers = {".parquet": pd.read_parquet, ".csv": _read_csv, ".ulg": _read_ulog}
+    readers = {".parquet": _read_parquet, ".csv": _read_csv, ".ulg": _read_ulog}
     reader: Any = readers.get(file.suffix.lower())
     if reader is None:
         raise ScenarioError(f"{source}: is no log; give a .parquet, .csv or .ulg file.")
@@ -133,6 +158,16 @@ def _read(file: Path, source: str) -> pd.DataFrame:
         raise ScenarioError(f"{source}: cannot be read ({printable(reason)}).") from None
     except (ValueError, pa.ArrowException, pd.errors.ParserError, pd.errors.EmptyDataError):
         raise ScenarioError(f"{source}: is damaged or cut short; copy it anew.") from None
+
+
+def _read_parquet(file: Path) -> pd.DataFrame:
+    # A small file may unpack to more than any memory holds.
+    with parquet.ParquetFile(file) as packed:
+        if packed.metadata.num_rows > _MOST_ROWS:
+            raise ScenarioError(
+                f"has {packed.metadata.num_rows} rows; must be <= {_MOST_ROWS}: split it."
+            )
+    return pd.read_parquet(file)
 
 
 def _read_csv(file: Path) -> pd.DataFrame:
@@ -238,8 +273,9 @@ def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None
 def _read_ulog(file: Path) -> pd.DataFrame:
     """Return a PX4 log averaged over seconds, in the columns of `COLUMNS`.
 
-    All of it that is not on the ground counts as cruise; the payload is nought, and the air that
-    of sea level where there is no barometer.  The wind is that of the autopilot's estimator.
+    It is one flight, named as its file.  All of it that is not on the ground counts as cruise; the
+    payload is nought, and the air that of sea level where there is no barometer.  The wind is that
+    of the autopilot's estimator.
 
     Raises
     ------
@@ -265,7 +301,9 @@ def _read_ulog(file: Path) -> pd.DataFrame:
     currents = [name for name in _CURRENTS if name in battery and np.any(battery[name] > 0.0)]
     if battery and not currents:
         raise ScenarioError("battery_status has no current; fit a power module and log it.")
-    return _by_second(topics, currents)
+    averaged = _by_second(topics, currents)
+    averaged.insert(0, FLIGHT, file.stem)
+    return averaged
 
 
 def _field(topics: dict[str, Topic], topic: str, *names: str) -> NDArray[np.float64]:
@@ -312,6 +350,4 @@ def _by_second(topics: dict[str, Topic], currents: list[str]) -> pd.DataFrame:
     )
     frame = frame[frame[PHASE] == CRUISE]
     second = np.floor(frame[TIME])
-    averaged = frame.groupby(second).mean().reset_index(drop=True)
-    averaged.insert(0, FLIGHT, 1)
-    return averaged
+    return frame.groupby(second).mean().reset_index(drop=True)

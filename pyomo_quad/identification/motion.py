@@ -167,7 +167,7 @@ class LoggedMotion:
                 at[:, column] = np.clip(at[:, column] + step, -_STEEPEST, _STEEPEST)
             at[:, self._rotors] *= np.clip(1.0 + steps[:, 2:], 0.5, 2.0)
             states[still] = at
-        flight, time = self.frame.loc[int(still[0]), [FLIGHT, TIME]]
+        flight, time = (self.frame[name].iloc[still[0]] for name in (FLIGHT, TIME))
         raise ScenarioError(
             f"logs: no attitude and thrust of this vehicle give the acceleration at {time:g} s of "
             f"flight {flight}; look at the velocities there."

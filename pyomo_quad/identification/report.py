@@ -150,9 +150,14 @@ def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
     for name, content in table.items():
         key = f"{path}{name}"
         if not isinstance(content, Mapping):
-            yield f"{key} = {json.dumps(content)}"
+            yield f"{key} = {_quoted(content)}"
         elif "value" in content:
-            parts = ", ".join(f"{k} = {json.dumps(v)}" for k, v in content.items())
+            parts = ", ".join(f"{k} = {_quoted(v)}" for k, v in content.items())
             yield f"{key} = {{ {parts} }}"
         else:
             yield from _toml_lines(content, f"{key}.")
+
+
+def _quoted(value: object) -> str:
+    # TOML has no surrogates, by which JSON escapes what lies beyond 16 bits.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -27,3 +27,15 @@ def test_a_comparison(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "<RunResult scenario: paper_wind, status: verified, optimal: " in said
     assert "bound" in said
+
+
+@pytest.mark.slow
+def test_a_vehicle_from_its_flights(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(SCENARIOS / "worked_vehicle.py"))
+    said = capsys.readouterr().out
+    assert "cross-validated by flight: 1.8" in said
+    assert "Written to polar." in said
+    flown, hovering = (float(word) for word in said.splitlines()[-1].split() if word.isdigit())
+    # At the speed of this mission the vehicle draws less than in hover.
+    assert flown < hovering

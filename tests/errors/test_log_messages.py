@@ -1,6 +1,7 @@
 """Every message about a log of flights: one line, and nothing is written."""
 
 import struct
+import sys
 
 import numpy as np
 import pandas as pd
@@ -8,6 +9,7 @@ import pytest
 
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.identification import logs
 from tests.unit.identification import recorded
 
 
@@ -100,6 +102,18 @@ SPOILT = {
         lambda: recorded.flight(1, 5.0, 0.0, seconds=30),
         "one flight only; identification needs two at least",
     ),
+    "single_row": (
+        lambda: pd.concat([three(), recorded.flight(4, 5.0, 0.0, seconds=30).head(1)]),
+        "flight 4 has a single row; drop it.",
+    ),
+    "no_air": (
+        lambda: with_value("air_density_kg_m3", 0.0),
+        "air_density_kg_m3 must be > 0 and payload_kg >= 0.",
+    ),
+    "centimetres": (
+        lambda: three().assign(vel_north_m_s=lambda f: 100.0 * f.vel_north_m_s),
+        "of this vehicle give the acceleration at 10 s of flight 1; look at the velocities there.",
+    ),
     "on_ground": (
         lambda: three().assign(phase=0),
         "no row flies; phase must be 1, 2 or 3 for take-off, cruise and landing.",
@@ -126,7 +140,7 @@ def test_a_spoilt_log(tmp_path, capsys, name):
     assert message in refused(capsys, file)
 
 
-def test_files_that_are_no_logs(tmp_path, capsys):
+def test_files_that_are_no_logs(tmp_path, capsys, monkeypatch):
     assert "cannot be read (No such file" in refused(capsys, tmp_path / "none.csv")
     other = tmp_path / "log.xlsx"
     other.write_text("x")
@@ -136,12 +150,27 @@ def test_files_that_are_no_logs(tmp_path, capsys):
     half = tmp_path / "half.parquet"
     half.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
     assert "is damaged or cut short; copy it anew." in refused(capsys, half)
+    vast = tmp_path / "vast.parquet"
+    # Three million rows of one value, in a few kilobytes.
+    pd.DataFrame({"power_W": np.zeros(3_000_000, np.int8)}).to_parquet(vast)
+    assert "has 3000000 rows; must be <= 2000000: split it." in refused(capsys, vast)
     cut = tmp_path / "cut.csv"
     cut.write_text(three().to_csv(index=False)[:-3])
     assert "ends within a line; copy it anew, or end its last line." in refused(capsys, cut)
     empty = tmp_path / "empty.csv"
     empty.write_text("")
     assert "is damaged or cut short; copy it anew." in refused(capsys, empty)
+    monkeypatch.setattr(logs, "_LARGEST_FILE_BYTES", 100)
+    assert "whole.parquet: larger than 100 bytes; split it." in refused(capsys, whole)
+
+
+def test_a_flight_that_is_given_twice(tmp_path, capsys):
+    file = tmp_path / "log.csv"
+    three().to_csv(file, index=False)
+    line = refused(capsys, file, str(file))
+    assert line == (
+        "logs: flight log 1 is there twice; give each log once, under a name of its own."
+    )
 
 
 def test_options_that_do_not_fit(tmp_path, capsys):
@@ -154,6 +183,12 @@ def test_options_that_do_not_fit(tmp_path, capsys):
     listed = tmp_path / "list.csv"
     listed.write_text("flight\n1\n")
     assert "needs the columns flight and split." in refused(capsys, file, "--flights", str(listed))
+    listed.write_text("flight,split\n9,fit\n")
+    assert "no flight of the log has split = fit." in refused(
+        capsys, file, "--flights", str(listed)
+    )
+    line = refused(capsys, file, "--flights", str(tmp_path / "none.csv"))
+    assert "none.csv: cannot be read; give a CSV of flights." in line
 
 
 def ulog(messages):
@@ -195,21 +230,26 @@ def flown_ulog(current=20.0, without=()):
         {
             topic: (tuple(fields), [(t, *fields.values()) for t in times])
             for topic, fields in topics.items()
+            if topic not in without
         }
     )
 
 
-def test_px4_logs(tmp_path, capsys):
-    from pyomo_quad.identification.logs import read_logs
-
+def test_px4_logs(tmp_path, capsys, monkeypatch):
     good = tmp_path / "good.ulg"
     good.write_bytes(flown_ulog(20.0))
-    frame = read_logs(good)
+    frame = logs.read_logs(good)
     assert len(frame) == 30
     expected = {"power_W": 440.0, "vel_north_m_s": 5.0, "vel_up_m_s": -0.5}
     expected |= {"air_vel_north_m_s": 3.0, "air_vel_east_m_s": 1.0, "phase": 2}
     for name, value in expected.items():
         np.testing.assert_allclose(frame[name], value)
+    # One flight a file; several files are several flights.
+    assert "logs: one flight only" in refused(capsys, good)
+    again = tmp_path / "again.ulg"
+    again.write_bytes(flown_ulog(21.0))
+    both = logs.together([(good, frame), (again, logs.read_logs(again))])
+    assert both["flight"].unique().tolist() == ["good", "again"]
     without = tmp_path / "without.ulg"
     without.write_bytes(flown_ulog(-1.0))
     assert "battery_status has no current; fit a power module and log it." in refused(
@@ -223,6 +263,8 @@ def test_px4_logs(tmp_path, capsys):
     }.items():
         without.write_bytes(flown_ulog(without=(field,)))
         assert line in refused(capsys, without)
+    without.write_bytes(flown_ulog(without=("wind",)))
+    assert "has no topic wind; let the estimator of wind run" in refused(capsys, without)
     broken = tmp_path / "broken.ulg"
     broken.write_bytes(good.read_bytes()[:60])
     assert "has no topic vehicle_local_position; log it." in refused(capsys, broken)
@@ -232,3 +274,6 @@ def test_px4_logs(tmp_path, capsys):
     bare = tmp_path / "bare.ulg"
     bare.write_bytes(ulog({"battery_status": (("voltage_v", "current_a"), [(0, 22.0, 9.0)])}))
     assert "has no topic vehicle_local_position; log it." in refused(capsys, bare)
+    monkeypatch.setitem(sys.modules, "pyulog", None)
+    line = refused(capsys, good)
+    assert "PX4 logs need the package pyulog; pip install 'pyomo_quad[logs]'." in line

@@ -11,6 +11,7 @@ CRAFT = plain.M100
 VEHICLE = f"""use = "dji_matrice_100"
 
 [fields]
+title = "Pr\u00fcfling \U0001f681 \u2116 1"
 mass = {CRAFT["mass"]}
 thrust_coefficient = {CRAFT["kb"]}
 rotor_radius = {CRAFT["radius"]}

@@ -29,7 +29,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     recorded.flights().to_csv(folder / "flights.csv", index=False)
     recorded.flights(noise_W=40.0).to_parquet(folder / "noisy.parquet")
-    (folder / "craft.toml").write_text(recorded.VEHICLE)
+    (folder / "craft.toml").write_text(recorded.VEHICLE, encoding="utf-8")
     return folder
 
 
@@ -94,9 +94,14 @@ def test_commands_write_what_they_say(folder, capsys):
     assert main(["identify", str(folder / "flights.csv"), *base, "--out", str(out)]) == 0
     assert "cross-validated by flight: 0.00 %" in capsys.readouterr().out
     vehicle = ["--vehicle", str(out / "vehicle.toml")]
-    assert main(["predict", str(folder / "flights.csv"), *vehicle, "--out", str(again)]) == 0
+    # As autopilots write them: a file for each flight, which all call it the first.
+    alone = [folder / f"day_{number}.csv" for number in range(1, 6)]
+    for file, (_, rows) in zip(alone, recorded.flights().groupby("flight"), strict=True):
+        rows.assign(flight=1).to_csv(file, index=False)
+    assert main(["predict", *map(str, alone), *vehicle, "--out", str(again)]) == 0
     table = pd.read_csv(again / "predictions.csv")
     assert list(table) == ["flight", "measured_energy_J", "predicted_energy_J", "error_percent"]
+    assert table["flight"].tolist() == [f"day_{number} 1" for number in range(1, 6)]
     measured = recorded.flights().groupby("flight")["power_W"].sum()
     np.testing.assert_allclose(table["measured_energy_J"], measured, rtol=1e-9)
     np.testing.assert_allclose(table["predicted_energy_J"], measured, rtol=1e-4)
@@ -104,6 +109,9 @@ def test_commands_write_what_they_say(folder, capsys):
     assert {"mean_absolute_error_percent", "bias_percent", "power_rmse_W"} <= set(summary)
     report = (out / "report.md").read_text()
     assert "`vehicle.profile_power_coefficient`" in report
+    asked = next(line for line in report.splitlines() if line.startswith("**Asked:**"))
+    assert "**Found:** 3 numbers, with which the declared equations give the energy" in asked
+    assert "**It means:** for flights like these" in asked
 
 
 def test_the_vehicle_file_is_taken_by_scenarios(folder):

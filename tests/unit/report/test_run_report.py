@@ -100,7 +100,7 @@ def test_comparison_reads_back(report):
 
 
 def test_page_fits_in_a_mail(report):
-    assert (report / "report.html").stat().st_size < 8e6
+    assert (report / "report.html").stat().st_size < 3e6
 
 
 @pytest.mark.usefixtures("_no_figures")
