@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from math import nan, sqrt
+from math import inf, nan, sqrt
 from time import perf_counter
 
 import numpy as np
@@ -442,17 +442,19 @@ def assembled_flight(
         and battery_imbalance(dynamics, flown) <= BALANCE_TOLERANCE,
         wall_s=perf_counter() - began,
         owed_energy_J=plan.owed_energy(final) if plan is not None and is_told else nan,
-        allowed=_ALLOWED_HOVERING,
+        allowed=_ALLOWED_UNDER_CONTROL,
     )
     missed = tuple(_missed_waypoints(scenario, dynamics, flown))
     return replace(flight, broken_limits=(*flight.broken_limits, *missed))
 
 
 # A flight under control may pass a waypoint, and hold there, as much further off and faster than it
-# should as it may arrive; the limits of a hold are of squares.
-_ALLOWED_HOVERING = {
+# should as it may arrive; the limits of a hold are of squares.  That a heading is kept is asked of
+# plans: blown off it, feedback must turn back, and where it ends is judged as all of the end is.
+_ALLOWED_UNDER_CONTROL = {
     "mission.hold_distance": (HOVERING_M + ARRIVAL_DISTANCE_M) ** 2 - HOVERING_M**2,
     "mission.hold_speed": (HOVERING_M_PER_S + ARRIVAL_SPEED_M_PER_S) ** 2 - HOVERING_M_PER_S**2,
+    "mission.yaw_keeping": inf,
 }
 
 

@@ -57,6 +57,19 @@ def test_rotors_are_quiet_once_under_way(name, reference):
     assert turns_per_s.max() < 2.0
 
 
+def test_a_heading_to_be_kept_is_asked_of_plans_and_of_feedback_that_it_turns_back():
+    kept = ("vehicle.attitude='euler'", "mission.yaw='kept'")
+    vehicle = flights.vehicle("paper_wind", *kept)
+    flight = fly_baseline(
+        flights.scenario("paper_wind", *kept), Reference.QUINTIC, dynamics=vehicle
+    )
+    assert flight.worst_constraint.startswith("mission.yaw_keeping")
+    assert flight.broken_limits == ()
+    heading = flight.frame["psi_rad"].abs()
+    assert 1e-6 < heading.max() < 0.02
+    assert heading.iloc[-1] < 0.5 * heading.max()
+
+
 def test_a_step_settles_in_two_to_three_seconds_without_overshoot():
     near = "mission.goal.position=[1.0, 0.0, 0.0]"
     dynamics = flights.vehicle("paper_calm", near)
