@@ -29,6 +29,7 @@ from pyomo_quad.collocation.program.bounds import (
     refuse_unsolvable,
     scaling_of,
 )
+from pyomo_quad.collocation.program.elastic import elastic_point
 from pyomo_quad.collocation.program.ipopt import (
     TIME_LIMIT_CODE,
     Counter,
@@ -244,7 +245,7 @@ class Problem(Summarised, Formulation):
         solve_on: Callable[..., Solution],
         refined: Callable[..., Solution],
     ) -> Solution:
-        """Return what finer first meshes lead to, or a coarse one first, else what failed.
+        """Return what finer first meshes, a coarse or an elastic start lead to, else what failed.
 
         A first mesh may be too coarse for what limits ask, or too fine for how far the first
         point is off.
@@ -253,9 +254,12 @@ class Problem(Summarised, Formulation):
             found = refined(meshes=(Mesh.uniform(finer * mesh.elements, mesh.degrees[0]),))
             if found.status not in FAILED:
                 return found
-        coarse = solve_on(_COARSE)
-        found = refined(warm_start=coarse.warm_start) if coarse.is_converged else failed
-        return failed if found.status in FAILED else found
+        for lenient in (partial(solve_on, _COARSE), partial(solve_on, mesh, is_elastic=True)):
+            first = lenient()
+            found = refined(warm_start=first.warm_start) if first.is_converged else failed
+            if found.status not in FAILED:
+                return found
+        return failed
 
     def _simulated(self, mesh: Mesh, instance: Instance) -> Trajectory | None:
         """Return what the equations make of the first states, None where something is free."""
@@ -315,13 +319,14 @@ class Problem(Summarised, Formulation):
         options: SolverOptions,
         guess: Guess | None = None,
         seed: int = 0,
+        is_elastic: bool = False,
         to_the_gap: bool = False,
         progress: Progress | None = None,
     ) -> Solution:
         """Solve once on one mesh; `solve` and `Damping` say what the arguments mean.
 
-        A `seed` above 0 starts at random between the bounds; `to_the_gap`, the solve goes on
-        where the barrier's gap is no small share of the objective.
+        A `seed` above 0 starts at random between the bounds; `is_elastic`, at what slacks lead to;
+        `to_the_gap`, the solve goes on where the barrier's gap is no small share of the objective.
         """
         if mesh is not None:
             mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
@@ -341,6 +346,8 @@ class Problem(Summarised, Formulation):
         scaling = scaling_of(program, bounds, z)
         if self.compiled.declared.clock.phases:
             options = options.for_phases()
+        if is_elastic:
+            z = elastic_point(program, bounds, scaling, z, options=options, progress=progress)
         if damping is not None and damping.gap and warm_start is not None:
             parameter = damping.gap * scaling.objective / bounds.sides
             options = options.on_the_path(parameter, is_near=damping.is_still)

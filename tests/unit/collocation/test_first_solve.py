@@ -2,12 +2,23 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
-from pyomo.environ import ConcreteModel, Constraint, Objective, Var
+from pyomo.dae import ContinuousSet, DerivativeVar
+from pyomo.environ import ConcreteModel, Constraint, Objective, Var, sin
 
-from pyomo_quad.collocation import Mesh, RefinementOptions, Status, TranscriptionError, compile
+from pyomo_quad.collocation import (
+    Mesh,
+    RefinementOptions,
+    SolverOptions,
+    Status,
+    TranscriptionError,
+    compile,
+)
+from pyomo_quad.collocation.program.elastic import priced
 from pyomo_quad.collocation.refining.refinement import refine
-from tests.problems import double_integrator
+from pyomo_quad.flight.verification import fly_controls
+from tests.problems import bryson_denham, double_integrator
 from tests.problems.published.chemistry import lee_ramirez
 from tests.problems.published.flight import f8
 from tests.problems.published.geometry import geodesic
@@ -50,6 +61,65 @@ def test_where_the_first_mesh_fails_others_are_tried():
     assert solution.is_converged
     assert solution.history[0].elements > RefinementOptions().first_elements
     assert solution.objective == pytest.approx(5.5496819, abs=5e-8)
+
+
+def pumped_pendulum():
+    """From hanging to upright in least time, with a torque of a fifth of the weight's."""
+    m = ConcreteModel()
+    m.t = ContinuousSet(bounds=(0, 1))
+    m.T = Var(bounds=(0.1, 50))
+    m.angle, m.speed, m.torque = Var(m.t), Var(m.t), Var(m.t, bounds=(-2, 2))
+    m.turning, m.pull = DerivativeVar(m.angle, wrt=m.t), DerivativeVar(m.speed, wrt=m.t)
+    m.motion = Constraint(m.t, rule=lambda m, t: m.turning[t] == m.speed[t])
+    m.force = Constraint(m.t, rule=lambda m, t: m.pull[t] == m.torque[t] - 9.81 * sin(m.angle[t]))
+    for state, start, end in ((m.angle, 0, np.pi), (m.speed, 0, 0)):
+        state[0].fix(start)
+        state[1].fix(end)
+    m.cost = Objective(expr=m.T)
+    return compile(m, final_time=m.T)
+
+
+@pytest.mark.slow
+def test_where_every_mesh_fails_an_elastic_start_leads_on():
+    problem, first = pumped_pendulum(), RefinementOptions().first_mesh
+    arguments = {"instance": problem.instance(), "options": SolverOptions()}
+    assert problem.solve_on_mesh(first, **arguments).status is Status.INFEASIBLE
+    assert problem.solve_on_mesh(first, is_elastic=True, **arguments).is_converged
+    solution = problem.solve()
+    assert solution.is_converged
+    flown = fly_controls(
+        solution.dynamics,
+        solution.mesh_in_time,
+        solution.trajectory.algebraics,
+        solution.trajectory.states[0],
+        solution.horizon,
+    )
+    assert flown.states[-1] == pytest.approx([np.pi, 0.0], abs=1e-4)
+
+
+def test_an_elastic_start_gives_back_what_it_lent():
+    problem = compile(bryson_denham.build())
+    arguments = {"instance": problem.instance(), "options": SolverOptions()}
+    plain, elastic = (
+        problem.solve_on_mesh(Mesh.uniform(5, 4), is_elastic=is_elastic, **arguments)
+        for is_elastic in (False, True)
+    )
+    assert elastic.objective == pytest.approx(plain.objective, rel=1e-8)
+    assert elastic.iterations[-1].iteration < plain.iterations[-1].iteration
+
+
+def test_the_derivatives_of_an_elastic_program_are_the_slopes():
+    solution = compile(bryson_denham.build()).solve(mesh=Mesh.uniform(2, 3))
+    elastic = priced(solution.program, solution.scaling)
+    slacks = np.random.default_rng(1).uniform(0.1, 1, 2 * elastic.rows.size)
+    z = np.concatenate([solution.unknowns, slacks])
+    steps = 1e-6 * np.eye(z.size)
+    slopes = [(elastic.objective(z + d) - elastic.objective(z - d)) / 2e-6 for d in steps]
+    np.testing.assert_allclose(elastic.gradient(z), slopes, rtol=1e-6, atol=1e-6)
+    jacobian = np.zeros((elastic.n_rows, z.size))
+    np.add.at(jacobian, elastic.jacobianstructure(), elastic.jacobian(z))
+    moved = [(elastic.constraints(z + d) - elastic.constraints(z - d)) / 2e-6 for d in steps]
+    np.testing.assert_allclose(jacobian, np.column_stack(moved), atol=1e-7)
 
 
 def test_what_fails_on_every_mesh_is_told_of_the_first():

@@ -1,6 +1,7 @@
 """Solving a compiled problem again: other numbers, horizons, guesses, warm starts; giving up."""
 
 import re
+from time import process_time
 
 import numpy as np
 import pytest
@@ -52,6 +53,13 @@ def test_parameters_by_component_and_from_the_model():
     m.q.set_value(5.0)
     assert problem.solve(mesh=MESH).objective == pytest.approx(by_component, rel=1e-9)
     assert by_component == pytest.approx(scalar_regulator.objective(q=5.0), rel=1e-8)
+
+
+def test_an_implicit_model_is_compiled_in_half_a_second():
+    m = build_model(load_scenario("scenarios/paper_calm.toml"))
+    began = process_time()
+    compile(m)
+    assert process_time() - began < 0.5
 
 
 def test_new_fixed_value_without_a_rebuild():
