@@ -205,7 +205,11 @@ def _given(
     times = np.array([program.time_of(float(f)) for f in fractions])
     held = given[name]
     if callable(held):
-        return np.broadcast_to(np.asarray(held(times), dtype=float), times.shape)
+        try:
+            values = np.asarray(held(times), dtype=float)
+        except (TypeError, ValueError):  # It takes a number, as those of math do.
+            values = np.array([float(held(float(time))) for time in times])
+        return np.broadcast_to(values, times.shape)
     samples = np.asarray(held, dtype=float)
     if samples.ndim == 0:
         return np.full(len(times), float(samples))

@@ -1,5 +1,6 @@
 """Solving a compiled problem again: other numbers, horizons, guesses, warm starts; giving up."""
 
+import math
 import re
 from time import process_time
 
@@ -148,6 +149,9 @@ def test_guess_from_a_frame_and_from_functions():
     functions = {"x": lambda t: 10 * t, "y": lambda t: 5 * t, "duration": 1.8}
     from_functions = problem.solve(mesh=MESH, guess=functions)
     assert from_functions.objective == pytest.approx(cold.objective, rel=1e-8)
+    of_numbers = functions | {"y": lambda t: 5.0 if t > 0.9 else math.sin(t)}
+    from_numbers = problem.solve(mesh=MESH, guess=of_numbers)
+    assert from_numbers.objective == pytest.approx(cold.objective, rel=1e-8)
 
 
 def slide(*, scaled):
