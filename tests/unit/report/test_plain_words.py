@@ -49,6 +49,13 @@ def test_a_run_opens_with_what_was_asked_found_and_meant(run, report):
     assert f"and {floor:.1f} % is what hovering as long would take anyway (the hover floor)" in said
 
 
+def test_a_flight_that_takes_less_than_hovering_is_told_so(tmp_path):
+    run = synthetic_run("scenarios/paper_calm.toml")
+    run.plan.hover_energy_J = 1.25 * run.plan.energy
+    write_run_report(tmp_path, run, Figures.NONE)
+    assert "and hovering as long would take 25.0 % more (the hover floor" in opening(tmp_path)
+
+
 def test_a_charge_is_told_in_minutes_and_metres(run, report):
     charge = run.flights[0].frame["state_of_charge_percent"]
     used = charge.iloc[0] - charge.iloc[-1]
