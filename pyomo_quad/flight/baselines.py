@@ -482,7 +482,7 @@ def _planned_path(plan: Plan) -> SampledPath:
 def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> SampledPath:
     """Return a plan as a reference, with accelerations and air of the equations it obeys."""
     times = even_times(*held.horizon, _PLAN_RATE_HZ)
-    controls = np.clip(held.controls_at(times), *dynamics.control_limits(HELD_BREACH))
+    controls = held.controls_at(times, dynamics.control_limits(HELD_BREACH))
     flown = times, held.states_at(times), controls
     keys = tuple((name, None) for name in (*_PLACE, *_RATE, *_ACCELERATION))
     rows = dynamics.table(keys, *flown)

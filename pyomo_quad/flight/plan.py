@@ -126,9 +126,12 @@ class Trajectories:
         """Return the state polynomials at times, shape (n, n_states)."""
         return interpolate(self.mesh, self.states, self.fractions(t), with_start=True)
 
-    def controls_at(self, t: FloatArray) -> FloatArray:
-        """Return the control polynomials at times, shape (n, n_controls)."""
-        return interpolate(self.mesh, self.controls, self.fractions(t), with_start=False)
+    def controls_at(
+        self, t: FloatArray, limits: tuple[FloatArray, FloatArray] | None = None
+    ) -> FloatArray:
+        """Return the control polynomials at times, held to limits, shape (n, n_controls)."""
+        controls = interpolate(self.mesh, self.controls, self.fractions(t), with_start=False)
+        return controls if limits is None else np.clip(controls, *limits)
 
     def energy_at(self, t: FloatArray) -> FloatArray:
         """Return the energy spent until times, shape (n,)."""
@@ -553,7 +556,7 @@ class Plan(Summarised):
         self, times: FloatArray
     ) -> tuple[Dynamics, FloatArray, FloatArray, FloatArray, FloatArray]:
         held = self.trajectories
-        controls = np.clip(held.controls_at(times), *self.dynamics.control_limits(HELD_BREACH))
+        controls = held.controls_at(times, self.dynamics.control_limits(HELD_BREACH))
         return self.dynamics, times, held.states_at(times), controls, held.energy_at(times)
 
     def at(self, t: float) -> pd.Series:

@@ -58,7 +58,14 @@ from pyomo_quad.flight.controller import (
     mixer_matrix,
     rotor_columns,
 )
-from pyomo_quad.flight.flight import AIR_FORCE, VELOCITY_STATES, Flight, Flown, Resolve
+from pyomo_quad.flight.flight import (
+    AIR_FORCE,
+    HELD_BREACH,
+    VELOCITY_STATES,
+    Flight,
+    Flown,
+    Resolve,
+)
 from pyomo_quad.flight.plan import Plan, Trajectories, trajectories_of
 from pyomo_quad.flight.planning import Planner
 from pyomo_quad.flight.references import SampledPath
@@ -301,13 +308,12 @@ class Replanner:
     ) -> FloatArray:
         """Return the state that a course leads to."""
         speeds = [self.dynamics.state_names.index(name) for name in VELOCITY_STATES]
-
+        limits = self.dynamics.control_limits(HELD_BREACH)
         inside = self.dynamics.just_after(start)
 
         def rates(t: float, x: FloatArray) -> FloatArray:
-            slope = self.dynamics.rates(
-                max(t, inside), x, course.plan.controls_at(np.array([t]))[0]
-            )
+            controls = course.plan.controls_at(np.array([t]), limits)[0]
+            slope = self.dynamics.rates(max(t, inside), x, controls)
             slope[speeds] += unexplained
             return slope
 
