@@ -226,3 +226,42 @@ def test_no_problem_is_wronger_than_twice_what_it_claims(case):
     solution = table.compiled_case(case).solve(tolerance=1e-6, starts=case.starts)
     assert solution.is_converged
     assert table.off_by(case, solution.objective) <= 2 * solution.error_estimate
+
+
+@pytest.mark.slow
+def test_the_alp_rider_s_limit_is_kept_in_flight_at_less_than_the_published_cost():
+    """Begun anew where each element begins, for between them the rider's slope grows as e^(2 t)."""
+    (case,) = (case for case in table.cases() if case.name == "alp_rider")
+    solution = table.compiled_case(case).solve(tolerance=TOLERANCE)
+    mesh, path = solution.mesh, solution.trajectory
+    peaks = ((3, 3, 12), (3, 6, 10), (3, 10, 6), (8, 15, 4))
+    cost = 0.0
+    for e in range(mesh.elements):
+        start, end = solution.times[mesh.first_node[[e, e + 1]]]
+        control = control_polynomial(mesh, path.algebraics, e, start, end)
+
+        def rates(t, x, control=control):
+            a, b, c, d, _ = x
+            u, w = control(t)
+            square = a**2 + b**2 + c**2 + d**2
+            slopes = (-10 * a + u + w, -2 * b + u + 2 * w, -3 * c + 5 * d + u - w)
+            return (*slopes, 5 * c - 3 * d + u + 3 * w, 100 * square + 0.01 * (u**2 + w**2))
+
+        times = np.linspace(start, end, 41)
+        flown = solve_ivp(
+            rates,
+            (start, end),
+            [*path.states[mesh.first_node[e]], 0.0],
+            method="DOP853",
+            t_eval=times,
+            rtol=1e-12,
+            atol=1e-12,
+        )
+        *states, cost_here = flown.y
+        cost += cost_here[-1]
+        missed = flown.y[:4, -1] - path.states[mesh.first_node[e + 1]]
+        assert np.max(np.abs(missed)) <= TOLERANCE
+        terrain = 0.01 + sum(h * np.exp(-steep * (times - at) ** 2) for h, at, steep in peaks)
+        assert np.all(np.square(states).sum(axis=0) >= (1 - TOLERANCE) * terrain - TOLERANCE)
+    assert cost == pytest.approx(solution.objective, rel=2 * solution.error_estimate)
+    assert cost < 2030.85609
