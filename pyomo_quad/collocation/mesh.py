@@ -324,9 +324,14 @@ def control_polynomial(
         terms = weights / difference
         return np.asarray(terms @ held / terms.sum(), dtype=float)
 
-    looked_at = np.linspace(0.0, 1.0, _LOOKS * (points.size + 1) + 1)
+    looks = _LOOKS * (points.size + 1)
+    looked_at = 0.5 - 0.5 * np.cos(np.pi * np.arange(looks + 1) / looks)
     found = interpolation_matrix(points, looked_at) @ held
-    if np.all((limits[0] <= found) & (found <= limits[1])):
+    low, high = found.min(axis=0), found.max(axis=0)
+    # Between so many extrema of a Chebyshev polynomial it goes no further: Ehlich and Zeller,
+    # "Schwankung von Polynomen zwischen Gitterpunkten", Mathematische Zeitschrift 86 (1964).
+    beyond = (high - low) / 2.0 * (1.0 / np.cos(np.pi * (points.size - 1) / (2 * looks)) - 1.0)
+    if np.all((limits[0] <= low - beyond) & (high + beyond <= limits[1])):
         return polynomial
     return lambda t: np.clip(polynomial(t), *limits)
 

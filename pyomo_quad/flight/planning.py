@@ -528,7 +528,8 @@ class Planner:
 
         return Rescuer(
             longest=told.mission.longest,
-            solve=lambda trajectory: by_way_of(easier, problem, arguments, trajectory),
+            # What was flown on a finer mesh need not be flyable on the first.
+            solve=lambda held: by_way_of(easier, problem, arguments | {"mesh": held.mesh}, held),
             solve_slowly=slowly,
             solve_shortest=lambda: shortest_flight(self._builder(told), told, progress),
             progress=progress,
@@ -635,9 +636,16 @@ def _verified(plan: Plan, solution: Solution) -> Plan:
         return replace(plan, status=PlanStatus.SOLVED, message=str(error))
     is_proven = verification.is_verified and solution.status is Status.CONVERGED
     timings = dict(plan.timings) | {"verify": time.perf_counter() - started}
+    message = plan.message
+    if not verification.is_fed:
+        message = (
+            f"battery: the pack lacks {100.0 * verification.battery_imbalance:.3g} % of the power "
+            "or charge that the flight takes; give it more cells, carry less or allow more time."
+        )
     return replace(
         plan,
         status=PlanStatus.VERIFIED if is_proven else PlanStatus.SOLVED,
+        message=message,
         verification=verification,
         flown=flown,
         timings=timings,

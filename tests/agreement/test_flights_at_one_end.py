@@ -206,6 +206,7 @@ def test_no_flight_on_a_pack_that_cannot_feed_it_is_verified(cells_series, is_fe
         lacking = 1 - flight.frame.eval("battery_voltage_V * battery_current_A / power_W").min()
         assert plan.verification.battery_imbalance == pytest.approx(lacking, rel=0.2)
         assert not plan.is_verified
+        assert plan.message.startswith("battery: the pack lacks ")
 
 
 def test_a_flight_beyond_empty_is_not_fed():

@@ -363,7 +363,7 @@ def _solved(
 ) -> tuple[S, tuple[Damping | None, ...]]:
     """Solve, more firmly damped and then from the guess where that fails."""
     solved = solve(meshes, warm_start, dampings)
-    if solved.status is Status.NOT_CONVERGED and _are_damped(dampings):
+    if solved.status in FAILED and _are_damped(dampings):
         dampings = tuple(d and d.firmer(_FIRM, gap) for d in dampings)
         solved = solve(meshes, warm_start, dampings)
     if solved.status in FAILED and warm_start is not None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pyomo_quad.collocation import Mesh, TranscriptionError
+from pyomo_quad.collocation import Mesh, TranscriptionError, control_polynomial
 from pyomo_quad.collocation.mesh import interpolation_matrix, radau_rule
 from tests.agreement.stock import radau_points, radau_weights
 
@@ -152,6 +152,18 @@ def test_interpolation_reproduces_polynomials_and_nodes(degree):
     for power in range(degree + 1):
         np.testing.assert_allclose(matrix @ nodes**power, targets**power, atol=1e-12)
     np.testing.assert_array_equal(matrix[17:], np.eye(degree + 1))
+
+
+@pytest.mark.parametrize("degree", DEGREES[1:])
+def test_controls_are_held_to_a_limit_that_they_pass_for_a_moment_only(degree):
+    random, times = np.random.default_rng(degree), np.linspace(0.0, 1.0, 1001)
+    for _ in range(4):
+        values = random.uniform(-1.0, 1.0, size=(degree, 1))
+        free = control_polynomial(Mesh.uniform(1, degree), values, 0, 0.0, 1.0)
+        peak = max(float(free(t)[0]) for t in times)
+        limits = np.array([-np.inf]), np.array([peak - 1e-6])
+        held = control_polynomial(Mesh.uniform(1, degree), values, 0, 0.0, 1.0, limits)
+        assert max(float(held(t)[0]) for t in times) <= limits[1][0]
 
 
 @pytest.mark.parametrize("degree", [0, -1])

@@ -245,6 +245,13 @@ def test_a_kinked_power_is_reached_from_wider_corners():
             "vehicle.payload=0.172",
             "power.model='shaft'",
         ),
+        (
+            "mission.goal.position=[1.404, -22.850, -1.329]",
+            "mission.duration=24.724",
+            "wind={use='constant', speed=4.944, direction=3.436, coupling='acceleration'}",
+            "vehicle.payload=0.198",
+            "power.model='shaft'",
+        ),
     ],
 )
 def test_rotors_that_chatter_under_a_flat_power_come_to_rest_within_the_limit(mission):
@@ -252,6 +259,21 @@ def test_rotors_that_chatter_under_a_flat_power_come_to_rest_within_the_limit(mi
     plan = solve_scenario(load_scenario(PAPER_CALM, [*flat, *mission]))
     assert plan.is_verified
     assert plan.attempts == ()
+
+
+@pytest.mark.slow
+def test_a_mission_with_hardly_any_time_begins_on_the_mesh_of_the_shortest_flight():
+    """On ten elements it cannot be flown."""
+    mission = (
+        "mission.goal.position=[-3.435, 9.134, -26.226]",
+        "mission.duration=16.746",
+        "wind={use='constant', speed=5.439, direction=1.499, coupling='acceleration'}",
+        "vehicle.payload=0.150",
+        "power.model='motor'",
+    )
+    plan = solve_scenario(load_scenario(PAPER_CALM, mission))
+    assert plan.is_verified
+    assert plan.attempts[-1] == "guess from the shortest flight: converged"
 
 
 def test_a_solve_stopped_on_the_way_has_the_mission_s_own_numbers():
