@@ -46,6 +46,14 @@ def test_the_readme_quotes_the_gain_of_the_engine():
         assert [float(least), float(greatest)] == [min(gains), max(gains)]
 
 
+def test_the_readme_quotes_the_gain_of_a_run():
+    gains = {row["command"]: float(row["wall, times as fast"]) for row in stored("run_gain")}
+    alike = [gains[f"`run {name}`"] for name in ("paper_wind.toml --set=baseline.mpc.knowledge=[]",
+                                                 "paper_calm.toml")]  # fmt: skip
+    said = re.search(r"\*\*([\d.]+) and ([\d.]+) times\*\* as fast as\s+before", README).groups()
+    assert [float(number) for number in said] == [round(gain, 1) for gain in alike]
+
+
 def test_the_readme_quotes_the_outcomes_of_random_missions():
     rows = [row for row in stored("robustness") if row["seed"] == "all"] or stored("robustness")
     counts = {row["outcome"]: int(row["missions"]) for row in rows}
