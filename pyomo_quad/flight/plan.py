@@ -33,7 +33,7 @@ from pyomo_quad.flight.flight import (
     flight_frame,
 )
 from pyomo_quad.flight.routes import TriedRoute  # noqa: TC001  read by pydantic
-from pyomo_quad.flight.verification import Verification  # noqa: TC001  read by pydantic
+from pyomo_quad.flight.verification import Passage, Verification, split_at_breaches
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.fields import Part
 from pyomo_quad.scenario.messages import PyomoQuadError, complaint, printable
@@ -551,6 +551,20 @@ class Plan(Summarised):
             raise ScenarioError(f"--rate = {rate_hz:g} Hz; must be above 0 and at most 1e5.")
         start, end = self.trajectories.horizon
         return np.linspace(start, end, max(2, round((end - start) * rate_hz) + 1))
+
+    @property
+    def passages(self) -> list[Passage]:
+        """Where the flight should pass, and when."""
+        pairs = zip(self.scenario.mission.waypoints, self.passing_times_s, strict=True)
+        return [Passage(time_s=at, position=w.position, radius=w.radius) for w, at in pairs]
+
+    @property
+    def mesh_where_broken(self) -> Mesh:
+        """The mesh, finer where the flight broke a limit."""
+        held = self.trajectories
+        if self.flown is None:
+            return held.mesh
+        return split_at_breaches(self.dynamics, self.flown, held.mesh, held.horizon)
 
     def _sampled(
         self, times: FloatArray

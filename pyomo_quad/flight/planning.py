@@ -38,15 +38,11 @@ from pyomo_quad.flight.routes import (
     best_of_journeys,
     find_journeys,
     guess_along,
+    with_plain_passages,
 )
 from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.tour import BEST_FEW, best_tours, cheapest, leg_energies
-from pyomo_quad.flight.verification import (
-    MISS_TOLERANCE,
-    Passage,
-    split_at_breaches,
-    verify_controls,
-)
+from pyomo_quad.flight.verification import MISS_TOLERANCE, verify_controls
 from pyomo_quad.model import ask_for_least_time, build_model, parameter_values, structure_key
 from pyomo_quad.model.limits import without_reserve
 from pyomo_quad.model.mission import free_times
@@ -139,6 +135,7 @@ _ALLOWANCE = Allowance(
     final_miss=0.5 * MISS_TOLERANCE,
 )
 
+_FAILED = (Status.NOT_CONVERGED, Status.INFEASIBLE)
 _STATUS = {
     Status.NOT_CONVERGED: PlanStatus.NOT_CONVERGED,
     Status.INFEASIBLE: PlanStatus.INFEASIBLE,
@@ -369,7 +366,7 @@ class Planner:
             solution = self._first_solve(problem, told, warm_start, progress)
         rescue = None
         is_closed = has_ways and not routes
-        if not is_closed and solution.status in (Status.NOT_CONVERGED, Status.INFEASIBLE):
+        if not is_closed and solution.status in _FAILED:
             rescue = self._rescuer(problem, told, progress)(solution)
             solution = rescue.solution
         timings["solve"] = time.perf_counter() - started
@@ -401,7 +398,7 @@ class Planner:
                 **self._arguments(told, progress)
                 | {
                     "tolerance": tolerance,
-                    "mesh": _split_where_broken(plan),
+                    "mesh": plan.mesh_where_broken,
                     "warm_start": solution,
                 }
             )
@@ -432,9 +429,21 @@ class Planner:
         roughly = under(arguments, easier[0]) if easier else arguments
         roughly = roughly | {"tolerance": None, "mesh": mesh}
 
+        plain, is_plain = with_plain_passages(told), False
+
         def fly(journey: Journey) -> Solution:
-            guess = guess_along(journey, told.nominal_times, is_open=told.mission.is_free)
-            return problem.solve(**roughly, guess=guess)
+            nonlocal is_plain
+            guess: Any = guess_along(journey, told.nominal_times, is_open=told.mission.is_free)
+            if plain is not None and is_plain:
+                numbers = (self.parameters(plain) or {}) | (easier[0] if easier else {})
+                first, _ = self.problem_for(plain)
+                begun = first.solve(**roughly | {"parameters": numbers}, guess=guess)
+                guess = begun.trajectory if begun.status.is_solved else guess
+            rough = problem.solve(**roughly, guess=guess)
+            if plain is None or is_plain or rough.status not in _FAILED:
+                return rough
+            is_plain = True
+            return fly(journey)
 
         def refine(rough: Solution) -> Solution:
             on_mesh = arguments | {"mesh": rough.mesh}
@@ -611,12 +620,6 @@ def _make_room(kept: dict[Any, Any]) -> None:
         kept.pop(next(iter(kept)))
 
 
-def _passages(plan: Plan) -> list[Passage]:
-    """Return where a plan's flight should pass, and when."""
-    pairs = zip(plan.scenario.mission.waypoints, plan.passing_times_s, strict=True)
-    return [Passage(time_s=at, position=w.position, radius=w.radius) for w, at in pairs]
-
-
 def _verified(plan: Plan, solution: Solution) -> Plan:
     """Return the plan with the verdict of flying its controls."""
     started = time.perf_counter()
@@ -630,7 +633,7 @@ def _verified(plan: Plan, solution: Solution) -> Plan:
             held.horizon,
             plan.energy,
             plan.scenario.airspace,
-            _passages(plan),
+            plan.passages,
         )
     except SolveError as error:
         return replace(plan, status=PlanStatus.SOLVED, message=str(error))
@@ -650,14 +653,6 @@ def _verified(plan: Plan, solution: Solution) -> Plan:
         flown=flown,
         timings=timings,
     )
-
-
-def _split_where_broken(plan: Plan) -> Mesh:
-    """Return the mesh of a plan, finer where its flight broke a limit."""
-    held = plan.trajectories
-    if plan.flown is None:
-        return held.mesh
-    return split_at_breaches(plan.dynamics, plan.flown, held.mesh, held.horizon)
 
 
 def solve_scenario(

@@ -26,6 +26,7 @@ from scipy.sparse.csgraph import dijkstra
 from pyomo_quad.collocation import Solution, Status
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.references import quintic_progress
+from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.airspace import Airspace, Ball, KeepOut
 
 FloatArray = NDArray[np.float64]
@@ -213,6 +214,19 @@ def guess_along(
     columns = dict(zip(POSITION_STATES, where.T, strict=True))
     told = when / times[-1] if is_open else when
     return {"time": told} | columns | dict(zip(VELOCITY_STATES, rates.T, strict=True))
+
+
+def with_plain_passages(told: Scenario) -> Scenario | None:
+    """Return a mission that passes the waypoints themselves, at any speed; None if it does.
+
+    From the middle of a ball, or from another speed, the slopes of such a limit lead nowhere.
+    """
+    at_ease = {"radius": 0.0, "speed_max": None}
+    waypoints = tuple(w.model_copy(update=at_ease) for w in told.mission.waypoints)
+    if waypoints == told.mission.waypoints:
+        return None
+    mission = told.mission.model_copy(update={"waypoints": waypoints})
+    return told.model_copy(update={"mission": mission})
 
 
 def _hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) -> list[KeepOut]:

@@ -276,6 +276,32 @@ def test_a_mission_with_hardly_any_time_begins_on_the_mesh_of_the_shortest_fligh
     assert plan.attempts[-1] == "guess from the shortest flight: converged"
 
 
+@pytest.mark.slow
+def test_ways_past_waypoints_within_a_radius_are_found_by_way_of_the_waypoints_themselves():
+    mission = (
+        "mission.start.position=[-5.933, -7.656, 6.849]",
+        "mission.goal.position=[8.009, 6.070, 4.513]",
+        (
+            "mission.waypoints=[{position=[6.909, -9.334, 7.153], hold=0.840, radius=0.860, "
+            "at=6.215}, {position=[6.789, 2.029, 2.139], radius=0.274, yaw=0.894},"
+            " {position=[7.923, 8.289, 1.458], radius=0.821}, {position=[-2.440, -7.453, 3.613]}]"
+        ),
+        "mission.duration=30.568",
+        (
+            "airspace.keep_out=[{name='mast', shape='cylinder', centre=[7.555, -7.393], "
+            "radius=1.437, bottom=5.500, top=9.453}, "
+            "{name='tank', shape='cylinder', centre=[1.780, -4.508], "
+            "radius=0.567, bottom=3.256, top=5.588}]"
+        ),
+        "power.model='shaft'",
+        "solver.max_refinements=0",
+        "solver.time_limit=60",
+    )
+    plan = solve_scenario(load_scenario(PAPER_CALM, mission))
+    assert plan.status is PlanStatus.SOLVED
+    assert all(route.energy_J is not None for route in plan.routes)
+
+
 def test_a_solve_stopped_on_the_way_has_the_mission_s_own_numbers():
     scenario = load_scenario(PAPER_CALM, KINKED)
     plan = solve_scenario(scenario, progress=lambda iteration: iteration.iteration < 3)
