@@ -273,6 +273,44 @@ class NonlinearProgram(Protocol):
         """Return the nonzeros of the Hessian of factor * objective + multipliers . rows."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class ChangedProgram:
+    """A program of which a part is changed by who inherits this, and the rest is as it was."""
+
+    program: Transcription
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows."""
+        return self.program.n_rows
+
+    @property
+    def n_points(self) -> int:
+        """Number of collocation points."""
+        return self.program.n_points
+
+    @property
+    def is_negated(self) -> bool:
+        """Whether the declared objective is maximised."""
+        return self.program.is_negated
+
+    def constraints(self, z: FloatArray) -> FloatArray:
+        """Return the value of every row."""
+        return self.program.constraints(z)
+
+    def jacobianstructure(self) -> tuple[Any, Any]:
+        """Return rows and columns of the Jacobian's nonzeros."""
+        return self.program.jacobianstructure()
+
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        """Return the Jacobian's nonzeros."""
+        return self.program.jacobian(z)
+
+    def hessianstructure(self) -> tuple[Any, Any]:
+        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
+        return self.program.hessianstructure()
+
+
 def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling:
     """Return scaling factors for a program at a point."""
     return scaling_by(program, nominal_magnitudes(program, bounds, z), z)

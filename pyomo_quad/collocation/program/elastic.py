@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pyomo_quad.collocation.program.bounds import Bounds, Scaling
+from pyomo_quad.collocation.program.bounds import Bounds, ChangedProgram, Scaling
 from pyomo_quad.collocation.program.ipopt import Progress, SolverOptions, run
 
 if TYPE_CHECKING:
@@ -23,28 +23,12 @@ _ROOM = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class PricedProgram:
+class PricedProgram(ChangedProgram):
     """A program whose chosen rows have a slack of either sign, at a price for each."""
 
-    program: Transcription
     rows: NDArray[np.intp]
     sizes: FloatArray
     prices: FloatArray
-
-    @property
-    def n_rows(self) -> int:
-        """Number of rows."""
-        return self.program.n_rows
-
-    @property
-    def n_points(self) -> int:
-        """Number of collocation points."""
-        return self.program.n_points
-
-    @property
-    def is_negated(self) -> bool:
-        """Whether the declared objective is maximised."""
-        return self.program.is_negated
 
     def split(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the program's unknowns, and the slacks above, then below."""
@@ -78,10 +62,6 @@ class PricedProgram:
     def jacobian(self, z: FloatArray) -> FloatArray:
         """Return the Jacobian's nonzeros."""
         return np.concatenate([self.program.jacobian(self.split(z)[0]), self.sizes, -self.sizes])
-
-    def hessianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
-        return self.program.hessianstructure()
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
         """Return the nonzeros of the Lagrangian's Hessian, which slacks leave as it is."""

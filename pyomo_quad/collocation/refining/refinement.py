@@ -11,6 +11,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 
 from pyomo_quad.collocation.mesh import radau_rule
+from pyomo_quad.collocation.program.bounds import ChangedProgram
 from pyomo_quad.collocation.program.ipopt import SEEN, Status
 from pyomo_quad.collocation.refining.error import ErrorEstimate, estimate_error
 from pyomo_quad.collocation.refining.flatness import state_error
@@ -158,28 +159,12 @@ def _least_curvatures(solution: Solution) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DampedProgram:
+class DampedProgram(ChangedProgram):
     """A program with `weights / 2 * (z[columns] - near)**2` added to what Ipopt minimises."""
 
-    program: Transcription
     columns: NDArray[np.intp]
     weights: FloatArray
     near: FloatArray
-
-    @property
-    def n_rows(self) -> int:
-        """Number of rows."""
-        return self.program.n_rows
-
-    @property
-    def n_points(self) -> int:
-        """Number of collocation points."""
-        return self.program.n_points
-
-    @property
-    def is_negated(self) -> bool:
-        """Whether the declared objective is maximised."""
-        return self.program.is_negated
 
     def objective(self, z: FloatArray) -> float:
         """Return the objective and the price of the distance."""
@@ -191,18 +176,6 @@ class DampedProgram:
         gradient = np.array(self.program.gradient(z))
         gradient[self.columns] += self.weights * (z[self.columns] - self.near)
         return gradient
-
-    def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the value of every row."""
-        return self.program.constraints(z)
-
-    def jacobianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Jacobian's nonzeros."""
-        return self.program.jacobianstructure()
-
-    def jacobian(self, z: FloatArray) -> FloatArray:
-        """Return the Jacobian's nonzeros."""
-        return self.program.jacobian(z)
 
     def hessianstructure(self) -> tuple[Any, Any]:
         """Return rows and columns of the Lagrangian Hessian's lower triangle."""
