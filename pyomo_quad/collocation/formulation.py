@@ -20,7 +20,7 @@ from pyomo_quad.collocation.program.compiled import (
 from pyomo_quad.collocation.program.transcription import Data, Transcription
 from pyomo_quad.collocation.reading.dae_index import refuse_high_index
 from pyomo_quad.collocation.reading.model import read_declarations
-from pyomo_quad.collocation.reading.model_source import LiveModel
+from pyomo_quad.collocation.reading.model_source import LiveModel, declared_magnitudes
 from pyomo_quad.collocation.reading.schedules import BESIDE
 from pyomo_quad.collocation.reading.serialisation import Packed, packed
 from pyomo_quad.collocation.reading.values import Instance, ModelValues, Overrides
@@ -311,6 +311,20 @@ class Formulation:
         """Copy the Pyomo model as well."""
         memo[id(self)] = other = object.__new__(type(self))
         vars(other).update(deepcopy(vars(self), memo))
+        return other
+
+    def holding(self, model: Any) -> Self:
+        """Return the same equations with the numbers, first values and scales of another model.
+
+        Nothing is compiled: the other model must declare what this one's does, and may differ in
+        what its parameters, its variables and its suffix `scaling_factor` hold.
+        """
+        other = object.__new__(type(self))
+        vars(other).update(vars(self))
+        other.source = self.source.of(model)
+        other.compiled = self.compiled.scaled(declared_magnitudes(model))
+        other.values = ModelValues(other.source, other.compiled.declared)
+        other._programs = self._programs if other.compiled is self.compiled else {}
         return other
 
     @property

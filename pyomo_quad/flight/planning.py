@@ -30,7 +30,14 @@ from pyomo_quad.collocation import (
 from pyomo_quad.flight import long_flight
 from pyomo_quad.flight.flight import HELD_BREACH, VIOLATION_TOLERANCE
 from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
-from pyomo_quad.flight.rescue import Rescuer, by_way_of, easier_numbers, under
+from pyomo_quad.flight.rescue import (
+    Rescuer,
+    by_way_of,
+    declared_free_times,
+    easier_numbers,
+    shortest_flight,
+    under,
+)
 from pyomo_quad.flight.routes import (
     Journey,
     NoRouteError,
@@ -43,84 +50,23 @@ from pyomo_quad.flight.routes import (
 from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.tour import BEST_FEW, best_tours, cheapest, leg_energies
 from pyomo_quad.flight.verification import MISS_TOLERANCE, verify_controls
-from pyomo_quad.model import ask_for_least_time, build_model, parameter_values, structure_key
+from pyomo_quad.model import (
+    build_model,
+    parameter_values,
+    structure_key,
+)
+from pyomo_quad.model.build import guess_key
 from pyomo_quad.model.limits import without_reserve
-from pyomo_quad.model.mission import free_times
 from pyomo_quad.model.wind import still_air
-from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.mission import Aim, Order
 
-_MESH = (10, 4)
-_OPTIONS = SolverOptions(max_iterations=300)
-# Meshes that give the least time to a small part of the share of it that counts as close.
-_FEW_MESHES = 3
-_CLOSE = 2e-3
-# The multiples of the mission's duration between which the shortest flight is looked for, and
-# the slow, easy one that the search starts from.
-_RANGE = (0.01, 100.0)
-_SLOW = 4.0
+Builder = Callable[[Scenario], Any]
+
 # How much longer than the least time flights are that come closer and closer to it: the last is
 # bang-bang, and hard to prove.  A step closer ends after so many times the effort of the first.
 _ABOVE_LEAST = (1e-2, 3e-3, 1e-3, 3e-4)
 _MOST_EFFORT = 3.0
-# To what share of it the least time is known where it is what is asked for: a limit broken between
-# the points counts by the time it saves, and the damping has the price that it has by default.
-_TIME_TOLERANCE = 1e-4
-_TIMED = RefinementOptions(damping=1.0, allowance=Allowance(limit_breach=inf))
-
-
-def shortest_flight(
-    model: Any, scenario: Scenario, progress: Progress | None, *, is_exact: bool = False
-) -> Solution | None:
-    """Fly the mission of a model in the least time.
-
-    A few meshes do unless the mission's duration is close to what they give: then they are
-    refined to the mission's own tolerance, for a time that is asked for to `_TIME_TOLERANCE`.
-
-    Parameters
-    ----------
-    model : ConcreteModel
-        Of the scenario; its objective is replaced.
-    scenario : Scenario
-    progress : callable or None
-        Called at each iteration; returning False stops the solve.
-    is_exact : bool, optional
-        Refine the time wherever it lies.
-
-    Returns
-    -------
-    Solution or None
-        Its objective is the time [s]; None when the solve failed.
-    """
-    duration, settings = scenario.nominal_duration, scenario.solver
-    bounds = _RANGE[0] * duration, _RANGE[1] * duration
-    free = _free_times(model, scenario)
-    end = ask_for_least_time(model, bounds, _SLOW * duration)
-    problem = compile(model, times=free | {scenario.nominal_duration: end})
-    most = settings.max_refinements + 1
-    tolerance = _TIME_TOLERANCE if is_exact else settings.tolerance
-    refinement = _TIMED if is_exact else RefinementOptions()
-    shortest, start = None, None
-    for meshes in (most,) if is_exact else (_FEW_MESHES, most):
-        solution = problem.solve(
-            mesh=Mesh.uniform(*_MESH) if start is None else start.mesh,
-            tolerance=tolerance,
-            # It goes on with what it began: what the beginning took says nothing of the rest.
-            warm_start=None if start is None else replace(start.warm_start, cold_start=None),
-            options=_OPTIONS,
-            refinement=replace(refinement, max_meshes=meshes),
-            progress=progress,
-        )
-        if not solution.status.is_solved:
-            break
-        shortest = start = solution
-        if abs(solution.objective - duration) > _CLOSE * duration:
-            break
-    return shortest
-
-
-Builder = Callable[[Scenario], Any]
-
 # How often, and by how much, the tolerance is tightened for a flight that went astray.
 _TIGHTENINGS = 3
 _TIGHTER = 0.1
@@ -188,7 +134,9 @@ class _Effort:
 
 
 class Planner:
-    """Keeps the compiled problems of the last scenarios, and builds another only where none fits.
+    """Keeps the compiled problems of the last scenarios, and compiles another only where none fits.
+
+    Guess and scales are those of the scenario at hand: no answer depends on what was solved before.
 
     Parameters
     ----------
@@ -211,15 +159,19 @@ class Planner:
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
         """Return a compiled problem for a scenario, and the seconds that took."""
         key = self._key(scenario)
-        if key in self._problems:
-            return self._problems[key][1], {"build": 0.0, "compile": 0.0}
+        built_for, problem = self._problems.get(key, (scenario, None))
+        if problem is not None and guess_key(built_for) == guess_key(scenario):
+            return problem, {"build": 0.0, "compile": 0.0}
         started = time.perf_counter()
         model = self._builder(scenario)
         built = time.perf_counter()
-        _make_room(self._problems)
-        self._problems[key] = scenario, compile(model, times=_free_times(model, scenario))
-        seconds = {"build": built - started, "compile": time.perf_counter() - built}
-        return self._problems[key][1], seconds
+        if problem is None:
+            _make_room(self._problems)
+            problem = compile(model, times=declared_free_times(model, scenario))
+        else:
+            problem = problem.holding(model)
+        self._problems[key] = scenario, problem
+        return problem, {"build": built - started, "compile": time.perf_counter() - built}
 
     def _key(self, scenario: Scenario) -> Hashable:
         return structure_key(scenario) if self._builder is build_model else scenario
@@ -297,8 +249,8 @@ class Planner:
         def leg(alone: Scenario, mesh: Mesh, known: Solution | None) -> Solution:
             problem, _ = self.problem_for(alone)
             arguments = self._arguments(alone, progress) | {"mesh": mesh, "tolerance": None}
-            start = known if known is not None and known.problem is problem else None
-            return problem.solve(**arguments, warm_start=start)
+            fits = known is not None and known.warm_start.fits(problem.compiled)
+            return problem.solve(**arguments, warm_start=known if fits else None)
 
         def roughly(ordered: Scenario) -> Plan:
             once = {"solver": ordered.solver.model_copy(update={"max_refinements": 0})}
@@ -586,26 +538,6 @@ def _plan_of(
 def _horizon(scenario: Scenario) -> tuple[float, float] | None:
     """Return start and end of a scenario's horizon [s], None where a variable holds the end."""
     return None if scenario.mission.is_free else (0.0, scenario.mission.fixed_duration)
-
-
-def _free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
-    """Return declared time -> the variable of a model that gives it.
-
-    Raises
-    ------
-    ScenarioError
-        If a model of the user's own lacks one.
-    """
-    mission = scenario.mission
-    wanted = {"duration": mission.is_free, "mission.passing_time": bool(mission.waypoints)}
-    for name, is_wanted in wanted.items():
-        if is_wanted and model.find_component(name) is None:
-            said = 'duration = "free"' if name == "duration" else "waypoints"
-            raise ScenarioError(
-                f"{scenario.name}: mission.{said}; the model of {scenario.model} must declare "
-                f'a variable "{name}", as build_model does: add it or change the mission.'
-            )
-    return free_times(model, scenario)
 
 
 def _energy(scenario: Scenario, solution: Solution) -> float:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 from pyomo_quad.collocation import (
+    Allowance,
+    Mesh,
     Progress,
     RefinementOptions,
     Relaxation,
@@ -14,10 +17,14 @@ from pyomo_quad.collocation import (
     Status,
     Trajectory,
     TranscriptionError,
+    compile,
     diagnose,
 )
 from pyomo_quad.flight.plan import Failure
+from pyomo_quad.model import ask_for_least_time
+from pyomo_quad.model.mission import free_times
 from pyomo_quad.model.power import wider_smoothings
+from pyomo_quad.scenario import ScenarioError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,6 +39,19 @@ _MOST_REMEDIES = 3
 _LIMITS = "limits."
 # How well, and on how many meshes, a kinked power is first solved with its corner rounded widely.
 _ROUGHLY = {"tolerance": 1e-2, "refinement": RefinementOptions(max_meshes=5)}
+_MESH = (10, 4)
+_OPTIONS = SolverOptions(max_iterations=300)
+# Meshes that give the least time to a small part of the share of it that counts as close.
+_FEW_MESHES = 3
+_CLOSE = 2e-3
+# The multiples of the mission's duration between which the shortest flight is looked for, and
+# the slow, easy one that the search starts from.
+_RANGE = (0.01, 100.0)
+_SLOW = 4.0
+# To what share of it the least time is known where it is what is asked for: a limit broken between
+# the points counts by the time it saves, and the damping has the price that it has by default.
+_TIME_TOLERANCE = 1e-4
+_TIMED = RefinementOptions(damping=1.0, allowance=Allowance(limit_breach=inf))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,3 +217,73 @@ def _as_far_as(stopped: Solution, problem: Problem, arguments: dict[str, Any]) -
     here = {"tolerance": None, "mesh": stopped.mesh, "options": SolverOptions(max_iterations=0)}
     read = problem.solve(**arguments | here | {"progress": None}, warm_start=stopped)
     return replace(read, status=stopped.status, message=stopped.message)
+
+
+def shortest_flight(
+    model: Any, scenario: Scenario, progress: Progress | None, *, is_exact: bool = False
+) -> Solution | None:
+    """Fly the mission of a model in the least time.
+
+    A few meshes do unless the mission's duration is close to what they give: then they are
+    refined to the mission's own tolerance, for a time that is asked for to `_TIME_TOLERANCE`.
+
+    Parameters
+    ----------
+    model : ConcreteModel
+        Of the scenario; its objective is replaced.
+    scenario : Scenario
+    progress : callable or None
+        Called at each iteration; returning False stops the solve.
+    is_exact : bool, optional
+        Refine the time wherever it lies.
+
+    Returns
+    -------
+    Solution or None
+        Its objective is the time [s]; None when the solve failed.
+    """
+    duration, settings = scenario.nominal_duration, scenario.solver
+    bounds = _RANGE[0] * duration, _RANGE[1] * duration
+    free = declared_free_times(model, scenario)
+    end = ask_for_least_time(model, bounds, _SLOW * duration)
+    problem = compile(model, times=free | {scenario.nominal_duration: end})
+    most = settings.max_refinements + 1
+    tolerance = _TIME_TOLERANCE if is_exact else settings.tolerance
+    refinement = _TIMED if is_exact else RefinementOptions()
+    shortest, start = None, None
+    for meshes in (most,) if is_exact else (_FEW_MESHES, most):
+        solution = problem.solve(
+            mesh=Mesh.uniform(*_MESH) if start is None else start.mesh,
+            tolerance=tolerance,
+            # It goes on with what it began: what the beginning took says nothing of the rest.
+            warm_start=None if start is None else replace(start.warm_start, cold_start=None),
+            options=_OPTIONS,
+            refinement=replace(refinement, max_meshes=meshes),
+            progress=progress,
+        )
+        if not solution.status.is_solved:
+            break
+        shortest = start = solution
+        if abs(solution.objective - duration) > _CLOSE * duration:
+            break
+    return shortest
+
+
+def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
+    """Return declared time -> the variable of a model that gives it.
+
+    Raises
+    ------
+    ScenarioError
+        If a model of the user's own lacks one.
+    """
+    mission = scenario.mission
+    wanted = {"duration": mission.is_free, "mission.passing_time": bool(mission.waypoints)}
+    for name, is_wanted in wanted.items():
+        if is_wanted and model.find_component(name) is None:
+            said = 'duration = "free"' if name == "duration" else "waypoints"
+            raise ScenarioError(
+                f"{scenario.name}: mission.{said}; the model of {scenario.model} must declare "
+                f'a variable "{name}", as build_model does: add it or change the mission.'
+            )
+    return free_times(model, scenario)

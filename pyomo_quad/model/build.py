@@ -174,6 +174,7 @@ def structure_key(scenario: Scenario) -> Hashable:
         Equal for scenarios whose models differ in parameter values and a fixed duration alone.
     """
     series = scenario.wind.series
+    *passages, end = scenario.nominal_times
     return (
         scenario.model,
         scenario.vehicle.attitude,
@@ -188,8 +189,25 @@ def structure_key(scenario: Scenario) -> Hashable:
         tuple(row.name for row in limits.parameters_of(scenario)),
         airspace.structure_of(scenario),
         scenario.keeps_yaw,
-        scenario.mission if scenario.mission.waypoints else scenario.mission.is_free,
+        (scenario.mission, tuple(t / end for t in passages)) if passages else None,
+        scenario.mission.is_free,
     )
+
+
+def guess_key(scenario: Scenario) -> Scenario:
+    """Return what scenarios of one structure must share to share first values and scales too.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Any scenario.
+
+    Returns
+    -------
+    Scenario
+        Without its wind, for that changes neither.
+    """
+    return scenario.model_copy(update={"wind": None})
 
 
 def ask_for_least_time(m: ConcreteModel, bounds: tuple[float, float], guess: float) -> Var:

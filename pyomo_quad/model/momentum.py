@@ -34,7 +34,7 @@ rest, made the error out of sample 1.89 % instead of 1.86 %, and was left out.
 
 from math import nan, pi
 
-from pyomo.core import Block, ConcreteModel, Expression, Var, sqrt, value
+from pyomo.core import Block, ConcreteModel, Expression, Param, Var, sqrt, value
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 
@@ -175,10 +175,16 @@ def _declare_airspeeds(b: Block, m: ConcreteModel) -> None:
 def _declare_induced_velocity(b: Block, m: ConcreteModel) -> None:
     hovering = sqrt(m.vehicle.mass * m.vehicle.gravity / (2 * b.air_density * b.disc_area))
     in_hover = value(hovering)
+    b.fastest_induced_velocity = Param(
+        initialize=_FASTEST_INDUCED * in_hover,
+        mutable=True,
+        units=_SPEED,
+        doc="largest v_i that the solver looks at",
+    )
     b.induced_velocity = Var(
         m.time,
         units=_SPEED,
-        bounds=(0.0, _FASTEST_INDUCED * in_hover),
+        bounds=(0.0, b.fastest_induced_velocity),
         initialize=in_hover,
         doc="v_i: velocity that the rotors add to the air",
     )

@@ -17,6 +17,8 @@ from pyomo_quad.collocation.reading.symbols import Declarations, PathEquation, P
 from pyomo_quad.collocation.reading.writer import symbol_names
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from pyomo_quad.collocation.mesh import FloatArray
     from pyomo_quad.collocation.reading.tables import TableUse
 
@@ -266,6 +268,19 @@ class CompiledModel:
     def __deepcopy__(self, memo: dict[int, Any]) -> CompiledModel:
         """Return itself: it never changes, and its symbols belong to others as well."""
         return self
+
+    def scaled(self, magnitudes: Mapping[str, float]) -> CompiledModel:
+        """Return it with other magnitudes of its variables, by slot or component name."""
+        d = self.declared
+        kinds = (d.states, d.algebraics, d.statics)
+        states, algebraics, statics = (
+            tuple(s.scaled(magnitudes) for s in slots) for slots in kinds
+        )
+        declared = replace(d, states=states, algebraics=algebraics, statics=statics)
+        was, now = (
+            [s.nominal for s in (*of.states, *of.algebraics, *of.statics)] for of in (d, declared)
+        )
+        return self if was == now else replace(self, declared=declared)
 
     @property
     def n_equations(self) -> int:

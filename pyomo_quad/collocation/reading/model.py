@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import casadi
-from pyomo.core import Constraint, Expression, Objective, Suffix, maximize, value
+from pyomo.core import Constraint, Expression, Objective, maximize, value
 from pyomo.core.expr.numvalue import native_types
 from pyomo.core.expr.visitor import identify_variables
 from pyomo.dae import DerivativeVar
@@ -20,6 +20,7 @@ from pyomo_quad.collocation.reading.copy import (
     copies_with_template_times,
     rule_of,
 )
+from pyomo_quad.collocation.reading.model_source import declared_magnitudes
 from pyomo_quad.collocation.reading.symbols import (
     Declarations,
     PathEquation,
@@ -393,7 +394,7 @@ class ModelReader:
         )
         self._read_expressions()
         table = self.symbols
-        nominal = self._nominal_magnitudes()
+        nominal = declared_magnitudes(self.copy.model)
         used = symbol_names(casadi.vertcat(cost, *[c.expression for c in conditions]))
         points = tuple(p for p in table.points.values() if p.symbol.name() in used)
         return Declarations(
@@ -499,16 +500,6 @@ class ModelReader:
                 return indexed_name(derivative.name, state.index)
         return f"derivative of {state.name}"
 
-    def _nominal_magnitudes(self) -> dict[str, float]:
-        """Return nominal magnitudes from Suffix `scaling_factor`, by component or slot name."""
-        nominal: dict[str, float] = {}
-        for suffix in self.copy.model.component_objects(Suffix, descend_into=True):
-            if suffix.local_name == "scaling_factor":
-                for item, factor in suffix.items():
-                    if item is not None and factor:
-                        nominal[item.name] = 1.0 / float(factor)
-        return nominal
-
     def _bounds(self, slot: Slot) -> tuple[Any, Any]:
         """Return the bounds of a static variable."""
         return (
@@ -526,6 +517,5 @@ class ModelReader:
         finished = []
         for slot in table.values():
             lower, upper = bounds(slot)
-            magnitude = nominal.get(slot.name, nominal.get(slot.component))
-            finished.append(replace(slot, lower=lower, upper=upper, nominal=magnitude))
+            finished.append(replace(slot, lower=lower, upper=upper).scaled(nominal))
         return tuple(finished)

@@ -8,7 +8,7 @@ from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from pyomo.core import Constraint, Var, value
+from pyomo.core import Constraint, Suffix, Var, value
 from pyomo.core.base.units_container import UnitsError, units
 from pyomo.dae import DerivativeVar, Integral
 
@@ -71,6 +71,17 @@ def _spelled(unit: Any) -> str:
     return _ANGLE_FACTOR.sub("", text)
 
 
+def declared_magnitudes(model: Any) -> dict[str, float]:
+    """Return the usual magnitudes that Suffix `scaling_factor` tells, by component or slot name."""
+    magnitudes: dict[str, float] = {}
+    for suffix in model.component_objects(Suffix, descend_into=True):
+        if suffix.local_name == "scaling_factor":
+            for item, factor in suffix.items():
+                if item is not None and factor:
+                    magnitudes[item.name] = 1.0 / float(factor)
+    return magnitudes
+
+
 class LiveModel:
     """The user's model; what it holds is read anew at every call.
 
@@ -88,6 +99,11 @@ class LiveModel:
         self.schedules = schedules
         self._time = time
         self._addresses = AddressBook(time)
+
+    def of(self, model: Any) -> LiveModel:
+        """Return what another model of the same declarations holds."""
+        time = None if self._time is None else model.find_component(self._time.name)
+        return LiveModel(model, time, self.schedules)
 
     @property
     def times(self) -> tuple[float, ...]:
@@ -265,6 +281,10 @@ class ModelSnapshot:
     @property
     def model(self) -> NoReturn:
         """Refused: the model stayed behind."""
+        _refuse_without_model()
+
+    def of(self, model: Any) -> NoReturn:  # noqa: ARG002
+        """Refused: what changes with time stayed behind."""
         _refuse_without_model()
 
     def has(self, name: str) -> bool:

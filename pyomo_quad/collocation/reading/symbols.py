@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
 import casadi
@@ -303,6 +303,10 @@ class Slot:
     upper: Any = None
     nominal: float | None = None
     rate: Any = None
+
+    def scaled(self, magnitudes: Mapping[str, float]) -> Slot:
+        """Return it with its magnitude among some by slot or component name, None without one."""
+        return replace(self, nominal=magnitudes.get(self.name, magnitudes.get(self.component)))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,13 +3,14 @@
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from pyomo_quad import load_scenario
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
-from pyomo_quad.collocation import Mesh, Status, Trajectory
-from pyomo_quad.flight import PlanStatus, planning, rescue
+from pyomo_quad.collocation import Mesh, SolverOptions, Status, Trajectory
+from pyomo_quad.flight import Planner, PlanStatus, planning, rescue
 from pyomo_quad.flight.planning import solve_scenario
 from pyomo_quad.flight.rescue import Rescuer
 from pyomo_quad.model.power import wider_smoothings
@@ -323,3 +324,37 @@ def test_the_least_time_parts_what_can_be_flown_from_what_cannot(duration, statu
     assert plan.status.value == status
     if plan.failure is not None:
         assert 3.41 < plan.failure.shortest_duration_s < 3.44
+
+
+MOMENTUM = ["power.model='momentum'", "vehicle.rotor_radius=0.12"]
+
+
+def numbers_of_a_solve(planner, scenario, *, is_whole):
+    """Return where a solve began, or ended, with its scales and bounds."""
+    if is_whole:
+        solution = planner.solve(scenario).solution
+    else:
+        solution = planner.problem_for(scenario)[0].solve(
+            mesh=Mesh.uniform(3, 3),
+            parameters=planner.parameters(scenario),
+            options=SolverOptions(max_iterations=0),
+        )
+    kept = {"unknowns": solution.unknowns, "evaluator": id(solution.problem.evaluator)}
+    return kept | vars(solution.scaling) | vars(solution.bounds)
+
+
+@pytest.mark.parametrize(
+    ("power", "is_whole"),
+    [([], False), pytest.param(MOMENTUM, True, marks=pytest.mark.slow)],
+)
+def test_no_plan_depends_on_what_was_solved_before(power, is_whole):
+    """The equations are compiled once; first point, scales and bounds are the mission's own."""
+    coarse = [*power, "solver.elements=5", "solver.max_refinements=0"]
+    before = ["mission.goal.position=[0, 30, 9]", "mission.duration=21.0", "vehicle.payload=0.2"]
+    told, other = load_scenario(PAPER_CALM, coarse), load_scenario(PAPER_CALM, [*coarse, *before])
+    planner = Planner()
+    compiled = planner.problem_for(other)[0].evaluator
+    after, alone = (numbers_of_a_solve(p, told, is_whole=is_whole) for p in (planner, Planner()))
+    assert after.pop("evaluator") == id(compiled) != alone.pop("evaluator")
+    for name, numbers in alone.items():
+        assert np.array_equal(after[name], numbers), name
