@@ -49,12 +49,18 @@ from pyomo_quad.flight.routes import (
 )
 from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.tour import BEST_FEW, best_tours, cheapest, leg_energies
-from pyomo_quad.flight.verification import MISS_TOLERANCE, verify_controls
+from pyomo_quad.flight.verification import (
+    BALANCE_TOLERANCE,
+    MISS_TOLERANCE,
+    shares_lacking,
+    verify_controls,
+)
 from pyomo_quad.model import (
     build_model,
     parameter_values,
     structure_key,
 )
+from pyomo_quad.model.battery import GIVEN_SHARE
 from pyomo_quad.model.build import guess_key
 from pyomo_quad.model.limits import without_reserve
 from pyomo_quad.model.wind import still_air
@@ -328,7 +334,35 @@ class Planner:
             plan = replace(plan, attempts=rescue.attempts, failure=rescue.failure)
         if not solution.status.is_solved:
             return plan
-        return self._confirmed(_verified(plan, solution), problem, told, progress)
+        plan = self._confirmed(_verified(plan, solution), problem, told, progress)
+        return self._fed(plan, progress)
+
+    def _fed(self, plan: Plan, progress: Progress) -> Plan:
+        """Return the plan or, where its pack lacks power, one within what the pack can give."""
+        limits, flown = plan.scenario.limits, plan.flown
+        is_own = self._builder is not build_model or limits.battery_power_share_max is not None
+        if is_own or flown is None or shares_lacking(plan.dynamics, flown)[0] <= BALANCE_TOLERANCE:
+            return plan
+        told = plan.scenario.as_forecast()
+        greatest = self.steady_flight(told).greatest_pack_power
+        if plan.energy > GIVEN_SHARE * greatest * plan.duration_s:
+            return plan  # it lacks power for any flight
+        held = limits.model_copy(update={"battery_power_share_max": GIVEN_SHARE})
+        within = told.model_copy(update={"limits": held})
+        started = time.perf_counter()
+        problem, _ = self.problem_for(within)
+        solution = self._first_solve(problem, within, plan, progress)
+        timings = dict(plan.timings)
+        timings["solve"] += time.perf_counter() - started
+        tried = f"pack held to {GIVEN_SHARE:.0%} of its greatest power: {solution.status.value}"
+        attempts = (*plan.attempts, tried)
+        if solution.status.is_solved:
+            fed = _plan_of(plan.scenario, solution, timings, plan.hover_energy_J)
+            fed = _verified(replace(fed, attempts=attempts, routes=plan.routes), solution)
+            fed = self._confirmed(fed, problem, within, progress)
+            if fed.is_verified:
+                return fed
+        return replace(plan, attempts=attempts, timings=timings)
 
     def _confirmed(
         self, plan: Plan, problem: Problem, told: Scenario, progress: Progress | None

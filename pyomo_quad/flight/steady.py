@@ -265,6 +265,11 @@ class SteadyFlight:
         current, voltage = self._read(("battery.current", "battery.voltage"), states).tolist()
         return current, voltage, self._charge_rate(states)
 
+    @property
+    def greatest_pack_power(self) -> float:
+        """The most that the pack can give at the start, W."""
+        return float(self._read(("battery.greatest_power",), self._start)[0])
+
     def stored_energy(self, depth: float, samples: int) -> float:
         """Return the energy [J] that the full pack gives without load down to a depth (0 to 1)."""
         states = np.tile(self._start, (samples, 1))

@@ -232,12 +232,17 @@ def battery_imbalance(dynamics: Dynamics, flown: Flown) -> float:
     The declared equations stay finite beyond what a pack delivers and beyond empty; a flight
     there is no flight.  A model without a battery lacks nothing.
     """
+    return max(shares_lacking(dynamics, flown))
+
+
+def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
+    """Return the largest shares of the power, and of the charge, that the pack cannot give."""
     if not all(dynamics.has(name) for name in _BALANCE):
-        return 0.0
+        return 0.0, 0.0
     keys = tuple((name, None) for name in _BALANCE)
     power, voltage, current, charge = dynamics.table(keys, flown.t, flown.states, flown.controls).T
     lacking = np.abs(power - voltage * current) / np.maximum(1.0, np.abs(power))
-    return float(max(np.max(lacking), -np.min(charge) / 100.0))
+    return float(np.max(lacking)), float(-np.min(charge) / 100.0)
 
 
 # Between samples as close as this [m] a straight flight cuts into a ball of half a metre by less

@@ -32,6 +32,8 @@ CHARGE = units.A * units.hr
 # Shares of the charge and of the greatest power at which the guards act, and how softly.
 GUARD_FLOOR = 0.01
 GUARD_WIDTH = 0.005
+# The share of its greatest power up to which the pack's equations are exact to rounding.
+GIVEN_SHARE = 1 - GUARD_FLOOR - 10 * GUARD_WIDTH
 # The share of the capacity that a flight of some seconds may draw, for scaling.
 _NOMINAL_SHARE = 0.01
 

@@ -35,6 +35,7 @@ _UNITS = {
     "state_of_charge_min": units.percent,
     "battery_current_max": units.A,
     "battery_voltage_min": units.V,
+    "battery_power_share_max": units.dimensionless,
 }
 
 
@@ -193,3 +194,10 @@ def _declare_battery_limits(b: Block, m: ConcreteModel, scenario: Scenario) -> N
         @b.Constraint(m.time, doc="lowest pack voltage [V]")
         def battery_voltage_limit(b: Block, t: float) -> RelationalExpression:
             return b.parent_block().battery.voltage[t] >= b.battery_voltage_min
+
+    if scenario.limits.battery_power_share_max is not None:
+
+        @b.Constraint(m.time, doc="largest share of the greatest power of the pack [W]")
+        def battery_power_limit(b: Block, t: float) -> RelationalExpression:
+            m = b.parent_block()
+            return m.power.total[t] <= b.battery_power_share_max * m.battery.greatest_power[t]

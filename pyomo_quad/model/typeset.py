@@ -163,6 +163,7 @@ _LIMITS = {
     "state_of_charge_min": r"\mathrm{SoC}_{min}",
     "battery_current_max": "i_{max}",
     "battery_voltage_min": "V_{min}",
+    "battery_power_share_max": r"\eta_{max}",
     "speed": "v",
     "speed_max": "v_{max}",
 }

@@ -454,6 +454,14 @@ class Limits(Part):
         gt=0,
         sound=Sound(1e-3, 1e5, "packs for flight have from a volt to thousands of volts"),
     )
+    battery_power_share_max: Number | None = quantity(
+        "1",
+        "largest share of the power that the pack can give at most, no limit when absent",
+        None,
+        gt=0,
+        le=1,
+        is_late=True,
+    )
 
 
 def derived_limits(vehicle: Vehicle, rotor_speed_max: float) -> dict[str, float]:

@@ -43,6 +43,7 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
             limits.state_of_charge_min,
             limits.battery_current_max,
             limits.battery_voltage_min,
+            limits.battery_power_share_max,
         )
     )
     if is_limited:
@@ -89,6 +90,13 @@ def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> It
             "limits.battery_voltage_min",
             f"{limits.battery_voltage_min:.4g} V: under the mean current the pack has at most "
             f"{voltage:.4g} V; lower the limit or add cells in series.",
+        )
+    most, share = limits.battery_power_share_max, bound / duration / steady.greatest_pack_power
+    if most is not None and share > most:
+        yield _impossible_pack(
+            "limits.battery_power_share_max",
+            f"{most:.4g}: the mean power of any flight is at least {share:.4g} of what the pack "
+            "can give; raise the limit or add cells in series.",
         )
 
 

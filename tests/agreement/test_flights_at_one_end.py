@@ -2,6 +2,7 @@
 
 from math import nan
 
+import numpy as np
 import pytest
 from pyomo.environ import Constraint, units
 
@@ -207,6 +208,31 @@ def test_no_flight_on_a_pack_that_cannot_feed_it_is_verified(cells_series, is_fe
         assert plan.verification.battery_imbalance == pytest.approx(lacking, rel=0.2)
         assert not plan.is_verified
         assert plan.message.startswith("battery: the pack lacks ")
+
+
+@pytest.mark.slow
+def test_a_plan_that_its_pack_cannot_feed_is_held_to_what_the_pack_gives():
+    """A quick hop peaks at twice its mean power, just above the most that the pack gives."""
+    quick = {"mission": HOP | {"duration": 2.0}}
+    at_will = PLANNER.solve(scenario(**quick))
+    told = scenario(**quick, battery={"cell_resistance": 0.0905})
+    plan, cell = PLANNER.solve(told), told.battery
+    assert plan.is_verified
+    assert plan.scenario == told
+    assert plan.attempts == ("pack held to 94% of its greatest power: converged",)
+    power, left = plan.dynamics.table(
+        (("power.total", None), ("battery.state_of_charge", None)),
+        plan.flown.t,
+        plan.flown.states,
+        plan.flown.controls,
+    ).T
+    # The most is given at half the open-circuit voltage, eq. (5).
+    drawn = (1.0 - left / 100.0) * cell.capacity
+    zone = cell.A * np.exp(-cell.B * drawn)
+    voltage = cell.cells_series * (cell.E0 - cell.K * 100.0 / left + zone)
+    share = power / (voltage**2 / (4.0 * cell.cells_series * cell.cell_resistance))
+    assert share.max() == pytest.approx(0.94, abs=1e-4)
+    assert 0.0 < plan.energy - at_will.energy < 1e-3 * plan.energy
 
 
 def test_a_flight_beyond_empty_is_not_fed():

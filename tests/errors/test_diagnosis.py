@@ -93,6 +93,11 @@ IMPOSSIBLE = {
         "limits.battery_voltage_min",
         "limits.battery_voltage_min = 12.5 V: under the mean current the pack has at most 12.28 V",
     ),
+    "share of the pack's power": (
+        {"limits": {"battery_power_share_max": 0.05}},
+        "limits.battery_power_share_max",
+        "limits.battery_power_share_max = 0.05: the mean power of any flight is at least 0.093",
+    ),
 }
 
 # What deserves a second look, without being impossible.

@@ -52,6 +52,7 @@ scenarios = st.fixed_dictionaries(
                 "state_of_charge_min": within(0, 99),
                 "battery_current_max": within(1e-3, 1e3),
                 "battery_voltage_min": within(0.1, 12),
+                "battery_power_share_max": within(1e-3, 1),
             },
         ),
     }

@@ -134,6 +134,16 @@ def test_limits_of_eq_10_follow_from_the_rotors():
     assert body == pytest.approx(0.175 * 3.8305e-6 * (1047.0**2 - 300.0**2))
 
 
+def test_the_pack_gives_most_at_half_its_voltage():
+    told = scenario(limits={"battery_power_share_max": 0.5})
+    at = Instant(build_model(told)).set(omega=(900.0,) * 4)
+    limit, cell = at.model.limits.battery_power_limit[at.t], told.battery
+    full = cell.cells_series * (cell.E0 - cell.K + cell.A)
+    greatest = full**2 / (4.0 * cell.cells_series * cell.cell_resistance)
+    drawn = value(at.model.power.total[at.t])
+    assert value(limit.body) - value(limit.upper) == pytest.approx(drawn - 0.5 * greatest)
+
+
 def test_only_structure_forces_a_rebuild():
     told = scenario(airspace=AIRSPACE)
     for path, number in {

@@ -12,7 +12,12 @@ from pyomo_quad.model.typeset import EQUATION_TABLE, typeset_equations
 from pyomo_quad.scenario import PowerModel, WindCoupling
 from tests.declared_model import scenario
 
-EVERY_LIMIT = {"state_of_charge_min": 20.0, "battery_current_max": 30.0, "battery_voltage_min": 9.0}
+EVERY_LIMIT = {
+    "state_of_charge_min": 20.0,
+    "battery_current_max": 30.0,
+    "battery_voltage_min": 9.0,
+    "battery_power_share_max": 0.9,
+}
 
 
 def texts(model):

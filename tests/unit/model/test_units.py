@@ -15,6 +15,7 @@ EVERY_LIMIT = {
     "state_of_charge_min": 20.0,
     "battery_current_max": 30.0,
     "battery_voltage_min": 9.0,
+    "battery_power_share_max": 0.9,
     "speed_max": 5.0,
 }
 
