@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, TypeVar
+from math import inf
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from pyomo_quad.collocation.guess import (
     with_consistent_algebraics,
 )
 from pyomo_quad.collocation.mesh import Mesh, Summarised
+from pyomo_quad.collocation.program.bernstein import bounded
 from pyomo_quad.collocation.program.bounds import (
     bounds_of,
     is_defined,
@@ -212,7 +214,8 @@ class Problem(Summarised, Formulation):
         first = mesh
         if mesh is None and self.has_horizon:
             first = refinement.first_mesh if start is None else start.mesh
-        solve_on = partial(on_mesh, guess=guess, progress=progress)
+        breach = refinement.breach_between_points
+        solve_on = partial(on_mesh, guess=guess, progress=progress, breach=breach)
         best = self._best_of(starts, partial(solve_on, first), start) if starts > 1 else None
         begun = start if best is None else best.warm_start
         if first is None or tolerance is None:
@@ -321,19 +324,21 @@ class Problem(Summarised, Formulation):
         seed: int = 0,
         is_elastic: bool = False,
         to_the_gap: bool = False,
+        breach: float = inf,
         progress: Progress | None = None,
     ) -> Solution:
         """Solve once on one mesh; `solve` and `Damping` say what the arguments mean.
 
         A `seed` above 0 starts at random between the bounds; `is_elastic`, at what slacks lead to;
         `to_the_gap`, the solve goes on where the barrier's gap is no small share of the objective.
+        A finite `breach` is what a warm start may be off its bounds between the points.
         """
         if mesh is not None:
             mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
         program = self.program(mesh, instance)
         at_start = self.data_at_starts(instance)
         bounds = bounds_of(program, at_start, instance.fixed)
-        multipliers = None
+        multipliers, within = None, None
         if warm_start is None:
             z = initial_point(program, bounds, self.values, guess)
             z = scattered(program, bounds, z, seed) if seed else z
@@ -341,6 +346,7 @@ class Problem(Summarised, Formulation):
                 z = with_consistent_algebraics(program, bounds, z)
         else:
             z, multipliers = transfer(warm_start, program)
+            within = bounded(program, bounds, z, breach) if np.isfinite(breach) else None
             z = np.clip(z, bounds.lower, bounds.upper)
         refuse_unsolvable(program, bounds, z)
         scaling = scaling_of(program, bounds, z)
@@ -348,20 +354,24 @@ class Problem(Summarised, Formulation):
             options = options.for_phases()
         if is_elastic:
             z = elastic_point(program, bounds, scaling, z, options=options, progress=progress)
+        changed: Any = program if damping is None else damping.applied_to(program)
+        kept, scales = bounds, scaling
+        if within is not None and multipliers is not None:
+            changed = replace(within, program=changed)
+            kept, scales = within.bounds(bounds), within.scaling(scaling)
+            multipliers = within.multipliers(multipliers)
         if damping is not None and damping.gap and warm_start is not None:
-            parameter = damping.gap * scaling.objective / bounds.sides
+            parameter = damping.gap * scaling.objective / kept.sides
             options = options.on_the_path(parameter, is_near=damping.is_still)
         solve = partial(run_past_the_barrier, size=program.objective_size) if to_the_gap else run
         result = solve(
-            program if damping is None else damping.applied_to(program),
-            bounds,
-            scaling,
-            z,
-            options=options,
-            multipliers=multipliers,
-            progress=progress,
+            changed, kept, scales, z, options=options, multipliers=multipliers, progress=progress
         )
-        return solution_from(self, program, instance, result, bounds=bounds, scaling=scaling)
+        own = result if within is None else within.without(result)
+        found = solution_from(self, program, instance, own, bounds=bounds, scaling=scaling)
+        if within is None:
+            return found
+        return replace(found, restraint=changed.restraint(result, kept, found.mesh.elements))
 
     def dynamics(
         self,

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from pyomo_quad.collocation.formulation import Formulation
+    from pyomo_quad.collocation.program.bernstein import Restraint
     from pyomo_quad.collocation.program.bounds import Bounds, Scaling
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance
@@ -180,6 +181,8 @@ class Solution(Summarised):
         One entry per mesh solved on.
     cold_start : ColdStart or None
         What it took without a warm start; from a warm one, what that had taken.
+    restraint : Restraint or None
+        What bounds that are kept between the points too do to the objective; None where none are.
     """
 
     problem: Formulation
@@ -201,6 +204,7 @@ class Solution(Summarised):
     state_error: float = np.inf
     history: tuple[MeshRecord, ...] = field(default=())
     cold_start: ColdStart | None = None
+    restraint: Restraint | None = None
 
     @property
     def mesh(self) -> Mesh:

@@ -104,17 +104,18 @@ class ErrorEstimate:
     `violation` is that of path equations and bounds, relative to the larger of 1 and the
     bound.  `objective` is what an element's state errors change in the objective, which the
     costates tell, times the number of elements but never more than the sum over all of them,
-    and relative to the objective.  `integrals` is
-    the error of the quadrature likewise, of the objective and of every integral, the latter
-    relative to the larger of 1 and the integral.  `miss` is what the state errors become at the
-    end, as a share of what is allowed of which the tolerance is all.  `gap` is what the barrier
-    leaves of the objective, which no mesh makes smaller.  `is_held` says where a control is held to
-    its limit, a corner that no degree resolves.
+    and relative to the objective.  `restraint` is likewise what it costs that bounds are kept
+    between the points too, and `integrals` the error of the quadrature, of the objective and of
+    every integral, the latter relative to the larger of 1 and the integral.  `miss` is what the
+    state errors become at the end, as a share of what is allowed of which the tolerance is all.
+    `gap` is what the barrier leaves of the objective, which no mesh makes smaller.  `is_held` says
+    where a control is held to its limit, a corner that no degree resolves.
     """
 
     states: FloatArray
     violation: FloatArray
     objective: FloatArray
+    restraint: FloatArray
     integrals: FloatArray
     miss: FloatArray
     gap: float
@@ -128,6 +129,7 @@ class ErrorEstimate:
                 self.states.max(axis=1, initial=0.0),
                 self.violation,
                 self.objective,
+                self.restraint,
                 self.integrals,
                 self.miss,
             ]
@@ -136,7 +138,8 @@ class ErrorEstimate:
     @property
     def of_integrals(self) -> float:
         """Largest of the objective and the integrals."""
-        return float(max(self.objective.max(initial=0.0), self.integrals.max(initial=0.0)))
+        parts = (self.objective, self.restraint, self.integrals)
+        return float(max(part.max(initial=0.0) for part in parts))
 
     @property
     def largest(self) -> float:
@@ -178,6 +181,7 @@ def estimate_error(
     return ErrorEstimate(
         states=_relative(solution, moved),
         objective=_objective_errors(solution, moved),
+        restraint=_restraints(solution),
         violation=_breaches(solution, dense, allowance),
         integrals=_quadrature_errors(solution, panels),
         miss=_missed(solution, moved, tolerance / allowance.final_miss),
@@ -194,6 +198,8 @@ def _gap(solution: Solution) -> float:
     """Return the barrier's gap relative to the size of the objective's parts."""
     program, z = solution.program, solution.unknowns
     size = max(program.objective_size(z), _LEAST_SIZE / solution.scaling.objective)
+    if solution.restraint is not None:
+        return solution.restraint.gap / size
     return barrier_gap(program, solution.bounds, z, solution.multipliers) / size
 
 
@@ -321,6 +327,12 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
     ends = solution.costates.stages[mesh.first_node[1:] - 1]
     changes = np.abs(np.sum(ends * np.array([m[-1] for m in moved]), axis=1))
     return _of_all(changes / solution.nominal_objective)
+
+
+def _restraints(solution: Solution) -> FloatArray:
+    if solution.restraint is None:
+        return np.zeros(solution.mesh.elements)
+    return _of_all(solution.restraint.cost / solution.nominal_objective)
 
 
 def _of_all(shares: FloatArray) -> FloatArray:

@@ -320,7 +320,11 @@ def refine(
         weight = firmness * refinement.damping * tolerance
         left = gap if is_stalled else 0.0
         if refinement.limits_move and not is_stalled:
-            rough = _INEXACT * max(e.of_integrals for e in errors)
+            unknown = max(e.of_integrals for e in errors)
+            if any(part.restraint is not None for part in solution.parts):
+                # Bounds kept everywhere hide that the mesh is too coarse for the optimum.
+                unknown = max(unknown, _objective_change(solution.parts[0], tolerance))
+            rough = _INEXACT * unknown
             left = max(min(rough, _MOST_INEXACT), _LEAST_INEXACT * tolerance)
         dampings = tuple(
             damping_of(part, weight, gap=left, is_still=is_stalled) for part in solution.parts

@@ -82,6 +82,12 @@ class RefinementOptions:
     limits_move: bool = False
 
     @property
+    def breach_between_points(self) -> float:
+        """By how much bounds may be broken between the points, infinite where it is not held."""
+        allowed = min(self.allowance.control_breach, self.allowance.limit_breach)
+        return 0.5 * allowed if self.limits_move and allowed > 0.0 else math.inf
+
+    @property
     def first_mesh(self) -> Mesh:
         """The mesh that a refinement begins on."""
         return Mesh.uniform(self.first_elements, self.first_degree)
@@ -146,7 +152,7 @@ def refined_mesh(
     mesh = solution.mesh
     pieces: list[_Piece] = []
     for e, size in enumerate(error.per_element):
-        jump = _jump(solution, e) if e in marks.coarse else None
+        jump = _jump(solution, e) if e in marks.coarse and not options.limits_move else None
         if jump is not None:
             pieces.extend(_isolated(mesh, e, jump, float(size)))
         elif e in marks.coarse:
@@ -211,7 +217,7 @@ def _finer(
     degree, size = mesh.degrees[e], float(error.per_element[e])
     if mesh.widths[e] < 2.0 * options.smallest_width:
         return [_Piece(mesh.breakpoints[e + 1], degree, size, is_changed=True)]
-    if size <= tolerance or error.is_held[e]:
+    if size <= tolerance or error.is_held[e] or error.restraint[e] == size:
         is_chased = error.is_held[e] and len(solution.history) > _CHASING_MESHES
         parts = (_CONSTANT_PARTS, 1) if is_chased else (_CORNER_PARTS, min(degree, _CORNER_DEGREE))
         return _parts(mesh, e, *parts, size)
