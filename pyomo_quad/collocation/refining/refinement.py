@@ -320,12 +320,7 @@ def refine(
         weight = firmness * refinement.damping * tolerance
         left = gap if is_stalled else 0.0
         if refinement.limits_move and not is_stalled:
-            unknown = max(e.of_integrals for e in errors)
-            if any(part.restraint is not None for part in solution.parts):
-                # Bounds kept everywhere hide that the mesh is too coarse for the optimum.
-                unknown = max(unknown, _objective_change(solution.parts[0], tolerance))
-            rough = _INEXACT * unknown
-            left = max(min(rough, _MOST_INEXACT), _LEAST_INEXACT * tolerance)
+            left = _gap_to_leave(solution, errors, tolerance)
         dampings = tuple(
             damping_of(part, weight, gap=left, is_still=is_stalled) for part in solution.parts
         )
@@ -346,6 +341,15 @@ def _solved(
     if solved.status in FAILED and warm_start is not None:
         solved = solve(meshes, None, dampings)
     return solved, dampings
+
+
+def _gap_to_leave(solution: Solved, errors: tuple[ErrorEstimate, ...], tolerance: float) -> float:
+    """Return what the barrier shall leave of the objective where limits move, as a share of it."""
+    unknown = max(e.of_integrals for e in errors)
+    if any(part.restraint is not None for part in solution.parts):
+        # Bounds kept everywhere hide that the mesh is too coarse for the optimum.
+        unknown = max(unknown, _objective_change(solution.parts[0], tolerance))
+    return max(min(_INEXACT * unknown, _MOST_INEXACT), _LEAST_INEXACT * tolerance)
 
 
 def _are_damped(dampings: tuple[Damping | None, ...]) -> bool:
