@@ -2,12 +2,13 @@
 
 import ast
 from functools import cache
-from pathlib import Path
+from pathlib import PurePath
 
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-PACKAGE = Path(__file__).parents[2] / "pyomo_quad"
+from tests.architecture import test_sizes
+
 FLOORS = {
     "scenario": 0,
     "collocation": 0,
@@ -67,8 +68,8 @@ def part_of(module):
     return steps[1] if len(steps) > 1 and steps[1] in FLOORS else "cli"
 
 
-def module_of(file):
-    steps = file.relative_to(PACKAGE.parent).with_suffix("").parts
+def module_of(name):
+    steps = ("pyomo_quad", *PurePath(name).with_suffix("").parts)
     return ".".join(step for step in steps if step != "__init__")
 
 
@@ -96,8 +97,7 @@ def imports_of(tree, *, with_types=True):
 
 @cache
 def trees():
-    files = sorted(PACKAGE.rglob("*.py"))
-    return [(module_of(file), ast.parse(file.read_text(encoding="utf-8"))) for file in files]
+    return [(module_of(name), tree) for name, tree in test_sizes.trees().items()]
 
 
 def is_inside(module, library):

@@ -1,6 +1,7 @@
 """The public names: what a script imports."""
 
 import gc
+import json
 import subprocess
 import sys
 
@@ -100,7 +101,8 @@ def test_a_solve_without_figures_imports_only_what_it_uses(tmp_path):
     slow = {"pandas", "pyarrow", "scipy.stats", "scipy.interpolate", "pyomo.environ"}
     unused = {"dask", "scipy.ndimage"}
     assert (draws | slow | unused).isdisjoint(modules_after(program))
-    assert (tmp_path / "report" / "summary.json").exists()
+    summary = json.loads((tmp_path / "report" / "summary.json").read_text(encoding="utf-8"))
+    assert all(seconds > 0 for seconds in summary["wall_s"].values())
     assert not (tmp_path / "report" / "figures").exists()
 
 

@@ -43,7 +43,7 @@ FLIGHTS = [
 
 # Each flight that is planned again takes as long as all others together.
 NONE = "--set=baseline.mpc.knowledge=[]"
-ESTIMATED = ("baseline.mpc.knowledge=['estimated']", "baseline.mpc.interval=1.0")
+ESTIMATED = ("baseline.mpc.knowledge=['estimated']", "baseline.mpc.interval=2.5")
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_compare_makes_one_table(tmp_path, capsys):
     folder = tmp_path / "table"
     files = [str(SCENARIOS / f"paper_{name}.toml") for name in ("calm", "wind")]
     references = '--set=baseline.references=["quintic"]'
-    arguments = ["compare", *files, *QUICK, NONE, references, "--out", str(folder)]
+    arguments = ["compare", *files, *QUICK, NONE, references, "--figures=png", "--out", str(folder)]
     assert main(arguments) == ExitCode.VERIFIED
     frame = pd.read_csv(folder / "comparison.csv")
     flights = ["optimal", "adaptive/quintic", "open_loop/plan"]
