@@ -71,6 +71,9 @@ _ROUNDING = 1e-9
 _SAMPLES = 4
 # Panels of an element on which integrals are computed anew.
 _PANELS = 4
+# What bounds between the points cost adds to what the barrier leaves and to the states' errors: of
+# the tolerance, it is given this share.
+_RESTRAINT_SHARE = 0.2
 # Just inside an element's start, which itself belongs to the element before.
 _START = 1e-6
 
@@ -105,11 +108,12 @@ class ErrorEstimate:
     bound.  `objective` is what an element's state errors change in the objective, which the
     costates tell, times the number of elements but never more than the sum over all of them,
     and relative to the objective.  `restraint` is likewise what it costs that bounds are kept
-    between the points too, and `integrals` the error of the quadrature, of the objective and of
-    every integral, the latter relative to the larger of 1 and the integral.  `miss` is what the
-    state errors become at the end, as a share of what is allowed of which the tolerance is all.
-    `gap` is what the barrier leaves of the objective, which no mesh makes smaller.  `is_held` says
-    where a control is held to its limit, a corner that no degree resolves.
+    between the points too, of which a share of the tolerance is all, and `integrals` the error of
+    the quadrature, of the objective and of every integral, the latter relative to the larger of 1
+    and the integral.  `miss` is what the state errors become at the end, as a share of what is
+    allowed of which the tolerance is all.  `gap` is what the barrier leaves of the objective, which
+    no mesh makes smaller.  `is_held` says where a control is held to its limit, a corner that no
+    degree resolves.
     """
 
     states: FloatArray
@@ -332,7 +336,7 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
 def _restraints(solution: Solution) -> FloatArray:
     if solution.restraint is None:
         return np.zeros(solution.mesh.elements)
-    return _of_all(solution.restraint.cost / solution.nominal_objective)
+    return _of_all(solution.restraint.cost / solution.nominal_objective / _RESTRAINT_SHARE)
 
 
 def _of_all(shares: FloatArray) -> FloatArray:
