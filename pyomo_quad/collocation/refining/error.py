@@ -73,7 +73,7 @@ _SAMPLES = 4
 _PANELS = 4
 # What bounds between the points cost adds to what the barrier leaves and to the states' errors: of
 # the tolerance, it is given this share.
-_RESTRAINT_SHARE = 0.2
+_RESTRAINT_SHARE = 0.5
 # Just inside an element's start, which itself belongs to the element before.
 _START = 1e-6
 
