@@ -22,7 +22,9 @@ proven not to undercut the best point found by more than a tolerance.  Under `mo
 number is the induced velocity, of which the declared balance gives the thrust.
 
 Rotors that share a thrust unequally draw no less than alike wherever a rotor's profile power over
-its thrust rises; where it falls, at much airspeed and hardly any thrust, that power is left out.
+its thrust T rises.  Where it falls, at much airspeed and little thrust, they draw no less than its
+convex envelope: c T^1.5 + m T^0.5 touches its tangent from no thrust at all where both terms are
+equal, and lies (c^0.5 T^0.5 - m^0.5)^2 T^0.5 above it.
 
 The mass may change at a passage: p and eta times the mass are the same on all legs.
 """
@@ -43,8 +45,6 @@ from pyomo_quad.scenario import PowerModel, Scenario
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike
 
     from pyomo_quad.study.legs import Leg
 
@@ -107,20 +107,17 @@ class Pairs:
         self.wind = wind_of(dynamics, np.array([dynamics.start]))[0]
         self._has_induced = scenario.power.model is PowerModel.MOMENTUM
         first, along, across = variables = symbols("first", "along", "across")
-        numbers = symbols("momentum", "way", "both", "area", "motion", "alike")
-        momentum, way, both, area, motion, alike = numbers
-        speed, thrust, power, profile, margin = self._of_rotors(first, along, across)
+        numbers = symbols("momentum", "with_momentum", "aside", "motion", "alike")
+        momentum, with_momentum, aside, motion, alike = numbers
+        speed, thrust, power, excess, margin = self._of_rotors(first, along, across)
         forward, upward = self._forces(along, across)
         drag = -(forward * across + upward * along)
-        earned = (
-            momentum * (thrust**2 + forward**2 + upward**2 + 2 * thrust * upward)
-            + way * (along**2 + across**2)
-            + 2 * both * (thrust * along - drag)
-            + 2 * area * thrust * across
-        )
-        spent = power - (1 - alike) * profile
-        worth = spent + motion * (drag - thrust * along) - earned**0.5
-        expressions = [worth, thrust, speed, margin, forward, upward, spent]
+        # Both are plane, so that the sum of singular values is the length of a vector.
+        level = momentum * forward + with_momentum * across - aside * along
+        rising = momentum * (thrust + upward) + with_momentum * along + aside * across
+        spent = power - (1 - alike) * excess
+        worth = spent + motion * (drag - thrust * along) - (level**2 + rising**2) ** 0.5
+        expressions = [worth, thrust, speed, margin, forward, upward, spent, excess]
         self._enclosure = Enclosure(expressions, variables, numbers)
         self._slowest = scenario.limits.rotor_speed_min
         self.fastest = self._fastest(scenario)
@@ -137,7 +134,10 @@ class Pairs:
         return self._dynamics.expressions(tuple(keys), self._dynamics.start, self._values(*at))
 
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
-        """Return rotor speed, thrust, power, its profile part, and where that rises per thrust."""
+        """Return rotor speed, thrust, power of rotors alike, its excess, and where that is none.
+
+        There the margin is positive.
+        """
         each = range(1, len(self._rotors) + 1)
         powers: list[tuple[str, Any]] = [("power.total", None)]
         if self._dynamics.has(_UNCREDITED):
@@ -151,11 +151,12 @@ class Pairs:
         squared = self._read([(_BALANCE, None)], along, across, 0.0, first)[0] / per_square
         speed = squared**0.5
         thrust, *power = self._read(keys, along, across, speed, first)
-        profile = self._read([(_PROFILE, j) for j in each], along, across, speed, first)
         # Profile power is a cube of the speed and, in moving air, a multiple of it.
         cube = self._read([(_PROFILE, 1)], 0.0, 0.0, 1.0, 0.0)[0]
         multiple = self._read([(_PROFILE, 1)], along, across, 1.0, first)[0] - cube
-        return speed, thrust, sum(power), sum(profile), cube * squared - multiple
+        # What alike they draw over the least of any share: the tangent from no thrust at all.
+        excess = len(each) * speed * (cube**0.5 * speed - multiple**0.5) ** 2
+        return speed, thrust, sum(power), excess, cube * squared - multiple
 
     def _forces(self, along: Symbol, across: Symbol) -> tuple[Any, Any]:
         """Return the force of moving air, level along the airspeed and upwards [N]."""
@@ -164,9 +165,11 @@ class Pairs:
         still = self._read(keys, 0.0, 0.0, 0.0, 0.0)
         return moving[0] - still[0], moving[1] - still[1]
 
-    def _at(self, points: FloatArray, numbers: ArrayLike = (0.0,) * 6) -> FloatArray:
+    def _at(self, points: FloatArray, numbers: Sequence[float] = (0.0,) * 4) -> FloatArray:
         """Return worth, thrust, speed, margin, both forces and power at points, shape (3, n)."""
-        return self._enclosure.at(points, numbers)
+        found = self._enclosure.at(points, (*numbers, 1.0))
+        found[[0, 6]] -= np.where(found[3] >= 0.0, 0.0, found[7])
+        return found
 
     def _fastest(self, scenario: Scenario) -> float:
         """Return an airspeed that no flight from rest exceeds; infinite where there is none."""
@@ -192,10 +195,11 @@ class Pairs:
 
     def _numbers(self, prices: Prices, mass: float) -> tuple[float, ...]:
         way = prices.way - prices.motion * mass * self.standing
-        momentum = prices.momentum
-        area = float(np.linalg.norm(np.cross(momentum, way)))
-        sizes = float(momentum @ momentum), float(way @ way)
-        return *sizes, float(momentum @ way), area, prices.motion
+        size = float(np.linalg.norm(prices.momentum))
+        if size == 0.0:
+            return 0.0, float(np.linalg.norm(way)), 0.0, prices.motion
+        aside = float(np.linalg.norm(np.cross(prices.momentum, way)))
+        return size, float(prices.momentum @ way) / size, aside / size, prices.motion
 
     def _constant(self, prices: Prices, mass: float) -> float:
         return float(prices.momentum @ self.standing * mass - prices.way @ self.wind)
@@ -207,9 +211,11 @@ class Pairs:
         """
         from scipy.ndimage import minimum_filter  # noqa: PLC0415  not for every certificate
 
-        numbers = (*self._numbers(prices, mass), 1.0)
+        numbers = self._numbers(prices, mass)
         edges = self._edges()
         axes = [np.linspace(edge[0], edge[1], _SAMPLES) for edge in edges]
+        # Fast air is hardly turned: of the first number the small ones count.
+        axes[0] *= axes[0] / axes[0][-1]
         points = np.stack(np.meshgrid(*axes, indexing="ij"))
         worth = self._worth(points.reshape(3, -1), numbers).reshape(points.shape[1:])
         is_least = (worth == minimum_filter(worth, size=3)) & np.isfinite(worth)
@@ -222,27 +228,21 @@ class Pairs:
             around = self._worth(near.reshape(3, -1), numbers).reshape(near.shape[1:])
             here = near[:, np.arange(here.shape[1]), np.argmin(around, axis=1)]
             reach = reach / 2
-        found = self._at(here, numbers)
-        least = float(np.min(found[0])) + self._constant(prices, mass)
-        way = prices.way - prices.motion * mass * self.standing
-        return least, [
-            self._pair(*each, prices.momentum, way, mass)
-            for each in zip(here.T, found.T, strict=True)
-        ]
+        least = float(np.min(self._at(here, numbers)[0])) + self._constant(prices, mass)
+        return least, [self._pair(at, prices, mass) for at in here.T]
 
     def _edges(self) -> FloatArray:
         return np.array([[0.0, self._corner], [-self.fastest, self.fastest], [0.0, self.fastest]])
 
-    def _worth(self, points: FloatArray, numbers: ArrayLike) -> FloatArray:
+    def _worth(self, points: FloatArray, numbers: Sequence[float]) -> FloatArray:
         found = self._at(points, numbers)
         return np.where(found[1] <= self._most_thrust, found[0], inf)
 
-    def _pair(
-        self, at: FloatArray, found: FloatArray, momentum: FloatArray, way: FloatArray, mass: float
-    ) -> FloatArray:
+    def _pair(self, at: FloatArray, prices: Prices, mass: float) -> FloatArray:
         """Return power and slopes of H of a pair, turned as earns most."""
+        momentum, way = prices.momentum, prices.way - prices.motion * mass * self.standing
         _, along, across = at
-        _, thrust, _, _, forward, upward, power = found
+        _, thrust, _, _, forward, upward, power, _ = self._at(at[:, None])[:, 0]
         force, air = np.array([forward, 0.0, thrust + upward]), np.array([across, 0.0, along])
         left, _, right = np.linalg.svd(np.outer(force, momentum) + np.outer(air, way))
         turn = (left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right).T
@@ -266,7 +266,7 @@ class Pairs:
 
     def least(self, prices: Prices, mass: float, tolerance: float) -> float:
         """Return H, proven from below, to a tolerance [W] where the boxes suffice."""
-        numbers = np.array([*self._numbers(prices, mass), 1.0])
+        numbers = self._numbers(prices, mass)
         best = self.cheapest(prices, mass)[0] - self._constant(prices, mass)
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
         low = np.stack(np.meshgrid(*(c[:-1] for c in cuts), indexing="ij")).reshape(3, -1)
@@ -285,13 +285,13 @@ class Pairs:
         return best - tolerance + self._constant(prices, mass)
 
     def _box(
-        self, low: FloatArray, high: FloatArray, numbers: FloatArray
+        self, low: FloatArray, high: FloatArray, numbers: Sequence[float]
     ) -> tuple[FloatArray, float, NDArray[np.int_]]:
         """Return what is proven of boxes, the least reached in them, and where to cut each.
 
         What is proven is infinite where no flight is in a box.
         """
-        given = np.repeat(numbers[:, None], low.shape[1], axis=1)
+        given = np.repeat(np.array([*numbers, 1.0])[:, None], low.shape[1], axis=1)
         (under, over), _ = self._enclosure.over(low, high, given)
         given[-1] = under[3] >= 0.0
         (under, over), slopes = self._enclosure.over(low, high, given)
@@ -303,8 +303,7 @@ class Pairs:
         share = np.where(np.isnan(share), 0.5, share)
         centre = low + share * (high - low)
         reach = np.where(np.isfinite(falls) & np.isfinite(rises), lost, inf)
-        at_centre = self._at(centre, given)
-        middle, can_be = at_centre[0], (at_centre[1] <= self._most_thrust) & (given[-1] > 0.0)
+        middle = self._enclosure.at(centre, given)[0]
         proven = np.fmax(under[0], middle - np.sum(reach, axis=0))
         nearest = np.minimum(np.abs(low[1]), np.abs(high[1])) * (low[1] * high[1] > 0.0)
         is_empty = (
@@ -314,7 +313,7 @@ class Pairs:
         )
         relative = (high - low) / np.array([[self._corner], [self.fastest], [self.fastest]])
         by_reach = np.where(np.all(np.isfinite(reach), axis=0), reach, relative)
-        reached = float(np.min(middle[can_be], initial=inf))
+        reached = float(np.min(self._worth(centre, numbers)))
         return np.where(is_empty, inf, proven), reached, np.argmax(by_reach, axis=0)
 
 

@@ -7,6 +7,7 @@ from pyomo_quad.collocation import Mesh, Status
 from pyomo_quad.flight import Planner
 from pyomo_quad.polar.polar import find_polar
 from tests.declared_model import scenario
+from tests.flights import certified
 
 DISTANCE_M = 400.0
 HEAD_WIND_M_S, PRICE_W = 5.0, 200.0
@@ -71,6 +72,7 @@ def test_a_kilometre_is_verified_and_cruises_at_the_best_speed(wind, price):
     # No steady flight is cheaper, and its ends cost little beside it.
     least = best.power / best.ground_speed * 1000.0
     assert least < plan.energy < 1.05 * least
+    assert certified(mission).lower_bound_J <= plan.energy
 
 
 @pytest.mark.slow

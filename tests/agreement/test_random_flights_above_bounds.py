@@ -175,6 +175,8 @@ def test_no_flight_drawn_at_random_is_below_its_bound(planner, form):
 LINEAR, QUADRATIC = 0.322, 0.038
 PAYLOAD = 0.25
 FAR = {"goal": {"position": [150.0, 40.0, 12.0]}}
+# m/s and rad: from the goal.
+AGAINST = (5.0, np.pi + np.arctan2(40.0, 150.0))
 AIRSPEED_FORMS = {
     "fixed": FAR | {"duration": 22.0},
     "free": FAR | {"duration": "free"},
@@ -210,9 +212,9 @@ class AirspeedFlights(Flights):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("wind", [0.0, 4.0])
+@pytest.mark.parametrize(("wind", "direction"), [(0.0, 0.0), (4.0, 2.0), AGAINST])
 @pytest.mark.parametrize("form", AIRSPEED_FORMS)
-def test_no_flight_through_air_is_below_its_bound(form, wind):
+def test_no_flight_through_air_is_below_its_bound(form, wind, direction):
     craft, mission = plain.M100, AIRSPEED_FORMS[form]
     fields = {
         "mass": "mass", "rotor_radius": "radius", "thrust_coefficient": "kb",
@@ -224,7 +226,7 @@ def test_no_flight_through_air_is_below_its_bound(form, wind):
     drag = {"drag_linear": LINEAR, "drag_quadratic": QUADRATIC, "payload": PAYLOAD}
     told = scenario(
         vehicle={"use": "dji_matrice_100"} | {k: craft[v] for k, v in fields.items()} | drag,
-        wind={"use": "constant", "speed": wind, "direction": 2.0, "coupling": "drag"},
+        wind={"use": "constant", "speed": wind, "direction": direction, "coupling": "drag"},
         power={"model": "momentum", "air_density": craft["density"]},
         mission=mission,
     )
