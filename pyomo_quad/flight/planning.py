@@ -341,7 +341,10 @@ class Planner:
         """Return the plan or, where its pack lacks power, one within what the pack can give."""
         limits, flown = plan.scenario.limits, plan.flown
         is_own = self._builder is not build_model or limits.battery_power_share_max is not None
-        if is_own or flown is None or shares_lacking(plan.dynamics, flown)[0] <= BALANCE_TOLERANCE:
+        is_met = plan.solution is not None and plan.solution.status is Status.CONVERGED
+        if is_own or not is_met or flown is None:
+            return plan
+        if shares_lacking(plan.dynamics, flown)[0] <= BALANCE_TOLERANCE:
             return plan
         told = plan.scenario.as_forecast()
         greatest = self.steady_flight(told).greatest_pack_power
@@ -354,7 +357,8 @@ class Planner:
         solution = self._first_solve(problem, within, plan, progress)
         timings = dict(plan.timings)
         timings["solve"] += time.perf_counter() - started
-        tried = f"pack held to {GIVEN_SHARE:.0%} of its greatest power: {solution.status.value}"
+        share = f"{100.0 * GIVEN_SHARE:.0f} %"
+        tried = f"pack held to {share} of its greatest power: {solution.status.value}"
         attempts = (*plan.attempts, tried)
         if solution.status.is_solved:
             fed = _plan_of(plan.scenario, solution, timings, plan.hover_energy_J)
