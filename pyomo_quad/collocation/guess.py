@@ -347,31 +347,34 @@ class WarmStart:
         old = self.mesh.quadrature_weights * was.span_at(self.mesh.point_fractions)
         new = mesh.quadrature_weights * now.span_at(mesh.point_fractions)
 
-        def carried(values: FloatArray) -> FloatArray:
-            density = values / old[:, None]
-            return interpolate(self.mesh, density, points, with_start=False) * new[:, None]
-
-        path = self.trajectory
-        lower, upper = (
+        path, lower, upper = self.trajectory, self.lower, self.upper
+        # One set of polynomials: each costs as much to find as to evaluate.
+        imposed = (lower.states[1:], lower.algebraics, upper.states[1:], upper.algebraics)
+        parts = (*imposed, self.equations)
+        densities = [values / old[:, None] for values in parts]
+        held = np.hstack([path.algebraics, *densities])
+        borders = np.cumsum([part.shape[1] for part in (path.algebraics, *densities)])[:-1]
+        carried = interpolate(self.mesh, held, points, with_start=False)
+        algebraics, *moved = np.split(carried, borders, axis=1)
+        *pulls, equations = (part * new[:, None] for part in moved)
+        positive = [np.maximum(part, 0.0) for part in pulls]
+        sides = (
             replace(
-                side,
-                mesh=mesh,
-                states=np.vstack([side.states[:1], np.maximum(carried(side.states[1:]), 0.0)]),
-                algebraics=np.maximum(carried(side.algebraics), 0.0),
+                side, mesh=mesh, states=np.vstack([side.states[:1], over]), algebraics=of_others
             )
-            for side in (self.lower, self.upper)
+            for side, over, of_others in zip(
+                (lower, upper), positive[::2], positive[1::2], strict=True
+            )
         )
+        below, above = sides
         return replace(
             self,
             trajectory=replace(
-                path,
-                mesh=mesh,
-                states=path.states_at(nodes),
-                algebraics=path.algebraics_at(points),
+                path, mesh=mesh, states=path.states_at(nodes), algebraics=algebraics
             ),
-            lower=lower,
-            upper=upper,
-            equations=carried(self.equations),
+            lower=below,
+            upper=above,
+            equations=equations,
         )
 
     def _numbers(self) -> dict[str, FloatArray]:

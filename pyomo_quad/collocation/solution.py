@@ -193,7 +193,6 @@ class Solution(Summarised):
     message: str
     objective: float
     trajectory: Trajectory
-    output_states: FloatArray
     multipliers: Multipliers
     unknowns: FloatArray
     bounds: Bounds
@@ -293,6 +292,22 @@ class Solution(Summarised):
     def warm_start(self) -> WarmStart:
         """What another solve can start from, free of this solution's problem."""
         return warm_start_of(self.program, self.unknowns, self.multipliers, self.cold_start)
+
+    @cached_property
+    def output_states(self) -> FloatArray:
+        """What nothing solved for depends on, solved for when it is asked for.
+
+        Shape (n_points + 1, n_outputs), at the nodes.
+        """
+        program, outputs = self.program, self.problem.outputs
+        if not len(outputs) or program.mesh is None:
+            return np.zeros((program.layout.points + 1, len(outputs)))
+        return outputs.solve(
+            program.layout,
+            outputs.start(self.instance.parameters, self.instance.fixed),
+            program.path_variables(self.unknowns),
+            program.data.at_points(),
+        )
 
     @property
     def dynamics(self) -> Dynamics:
@@ -472,14 +487,8 @@ def solution_from(
     bounds: Bounds,
     scaling: Scaling,
 ) -> Solution:
-    """Return the solution that Ipopt's result stands for, outputs included."""
-    z, layout = result.z, program.layout
-    outputs = np.zeros((layout.points + 1, len(problem.outputs)))
-    if len(problem.outputs) and program.mesh is not None:
-        start = problem.outputs.start(instance.parameters, instance.fixed)
-        outputs = problem.outputs.solve(
-            layout, start, program.path_variables(z), program.data.at_points()
-        )
+    """Return the solution that Ipopt's result stands for."""
+    z = result.z
     return Solution(
         problem=problem,
         program=program,
@@ -489,7 +498,6 @@ def solution_from(
         message=result.message,
         objective=program.user_objective(z),
         trajectory=program.trajectory(z),
-        output_states=outputs,
         multipliers=result.multipliers,
         unknowns=z,
         bounds=bounds,

@@ -172,7 +172,6 @@ def fly(
     initial_state: FloatArray,
     times: FloatArray,
     integrator: Integrator = Integrator.RUNGE_KUTTA,
-    tolerance: float = _TOLERANCE,
 ) -> ClosedLoopFlight:
     """Fly a reference under feedback.
 
@@ -187,8 +186,6 @@ def fly(
         State of the vehicle at the first time.
     times : ndarray, shape (n,)
         Rising times at which the flight is returned, s.
-    tolerance : float, optional
-        Of the integrator, relative and absolute.
 
     Raises
     ------
@@ -203,8 +200,8 @@ def fly(
         loop.started(times[0], initial_state),
         method=integrator.value,
         t_eval=times,
-        rtol=tolerance,
-        atol=tolerance,
+        rtol=_TOLERANCE,
+        atol=_TOLERANCE,
         max_step=LONGEST_STEP,
     )
     if not solution.success:
@@ -343,7 +340,7 @@ def fly_baseline(
         baseline_name(reference, *(speeds or ())),
         scenario,
         dynamics,
-        (first.flown, second.flown),
+        ((first.flown, second.flown),),
         plan,
         began,
     )
@@ -413,22 +410,23 @@ def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
         fly_controls(dynamics, held.mesh, held.controls, start, held.horizon, method=method.value)
         for method in Integrator
     )
-    return assembled_flight(OPEN_LOOP, scenario, dynamics, (first, second), plan, began)
+    return assembled_flight(OPEN_LOOP, scenario, dynamics, ((first, second),), plan, began)
 
 
 def assembled_flight(
     name: str,
     scenario: Scenario,
     dynamics: Dynamics,
-    flown_twice: tuple[Flown, Flown],
+    flown_twice: Sequence[tuple[Flown, Flown]],
     plan: Plan | None,
     began: float,
 ) -> Flight:
-    """Return a flight, priced at the plan's costates where there is one.
+    """Return a flight of its parts, priced at the plan's costates where there is one.
 
-    It is verified when two integrators agree about it and the battery can give its power.
+    It is verified when two integrators agree about each part, which both begin in one state, and
+    the battery can give its power.
     """
-    flown, again = flown_twice
+    flown = _joined([part for part, _ in flown_twice])
     final = dict(zip(dynamics.state_names, flown.states[-1].tolist(), strict=True))
     # The costates of a flight through another wind price another mission's end.
     is_told = scenario.wind.forecast is None
@@ -438,7 +436,7 @@ def assembled_flight(
         flown,
         wanted_at_goal(scenario, dynamics),
         flight_frame(dynamics, flown.t, flown.states, flown.controls, flown.energy),
-        is_verified=_agree(dynamics, flown, again)
+        is_verified=_agree(dynamics, flown_twice)
         and battery_imbalance(dynamics, flown) <= BALANCE_TOLERANCE,
         wall_s=perf_counter() - began,
         owed_energy_J=plan.owed_energy(final) if plan is not None and is_told else nan,
@@ -511,13 +509,29 @@ def _yaw_acceleration(
     return np.asarray((after - before)[:, 0] / (2 * _INSTANT))
 
 
-def _agree(dynamics: Dynamics, first: Flown, second: Flown) -> bool:
-    """Say whether two flights end at the same place and spend the same energy."""
+def _agree(dynamics: Dynamics, flown_twice: Sequence[tuple[Flown, Flown]]) -> bool:
+    """Say whether pairs of flights end at the same places and spend the same, all told."""
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
-    apart = np.linalg.norm(first.states[-1, columns] - second.states[-1, columns])
-    energy, other = first.energy[-1], second.energy[-1]
-    is_same_energy = abs(energy - other) <= ENERGY_TOLERANCE * max(1.0, abs(energy))
+    ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])
+    spent = np.array([[flown.energy[-1] for flown in pair] for pair in flown_twice])
+    apart = float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).sum())
+    total, other = spent.sum(axis=0)
+    is_same_energy = abs(total - other) <= ENERGY_TOLERANCE * max(1.0, abs(total))
     return bool(apart <= MISS_TOLERANCE and is_same_energy)
+
+
+def _joined(parts: Sequence[Flown]) -> Flown:
+    """Return parts of a flight as one; where two meet, the first one's end is kept."""
+    spent = np.cumsum([0.0, *(part.energy[-1] for part in parts)])
+    kept = [slice(0, None), *(slice(1, None) for _ in parts[1:])]
+    return Flown(
+        t=np.concatenate([part.t[k] for part, k in zip(parts, kept, strict=True)]),
+        states=np.vstack([part.states[k] for part, k in zip(parts, kept, strict=True)]),
+        controls=np.vstack([part.controls[k] for part, k in zip(parts, kept, strict=True)]),
+        energy=np.concatenate(
+            [e + part.energy[k] for e, part, k in zip(spent[:-1], parts, kept, strict=True)]
+        ),
+    )
 
 
 def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:

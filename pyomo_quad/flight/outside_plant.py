@@ -476,7 +476,7 @@ def fly_under(
         )
         for method, tolerance in zip(methods, (habits.tolerance or tight, tight), strict=True)
     )
-    return assembled_flight(name, scenario, dynamics, (first, second), plan, began)
+    return assembled_flight(name, scenario, dynamics, ((first, second),), plan, began)
 
 
 def _adaptive(

@@ -326,12 +326,14 @@ def draw_energy_split(
     figure.subplots_adjust(
         left=0.24, right=0.99, top=1 - 0.3 / height, bottom=0.62 / height, wspace=0.07
     )
-    rows = range(len(flights))
-    for row, flight in zip(rows, flights, strict=True):
+    longest = []
+    for row, flight in enumerate(flights):
         hover = hover_energy_J * flight.duration_s / flights[0].duration_s
         whole.barh(row, hover, color=PALE, edgecolor=MUTED, linewidth=0.6, height=_BAR)
         whole.barh(row, flight.energy_J - hover, left=hover, **_look(flight))
-    _annotate(whole, [flight.energy_J for flight in flights])
+        longest.append(max(hover, flight.energy_J))
+    _write_values(whole, [flight.energy_J for flight in flights], longest)
+    _make_room(whole, longest)
     whole.set(title="Whole: hover floor (grey) and the rest", xlabel="Energy (J)")
     draw_excess(above, flights, hover_energy_J, absent)
     above.set(
@@ -384,7 +386,7 @@ def draw_excess_by_scenario(comparison: pd.DataFrame) -> Figure:
         axes.set_yticks(range(len(names)), names)
         axes.invert_yaxis()
         axes.set_title(str(name))
-        _write_values(axes, excess.tolist())
+        _write_values(axes, excess.tolist(), excess.clip(min=0.0).tolist())
     _make_room(panels[-1, 0], comparison[ComparisonColumn.EXCESS_ENERGY].tolist())
     panels[-1, 0].set_xlabel("Energy above hovering (J)")
     return figure
@@ -402,17 +404,17 @@ def _look(flight: StyledFlight) -> dict[str, Any]:
 
 
 def _annotate(axes: Axes, values: Sequence[float]) -> None:
-    _write_values(axes, values)
+    _write_values(axes, values, [max(value, 0.0) for value in values])
     _make_room(axes, values)
 
 
-def _write_values(axes: Axes, values: Sequence[float]) -> None:
+def _write_values(axes: Axes, values: Sequence[float], beside: Sequence[float]) -> None:
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)
-    for row, value in enumerate(values):
+    for row, (value, at) in enumerate(zip(values, beside, strict=True)):
         axes.annotate(
             f"{value:.1f}",
-            (max(value, 0.0), row),
+            (at, row),
             xytext=(4, 0),
             textcoords="offset points",
             va="center",

@@ -191,7 +191,7 @@ def comparison_drawings(
             name="energy_split",
             title="Energy of each flight",
             caption="Energy of each flight with what its end state owes, split at what hovering "
-            "for the same time takes.",
+            f"for the same time takes.{_undercut(flights, hover_energy_J)}",
             draw=lambda: draw_energy_split(flights, hover_energy_J, absent),
         ),
     )
@@ -531,6 +531,13 @@ def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     if not same:
         return ""
     return f" The energy of {flights[0].name} hides that of {_listed(same)}."
+
+
+def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
+    """Say what the bars show of flights below the hover floor, where there are any."""
+    hover_power = hover_energy_J / flights[0].duration_s
+    is_below = any(flight.energy_J < hover_power * flight.duration_s for flight in flights)
+    return " Colour within the grey is what a flight takes less." if is_below else ""
 
 
 def _not_drawn(flights: Sequence[StyledFlight], drawn: Sequence[StyledFlight]) -> str:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from itertools import pairwise
 from pathlib import Path
+from re import compile as pattern
 
 from markdown_it import MarkdownIt
 from markdown_it.renderer import RendererHTML
@@ -82,6 +83,10 @@ def _scrolled(label: str) -> str:
     return f'<div class="scroll" tabindex="0" role="group" aria-label="{label}">'
 
 
+# Where a long name may go on in the next line of a narrow column: behind its dots and the like.
+_JOINT = pattern(r"(?<=\w[._\]])(?=\w)(?<!\d.)")
+
+
 class _PageRenderer(RendererHTML):
     """Writes captions into their tables and figures, and sets the verdict apart.
 
@@ -106,6 +111,9 @@ class _PageRenderer(RendererHTML):
         return {"picture": "</div>", "figcaption": "</figcaption></figure>\n"}.get(
             role, f"</{role}>\n"
         )
+
+    def text(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
+        return _JOINT.sub("<wbr>", escape(tokens[idx].content))
 
     def image(self, tokens: Sequence[Token], idx: int, _: object, env: EnvType) -> str:
         picture = env["pictures"][_name(tokens[idx])]

@@ -172,9 +172,26 @@ def test_a_hold_under_control_may_be_as_far_off_again_as_a_plan_may(off, is_kept
     states[:, places] = np.add(stop["position"], (off, 0.0, 0.0))
     controls = np.zeros((len(times), len(dynamics.control_names)))
     flown = Flown(t=times, states=states, controls=controls, energy=times)
-    flight = assembled_flight("aside", told, dynamics, (flown, flown), None, 0.0)
+    flight = assembled_flight("aside", told, dynamics, ((flown, flown),), None, 0.0)
     broken = [limit for limit in flight.broken_limits if "hold" in limit]
     assert (broken == []) == is_kept
+
+
+@pytest.mark.parametrize(("apart", "is_verified"), [(4e-5, True), (6e-5, False)])
+def test_parts_of_a_flight_are_confirmed_by_all_that_integrators_differ_in(apart, is_verified):
+    told = flights.scenario("paper_calm")
+    dynamics, x = flights.vehicle("paper_calm"), POSITION_STATES[0]
+    parts = []
+    for begin in (0.0, 5.0):
+        times = np.linspace(begin, begin + 5.0, 11)
+        states = np.tile(start_state(told, dynamics), (len(times), 1))
+        controls = np.zeros((len(times), len(dynamics.control_names)))
+        flown = Flown(t=times, states=states, controls=controls, energy=times - begin)
+        again = states + np.where(np.array(dynamics.state_names) == x, apart, 0.0)
+        parts.append((flown, replace(flown, states=again)))
+    flight = assembled_flight("parts", told, dynamics, parts, None, 0.0)
+    assert flight.is_verified == is_verified
+    assert (flight.duration_s, flight.energy_J) == (10.0, 10.0)
 
 
 def test_the_plan_as_reference_needs_a_plan():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pyomo_quad.collocation import Mesh, SolverOptions, compile
+from pyomo_quad.collocation.formulation import OutputStates
 from pyomo_quad.flight import Planner, replanning
 from pyomo_quad.flight.baselines import fly_baseline
 from pyomo_quad.flight.replanning import fly_replanned
@@ -41,11 +42,15 @@ def replanned(knowledge, *overrides, plant=(), plan=None, computer=None):
     )
 
 
-def test_the_rest_of_an_optimal_flight_is_optimal():
-    """Bellman: from a state on the optimum, what is left costs what the optimum still spends."""
+def test_the_rest_of_an_optimal_flight_is_optimal(monkeypatch):
+    """Bellman: from a state on the optimum, what is left costs what the optimum still spends.
+
+    The charge, which nothing depends on, took as long as an iteration, and is not asked for.
+    """
     scenario, plan = flights.scenario("paper_calm"), flights.plan("paper_calm")
     held, begin = plan.trajectories, 4.0
     state = dict(zip(held.state_names, held.states_at(np.array([begin]))[0], strict=True))
+    monkeypatch.setattr(OutputStates, "solve", lambda *_: pytest.fail("the charge is solved for"))
     rest = compile(build_remaining(scenario)).solve(
         mesh=Mesh.uniform(10, 6),
         parameters=parameter_values(scenario) | measured_start(state),
@@ -191,12 +196,30 @@ def test_waypoints_are_passed_held_at_and_left_lighter_in_an_untold_wind():
 
 
 @pytest.mark.slow
-def test_zones_are_kept_clear_of_between_the_points_of_a_coarse_mesh():
-    """Planned to the clearance itself, it was broken by 0.2 mm."""
+@pytest.mark.parametrize(
+    ("knowledge", "late_s", "most_failed"),
+    [(Knowledge.TOLD, 0.06, 0), (Knowledge.ESTIMATED, 0.4, 1)],
+)
+def test_zones_are_kept_clear_of_between_the_points_of_a_coarse_mesh(
+    knowledge, late_s, most_failed
+):
+    """Planned to the clearance itself, it was broken by 0.2 mm.
+
+    Every plan that is in time is found, beside the zone too.  Where two come late, the flight is
+    confirmed all the same: flown again to the end by the same plans, it ended 0.04 m/s off.
+    """
     scenario, vehicle = flights.scenario("delivery"), flights.vehicle("delivery")
-    flight = fly_replanned(scenario, Knowledge.TOLD, dynamics=vehicle, planner=flights.PLANNER)
+    seconds = iter([late_s, *[0.06] * 20, late_s, *[0.06] * 99])
+    flight = fly_replanned(
+        scenario,
+        knowledge,
+        dynamics=vehicle,
+        planner=flights.PLANNER,
+        computer=lambda _: next(seconds),
+    )
     assert flight.broken_limits == ()
     assert flight.is_verified
+    assert sum(not solve.is_converged for solve in flight.resolves) <= most_failed
 
 
 def test_an_interval_beyond_the_mission_is_refused():

@@ -11,7 +11,7 @@ from PIL import Image
 from pyomo_quad.cli import main
 from pyomo_quad.flight import Planner
 from pyomo_quad.report import Figures
-from pyomo_quad.report.flight_figures import draw_front, draw_way
+from pyomo_quad.report.flight_figures import draw_energy_split, draw_front, draw_way
 from pyomo_quad.report.paths import draw_path
 from pyomo_quad.report.report import write_run_report
 from pyomo_quad.report.style import styled_flights
@@ -42,6 +42,19 @@ OVERRIDES = (*AIRSPACE, *WAYPOINTS)
 @pytest.fixture(scope="module")
 def run():
     return synthetic_run("scenarios/paper_calm.toml", OVERRIDES, ("optimal", "adaptive/step"))
+
+
+def test_energies_stand_beside_their_bars_and_not_on_them(run):
+    """Below the hover floor the bar is that of hovering, of which the number lay on the end."""
+    flights = styled_flights(run.flights)
+    hover = 1.2 * flights[0].energy_J
+    whole = draw_energy_split(flights, hover, frozenset()).axes[0]
+    ends = [max(hover, flight.energy_J) for flight in flights]
+    assert [number.xy[0] for number in whole.texts] == pytest.approx(ends)
+    assert [float(number.get_text()) for number in whole.texts] == pytest.approx(
+        [flight.energy_J for flight in flights], abs=0.05
+    )
+    assert whole.get_xlim()[1] > max(ends)
 
 
 def test_legs_of_an_even_flight_share_way_and_energy_by_their_time(run):

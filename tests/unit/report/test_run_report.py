@@ -13,6 +13,7 @@ from pyomo_quad.flight import PlanStatus
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.flight.flight import TIME, Resolve
 from pyomo_quad.report.gallery import adaptation_drawing, plan_drawings, save_drawings
+from pyomo_quad.report.page import render_html
 from pyomo_quad.report.paths import leaving_paths
 from pyomo_quad.report.report import write_comparison, write_run_report
 from pyomo_quad.report.style import flight_styles, styled_flights
@@ -280,6 +281,23 @@ def test_replanned_flights_are_told_by_what_they_knew_and_how_long_their_solves_
     )
     table = pd.read_csv(tmp_path / "replanning.csv")
     assert table["solve_95_percent_s"].tolist() == pytest.approx([0.088])
+    assert "Limits are broken by" not in text
+
+
+@pytest.mark.usefixtures("_no_figures")
+def test_why_a_replanned_flight_broke_a_limit_is_said(tmp_path):
+    run = synthetic_run(overrides=("baseline.mpc.interval=0.25",))
+    solve = Resolve(t=0.25, arrived_at=0.31, solve_s=0.02, is_converged=True, is_late=False)
+    run.flights[1].resolves = (solve,)
+    kept = run.comparison["flight"] != run.flights[1].name
+    run.comparison["limits_kept"] = kept
+    run.comparison.loc[~kept, "broken_limits"] = "zones.keep_out[mast] by 0.085 m"
+    text = write(tmp_path, run)
+    line = f"Limits are broken by `{run.flights[1].name}` (zones.keep_out[mast] by 0.085 m). Every"
+    assert line in text.replace("\\", "")
+    # In a narrow column a name goes on behind its joints, and nowhere else.
+    page = render_html(line, is_good=True, pictures={}, views={}, data="")
+    assert "zones.<wbr>keep_<wbr>out[mast]" in page
 
 
 def test_without_replanning_the_report_does_not_speak_of_it(report):
