@@ -1,6 +1,7 @@
 """The command line; importing it imports next to nothing, so that signals are heeded at once."""
 
 import gc
+import os
 from collections.abc import Sequence
 
 from pyomo_quad.cli.endings import end_on_signals, leave
@@ -15,6 +16,8 @@ _MANY = 200_000
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command."""
     if arguments is None:
+        # Of what is solved here, threads of BLAS take more of the processors than they give.
+        os.environ.setdefault("OMP_NUM_THREADS", "1")
         end_on_signals()
         gc.set_threshold(_MANY, *gc.get_threshold()[1:])
     from pyomo_quad.cli import app  # noqa: PLC0415  see above

@@ -67,9 +67,10 @@ def test_where_a_mass_that_changes_has_no_bound_the_reason_is_given(tables, reas
     ("tables", "why"),
     [
         ({"wind": {"use": "paper_table_2"}}, "in a wind that changes with time"),
-        (
+        pytest.param(
             {"wind": {"use": "calm", "coupling": "drag"}, "vehicle": {"drag_linear": 0.1}},
             "with drag",
+            marks=pytest.mark.slow,
         ),
         ({"mission": {"order": "best"}}, "where their order is open"),
     ],

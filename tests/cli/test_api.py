@@ -2,6 +2,7 @@
 
 import gc
 import json
+import os
 import subprocess
 import sys
 
@@ -110,6 +111,18 @@ def test_a_callers_garbage_collector_stays_as_it_is(capsys):
     before = gc.get_threshold(), gc.get_freeze_count()
     assert pyomo_quad.cli.main(["--version"]) == 0
     assert (gc.get_threshold(), gc.get_freeze_count()) == before
+
+
+@pytest.mark.parametrize(("told", "kept"), [(None, "1"), ("2", "2")])
+def test_the_command_keeps_blas_to_one_thread_unless_told(monkeypatch, told, kept):
+    monkeypatch.setattr(os, "environ", {} if told is None else {"OMP_NUM_THREADS": told})
+    seen = []
+    monkeypatch.setattr("pyomo_quad.cli.app.main", lambda _: seen.append(dict(os.environ)))
+    for name in ("end_on_signals", "leave"):
+        monkeypatch.setattr(pyomo_quad.cli, name, lambda *_: 0)
+    monkeypatch.setattr(gc, "set_threshold", lambda *_: None)
+    pyomo_quad.cli.main()
+    assert seen == [{"OMP_NUM_THREADS": kept}]
 
 
 def test_unknown_figures_are_refused(capsys):

@@ -36,8 +36,14 @@ def energies(flown):
     return {"energy_J": flown.flight.energy_J, "hover_energy_J": flown.hover_energy_J}
 
 
-@pytest.mark.parametrize("model", SMOOTH_POWERS)
-@pytest.mark.parametrize("experiment", Experiment)
+@pytest.mark.parametrize(
+    ("experiment", "model"),
+    [
+        pytest.param(experiment, model, marks=[pytest.mark.slow] * ((row + column) % 2))
+        for row, experiment in enumerate(Experiment)
+        for column, model in enumerate(SMOOTH_POWERS)
+    ],
+)
 def test_the_optima_of_both_experiments_are_those_committed(experiment, model):
     frame = committed("experiments")
     row = frame[(frame.experiment == experiment) & (frame.power_model == model)].iloc[0]

@@ -85,12 +85,15 @@ def test_message_about_an_axis_names_the_study_and_not_the_command_line(tmp_path
     assert str(caught.value).startswith(str(tmp_path / "study.toml"))
 
 
-def test_more_cases_than_the_limit_need_a_yes(tmp_path):
+def test_more_cases_than_the_limit_need_a_yes(tmp_path, monkeypatch):
     many = axis("mission.duration", "linear = { first = 4.0, last = 9.0, count = 1001 }")
     with pytest.raises(StudyError, match=r"make 1001 cases, more than 1000; .* say --yes"):
         design_of(tmp_path, many)
-    loaded = load_study(tmp_path / "study.toml")
-    assert design_sweep(loaded, is_large_allowed=True).case_count == 1001
+    monkeypatch.setattr("pyomo_quad.sweep.study_file.CASE_LIMIT", 10)
+    loaded = load_study(write_study(tmp_path, many.replace("1001", "11")))
+    with pytest.raises(StudyError, match="make 11 cases, more than 10; "):
+        design_sweep(loaded)
+    assert design_sweep(loaded, is_large_allowed=True).case_count == 11
 
 
 def test_grouped_axes_advance_together(tmp_path):

@@ -73,7 +73,10 @@ def test_the_command_says_that_time_ran_out(capsys):
 
 @pytest.mark.parametrize(
     ("settings", "durations"),
-    [((), (4.04, 4.012, 4.004, 4.0012)), (["mission.duration_min=4.02"], (4.04, 4.02))],
+    [
+        pytest.param((), (4.04, 4.012, 4.004, 4.0012), marks=pytest.mark.slow),
+        (["mission.duration_min=4.02"], (4.04, 4.02)),
+    ],
 )
 def test_the_least_time_is_approached_by_flights_that_are_proven(monkeypatch, settings, durations):
     hop = ["mission.goal.position=[1.0, 0.0, 0.5]", "solver.elements=10"]

@@ -128,7 +128,9 @@ def test_charge_and_energy_of_the_pack_by_its_own_equations():
     assert flight.stored_energy(0.99, 400) == pytest.approx(12.0 * 5.2 * 3600.0, rel=0.1)
 
 
-@pytest.mark.parametrize("forecast", [{}, {"forecast": {"use": "calm"}}])
+@pytest.mark.parametrize(
+    "forecast", [{}, pytest.param({"forecast": {"use": "calm"}}, marks=pytest.mark.slow)]
+)
 def test_one_run_builds_its_model_once(monkeypatch, forecast):
     built = []
 
