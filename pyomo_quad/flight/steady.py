@@ -37,6 +37,8 @@ _UNCREDITED = "power.uncredited_power"
 _STILL = np.zeros(3)
 # Largest rate that a trim leaves in a state meant to rest, in the state's own unit per second.
 _AT_REST = 1e-7
+# Steps that take what the search leaves, so much at most, down to rounding: its last slopes do.
+_NEARLY, _SHARPENINGS = 1e-2, 4
 _PRECISION = 1e-15
 # Velocities at which linearity is tried, m/s: each axis alone, and all of them together.
 _TRIALS = np.array([[3.0, 0, 0], [0, 3.0, 0], [0, 0, 3.0], [-5.0, 7.0, -2.0]])
@@ -88,7 +90,7 @@ class SteadyFlight:
         self._start = np.array([start[name] for name in names])
         self._rotors = [k for k, name in enumerate(names) if name.startswith(_ROTOR_SPEED)]
 
-    def trim(self, velocity: ArrayLike = _STILL) -> Trim:
+    def trim(self, velocity: ArrayLike = _STILL, near: Trim | None = None) -> Trim:
         """Return the steady flight at a velocity over ground.
 
         Place and heading are those of the start, and so is a state that the mission gives at its
@@ -99,6 +101,8 @@ class SteadyFlight:
         ----------
         velocity : array_like, shape (3,), optional
             In world axes, m/s; hover by default.  In still air it is the airspeed too.
+        near : Trim, optional
+            From which the search begins: one at nearly that velocity.
 
         Raises
         ------
@@ -129,9 +133,15 @@ class SteadyFlight:
             return (self._dynamics.rates(t, *flight(unknown)) - wanted)[resting]
 
         first = np.concatenate([guess[free], np.zeros(len(self._dynamics.control_names))])
-        tolerances = {"ftol": _PRECISION, "xtol": _PRECISION, "gtol": _PRECISION}
         scale = np.maximum(1.0, np.abs(first))
-        found = least_squares(unrest, first, x_scale=scale, **tolerances)
+        if near is not None:
+            first = np.concatenate([near.states[free], near.controls])
+        found = least_squares(unrest, first, x_scale=scale)
+        for _ in range(_SHARPENINGS):
+            if not np.max(np.abs(found.fun), initial=0.0) <= _NEARLY:
+                break
+            found.x -= np.linalg.lstsq(found.jac * scale, found.fun, rcond=None)[0] * scale
+            found.fun = unrest(found.x)
         if not np.max(np.abs(found.fun), initial=0.0) <= _AT_REST:
             raise SolveError(
                 f"steady flight: the model has none at {np.array(velocity).tolist()} m/s; "

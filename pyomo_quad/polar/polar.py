@@ -231,9 +231,10 @@ def _curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurv
     speeds: list[float] = []
     powers: list[float] = []
     endurances: list[float] = []
+    trim = None
     for speed in np.arange(0.0, _FASTEST_M_S, _STEP_M_S):
         try:
-            trim = steady.trim([float(speed), 0.0, 0.0])
+            trim = steady.trim([float(speed), 0.0, 0.0], trim)
         except SolveError:
             if not speeds:
                 raise

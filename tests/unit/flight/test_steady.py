@@ -8,7 +8,7 @@ from pyomo.dae import DerivativeVar
 from pyomo.environ import Constraint, Var, units
 
 from pyomo_quad import build_model
-from pyomo_quad.collocation import SolveError
+from pyomo_quad.collocation import Dynamics, SolveError
 from pyomo_quad.flight import Planner, planning
 from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.scenario.tables import Reference
@@ -95,6 +95,19 @@ def test_steady_flight_at_a_velocity_leans_against_the_drag():
     assert at["rigid_body.theta"] == pytest.approx(atan2(3.0, WEIGHT + 1.0), rel=1e-9)
     assert (at["rigid_body.vx"], at["rigid_body.vz"]) == pytest.approx((6.0, 2.0))
     np.testing.assert_allclose(trim.controls, 0.0, atol=1e-6)
+
+
+def test_a_search_begun_nearby_ends_at_the_same_trim_after_few_evaluations(monkeypatch):
+    told = scenario(wind={"use": "calm", "coupling": "drag"}, vehicle={"drag_linear": 0.5})
+    flown, evaluated = steady(told), []
+    rates = Dynamics.rates
+    monkeypatch.setattr(Dynamics, "rates", lambda *a: evaluated.append(0) or rates(*a))
+    cold, near = flown.trim((6.0, 0.0, 2.0)), flown.trim((6.5, 0.0, 2.0))
+    evaluated.clear()
+    found = flown.trim((6.0, 0.0, 2.0), near)
+    # An evaluation for each of 16 unknowns gives the slopes: no more than five times.
+    assert len(evaluated) < 100
+    np.testing.assert_allclose(found.states, cold.states, rtol=1e-12, atol=1e-12)
 
 
 def test_the_wind_of_the_dynamics_given_is_leant_against():
