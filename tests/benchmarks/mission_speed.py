@@ -17,6 +17,8 @@ ABOUT = (
 )
 
 SIX = [(4, 0, 3), (8, 3, 4), (8, 8, 5), (4, 10, 6), (0, 8, 5), (-2, 3, 4)]
+EIGHT = [(6, -9, 4), (14, 9, 6), (22, 0, 5), (6, 9, 4), (14, -9, 6), (21, 7, 8), (21, -7, 8)]
+EIGHT += [(14, 0, 9)]
 BACK = {"mission.duration": "free", "mission.goal.position": [0.0, 0.0, 2.0]}
 THERE = {"mission.duration": "free", "mission.goal.position": [20.0, 0.0, 2.0]}
 PILLARS = [
@@ -38,7 +40,16 @@ MISSIONS = {
         "paper_free",
         BACK | {"mission.waypoints": [{"position": list(map(float, at))} for at in SIX]},
     ),
-    "eight places, best order (`inspection.toml`)": ("inspection", {}),
+    "three places round a mast, in wind (`inspection.toml`)": ("inspection", {}),
+    "eight places in the best order, 30 s": (
+        "paper_free",
+        BACK
+        | {
+            "mission.duration": 30.0,
+            "mission.order": "best",
+            "mission.waypoints": [{"position": list(map(float, at))} for at in EIGHT],
+        },
+    ),
     "four keep-outs, all ways round them, free duration": (
         "paper_free",
         THERE | {"airspace.keep_out": PILLARS, "mission.start.position": [0.0, 0.0, 2.0]},
