@@ -43,7 +43,7 @@ from pyomo_quad.collocation.program.ipopt import (
     run_past_the_barrier,
 )
 from pyomo_quad.collocation.reading.dae_index import structural_index
-from pyomo_quad.collocation.refining.refinement import FAILED, Solved, refine
+from pyomo_quad.collocation.refining.refinement import Solved, refine
 from pyomo_quad.collocation.refining.remeshing import RefinementOptions
 from pyomo_quad.collocation.solution import (
     Solution,
@@ -232,7 +232,7 @@ class Problem(Summarised, Formulation):
             ),
         )
         found = refined()
-        if begun is None and guess is None and found.status in FAILED:
+        if begun is None and guess is None and found.status.has_failed:
             path = self._simulated(first, instance)
             if path is not None:
                 solve_on = partial(solve_on, guess=path)
@@ -255,12 +255,12 @@ class Problem(Summarised, Formulation):
         """
         for finer in _FINER:
             found = refined(meshes=(Mesh.uniform(finer * mesh.elements, mesh.degrees[0]),))
-            if found.status not in FAILED:
+            if not found.status.has_failed:
                 return found
         for lenient in (partial(solve_on, _COARSE), partial(solve_on, mesh, is_elastic=True)):
             first = lenient()
             found = refined(warm_start=first.warm_start) if first.is_converged else failed
-            if found.status not in FAILED:
+            if not found.status.has_failed:
                 return found
         return failed
 
@@ -451,7 +451,7 @@ def within_budget(
     took = ColdStart(first=counter.first, iterations=counter.count, tolerance=demand)
     if warm is None:
         return cold.updated(cold_start=took if cold.status.is_solved else None)
-    if cold.status in FAILED:
+    if cold.status.has_failed:
         return attempt(warm.warm_start, Counter(progress=progress))
     message = (
         f"{cold.message} The warm start was given up after {spent} iterations, more than its own "

@@ -87,7 +87,6 @@ _ALLOWANCE = Allowance(
     final_miss=0.5 * MISS_TOLERANCE,
 )
 
-_FAILED = (Status.NOT_CONVERGED, Status.INFEASIBLE)
 _STATUS = {
     Status.NOT_CONVERGED: PlanStatus.NOT_CONVERGED,
     Status.INFEASIBLE: PlanStatus.INFEASIBLE,
@@ -324,7 +323,7 @@ class Planner:
             solution = self._first_solve(problem, told, warm_start, progress)
         rescue = None
         is_closed = has_ways and not routes
-        if not is_closed and solution.status in _FAILED:
+        if not is_closed and solution.status.has_failed:
             rescue = self._rescuer(problem, told, progress)(solution)
             solution = rescue.solution
         timings["solve"] = time.perf_counter() - started
@@ -430,7 +429,7 @@ class Planner:
                 begun = first.solve(**roughly | {"parameters": numbers}, guess=guess)
                 guess = begun.trajectory if begun.status.is_solved else guess
             rough = problem.solve(**roughly, guess=guess)
-            if plain is None or is_plain or rough.status not in _FAILED:
+            if plain is None or is_plain or not rough.status.has_failed:
                 return rough
             is_plain = True
             return fly(journey)

@@ -197,15 +197,7 @@ def structure_key(scenario: Scenario) -> Hashable:
 def guess_key(scenario: Scenario) -> Scenario:
     """Return what scenarios of one structure must share to share first values and scales too.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Any scenario.
-
-    Returns
-    -------
-    Scenario
-        Without its wind, for that changes neither.
+    It is all but the wind, which changes neither.
     """
     return scenario.model_copy(update={"wind": None})
 

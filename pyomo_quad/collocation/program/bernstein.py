@@ -89,14 +89,6 @@ class BoundedProgram(ChangedProgram):
         """Number of rows."""
         return self.program.n_rows + self.lower.size
 
-    def objective(self, z: FloatArray) -> float:
-        """Return what Ipopt minimises."""
-        return self.program.objective(z)
-
-    def gradient(self, z: FloatArray) -> FloatArray:
-        """Return its gradient."""
-        return self.program.gradient(z)
-
     def constraints(self, z: FloatArray) -> FloatArray:
         """Return the value of every row."""
         return np.concatenate([self.program.constraints(z), self.coefficients @ z])

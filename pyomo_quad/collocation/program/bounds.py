@@ -294,6 +294,14 @@ class ChangedProgram:
         """Whether the declared objective is maximised."""
         return self.program.is_negated
 
+    def objective(self, z: FloatArray) -> float:
+        """Return what Ipopt minimises."""
+        return self.program.objective(z)
+
+    def gradient(self, z: FloatArray) -> FloatArray:
+        """Return its gradient."""
+        return self.program.gradient(z)
+
     def constraints(self, z: FloatArray) -> FloatArray:
         """Return the value of every row."""
         return self.program.constraints(z)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import cyipopt
@@ -32,6 +33,11 @@ class Status(Enum):
     def is_solved(self) -> bool:
         """Whether there is an optimum of the last mesh, be it as fine as asked for or not."""
         return self in (Status.CONVERGED, Status.TOLERANCE_NOT_MET)
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether the numerics gave up, or claim that there is nothing: a bad start may do both."""
+        return self in (Status.NOT_CONVERGED, Status.INFEASIBLE)
 
 
 # Share of its size by which a bound gives way where equations may leave it no interior.
@@ -222,6 +228,15 @@ class _Callbacks:
     # tenth of a warm re-solve.
     iterate: FloatArray | None = None
 
+    # A program may put its structure together anew each time that it is asked.
+    @cached_property
+    def _jacobian_size(self) -> int:
+        return len(self.program.jacobianstructure()[0])
+
+    @cached_property
+    def _hessian_size(self) -> int:
+        return len(self.program.hessianstructure()[0])
+
     def _guard(self, evaluate: Callable[[], Any], size: int | None) -> Any:
         if self.error is None:
             try:
@@ -244,15 +259,14 @@ class _Callbacks:
 
     def jacobian(self, z: FloatArray) -> FloatArray:
         self.iterate = np.array(z)
-        size = len(self.program.jacobianstructure()[0])
-        return np.asarray(self._guard(lambda: self.program.jacobian(z), size))
+        return np.asarray(self._guard(lambda: self.program.jacobian(z), self._jacobian_size))
 
     def hessianstructure(self) -> tuple[Any, Any]:
         return self.program.hessianstructure()
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        size = len(self.program.hessianstructure()[0])
-        return np.asarray(self._guard(lambda: self.program.hessian(z, multipliers, factor), size))
+        evaluate = partial(self.program.hessian, z, multipliers, factor)
+        return np.asarray(self._guard(evaluate, self._hessian_size))
 
     def intermediate(
         self,

@@ -188,8 +188,6 @@ class DampedProgram(ChangedProgram):
         return np.concatenate([held, factor * self.weights])
 
 
-#: What a bad start may have caused.
-FAILED = (Status.NOT_CONVERGED, Status.INFEASIBLE)
 # The objective's last change, as a share of the tolerance, at which it counts as settled.
 _SETTLED = 0.5
 # A warm start that takes more iterations than this leaves its linear controls undetermined, as do
@@ -294,7 +292,7 @@ def refine(
         records.append(_record(solved, error))
         solution = solved.updated(error_estimate=error, history=tuple(records))
         if solved.status is not Status.CONVERGED:
-            return _doubted(reached) if reached and solved.status in FAILED else solution
+            return _doubted(reached) if reached and solved.status.has_failed else solution
         finer = _next_meshes(solution, errors, tolerance, refinement, is_damped=is_damped)
         if finer is None:
             reached = _with_state_error(solution, errors, before, tolerance)
@@ -335,10 +333,10 @@ def _solved(
 ) -> tuple[S, tuple[Damping | None, ...]]:
     """Solve, more firmly damped and then from the guess where that fails."""
     solved = solve(meshes, warm_start, dampings)
-    if solved.status in FAILED and _are_damped(dampings):
+    if solved.status.has_failed and _are_damped(dampings):
         dampings = tuple(d and d.firmer(_FIRM, gap) for d in dampings)
         solved = solve(meshes, warm_start, dampings)
-    if solved.status in FAILED and warm_start is not None:
+    if solved.status.has_failed and warm_start is not None:
         solved = solve(meshes, None, dampings)
     return solved, dampings
 
