@@ -55,11 +55,7 @@ from pyomo_quad.flight.verification import (
     shares_lacking,
     verify_controls,
 )
-from pyomo_quad.model import (
-    build_model,
-    parameter_values,
-    structure_key,
-)
+from pyomo_quad.model import build_model, parameter_values, structure_key
 from pyomo_quad.model.battery import GIVEN_SHARE
 from pyomo_quad.model.build import guess_key
 from pyomo_quad.model.limits import without_reserve
@@ -415,8 +411,8 @@ class Planner:
             closed = problem.solve(**arguments | unsolved | {"progress": None})
             return replace(closed, status=Status.INFEASIBLE, message=str(error)), ()
         mesh = Mesh.uniform(max(told.solver.elements, _ROUTE_ELEMENTS), told.solver.degree)
-        roughly = under(arguments, easier[0]) if easier else arguments
-        roughly = roughly | {"tolerance": None, "mesh": mesh}
+        easiest = under(arguments, easier[0]) if easier else arguments
+        afar = {"tolerance": None, "mesh": mesh, "options": arguments["options"].from_afar()}
 
         plain, is_plain = with_plain_passages(told), False
 
@@ -426,19 +422,22 @@ class Planner:
             if plain is not None and is_plain:
                 numbers = (self.parameters(plain) or {}) | (easier[0] if easier else {})
                 first, _ = self.problem_for(plain)
-                begun = first.solve(**roughly | {"parameters": numbers}, guess=guess)
+                begun = first.solve(**easiest | afar | {"parameters": numbers}, guess=guess)
                 guess = begun.trajectory if begun.status.is_solved else guess
-            rough = problem.solve(**roughly, guess=guess)
+            rough = problem.solve(**easiest | afar, guess=guess)
             if plain is None or is_plain or not rough.status.has_failed:
                 return rough
             is_plain = True
             return fly(journey)
 
-        def refine(rough: Solution) -> Solution:
-            on_mesh = arguments | {"mesh": rough.mesh}
-            if easier:
-                return by_way_of(easier, problem, on_mesh, rough.trajectory)
-            return problem.solve(**on_mesh, warm_start=rough)
+        def refine(flown: Solution, most: int | None) -> Solution:
+            on_mesh = arguments | {"mesh": flown.mesh}
+            if most is None and easier:
+                return by_way_of(easier, problem, on_mesh, flown.trajectory)
+            if most is not None:
+                once = replace(arguments["refinement"], max_meshes=most)
+                on_mesh = easiest | {"mesh": flown.mesh, "refinement": once}
+            return problem.solve(**on_mesh, warm_start=flown)
 
         return best_of_journeys(journeys, fly, refine, partial(_energy, told))
 

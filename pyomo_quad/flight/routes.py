@@ -11,12 +11,12 @@ of length.
    Operations Research 16 (1968).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from heapq import heappop, heappush
 from itertools import pairwise, product
-from math import cos, pi
+from math import cos, inf, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -439,7 +439,7 @@ class TriedRoute:
     length_m : float
         Of the shortest way in its class.
     energy_J : float or None
-        Of the flight; on the first mesh alone unless it was refined.  None where none was found.
+        Of the flight; on the first mesh or two unless it was refined.  None where none was found.
     is_refined : bool
         Whether it was solved to the mission's tolerance.
     is_kept : bool
@@ -453,10 +453,12 @@ class TriedRoute:
     is_kept: bool
 
 
-# Flights whose energies on the first mesh differ by less than this share are both refined, at most
-# so many: the first mesh misjudges an energy by about 2e-4.
-_NEAR = 3e-4
-_MOST_REFINED = 3
+# The first mesh misjudges an energy by up to 1e-3 of it, and the next one by 1e-4: flights whose
+# energies differ by less are solved on the next mesh, or to the end, the best so many of them.
+_NEAR_ON_FIRST, _NEAR_ON_NEXT = 1e-3, 1e-4
+_MOST_ON_NEXT, _MOST_REFINED = 4, 3
+# Meshes, the flight's own among them.
+_TO_THE_NEXT = 2
 
 
 # States of two flights on one mesh that differ by less than this are the same flight's.
@@ -472,42 +474,59 @@ def _is_same(one: Solution, other: Solution) -> bool:
 def best_of_journeys(
     journeys: Sequence[Journey],
     fly_roughly: Callable[[Journey], Solution],
-    refine: Callable[[Solution], Solution],
+    refine: Callable[[Solution, int | None], Solution],
     energy_of: Callable[[Solution], float],
 ) -> tuple[Solution, tuple[TriedRoute, ...]]:
     """Fly all journeys on one mesh, refine the best, and return it with what became of each.
 
     Where two of them become one flight, as over and beside a sphere, the longer one is left out.
+
+    Parameters
+    ----------
+    refine : callable
+        Solves a flight again on finer and finer meshes, on at most so many, or to the end.
     """
     flown: list[tuple[Journey, Solution]] = []
     for journey in journeys:
         solution = fly_roughly(journey)
         if not any(_is_same(solution, other) for _, other in flown):
             flown.append((journey, solution))
-    rough = [solution for _, solution in flown]
-    costs = [s.objective if s.status.is_solved else np.inf for s in rough]
-    order = sorted(range(len(flown)), key=lambda k: costs[k])
-    least = costs[order[0]]
-    near = [k for k in order if costs[k] <= (1.0 + _NEAR) * least][:_MOST_REFINED]
+    known = dict(enumerate(solution for _, solution in flown))
+    near = _nearest(known, _NEAR_ON_FIRST, _MOST_ON_NEXT)
+    if len(near) > 1:
+        improved = {k: refine(known[k], _TO_THE_NEXT) for k in near}
+        known |= {k: s for k, s in improved.items() if s.status.is_solved}
+        near = _nearest({k: known[k] for k in near}, _NEAR_ON_NEXT, _MOST_REFINED)
+    order = sorted(known, key=lambda k: _cost(known[k]))
     refined: dict[int, Solution] = {}
-    for k in [*near, *(k for k in order if k not in near and np.isfinite(costs[k]))]:
+    for k in [*near, *(k for k in order if k not in near and known[k].status.is_solved)]:
         if k not in near and any(s.status.is_solved for s in refined.values()):
             break
-        refined[k] = refine(rough[k])
+        refined[k] = refine(known[k], None)
         if refined[k].status is Status.INTERRUPTED:
             break
-    found = {k: s.objective for k, s in refined.items() if s.status.is_solved}
-    best = min(found, key=lambda k: found[k]) if found else next(iter(refined), order[0])
-    solution = refined.get(best, rough[best])
+    best = min(refined, key=lambda k: _cost(refined[k])) if refined else order[0]
+    solution = refined.get(best, known[best])
+    known |= {k: s for k, s in refined.items() if s.status.is_solved}
     return solution, tuple(
         TriedRoute(
             name="; ".join(route.name for route in journey),
             length_m=length_of(journey),
-            energy_J=energy_of(refined[k] if k in found else rough[k])
-            if np.isfinite(costs[k])
-            else None,
-            is_refined=k in found,
-            is_kept=k == best and k in found,
+            energy_J=energy_of(known[k]) if known[k].status.is_solved else None,
+            is_refined=k in refined and refined[k].status.is_solved,
+            is_kept=k == best and solution.status.is_solved,
         )
         for k, (journey, _) in enumerate(flown)
     )
+
+
+def _nearest(known: Mapping[int, Solution], share: float, most: int) -> list[int]:
+    """Return the flights whose cost is within a share of the least, the cheapest first."""
+    costs = {k: _cost(s) for k, s in known.items() if s.status.is_solved}
+    least = min(costs.values(), default=inf)
+    order = sorted(costs, key=lambda k: costs[k])
+    return [k for k in order if costs[k] - least <= share * abs(least)][:most]
+
+
+def _cost(solution: Solution) -> float:
+    return solution.objective if solution.status.is_solved else inf

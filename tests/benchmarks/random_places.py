@@ -25,7 +25,7 @@ ABOUT = (
     "and without clearance, floor, ceiling and a largest speed; fixed durations at 1 to 3 m/s on "
     "average, or free with and without a price of time; motor and shaft power, calm and windy. A "
     "plan counts as verified only where its flight by SciPy is outside of every zone too, by "
-    "formulas of the benchmark's own. No mission gets a guess, or more than 300 s of a processor."
+    "formulas of the benchmark's own. No mission gets a guess, or more than 900 s of a processor."
 )
 SEEDS = (2027,)
 MISSIONS = 100
@@ -39,7 +39,7 @@ PRICES_W = (0.0, 60.0)
 # From a place to the nearest zone with its clearance, so that the mission says nothing false.
 AROUND_PLACES_M = 0.2
 POWER_MODELS = ("motor", "shaft")
-LONGEST_SOLVE_S = 300
+LONGEST_SOLVE_S = 900
 
 
 @dataclass(frozen=True)

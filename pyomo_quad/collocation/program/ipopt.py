@@ -43,7 +43,11 @@ class Status(Enum):
 # Share of its size by which a bound gives way where equations may leave it no interior.
 _RELAXED = 1e-10
 # How far a warm start is pushed off its bounds: by default, and where limits move.
-_NEAR, _INSIDE = 1e-9, 1e-4
+_NEAR, _INSIDE = 1e-9, 1e-6
+# The least barrier that a warm start where limits move begins with.
+_BEGUN = 1e-8
+# MUMPS' number for a scaling that it chooses for each matrix.
+_ANEW = 77
 # The barrier that a warm start of which little is to change begins with.
 _LOW_BARRIER = 1e-10
 _PUSHES = (
@@ -91,7 +95,8 @@ class SolverOptions:
         from mesh to mesh, where the optimum's controls jump now here and now there.  What is near
         it stays on its bounds.
         """
-        chosen = (("mu_target", parameter), ("mu_init", parameter))
+        begun = parameter if is_near else max(parameter, _BEGUN)
+        chosen = (("mu_target", parameter), ("mu_init", begun))
         pushes = tuple((name, _NEAR) for name in _PUSHES) if is_near else ()
         return replace(self, extra=(*chosen, *self.extra, *pushes))
 
@@ -101,7 +106,16 @@ class SolverOptions:
         Where the points of another mesh lie differently to such a time, a start on its bounds
         blocks Ipopt's first dozen steps; a little inside it does not.
         """
-        return replace(self, extra=(*((name, _INSIDE) for name in _PUSHES), *self.extra))
+        pushes = dict.fromkeys(_PUSHES, _INSIDE) | {"warm_start_mult_bound_push": _BEGUN}
+        return replace(self, extra=(*pushes.items(), *self.extra))
+
+    def from_afar(self) -> SolverOptions:
+        """Return the settings for a first point that may be far from anything that can be done.
+
+        On such a way slopes differ by many decades, and a matrix that is not scaled anew at each
+        step fills up: a factorisation of a small program then takes fifty times as long.
+        """
+        return replace(self, extra=(("mumps_scaling", _ANEW), *self.extra))
 
     def for_small_changes(self) -> SolverOptions:
         """Return the settings for warm starts of which a new mesh changes but a small part.
