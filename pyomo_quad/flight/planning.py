@@ -414,18 +414,16 @@ class Planner:
         easiest = under(arguments, easier[0]) if easier else arguments
         afar = {"tolerance": None, "mesh": mesh, "options": arguments["options"].from_afar()}
 
-        plain, is_plain = with_plain_passages(told), False
+        is_plain = False
 
         def fly(journey: Journey) -> Solution:
             nonlocal is_plain
             guess: Any = guess_along(journey, told.nominal_times, is_open=told.mission.is_free)
-            if plain is not None and is_plain:
-                numbers = (self.parameters(plain) or {}) | (easier[0] if easier else {})
-                first, _ = self.problem_for(plain)
-                begun = first.solve(**easiest | afar | {"parameters": numbers}, guess=guess)
-                guess = begun.trajectory if begun.status.is_solved else guess
+            if is_plain:
+                begun = self._plainly(told, easiest | afar, guess)
+                guess = begun.trajectory if begun and begun.status.is_solved else guess
             rough = problem.solve(**easiest | afar, guess=guess)
-            if plain is None or is_plain or not rough.status.has_failed:
+            if is_plain or not rough.status.has_failed or with_plain_passages(told) is None:
                 return rough
             is_plain = True
             return fly(journey)
@@ -441,6 +439,16 @@ class Planner:
 
         return best_of_journeys(journeys, fly, refine, partial(_energy, told))
 
+    def _plainly(self, told: Scenario, chosen: dict[str, Any], guess: Any) -> Solution | None:
+        """Solve the mission past the waypoints themselves; None where it passes them anyway."""
+        plain = with_plain_passages(told)
+        if plain is None:
+            return None
+        problem, _ = self.problem_for(plain)
+        easier = easier_numbers(problem, plain)
+        numbers = (self.parameters(plain) or {}) | (easier[0] if easier else {})
+        return problem.solve(**chosen | {"parameters": numbers}, guess=guess)
+
     def _first_solve(
         self,
         problem: Problem,
@@ -448,17 +456,11 @@ class Planner:
         warm_start: Plan | WarmStart | Solution | None,
         progress: Progress | None,
     ) -> Solution:
+        arguments, easier = self._arguments(told, progress), easier_numbers(problem, told)
         if isinstance(warm_start, Solution):
             path = replace(warm_start.trajectory, statics=np.zeros(0))
-            return by_way_of(
-                easier_numbers(problem, told),
-                problem,
-                self._arguments(told, progress) | {"mesh": path.mesh},
-                path,
-            )
+            return by_way_of(easier, problem, arguments | {"mesh": path.mesh}, path)
         start = warm_start.warm_start if isinstance(warm_start, Plan) else warm_start
-        arguments = self._arguments(told, progress)
-        easier = easier_numbers(problem, told)
         if start is not None and start.fits(problem.compiled):
             # Its mesh is the first, and the mission's own where the warm start is given up.
             solution = problem.solve(**arguments | {"mesh": None}, warm_start=start)
@@ -527,6 +529,7 @@ class Planner:
             longest=told.mission.longest,
             # What was flown on a finer mesh need not be flyable on the first.
             solve=lambda held: by_way_of(easier, problem, arguments | {"mesh": held.mesh}, held),
+            solve_plainly=lambda: self._plainly(told, easiest | {"tolerance": None}, None),
             solve_slowly=slowly,
             solve_shortest=lambda: shortest_flight(self._builder(told), told, progress),
             progress=progress,

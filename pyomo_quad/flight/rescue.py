@@ -72,6 +72,8 @@ class Rescuer:
         The mission's duration, the greatest where it is free.
     solve : callable
         Solve the mission to its tolerance from a trajectory.
+    solve_plainly : callable
+        Solve the mission on its first mesh past the waypoints themselves, or return None.
     solve_slowly : callable
         Solve the mission on its first mesh with another duration [s], from a trajectory or from
         nothing; None where the duration is free anyway.
@@ -86,12 +88,14 @@ class Rescuer:
         *,
         longest: NamedDuration,
         solve: Callable[[Trajectory], Solution],
+        solve_plainly: Callable[[], Solution | None],
         solve_slowly: Callable[[float, Trajectory | None], Solution | None],
         solve_shortest: Callable[[], Solution | None],
         progress: Progress | None,
     ) -> None:
         self._longest = longest
         self._solve = solve
+        self._solve_plainly = solve_plainly
         self._solve_slowly = solve_slowly
         self._solve_shortest = solve_shortest
         self._progress = progress
@@ -100,6 +104,11 @@ class Rescuer:
     def __call__(self, failed: Solution) -> Rescue:
         """Return the rescue of a solution that did not converge."""
         self._note("first solve", failed)
+        plain = self._solve_plainly()
+        if plain is not None and plain.status.is_solved:
+            solution = self._started_from(plain.trajectory, "by way of the waypoints themselves")
+            if _has_ended(solution):
+                return self._ended(solution, None)
         diagnosis = diagnose(failed, progress=self._progress)
         if diagnosis.feasible_point is not None:
             solution = self._started_from(diagnosis.feasible_point, "elastic restoration")

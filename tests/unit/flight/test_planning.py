@@ -118,8 +118,9 @@ FAILED, DONE = Pretended(Status.NOT_CONVERGED), Pretended(Status.CONVERGED)
 class Solves:
     """Answers that are given in turn, and what was asked."""
 
-    def __init__(self, *answers, slowly=DONE, shortest=None):
+    def __init__(self, *answers, plainly=None, slowly=DONE, shortest=None):
         self.answers, self.slowly, self.shortest = list(answers), slowly, shortest
+        self.plainly = plainly
         self.guesses, self.slow = [], []
 
     def solve(self, trajectory):
@@ -134,6 +135,7 @@ class Solves:
         return Rescuer(
             longest=NamedDuration("mission.duration", DURATION),
             solve=self.solve,
+            solve_plainly=lambda: self.plainly,
             solve_slowly=self.solve_slowly,
             solve_shortest=lambda: self.shortest,
             progress=None,
@@ -163,6 +165,14 @@ def test_a_flight_that_keeps_every_limit_is_the_first_guess(diagnosed):
     assert rescued.solution is DONE
     assert rescued.failure is None
     assert rescued.attempts == ("first solve: not_converged", "elastic restoration: converged")
+
+
+def test_a_flight_past_the_waypoints_themselves_leads_to_one_within_their_radius(diagnosed):
+    diagnosed(feasible_point=path("elastic"))
+    solves = Solves(DONE, plainly=Pretended(Status.CONVERGED, path("plain")))
+    rescued = solves.rescuer()(FAILED)
+    assert solves.guesses == ["plain"]
+    assert rescued.attempts[-1] == "by way of the waypoints themselves: converged"
 
 
 def test_a_slow_flight_is_sped_up_when_that_guess_fails(diagnosed):
@@ -306,6 +316,28 @@ def test_ways_past_waypoints_within_a_radius_are_found_by_way_of_the_waypoints_t
     plan = solve_scenario(load_scenario(PAPER_CALM, mission))
     assert plan.status is PlanStatus.SOLVED
     assert all(route.energy_J is not None for route in plan.routes)
+
+
+def test_without_zones_waypoints_within_a_radius_are_passed_by_way_of_themselves_too():
+    mission = (
+        "mission.start.position=[3.694, 7.765, 6.966]",
+        "mission.goal.position=[-3.231, 5.085, 5.310]",
+        (
+            "mission.waypoints=[{position=[4.228, 6.727, 5.147]}, {position=[-5.140, 6.471, 1.337],"
+            " radius=0.103}, {position=[-4.381, -7.643, 5.636], speed_max=1.291}]"
+        ),
+        "mission.duration='free'",
+        "mission.price_of_time=33.1",
+        "wind.use='constant'",
+        "wind.speed=1.640",
+        "wind.direction=1.295",
+        "wind.coupling='drag'",
+        "solver.max_refinements=0",
+        "power.model='shaft'",
+    )
+    plan = solve_scenario(load_scenario(PAPER_CALM, mission))
+    assert plan.status is PlanStatus.SOLVED
+    assert plan.attempts[1] == "by way of the waypoints themselves: tolerance_not_met"
 
 
 def test_a_solve_stopped_on_the_way_has_the_mission_s_own_numbers():
