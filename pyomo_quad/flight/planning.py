@@ -14,7 +14,6 @@ import numpy as np
 from pyomo_quad.collocation import (
     Allowance,
     Dynamics,
-    Iteration,
     Mesh,
     Problem,
     Progress,
@@ -31,16 +30,19 @@ from pyomo_quad.flight import long_flight
 from pyomo_quad.flight.flight import HELD_BREACH, VIOLATION_TOLERANCE
 from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
 from pyomo_quad.flight.rescue import (
+    Deadline,
+    Effort,
     Rescuer,
+    at_its_easiest,
     by_way_of,
     declared_free_times,
     easier_numbers,
     shortest_flight,
-    under,
 )
 from pyomo_quad.flight.routes import (
     Journey,
     NoRouteError,
+    Route,
     TriedRoute,
     best_of_journeys,
     find_journeys,
@@ -88,50 +90,6 @@ _STATUS = {
     Status.INFEASIBLE: PlanStatus.INFEASIBLE,
     Status.INTERRUPTED: PlanStatus.INTERRUPTED,
 }
-
-
-class _Deadline:
-    """Stops a solve, and all that follows it, at the scenario's time limit or when told to.
-
-    The time is the processor's, so that what else the machine does changes no answer.
-    """
-
-    def __init__(self, scenario: Scenario, progress: Progress | None) -> None:
-        self._limit_s = scenario.solver.time_limit
-        self._end = time.thread_time() + self._limit_s
-        self._progress = progress
-        self.is_over = False
-
-    def __call__(self, iteration: Iteration) -> bool:
-        self.is_over = self.is_over or time.thread_time() > self._end
-        if self.is_over:
-            return False
-        return self._progress is None or self._progress(iteration) is not False
-
-    def applied_to(self, plan: Plan) -> Plan:
-        """Return the plan; given up where the limit left neither a flight nor a proof."""
-        if not self.is_over or plan.status in (PlanStatus.VERIFIED, PlanStatus.INFEASIBLE):
-            return plan
-        message = (
-            f"given up after solver.time_limit = {self._limit_s:g} s; allow more time, or ask for "
-            "a looser solver.tolerance or fewer solver.elements."
-        )
-        if plan.attempts:
-            message += f" Tried: {'; '.join(plan.attempts)}."
-        return replace(plan, status=PlanStatus.NOT_CONVERGED, message=message, failure=None)
-
-
-class _Effort:
-    """Stops a solve after so many iterations times points, which it counts."""
-
-    def __init__(self, progress: Progress, most: float = inf) -> None:
-        self._progress = progress
-        self._most = most
-        self.spent = 0
-
-    def __call__(self, iteration: Iteration) -> bool:
-        self.spent += iteration.mesh_points
-        return self.spent <= self._most and self._progress(iteration) is not False
 
 
 class Planner:
@@ -236,7 +194,7 @@ class Planner:
             takes longer than `solver.time_limit` of processor time is not converged and says so;
             nothing else depends on how fast the machine is.
         """
-        deadline = _Deadline(scenario, progress)
+        deadline = Deadline(scenario, progress)
         solve = self._solve_quickest if scenario.mission.aim is Aim.TIME else self._solve
         if scenario.mission.order is Order.BEST and scenario.mission.waypoints:
             return deadline.applied_to(self._solve_in_best_order(scenario, solve, deadline))
@@ -247,20 +205,35 @@ class Planner:
     ) -> Plan:
         """Return the plan of the order of waypoints that costs least."""
 
-        def leg(alone: Scenario, mesh: Mesh, known: Solution | None) -> Solution:
+        def leg(alone: Scenario, mesh: Mesh, way: Route | None, known: Solution | None) -> Solution:
             problem, _ = self.problem_for(alone)
             arguments = self._arguments(alone, progress) | {"mesh": mesh, "tolerance": None}
+            if way is not None:
+                free = alone.mission.is_free
+                guess = guess_along((way,), alone.nominal_times, is_open=free)
+                return problem.solve(**arguments, guess=guess)
             fits = known is not None and known.warm_start.fits(problem.compiled)
             return problem.solve(**arguments, warm_start=known if fits else None)
 
-        def roughly(ordered: Scenario) -> Plan:
+        def roughly(ordered: Scenario) -> Solution:
             once = {"solver": ordered.solver.model_copy(update={"max_refinements": 0})}
-            plan = self._solve(ordered.model_copy(update=once), None, progress)
-            return replace(plan, scenario=ordered)
+            told = ordered.as_forecast().model_copy(update=once)
+            problem, _ = self.problem_for(told)
+            if self._has_ways(told):
+                return self._by_routes(problem, told, progress, most=1)[0]
+            return self._first_solve(problem, told, None, progress)
+
+        def finely(ordered: Scenario, begun: Solution | None) -> Plan:
+            # Round zones the best way may be another than the shortest, which was flown so far.
+            kept = None if self._has_ways(ordered) else begun
+            return solve(ordered, kept and kept.warm_start, progress)
 
         costs = leg_energies(scenario.as_forecast(), leg)
-        tours = best_tours(costs, BEST_FEW)
-        return cheapest(scenario, tours, roughly, lambda s, plan: solve(s, plan, progress))
+        return cheapest(scenario, best_tours(costs, BEST_FEW), roughly, finely)
+
+    def _has_ways(self, told: Scenario) -> bool:
+        """Say whether a mission has ways round zones to choose from."""
+        return bool(told.airspace.keep_out) and self._builder is build_model
 
     def _solve_quickest(
         self, scenario: Scenario, warm_start: Plan | WarmStart | None, progress: Progress
@@ -284,7 +257,7 @@ class Planner:
         most = inf
         durations = (min(max((1 + a) * shortest.objective, least), greatest) for a in _ABOVE_LEAST)
         for duration in dict.fromkeys(durations):
-            effort = _Effort(progress, most)
+            effort = Effort(progress, most)
             plans.append(self._solve(scenario.lasting(duration), start, effort))
             start = plans[-1].solution
             most = min(most, _MOST_EFFORT * effort.spent)
@@ -312,7 +285,7 @@ class Planner:
         problem, timings = self.problem_for(told)
         started = time.perf_counter()
         routes: tuple[TriedRoute, ...] = ()
-        has_ways = warm_start is None and told.airspace.keep_out and self._builder is build_model
+        has_ways = warm_start is None and self._has_ways(told)
         if has_ways:
             solution, routes = self._by_routes(problem, told, progress)
         else:
@@ -397,22 +370,28 @@ class Planner:
         return plan
 
     def _by_routes(
-        self, problem: Problem, told: Scenario, progress: Progress | None
+        self,
+        problem: Problem,
+        told: Scenario,
+        progress: Progress | None,
+        most: int | None = None,
     ) -> tuple[Solution, tuple[TriedRoute, ...]]:
         """Solve along every route round the zones, and return the best with all that were tried.
+
+        At most so many are, the shortest first.
 
         No route at all is proof that there is no flight, which the solution's message tells.
         """
         arguments, easier = self._arguments(told, progress), easier_numbers(problem, told)
         try:
-            journeys = find_journeys(told.airspace, told.mission.positions)
+            journeys = find_journeys(told.airspace, told.mission.positions)[:most]
         except NoRouteError as error:
             unsolved = {"tolerance": None, "options": SolverOptions(max_iterations=0)}
             closed = problem.solve(**arguments | unsolved | {"progress": None})
             return replace(closed, status=Status.INFEASIBLE, message=str(error)), ()
         mesh = Mesh.uniform(max(told.solver.elements, _ROUTE_ELEMENTS), told.solver.degree)
-        easiest = under(arguments, easier[0]) if easier else arguments
-        afar = {"tolerance": None, "mesh": mesh, "options": arguments["options"].from_afar()}
+        easiest = at_its_easiest(arguments, easier)
+        once = {"tolerance": None, "mesh": mesh}
 
         is_plain = False
 
@@ -420,21 +399,23 @@ class Planner:
             nonlocal is_plain
             guess: Any = guess_along(journey, told.nominal_times, is_open=told.mission.is_free)
             if is_plain:
-                begun = self._plainly(told, easiest | afar, guess)
+                begun = self._plainly(told, easiest | once, guess)
                 guess = begun.trajectory if begun and begun.status.is_solved else guess
-            rough = problem.solve(**easiest | afar, guess=guess)
+            rough = problem.solve(**easiest | once, guess=guess)
             if is_plain or not rough.status.has_failed or with_plain_passages(told) is None:
                 return rough
             is_plain = True
             return fly(journey)
 
-        def refine(flown: Solution, most: int | None) -> Solution:
+        def refine(flown: Solution, meshes: int | None) -> Solution:
+            if told.solver.max_refinements == 0 and not easier:
+                return flown
             on_mesh = arguments | {"mesh": flown.mesh}
-            if most is None and easier:
+            if meshes is None and easier:
                 return by_way_of(easier, problem, on_mesh, flown.trajectory)
-            if most is not None:
-                once = replace(arguments["refinement"], max_meshes=most)
-                on_mesh = easiest | {"mesh": flown.mesh, "refinement": once}
+            if meshes is not None:
+                few = replace(arguments["refinement"], max_meshes=meshes)
+                on_mesh = easiest | {"mesh": flown.mesh, "refinement": few}
             return problem.solve(**on_mesh, warm_start=flown)
 
         return best_of_journeys(journeys, fly, refine, partial(_energy, told))
@@ -445,9 +426,8 @@ class Planner:
         if plain is None:
             return None
         problem, _ = self.problem_for(plain)
-        easier = easier_numbers(problem, plain)
-        numbers = (self.parameters(plain) or {}) | (easier[0] if easier else {})
-        return problem.solve(**chosen | {"parameters": numbers}, guess=guess)
+        own = chosen | {"parameters": self.parameters(plain)}
+        return problem.solve(**at_its_easiest(own, easier_numbers(problem, plain)), guess=guess)
 
     def _first_solve(
         self,
@@ -517,7 +497,7 @@ class Planner:
     def _rescuer(self, problem: Problem, told: Scenario, progress: Progress | None) -> Rescuer:
         arguments = self._arguments(told, progress)
         easier = easier_numbers(problem, told)
-        easiest = under(arguments, easier[0]) if easier else arguments
+        easiest = at_its_easiest(arguments, easier)
 
         def slowly(duration: float, guess: Trajectory | None) -> Solution | None:
             if told.mission.is_free:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 from math import inf
 from typing import TYPE_CHECKING, Any
 
 from pyomo_quad.collocation import (
     Allowance,
+    Iteration,
     Mesh,
     Progress,
     RefinementOptions,
@@ -20,7 +22,7 @@ from pyomo_quad.collocation import (
     compile,
     diagnose,
 )
-from pyomo_quad.flight.plan import Failure
+from pyomo_quad.flight.plan import Failure, Plan, PlanStatus
 from pyomo_quad.model import ask_for_least_time
 from pyomo_quad.model.mission import free_times
 from pyomo_quad.model.power import wider_smoothings
@@ -52,6 +54,52 @@ _SLOW = 4.0
 # the points counts by the time it saves, and the damping has the price that it has by default.
 _TIME_TOLERANCE = 1e-4
 _TIMED = RefinementOptions(damping=1.0, allowance=Allowance(limit_breach=inf))
+
+
+class Deadline:
+    """Stops a solve, and all that follows it, at the scenario's time limit or when told to.
+
+    The time is the processor's, so that what else the machine does changes no answer.
+    """
+
+    def __init__(self, scenario: Scenario, progress: Progress | None) -> None:
+        self._limit_s = scenario.solver.time_limit
+        self._end = time.thread_time() + self._limit_s
+        self._progress = progress
+        self.is_over = False
+
+    def __call__(self, iteration: Iteration) -> bool:
+        """Return False once the time is up, or the caller's own callback says so."""
+        self.is_over = self.is_over or time.thread_time() > self._end
+        if self.is_over:
+            return False
+        return self._progress is None or self._progress(iteration) is not False
+
+    def applied_to(self, plan: Plan) -> Plan:
+        """Return the plan: given up where the limit left neither a flight nor a proof."""
+        if not self.is_over or plan.status in (PlanStatus.VERIFIED, PlanStatus.INFEASIBLE):
+            return plan
+        message = (
+            f"given up after solver.time_limit = {self._limit_s:g} s; allow more time, or ask for "
+            "a looser solver.tolerance or fewer solver.elements."
+        )
+        if plan.attempts:
+            message += f" Tried: {'; '.join(plan.attempts)}."
+        return replace(plan, status=PlanStatus.NOT_CONVERGED, message=message, failure=None)
+
+
+class Effort:
+    """Stops a solve after so many iterations times points, which it counts."""
+
+    def __init__(self, progress: Progress, most: float = inf) -> None:
+        self._progress = progress
+        self._most = most
+        self.spent = 0
+
+    def __call__(self, iteration: Iteration) -> bool:
+        """Return False once the effort is spent, or the caller's own callback says so."""
+        self.spent += iteration.mesh_points
+        return self.spent <= self._most and self._progress(iteration) is not False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,6 +243,13 @@ def easier_numbers(problem: Problem, told: Scenario) -> tuple[dict[str, float], 
 def under(arguments: dict[str, Any], numbers: dict[str, float]) -> dict[str, Any]:
     """Return a solve's arguments with other numbers."""
     return arguments | {"parameters": (arguments["parameters"] or {}) | numbers}
+
+
+def at_its_easiest(
+    arguments: dict[str, Any], easier: tuple[dict[str, float], ...]
+) -> dict[str, Any]:
+    """Return a solve's arguments with the easiest numbers, its own where there are none."""
+    return under(arguments, easier[0]) if easier else arguments
 
 
 def by_way_of(

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations
 from math import inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pyomo_quad.collocation import Mesh
+from pyomo_quad.flight.routes import find_routes
 from pyomo_quad.scenario.mission import Hover, Order
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
+    from pyomo_quad.collocation import Solution
     from pyomo_quad.flight.plan import Plan
+    from pyomo_quad.flight.routes import Route
     from pyomo_quad.scenario import Scenario
 
 #: Tours whose whole missions are solved: leg energies leave out what passing at speed saves.
@@ -37,7 +41,8 @@ def leg_energies(scenario: Scenario, solve: Callable[..., Any]) -> np.ndarray:
     ----------
     scenario : Scenario
     solve : callable
-        Solve a scenario without waypoints on a mesh: (scenario, mesh, warm start) -> Solution.
+        Solve a scenario without waypoints on a mesh: (scenario, mesh, its shortest way round the
+        zones or None where that is straight, warm start) -> Solution.
 
     Returns
     -------
@@ -46,42 +51,48 @@ def leg_energies(scenario: Scenario, solve: Callable[..., Any]) -> np.ndarray:
         time costs.  Infinite where no flight was found, and where no tour goes.
     """
     places, mission = scenario.mission.positions, scenario.mission
-    last = len(places) - 1
+    ways = _shortest_ways(scenario)
+    usual = _usual_length(len(places), ways)
     costs = np.full((len(places), len(places)), inf)
     known = None
-    for here in range(last):
-        for there in range(1, len(places)):
-            if here == there or (here == 0 and there == last):
-                continue
-            ends = (Hover(position=places[k], yaw=mission.start.yaw) for k in (here, there))
-            leg = scenario.with_mission(
-                **dict(zip(("start", "goal"), ends, strict=True)), waypoints=(), order=Order.GIVEN
-            )
-            if not mission.is_free:
-                share = _length(leg) / _usual_length(scenario)
-                leg = leg.lasting(share * mission.fixed_duration)
-            found = solve(leg, _LEG_MESH, known)
-            if found.status.is_solved:
-                known = found
-                costs[here, there] = found.objective
+    for (here, there), way in ways.items():
+        ends = (Hover(position=places[k], yaw=mission.start.yaw) for k in (here, there))
+        leg = scenario.with_mission(
+            **dict(zip(("start", "goal"), ends, strict=True)), waypoints=(), order=Order.GIVEN
+        )
+        if not mission.is_free:
+            leg = leg.lasting(way.length / usual * mission.fixed_duration)
+        found = solve(leg, _LEG_MESH, way if way.sides else None, known)
+        if found.status.is_solved:
+            known = found
+            costs[here, there] = found.objective
     return costs
 
 
-def _length(scenario: Scenario) -> float:
-    places = np.array(scenario.mission.positions)
-    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+def _shortest_ways(scenario: Scenario) -> dict[tuple[int, int], Route]:
+    """Return the shortest way of each leg that a tour may have and the zones leave open."""
+    places, ways = scenario.mission.positions, {}
+    last = len(places) - 1
+    for here, there in permutations(range(len(places)), 2):
+        if there == 0 or here == last or (here, there) == (0, last):
+            continue
+        for way in find_routes(scenario.airspace, places[here], places[there], most=1):
+            ways[here, there] = way
+    return ways
 
 
-def _usual_length(scenario: Scenario) -> float:
+def _usual_length(count: int, ways: Mapping[tuple[int, int], Route]) -> float:
     """Return the length of the tour that always flies to the nearest place that is left."""
-    start, *between, goal = (np.array(place) for place in scenario.mission.positions)
-    here, length = start, 0.0
-    while between:
-        distances = [float(np.linalg.norm(place - here)) for place in between]
-        nearest = int(np.argmin(distances))
-        length += distances[nearest]
-        here = between.pop(nearest)
-    return length + float(np.linalg.norm(goal - here))
+    lengths = np.full((count, count), inf)
+    for leg, way in ways.items():
+        lengths[leg] = way.length
+    here, left, length = 0, set(range(1, count - 1)), 0.0
+    while left:
+        nearest = min(left, key=lambda there: lengths[here, there])
+        length += lengths[here, nearest]
+        left.remove(nearest)
+        here = nearest
+    return float(length + lengths[here, count - 1])
 
 
 def best_tours(costs: np.ndarray, count: int) -> list[tuple[int, ...]]:
@@ -113,16 +124,21 @@ def best_tours(costs: np.ndarray, count: int) -> list[tuple[int, ...]]:
 def cheapest(
     scenario: Scenario,
     tours: Sequence[Sequence[int]],
-    roughly: Callable[[Scenario], Plan],
-    solve: Callable[[Scenario, Plan], Plan],
+    roughly: Callable[[Scenario], Solution],
+    solve: Callable[[Scenario, Solution | None], Plan],
 ) -> Plan:
-    """Return the plan of the cheapest of some tours, each solved as a whole mission first."""
-    attempts, plans = [], []
+    """Return the plan of the cheapest of some tours, each solved on one mesh as a whole first."""
+    attempts: list[str] = []
+    flown: list[tuple[float, Scenario, Solution | None]] = []
     for tour in tours:
-        plan = roughly(in_order(scenario, tour))
+        ordered = in_order(scenario, tour)
+        solution = roughly(ordered)
+        is_flown = solution.status.is_solved
+        what = f"{solution.objective:.6g} J" if is_flown else solution.status.value
         named = ", ".join(str(k) for k in tour)
-        attempts.append(f"waypoints in order {named}: {plan.cost:.6g} J on a first mesh")
-        plans.append(plan)
-    best = min(plans, key=lambda plan: (plan.verification is None, plan.cost))
-    plan = solve(best.scenario, best)
+        attempts.append(f"waypoints in order {named}: {what} on a first mesh")
+        cost = solution.objective if is_flown else inf
+        flown.append((cost, ordered, solution if is_flown else None))
+    _, best, begun = min(flown, key=lambda entry: entry[0])
+    plan = solve(best, begun)
     return replace(plan, attempts=(*attempts, *plan.attempts))

@@ -44,10 +44,8 @@ class Status(Enum):
 _RELAXED = 1e-10
 # How far a warm start is pushed off its bounds: by default, and where limits move.
 _NEAR, _INSIDE = 1e-9, 1e-6
-# The least barrier that a warm start where limits move begins with.
+# The least barrier, and multipliers, that a warm start where limits move begins with.
 _BEGUN = 1e-8
-# MUMPS' number for a scaling that it chooses for each matrix.
-_ANEW = 77
 # The barrier that a warm start of which little is to change begins with.
 _LOW_BARRIER = 1e-10
 _PUSHES = (
@@ -108,14 +106,6 @@ class SolverOptions:
         """
         pushes = dict.fromkeys(_PUSHES, _INSIDE) | {"warm_start_mult_bound_push": _BEGUN}
         return replace(self, extra=(*pushes.items(), *self.extra))
-
-    def from_afar(self) -> SolverOptions:
-        """Return the settings for a first point that may be far from anything that can be done.
-
-        On such a way slopes differ by many decades, and a matrix that is not scaled anew at each
-        step fills up: a factorisation of a small program then takes fifty times as long.
-        """
-        return replace(self, extra=(("mumps_scaling", _ANEW), *self.extra))
 
     def for_small_changes(self) -> SolverOptions:
         """Return the settings for warm starts of which a new mesh changes but a small part.
@@ -315,13 +305,16 @@ class _Callbacks:
 
 _TOLERANCE = 1e-9
 
-# MUMPS' own scalings cost more than they gain on a program that is scaled already; bounds
-# are kept as stated, because relaxed ones would show in objectives good to 1e-8.
+# Pivots as small as Ipopt lets MUMPS take by default (1e-6) leave so little of a step's digits that
+# curvatures are counted wrong, and what is convex is regularised until it creeps; larger ones fill
+# the factors up unless each matrix is scaled anew.  Bounds are kept as stated, because relaxed ones
+# would show in objectives good to 1e-8.
 _DEFAULTS: dict[str, Any] = {
     "print_level": 0,
     "sb": "yes",
     "linear_solver": "mumps",
-    "mumps_scaling": 0,
+    "mumps_pivtol": 1e-4,
+    "mumps_scaling": 77,  # as it chooses for each matrix
     "mumps_permuting_scaling": 0,
     "mu_strategy": "adaptive",
     "nlp_scaling_method": "user-scaling",
