@@ -41,6 +41,8 @@ _MOST_REMEDIES = 3
 _LIMITS = "limits."
 # How well, and on how many meshes, a kinked power is first solved with its corner rounded widely.
 _ROUGHLY = {"tolerance": 1e-2, "refinement": RefinementOptions(max_meshes=5)}
+# How often a mesh on which the corner itself fails is begun anew from that one.
+_MOST_RETURNS = 6
 _MESH = (10, 4)
 _OPTIONS = SolverOptions(max_iterations=300)
 # Meshes that give the least time to a small part of the share of it that counts as close.
@@ -258,8 +260,33 @@ def by_way_of(
     arguments: dict[str, Any],
     guess: Any,
 ) -> Solution:
-    """Solve from a guess by way of easier numbers, each from the solution under the last."""
-    reached: Solution | None = None
+    """Solve from a guess by way of easier numbers, each from the solution under the last.
+
+    A finer mesh on which that fails is begun anew, from the solution under the easiest.
+    """
+    solution, easiest = _by_way_of(easier, problem, arguments, guess)
+    for _ in range(_MOST_RETURNS):
+        if easiest is None or not solution.status.has_failed or solution.mesh == easiest.mesh:
+            break
+        on_mesh = arguments | {"mesh": solution.mesh}
+        rough = under(on_mesh, easier[0]) | {"tolerance": None}
+        again = problem.solve(**rough, guess=easiest.trajectory)
+        if not again.status.is_solved:
+            break
+        easiest = again
+        solution, _ = _by_way_of(easier[1:], problem, on_mesh, None, again)
+    return solution
+
+
+def _by_way_of(
+    easier: tuple[dict[str, float], ...],
+    problem: Problem,
+    arguments: dict[str, Any],
+    guess: Any,
+    reached: Solution | None = None,
+) -> tuple[Solution, Solution | None]:
+    """Return the solution, and the first one that was reached on the way."""
+    first = reached
     for numbers in easier:
         eased = under(arguments, numbers)
         if reached is None:
@@ -268,12 +295,13 @@ def by_way_of(
             on_mesh = {"tolerance": None, "mesh": reached.mesh, "warm_start": reached}
             tried = problem.solve(**eased | on_mesh)
         if tried.status is Status.INTERRUPTED:
-            return _as_far_as(tried, problem, arguments)
+            return _as_far_as(tried, problem, arguments), first
         if tried.status.is_solved:
             reached = tried
+            first = first or reached
     if reached is None:
-        return problem.solve(**arguments, guess=guess)
-    return problem.solve(**arguments | {"mesh": reached.mesh}, warm_start=reached)
+        return problem.solve(**arguments, guess=guess), None
+    return problem.solve(**arguments | {"mesh": reached.mesh}, warm_start=reached), first
 
 
 def _as_far_as(stopped: Solution, problem: Problem, arguments: dict[str, Any]) -> Solution:

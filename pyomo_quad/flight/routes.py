@@ -461,14 +461,16 @@ _MOST_ON_NEXT, _MOST_REFINED = 4, 3
 _TO_THE_NEXT = 2
 
 
-# States of two flights on one mesh that differ by less than this are the same flight's.
+# States of two flights that differ by less than this are the same flight's.
 _SAME = 1e-3
 
 
 def _is_same(one: Solution, other: Solution) -> bool:
-    apart = np.abs(one.trajectory.states - other.trajectory.states)
-    is_flight = one.status.is_solved and other.status.is_solved
-    return is_flight and bool(np.all(apart <= _SAME * (1.0 + np.abs(one.trajectory.states))))
+    if not (one.status.is_solved and other.status.is_solved):
+        return False
+    states = one.trajectory.states
+    others = other.trajectory.states_at(np.append(0.0, one.mesh.point_fractions))
+    return bool(np.all(np.abs(states - others) <= _SAME * (1.0 + np.abs(states))))
 
 
 def best_of_journeys(
@@ -479,7 +481,8 @@ def best_of_journeys(
 ) -> tuple[Solution, tuple[TriedRoute, ...]]:
     """Fly all journeys on one mesh, refine the best, and return it with what became of each.
 
-    Where two of them become one flight, as over and beside a sphere, the longer one is left out.
+    Where two of them become one flight, as over and beside a sphere, on this mesh or the next, the
+    longer one is left out.
 
     Parameters
     ----------
@@ -496,7 +499,10 @@ def best_of_journeys(
     if len(near) > 1:
         improved = {k: refine(known[k], _TO_THE_NEXT) for k in near}
         known |= {k: s for k, s in improved.items() if s.status.is_solved}
-        near = _nearest({k: known[k] for k in near}, _NEAR_ON_NEXT, _MOST_REFINED)
+        for k in sorted(near, reverse=True):
+            if any(_is_same(known[k], known[j]) for j in near if j < k):
+                del known[k]
+        near = _nearest({k: s for k, s in known.items() if k in near}, _NEAR_ON_NEXT, _MOST_REFINED)
     order = sorted(known, key=lambda k: _cost(known[k]))
     refined: dict[int, Solution] = {}
     for k in [*near, *(k for k in order if k not in near and known[k].status.is_solved)]:
@@ -517,6 +523,7 @@ def best_of_journeys(
             is_kept=k == best and solution.status.is_solved,
         )
         for k, (journey, _) in enumerate(flown)
+        if k in known
     )
 
 

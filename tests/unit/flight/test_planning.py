@@ -319,7 +319,12 @@ def test_ways_past_waypoints_within_a_radius_are_found_by_way_of_the_waypoints_t
     assert all(route.energy_J is not None for route in plan.routes)
 
 
-def test_without_zones_waypoints_within_a_radius_are_passed_by_way_of_themselves_too():
+def test_without_zones_waypoints_within_a_radius_are_passed_by_way_of_themselves_too(monkeypatch):
+    def failing(planner, problem, told, _warm_start, progress):
+        unsolved = {"tolerance": None, "options": SolverOptions(max_iterations=1)}
+        return problem.solve(**planner._arguments(told, progress) | unsolved)
+
+    monkeypatch.setattr(Planner, "_first_solve", failing)
     mission = (
         "mission.start.position=[3.694, 7.765, 6.966]",
         "mission.goal.position=[-3.231, 5.085, 5.310]",
@@ -350,10 +355,12 @@ def test_convex_valleys_are_not_regularised():
     settings = [
         "mission.start.position=[-6.653, 3.754, 7.594]",
         "mission.goal.position=[-7.849, -0.682, 1.211]",
-        "mission.waypoints=[{position=[7.543, -3.736, 3.210]}, "
-        "{position=[-6.985, 9.054, 5.422], radius=0.312, speed_max=1.510}, "
-        "{position=[7.300, -5.694, 1.840], radius=0.947, yaw=-0.678}, "
-        "{position=[-5.230, -6.557, 5.082], hold=0.981}]",
+        (
+            "mission.waypoints=[{position=[7.543, -3.736, 3.210]}, "
+            "{position=[-6.985, 9.054, 5.422], radius=0.312, speed_max=1.510}, "
+            "{position=[7.300, -5.694, 1.840], radius=0.947, yaw=-0.678}, "
+            "{position=[-5.230, -6.557, 5.082], hold=0.981}]"
+        ),
         "mission.duration=44.058",
         "airspace.ceiling=8.319",
         "power.model='shaft'",

@@ -42,7 +42,11 @@ def test_the_best_order_is_the_cheapest_of_all_missions():
     planner = PLANNER
     plan = planner.solve(corners())
     others = [planner.solve(in_order(corners(), order)) for order in permutations(range(3))]
-    assert plan.energy == pytest.approx(min(other.energy for other in others), rel=1e-6)
+    best = min(others, key=lambda other: other.energy)
+    assert plan.scenario.mission.waypoints == best.scenario.mission.waypoints
+    # On a mesh this coarse it shows whether bounds were kept between the points, as from a warm
+    # start they are.
+    assert plan.energy == pytest.approx(best.energy, rel=1e-4)
 
 
 @pytest.mark.slow
