@@ -177,10 +177,10 @@ def init(
         typer.Option(
             "--from",
             metavar="NAME",
-            help="A shipped scenario: delivery, inspection, paper, ...",
+            help="A shipped scenario: parcel, delivery, inspection, paper, ...",
             autocompletion=lambda: list(shipped_scenarios()),
         ),
-    ] = "delivery",
+    ] = "parcel",
     quiet: Quiet = False,
 ) -> int:
     """Write a commented scenario that runs, and the schema by which editors complete it."""

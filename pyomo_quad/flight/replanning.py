@@ -107,7 +107,7 @@ _LAST, _LAST_SHARE = 3.0, 0.3
 _NEAR, _HOLD_SHARE = 1.0, 0.5
 _CLEARANCE = "airspace.clearance"
 # Planned beyond the clearance of zones, m: the mesh of a plan in flight lets it pass nearer between
-# its points, and what is flown is not quite what is planned; at 8 m/s, in `delivery`, by 9 mm with
+# its points, and what is flown is not quite what is planned; at 8 m/s, in `parcel`, by 9 mm with
 # the wind told and by 17 mm with the wind estimated.
 _SPARE_M = 0.03
 # Of what is predicted while a solve goes on, and of the estimate; both are far below the noise of

@@ -116,7 +116,11 @@ def declare_vehicle(m: ConcreteModel, scenario: Scenario) -> None:
     loads, times = _loads(scenario), scenario.nominal_times
     if loads:
         left = {k: times[2 * k + 1] for k in loads}
-        m.vehicle.released_at = Param(loads, initialize=left, doc="declared time of release [s]")
+
+        def is_left(_: Block, k: int, t: float) -> float:
+            return float(t > left[k])
+
+        m.vehicle.is_left = Param(loads, m.time, rule=is_left, doc="whether it has been left")
 
 
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
@@ -146,4 +150,4 @@ def mass_at(m: ConcreteModel, t: float) -> NumericExpression:
     b = m.vehicle
     if b.component("released") is None:
         return b.mass
-    return b.mass - sum(b.released[k] for k in b.released if t > b.released_at[k])
+    return b.mass - sum(b.released[k] * b.is_left[k, t] for k in b.released)

@@ -40,7 +40,10 @@ MISSIONS = {
         "paper_free",
         BACK | {"mission.waypoints": [{"position": list(map(float, at))} for at in SIX]},
     ),
-    "three places round a mast, in wind (`inspection.toml`)": ("inspection", {}),
+    "eight places round a building in the best order, in wind (`inspection.toml`)": (
+        "inspection",
+        {},
+    ),
     "eight places in the best order, 30 s": (
         "paper_free",
         BACK
@@ -54,7 +57,8 @@ MISSIONS = {
         "paper_free",
         THERE | {"airspace.keep_out": PILLARS, "mission.start.position": [0.0, 0.0, 2.0]},
     ),
-    "`delivery.toml`": ("delivery", {}),
+    "80 m past a church (`parcel.toml`)": ("parcel", {}),
+    "there with a parcel and back (`delivery.toml`)": ("delivery", {}),
     "1 km, momentum, 80 s": ("paper_calm", FAR | {"mission.duration": 80.0}),
     "1 km, momentum, free duration": ("paper_calm", FAR | {"mission.duration": "free"}),
 }

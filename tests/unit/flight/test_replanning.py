@@ -208,7 +208,7 @@ def test_zones_are_kept_clear_of_between_the_points_of_a_coarse_mesh(
     Every plan that is in time is found, beside the zone too.  Where two come late, the flight is
     confirmed all the same: flown again to the end by the same plans, it ended 0.04 m/s off.
     """
-    scenario, vehicle = flights.scenario("delivery"), flights.vehicle("delivery")
+    scenario, vehicle = flights.scenario("parcel"), flights.vehicle("parcel")
     seconds = iter([late_s, *[0.06] * 20, late_s, *[0.06] * 99])
     flight = fly_replanned(
         scenario,

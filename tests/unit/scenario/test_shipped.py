@@ -33,11 +33,11 @@ def test_a_scenario_begun_from_each_is_its_own_and_is_allowed(
 
 
 def test_a_delivery_an_inspection_and_the_paper_are_there():
-    assert {"delivery", "inspection", "paper"} <= set(shipped_scenarios())
+    assert {"delivery", "inspection", "paper", "parcel"} <= set(shipped_scenarios())
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("template", ["delivery", "inspection"])
+@pytest.mark.parametrize("template", ["parcel", "delivery", "inspection"])
 def test_what_is_begun_is_flown(template, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["init", "own", "--from", template, "--quiet"]) == ExitCode.VERIFIED
