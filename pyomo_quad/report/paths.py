@@ -47,6 +47,8 @@ BEAT_COUNT = 5  # markers at equal times along each path: wide apart means fast
 COINCIDENT, ASTRAY = 0.02, 1.0
 _MARGIN = 0.08
 _MOST_TICKS = 9
+# Beside sides so much shorter, the name of the longest one's axis comes to lie on its numbers.
+_FLAT = 0.3
 _SMALLEST_SIDE = 0.2  # m
 # As shares of the largest side of all paths: of zones, floor and ceiling no more is shown.
 _AROUND = 0.25
@@ -103,10 +105,12 @@ def draw_space(axes: Axes3D, flights: Sequence[StyledFlight]) -> None:
         axes.plot(track[:, 0], track[:, 1], shadow, color=PALE, linewidth=1.0)
         axes.plot(*track.T, label=flight.name, **flight.style.line)
         axes.plot(*beats.T, **_marker(flight))
-    for end, name, shape in _ends(flights[0]):
+    ends = _ends(flights[0])
+    for end, name, shape in ends:
         axes.plot([end[0]] * 2, [end[1]] * 2, [floor, end[2]], color=MUTED, linewidth=0.6)
         axes.plot(*end[:, None], marker=shape, color=INK, markersize=6, linestyle="none")
-        axes.text(*end, f"{name}  ", va="bottom", ha="right")
+        # The long name of both would leave the picture on the left.
+        axes.text(*end, f"  {name}  ", va="bottom", ha="right" if len(ends) > 1 else "left")
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
     axes.set_box_aspect(np.ptp(limits, axis=1), zoom=0.88)
     axes.view_init(elev=22, azim=-58)
@@ -117,7 +121,8 @@ def draw_space(axes: Axes3D, flights: Sequence[StyledFlight]) -> None:
         most = max(2, round(_MOST_TICKS * side / sides.max()))
         axis.set_major_locator(MaxNLocator(nbins=most, steps=TICK_STEPS))
         axis.set_pane_color("white")
-        axis.set_label_text(_axis_label(signal))
+        is_along = side == sides.max() and sides.min() < _FLAT * side
+        axis.set_label_text("\n" * (2 * is_along) + _axis_label(signal))
         axis.labelpad = -4
         axis.set_tick_params(pad=-2)
         axis._axinfo["grid"].update(color="#e4e4e4", linewidth=0.5)  # noqa: SLF001
@@ -215,7 +220,8 @@ def _draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) ->
         has_time = waypoint.at is not None and directions[1] != _UP
         label = f"{number}: {waypoint.at:.1f} s" if has_time else str(number)
         passed.setdefault(place, []).append(label)
-    middle = float(np.mean([across for across, _ in passed])) if passed else 0.0
+    across_all = [position[directions[0]] for position in mission.mission.positions]
+    middle = (min(across_all) + max(across_all)) / 2.0
     for (across, up), said in passed.items():
         axes.plot(across, up, marker="x", color=INK, markersize=5, linestyle="none", zorder=4)
         side = "left" if across <= middle else "right"

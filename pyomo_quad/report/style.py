@@ -164,7 +164,7 @@ WIND = tuple(
 
 FULL_WIDTH = 7.2  # inches: the text width of an A4 page, and of the HTML report
 _DOTS_PER_INCH = 160
-_PNG_COLORS = 128
+_PNG_COLORS = 256
 
 INK = "#222222"
 MUTED = "#767676"
@@ -326,11 +326,12 @@ def _drawn(draw: Callable[[], Figure]) -> Figure:
 
 
 def _save_png(figure: Figure, path: Path) -> None:
-    # A palette picture is a third of the size, and lines and labels need few colours.
+    # A palette picture is a third of the size, and lines and labels need few colours; so few that a
+    # thin line gets the colour of a thicker one are too few.
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    picture.quantize(_PNG_COLORS, dither=Image.Dither.NONE).save(
+    picture.quantize(_PNG_COLORS, kmeans=1, dither=Image.Dither.NONE).save(
         path, format="PNG", dpi=(_DOTS_PER_INCH, _DOTS_PER_INCH)
     )
 

@@ -26,7 +26,8 @@ ABOUT = (
     "winds up to 6 m/s from anywhere in both couplings; payloads up to 0.25 kg; every power model "
     "that is sound everywhere, which leaves out `efficiency`: below 858 rad/s it has no minimum to "
     "find. `constant_efficiency` is flown with credit for braking and, by every other mission of "
-    "it, without; `motor_with_friction` with a pack that can feed it. No mission gets a guess."
+    "it, without; `motor_with_friction` with a pack that can feed it. No mission gets a guess. "
+    "Those that earlier code lost were flown again by later code, the others were not."
 )
 BASE = "scenarios/paper_calm.toml"
 COUPLINGS = ("acceleration", "drag")

@@ -1,14 +1,17 @@
 """Routes: their lengths beside closed forms, which sides they pass, and what closes them."""
 
 from math import acos, asin, sqrt
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.collocation import Mesh, Status, Trajectory
 from pyomo_quad.flight.routes import (
     MARGIN_M,
+    best_of_journeys,
     find_journeys,
     find_routes,
     guess_along,
@@ -166,3 +169,34 @@ def test_a_journey_goes_from_stop_to_stop_and_its_guess_is_there_in_time():
     shares = guess_along(journeys[0], (4.0, 6.0, 11.0), is_open=True)
     assert shares["time"] == pytest.approx(guess["time"] / 11.0)
     assert all(np.all(shares[name] == guess[name]) for name in guess if name != "time")
+
+
+def flown(height, objective, mesh):
+    states = np.full((mesh.points + 1, 1), height)
+    held = Trajectory(
+        mesh=mesh, states=states, algebraics=np.zeros((mesh.points, 0)), statics=np.zeros(0)
+    )
+    return SimpleNamespace(status=Status.CONVERGED, objective=objective, trajectory=held, mesh=mesh)
+
+
+def test_ways_that_become_one_flight_on_the_second_mesh_are_refined_once():
+    """The meshes differ, and the energies by rounding alone."""
+    journeys = find_journeys(airspace(MAST, floor=0.0, ceiling=9.0), [START, GOAL])
+    heights = iter([1.0, 2.0])
+    refined = []
+
+    def refine(known, meshes):
+        if meshes is None:
+            refined.append(known)
+            return known
+        elements = 5 if known.trajectory.states[0, 0] == 1.0 else 6
+        return flown(1.5, 100.0 + 1e-9 * elements, Mesh.uniform(elements, 3))
+
+    best, tried = best_of_journeys(
+        journeys,
+        lambda _: flown(next(heights), 100.0, Mesh.uniform(4, 3)),
+        refine,
+        lambda solution: solution.objective,
+    )
+    assert refined == [best]
+    assert [(way.name, way.is_kept) for way in tried] == [("right of mast", True)]

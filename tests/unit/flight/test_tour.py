@@ -1,11 +1,14 @@
 """Best tours against all tours there are, and a best order that wind makes lopsided."""
 
 from itertools import pairwise, permutations
+from math import asin, sqrt
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from pyomo_quad.flight.tour import best_tours, in_order
+from pyomo_quad.collocation import Status
+from pyomo_quad.flight.tour import best_tours, in_order, leg_energies
 from tests.declared_model import scenario
 from tests.flights import PLANNER
 
@@ -22,6 +25,36 @@ def test_best_tours_are_the_best_of_all(places):
     costs = np.random.default_rng(places).uniform(1.0, 9.0, (places + 2, places + 2))
     every = sorted(permutations(range(places)), key=lambda tour: length(costs, tour))
     assert best_tours(costs, 3) == every[:3]
+
+
+def test_a_leg_round_a_mast_is_as_long_as_tangents_and_arc_and_gets_that_share_of_the_time():
+    """It was to be flown in the time of the straight line, through the mast, and not found."""
+    mast = {"name": "mast", "shape": "cylinder", "centre": [5.0, 0.0], "radius": 2.0}
+    told = scenario(
+        mission={
+            "start": {"position": [0.0, 0.0, 2.0]},
+            "waypoints": [{"position": [10.0, 0.0, 2.0]}, {"position": [0.0, 6.0, 2.0]}],
+            "goal": {"position": [0.0, 0.0, 3.0]},
+            "order": "best",
+            "duration": 20.0,
+        },
+        airspace={"keep_out": [mast | {"bottom": 0.0, "top": 50.0}], "ceiling": 40.0},
+    )
+    bent = []
+
+    def solve(leg, _mesh, way, _known):
+        ends = leg.mission.start.position, leg.mission.goal.position
+        bent.extend([ends] * (way is not None))
+        return SimpleNamespace(status=Status.CONVERGED, objective=leg.mission.fixed_duration)
+
+    durations = leg_energies(told, solve)
+    assert ((0.0, 0.0, 2.0), (10.0, 0.0, 2.0)) in bent
+    assert ((0.0, 0.0, 2.0), (0.0, 6.0, 2.0)) not in bent
+    tangents = 2.0 * sqrt(5.0**2 - 2.0**2)
+    arc = 2.0 * 2.0 * asin(2.0 / 5.0)
+    # The way keeps a little clear of the mast, along a polygon.
+    assert durations[0, 1] / durations[0, 2] == pytest.approx((tangents + arc) / 6.0, rel=0.02)
+    assert np.isinf(durations[0, 3])
 
 
 def corners(order="best", mirrored=1.0):
