@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import permutations
-from math import inf
+from math import inf, isinf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,13 +48,16 @@ def leg_energies(scenario: Scenario, solve: Callable[..., Any]) -> np.ndarray:
     -------
     ndarray, shape (n + 2, n + 2)
         From start, waypoints and goal, in rows, to the same, in columns [J]; beside it what the
-        time costs.  Infinite where no flight was found, and where no tour goes.
+        time costs.  Infinite where no flight was found, and where no tour goes; everywhere, where
+        zones shut a place in.
     """
     places, mission = scenario.mission.positions, scenario.mission
     ways = _shortest_ways(scenario)
     usual = _usual_length(len(places), ways)
     costs = np.full((len(places), len(places)), inf)
     known = None
+    if isinf(usual):
+        return costs
     for (here, there), way in ways.items():
         ends = (Hover(position=places[k], yaw=mission.start.yaw) for k in (here, there))
         leg = scenario.with_mission(

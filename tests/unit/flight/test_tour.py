@@ -7,8 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from pyomo_quad import load_scenario
 from pyomo_quad.collocation import Status
+from pyomo_quad.flight import PlanStatus
+from pyomo_quad.flight.planning import solve_scenario
 from pyomo_quad.flight.tour import best_tours, in_order, leg_energies
+from tests.command import PAPER_CALM
 from tests.declared_model import scenario
 from tests.flights import PLANNER
 
@@ -55,6 +59,26 @@ def test_a_leg_round_a_mast_is_as_long_as_tangents_and_arc_and_gets_that_share_o
     # The way keeps a little clear of the mast, along a polygon.
     assert durations[0, 1] / durations[0, 2] == pytest.approx((tangents + arc) / 6.0, rel=0.02)
     assert np.isinf(durations[0, 3])
+
+
+def test_a_place_that_is_shut_in_leaves_no_order_and_is_named():
+    walls = {"west": ([4, -3], [5, 3]), "east": ([8, -3], [9, 3])}
+    walls |= {"north": ([4, 2], [9, 3]), "south": ([4, -3], [9, -2])}
+    zones = ", ".join(
+        f"{{name='{name}', shape='box', low={[*low, -9]}, high={[*high, 9]}}}"
+        for name, (low, high) in walls.items()
+    )
+    settings = (
+        "mission.waypoints=[{position=[6.5, 0, 2]}, {position=[1, 6, 2]}]",
+        "mission.order='best'",
+        "airspace.floor=0.0",
+        "airspace.ceiling=8.5",
+        "mission.start.position=[0, 0, 2]",
+        f"airspace.keep_out=[{zones}]",
+    )
+    plan = solve_scenario(load_scenario(PAPER_CALM, settings))
+    assert plan.status is PlanStatus.INFEASIBLE
+    assert "west" in plan.message
 
 
 def corners(order="best", mirrored=1.0):
