@@ -458,7 +458,7 @@ class Planner:
         flown = {name: arguments[name] for name in ("parameters", "horizon")}
         dynamics = problem.dynamics(**flown)
         guess = long_flight.guess_of(told, SteadyFlight(told, dynamics))
-        options = arguments["options"].for_moving_limits().for_small_changes()
+        options = arguments["options"].for_small_changes()
         duration = (guess or {}).get("duration", told.nominal_duration)
         rough = problem.solve(
             **arguments | {"mesh": long_flight.rough_mesh(duration), "tolerance": None},
