@@ -105,12 +105,12 @@ def draw_space(axes: Axes3D, flights: Sequence[StyledFlight]) -> None:
         axes.plot(track[:, 0], track[:, 1], shadow, color=PALE, linewidth=1.0)
         axes.plot(*track.T, label=flight.name, **flight.style.line)
         axes.plot(*beats.T, **_marker(flight))
-    ends = _ends(flights[0])
-    for end, name, shape in ends:
+    for end, name, shape in _ends(flights[0]):
         axes.plot([end[0]] * 2, [end[1]] * 2, [floor, end[2]], color=MUTED, linewidth=0.6)
         axes.plot(*end[:, None], marker=shape, color=INK, markersize=6, linestyle="none")
-        # The long name of both would leave the picture on the left.
-        axes.text(*end, f"  {name}  ", va="bottom", ha="right" if len(ends) > 1 else "left")
+        # In one line the name of both would leave the picture.
+        lines = name.replace(" and ", "  \nand ")
+        axes.text(*end, f"{lines}  ", va="bottom", ha="right")
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
     axes.set_box_aspect(np.ptp(limits, axis=1), zoom=0.88)
     axes.view_init(elev=22, azim=-58)

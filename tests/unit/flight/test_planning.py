@@ -221,16 +221,55 @@ def test_an_interruption_ends_the_rescue(diagnosed):
 
 
 KINKED = ["power.model='constant_efficiency'", "power.regeneration=false"]
-LOST_BEFORE = ["mission.goal.position=[4.187, -7.089, -35.413]", "mission.duration=13.389"]
+LOST_BEFORE = [
+    ("mission.goal.position=[4.187, -7.089, -35.413]", "mission.duration=13.389"),
+    (
+        "mission.goal.position=[-0.816, -2.018, 7.944]",
+        "mission.duration=14.956",
+        "wind.use='constant'",
+        "wind.speed=6.2415",
+        "wind.direction=5.942",
+        "wind.coupling='drag'",
+        "vehicle.drag_quadratic=0.04213",
+    ),
+]
 
 
 @pytest.mark.slow
-def test_a_kinked_power_is_reached_from_wider_corners():
-    plan = solve_scenario(load_scenario(PAPER_CALM, [*KINKED, *LOST_BEFORE]))
+@pytest.mark.parametrize("lost_before", LOST_BEFORE)
+def test_a_kinked_power_is_reached_from_wider_corners(lost_before):
+    plan = solve_scenario(load_scenario(PAPER_CALM, [*KINKED, *lost_before]))
     assert plan.is_verified
     assert plan.attempts == ()
-    credited = [*KINKED[:1], "power.regeneration=true", *LOST_BEFORE]
+    credited = [*KINKED[:1], "power.regeneration=true", *lost_before]
     assert plan.energy > solve_scenario(load_scenario(PAPER_CALM, credited)).energy
+
+
+@pytest.mark.slow
+def test_the_energy_of_a_flat_power_is_as_good_as_its_tolerance():
+    """It was 1.2e-6 off where 1e-6 was allowed."""
+    settings = KINKED[:1]
+    wind = "scenarios/paper_wind.toml"
+    plan = solve_scenario(load_scenario(wind, settings))
+    finer = solve_scenario(load_scenario(wind, [*settings, "solver.tolerance=1e-8"]))
+    assert plan.is_verified
+    assert finer.is_verified
+    assert plan.energy == pytest.approx(finer.energy, rel=1e-6)
+
+
+def test_a_limit_counts_the_processor_s_time_and_not_what_else_the_machine_does(monkeypatch):
+    class Busy(IterationClock):
+        def perf_counter(self):
+            return 1e6 * super().thread_time()
+
+        def thread_time(self):
+            return 0.0
+
+    clock = Busy()
+    for module in (planning, rescue):
+        monkeypatch.setattr(module, "time", clock)
+    scenario = load_scenario(PAPER_CALM, ["solver.time_limit=1.0"])
+    assert solve_scenario(scenario, progress=clock.tick).is_verified
 
 
 @pytest.mark.slow
