@@ -47,6 +47,7 @@ from pyomo_quad.flight.routes import (
     best_of_journeys,
     find_journeys,
     guess_along,
+    journey_as_flown,
     with_plain_passages,
 )
 from pyomo_quad.flight.steady import SteadyFlight
@@ -418,7 +419,9 @@ class Planner:
                 on_mesh = easiest | {"mesh": flown.mesh, "refinement": few}
             return problem.solve(**on_mesh, warm_start=flown)
 
-        return best_of_journeys(journeys, fly, refine, partial(_energy, told))
+        return best_of_journeys(
+            journeys, fly, refine, partial(_energy, told), partial(journey_as_flown, told)
+        )
 
     def _plainly(self, told: Scenario, chosen: dict[str, Any], guess: Any) -> Solution | None:
         """Solve the mission past the waypoints themselves; None where it passes them anyway."""

@@ -12,7 +12,7 @@ of length.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from heapq import heappop, heappush
 from itertools import pairwise, product
@@ -302,18 +302,7 @@ class _Graph:
 
     def _sides(self, zone: KeepOut, ends: FloatArray) -> NDArray[np.intp]:
         """Return the number of the side on which each line passes a zone's plane, or -1."""
-        along, left, up = _frame(ends)
-        centre = _centre(zone)
-        away = (self._places - centre) @ along
-        first, last = away[self._first], away[self._last]
-        crosses = (first < 0.0) != (last < 0.0)
-        share = np.where(crosses, first / np.where(crosses, first - last, 1.0), 0.0)
-        starts, stops = self._places[self._first], self._places[self._last]
-        across = starts + share[:, None] * (stops - starts) - centre
-        aside, above = across @ left, across @ up
-        wide, high = _half_width(zone, left), _half_width(zone, up)
-        beyond = np.array([aside - wide, -aside - wide, above - high, -above - high])
-        return np.where(crosses, beyond.argmax(axis=0), -1)
+        return _passed(zone, ends, self._places[self._first], self._places[self._last])
 
     def routes(self) -> Iterator[Route]:
         """Yield the shortest route of every class, the shortest first."""
@@ -371,6 +360,48 @@ class _Graph:
             crossed = [int(crossings[k]) for k in lines if crossings[k] >= 0]
             sides.append(crossed[0] if crossed else -1)
         return sides
+
+
+def _passed(
+    zone: KeepOut, ends: FloatArray, starts: FloatArray, stops: FloatArray
+) -> NDArray[np.intp]:
+    """Return the number of the side on which each line passes a zone, -1 where it does not.
+
+    A zone is passed where the plane across the leg through its middle is.
+    """
+    along, left, up = _frame(ends)
+    centre = _centre(zone)
+    first, last = (starts - centre) @ along, (stops - centre) @ along
+    crosses = (first < 0.0) != (last < 0.0)
+    share = np.where(crosses, first / np.where(crosses, first - last, 1.0), 0.0)
+    across = starts + share[:, None] * (stops - starts) - centre
+    aside, above = across @ left, across @ up
+    wide, high = _half_width(zone, left), _half_width(zone, up)
+    beyond = np.array([aside - wide, -aside - wide, above - high, -above - high])
+    return np.where(crosses, beyond.argmax(axis=0), -1)
+
+
+def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Journey:
+    """Return a journey with the sides on which its flight passes the zones.
+
+    Begun on one side, a search may end on another.
+    """
+    names = [slot.name for slot in solution.problem.compiled.declared.states]
+    track = solution.trajectory.states[:, [names.index(name) for name in POSITION_STATES]]
+    times = solution.timeline.time(np.append(0.0, solution.mesh.point_fractions))
+    passed = [solution.value("mission.passing_time", index=k) for k in range(len(journey) - 1)]
+    begun = [0, *np.searchsorted(times, passed)]
+    zones = {zone.name: zone for zone in told.airspace.keep_out}
+    flown = []
+    for route, first, last in zip(journey, begun, [*begun[1:], len(track) - 1], strict=True):
+        part = track[first : last + 1]
+        sides = []
+        for name, side in route.sides:
+            found = _passed(zones[name], route.places[[0, -1]], part[:-1], part[1:])
+            crossed = found[found >= 0]
+            sides.append((name, list(Side)[crossed[0]] if crossed.size else side))
+        flown.append(replace(route, sides=tuple(sides)))
+    return tuple(flown)
 
 
 def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -478,6 +509,7 @@ def best_of_journeys(
     fly_roughly: Callable[[Journey], Solution],
     refine: Callable[[Solution, int | None], Solution],
     energy_of: Callable[[Solution], float],
+    as_flown: Callable[[Journey, Solution], Journey],
 ) -> tuple[Solution, tuple[TriedRoute, ...]]:
     """Fly all journeys on one mesh, refine the best, and return it with what became of each.
 
@@ -488,7 +520,13 @@ def best_of_journeys(
     ----------
     refine : callable
         Solves a flight again on finer and finer meshes, on at most so many, or to the end.
+    as_flown : callable
+        Returns a journey with the sides on which its flight passes the zones.
     """
+
+    def named(journey: Journey, solution: Solution) -> Journey:
+        return as_flown(journey, solution) if solution.status.is_solved else journey
+
     flown: list[tuple[Journey, Solution]] = []
     for journey in journeys:
         solution = fly_roughly(journey)
@@ -516,7 +554,7 @@ def best_of_journeys(
     known |= {k: s for k, s in refined.items() if s.status.is_solved}
     return solution, tuple(
         TriedRoute(
-            name="; ".join(route.name for route in journey),
+            name="; ".join(route.name for route in named(journey, known[k])),
             length_m=length_of(journey),
             energy_J=energy_of(known[k]) if known[k].status.is_solved else None,
             is_refined=k in refined and refined[k].status.is_solved,

@@ -197,6 +197,7 @@ def test_ways_that_become_one_flight_on_the_second_mesh_are_refined_once():
         lambda _: flown(next(heights), 100.0, Mesh.uniform(4, 3)),
         refine,
         lambda solution: solution.objective,
+        lambda journey, _: journey,
     )
     assert refined == [best]
     assert [(way.name, way.is_kept) for way in tried] == [("right of mast", True)]
