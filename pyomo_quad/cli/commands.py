@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -173,7 +174,7 @@ def run(
     *,
     out: Output = None,
     overrides: Overrides = None,
-    figures: FigureChoice = Figures.ALL,
+    figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
     as_json: AsJson = False,
     allow_code: AllowCode = False,
@@ -185,11 +186,13 @@ def run(
     refuse_output_folder(folder)
     with watch.phase("import"):
         from pyomo_quad.cli import solving  # noqa: PLC0415  takes a while, see there
-        from pyomo_quad.report.report import write_run_report  # noqa: PLC0415
+        from pyomo_quad.report.report import prepare_figures, write_run_report  # noqa: PLC0415
         from pyomo_quad.study.run import run_scenario  # noqa: PLC0415
     planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
     with solving.report_folder(folder) as aside:
-        result = run_scenario(resolved, planner=planner)
+        result = run_scenario(
+            resolved, planner=planner, meanwhile=partial(prepare_figures, figures)
+        )
         with watch.phase("report"):
             write_run_report(aside, result, figures)
         summary = run_summary(result, wall_s=watch.seconds)
@@ -204,7 +207,7 @@ def compare(
     *,
     out: ComparisonOutput = _COMPARISON_FOLDER,
     overrides: Overrides = None,
-    figures: FigureChoice = Figures.ALL,
+    figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
     as_json: AsJson = False,
     allow_code: AllowCode = False,
@@ -266,7 +269,7 @@ def solve(
     out: Output = None,
     rate: Rate = None,
     overrides: Overrides = None,
-    figures: FigureChoice = Figures.ALL,
+    figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
     as_json: AsJson = False,
     allow_code: AllowCode = False,

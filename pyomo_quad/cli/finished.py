@@ -115,7 +115,7 @@ def plot(
         flight_drawings,
         front_drawing,
     )
-    from pyomo_quad.report.style import write_figure  # noqa: PLC0415  matplotlib takes a second
+    from pyomo_quad.report.style import save_figure  # noqa: PLC0415  matplotlib takes a second
 
     offered = (
         *flight_drawings([flight], hover_energy_J, mission=mission),
@@ -130,7 +130,7 @@ def plot(
     drawing = drawings.get(what) or column_drawing(flight, what)
     path = out or Path(f"{run.resolve().name}_{what}.png")
     with output_file(path) as aside:
-        write_figure(drawing.draw, aside, path.suffix)
+        save_figure(drawing.draw, {path.suffix.removeprefix("."): aside})
     if not quiet:
         print(f"Written to {path}. Others: {', '.join(name for name in drawings if name != what)}.")
     return ExitCode.VERIFIED

@@ -54,7 +54,7 @@ def identify(
     out: Output = None,
     fit: Wanted = None,
     flights: FlightList = None,
-    figures: FigureChoice = Figures.ALL,
+    figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
     """Fit a vehicle's power to measured flights: a vehicle file, and how far to trust it."""

@@ -34,7 +34,7 @@ def paper(
     *,
     out: PaperFolder = _PAPER_FOLDER,
     quick: Quick = False,
-    figures: FigureChoice = Figures.ALL,
+    figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
     """Reproduce and examine the paper: every experiment, table, figure and equation."""
@@ -80,7 +80,7 @@ def polar(
     *,
     out: Output = None,
     overrides: Overrides = None,
-    figures: FigureChoice = Figures.ALL,
+    figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
     """Solve steady flight over airspeed, payload and wind: best speeds, range, endurance, reach."""

@@ -72,7 +72,7 @@ def sweep(
     dry_run: DryRun = False,
     fresh: Fresh = False,
     yes: Yes = False,
-    figures: FigureChoice = Figures.ALL,
+    figures: FigureChoice = Figures.SVG,
     verbose: Verbose = False,
 ) -> int:
     """Solve all cases of a study, or those still missing, and write the report."""
@@ -100,7 +100,7 @@ def sweep(
 
 
 def sweep_report(
-    folder: SweepFolder, *, out: ReportOutput = None, figures: FigureChoice = Figures.ALL
+    folder: SweepFolder, *, out: ReportOutput = None, figures: FigureChoice = Figures.SVG
 ) -> int:
     """Write tables and figures of a sweep from its store; nothing is solved."""
     from pyomo_quad.sweep import (  # noqa: PLC0415

@@ -139,7 +139,8 @@ Overrides = Annotated[
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress and no summary.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 FigureChoice = Annotated[
-    Figures, typer.Option("--figures", help="What to draw: PNG and SVG, PNG alone, or nothing.")
+    Figures,
+    typer.Option("--figures", help="Format of the figures: one, SVG and PNG, or no figures."),
 ]
 AllowCode = Annotated[
     bool, typer.Option("--allow-code", help="Let the scenario run its own model builder.")

@@ -39,7 +39,7 @@ _SLOW_M_S = (1.0, 4.0)
 
 
 def write_identification(
-    folder: Path, found: Identification, base: str, figures: Figures = Figures.ALL
+    folder: Path, found: Identification, base: str, figures: Figures = Figures.SVG
 ) -> None:
     """Write the vehicle file, its report, tables and figures into an empty folder."""
     (folder / VEHICLE_NAME).write_text(_vehicle_file(found, base), encoding="utf-8")

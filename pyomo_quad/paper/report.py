@@ -95,7 +95,7 @@ TOLERANCES = (
 TIMES_NAME = "timings.json"
 
 
-def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figures.ALL) -> None:
+def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figures.SVG) -> None:
     """Write `report.md`, tables and figures of the paper's study.
 
     Parameters

@@ -31,7 +31,7 @@ from pyomo_quad.version import __version__
 _NAMES = {"POLAR_NAME": "polar.csv", "WIND_NAME": "wind.csv", "REACH_NAME": "reach.csv"}
 
 
-def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.ALL) -> None:
+def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.SVG) -> None:
     """Write tables (CSV), summary, figures and the report into an empty folder."""
     write_table(pd.concat(map(_table, polar.curves)), folder / _NAMES["POLAR_NAME"])
     write_table(polar.winds, folder / _NAMES["WIND_NAME"])

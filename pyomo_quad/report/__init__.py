@@ -6,6 +6,12 @@ from enum import StrEnum
 class Figures(StrEnum):
     """Which figures a report holds; the values name what is drawn of each."""
 
-    ALL = "all"
+    SVG = "svg"
     PNG = "png"
+    ALL = "all"
     NONE = "none"
+
+    @property
+    def formats(self) -> tuple[str, ...]:
+        """Endings of the files of each figure; the first is what a report shows."""
+        return {"all": ("svg", "png"), "none": ()}.get(self, (str(self),))

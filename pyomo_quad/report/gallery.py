@@ -1,13 +1,8 @@
 """Which figures a report holds, in which order, and what stands under them."""
 
-import multiprocessing
-import os
-import signal
-import sys
-import warnings
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,6 +60,7 @@ from pyomo_quad.report.style import (
     styled_flights,
 )
 from pyomo_quad.study.comparison import ComparisonColumn
+from pyomo_quad.study.processes import side_by_side
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
@@ -79,7 +75,7 @@ FRONT_FIGURE = "front"
 class Drawing:
     """A figure that can be drawn, and how the report presents it.
 
-    ``needs`` names the columns that it shows; ``is_vector`` asks for SVG beside PNG.
+    ``needs`` names the columns that it shows, ``formats`` the endings of its files.
     """
 
     name: str
@@ -87,12 +83,12 @@ class Drawing:
     caption: str
     needs: tuple[str, ...] = ()
     draw: Callable[[], Figure]
-    is_vector: bool = True
+    formats: tuple[str, ...] = Figures.SVG.formats
 
     @property
-    def shown_file(self) -> str:
-        """The file that a page holds."""
-        return f"{self.name}.{'svg' if self.is_vector else 'png'}"
+    def files(self) -> tuple[str, ...]:
+        """Its files; the first is what a report shows."""
+        return tuple(f"{self.name}.{ending}" for ending in self.formats)
 
 
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
@@ -295,15 +291,10 @@ def _comparison(result: "RunResult", flights: tuple[StyledFlight, ...]) -> tuple
 
 
 def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Drawing, ...]:
-    """Return what is to be drawn: all of it, all without SVG, or nothing."""
+    """Return what is to be drawn, in the formats that are wanted, or nothing."""
     if figures is Figures.NONE:
         return ()
-    return tuple(replace(drawing, is_vector=figures is Figures.ALL) for drawing in drawings)
-
-
-# No figure takes a hundredth of it.
-_PATIENCE_S = 60.0
-_PLACES = 256  # a place in the queue is one byte
+    return tuple(replace(drawing, formats=figures.formats) for drawing in drawings)
 
 
 def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
@@ -315,58 +306,11 @@ def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
     target.mkdir(exist_ok=True)
 
     def save(drawing: Drawing) -> None:
-        save_figure(drawing.draw, target, drawing.name, is_vector=drawing.is_vector)
+        paths = [target / file for file in drawing.files]
+        save_figure(drawing.draw, dict(zip(drawing.formats, paths, strict=True)))
 
-    if not _save_side_by_side(wanted, save):
-        for drawing in wanted:
-            save(drawing)
-
-
-def _save_side_by_side(drawings: tuple[Drawing, ...], save: Callable[[Drawing], None]) -> bool:
-    """Draw in this process and in copies of it, one per further core; False if a copy failed."""
-    queue, entrance = os.pipe()
-    os.write(entrance, bytes(range(min(len(drawings), _PLACES))))
-    os.close(entrance)
-
-    def work() -> None:
-        while place := os.read(queue, 1):
-            for drawing in drawings[place[0] :: _PLACES]:
-                save(drawing)
-
-    def work_apart() -> None:
-        # What an interrupt leaves behind is for the first process to clear away, and what goes
-        # wrong for it to meet again and to explain.
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_DFL)
-        with suppress(Exception):
-            work()
-            return
-        os._exit(1)
-
-    # A copy has all libraries and all flights already; nothing that it draws needs Ipopt or BLAS.
-    context = multiprocessing.get_context("fork")
-    processes = [context.Process(target=work_apart) for _ in range(_cores(len(drawings)) - 1)]
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which lie idle
-            for process in processes:
-                process.start()
-        work()
-        for process in processes:
-            process.join(_PATIENCE_S)
-    finally:
-        os.close(queue)
-        for process in processes:
-            if process.is_alive():
-                process.kill()
-    return all(process.exitcode == 0 for process in processes)
-
-
-def _cores(most: int) -> int:
-    """Return how many processes can draw: one alone where copies of it are unsafe or forbidden."""
-    if sys.platform != "linux" or multiprocessing.current_process().daemon:
-        return 1
-    return min(len(os.sched_getaffinity(0)), most)
+    with side_by_side([partial(save, drawing) for drawing in wanted]) as finish:
+        finish()
 
 
 def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> tuple[Drawing]:

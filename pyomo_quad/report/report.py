@@ -74,7 +74,7 @@ def write_solve_report(
     plan: "Plan",
     warnings: Sequence[str] = (),
     rate_hz: float | None = None,
-    figures: Figures = Figures.ALL,
+    figures: Figures = Figures.SVG,
 ) -> None:
     """Write what there is to say of a plan.
 
@@ -99,7 +99,7 @@ def write_solve_report(
     (folder / REPORT_NAME).write_text(text, encoding="utf-8")
 
 
-def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figures.ALL) -> None:
+def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figures.SVG) -> None:
     """Write all there is to say of a run: tables, figures, `report.md` and `report.html`.
 
     Parameters
@@ -203,7 +203,7 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
 
 
 def write_compare_report(
-    folder: Path, comparison: "pd.DataFrame", *, is_good: bool, figures: Figures = Figures.ALL
+    folder: Path, comparison: "pd.DataFrame", *, is_good: bool, figures: Figures = Figures.SVG
 ) -> None:
     """Write the flights of many scenarios beside each other: tables, a figure and a page.
 
@@ -356,6 +356,12 @@ def _is_good(result: "RunResult") -> bool:
     return result.plan.is_verified and (not is_untold or bool(arrived.all()))
 
 
+def prepare_figures(figures: Figures) -> None:
+    """Import now what figures of a report need, if any are wanted."""
+    if figures is not Figures.NONE:
+        _gallery()
+
+
 def _gallery() -> ModuleType:
     """Import matplotlib, which takes longer than a solve, where there is something to draw."""
     with pyomo_unaware():
@@ -380,4 +386,4 @@ def _page(folder: Path, text: str, result: "RunResult", drawings: "Sequence[Draw
 
 
 def _pictures(folder: Path, drawings: "Sequence[Drawing]") -> dict[str, bytes]:
-    return {d.name: (folder / FIGURE_FOLDER / d.shown_file).read_bytes() for d in drawings}
+    return {d.name: (folder / FIGURE_FOLDER / d.files[0]).read_bytes() for d in drawings}

@@ -1,6 +1,6 @@
 """How every figure looks: colours, panels, signals, and files that are equal from run to run."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from math import ceil, degrees
@@ -175,7 +175,7 @@ _ORANGE, _PURPLE, _SKY = "#e69f00", "#a8487f", "#56b4e9"
 _BROWN, _PINK, _OLIVE, _TEAL = "#7a4b1e", "#f2a0c0", "#8a8a00", "#006d77"
 
 # A date would make two equal runs differ.
-_SVG_METADATA = {"Date": None, "Creator": None}
+_UNDATED = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}}
 
 # matplotlib types the keys of its settings as literals, in some versions only.
 _RC: Any = {
@@ -290,29 +290,18 @@ def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
     }
 
 
-def save_figure(
-    draw: Callable[[], Figure], folder: Path, name: str, *, is_vector: bool = True
-) -> None:
-    """Draw a figure in the house style and write it as ``NAME.png`` and, if wanted, ``NAME.svg``.
+def save_figure(draw: Callable[[], Figure], files: Mapping[str, Path]) -> None:
+    """Make a figure once, in the house style, and write it in each format (png, svg, pdf).
 
     ``draw`` makes the figure; it is called with the style in force.
     """
     with mpl.rc_context(_RC):
         figure = _drawn(draw)
-        _save_png(figure, folder / f"{name}.png")
-        if is_vector:
-            figure.savefig(folder / f"{name}.svg", metadata=_SVG_METADATA)
-
-
-def write_figure(draw: Callable[[], Figure], path: Path, ending: str) -> None:
-    """Draw a figure in the house style and write it to one file of the kind of an ending."""
-    with mpl.rc_context(_RC):
-        figure = _drawn(draw)
-        if ending == ".png":
-            _save_png(figure, path)
-        else:
-            dated = {"Date": None} if ending == ".svg" else {"CreationDate": None}
-            figure.savefig(path, format=ending.removeprefix("."), metadata=dated)
+        for kind, path in files.items():
+            if kind == "png":
+                _save_png(figure, path)
+            else:
+                figure.savefig(path, format=kind, metadata=_UNDATED[kind])
 
 
 def _drawn(draw: Callable[[], Figure]) -> Figure:

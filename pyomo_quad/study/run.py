@@ -24,6 +24,7 @@ from pyomo_quad.study.comparison import (
     has_arrived,
 )
 from pyomo_quad.study.front import energy_time_front
+from pyomo_quad.study.processes import side_by_side
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -89,31 +90,48 @@ def run_scenario(
     planner: Planner | None = None,
     baselines: Sequence[Reference] | None = None,
     progress: Progress | None = None,
+    meanwhile: Callable[[], object] = lambda: None,
 ) -> RunResult:
     """Solve, verify, fly every baseline, compare and certify; a failure of these is a result.
+
+    Flights go on all cores, where `study.processes` finds it safe to share them.
 
     Parameters
     ----------
     progress : callable, optional
         Called at each Ipopt iteration; returning False stops the solve.
+    meanwhile : callable, optional
+        Called once while others fly, such as to import what the report needs.
     """
     planner = planner or Planner()
     references = scenario.baseline.references if baselines is None else tuple(baselines)
     plan = planner.solve(scenario, progress=progress)
-    solved = perf_counter()
-    mission = plan.mission_flown
-    dynamics = planner.dynamics(mission)
-    flights, failures = _fly_all(mission, plan, planner, references)
+    began = perf_counter()
+    mission, dynamics = plan.mission_flown, planner.dynamics(plan.mission_flown)
+    tried = [*_baselines(mission, plan, planner, references)] if plan.verification else []
+    optimum = plan.flight(OPTIMAL) if plan.verification else None
+    # The flights that take longest are the last that are listed, and are begun first.
+    tasks: tuple[Callable[[], object], ...] = (
+        *(partial(_flown_or_why_not, name, fly) for name, fly in reversed(tried)),
+        partial(_adaptation, mission, optimum, dynamics),
+        partial(plan_cautions, plan, planner=planner),
+    )
+    with side_by_side(tasks) as finish:
+        here = perf_counter()
+        certificate = certify(scenario, planner=planner)
+        certified = perf_counter()
+        front = energy_time_front(plan, planner=planner, progress=progress)
+        swept = perf_counter()
+        meanwhile()
+        *flown, adaptation, cautions = finish()
+    flights = (
+        () if optimum is None else (optimum, *(f for f in reversed(flown) if isinstance(f, Flight)))
+    )
     flights = _priced(flights, mission, planner, progress)
-    adaptation = _adaptation(mission, flights, dynamics)
-    flown = perf_counter()
-    certificate = certify(scenario, planner=planner)
+    ended = perf_counter()
     comparison = combine([])
     if flights:
         comparison = compare_flights(mission, flights, certificate, plan.hover_energy_J)
-    certified = perf_counter()
-    front = energy_time_front(plan, planner=planner, progress=progress)
-    swept = perf_counter()
     return RunResult(
         scenario=scenario,
         plan=plan,
@@ -124,11 +142,11 @@ def run_scenario(
         front=front,
         timings={
             **plan.timings,
-            "fly": flown - solved,
-            "certify": certified - flown,
+            "fly": (ended - began) - (swept - here),
+            "certify": certified - here,
             "front": swept - certified,
         },
-        warnings=(*plan_cautions(plan, planner=planner), *failures),
+        warnings=(*cautions, *(why for why in reversed(flown) if isinstance(why, str))),
     )
 
 
@@ -149,12 +167,12 @@ def _priced(
 
 
 def _adaptation(
-    scenario: Scenario, flights: tuple[Flight, ...], dynamics: Dynamics
+    scenario: Scenario, optimum: Flight | None, dynamics: Dynamics
 ) -> pd.DataFrame | None:
     """Return the flights with adaptation and without, where a wind blows and both come about."""
-    if not flights or not set(WIND) <= set(flights[0].frame):
+    if optimum is None or not set(WIND) <= set(optimum.frame):
         return None
-    if not flights[0].frame[list(WIND)].to_numpy().any():
+    if not optimum.frame[list(WIND)].to_numpy().any():
         return None
     try:
         return adaptation_study(scenario, dynamics=dynamics)
@@ -162,19 +180,11 @@ def _adaptation(
         return None
 
 
-def _fly_all(
-    scenario: Scenario, plan: Plan, planner: Planner, references: Sequence[Reference]
-) -> tuple[tuple[Flight, ...], tuple[str, ...]]:
-    """Return the flights that came about, the optimum first, and what became of the others."""
-    if plan.verification is None:
-        return (), ()
-    flights, failures = [plan.flight(OPTIMAL)], []
-    for name, fly in _baselines(scenario, plan, planner, references):
-        try:
-            flights.append(fly())
-        except (EngineError, ScenarioError) as error:
-            failures.append(f"{name} could not be flown: {error}")
-    return tuple(flights), tuple(failures)
+def _flown_or_why_not(name: str, fly: Callable[[], Flight]) -> Flight | str:
+    try:
+        return fly()
+    except (EngineError, ScenarioError) as error:
+        return f"{name} could not be flown: {error}"
 
 
 def _baselines(

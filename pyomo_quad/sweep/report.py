@@ -46,7 +46,7 @@ def write_sweep_report(
     folder: Path,
     design: SweepDesign,
     frame: pd.DataFrame,
-    figures: Figures = Figures.ALL,
+    figures: Figures = Figures.SVG,
 ) -> None:
     """Write tables (CSV, Parquet, Markdown), figures and the report.
 

@@ -68,10 +68,10 @@ def test_each_design_gets_the_figures_that_fit_it(tmp_path, axes, figures):
     sweep(write_study(tmp_path, axes), tmp_path / "out", Here())
     assert main(["sweep-report", str(tmp_path / "out")]) == 0
     report = tmp_path / "out" / "report"
-    drawn = sorted(path.stem for path in (report / "figures").glob("*.png"))
+    drawn = sorted(path.stem for path in (report / "figures").glob("*.svg"))
     assert drawn == figures
     text = (report / "report.md").read_text()
-    assert all(f"figures/{name}.png" in text for name in figures)
+    assert all(f"figures/{name}.svg" in text for name in figures)
 
 
 @pytest.mark.usefixtures("_no_figures")

@@ -136,7 +136,7 @@ def test_the_matrice_100_flies_as_its_flights_did(tmp_path):
     assert reach.max() < summary["range_m"] / 2
     report = (out / "report.md").read_text()
     assert "**It means:** to stay up longest fly at the first of these speeds" in report
-    assert len(list((out / "figures").glob("*.png"))) == 3
+    assert len(list((out / "figures").glob("*.svg"))) == 3
 
 
 def test_a_model_of_ones_own_is_refused(tmp_path, capsys):

@@ -12,6 +12,7 @@ from PIL import Image
 from pyomo_quad.flight import PlanStatus
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.flight.flight import TIME, Resolve
+from pyomo_quad.report import Figures
 from pyomo_quad.report.gallery import adaptation_drawing, plan_drawings, save_drawings
 from pyomo_quad.report.page import render_html
 from pyomo_quad.report.paths import leaving_paths
@@ -48,7 +49,7 @@ def write(folder, run):
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
-    write(folder, synthetic_run())
+    write_run_report(folder, synthetic_run(), Figures.ALL)
     return folder
 
 
@@ -79,13 +80,14 @@ def test_every_number_travels_with_the_hover_floor(report):
     assert "| `adaptive/step` | no |" in text
 
 
-def test_every_figure_is_drawn_twice_and_linked(report):
+def test_every_figure_is_drawn_in_both_formats_and_linked(report):
     text = (report / "report.md").read_text()
     for name in FIGURES:
         with Image.open(report / "figures" / f"{name}.png") as picture:
             assert picture.width > 1000
         assert "<svg" in (report / "figures" / f"{name}.svg").read_text()[:1000]
-        assert f"](figures/{name}.png)" in text
+        assert f"](figures/{name}.svg)" in text
+        assert f"([PNG](figures/{name}.png))" in text
     assert {file.stem for file in (report / "figures").iterdir()} == FIGURES
 
 
@@ -162,10 +164,7 @@ def test_adaptation_adds_its_figure(tmp_path):
     study = pd.DataFrame({TIME: time, ERROR_WITH: np.exp(-time), ERROR_WITHOUT: 0.3 + 0 * time})
     study = study.assign(**dict.fromkeys((*TRUE, *ESTIMATED), 1.0))
     save_drawings([adaptation_drawing(study)], tmp_path)
-    assert {file.name for file in (tmp_path / "figures").iterdir()} == {
-        "adaptation.png",
-        "adaptation.svg",
-    }
+    assert [file.name for file in (tmp_path / "figures").iterdir()] == ["adaptation.svg"]
 
 
 @pytest.mark.usefixtures("_no_figures")

@@ -29,11 +29,11 @@ def run():
 
 @pytest.fixture(scope="module")
 def report(run, tmp_path_factory):
-    def save(draw, folder, name, **kinds):
-        if name in DRAWN:
-            save_figure(draw, folder, name, **kinds)
+    def save(draw, files):
+        if files["svg"].stem in DRAWN:
+            save_figure(draw, files)
         else:
-            (folder / f"{name}.png").touch()
+            files["svg"].touch()
 
     folder, save_figure = tmp_path_factory.mktemp("report"), gallery.save_figure
     with pytest.MonkeyPatch.context() as patch:
@@ -49,7 +49,7 @@ def _no_figures(monkeypatch):
 
 def test_every_figure_is_drawn_and_linked(report):
     text = (report / "report.md").read_text()
-    assert all(f"](figures/{name}.png)" in text for name in FIGURES)
+    assert all(f"](figures/{name}.svg)" in text for name in FIGURES)
     assert {file.stem for file in (report / "figures").iterdir()} == FIGURES
 
 
@@ -118,7 +118,7 @@ def test_figures_are_the_same_bytes_each_time_and_hold_no_date(report, run, tmp_
     flights = styled_flights([plan_flight(run.plan)])
     save_drawings([d for d in plan_drawings(run.plan, flights) if d.name in DRAWN], tmp_path)
     files = list((tmp_path / "figures").iterdir())
-    assert len(files) == 2 * len(DRAWN)
+    assert len(files) == len(DRAWN)
     for file in files:
         assert file.read_bytes() == (report / "figures" / file.name).read_bytes()
         assert not re.search(rb"dc:date|20\d\d-\d\d-\d\d", file.read_bytes())

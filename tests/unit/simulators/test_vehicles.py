@@ -130,5 +130,5 @@ def test_the_report_says_how_far_apart_flights_end(tmp_path):
     told = flights.index((BREEZE, Plant.ROTORPY, TOLD, Reference.QUINTIC))
     assert f"told the air's force, it ends 0.5 m from the goal for {700 + told}.00 J" in text
     assert "with their lag, of 12.5 ms" in text
-    assert (tmp_path / "figures" / "causes.png").is_file()
+    assert (tmp_path / "figures" / "causes.svg").is_file()
     assert len(pd.read_csv(tmp_path / "flights.csv")) == len(rows)
