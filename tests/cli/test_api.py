@@ -127,7 +127,7 @@ def test_the_command_keeps_blas_to_one_thread_unless_told(monkeypatch, told, kep
 
 def test_unknown_figures_are_refused(capsys):
     assert pyomo_quad.cli.main(["run", PAPER_CALM, "--figures", "gif"]) == 2
-    assert "'svg' is not one of 'all', 'png', 'none'" in capsys.readouterr().err
+    assert "'gif' is not one of 'svg', 'png', 'all', 'none'" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -49,7 +49,7 @@ ESTIMATED = ("baseline.mpc.knowledge=['estimated']", "baseline.mpc.interval=2.5"
 @pytest.fixture(scope="module")
 def wind(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wind") / "report"
-    options = (*(f"--set={field}" for field in ESTIMATED), "--figures", "png")
+    options = [f"--set={field}" for field in ESTIMATED]
     return run_here("run", str(SCENARIOS / "paper_wind.toml"), *options, out=folder)
 
 

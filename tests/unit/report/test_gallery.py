@@ -62,21 +62,6 @@ def test_each_figure_is_drawn_once(tmp_path, monkeypatch):
     assert sorted(call.split()[0] for call in calls) == list("abcdef")
 
 
-def test_a_fault_of_another_process_is_met_again_here(tmp_path, monkeypatch, capfd):
-    def fail():
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(processes, "_cores", lambda _most: 3)
-    with pytest.raises(OSError, match="No space left on device"):
-        save_drawings([Drawing(name="a", title="", caption="", draw=fail)], tmp_path)
-    assert capfd.readouterr().err == ""
-
-
-def test_more_figures_than_places_in_the_queue(tmp_path, monkeypatch):
-    monkeypatch.setattr(processes, "_PLACES", 2)
-    assert len(drawn([blank(name) for name in "abcde"], tmp_path / "many")) == 5
-
-
 @pytest.fixture
 def _few_figures(monkeypatch):
     few = tuple(blank(name) for name in (gallery.PATH_NAME, "wind", "mesh"))

@@ -1,0 +1,95 @@
+"""One job on many cores: what each task gives, in order, whatever becomes of the copies."""
+
+import multiprocessing
+import os
+import signal
+import time
+from functools import partial
+
+import pytest
+
+from pyomo_quad.study import processes
+from pyomo_quad.study.processes import side_by_side
+
+
+@pytest.fixture(params=[1, 2, 3])
+def cores(request, monkeypatch):
+    monkeypatch.setattr(processes, "_cores", lambda most: min(request.param, most))
+    return request.param
+
+
+def all_of(tasks):
+    with side_by_side(tasks) as finish:
+        return finish()
+
+
+def slow_square(number):
+    time.sleep(0.01)
+    return number**2, os.getpid()
+
+
+@pytest.mark.usefixtures("cores")
+@pytest.mark.parametrize("count", [0, 1, 7, 300])
+def test_results_come_in_the_order_of_the_tasks(count):
+    assert all_of([partial(pow, number, 2) for number in range(count)]) == tuple(
+        number**2 for number in range(count)
+    )
+
+
+def test_all_cores_take_part(cores):
+    squares, workers = zip(*all_of([partial(slow_square, n) for n in range(12)]), strict=True)
+    assert squares == tuple(n**2 for n in range(12))
+    assert len(set(workers)) == cores
+
+
+def test_copies_work_before_they_are_waited_for(cores, tmp_path):
+    with side_by_side([(tmp_path / name).touch for name in "ab"]) as finish:
+        deadline = time.monotonic() + 20.0
+        while cores > 1 and len(list(tmp_path.iterdir())) < 2 and time.monotonic() < deadline:
+            time.sleep(0.005)
+        assert len(list(tmp_path.iterdir())) == (2 if cores > 1 else 0)
+        finish()
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def unpicklable():
+    return lambda: "made"
+
+
+@pytest.mark.usefixtures("cores")
+def test_what_cannot_be_sent_back_is_done_here():
+    assert [made() for made in all_of([unpicklable] * 4)] == ["made"] * 4
+
+
+def dies_apart():
+    if multiprocessing.parent_process() is not None:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "done"
+
+
+@pytest.mark.usefixtures("cores")
+def test_what_a_killed_copy_leaves_is_done_here():
+    assert all_of([dies_apart] * 4) == ("done",) * 4
+
+
+def fails():
+    raise ValueError("too little air")
+
+
+@pytest.mark.usefixtures("cores")
+def test_a_fault_is_raised_here_and_leaves_no_copy(capfd):
+    with pytest.raises(ValueError, match="too little air"):
+        all_of([fails, partial(time.sleep, 0.0), fails])
+    assert multiprocessing.active_children() == []
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("threads", "most"), [("1", 2), ("2", 1), (None, 1)])
+def test_a_process_whose_libraries_have_threads_is_not_copied(monkeypatch, threads, most):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    if threads is not None:
+        monkeypatch.setenv("OMP_NUM_THREADS", threads)
+    assert processes._cores(8) == most
+    monkeypatch.setattr(multiprocessing, "parent_process", lambda: "a sweep")
+    assert processes._cores(8) == 1
