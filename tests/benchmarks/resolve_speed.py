@@ -118,7 +118,7 @@ def measure_mesh(elements, changes=None):
         solve_s=solved - ready,
         total_s=solved - started,
         variables=program.layout.unknowns,
-        iterations=solution.iterations[-1].iteration,
+        iterations=sum(now.iteration > 0 for now in solution.iterations),
         energy_J=solution.objective,
     )
 
