@@ -8,10 +8,16 @@ from typing import Any
 
 from pyomo_quad.collocation.deferral import pyomo_unaware
 from pyomo_quad.collocation.diagnosis import ActiveLimit, Diagnosis, Relaxation, Residual, diagnose
-from pyomo_quad.collocation.dynamics import Dynamics, Instants, Violation, split_algebraics
+from pyomo_quad.collocation.dynamics import (
+    ClosedLoop,
+    Dynamics,
+    Instants,
+    Law,
+    Violation,
+    split_algebraics,
+)
 from pyomo_quad.collocation.enclosure import Enclosure, symbols
 from pyomo_quad.collocation.errors import EngineError, SolveError, TranscriptionError
-from pyomo_quad.collocation.feedback import ClosedLoop, Law
 from pyomo_quad.collocation.guess import WarmStart
 from pyomo_quad.collocation.joint import JointProblem, JointSolution, compiled_of
 from pyomo_quad.collocation.mesh import (
@@ -27,7 +33,7 @@ from pyomo_quad.collocation.mesh import (
 from pyomo_quad.collocation.problem import Problem
 from pyomo_quad.collocation.program.ipopt import Iteration, Progress, SolverOptions, Status
 from pyomo_quad.collocation.pyomo_solver import PyomoSolver
-from pyomo_quad.collocation.reading.clock import FreeTimes
+from pyomo_quad.collocation.reading.copy import FreeTimes
 from pyomo_quad.collocation.reading.tables import Table
 from pyomo_quad.collocation.refining.error import Allowance
 from pyomo_quad.collocation.refining.remeshing import RefinementOptions

@@ -25,11 +25,10 @@ from pyomo_quad.collocation.program.bounds import (
     refuse_overdetermined,
     scaling_by,
 )
-from pyomo_quad.collocation.program.coupled import CoupledProgram, StateValue, Union
+from pyomo_quad.collocation.program.coupling import CoupledProgram, StateValue, Union, read_horizons
 from pyomo_quad.collocation.program.ipopt import SolverOptions, Status, run
 from pyomo_quad.collocation.program.transcription import unknown_place
 from pyomo_quad.collocation.reading.copy import continuous_sets
-from pyomo_quad.collocation.reading.coupling import read_horizons
 from pyomo_quad.collocation.refining.refinement import refine
 from pyomo_quad.collocation.refining.remeshing import RefinementOptions
 from pyomo_quad.collocation.solution import MeshRecord, Solution, solution_from
@@ -47,7 +46,7 @@ if TYPE_CHECKING:
         Progress,
     )
     from pyomo_quad.collocation.program.transcription import Transcription
-    from pyomo_quad.collocation.reading.clock import FreeTimes
+    from pyomo_quad.collocation.reading.copy import FreeTimes
     from pyomo_quad.collocation.reading.values import Instance, Overrides
     from pyomo_quad.collocation.refining.refinement import Damping
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from pyomo_quad.collocation.duals import load_suffixes
+from pyomo_quad.collocation.diagnosis import elastic_point
 from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.formulation import Formulation
+from pyomo_quad.collocation.formulation import Formulation, structural_index
 from pyomo_quad.collocation.guess import (
     ColdStart,
     Guess,
@@ -31,7 +31,6 @@ from pyomo_quad.collocation.program.bounds import (
     refuse_unsolvable,
     scaling_of,
 )
-from pyomo_quad.collocation.program.elastic import elastic_point
 from pyomo_quad.collocation.program.ipopt import (
     TIME_LIMIT_CODE,
     Counter,
@@ -42,12 +41,12 @@ from pyomo_quad.collocation.program.ipopt import (
     run,
     run_past_the_barrier,
 )
-from pyomo_quad.collocation.reading.dae_index import structural_index
 from pyomo_quad.collocation.refining.refinement import Solved, refine
 from pyomo_quad.collocation.refining.remeshing import RefinementOptions
 from pyomo_quad.collocation.solution import (
     Solution,
     diverging_multipliers,
+    load_suffixes,
     outside_tables,
     solution_from,
 )

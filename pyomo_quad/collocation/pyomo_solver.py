@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.guess import WarmStart
     from pyomo_quad.collocation.joint import JointProblem, JointSolution
     from pyomo_quad.collocation.problem import Problem
-    from pyomo_quad.collocation.reading.clock import FreeTimes
+    from pyomo_quad.collocation.reading.copy import FreeTimes
     from pyomo_quad.collocation.solution import Solution
 
 _TERMINATION = {

@@ -1,4 +1,8 @@
-"""What a solve returns: values, costates, Hamiltonian, errors and history, at any time."""
+"""What a solve returns: values, costates, Hamiltonian, errors and history, at any time; and duals.
+
+The duals, reduced costs and costates that a model imports say what moving a limit by one unit
+would change in the objective.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import casadi
 import numpy as np
+from pyomo.core import Constraint, Var
+from pyomo.core.base.suffix import active_import_suffix_generator
 
 from pyomo_quad.collocation.costates import Costates, costate_errors_of, costates_of
 from pyomo_quad.collocation.dynamics import Dynamics
@@ -24,11 +30,15 @@ from pyomo_quad.collocation.mesh import (
     interpolate_rates,
     radau_rule,
 )
+from pyomo_quad.collocation.program.bounds import limits_of
 from pyomo_quad.collocation.program.compiled import CompiledModel, MappedFunction
 from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Multipliers, Status
+from pyomo_quad.collocation.reading.model_source import LiveModel
 from pyomo_quad.collocation.reading.writer import symbol_names
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import pandas as pd
 
     from pyomo_quad.collocation.formulation import Formulation
@@ -505,3 +515,118 @@ def solution_from(
         iterations=result.history,
         wall_s=result.wall_s,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prices:
+    """Slopes of the declared objective: functions of declared time, and single numbers, by name."""
+
+    over_time: dict[str, Callable[[float], float]] = field(default_factory=dict)
+    once: dict[str, float] = field(default_factory=dict)
+
+
+def load_suffixes(*solutions: Solution) -> None:
+    """Fill the model's suffixes `dual`, `rc` and `costate`, where it imports them.
+
+    They are the change of the objective, as declared, with a constraint's constant side, with a
+    bound of a variable, and with a state; over time, per unit of time.  Several solutions are
+    those of several horizons.
+    """
+    source = solutions[0].problem.source
+    if not isinstance(source, LiveModel):
+        return
+    wanted = dict(active_import_suffix_generator(source.model))
+    kinds = {"dual": Constraint, "rc": Var, "costate": Var}
+    for name in wanted.keys() & kinds.keys():
+        wanted[name].clear()
+    for solution in solutions if wanted.keys() & kinds.keys() else ():
+        for name, prices in _suffixes(solution).items():
+            if name in wanted:
+                own = solution.problem.source
+                if isinstance(own, LiveModel):
+                    own.load_suffix(wanted[name], kinds[name], prices.over_time, prices.once)
+
+
+def _suffixes(solution: Solution) -> dict[str, Prices]:
+    """Return what the suffixes of these names hold."""
+    problem = solution.problem
+    dual, reduced = _prices(solution)
+    costates = Prices()
+    if problem.has_horizon and problem.compiled.declared.states:
+        names = [s.name for s in problem.compiled.declared.states]
+        sign = -1.0 if solution.program.is_negated else 1.0
+        at = {name: _costate(solution, k, sign) for k, name in enumerate(names)}
+        costates = Prices(over_time=at)
+    return {"dual": dual, "rc": reduced, "costate": costates}
+
+
+def _costate(solution: Solution, state: int, sign: float) -> Callable[[float], float]:
+    return lambda time: sign * float(solution.costates.at(_fraction(solution, time))[0, state])
+
+
+def _function(solution: Solution, density: FloatArray) -> Callable[[float], float]:
+    def at(time: float) -> float:
+        fractions = _fraction(solution, time)
+        return float(
+            interpolate(solution.mesh, density[:, None], fractions, with_start=False)[0, 0]
+        )
+
+    return at
+
+
+def _fraction(solution: Solution, time: float) -> FloatArray:
+    first, last = solution.problem.values.declared_horizon  # noqa: PD011  no frame
+    return np.array([(time - first) / (last - first)])
+
+
+def _prices(solution: Solution) -> tuple[Prices, Prices]:
+    """Return the prices of constraints and those of bounds."""
+    program, multipliers = solution.program, solution.multipliers
+    declared = program.compiled.declared
+    sign = -1.0 if program.is_negated else 1.0
+    dual, reduced = Prices(), Prices()
+    rows = -sign * multipliers.rows
+    if program.mesh is not None:
+        over_time = rows[: program.first_condition_row].reshape(program.n_points, -1)
+        for equation, held in zip(declared.equations, over_time.T, strict=True):
+            dual.over_time[equation.name] = _function(solution, held / _widths(solution))
+    conditions = rows[program.first_condition_row : program.first_integral_row]
+    for condition, held in zip(declared.conditions, conditions.tolist(), strict=True):
+        dual.once[condition.name] = held
+    _share_bounds(solution, sign, dual, reduced)
+    return dual, reduced
+
+
+def _widths(solution: Solution) -> FloatArray:
+    """Return the time that each collocation point stands for."""
+    mesh = solution.mesh
+    return np.asarray(solution.timeline.span_at(mesh.point_fractions) * mesh.quadrature_weights)
+
+
+def _share_bounds(solution: Solution, sign: float, dual: Prices, reduced: Prices) -> None:
+    """Give the multipliers of bounds to the variables and constraints that state them."""
+    program, bounds = solution.program, solution.bounds
+    compiled = program.compiled
+    simple = (*compiled.simple_path_bounds, *compiled.simple_point_bounds)
+    slopes = {bound.name: bound.slope for bound in simple}
+    # A variable that is bounded at one time only has a limit there of its own name.
+    find = solution.problem.model.find_component
+    of_constraints = slopes.keys() - {
+        b.name for b in compiled.simple_point_bounds if getattr(find(b.name), "ctype", None) is Var
+    }
+    left = {"lower": np.array(solution.multipliers.lower), "upper": -solution.multipliers.upper}
+    start_data = solution.problem.data_at_starts(solution.instance)
+    for limit in limits_of(program, start_data, solution.instance.fixed):
+        total = np.zeros(limit.columns.size)
+        for side, rest in left.items():
+            # Where two declarations say the same, the first has it all.
+            is_own = getattr(limit, side) == getattr(bounds, side)[limit.columns]
+            total += np.where(is_own, rest[limit.columns], 0.0)
+            rest[limit.columns[is_own]] = 0.0
+        prices = sign * total / slopes.get(limit.name, 1.0)
+        table = dual if limit.name in of_constraints else reduced
+        if program.mesh is not None and prices.size >= program.n_points > 1:
+            own = prices[-program.n_points :]
+            table.over_time[limit.name] = _function(solution, own / _widths(solution))
+        elif prices.size == 1:
+            table.once[limit.name] = float(prices[0])

@@ -36,13 +36,11 @@ ENGINE = {
     "costates": 3,
     "guess": 3,
     "dynamics": 3,
-    "feedback": 3,
     "solution": 3,
-    "duals": 4,
     "refining": 4,
     "problem": 5,
     "joint": 6,
-    "diagnosis": 6,
+    "diagnosis": 4,
     "pyomo_solver": 7,
 }
 # Library -> the parts of the package that may import it.

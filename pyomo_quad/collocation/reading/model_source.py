@@ -14,8 +14,13 @@ from pyomo.dae import DerivativeVar, Integral
 
 from pyomo_quad.collocation.errors import TranscriptionError, raised
 from pyomo_quad.collocation.reading.copy import rule_of
-from pyomo_quad.collocation.reading.interpolants import Interpolant, interpolant
-from pyomo_quad.collocation.reading.schedules import Reading, jumps, probes
+from pyomo_quad.collocation.reading.schedules import (
+    Interpolant,
+    Reading,
+    interpolant,
+    jumps,
+    probes,
+)
 from pyomo_quad.collocation.reading.symbols import AddressBook, indexed_name
 
 if TYPE_CHECKING:

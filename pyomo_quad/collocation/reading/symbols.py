@@ -12,8 +12,7 @@ from pyomo.core import ConcreteModel, Param, value
 from pyomo.dae import DerivativeVar
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.reading.clock import Clock
-from pyomo_quad.collocation.reading.copy import rule_of
+from pyomo_quad.collocation.reading.copy import Clock, rule_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -13,9 +13,15 @@ from pyomo.core.base.component import Component
 from pyomo.core.expr.numvalue import NumericValue
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.reading.interpolants import Interpolant, interpolant
 from pyomo_quad.collocation.reading.model_source import as_reading
-from pyomo_quad.collocation.reading.schedules import BESIDE, jumps, one_sided, probes
+from pyomo_quad.collocation.reading.schedules import (
+    BESIDE,
+    Interpolant,
+    interpolant,
+    jumps,
+    one_sided,
+    probes,
+)
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray

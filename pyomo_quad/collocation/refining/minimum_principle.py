@@ -1,8 +1,9 @@
-"""Pontryagin's principle: whether another control, a jump away, would serve a solution better.
+"""What small changes do not tell of an optimum: a better control a jump away, and flatness.
 
 A nonlinear program holds each control where small changes gain nothing.  Where the Hamiltonian has
 two valleys that is not enough: a switch then stays wherever the first mesh put it, and no finer
-mesh tells.
+mesh tells; Pontryagin's principle does.  How sharply the optimum holds its states, the equations
+alone do not tell either.
 """
 
 from __future__ import annotations
@@ -13,7 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pyomo_quad.collocation.program.compiled import MappedFunction
-from pyomo_quad.collocation.refining.error import rate_corrections
+from pyomo_quad.collocation.refining.error import (
+    active_limits,
+    densely_sampled,
+    rate_corrections,
+    state_sizes,
+    violations,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -22,6 +29,7 @@ if TYPE_CHECKING:
 
     from pyomo_quad.collocation.mesh import FloatArray
     from pyomo_quad.collocation.program.transcription import Transcription
+    from pyomo_quad.collocation.refining.error import ErrorEstimate
     from pyomo_quad.collocation.solution import Solution
 
 # Values of a control that are tried at each point, from bound to bound.
@@ -160,3 +168,141 @@ def _hamiltonian(solution: Solution, variables: FloatArray) -> FloatArray:
     value += np.sum(solution.costates.at_points * rates, axis=1)
     is_valid = np.isfinite(value) & ~is_broken.any(axis=1)
     return np.where(is_valid, value, np.inf)
+
+
+# What the controls miss, whose polynomials satisfy the equations as they are, counts as much
+# again as what the states miss.
+_UNSEEN = 2.0
+# Samples per collocation point at which two meshes are compared.
+_SAMPLES = 4
+# Factor and root with which states follow what is not known of the objective, by the order of a
+# singular arc: of a pulse of control as long as it moves its state, the objective feels the third
+# power at an arc of order 1, of which a good mesh leaves less, and the fifth at one of order 2.
+_FELT = {1: (4.0, 1 / 2), 2: (1.0, 1 / 5)}
+# Curvature, as a share of the objective for whole ranges, that holds nothing.
+_FLAT = 1e-6
+# On a limit, as far as rounding can tell.
+_LEAST_SLACK = 1e-100
+
+
+def state_error(
+    solution: Solution, error: ErrorEstimate, before: Solution | None, change: float
+) -> float:
+    """Return how far states may be from the optimal ones, relative to their magnitude.
+
+    The errors of all elements add up.  A limit that begins or ceases to hold does so where the
+    mesh lets it: there, what the last mesh moved counts as well, what is beyond the limit, and
+    what a jump may move within an element of one point that was cut for it.  And a control on a
+    singular arc is held by the objective alone, which is flat about its optimum.
+
+    Parameters
+    ----------
+    solution : Solution
+    error : ErrorEstimate
+    before : Solution, optional
+        On the mesh before, where activity of limits changes.
+    change : float
+        Of the objective, relative, since a mesh that was as good.
+    """
+    own = max(error.largest, _UNSEEN * float(error.states.sum(axis=0).max(initial=0.0)))
+    order = singular_order(solution)
+    if order:
+        factor, root = _FELT[order]
+        own = max(own, factor * max(error.largest, change) ** root)
+    if before is None:
+        return own
+    mesh, path = solution.mesh, solution.trajectory
+    starts, widths = np.asarray(mesh.breakpoints[:-1]), mesh.widths
+    places = (np.arange(_SAMPLES * max(mesh.degrees)) + 0.5) / (_SAMPLES * max(mesh.degrees))
+    fractions = np.append(mesh.node_fractions, starts[:, None] + widths[:, None] * places)
+    moved = np.abs(before.trajectory.states_at(fractions) - path.states_at(fractions))
+    bent = np.zeros_like(moved[:1])
+    for e in np.flatnonzero(np.asarray(mesh.degrees) == 1):
+        sides = np.clip([starts[e] - widths[e], starts[e] + 2.0 * widths[e]], 0.0, 1.0)
+        bent = np.maximum(bent, widths[e] / 4.0 * np.abs(np.diff(path.rates_at(sides), axis=0)))
+    _, limits, _ = violations(solution.program, densely_sampled(solution))
+    found = np.vstack([bent] if order else [moved, bent]) / state_sizes(solution)
+    return max(own, float(limits.max(initial=0.0)), float(found.max(initial=0.0)))
+
+
+def singular_order(solution: Solution) -> int:
+    """Return the order of a solution's singular arc, 0 where it has none; 2 stands for more too.
+
+    On it a control lies between its limits and the Hamiltonian does not curve in it and what the
+    equations make of it at once.  The arc is of order 1 if the Hamiltonian curves in the states
+    along what the control moves (Robbins 1967; Kelley, Kopp and Moyer 1967).  Elements of one
+    point, cut for jumps, do not count, nor do points on a limit of a state, which tells what the
+    control is.
+    """
+    program, n = solution.program, solution.program.layout.n_states
+    held = solution.trajectory.algebraics
+    if not (held.size and n):
+        return 0
+    lower, upper = solution.algebraic_limits
+    ranges = np.where(np.isfinite(upper - lower), upper - lower, np.ptp(held, axis=0))
+    rates = np.abs(program.path_variables(solution.unknowns)[:, :n]).max(axis=0)
+    scale = np.concatenate([rates, ranges])
+    scale[scale == 0.0] = 1.0
+    multipliers, barriers = solution.multipliers.rows, _barriers(solution)
+    threshold = _FLAT * solution.nominal_objective
+    controls = slice(2 * n, 2 * n + held.shape[1])
+    own = program.path_curvatures(solution.unknowns, multipliers)[:, controls] + barriers
+    is_candidate = np.any(np.abs(own) * scale[n:] ** 2 < threshold, axis=1)
+    points = np.flatnonzero(is_candidate & _is_between(solution))
+    directions = _free_directions(program, solution.unknowns, points, scale)
+    if directions.shape[1] == 0 or points.size == 0:
+        return 0
+    hessians = program.path_hessians(solution.unknowns, multipliers)[points]
+    at = np.arange(controls.start, controls.stop)
+    hessians[:, at, at] += barriers[points]
+    chosen = np.r_[0:n, controls]
+    inner = hessians[:, chosen][:, :, chosen] * np.outer(scale, scale)
+    curvatures, bases = np.linalg.eigh(np.einsum("kai,kij,kbj->kab", directions, inner, directions))
+    is_flat = curvatures[:, 0] < threshold
+    if not np.any(is_flat):
+        return 0
+    flat = scale * np.einsum("ka,kai->ki", bases[:, :, 0], directions)
+    pushed = flat[:, :n]
+    in_states = np.einsum("ki,kij,kj->k", pushed, hessians[:, n : 2 * n, n : 2 * n], pushed)
+    mixed = np.einsum("ki,kij,kj->k", flat, hessians[:, chosen, n : 2 * n], pushed)
+    felt = np.median((np.abs(in_states) + np.abs(mixed))[is_flat])
+    return 1 if felt > threshold else 2
+
+
+def _barriers(solution: Solution) -> FloatArray:
+    """Return how the limits of algebraic variables curve what Ipopt minimises, at each point."""
+    z, multipliers, bounds = solution.unknowns, solution.multipliers, solution.bounds
+    lower = multipliers.lower / np.maximum(z - bounds.lower, _LEAST_SLACK)
+    upper = multipliers.upper / np.maximum(bounds.upper - z, _LEAST_SLACK)
+    columns = solution.program.layout.algebraic_columns
+    return np.asarray((lower + upper)[columns] / solution.mesh.quadrature_weights[:, None])
+
+
+def _is_between(solution: Solution) -> NDArray[np.bool_]:
+    """Say of each point whether a control may be singular there."""
+    layout = solution.program.layout
+    states, algebraics = layout.n_states, layout.n_algebraics
+    is_told = active_limits(solution)
+    for first in (states, 2 * states + algebraics):
+        is_told[:, first : first + algebraics] = False
+    degrees = np.asarray(solution.mesh.degrees)[solution.mesh.element_of_point]
+    return np.asarray((degrees > 1) & ~np.any(is_told, axis=1))
+
+
+def _free_directions(
+    program: Transcription, z: FloatArray, points: NDArray[np.intp], scale: FloatArray
+) -> FloatArray:
+    """Return orthonormal directions of scaled rates and algebraic variables that equations leave.
+
+    Shape (n_points, n_free, n_rates + n_algebraics).
+    """
+    path, n = program.compiled.path, program.layout.n_states
+    rows = np.flatnonzero(program.compiled.is_equality)
+    at_points = program.path_variables(z)[points], program.data.at_points()[points]
+    slopes = np.zeros((points.size, path.values.numel_out(0), path.values.size1_in(0)))
+    if points.size:
+        entries = MappedFunction(path.jacobian, points.size)(*at_points)[0]
+        slopes[:, path.jacobian_rows, path.jacobian_columns] = entries
+    chosen = np.r_[0:n, 2 * n : 2 * n + program.layout.n_algebraics]
+    directions = np.linalg.svd(slopes[:, rows][:, :, chosen] * scale).Vh
+    return np.asarray(directions[:, rows.size :])

@@ -14,8 +14,7 @@ from pyomo_quad.collocation.mesh import radau_rule
 from pyomo_quad.collocation.program.bounds import ChangedProgram
 from pyomo_quad.collocation.program.ipopt import SEEN, Status
 from pyomo_quad.collocation.refining.error import ErrorEstimate, estimate_error
-from pyomo_quad.collocation.refining.flatness import state_error
-from pyomo_quad.collocation.refining.minimum_principle import improved_controls
+from pyomo_quad.collocation.refining.minimum_principle import improved_controls, state_error
 from pyomo_quad.collocation.refining.remeshing import (
     Marks,
     RefinementOptions,

@@ -15,7 +15,7 @@ from pyomo_quad.collocation import (
     TranscriptionError,
     compile,
 )
-from pyomo_quad.collocation.program.elastic import priced
+from pyomo_quad.collocation.diagnosis import priced
 from pyomo_quad.collocation.refining.refinement import refine
 from pyomo_quad.flight.verification import fly_controls
 from tests.problems import bryson_denham, double_integrator

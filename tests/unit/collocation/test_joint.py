@@ -23,7 +23,7 @@ from pyomo.environ import (
 from scipy.optimize import least_squares
 
 from pyomo_quad.collocation import Mesh, TranscriptionError, compile, diagnose, solve
-from pyomo_quad.collocation.program.coupled import CoupledProgram
+from pyomo_quad.collocation.program.coupling import CoupledProgram
 
 
 def leg(block, bounds, declared=(0, 1)):

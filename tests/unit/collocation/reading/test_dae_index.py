@@ -7,7 +7,7 @@ from pyomo.environ import ConcreteModel, Constraint, Objective, Var, sqrt
 from scipy.special import ellipk
 
 from pyomo_quad.collocation import TranscriptionError, compile
-from pyomo_quad.collocation.reading.dae_index import structural_index
+from pyomo_quad.collocation.formulation import structural_index
 from tests.problems import double_integrator, implicit_dae
 
 GRAVITY = 9.81

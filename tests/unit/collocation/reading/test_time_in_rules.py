@@ -25,7 +25,7 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
 from pyomo_quad.collocation import Mesh, TranscriptionError, compile, solve
-from pyomo_quad.collocation.reading import interpolants
+from pyomo_quad.collocation.reading import schedules
 from pyomo_quad.flight.verification import fly_controls
 
 SWITCHED = 1 / (2 * (0.5 * 1 + 0.5 * 4))
@@ -116,7 +116,7 @@ def test_a_pickled_problem_knows_a_rule_as_far_as_it_was_solved():
 
 
 def test_a_rule_without_pattern_is_refused_when_a_pickled_problem_needs_it(monkeypatch):
-    monkeypatch.setattr(interpolants, "_MOST_PIECES", 20)
+    monkeypatch.setattr(schedules, "_MOST_PIECES", 20)
     problem = compile(scaled(lambda t: 1 + abs(math.sin(1000 * t))))
     restored = pickle.loads(pickle.dumps(problem))
     with pytest.raises(TranscriptionError, match="motion: its rule is too rough to be pickled; c"):

@@ -9,7 +9,7 @@ from pyomo.environ import ConcreteModel, Constraint, Objective, Var
 from scipy.optimize import brentq
 
 from pyomo_quad.collocation import Mesh, Problem, RefinementOptions, solve
-from pyomo_quad.collocation.refining.flatness import singular_order
+from pyomo_quad.collocation.refining.minimum_principle import singular_order
 from tests.problems import double_integrator, singular_arc
 
 
