@@ -32,8 +32,12 @@ from pyomo_quad.scenario import (
     library_names,
     load_scenario,
 )
-from pyomo_quad.scenario.description import editor_schema, writable_fields
-from pyomo_quad.scenario.shipped import shipped_scenarios, started_scenario
+from pyomo_quad.scenario.description import (
+    editor_schema,
+    shipped_scenarios,
+    started_scenario,
+    writable_fields,
+)
 
 if TYPE_CHECKING:
     from pyomo_quad.model.inspection import ModelInspection

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from pyomo_quad.scenario import ScenarioError
-from pyomo_quad.scenario.air import SEA_LEVEL_DENSITY
 from pyomo_quad.scenario.messages import printable
+from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,7 +27,7 @@ from pyomo_quad.report.gallery import save_drawings, wanted_drawings
 from pyomo_quad.report.render import render_markdown
 from pyomo_quad.report.report import REPORT_NAME
 from pyomo_quad.report.tables import write_summary, write_table
-from pyomo_quad.scenario.document import read_toml
+from pyomo_quad.scenario.resolution import read_toml
 from pyomo_quad.version import __version__
 
 VEHICLE_NAME = "vehicle.toml"

@@ -5,16 +5,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
-from pyomo_quad.scenario.document import (
+from pyomo_quad.scenario.fields import FieldPath, depth, leaves, parse_path, spell
+from pyomo_quad.scenario.messages import ScenarioError, printable, shown
+from pyomo_quad.scenario.resolution import (
     DEEPEST_NESTING,
+    Origin,
     parse_toml,
     read_toml,
     refuse_deep,
 )
-from pyomo_quad.scenario.messages import ScenarioError, printable, shown
-from pyomo_quad.scenario.resolution import Origin
 from pyomo_quad.scenario.schema import Scenario
-from pyomo_quad.scenario.tree import FieldPath, depth, leaves, parse_path, spell
 
 # What messages call a scenario that no file holds.
 _MAPPING = "scenario"

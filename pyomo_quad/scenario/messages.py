@@ -8,8 +8,14 @@ from typing import Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from pyomo_quad.scenario.fields import allowed_text, example_of, other_names_of, unit_of
-from pyomo_quad.scenario.tree import FieldPath, spell
+from pyomo_quad.scenario.fields import (
+    FieldPath,
+    allowed_text,
+    example_of,
+    other_names_of,
+    spell,
+    unit_of,
+)
 
 _LONGEST_VALUE = 60
 

@@ -10,9 +10,18 @@ from typing import Any, Self
 
 from pydantic import PrivateAttr, ValidationError
 
-from pyomo_quad.scenario.air import Air
 from pyomo_quad.scenario.airspace import Airspace
-from pyomo_quad.scenario.fields import ONE_LINE, Number, Part, Sound, Text, quantity
+from pyomo_quad.scenario.fields import (
+    ONE_LINE,
+    Number,
+    Part,
+    Sound,
+    Text,
+    leaves,
+    parse_path,
+    quantity,
+    spell,
+)
 from pyomo_quad.scenario.messages import FeasibilityError, ScenarioError, complaint, shown
 from pyomo_quad.scenario.mission import Mission, Yaw
 from pyomo_quad.scenario.resolution import Origin, resolve, whose
@@ -24,9 +33,8 @@ from pyomo_quad.scenario.tables import (
     PowerModel,
     Solver,
 )
-from pyomo_quad.scenario.tree import leaves, parse_path, spell
 from pyomo_quad.scenario.vehicle import Attitude, Vehicle
-from pyomo_quad.scenario.wind import Wind
+from pyomo_quad.scenario.wind import Air, Wind
 
 # Share of gravity that a vehicle without spare thrust is taken to accelerate by, and how much
 # longer than the quickest flight the first guess at a free duration is.

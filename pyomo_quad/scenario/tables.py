@@ -7,7 +7,6 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
-from pyomo_quad.scenario.air import SEA_LEVEL_DENSITY
 from pyomo_quad.scenario.fields import (
     ONE_LINE,
     Flag,
@@ -19,6 +18,7 @@ from pyomo_quad.scenario.fields import (
     quantity,
 )
 from pyomo_quad.scenario.vehicle import Vehicle
+from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 
 _MILLISECONDS = "no loop is faster than the milliseconds of motors and sensors"
 _RATE = Sound(1e-3, 1e4, _MILLISECONDS)

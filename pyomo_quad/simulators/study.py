@@ -42,7 +42,7 @@ from pyomo_quad.report.report import REPORT_NAME
 from pyomo_quad.report.style import LEGEND_COLUMNS, SERIES_STYLES, label_time, panel_grid
 from pyomo_quad.report.tables import write_table
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError, load_scenario
-from pyomo_quad.scenario.shipped import shipped_scenarios
+from pyomo_quad.scenario.description import shipped_scenarios
 from pyomo_quad.simulators.vehicles import NAMES, rotorpy_parameters, vehicle_fields
 from pyomo_quad.study.comparison import has_arrived
 from pyomo_quad.version import __version__

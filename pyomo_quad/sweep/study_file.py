@@ -11,13 +11,20 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from pydantic import BaseModel, ValidationError, model_validator
 
-from pyomo_quad.scenario.document import read_toml
-from pyomo_quad.scenario.fields import Part, Text, WholeNumber, quantity
+from pyomo_quad.scenario.fields import (
+    FieldPath,
+    Part,
+    Text,
+    WholeNumber,
+    leaves,
+    parse_path,
+    quantity,
+    spell,
+)
 from pyomo_quad.scenario.messages import FeasibilityError, ScenarioError, complaint, shown
-from pyomo_quad.scenario.resolution import Origin
+from pyomo_quad.scenario.resolution import Origin, read_toml
 from pyomo_quad.scenario.schema import Scenario
 from pyomo_quad.scenario.tables import Reference
-from pyomo_quad.scenario.tree import FieldPath, leaves, parse_path, spell
 from pyomo_quad.sweep.case import StudyTask, output_columns, unknown_column
 from pyomo_quad.sweep.design import MOST_CASES, Axis, Dimension, SweepDesign
 

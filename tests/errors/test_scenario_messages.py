@@ -7,8 +7,8 @@ import pytest
 from pydantic import BaseModel
 
 from pyomo_quad.scenario import FeasibilityError, PyomoQuadError, ScenarioError, load_scenario
-from pyomo_quad.scenario.document import LARGEST_FILE_BYTES
-from pyomo_quad.scenario.tree import merge, spell
+from pyomo_quad.scenario.fields import merge, spell
+from pyomo_quad.scenario.resolution import LARGEST_FILE_BYTES
 from tests.scenario_files import write_scenario, write_wind
 
 REFERENCES = ("baseline", "references")

@@ -6,8 +6,8 @@ from time import process_time
 
 import pytest
 
-from pyomo_quad.scenario.document import read_toml
 from pyomo_quad.scenario.messages import ScenarioError
+from pyomo_quad.scenario.resolution import read_toml
 from tests.command import ENVIRONMENT
 from tests.fuzz.hostile import hostile_files
 

@@ -3,7 +3,7 @@
 import pytest
 
 from pyomo_quad.scenario import Scenario, ScenarioError, load_scenario
-from pyomo_quad.scenario.air import Air
+from pyomo_quad.scenario.wind import Air
 from tests.scenario_files import write_scenario
 
 

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from pyomo_quad.scenario import LIBRARY_KINDS, ScenarioError, library_entry, library_names
-from pyomo_quad.scenario.tree import leaves, spell
+from pyomo_quad.scenario.fields import leaves, spell
 
 ENTRIES = [(kind, name) for kind in LIBRARY_KINDS for name in library_names(kind)]
 

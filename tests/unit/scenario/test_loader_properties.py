@@ -7,8 +7,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from pyomo_quad.scenario import PyomoQuadError, Scenario, load_scenario, scenario_from_mapping
+from pyomo_quad.scenario.fields import set_value, spell
 from pyomo_quad.scenario.messages import field_paths
-from pyomo_quad.scenario.tree import set_value, spell
 from tests.scenario_files import LINES, write_scenario
 
 ENOUGH = settings(

@@ -10,7 +10,7 @@ import pytest
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.scenario import ScenarioError, load_scenario
-from pyomo_quad.scenario.shipped import shipped_scenarios, started_scenario
+from pyomo_quad.scenario.description import shipped_scenarios, started_scenario
 
 
 @pytest.mark.parametrize("template", sorted(shipped_scenarios()))
