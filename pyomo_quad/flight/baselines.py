@@ -20,7 +20,6 @@ from pyomo_quad.flight.controller import (
     feedback_law,
     mixer_matrix,
 )
-from pyomo_quad.flight.cruise import cruise
 from pyomo_quad.flight.flight import (
     AIR_FORCE,
     ARRIVAL_DISTANCE_M,
@@ -34,6 +33,7 @@ from pyomo_quad.flight.flight import (
 )
 from pyomo_quad.flight.plan import Plan, Trajectories
 from pyomo_quad.flight.references import ReferencePath, SampledPath, minimum_snap, quintic, step
+from pyomo_quad.flight.routes import cruise
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
     ENERGY_TOLERANCE,

@@ -26,7 +26,7 @@ from pyomo_quad.collocation import (
     WarmStart,
     compile,
 )
-from pyomo_quad.flight import long_flight
+from pyomo_quad.flight import rescue
 from pyomo_quad.flight.flight import HELD_BREACH, VIOLATION_TOLERANCE
 from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
 from pyomo_quad.flight.rescue import (
@@ -450,7 +450,7 @@ class Planner:
             if not easier or solution.status is not Status.NOT_CONVERGED:
                 return solution
         if not isinstance(warm_start, Plan):
-            if not easier and self._builder is build_model and long_flight.is_long(told):
+            if not easier and self._builder is build_model and rescue.is_long(told):
                 return self._solve_long(problem, told, arguments)
             return by_way_of(easier, problem, arguments, None)
         on_mesh = arguments | {"mesh": warm_start.mesh}
@@ -460,16 +460,16 @@ class Planner:
         """Solve a flight that is long beside a change of attitude, from a cruise."""
         flown = {name: arguments[name] for name in ("parameters", "horizon")}
         dynamics = problem.dynamics(**flown)
-        guess = long_flight.guess_of(told, SteadyFlight(told, dynamics))
+        guess = rescue.guess_of(told, SteadyFlight(told, dynamics))
         options = arguments["options"].for_small_changes()
         duration = (guess or {}).get("duration", told.nominal_duration)
         rough = problem.solve(
-            **arguments | {"mesh": long_flight.rough_mesh(duration), "tolerance": None},
+            **arguments | {"mesh": rescue.rough_mesh(duration), "tolerance": None},
             guess=guess,
         )
         if not rough.status.is_solved:
             return rough
-        mesh = long_flight.fine_mesh(rough.horizon[1], told.solver.degree)
+        mesh = rescue.fine_mesh(rough.horizon[1], told.solver.degree)
         # One limit or two hold for long, at the ends: their junctions are few, and worth finding.
         refinement = replace(arguments["refinement"], limits_move=False)
         chosen = {"options": options, "mesh": mesh, "refinement": refinement}

@@ -5,7 +5,7 @@ step | the goal from the first moment on | nothing: the controller makes the pat
 quintic | polynomial of degree 5 | position, zero velocity and acceleration
 minimum_snap | polynomial of degree 7 | position, zero velocity, acceleration and jerk
 plan | the optimal plan, between its samples a polynomial of degree 5 | the plan
-cruise | straight legs at a speed, by the module `cruise` | rest, as at every corner
+cruise | straight legs at a speed, by the module `routes` | rest, as at every corner
 
 The plan was made for a wind, the forecast, and what that does to the vehicle is part of it: the
 controller then adapts to what the forecast did not say.  The others know of no wind.

@@ -10,9 +10,9 @@ import pandas as pd
 from pyomo_quad.collocation import Dynamics, EngineError, Progress, Summarised
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name, fly_baseline, fly_open_loop
-from pyomo_quad.flight.cruise import SETTLINGS_S, cruise_at
 from pyomo_quad.flight.flight import WIND
 from pyomo_quad.flight.replanning import fly_replanned, replanned_name
+from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
 from pyomo_quad.study.certificate import Certificate, certify
 from pyomo_quad.study.check import plan_cautions

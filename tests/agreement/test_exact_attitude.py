@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pyomo_quad.flight.attitude import KINEMATICS
 from pyomo_quad.flight.baselines import fly_baseline
+from pyomo_quad.flight.controller import KINEMATICS
 from pyomo_quad.scenario import Attitude, Reference, load_scenario
 from pyomo_quad.study.check import plan_cautions
 from tests import flights

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from pyomo_quad.flight.baselines import fly_baseline
-from pyomo_quad.flight.cruise import SETTLINGS_S, cruise, cruise_at, speed_profile
+from pyomo_quad.flight.routes import SETTLINGS_S, cruise, cruise_at, speed_profile
 from pyomo_quad.scenario import ScenarioError, scenario_from_mapping
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.study import run
