@@ -40,8 +40,7 @@ from pyomo_quad.scenario.description import (
 )
 
 if TYPE_CHECKING:
-    from pyomo_quad.model.inspection import ModelInspection
-    from pyomo_quad.model.screening import Finding
+    from pyomo_quad.model.screening import Finding, ModelInspection
 
 _LONGEST_LIST = 6
 
@@ -58,7 +57,7 @@ def check(
     resolved = load_scenario(scenario, overrides or ())
     # Pyomo takes a second to import: a refused scenario need not wait for it.
     from pyomo_quad.model.build import model_builder  # noqa: PLC0415
-    from pyomo_quad.model.inspection import inspect_model  # noqa: PLC0415
+    from pyomo_quad.model.screening import inspect_model  # noqa: PLC0415
 
     builder = model_builder(resolved, is_code_allowed=allow_code)
     inspection = inspect_model(builder(resolved))

@@ -9,7 +9,7 @@ from pyomo_quad.model.build import (
     parameter_values,
     structure_key,
 )
-from pyomo_quad.model.inspection import ModelInspection, inspect_model
+from pyomo_quad.model.screening import ModelInspection, inspect_model
 
 __all__ = [
     "ModelInspection",

@@ -22,9 +22,8 @@ from pyomo.core import Block, ConcreteModel, sqrt
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 
-from pyomo_quad.model.parameters import Parameter, declare_parameters
+from pyomo_quad.model.parameters import Parameter, declare_parameters, saturated
 from pyomo_quad.model.rigid_body import PLACE
-from pyomo_quad.model.smoothing import saturated
 from pyomo_quad.scenario import Scenario
 
 AXES = PLACE[:3]

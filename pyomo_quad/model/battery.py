@@ -24,8 +24,7 @@ from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
 
-from pyomo_quad.model.parameters import Parameter, declare_parameters
-from pyomo_quad.model.smoothing import saturated
+from pyomo_quad.model.parameters import Parameter, declare_parameters, saturated
 from pyomo_quad.scenario import Scenario
 
 CHARGE = units.A * units.hr
