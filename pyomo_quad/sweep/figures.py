@@ -24,26 +24,27 @@ from pyomo_quad.report.style import (
 )
 from pyomo_quad.sweep.case import DURATION_FIELD, HOVER_ENERGY
 from pyomo_quad.sweep.design import Dimension, SweepDesign
-from pyomo_quad.sweep.quantities import (
-    Quantity,
-    case_name,
-    field_quantity,
-    number,
-    output_quantity,
-    setting,
-    settings_name,
-)
-from pyomo_quad.sweep.spreads import draw_distributions, draw_scatter, draw_tornado, linear_note
 from pyomo_quad.sweep.views import (
     Curve,
+    Quantity,
     best_along,
+    case_name,
     central_case,
     curves_along,
+    draw_distributions,
+    draw_scatter,
+    draw_tornado,
+    field_quantity,
     finished_rows,
     is_numeric,
+    linear_note,
+    number,
+    output_quantity,
     pareto_front,
     plane_of,
     sensitivities,
+    setting,
+    settings_name,
     spread_of,
 )
 

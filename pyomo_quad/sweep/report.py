@@ -15,23 +15,21 @@ from pyomo_quad.report.tables import write_table
 from pyomo_quad.sweep.case import DURATION_FIELD, TERMINAL_MISS, StudyTask
 from pyomo_quad.sweep.design import Dimension, SweepDesign
 from pyomo_quad.sweep.figures import sweep_drawings
-from pyomo_quad.sweep.quantities import (
-    Quantity,
-    case_name,
-    field_quantity,
-    number,
-    output_quantity,
-    setting,
-)
-from pyomo_quad.sweep.spreads import linear_note
 from pyomo_quad.sweep.store import CASE_COLUMN, REASON_COLUMN, STATUS_COLUMN
 from pyomo_quad.sweep.views import (
+    Quantity,
     best_along,
+    case_name,
     central_case,
     curves_along,
+    field_quantity,
     finished_rows,
     is_numeric,
+    linear_note,
+    number,
+    output_quantity,
     sensitivities,
+    setting,
     spread_of,
 )
 from pyomo_quad.version import __version__

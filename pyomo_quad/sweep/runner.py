@@ -1,17 +1,276 @@
-"""The sweep itself: hand out cases whose parent is finished, commit each as it comes back."""
+"""The sweep itself: who solves the cases, and how they are handed out and committed.
 
-from collections.abc import Mapping
+A case is handed out when its parent is finished, and committed as it comes back.  Processes of this
+machine or a Dask cluster solve it, each behind an Executor: `concurrent.futures` does the work.
+What it leaves to its user is here: an executor that broke is made anew, and a case whose worker
+died is tried again alone, so that one that kills its worker takes no other case with it.
+"""
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    wait,
+)
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from pyomo_quad.scenario.messages import PyomoQuadError
 from pyomo_quad.scenario.schema import Scenario
-from pyomo_quad.sweep.case import CaseOutcome, CaseStatus, CaseTask, perform
+from pyomo_quad.study.processes import end_processes, environment_of_workers, pool_of
+from pyomo_quad.sweep.case import CaseOutcome, CaseStatus, CaseTask, perform, worker_version
 from pyomo_quad.sweep.design import Case, SweepDesign, expand
 from pyomo_quad.sweep.store import STORE_NAME, ResultStore
-from pyomo_quad.sweep.workers import ClusterError, Workers
+from pyomo_quad.version import __version__
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+# One task waits behind each running one, so that no worker idles while its result travels.
+_TASKS_PER_WORKER = 2
+_CONNECT_SECONDS = 10.0
+# How often a silent executor is asked whether it still lives, and how many workers it has.
+_WATCH_SECONDS = 2.0
+
+
+class ClusterError(PyomoQuadError, RuntimeError):
+    """A Dask cluster cannot be reached or was lost; finished cases are kept."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crew:
+    """Where executors come from.
+
+    Attributes
+    ----------
+    description : str
+        Who works, for people.
+    start : callable
+        Makes an executor.
+    stop : callable
+        Ends one without waiting for what it runs.
+    count : callable
+        How many tasks run at a time now; raises ClusterError where nobody answers any more.
+    """
+
+    description: str
+    start: Callable[[], Executor]
+    stop: Callable[[Executor], None]
+    count: Callable[[], int]
+
+
+class Workers:
+    """The cases under way on a crew's executor."""
+
+    def __init__(self, crew: Crew) -> None:
+        self.description = crew.description
+        self._crew = crew
+        self._executor: Executor | None = None
+        self._under_way: dict[Future[CaseOutcome], CaseTask] = {}
+        # Cases to try alone, and those of all that were in a worker's hands when one died.
+        self._suspects: deque[CaseTask] = deque()
+        self._accused: set[str] = set()
+        self._is_alone = False
+
+    @property
+    def room(self) -> int:
+        """How many more tasks are wanted now."""
+        if self._suspects or self._is_alone:
+            return 0
+        # Without any worker, one task waits for the first to come.
+        return max(1, _TASKS_PER_WORKER * self._crew.count()) - len(self._under_way)
+
+    def submit(self, task: CaseTask) -> None:
+        """Take a task."""
+        if self._executor is None:
+            self._executor = self._crew.start()
+        try:
+            self._under_way[self._executor.submit(perform, task)] = task
+        except BrokenExecutor:
+            self._suspects.append(task)
+            self._suspect_all()
+
+    def wait(self) -> list[CaseOutcome]:
+        """Wait until at least one task has ended, and return all that have."""
+        outcomes: list[CaseOutcome] = []
+        while not outcomes:
+            if self._suspects and not self._under_way:
+                self._is_alone = True
+                self.submit(self._suspects.popleft())
+            done, _ = wait(self._under_way, _WATCH_SECONDS, FIRST_COMPLETED)
+            if not done:
+                self._crew.count()
+            for future in [one for one in self._under_way if one in done]:
+                outcomes += self._collect(future)
+            self._is_alone = self._is_alone and bool(self._under_way)
+        return outcomes
+
+    def stop(self) -> list[CaseOutcome]:
+        """Give up what is running, and return what had ended."""
+        outcomes = [
+            future.result()
+            for future in self._under_way
+            if future.done() and not future.cancelled() and future.exception() is None
+        ]
+        self._under_way.clear()
+        self._suspects.clear()
+        self._abandon()
+        return outcomes
+
+    def _collect(self, future: Future[CaseOutcome]) -> list[CaseOutcome]:
+        task = self._under_way.pop(future, None)
+        if task is None:
+            return []
+        try:
+            return [future.result()]
+        except CancelledError:
+            raise ClusterError(f"{self.description}: no longer answers.") from None
+        # `perform` raises nothing: whatever comes instead of an outcome says that a worker is gone.
+        except Exception as error:  # noqa: BLE001
+            return self._suspect(task, error)
+
+    def _suspect(self, task: CaseTask, error: Exception) -> list[CaseOutcome]:
+        # One that no worker ever had before may be tried alone a second time.
+        is_lost = self._is_alone and task.key in self._accused
+        if not is_lost:
+            self._accuse(task)
+        if isinstance(error, BrokenExecutor):
+            self._suspect_all()
+        return [CaseOutcome.loss(task)] if is_lost else []
+
+    def _accuse(self, task: CaseTask) -> None:
+        self._suspects.append(task)
+        self._accused.add(task.key)
+
+    def _suspect_all(self) -> None:
+        """Set aside all cases under way on a broken executor: nobody can say which one broke it."""
+        for future, task in list(self._under_way.items()):
+            if not future.done() or future.exception() is not None:
+                self._accuse(task)
+                del self._under_way[future]
+        self._abandon()
+
+    def _abandon(self) -> None:
+        if self._executor is not None:
+            self._crew.stop(self._executor)
+            self._executor = None
+
+
+@contextmanager
+def process_workers(count: int) -> Iterator[Workers]:
+    """Keep so many processes of this machine for the length of a block."""
+    with environment_of_workers():
+        workers = Workers(
+            Crew(
+                description=f"{count} worker process{'es' if count > 1 else ''}",
+                start=lambda: pool_of(count),
+                stop=end_processes,
+                count=lambda: count,
+            )
+        )
+        try:
+            yield workers
+        finally:
+            workers.stop()
+
+
+@contextmanager
+def cluster_workers(address: str) -> Iterator[Workers]:
+    """Stay connected to a Dask cluster for the length of a block.
+
+    Dask itself gives the cases of a lost worker to another one, and gives a case up that was lost
+    several times.  When the scheduler goes, nothing can be saved but what is committed.
+
+    Raises
+    ------
+    ClusterError
+        If it cannot be reached, or its workers cannot do this work.
+    """
+    # What Dask logs when it is lost is said here in one line.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    client = _connect(address)
+    try:
+        _check_workers(client, address)
+        threads = _Threads(client, address)
+        workers = Workers(
+            Crew(
+                description=f"Dask cluster {address}",
+                start=lambda: client.get_executor(pure=False),
+                stop=lambda executor: executor.shutdown(wait=False),
+                count=threads.count,
+            )
+        )
+        yield workers
+        workers.stop()
+    finally:
+        client.close(timeout=_WATCH_SECONDS)
+
+
+class _Threads:
+    """Counts the threads of a cluster's workers, but not at every question."""
+
+    def __init__(self, client: "Client", address: str) -> None:
+        self._client = client
+        self._address = address
+        self._found = 0
+        self._counted_at = -_WATCH_SECONDS
+
+    def count(self) -> int:
+        if time.monotonic() - self._counted_at >= _WATCH_SECONDS:
+            gone = ClusterError(f"Dask cluster {self._address}: no longer answers.")
+            if self._client.status != "running":
+                raise gone
+            try:
+                self._found = sum(self._client.nthreads().values())
+            except (OSError, TimeoutError):
+                raise gone from None
+            self._counted_at = time.monotonic()
+        return self._found
+
+
+def _connect(address: str) -> "Client":
+    try:
+        from distributed import Client  # noqa: PLC0415  an extra that few users need
+    except ImportError:
+        raise ClusterError(
+            "--scheduler needs dask.distributed; install it with: pip install "
+            '"pyomo_quad[cluster]".'
+        ) from None
+    try:
+        return Client(address, timeout=_CONNECT_SECONDS, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise ClusterError(
+            f"--scheduler {address}: cannot be reached ({reason}); start it with `dask "
+            f"scheduler`, or leave --scheduler out to use this machine."
+        ) from None
+
+
+def _check_workers(client: "Client", address: str) -> None:
+    try:
+        versions = client.run(worker_version)
+    except Exception as error:  # noqa: BLE001  whatever a foreign worker raises, it cannot serve
+        raise ClusterError(
+            f"--scheduler {address}: a worker cannot run pyomo_quad ({type(error).__name__}: "
+            f"{error}); install pyomo_quad {__version__} on all workers."
+        ) from None
+    for worker, version in versions.items():
+        if version != __version__:
+            raise ClusterError(
+                f"--scheduler {address}: worker {worker} has pyomo_quad {version}, this is "
+                f"{__version__}; install the same version on all workers."
+            )
+
 
 FLIGHT_SOLVER = "pyomo_quad.sweep.case:solve_case"
 

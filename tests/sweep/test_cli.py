@@ -105,7 +105,7 @@ def test_a_scheduler_that_is_not_there_ends_the_command_in_one_line(
     study, tmp_path, capsys, monkeypatch
 ):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("pyomo_quad.sweep.workers._CONNECT_SECONDS", 0.3)
+    monkeypatch.setattr("pyomo_quad.sweep.runner._CONNECT_SECONDS", 0.3)
     assert run(study, tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9") == 1
     shown = capsys.readouterr().err.strip()
     assert "--scheduler tcp://127.0.0.1:9: cannot be reached" in shown

@@ -60,7 +60,7 @@ def test_a_scheduler_that_dies_stops_the_sweep_and_keeps_its_rows(study, tmp_pat
 
 
 def test_a_scheduler_that_is_not_there_is_said_in_one_line(monkeypatch):
-    monkeypatch.setattr("pyomo_quad.sweep.workers._CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr("pyomo_quad.sweep.runner._CONNECT_SECONDS", 0.5)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"

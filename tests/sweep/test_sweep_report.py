@@ -15,9 +15,7 @@ from pyomo_quad.sweep import (
     write_sweep_report,
 )
 from pyomo_quad.sweep.figures import draw_wind_rose
-from pyomo_quad.sweep.quantities import output_quantity
-from pyomo_quad.sweep.spreads import draw_tornado
-from pyomo_quad.sweep.views import Curve, Sensitivity, Spread
+from pyomo_quad.sweep.views import Curve, Sensitivity, Spread, draw_tornado, output_quantity
 from tests.sweep.studies import DURATION_AXIS, PAYLOAD_AXIS, write_study
 from tests.sweep.sweeping import Here, rows, sweep
 
