@@ -1,27 +1,394 @@
-"""The formats that a plan can go to, what each may be asked, and the file that each becomes."""
+"""The formats that a plan can go to, what each may be asked, and the file that each becomes.
+
+A stream of setpoints is for PX4's offboard mode and, as a trajectory message, for ROS 2; few
+waypoints with speeds, on the globe, are a mission of QGroundControl.
+"""
 
 import inspect
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from enum import StrEnum
+from math import cos, radians, sin
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 
-from pyomo_quad.exports import polynomials
-from pyomo_quad.exports.motion import Motion
-from pyomo_quad.exports.setpoints import (
-    offboard,
-    offboard_deviation,
-    sampled_deviation,
-    write_bag,
+from pyomo_quad.exports.motion import (
+    ATTITUDE_STATES,
+    RATE_STATES,
+    Motion,
+    PolynomialTrajectory,
+    fit_pieces,
+    piece_deviation,
 )
-from pyomo_quad.exports.waypoints import Origin, mission, origin_of, thin
 from pyomo_quad.flight import Plan
+from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.report.folder import output_file, output_folder
 from pyomo_quad.scenario import ScenarioError
+from pyomo_quad.scenario.fields import number_in_text
+from pyomo_quad.scenario.messages import shown
+
+FloatArray = NDArray[np.float64]
+
+#: Below, PX4 leaves its offboard mode [Hz]; above, no link carries the stream.
+SLOWEST_STREAM_HZ, FASTEST_STREAM_HZ = 2.0, 1000.0
+# MAVLink's SET_POSITION_TARGET_LOCAL_NED: MAV_FRAME_LOCAL_NED, and no field ignored.
+_LOCAL_NED, _ALL_FIELDS = 1, 0
+_LONGEST_STREAM_S = (2**32 - 1) / 1000.0  # time_boot_ms is an unsigned number of 32 bits
+_MS_PER_S = 1000.0
+_NS_PER_S = 1_000_000_000
+#: The name under which a bag holds its one message.
+TOPIC = "/trajectory"
+_MESSAGE = "trajectory_msgs/msg/MultiDOFJointTrajectory"
+_WORLD, _BODY = "map", "base_link"
+
+
+def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
+    """Return SET_POSITION_TARGET_LOCAL_NED messages, one a row: x north, y east, z down.
+
+    The plan's x is east and its y north, so its yaw counts from east and MAVLink's from north.
+    Numbers are those of 32 bits that the message holds.
+
+    Raises
+    ------
+    ScenarioError
+        If the plan lacks a state, or the rate or the duration is beyond PX4.
+    """
+    motion.require((*POSITION_STATES, *VELOCITY_STATES, ATTITUDE_STATES[2]), "PX4's offboard mode")
+    if not SLOWEST_STREAM_HZ < rate_hz <= FASTEST_STREAM_HZ:
+        raise ScenarioError(
+            f"--rate = {rate_hz:g} Hz; PX4's offboard mode must have more than "
+            f"{SLOWEST_STREAM_HZ:g} Hz and at most {FASTEST_STREAM_HZ:g} Hz."
+        )
+    if motion.duration > _LONGEST_STREAM_S:
+        raise ScenarioError(
+            f"{motion.name}: the flight lasts {motion.duration:g} s; time_boot_ms of MAVLink ends "
+            f"after {_LONGEST_STREAM_S:g} s."
+        )
+    milliseconds = np.unique(np.round(motion.samples(rate_hz) * _MS_PER_S).astype(np.int64))
+    t = milliseconds / _MS_PER_S
+    columns: dict[str, object] = {
+        "time_boot_ms": milliseconds,
+        "coordinate_frame": _LOCAL_NED,
+        "type_mask": _ALL_FIELDS,
+    }
+    for names, values in (
+        (("x", "y", "z"), motion.position(t)),
+        (("vx", "vy", "vz"), motion.velocity(t)),
+        (("afx", "afy", "afz"), motion.acceleration(t)),
+    ):
+        columns |= dict(zip(names, _north_east_down(values).T.astype(np.float32), strict=True))
+    columns["yaw"] = _wrapped(np.pi / 2.0 - motion.yaw(t)).astype(np.float32)
+    columns["yaw_rate"] = (-motion.yaw_rate(t)).astype(np.float32)
+    return pd.DataFrame(columns)
+
+
+def offboard_deviation(motion: Motion, stream: pd.DataFrame) -> tuple[float, float]:
+    """Return how far a stream leaves the plan between and at its rows: place [m], yaw [rad]."""
+    t = stream["time_boot_ms"].to_numpy() / _MS_PER_S
+    place = _north_east_down(stream[["x", "y", "z"]].to_numpy(dtype=float))
+    velocity = _north_east_down(stream[["vx", "vy", "vz"]].to_numpy(dtype=float))
+    yaw = _wrapped(np.pi / 2.0 - stream["yaw"].to_numpy(dtype=float) - motion.yaw(t))
+    return _between(motion, t, place, velocity), float(np.abs(yaw).max())
+
+
+def write_bag(motion: Motion, rate_hz: float, folder: Path) -> int:
+    """Write a ROS 2 bag of one trajectory message, and return its number of points.
+
+    The world is x east, y north and z up, the body x forward, y left and z up (REP 103); linear
+    velocities and accelerations are of the world, angular velocities of the body.
+
+    Raises
+    ------
+    ScenarioError
+        If the plan lacks a state, or rosbags is not installed.
+    """
+    motion.require(
+        (*POSITION_STATES, *VELOCITY_STATES, *ATTITUDE_STATES, *RATE_STATES), "a ROS 2 trajectory"
+    )
+    if not 0.0 < rate_hz <= FASTEST_STREAM_HZ:
+        raise ScenarioError(
+            f"--rate = {rate_hz:g} Hz; must be above 0 and at most {FASTEST_STREAM_HZ:g} Hz."
+        )
+    try:
+        from rosbags.rosbag2 import Writer  # noqa: PLC0415  an extra
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+    except ImportError:
+        raise ScenarioError(
+            "--to ros2: rosbags is not installed; install it with pip install 'pyomo_quad[ros]'."
+        ) from None
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    make = types.types
+    points = _points(motion, motion.samples(rate_hz), make)
+    header = make["std_msgs/msg/Header"](
+        stamp=make["builtin_interfaces/msg/Time"](sec=0, nanosec=0), frame_id=_WORLD
+    )
+    message = make[_MESSAGE](header=header, joint_names=[_BODY], points=points)
+    with Writer(folder, version=Writer.VERSION_LATEST) as bag:
+        topic = bag.add_connection(TOPIC, _MESSAGE, typestore=types)
+        bag.write(topic, 0, types.serialize_cdr(message, _MESSAGE))
+    return len(points)
+
+
+def _points(motion: Motion, t: FloatArray, make: dict[str, type]) -> list[object]:
+    vector, twist = make["geometry_msgs/msg/Vector3"], make["geometry_msgs/msg/Twist"]
+    quaternion, transform = (
+        make["geometry_msgs/msg/Quaternion"],
+        make["geometry_msgs/msg/Transform"],
+    )
+    duration = make["builtin_interfaces/msg/Duration"]
+    point = make["trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"]
+    turning, turning_faster = motion.values(t, RATE_STATES), motion.slopes(t, RATE_STATES)
+    rows = zip(
+        t.tolist(),
+        motion.position(t).tolist(),
+        motion.quaternions(t).tolist(),
+        motion.velocity(t).tolist(),
+        turning.tolist(),
+        motion.acceleration(t).tolist(),
+        turning_faster.tolist(),
+        strict=True,
+    )
+    points = []
+    for time, place, attitude, velocity, rates, acceleration, rates_slope in rows:
+        seconds, nanoseconds = divmod(round(time * _NS_PER_S), _NS_PER_S)
+        points.append(
+            point(
+                transforms=[transform(translation=vector(*place), rotation=quaternion(*attitude))],
+                velocities=[twist(linear=vector(*velocity), angular=vector(*rates))],
+                accelerations=[twist(linear=vector(*acceleration), angular=vector(*rates_slope))],
+                time_from_start=duration(sec=seconds, nanosec=nanoseconds),
+            )
+        )
+    return points
+
+
+def sampled_deviation(motion: Motion, rate_hz: float) -> float:
+    """Return how far a stream of exact numbers leaves the plan between its points [m]."""
+    t = motion.samples(rate_hz)
+    return _between(motion, t, motion.position(t), motion.velocity(t))
+
+
+def _between(motion: Motion, t: FloatArray, place: FloatArray, velocity: FloatArray) -> float:
+    """Return the distance from the plan of the cubics that a consumer draws between rows [m]."""
+    between = np.unique(np.concatenate([t, t[:-1] + np.diff(t) / 2.0]))
+    drawn = CubicHermiteSpline(t, place, velocity)(between)
+    return float(np.linalg.norm(drawn - motion.position(between), axis=1).max())
+
+
+def _north_east_down(values: FloatArray) -> FloatArray:
+    """Turn east, north, up into north, east, down, and back."""
+    return values[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    """Return angles from -pi to pi."""
+    return np.asarray(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
+
+
+# WGS 84: equatorial radius [m] and flattening, as NIMA TR8350.2 defines them.
+_EQUATOR = 6_378_137.0
+_FLATTENING = 1.0 / 298.257223563
+_ECCENTRICITY_2 = _FLATTENING * (2.0 - _FLATTENING)
+_LATITUDE_STEPS = 6  # each gains more than two digits; near the ground three suffice
+
+# Degrees, degrees, and metres from below the Dead Sea to above the highest summit.
+_GLOBE = ((-90.0, 90.0), (-180.0, 180.0), (-500.0, 9000.0))
+
+# Below, a leg is a pause: the autopilot is told to wait and not to creep [m/s].
+_SLOWEST = 0.05
+#: Items of a mission that PX4 holds on its smaller boards.
+MOST_ITEMS = 500
+_CHECKED = 4001
+# MAVLink's commands and frame, and the autopilot and vehicle that the file names.
+_NAV_WAYPOINT, _DO_CHANGE_SPEED = 16, 178
+_GLOBAL_RELATIVE_ALTITUDE, _MISSION = 3, 2
+_PX4, _QUADROTOR = 12, 2
+_GROUND_SPEED = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Origin:
+    """Where on the globe the plan's origin lies: degrees on WGS 84, metres above the sea."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+
+    def geodetic(self, place: FloatArray) -> FloatArray:
+        """Return latitude [deg], longitude [deg] and height over the origin [m].
+
+        Places are x east, y north and z up from the origin, shape (n, 3); so are the results.
+        """
+        latitude, longitude = radians(self.latitude), radians(self.longitude)
+        up = np.array(
+            [cos(latitude) * cos(longitude), cos(latitude) * sin(longitude), sin(latitude)]
+        )
+        east = np.array([-sin(longitude), cos(longitude), 0.0])
+        axes = np.vstack([east, np.cross(up, east), up])
+        normal = _normal_radius(np.array(latitude))
+        centre = (normal + self.altitude - np.array([0, 0, normal * _ECCENTRICITY_2])) * up
+        return _geodetic(centre + place @ axes) - np.array([0.0, 0.0, self.altitude])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Legs:
+    """Straight legs at even speed through places (n, 3) [m], each reached at its time (n,) [s]."""
+
+    times: FloatArray
+    places: FloatArray
+
+    def at(self, t: FloatArray) -> FloatArray:
+        """Return the places at times, shape (n, 3)."""
+        return np.column_stack([np.interp(t, self.times, axis) for axis in self.places.T])
+
+
+def thin(motion: Motion, path_error_m: float) -> Legs:
+    """Return the legs of a plan: at no time is one further from it than the path error.
+
+    The plan is split where it is furthest from where a flight at even speed would be at that time,
+    until it is near enough everywhere (the top-down time-ratio algorithm of Meratnia and de By,
+    2004).
+    """
+    motion.require(POSITION_STATES, "a QGroundControl mission")
+    t = motion.samples(_CHECKED / motion.duration)
+    place = motion.position(t)
+    kept, spans = {0, len(t) - 1}, [(0, len(t) - 1)]
+    while spans:
+        first, last = spans.pop()
+        share = ((t[first : last + 1] - t[first]) / (t[last] - t[first]))[:, None]
+        straight = place[first] + share * (place[last] - place[first])
+        far = np.linalg.norm(place[first : last + 1] - straight, axis=1)
+        worst = first + int(np.argmax(far))
+        if far.max() > path_error_m:
+            kept.add(worst)
+            spans += [(first, worst), (worst, last)]
+    rows = sorted(kept)
+    return Legs(times=t[rows], places=place[rows])
+
+
+def mission(legs: Legs, origin: Origin, name: str, path_error_m: float) -> dict[str, Any]:
+    """Return a QGroundControl plan file: heights are over the origin, which is the home.
+
+    Raises
+    ------
+    ScenarioError
+        If the legs are more than an autopilot holds.
+    """
+    items: list[dict[str, Any]] = []
+    globe = origin.geodetic(legs.places)
+    lengths = np.linalg.norm(np.diff(legs.places, axis=0), axis=1)
+    spans = np.diff(legs.times)
+    items.append(_waypoint(globe[0]))
+    for place, length, span in zip(globe[1:], lengths, spans, strict=True):
+        if length / span < _SLOWEST:
+            items.append(_waypoint(place, hold_s=float(span)))
+        else:
+            speed = float(length / span)
+            items += [_item(_DO_CHANGE_SPEED, _MISSION, [_GROUND_SPEED, speed, -1, 0, 0, 0, 0])]
+            items.append(_waypoint(place))
+    if len(items) > MOST_ITEMS:
+        raise ScenarioError(
+            f"{name}: --path-error {path_error_m:g} m takes {len(items)} mission items; PX4 holds "
+            f"{MOST_ITEMS}; give a larger --path-error."
+        )
+    numbered = [item | {"doJumpId": number} for number, item in enumerate(items, start=1)]
+    fastest = float(max((lengths / spans).max(), _SLOWEST))
+    return {
+        "fileType": "Plan",
+        "version": 1,
+        "groundStation": "QGroundControl",
+        "geoFence": {"circles": [], "polygons": [], "version": 2},
+        "rallyPoints": {"points": [], "version": 2},
+        "mission": {
+            "version": 2,
+            "firmwareType": _PX4,
+            "vehicleType": _QUADROTOR,
+            "cruiseSpeed": fastest,
+            "hoverSpeed": fastest,
+            "plannedHomePosition": [origin.latitude, origin.longitude, origin.altitude],
+            "items": numbered,
+        },
+    }
+
+
+def _waypoint(place: FloatArray, hold_s: float = 0.0) -> dict[str, Any]:
+    latitude, longitude, height = (float(value) for value in place)
+    # Yaw None: the autopilot's own.  Radii of 0 are those that the autopilot is set to.
+    item = _item(
+        _NAV_WAYPOINT, _GLOBAL_RELATIVE_ALTITUDE, [hold_s, 0, 0, None, latitude, longitude, height]
+    )
+    return item | {"Altitude": height, "AltitudeMode": 1, "AMSLAltAboveTerrain": None}
+
+
+def _item(command: int, frame: int, params: list[Any]) -> dict[str, Any]:
+    return {
+        "type": "SimpleItem",
+        "autoContinue": True,
+        "command": command,
+        "frame": frame,
+        "params": params,
+    }
+
+
+def _normal_radius(latitude: FloatArray) -> FloatArray:
+    """Return the radius of curvature across the meridian [m]; latitudes in radians."""
+    return np.asarray(_EQUATOR / np.sqrt(1.0 - _ECCENTRICITY_2 * np.sin(latitude) ** 2))
+
+
+def _geodetic(place: FloatArray) -> FloatArray:
+    """Return latitude [deg], longitude [deg] and height over the ellipsoid [m] of earth-centred."""
+    x, y, z = place.T
+    across = np.hypot(x, y)
+    latitude = np.arctan2(z, across * (1.0 - _ECCENTRICITY_2))
+    for _ in range(_LATITUDE_STEPS):
+        normal = _normal_radius(latitude)
+        latitude = np.arctan2(z + normal * _ECCENTRICITY_2 * np.sin(latitude), across)
+    normal = _normal_radius(latitude)
+    # Of the two ways to the height that which does not divide by nothing at poles or equator.
+    height = (
+        across * np.cos(latitude)
+        + z * np.sin(latitude)
+        - normal * (1.0 - _ECCENTRICITY_2 * np.sin(latitude) ** 2)
+    )
+    return np.column_stack([np.degrees(latitude), np.degrees(np.arctan2(y, x)), height])
+
+
+def origin_of(text: str) -> Origin:
+    """Read LAT,LON,ALT in degrees and metres above the sea.
+
+    Raises
+    ------
+    ScenarioError
+        If it is not three numbers, or no place on the globe.
+    """
+    numbers = [_number(part) for part in text.split(",")]
+    if len(numbers) != 3 or None in numbers:
+        raise ScenarioError(
+            f"--origin {shown(text)}: must be LAT,LON,ALT in degrees and metres above the sea, "
+            "such as 47.3977,8.5456,488."
+        )
+    for name, value, (low, high), unit in zip(
+        ("latitude", "longitude", "altitude"), numbers, _GLOBE, ("deg", "deg", "m"), strict=True
+    ):
+        if value is None or not low <= value <= high:
+            raise ScenarioError(
+                f"--origin: {name} = {value:g} {unit}; must be from {low:g} to {high:g} {unit}."
+            )
+    latitude, longitude, altitude = (float(value or 0.0) for value in numbers)
+    return Origin(latitude=latitude, longitude=longitude, altitude=altitude)
+
+
+def _number(text: str) -> float | None:
+    try:
+        return number_in_text(text)
+    except ValueError:
+        return None
 
 
 class Format(StrEnum):
@@ -206,9 +573,7 @@ def _write_ros2(motion: Motion, path: Path, options: _Options) -> _Written:
 
 
 def _write_crazyflie(motion: Motion, path: Path, options: _Options) -> _Written:
-    durations, coefficients = polynomials.fit(
-        motion, options.path_error_m or 0.0, MOST_CRAZYFLIE_PIECES
-    )
+    durations, coefficients = fit_pieces(motion, options.path_error_m or 0.0, MOST_CRAZYFLIE_PIECES)
     # The vehicle holds numbers of 32 bits: what is lost by them belongs to the error.
     rows = np.column_stack([durations, coefficients.reshape(len(durations), -1)])
     rows = rows.astype(np.float32)
@@ -217,23 +582,21 @@ def _write_crazyflie(motion: Motion, path: Path, options: _Options) -> _Written:
     lines = [",".join(names), *(",".join(_DIGITS % value for value in row) for row in rows)]
     _write_text(path, "".join(f"{line}\n" for line in lines))
     held = rows.astype(float)
-    found = polynomials.deviation(motion, held[:, 0], held[:, 1:].reshape(coefficients.shape))
+    found = piece_deviation(motion, held[:, 0], held[:, 1:].reshape(coefficients.shape))
     return len(rows), "pieces", *found
 
 
 def _write_rotorpy(motion: Motion, path: Path, options: _Options) -> _Written:
-    durations, coefficients = polynomials.fit(
-        motion, options.path_error_m or 0.0, _MOST_ROTORPY_PIECES
-    )
+    durations, coefficients = fit_pieces(motion, options.path_error_m or 0.0, _MOST_ROTORPY_PIECES)
     _write_text(
         path,
         _ROTORPY_MODULE.format(
-            definition=inspect.getsource(polynomials.PolynomialTrajectory),
+            definition=inspect.getsource(PolynomialTrajectory),
             durations=durations.tolist(),
             coefficients=coefficients.tolist(),
         ),
     )
-    return len(durations), "pieces", *polynomials.deviation(motion, durations, coefficients)
+    return len(durations), "pieces", *piece_deviation(motion, durations, coefficients)
 
 
 # Of the plan there are only numbers in it, no text: it is a program.

@@ -12,9 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pyomo_quad.exports import Format, Motion, export_plan
-from pyomo_quad.exports.formats import MOST_CRAZYFLIE_PIECES
-from pyomo_quad.exports.setpoints import offboard
-from pyomo_quad.exports.waypoints import Legs, Origin, mission
+from pyomo_quad.exports.formats import MOST_CRAZYFLIE_PIECES, Legs, Origin, mission, offboard
 from pyomo_quad.flight import PlanStatus
 from pyomo_quad.flight.flight import TIME
 from pyomo_quad.report import Figures
