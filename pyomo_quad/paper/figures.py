@@ -12,11 +12,9 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from pyomo_quad.flight.flight import ROTORS, TIME
-from pyomo_quad.paper.claims import OPTIMAL_ENERGY
 from pyomo_quad.paper.experiments import Experiment, PaperFlight, Reading
-from pyomo_quad.paper.floors import EfficiencyMap
-from pyomo_quad.paper.study import PaperStudy
-from pyomo_quad.paper.tables import find_flight
+from pyomo_quad.paper.study import EfficiencyMap, PaperStudy
+from pyomo_quad.paper.tables import OPTIMAL_ENERGY, find_flight
 from pyomo_quad.report.flight_figures import (
     draw_battery,
     draw_controls,

@@ -11,13 +11,6 @@ import pandas as pd
 
 from pyomo_quad.model import build_model
 from pyomo_quad.model.typeset import EQUATION_TABLE, TypesetEquation, typeset_equations
-from pyomo_quad.paper.claims import (
-    ADAPTIVE_ENERGY,
-    OPTIMAL_ENERGY,
-    SAVING,
-    corrections,
-    implied_wind_optimum,
-)
 from pyomo_quad.paper.experiments import (
     POWER_MODELS,
     BaselineFlight,
@@ -30,10 +23,15 @@ from pyomo_quad.paper.experiments import (
 from pyomo_quad.paper.figures import floor_drawing, paper_drawings
 from pyomo_quad.paper.study import PaperStudy
 from pyomo_quad.paper.tables import (
+    ADAPTIVE_ENERGY,
+    OPTIMAL_ENERGY,
+    SAVING,
     TABLES,
     baseline_saving,
+    corrections,
     find_baseline,
     find_flight,
+    implied_wind_optimum,
     kilojoules,
     metres,
     paper_tables,

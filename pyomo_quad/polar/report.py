@@ -1,12 +1,15 @@
-"""What `polar` writes: tables, a summary, figures and a report."""
+"""What `polar` writes: tables, a summary, figures and a report.
+
+The figures are power over airspeed, best speeds over the direction of the wind, the reach map.
+"""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
-from pyomo_quad.polar.figures import polar_drawings
 from pyomo_quad.polar.polar import (
     AIRSPEED,
     ANGLE,
@@ -22,9 +25,10 @@ from pyomo_quad.polar.polar import (
     SteadyCurve,
 )
 from pyomo_quad.report import Figures
-from pyomo_quad.report.gallery import save_drawings, wanted_drawings
+from pyomo_quad.report.gallery import Drawing, save_drawings, wanted_drawings
 from pyomo_quad.report.render import render_markdown
 from pyomo_quad.report.report import REPORT_NAME
+from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, SERIES_STYLES
 from pyomo_quad.report.tables import write_summary, write_table
 from pyomo_quad.version import __version__
 
@@ -107,3 +111,109 @@ def _table(curve: SteadyCurve) -> pd.DataFrame:
             RANGE: curve.airspeeds * curve.endurances,
         }
     )
+
+
+# Slower, the energy per metre grows beyond any axis.
+_SLOWEST_M_S = 2.0
+_KILO = 1e-3
+
+
+def polar_drawings(polar: Polar) -> tuple[Drawing, ...]:
+    """List the figures of a polar."""
+    return (
+        Drawing(
+            name="polar",
+            title="Power and energy per metre over airspeed",
+            caption="Level, steady flight in still air for each mass carried. The dots mark the "
+            "speeds of least power, left, and of least energy per metre, right.",
+            draw=lambda: draw_polar(polar),
+        ),
+        Drawing(
+            name="wind",
+            title="The best speeds in wind",
+            caption="Over the angle between the course and where the wind blows to (0 is a tail "
+            "wind, 180 a head wind), for each speed of the wind: the ground speed of least energy "
+            "per metre over the ground, and that energy.",
+            draw=lambda: draw_winds(polar),
+        ),
+        Drawing(
+            name="reach",
+            title="The reach map",
+            caption="How far the pack carries out and back on each course (km), each leg at its "
+            "best speed, in the scenario's mean wind and in still air. "
+            "The arrow points where the wind blows to; 0 degrees is along world x.",
+            draw=lambda: draw_reach(polar),
+        ),
+    )
+
+
+def draw_polar(polar: Polar) -> Figure:
+    """Draw power and energy per metre over airspeed for each payload."""
+    figure = Figure(figsize=(FULL_WIDTH, 3.1))
+    left, right = figure.subplots(1, 2)
+    figure.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.16, wspace=0.25)
+    for curve, style in zip(polar.curves, SERIES_STYLES, strict=False):
+        speeds = np.linspace(0.0, curve.airspeeds[-1], 300)
+        power = curve.power(speeds)
+        left.plot(speeds, power, color=style.color, label=f"{curve.payload_kg:.2f} kg")
+        slow = curve.speed_of_least_power
+        left.plot(slow, curve.power(slow), "o", color=style.color, markersize=5)
+        moving = speeds >= _SLOWEST_M_S
+        right.plot(speeds[moving], power[moving] / speeds[moving], color=style.color)
+        best = curve.best_over_ground()
+        right.plot(best.ground_speed, best.energy_per_metre, "o", color=style.color, markersize=5)
+    left.set(xlabel="Airspeed (m/s)", ylabel="Power (W)", title="Power")
+    right.set(xlabel="Airspeed (m/s)", ylabel="Energy per metre (J/m)", title="Energy per metre")
+    right.set_ylim(0.0, 4.0 * polar.own.best_over_ground().energy_per_metre)
+    left.legend(title="Carried", frameon=False)
+    return figure
+
+
+def draw_winds(polar: Polar) -> Figure:
+    """Draw best ground speed and its energy per metre over the wind's angle."""
+    figure = Figure(figsize=(FULL_WIDTH, 3.3))
+    left, right = figure.subplots(1, 2)
+    figure.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.26, wspace=0.25)
+    speeds = polar.winds[WIND].unique().tolist()
+    for wind, style in zip(speeds, SERIES_STYLES, strict=False):
+        rows = polar.winds[polar.winds[WIND] == wind]
+        angles = rows[ANGLE]
+        is_calm = len(rows) == 1
+        for axes, name in ((left, GROUND_SPEED), (right, ENERGY_PER_METRE)):
+            x, y = (angles, rows[name]) if not is_calm else ([0, 180], [rows[name].iloc[0]] * 2)
+            axes.plot(x, y, label=f"{wind:g} m/s", **style.line)
+    for axes in (left, right):
+        axes.set_xticks(range(0, 181, 45))
+        axes.set_xlabel("Angle between course and wind (°)")
+    left.set(ylabel="Ground speed (m/s)", title="Best ground speed")
+    right.set(ylabel="Energy per metre (J/m)", title="Energy per metre over the ground")
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=7, frameon=False)
+    return figure
+
+
+def draw_reach(polar: Polar) -> Figure:
+    """Draw how far out and back the pack carries in every direction."""
+    figure = Figure(figsize=(FULL_WIDTH, 4.2))
+    axes = figure.add_axes((0.25, 0.08, 0.5, 0.84), projection="polar")
+    courses = np.radians(polar.reach[COURSE].to_numpy())
+    reach = polar.reach[REACH].to_numpy() * _KILO
+    closed = np.append(courses, courses[0] + 2 * np.pi), np.append(reach, reach[0])
+    calm = 0.5 * polar.own.best_over_ground().range_m * _KILO
+    axes.plot(
+        np.linspace(0, 2 * np.pi, 181),
+        np.full(181, calm),
+        color=MUTED,
+        linestyle="--",
+        label="still air",
+    )
+    said = f"wind of {polar.wind_m_s:.1f} m/s"
+    axes.plot(*closed, color=SERIES_STYLES[0].color, label=said)
+    axes.fill(*closed, color=SERIES_STYLES[0].color, alpha=0.15, linewidth=0)
+    most = 1.15 * max(calm, reach.max())
+    axes.set_ylim(0.0, most)
+    if polar.wind_m_s > 0.0:
+        tip = (polar.wind_towards_rad, 0.35 * most)
+        axes.annotate("", tip, (0.0, 0.0), arrowprops={"arrowstyle": "->", "color": INK})
+    axes.legend(loc="lower left", bbox_to_anchor=(0.95, 0.0), frameon=False)
+    return figure

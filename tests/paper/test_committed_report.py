@@ -14,8 +14,8 @@ from pyomo_quad.paper.experiments import (
     fly_case,
     wind_cases,
 )
-from pyomo_quad.paper.floors import chattering_floors, pack_facts
 from pyomo_quad.paper.report import TOLERANCES
+from pyomo_quad.paper.study import chattering_floors, pack_facts
 from pyomo_quad.scenario import PowerModel, Reference
 
 FOLDER = Path("reports/paper")

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from pyomo_quad.model.typeset import EQUATION_TABLE
-from pyomo_quad.paper.claims import SAVING, implied_wind_optimum
 from pyomo_quad.paper.experiments import Experiment, MeshTrial, Reading, paper_scenario, run_trial
-from pyomo_quad.paper.floors import (
+from pyomo_quad.paper.study import (
     chattering_floors,
     critical_acceleration,
     envelope_at,
@@ -16,6 +15,7 @@ from pyomo_quad.paper.floors import (
     pack_facts,
     rotor_map,
 )
+from pyomo_quad.paper.tables import SAVING, implied_wind_optimum
 from pyomo_quad.scenario import load_scenario
 from tests.flights import PLANNER
 

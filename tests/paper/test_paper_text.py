@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 
 from pyomo_quad.flight import Flight
-from pyomo_quad.paper.claims import corrections
 from pyomo_quad.paper.experiments import (
     POWER_MODELS,
     BaselineCase,
@@ -22,7 +21,7 @@ from pyomo_quad.paper.experiments import (
 )
 from pyomo_quad.paper.figures import energy_chain
 from pyomo_quad.paper.report import examination
-from pyomo_quad.paper.tables import baseline_saving, find_baseline, find_flight
+from pyomo_quad.paper.tables import baseline_saving, corrections, find_baseline, find_flight
 from pyomo_quad.report.render import render_markdown
 from pyomo_quad.scenario import PowerModel, Reference
 from tests.flights import PLANNER
