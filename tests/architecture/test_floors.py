@@ -38,9 +38,9 @@ ENGINE = {
     "dynamics": 3,
     "solution": 3,
     "refining": 4,
+    "diagnosis": 4,
     "problem": 5,
     "joint": 6,
-    "diagnosis": 4,
     "pyomo_solver": 7,
 }
 # Library -> the parts of the package that may import it.
