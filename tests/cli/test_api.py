@@ -85,7 +85,7 @@ def test_importing_the_package_imports_no_solver():
 
 def test_naming_the_commands_imports_no_solver():
     slow = {"pyomo", "pint", "casadi", "cyipopt", "scipy", "pandas", "matplotlib", "plotly"}
-    assert slow.isdisjoint(modules_after("import pyomo_quad.cli.app"))
+    assert slow.isdisjoint(modules_after("import pyomo_quad.cli.commands"))
 
 
 @pytest.mark.slow
@@ -117,7 +117,7 @@ def test_a_callers_garbage_collector_stays_as_it_is(capsys):
 def test_the_command_keeps_blas_to_one_thread_unless_told(monkeypatch, told, kept):
     monkeypatch.setattr(os, "environ", {} if told is None else {"OMP_NUM_THREADS": told})
     seen = []
-    monkeypatch.setattr("pyomo_quad.cli.app.main", lambda _: seen.append(dict(os.environ)))
+    monkeypatch.setattr("pyomo_quad.cli.commands.main", lambda _: seen.append(dict(os.environ)))
     for name in ("end_on_signals", "leave"):
         monkeypatch.setattr(pyomo_quad.cli, name, lambda *_: 0)
     monkeypatch.setattr(gc, "set_threshold", lambda *_: None)

@@ -7,7 +7,7 @@ import pytest
 
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
-from pyomo_quad.cli.finished import Reader
+from pyomo_quad.cli.looking import Reader
 from pyomo_quad.exports import Format
 from tests.command import SCENARIOS
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pyomo_quad.cli import sweeping
-from pyomo_quad.cli.app import main
+from pyomo_quad.cli.commands import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.sweep import estimate_sweep, runner
 from tests.command import start

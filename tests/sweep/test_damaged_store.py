@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from pyomo_quad.cli.app import main
+from pyomo_quad.cli.commands import main
 from pyomo_quad.sweep import ResultStore, StoreError, design_sweep, load_study, store
 from pyomo_quad.sweep.store import STORE_NAME
 from tests.sweep.studies import DURATION_AXIS, write_study

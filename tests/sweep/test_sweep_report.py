@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pyomo_quad.cli.app import main
+from pyomo_quad.cli.commands import main
 from pyomo_quad.sweep import (
     ResultStore,
     design_sweep,
