@@ -1,6 +1,7 @@
 """Which figures a report holds, in which order, and what stands under them."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -227,22 +228,18 @@ def front_drawing(front: pd.DataFrame) -> Drawing:
     )
 
 
-def draw_plan(folder: Path, plan: "Plan", figures: Figures) -> tuple[Drawing, ...]:
-    """Draw a plan into its report's folder, and return what is there to show."""
-    drawings = wanted_drawings(plan_drawings(plan, styled_flights([plan_flight(plan)])), figures)
-    save_drawings(drawings, folder)
-    return drawings
+def drawings_of_solve(plan: "Plan", figures: Figures) -> tuple[Drawing, ...]:
+    """List what the report of a plan alone shows."""
+    return wanted_drawings(plan_drawings(plan, styled_flights([plan_flight(plan)])), figures)
 
 
-def draw_run(
-    folder: Path, result: "RunResult", figures: Figures
-) -> tuple[tuple[Drawing, ...], tuple[Drawing, ...], tuple[Drawing, ...]]:
-    """Draw a run into its report's folder, and return what is there to show.
+def drawings_of_run(result: "RunResult", figures: Figures) -> tuple[tuple[Drawing, ...], ...]:
+    """List what the report of a run shows.
 
     That is the flights beside each other, what adaptation and time are worth, and the plan.
     """
     flights = _styled(result)
-    compared, studied, planned = (
+    return tuple(
         wanted_drawings(part, figures)
         for part in (
             _comparison(result, flights),
@@ -253,12 +250,10 @@ def draw_run(
             plan_drawings(result.plan, flights),
         )
     )
-    save_drawings((*compared, *studied, *planned), folder)
-    return compared, studied, planned
 
 
-def draw_compared(folder: Path, comparison: pd.DataFrame, figures: Figures) -> tuple[Drawing, ...]:
-    """Draw the energies of many scenarios' flights into their report's folder."""
+def drawings_of_comparison(comparison: pd.DataFrame, figures: Figures) -> tuple[Drawing, ...]:
+    """List what the comparison of many scenarios shows: the energies of their flights."""
     drawing = Drawing(
         name="energy_compared",
         title="Energy of each flight",
@@ -266,9 +261,7 @@ def draw_compared(folder: Path, comparison: pd.DataFrame, figures: Figures) -> t
         "for each scenario. A flight that did not arrive is pale.",
         draw=lambda: draw_excess_by_scenario(comparison),
     )
-    drawings = wanted_drawings([drawing], figures)
-    save_drawings(drawings, folder)
-    return drawings
+    return wanted_drawings([drawing], figures)
 
 
 def view_of_paths(result: "RunResult") -> tuple[dict[str, str], str]:
@@ -299,8 +292,16 @@ def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Draw
 
 def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
     """Draw figures, on all cores, into a folder of their own in that of the report."""
+    with drawn_meanwhile(drawings, folder):
+        pass
+
+
+@contextmanager
+def drawn_meanwhile(drawings: Iterable[Drawing], folder: Path) -> Iterator[None]:
+    """Draw figures as `save_drawings` does, on other cores while the block is at work."""
     wanted = tuple(drawings)
     if not wanted:
+        yield
         return
     target = folder / FIGURE_FOLDER
     target.mkdir(exist_ok=True)
@@ -310,6 +311,7 @@ def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
         save_figure(drawing.draw, dict(zip(drawing.formats, paths, strict=True)))
 
     with side_by_side([partial(save, drawing) for drawing in wanted]) as finish:
+        yield
         finish()
 
 

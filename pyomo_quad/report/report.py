@@ -2,7 +2,9 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from itertools import chain
 from math import inf
 from pathlib import Path
 from types import ModuleType
@@ -91,12 +93,13 @@ def write_solve_report(
     figures : Figures, optional
         What is drawn.
     """
-    write_plan_table(folder, plan, rate_hz)
-    drawings = () if figures is Figures.NONE else _gallery().draw_plan(folder, plan, figures)
-    text = render_markdown(
-        "report/solve.md.j2", **_of_plan(plan), drawings=drawings, warnings=warnings
-    )
-    (folder / REPORT_NAME).write_text(text, encoding="utf-8")
+    drawings = () if figures is Figures.NONE else _gallery().drawings_of_solve(plan, figures)
+    with _drawn_meanwhile(drawings, folder):
+        write_plan_table(folder, plan, rate_hz)
+        text = render_markdown(
+            "report/solve.md.j2", **_of_plan(plan), drawings=drawings, warnings=warnings
+        )
+        (folder / REPORT_NAME).write_text(text, encoding="utf-8")
 
 
 def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figures.SVG) -> None:
@@ -111,6 +114,22 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
     figures : Figures, optional
         What is drawn; without, the page has no paths to turn either.
     """
+    parts: tuple[tuple[Drawing, ...], ...] = ((), (), ())
+    if figures is not Figures.NONE:
+        parts = _gallery().drawings_of_run(result, figures)
+    drawings = tuple(chain(*parts))
+    with _drawn_meanwhile(drawings, folder):
+        _write_tables(folder, result)
+        shown = dict(zip(("beside", "studied", "drawings"), parts, strict=True))
+        text = render_markdown(
+            "report/run.md.j2", **_of_plan(result.plan), **_of_run(result), **shown
+        )
+        (folder / REPORT_NAME).write_text(text, encoding="utf-8")
+    page = _page(folder, text, result, drawings)
+    (folder / PAGE_NAME).write_text(page, encoding="utf-8")
+
+
+def _write_tables(folder: Path, result: "RunResult") -> None:
     write_plan_table(folder, result.plan)
     if not result.comparison.empty:
         write_comparison(folder, result.comparison, _title(result.plan))
@@ -119,21 +138,6 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
     replanned = replanning_table(result.flights)
     if not replanned.empty:
         write_table(replanned, folder / REPLANNING_NAME)
-    parts: tuple[tuple[Drawing, ...], ...] = ((), (), ())
-    if figures is not Figures.NONE:
-        parts = _gallery().draw_run(folder, result, figures)
-    compared, studied, drawings = parts
-    text = render_markdown(
-        "report/run.md.j2",
-        **_of_plan(result.plan),
-        **_of_run(result),
-        beside=compared,
-        studied=studied,
-        drawings=drawings,
-    )
-    (folder / REPORT_NAME).write_text(text, encoding="utf-8")
-    page = _page(folder, text, result, (*compared, *studied, *drawings))
-    (folder / PAGE_NAME).write_text(page, encoding="utf-8")
 
 
 def write_comparison(folder: Path, comparison: "pd.DataFrame", title: str = "Comparison") -> None:
@@ -223,14 +227,15 @@ def write_compare_report(
         return
     drawings: tuple[Drawing, ...] = ()
     if figures is not Figures.NONE:
-        drawings = _gallery().draw_compared(folder, comparison, figures)
-    text = render_markdown(
-        "report/comparison.md.j2",
-        title="Comparison",
-        **_of_flights(comparison),
-        drawings=drawings,
-    )
-    (folder / COMPARISON_REPORT_NAME).write_text(text, encoding="utf-8")
+        drawings = _gallery().drawings_of_comparison(comparison, figures)
+    with _drawn_meanwhile(drawings, folder):
+        text = render_markdown(
+            "report/comparison.md.j2",
+            title="Comparison",
+            **_of_flights(comparison),
+            drawings=drawings,
+        )
+        (folder / COMPARISON_REPORT_NAME).write_text(text, encoding="utf-8")
     from pyomo_quad.report.page import render_html  # noqa: PLC0415  a solve writes no page
 
     page = render_html(
@@ -360,6 +365,10 @@ def prepare_figures(figures: Figures) -> None:
     """Import now what figures of a report need, if any are wanted."""
     if figures is not Figures.NONE:
         _gallery()
+
+
+def _drawn_meanwhile(drawings: "Sequence[Drawing]", folder: Path) -> AbstractContextManager[None]:
+    return _gallery().drawn_meanwhile(drawings, folder) if drawings else nullcontext()
 
 
 def _gallery() -> ModuleType:

@@ -1,6 +1,7 @@
 """The report of a run answers first, and its tables say what the comparison says."""
 
 import re
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -56,7 +57,7 @@ def report(tmp_path_factory):
 @pytest.fixture
 def _no_figures(monkeypatch):
     # Drawing is tested once above; here only the text counts.
-    monkeypatch.setattr("pyomo_quad.report.gallery.save_drawings", lambda *_: None)
+    monkeypatch.setattr("pyomo_quad.report.gallery.drawn_meanwhile", lambda *_: nullcontext())
     monkeypatch.setattr("pyomo_quad.report.report._page", lambda *_: "")
 
 
