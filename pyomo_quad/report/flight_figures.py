@@ -161,15 +161,7 @@ COSTATES = (
 
 
 def draw_costates(costates: pd.DataFrame, duration: float) -> Figure:
-    """Draw the costates in five groups, and the Hamiltonian.
-
-    Parameters
-    ----------
-    costates : DataFrame
-        Time, one column per state and the Hamiltonian, at the collocation points.
-    duration : float
-        End of the flight, s.
-    """
+    """Draw the costates in five groups, and the Hamiltonian, up to the end of the flight, s."""
     figure, panels = panel_grid(3, 2, panel_height=1.4, legend_entries=0)
     time = TIME.of(costates)
     for axes, (states, title, unit, scale) in zip(panels.flat, _GROUPS, strict=False):
@@ -201,13 +193,7 @@ _HOVER_LINE: dict[str, Any] = {"color": MUTED, "linewidth": 1.0, "linestyle": (0
 
 
 def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
-    """Draw power, energy, and energy above hovering, over each other.
-
-    Parameters
-    ----------
-    hover_energy_J : float
-        Energy of hovering for as long as the mission lasts, J.
-    """
+    """Draw power, energy, and energy above hovering for the mission's time, over each other."""
     figure, panels = panel_grid(3, 1, panel_height=1.5, legend_entries=1 + len(flights))
     duration = flights[0].duration_s
     hover_power = hover_energy_J / duration
@@ -228,13 +214,7 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
 
 
 def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W: float) -> None:
-    """Draw the energy spent until each time, less what hovering until then takes.
-
-    Parameters
-    ----------
-    hover_power_W : float
-        Power of hovering, W.
-    """
+    """Draw the energy spent until each time, less what hovering until then takes."""
     axes.axhline(0.0, **_HOVER_LINE)
     for flight in flights:
         time, energy = TIME.of(flight.frame), ENERGY.of(flight.frame)
@@ -308,18 +288,7 @@ _NUMBER_ROOM = 1.28  # the axis goes on past the longest bar for the numbers bes
 def draw_energy_split(
     flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
 ) -> Figure:
-    """Draw the whole energy from zero, and beside it what lies above the hover floor.
-
-    Parameters
-    ----------
-    hover_energy_J : float
-        Energy of hovering for as long as the mission lasts, J.
-
-    Returns
-    -------
-    Figure
-        Two panels of horizontal bars, one bar per flight.
-    """
+    """Draw the whole energy from zero, and beside it what lies above the hover floor: bars."""
     height = _EDGES + _ROW * len(flights)
     figure = Figure(figsize=(FULL_WIDTH, height))
     whole, above = figure.subplots(1, 2, sharey=True)
@@ -345,13 +314,7 @@ def draw_energy_split(
 def draw_excess(
     axes: Axes, flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
 ) -> None:
-    """Draw one bar per flight for its energy above the hover floor, the first on top.
-
-    Parameters
-    ----------
-    hover_energy_J : float
-        Energy of hovering for as long as the mission lasts, J.
-    """
+    """Draw one bar per flight for its energy above the hover floor, the first on top."""
     hover_power = hover_energy_J / flights[0].duration_s
     excess = [flight.energy_J - hover_power * flight.duration_s for flight in flights]
     for row, (flight, surplus) in enumerate(zip(flights, excess, strict=True)):
@@ -435,18 +398,7 @@ _ERROR_FLOOR = 1e-16  # keeps an error of zero on the logarithmic axis
 def draw_mesh(
     history: "Sequence[MeshRecord]", mesh: "Mesh", tolerance: float, duration: float
 ) -> Figure:
-    """Draw the error estimate from mesh to mesh, and the last mesh over time.
-
-    Parameters
-    ----------
-    duration : float
-        End of the flight, s.
-
-    Returns
-    -------
-    Figure
-        Two panels.
-    """
+    """Draw the error estimate from mesh to mesh, and the last mesh over the flight's time, s."""
     height = 2.6
     figure = Figure(figsize=(FULL_WIDTH, height))
     errors, elements = figure.subplots(1, 2)
@@ -501,13 +453,7 @@ _HEIGHT = 4.2  # inches
 def draw_overview(
     flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
 ) -> Figure:
-    """Draw the paths in space beside the energy above hovering, over time and in total.
-
-    Parameters
-    ----------
-    hover_energy_J : float
-        Energy of hovering for as long as the mission lasts, J.
-    """
+    """Draw the paths in space beside the energy above hovering, over time and in total."""
     figure = Figure(figsize=(FULL_WIDTH, _HEIGHT))
     draw_space(figure.add_axes((0.0, 0.12, 0.46, 0.88), projection="3d"), distinct_paths(flights))
     over_time = figure.add_axes((0.52, 0.69, 0.46, 0.25))
@@ -528,10 +474,7 @@ _LEG_ROW = 0.2  # inches
 def draw_way(flights: Sequence[StyledFlight], mission: "Scenario") -> Figure:
     """Draw the speed over the way flown, and the energy of each leg of the first flight.
 
-    Parameters
-    ----------
-    mission : Scenario
-        With the times at which the first flight passes its waypoints.
+    The mission has the times at which that flight passes its waypoints.
     """
     optimum, legs = flights[0], leg_table(mission, flights[0].frame)
     below = 0.45 + 0.2 * ceil(len(flights) / LEGEND_COLUMNS)

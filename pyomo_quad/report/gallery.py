@@ -93,20 +93,10 @@ class Drawing:
 
 
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
-    """List the figures of a plan, with what else was flown beside it.
+    """List the figures of a plan, whose flight comes first, with what else was flown beside it.
 
-    Parameters
-    ----------
-    plan : Plan
-        The plan, also of a solve that failed.
-    flights : sequence of StyledFlight
-        The plan's flight first.
-
-    Returns
-    -------
-    tuple of Drawing
-        Without those that show what a model of the user's own does not declare, what a failed
-        solve left without a number, or a wind that does not blow.
+    Left out is what a model of the user's own does not declare, what a failed solve left without a
+    number, and a wind that does not blow.
     """
     has_forecast = plan.scenario.wind.forecast is not None
     blowing = flights[1] if has_forecast and len(flights) > 1 else None
@@ -155,22 +145,10 @@ def column_drawing(flight: StyledFlight, column: str) -> Drawing:
 def comparison_drawings(
     flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
 ) -> tuple[Drawing, ...]:
-    """List the figures that set flights against each other.
+    """List the figures that set flights against each other, the optimum first.
 
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        All flights, the optimum first.
-    hover_energy_J : float
-        Energy of hovering for as long as the mission lasts, J.
-    absent : frozenset of str
-        Names of the flights that did not arrive.
-
-    Returns
-    -------
-    tuple of Drawing
-        The run at a glance, and the energy of each flight; nothing for a model of the user's own
-        without positions.
+    ``absent`` names those that did not arrive. A model of the user's own without positions has no
+    such figures.
     """
     if not set(_columns(POSITION)) <= set(flights[0].frame):
         return ()
@@ -195,18 +173,7 @@ def comparison_drawings(
 
 
 def adaptation_drawing(study: pd.DataFrame) -> Drawing:
-    """Return the figure of what adaptation is worth.
-
-    Parameters
-    ----------
-    study : DataFrame
-        Of `adaptation_study`.
-
-    Returns
-    -------
-    Drawing
-        The error with adaptation and without, and the disturbance that it found.
-    """
+    """Return the figure of what adaptation is worth, from an `adaptation_study`."""
     return Drawing(
         name="adaptation",
         title="Adaptation to the wind",
@@ -369,18 +336,7 @@ def _way(flights: Sequence[StyledFlight], mission: "Scenario") -> tuple[Drawing,
 
 
 def left_out(flights: Sequence[StyledFlight]) -> str:
-    """Say under a picture of paths which of them are not, or not all, in it.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        The flights, the optimum first.
-
-    Returns
-    -------
-    str
-        Sentences with a space before each; empty when all is shown.
-    """
+    """Say under a picture of paths which of them are not, or not all, in it; empty if all are."""
     said = ""
     distinct, astray = distinct_paths(flights), leaving_paths(flights)
     near = [flight for flight in flights if flight not in distinct]

@@ -74,10 +74,7 @@ def distinct_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
 def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) -> Figure:
     """Draw all paths in space, and seen along each axis with what the mission has on the way.
 
-    Parameters
-    ----------
-    mission : Scenario, optional
-        With the passing times that its plan has; its zones and waypoints are drawn.
+    The mission has the passing times of its plan.
     """
     figure = Figure(figsize=(FULL_WIDTH, FULL_WIDTH))
     limits = _limits(flights)

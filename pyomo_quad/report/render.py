@@ -69,16 +69,8 @@ _BLANK = re.compile(
 def visible(text: str) -> str:
     """Spell out what a reader would not see, as Python escapes.
 
-    Parameters
-    ----------
-    text : str
-        Any text.
-
-    Returns
-    -------
-    str
-        Blanks and line breaks are kept; control characters, marks of direction, characters of no
-        width and halves of surrogate pairs are spelled out.
+    Blanks and line breaks are kept; control characters, marks of direction, characters of no width
+    and halves of surrogate pairs are spelled out.
     """
     return "".join(
         letter
@@ -99,18 +91,9 @@ _LINE_START = re.compile(r"^([-+](?=\s|$)|-{3,}$|\d+(?=[.)](?:\s|$)))")
 
 
 def escape_markdown(text: str) -> str:
-    """Return text that Markdown prints as it stands.
+    """Return text that Markdown prints as it stands, line breaks as spaces.
 
-    Parameters
-    ----------
-    text : str
-        Any text; line breaks become spaces.
-
-    Returns
-    -------
-    str
-        With the characters escaped that Markdown or HTML would act on, and those spelled out that
-        would not be seen.
+    What Markdown or HTML would act on is escaped, and what would not be seen spelled out.
     """
     one_line = visible(" ".join(text.split()))
     escaped = _SPECIAL.sub(r"\\\1", one_line.translate(_ENTITIES))
@@ -174,19 +157,9 @@ def environment() -> Environment:
 
 
 def render_markdown(template: str, **values: object) -> str:
-    """Return a template filled in, as Markdown with one blank line between blocks.
+    """Return a template below the package filled in, with one blank line between blocks.
 
-    Parameters
-    ----------
-    template : str
-        Path of a template below the package.
-    **values : object
-        What the template speaks of; it prints every text so that Markdown does not act on it.
-
-    Returns
-    -------
-    str
-        The file's text.
+    It prints every text among the values so that Markdown does not act on it.
     """
     text = environment().get_template(template).render(values)
     return re.sub(r"\n{3,}", "\n\n", text).strip() + "\n"

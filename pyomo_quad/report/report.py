@@ -78,20 +78,11 @@ def write_solve_report(
     rate_hz: float | None = None,
     figures: Figures = Figures.SVG,
 ) -> None:
-    """Write what there is to say of a plan.
+    """Write what there is to say of a plan of any status into a folder empty of reports.
 
-    Parameters
-    ----------
-    folder : Path
-        An existing folder, empty of reports.
-    plan : Plan
-        Of any status; one that is not verified is called so in title and text.
-    warnings : sequence of str, optional
-        What a reader should know beside the numbers, one line each.
-    rate_hz : float, optional
-        Rows per second of the table; one per node of the mesh without.
-    figures : Figures, optional
-        What is drawn.
+    A plan that is not verified is called so in title and text; ``warnings`` are what a reader
+    should know beside the numbers. The table has a row per node of the mesh, or ``rate_hz`` a
+    second.
     """
     drawings = () if figures is Figures.NONE else _gallery().drawings_of_solve(plan, figures)
     with _drawn_meanwhile(drawings, folder):
@@ -103,16 +94,10 @@ def write_solve_report(
 
 
 def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figures.SVG) -> None:
-    """Write all there is to say of a run: tables, figures, `report.md` and `report.html`.
+    """Write all there is to say of a run of any status into a folder empty of reports.
 
-    Parameters
-    ----------
-    folder : Path
-        An existing folder, empty of reports.
-    result : RunResult
-        Of any status; one whose plan is not verified is called so in title and text.
-    figures : Figures, optional
-        What is drawn; without, the page has no paths to turn either.
+    That is tables, figures, `report.md` and `report.html`; without figures the page has no paths to
+    turn either.
     """
     parts: tuple[tuple[Drawing, ...], ...] = ((), (), ())
     if figures is not Figures.NONE:
@@ -141,17 +126,7 @@ def _write_tables(folder: Path, result: "RunResult") -> None:
 
 
 def write_comparison(folder: Path, comparison: "pd.DataFrame", title: str = "Comparison") -> None:
-    """Write a comparison as CSV and as Markdown.
-
-    Parameters
-    ----------
-    folder : Path
-        An existing folder.
-    comparison : DataFrame
-        One row per flight, columns of `ComparisonColumn`.
-    title : str, optional
-        Of the Markdown file.
-    """
+    """Write a comparison, one row per flight, as CSV and under its title as Markdown."""
     write_table(comparison, folder / COMPARISON_NAME)
     if not comparison.empty:
         text = render_markdown(
@@ -211,16 +186,7 @@ def write_compare_report(
 ) -> None:
     """Write the flights of many scenarios beside each other: tables, a figure and a page.
 
-    Parameters
-    ----------
-    folder : Path
-        An existing folder, empty of reports.
-    comparison : DataFrame
-        One row per flight, columns of `ComparisonColumn`.
-    is_good : bool
-        Whether every plan was verified.
-    figures : Figures, optional
-        What is drawn.
+    ``is_good`` says whether every plan was verified.
     """
     write_table(comparison, folder / COMPARISON_NAME)
     if comparison.empty:

@@ -46,18 +46,7 @@ class Signal:
     smallest_span: float = 0.0
 
     def of(self, frame: pd.DataFrame) -> np.ndarray:
-        """Return the values of a flight in the printed unit.
-
-        Parameters
-        ----------
-        frame : DataFrame
-            The flight, one row per instant.
-
-        Returns
-        -------
-        ndarray
-            One value per row.
-        """
+        """Return the values of a flight in the printed unit, one per row."""
         return frame[self.column].to_numpy(dtype=float) * self.scale
 
     @property
@@ -272,17 +261,9 @@ ROTOR_STYLES = (
 
 
 def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
-    """Give each flight the style that it keeps in every figure of every report.
+    """Give each flight, by name, the style that it keeps in every figure of every report.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Names of flights.
-
-    Returns
-    -------
-    dict of str to LineStyle
-        By name, whatever else is drawn; names of no known flight share the styles left over.
+    Names of no known flight share the styles left over.
     """
     others = cycle(_OTHER_STYLES)
     return {
@@ -344,25 +325,8 @@ def panel_grid(
 ) -> tuple[Figure, np.ndarray]:
     """Lay out a figure of equal panels with titles above them and a legend below.
 
-    Parameters
-    ----------
-    rows, columns : int
-        Number of panels.
-    panel_height : float
-        Inches.
-    gap, left : float
-        Inches between columns and left of the first, room for tick labels.
-    legend_entries : int, default 1
-        Number of entries of the legend below; a single one needs no legend.
-    share_time : bool, default True
-        Whether panels above each other have one horizontal axis.
-
-    Returns
-    -------
-    figure : Figure
-        The figure.
-    panels : ndarray of Axes, shape (rows, columns)
-        Its panels.
+    Heights and gaps are in inches; ``left`` is the room for tick labels, and a legend of a single
+    entry is not needed.
     """
     right, top = 0.12, 0.28
     gap_y = 0.36 if share_time else 0.72
@@ -386,33 +350,14 @@ def panel_grid(
 def draw_over_time(
     axes: Axes, frame: pd.DataFrame, signal: Signal, style: LineStyle, label: str
 ) -> None:
-    """Draw one signal of one flight against time.
-
-    Parameters
-    ----------
-    axes : Axes
-        The panel.
-    frame : DataFrame
-        The flight.
-    signal : Signal
-        What to draw.
-    style : LineStyle
-        How the line looks.
-    label : str
-        The line's name in the legend.
-    """
+    """Draw one signal of one flight against time, under its name in the legend."""
     axes.plot(TIME.of(frame), signal.of(frame), label=label, **style.line)
 
 
 def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
-    """Give panels one vertical scale, which does not blow up what hardly varies.
+    """Give drawn panels one vertical scale, which does not blow up what hardly varies.
 
-    Parameters
-    ----------
-    panels : iterable of Axes
-        The panels, with their lines drawn.
-    smallest_span : float
-        Least difference between the ends of the axis, printed unit.
+    ``smallest_span`` is the least difference between the ends of the axis, in the printed unit.
     """
     panels = tuple(panels)
     ends = np.array([axes.dataLim.intervaly for axes in panels])
@@ -424,15 +369,7 @@ def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
 
 
 def label_time(panels: Iterable[Axes], duration: float) -> None:
-    """Name the time axis of the lowest panels and end it with the flight.
-
-    Parameters
-    ----------
-    panels : iterable of Axes
-        The lowest panels.
-    duration : float
-        End of the flight, s.
-    """
+    """Name the time axis of the lowest panels and end it with the flight, s."""
     for axes in panels:
         axes.set_xlabel(TIME.label)
         axes.set_xlim(0.0, duration)
@@ -440,15 +377,7 @@ def label_time(panels: Iterable[Axes], duration: float) -> None:
 
 
 def legend_below(figure: Figure, axes: Axes) -> None:
-    """Put one legend for the whole figure under its panels, if there is anything to tell apart.
-
-    Parameters
-    ----------
-    figure : Figure
-        A figure with room for the legend.
-    axes : Axes
-        A panel that holds every line to be named.
-    """
+    """Put one legend under all panels, of the lines of one, if there is anything to tell apart."""
     handles, labels = axes.get_legend_handles_labels()
     if len(labels) > 1:
         figure.legend(handles, labels, loc="lower center", ncols=min(LEGEND_COLUMNS, len(labels)))
@@ -469,34 +398,12 @@ class StyledFlight:
 
 
 def plan_flight(plan: "Plan") -> "Flight":
-    """Return a plan as a flight whose name says when it is none.
-
-    Parameters
-    ----------
-    plan : Plan
-        Of any status.
-
-    Returns
-    -------
-    Flight
-        Named "best iterate" if the solve failed.
-    """
+    """Return a plan as a flight, named "best iterate" if the solve failed."""
     return plan.flight() if plan.verification is not None else plan.flight(_FAILED_PLAN)
 
 
 def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
-    """Give each flight its style.
-
-    Parameters
-    ----------
-    flights : sequence of Flight
-        The run's flights, the optimum first.
-
-    Returns
-    -------
-    tuple of StyledFlight
-        In the same order.
-    """
+    """Give each flight its style, in the same order, the optimum first."""
     styles = flight_styles(tuple(flight.name for flight in flights))
     return tuple(
         StyledFlight(
@@ -524,17 +431,9 @@ def flight_of_table(name: str, frame: pd.DataFrame) -> StyledFlight:
 
 
 def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the optimum and the baseline that flies the same mission smoothly.
+    """Return the optimum, which is first, and the baseline that flies the same mission smoothly.
 
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        All flights, the optimum first.
-
-    Returns
-    -------
-    tuple of StyledFlight
-        The optimum alone when that baseline was not flown.
+    The optimum is alone when that baseline was not flown.
     """
     return tuple(
         flight for index, flight in enumerate(flights) if index == 0 or flight.name == FAIR_BASELINE

@@ -56,13 +56,7 @@ def flight_summary(
     arrived: bool,
     wall_s: Mapping[str, float],
 ) -> dict[str, Any]:
-    """Summarise a flight.
-
-    Parameters
-    ----------
-    wall_s : mapping
-        Seconds of each phase.
-    """
+    """Summarise a flight, with the seconds of each phase."""
     return {
         "scenario": scenario.name,
         "flight": flight.name,
@@ -89,13 +83,7 @@ _STATUS_COLUMN = "status"
 
 
 def write_plan_table(folder: Path, plan: "Plan", rate_hz: float | None = None) -> None:
-    """Write a plan's table.
-
-    Parameters
-    ----------
-    rate_hz : float, optional
-        Rows per second; one per node of the mesh without.
-    """
+    """Write a plan's table: a row per node of the mesh, or so many a second."""
     columns = plan.columns(plan.times(rate_hz))
     status: dict[str, Iterable[object]] = {}
     if plan.verification is None:
@@ -120,17 +108,9 @@ _PHASES = ("import", "build", "compile", "solve", "verify", "report")
 def plan_summary(
     plan: "Plan", *, wall_s: Mapping[str, float], warnings: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Summarise a plan.
+    """Summarise a plan in what JSON can hold, None where there is no number.
 
-    Parameters
-    ----------
-    wall_s : mapping
-        Seconds of the phases that the plan's own timings do not hold.
-
-    Returns
-    -------
-    dict
-        Only what JSON can hold; None where there is no number.
+    ``wall_s`` has the seconds of the phases that the plan's own timings do not hold.
     """
     verification = plan.verification
     timings = {**plan.timings, **wall_s}
@@ -168,10 +148,7 @@ def plan_summary(
 def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str, Any]:
     """Summarise a run: its plan, and what was flown and proven beside it.
 
-    Parameters
-    ----------
-    wall_s : mapping
-        Seconds of the phases that the result's own timings do not hold.
+    ``wall_s`` has the seconds of the phases that the result's own timings do not hold.
     """
     summary = plan_summary(result.plan, wall_s=wall_s, warnings=result.warnings)
     summary["wall_s"] |= {
