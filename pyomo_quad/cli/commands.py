@@ -4,7 +4,6 @@ import sys
 import traceback
 from collections.abc import Sequence
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -200,9 +199,12 @@ def run(
         from pyomo_quad.study.run import run_scenario  # noqa: PLC0415
     planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
     with solving.report_folder(folder) as aside:
-        result = run_scenario(
-            resolved, planner=planner, meanwhile=partial(prepare_figures, figures)
-        )
+
+        def prepare() -> None:
+            with watch.phase("import"):
+                prepare_figures(figures)
+
+        result = run_scenario(resolved, planner=planner, meanwhile=prepare)
         with watch.phase("report"):
             write_run_report(aside, result, figures)
         summary = run_summary(result, wall_s=watch.seconds)
@@ -351,9 +353,16 @@ def _before_any_command(
     """Take the options that stand before the command."""
 
 
+def _end_other_processes() -> None:
+    loaded = sys.modules.get("multiprocessing")
+    for process in loaded.active_children() if loaded is not None else ():
+        process.kill()
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; see `pyomo_quad.cli.main`."""
     if arguments is None:
+        before_the_end(_end_other_processes)
         before_the_end(discard_unfinished)
         if not claim_streams():
             complain("pyomo-quad: standard output is closed; send it to a file or to /dev/null.")

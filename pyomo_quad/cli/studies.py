@@ -117,6 +117,7 @@ def outside_plant(
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Output folder.")
     ] = _OUTSIDE_FOLDER,
+    figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
     """Fly the paper's vehicle and two of RotorPy's in RotorPy, and report what differs and why."""
@@ -130,7 +131,7 @@ def outside_plant(
     )
 
     with output_folder(out) as aside:
-        write_outside_report(aside, run_outside_study())
+        write_outside_report(aside, run_outside_study(), figures)
     if not quiet:
         print(f"Written to {out}.")
     return ExitCode.VERIFIED

@@ -277,7 +277,8 @@ def drawn_meanwhile(drawings: Iterable[Drawing], folder: Path) -> Iterator[None]
         paths = [target / file for file in drawing.files]
         save_figure(drawing.draw, dict(zip(drawing.formats, paths, strict=True)))
 
-    with side_by_side([partial(save, drawing) for drawing in wanted]) as finish:
+    tasks = [partial(save, drawing) for drawing in wanted]
+    with side_by_side(tasks, use_blas=False) as finish:
         yield
         finish()
 

@@ -1,4 +1,4 @@
-"""Read a scenario file: data only, bounded in size and depth."""
+"""Read a scenario file, with what is set on the command line, into a scenario."""
 
 import re
 from collections.abc import Mapping, Sequence

@@ -36,7 +36,8 @@ from pyomo_quad.flight.outside_plant import (
     se3_law,
 )
 from pyomo_quad.flight.references import ReferencePath, Setpoint
-from pyomo_quad.report.gallery import Drawing, save_drawings
+from pyomo_quad.report import Figures
+from pyomo_quad.report.gallery import Drawing, save_drawings, wanted_drawings
 from pyomo_quad.report.render import render_markdown
 from pyomo_quad.report.report import REPORT_NAME
 from pyomo_quad.report.style import LEGEND_COLUMNS, SERIES_STYLES, label_time, panel_grid
@@ -383,7 +384,7 @@ def draw_causes(study: OutsideStudy) -> "Figure":
     return figure
 
 
-def write_outside_report(folder: Path, study: OutsideStudy) -> None:
+def write_outside_report(folder: Path, study: OutsideStudy, figures: Figures = Figures.SVG) -> None:
     """Write the table and `report.md` into an existing folder."""
     write_table(study.flights, folder / TABLE_NAME)
     drawing = Drawing(
@@ -393,11 +394,12 @@ def write_outside_report(folder: Path, study: OutsideStudy) -> None:
         f"{_LEAST_SHOWN:g} m, or {_LEAST_LED:g} m under feedback, is drawn there.",
         draw=lambda: draw_causes(study),
     )
-    save_drawings((drawing,), folder)
+    drawings = wanted_drawings([drawing], figures)
+    save_drawings(drawings, folder)
     text = render_markdown(
         "simulators/outside_plant.md.j2",
         study=study,
-        drawing=drawing,
+        drawings=drawings,
         causes=CAUSES,
         outside=_OUTSIDE,
         pilot=Pilot,

@@ -11,6 +11,8 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from multiprocessing.reduction import ForkingPickler
+from time import monotonic
 from typing import Any
 
 # Read by numerical libraries and by Python when they start, so set before a worker does.  Python's
@@ -25,54 +27,59 @@ _ENVIRONMENT = {
 }
 
 
-_PATIENCE_S = 600.0  # with a copy that says nothing; no task takes as long
+# A copy is waited for so many times as long as this process was at the job, and a minute.
+_PATIENCE = 10.0
 _PLACES = 256  # a place in the queue is one byte
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextmanager
 def side_by_side(
-    tasks: Sequence[Callable[[], Any]],
+    tasks: Sequence[Callable[[], Any]], *, use_blas: bool = True
 ) -> Iterator[Callable[[], tuple[Any, ...]]]:
     """Let copies of this process, one per further core, begin tasks that it then helps to end.
 
-    A copy has all libraries and data already. What it fails at, or cannot send back, is done here,
-    where what goes wrong is raised.
+    A copy has all libraries and data already, and ends with this process. What it fails at, or
+    cannot send back, is done here, where what goes wrong is raised. Where copies are not safe, as
+    beside threads of BLAS that tasks would wait for, all is done here.
 
     Yields
     ------
     callable
         Does what is left, and returns what each task gave, in their order.
     """
+    began = monotonic()
     queue, entrance = os.pipe()
     os.write(entrance, bytes(range(min(len(tasks), _PLACES))))
     os.close(entrance)
-    done: dict[int, Any] = {}
 
-    def work() -> None:
+    def taken() -> Iterator[int]:
         while place := os.read(queue, 1):
-            for at in range(place[0], len(tasks), _PLACES):
-                done[at] = tasks[at]()
+            yield from range(place[0], len(tasks), _PLACES)
 
     def work_apart(answer: Connection) -> None:
-        # What an interrupt leaves behind is for the first process to clear away.
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_DFL)
-        with suppress(Exception):
-            work()
-        with suppress(Exception):
-            answer.send(done)
-        os._exit(0)
+        sent = {}
+        for at in taken():
+            with suppress(Exception):
+                sent[at] = ForkingPickler.dumps(tasks[at]()).tobytes()
+        answer.send(sent)
 
     def finish() -> tuple[Any, ...]:
-        work()
+        done = {at: tasks[at]() for at in taken()}
+        deadline = monotonic() + 60.0 + _PATIENCE * (monotonic() - began)
         for _, answer in copies:
             with suppress(Exception):
-                done.update(answer.recv() if answer.poll(_PATIENCE_S) else {})
+                sent = answer.recv() if answer.poll(max(deadline - monotonic(), 0.0)) else {}
+                done.update((at, ForkingPickler.loads(result)) for at, result in sent.items())
         return tuple(done[at] if at in done else task() for at, task in enumerate(tasks))
 
     copies: list[tuple[BaseProcess, Connection]] = []
     try:
-        copies.extend(_copy(work_apart) for _ in range(_cores(len(tasks)) - 1))
+        # What no copy can be made for is done here.
+        with suppress(OSError):
+            copies.extend(
+                _copy(work_apart) for _ in range(_cores(len(tasks), use_blas=use_blas) - 1)
+            )
         yield finish
     finally:
         os.close(queue)
@@ -86,21 +93,48 @@ def _copy(work: Callable[[Connection], None]) -> tuple[BaseProcess, Connection]:
     """Copy this process, and return the copy and the end of a pipe that it answers through."""
     context = multiprocessing.get_context("fork")
     ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=work, args=(theirs,))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which lie idle
-        process.start()
-    theirs.close()
+    # A daemon, so that an end of this process which nobody foresaw is not held up by it.
+    process = context.Process(target=_at_work, args=(work, theirs, ours), daemon=True)
+    # A signal must not find the copy with the handlers of this process, which clear away after it.
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which lie idle
+            process.start()
+    except OSError:
+        ours.close()
+        raise
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)
+        theirs.close()
     return process, ours
 
 
-def _cores(most: int) -> int:
+def _at_work(
+    work: Callable[[Connection], None], answer: Connection, others_end: Connection
+) -> None:
+    """Be a copy: work, answer, and end without what a process does at its end."""
+    try:
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+        others_end.close()  # else nobody would tell it that the other end is gone
+        _end_with_parent()
+        work(answer)
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+    finally:
+        os._exit(0)
+
+
+def _cores(most: int, *, use_blas: bool) -> int:
     """Return how many processes share a job: one alone where copies are unsafe or forbidden.
 
     A copy does not have the threads that BLAS or OpenMP wait for; a worker is one of many already.
     """
-    is_safe = sys.platform == "linux" and os.environ.get("OMP_NUM_THREADS") == "1"
-    if not is_safe or multiprocessing.parent_process() is not None:
+    is_safe = not use_blas or os.environ.get("OMP_NUM_THREADS") == "1"
+    is_own = multiprocessing.parent_process() is None
+    if sys.platform != "linux" or not (is_safe and is_own):
         return 1
     return min(len(os.sched_getaffinity(0)), most)
 

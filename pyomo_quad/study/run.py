@@ -47,7 +47,8 @@ class RunResult(Summarised):
     front : DataFrame
         Energy against time, see `study.front`; no rows where the mission fixes its duration.
     timings : mapping
-        Seconds of the plan's phases, of the flights, of the certificate and of the front.
+        Seconds of the plan's phases, of the certificate and of the front, and those that flights
+        and cautions add to them.
     warnings : tuple of str
         What a reader should know beside the numbers, one line each.
     """
@@ -94,7 +95,8 @@ def run_scenario(
 ) -> RunResult:
     """Solve, verify, fly every baseline, compare and certify; a failure of these is a result.
 
-    Flights go on all cores, where `study.processes` finds it safe to share them.
+    On Linux flights go on all cores if the environment keeps BLAS to one thread, by
+    `OMP_NUM_THREADS=1`, as the commands do: by copies of the process.
 
     Parameters
     ----------
@@ -123,6 +125,7 @@ def run_scenario(
         front = energy_time_front(plan, planner=planner, progress=progress)
         swept = perf_counter()
         meanwhile()
+        helping = perf_counter()
         *flown, adaptation, cautions = finish()
     flights = (
         () if optimum is None else (optimum, *(f for f in reversed(flown) if isinstance(f, Flight)))
@@ -142,7 +145,7 @@ def run_scenario(
         front=front,
         timings={
             **plan.timings,
-            "fly": (ended - began) - (swept - here),
+            "fly": (ended - began) - (helping - here),
             "certify": certified - here,
             "front": swept - certified,
         },

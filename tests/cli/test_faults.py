@@ -109,6 +109,40 @@ def test_a_signal_at_work_keeps_the_old_report(folder, number):
     assert set(leftovers(folder)) <= {"report-interrupted"}
 
 
+def flying(folder):
+    """Start a run and wait until a copy of it flies."""
+    process = start("run", PAPER_CALM, *QUICK, "--out", str(folder))
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    while not children.read_text(encoding="utf-8"):
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.001)
+    return process
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two cores")
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)]
+)
+def test_a_signal_in_flight_ends_the_copies_too(folder, number):
+    before = content(folder)
+    # A copy that went on would hold the output open, and this would wait for it.
+    assert_interrupted(interrupt(flying(folder), number))
+    assert content(folder) == before
+    assert leftovers(folder) == []
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two cores")
+def test_a_run_that_is_killed_in_flight_leaves_the_folder_to_the_next(folder):
+    before = content(folder)
+    status, _, _, seconds = interrupt(flying(folder), signal.SIGKILL)
+    assert (status, content(folder)) == (-signal.SIGKILL, before)
+    assert seconds < PROMPT_S
+    with output_folder(folder) as aside:
+        (aside / "report.md").write_text("# A newer report\n")
+    assert set(content(folder)) - {".pyomo_quad_files"} == {"report.md"}
+    assert leftovers(folder) == []
+
+
 def test_a_signal_while_the_report_is_written_keeps_the_old_one(tmp_path, folder):
     before = content(folder)
     process = begin(folder, *QUICK)

@@ -3,6 +3,8 @@
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import time
 from functools import partial
 
@@ -14,7 +16,7 @@ from pyomo_quad.study.processes import side_by_side
 
 @pytest.fixture(params=[1, 2, 3])
 def cores(request, monkeypatch):
-    monkeypatch.setattr(processes, "_cores", lambda most: min(request.param, most))
+    monkeypatch.setattr(processes, "_cores", lambda most, **_: min(request.param, most))
     return request.param
 
 
@@ -84,12 +86,58 @@ def test_a_fault_is_raised_here_and_leaves_no_copy(capfd):
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.usefixtures("cores")
+def test_results_larger_than_a_pipe_arrive():
+    assert [len(text) for text in all_of([partial(str.ljust, "", 10**6)] * 5)] == [10**6] * 5
+
+
+@pytest.mark.usefixtures("cores")
+def test_without_leave_to_fork_all_is_done_here(monkeypatch):
+    def fork():
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(os, "fork", fork)
+    assert {worker for _, worker in all_of([partial(slow_square, 2)] * 4)} == {os.getpid()}
+
+
+@pytest.mark.usefixtures("cores")
+def test_what_a_copy_prints_is_not_lost(capfd):
+    all_of([partial(print, "flown")] * 6)
+    assert capfd.readouterr().out.split() == ["flown"] * 6
+
+
+ABANDONED = """
+import os, signal, time
+from pathlib import Path
+from pyomo_quad.study import processes
+
+def begun_for_long():
+    Path({begun!r}).touch()
+    time.sleep(600)
+
+processes._cores = lambda most, **_: 2
+with processes.side_by_side([begun_for_long] * 2):
+    while not Path({begun!r}).exists():
+        time.sleep(0.01)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_copy_ends_with_the_process_that_it_copies(tmp_path):
+    # A copy holds the standard output that it inherited: as long as it lives, this waits.
+    program = ABANDONED.format(begun=str(tmp_path / "begun"))
+    command = [sys.executable, "-c", program]
+    ended = subprocess.run(command, capture_output=True, timeout=60, check=False)
+    assert ended.returncode == -signal.SIGKILL
+
+
 @pytest.mark.parametrize(("threads", "most"), [("1", 2), ("2", 1), (None, 1)])
 def test_a_process_whose_libraries_have_threads_is_not_copied(monkeypatch, threads, most):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     if threads is not None:
         monkeypatch.setenv("OMP_NUM_THREADS", threads)
-    assert processes._cores(8) == most
+    assert processes._cores(8, use_blas=True) == most
+    assert processes._cores(8, use_blas=False) == 2
     monkeypatch.setattr(multiprocessing, "parent_process", lambda: "a sweep")
-    assert processes._cores(8) == 1
+    assert processes._cores(8, use_blas=False) == 1
