@@ -56,7 +56,7 @@ def measure_engine(elements):
         solve_s=solved - derived,
         total_s=solved - started,
         variables=program.layout.unknowns,
-        iterations=solution.iterations[-1].iteration,
+        iterations=sum(now.iteration > 0 for now in solution.iterations),
         energy_J=solution.objective,
     )
 
