@@ -21,6 +21,7 @@ from pyomo_quad.cli.endings import ExitCode, raise_on_interrupt
 from pyomo_quad.cli.terminal import FigureChoice, complain, error_console, positive_count
 from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import final_folder, output_folder, refuse_output_folder
+from pyomo_quad.scenario.messages import OutputError
 
 if TYPE_CHECKING:
     from pyomo_quad.sweep import (
@@ -77,7 +78,13 @@ def sweep(
 ) -> int:
     """Solve all cases of a study, or those still missing, and write the report."""
     if out is not None:
-        refuse_output_folder(final_folder(out) / _REPORT_FOLDER)
+        try:
+            refuse_output_folder(final_folder(out) / _REPORT_FOLDER)
+        except OutputError:
+            from pyomo_quad.sweep.store import refuse_kept_results  # noqa: PLC0415  takes a second
+
+            refuse_kept_results(out)
+            raise
     from pyomo_quad.sweep import design_sweep, load_study  # noqa: PLC0415  takes a second
 
     loaded = load_study(study)

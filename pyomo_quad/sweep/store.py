@@ -1,5 +1,6 @@
 """The result store: an SQLite database in the output folder that loses nothing."""
 
+import errno
 import fcntl
 import json
 import os
@@ -200,6 +201,13 @@ def _refused(file: Path, error: sqlite3.DatabaseError) -> StoreError:
     if name.startswith(_UNUSABLE):
         return _unwritable(file.parent, str(error))
     return damaged(file, str(error))
+
+
+def refuse_kept_results(folder: Path) -> None:
+    """Refuse a folder that cannot be written but holds results, and say how to read them."""
+    if (folder / STORE_NAME).is_file() and not os.access(folder, os.W_OK):
+        is_read_only = os.statvfs(folder).f_flag & os.ST_RDONLY
+        raise _unwritable(folder, os.strerror(errno.EROFS if is_read_only else errno.EACCES))
 
 
 def _unwritable(folder: Path, reason: str | None) -> StoreError:

@@ -1,6 +1,7 @@
 """The first solve: other first points, and a second try where a warm start misled."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from pyomo_quad.collocation import (
     compile,
 )
 from pyomo_quad.collocation.diagnosis import priced
+from pyomo_quad.collocation.problem import Problem
 from pyomo_quad.collocation.refining.refinement import refine
 from pyomo_quad.flight.verification import fly_controls
 from tests.problems import bryson_denham, double_integrator
@@ -80,13 +82,20 @@ def pumped_pendulum():
 
 
 @pytest.mark.slow
-def test_where_every_mesh_fails_an_elastic_start_leads_on():
-    problem, first = pumped_pendulum(), RefinementOptions().first_mesh
-    arguments = {"instance": problem.instance(), "options": SolverOptions()}
-    assert problem.solve_on_mesh(first, **arguments).status is Status.INFEASIBLE
-    assert problem.solve_on_mesh(first, is_elastic=True, **arguments).is_converged
+def test_where_every_mesh_fails_an_elastic_start_leads_on(monkeypatch):
+    problem, solve_on_mesh, starts = pumped_pendulum(), Problem.solve_on_mesh, []
+
+    def failing_from_cold(self, mesh, warm_start=None, *rest, **options):
+        # Which cold starts fail hangs on the last digits of the linear algebra.
+        solution = solve_on_mesh(self, mesh, warm_start, *rest, **options)
+        is_plain = warm_start is None and not options.get("is_elastic", False)
+        starts.append("plain" if is_plain else "led on")
+        return replace(solution, status=Status.INFEASIBLE) if is_plain else solution
+
+    monkeypatch.setattr(Problem, "solve_on_mesh", failing_from_cold)
     solution = problem.solve()
     assert solution.is_converged
+    assert starts.index("led on") > 1
     flown = fly_controls(
         solution.dynamics,
         solution.mesh_in_time,
@@ -165,6 +174,12 @@ def test_a_curved_limit_does_not_hold_up_a_warm_start():
 def test_a_search_that_gains_nothing_names_what_it_chases():
     solution = compile(lee_ramirez()).solve()
     assert solution.status is Status.TOLERANCE_NOT_MET
-    assert len(solution.history) <= 5
+    *before, last, now = solution.history
+    lost = [
+        min(one.iterations, other.iterations) > 150 and other.error > one.error / 2
+        for one, other in pairwise((*before[1:], last, now))
+    ]
+    # It is given up at once.
+    assert lost == [False] * (len(lost) - 1) + [True]
     assert solution.error_estimate > 1e-3
     assert "and gained nothing; glucose still moves, at " in solution.message
