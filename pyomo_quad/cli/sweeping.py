@@ -78,12 +78,14 @@ def sweep(
 ) -> int:
     """Solve all cases of a study, or those still missing, and write the report."""
     if out is not None:
+        report = final_folder(out) / _REPORT_FOLDER
         try:
-            refuse_output_folder(final_folder(out) / _REPORT_FOLDER)
+            refuse_output_folder(report)
         except OutputError:
-            from pyomo_quad.sweep.store import refuse_kept_results  # noqa: PLC0415  takes a second
+            if out.is_dir() and not os.access(out, os.W_OK):
+                from pyomo_quad.sweep.store import refuse_kept_results  # noqa: PLC0415  a second
 
-            refuse_kept_results(out)
+                refuse_kept_results(out)
             raise
     from pyomo_quad.sweep import design_sweep, load_study  # noqa: PLC0415  takes a second
 
