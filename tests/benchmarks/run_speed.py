@@ -26,7 +26,8 @@ ABOUT = (
     "environment, whose runs take turns with these, each with the scenario of that name in its own "
     "checkout. The last column is the clock on the wall without what the command itself counts as "
     "its solve. Flights that are planned again on their way, which older checkouts do not know, "
-    "are flown where the command does not say otherwise."
+    "are flown where the command does not say otherwise. Checkouts that have no `--figures svg` "
+    "draw each figure as PNG too."
 )
 PACKAGE = "import pyomo_quad; print(pyomo_quad.__file__)"
 # Of an option for a table that a scenario does not have, it knows nothing.
