@@ -26,7 +26,6 @@ from pyomo_quad.collocation import (
     WarmStart,
     compile,
 )
-from pyomo_quad.flight import rescue
 from pyomo_quad.flight.flight import HELD_BREACH, VIOLATION_TOLERANCE
 from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
 from pyomo_quad.flight.rescue import (
@@ -37,6 +36,10 @@ from pyomo_quad.flight.rescue import (
     by_way_of,
     declared_free_times,
     easier_numbers,
+    fine_mesh,
+    guess_of,
+    is_long,
+    rough_mesh,
     shortest_flight,
 )
 from pyomo_quad.flight.routes import (
@@ -450,7 +453,7 @@ class Planner:
             if not easier or solution.status is not Status.NOT_CONVERGED:
                 return solution
         if not isinstance(warm_start, Plan):
-            if not easier and self._builder is build_model and rescue.is_long(told):
+            if not easier and self._builder is build_model and is_long(told):
                 return self._solve_long(problem, told, arguments)
             return by_way_of(easier, problem, arguments, None)
         on_mesh = arguments | {"mesh": warm_start.mesh}
@@ -460,16 +463,16 @@ class Planner:
         """Solve a flight that is long beside a change of attitude, from a cruise."""
         flown = {name: arguments[name] for name in ("parameters", "horizon")}
         dynamics = problem.dynamics(**flown)
-        guess = rescue.guess_of(told, SteadyFlight(told, dynamics))
+        guess = guess_of(told, SteadyFlight(told, dynamics))
         options = arguments["options"].for_small_changes()
         duration = (guess or {}).get("duration", told.nominal_duration)
         rough = problem.solve(
-            **arguments | {"mesh": rescue.rough_mesh(duration), "tolerance": None},
+            **arguments | {"mesh": rough_mesh(duration), "tolerance": None},
             guess=guess,
         )
         if not rough.status.is_solved:
             return rough
-        mesh = rescue.fine_mesh(rough.horizon[1], told.solver.degree)
+        mesh = fine_mesh(rough.horizon[1], told.solver.degree)
         # One limit or two hold for long, at the ends: their junctions are few, and worth finding.
         refinement = replace(arguments["refinement"], limits_move=False)
         chosen = {"options": options, "mesh": mesh, "refinement": refinement}

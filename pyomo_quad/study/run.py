@@ -127,9 +127,9 @@ def run_scenario(
         meanwhile()
         helping = perf_counter()
         *flown, adaptation, cautions = finish()
-    flights = (
-        () if optimum is None else (optimum, *(f for f in reversed(flown) if isinstance(f, Flight)))
-    )
+    flown.reverse()
+    came_about = tuple(flight for flight in flown if isinstance(flight, Flight))
+    flights = () if optimum is None else (optimum, *came_about)
     flights = _priced(flights, mission, planner, progress)
     ended = perf_counter()
     comparison = combine([])
@@ -149,7 +149,7 @@ def run_scenario(
             "certify": certified - here,
             "front": swept - certified,
         },
-        warnings=(*cautions, *(why for why in reversed(flown) if isinstance(why, str))),
+        warnings=(*cautions, *(why for why in flown if isinstance(why, str))),
     )
 
 

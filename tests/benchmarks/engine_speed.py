@@ -8,7 +8,7 @@ millionth.
 
 import sys
 
-from tests.benchmarks.measuring import in_own_process, report, seconds
+from tests.benchmarks.measuring import in_own_process, iterations_of, report, seconds
 from tests.benchmarks.report import Table
 
 TITLE = "The engine beside the two usual ways"
@@ -56,7 +56,7 @@ def measure_engine(elements):
         solve_s=solved - derived,
         total_s=solved - started,
         variables=program.layout.unknowns,
-        iterations=sum(now.iteration > 0 for now in solution.iterations),
+        iterations=iterations_of(solution),
         energy_J=solution.objective,
     )
 

@@ -38,6 +38,11 @@ def _run(module, *arguments):
     return json.loads(finished.stdout.splitlines()[-1])
 
 
+def iterations_of(solution):
+    """Return the iterations of a solve, those after its first end included."""
+    return sum(now.iteration > 0 for now in solution.iterations)
+
+
 def whole_process(*arguments, repeats=1):
     """Return seconds of a Python process from start to end, and the last line it prints."""
     best, command = float("inf"), [sys.executable, *arguments]

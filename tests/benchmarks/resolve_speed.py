@@ -8,7 +8,7 @@ The peer, rockit (`pip install rockit-meco`), is left out where it is not instal
 import importlib.util
 import sys
 
-from tests.benchmarks.measuring import in_own_process, report, seconds, whole_process
+from tests.benchmarks.measuring import in_own_process, iterations_of, report, seconds, whole_process
 from tests.benchmarks.report import Table
 
 TITLE = "Whole jobs, growth and a peer"
@@ -94,8 +94,8 @@ def measure_resolve(label):
         total_s=warm_s,
         compile_s=compiled - started,
         cold_s=cold_s,
-        warm_iterations=warm.iterations[-1].iteration,
-        cold_iterations=cold.iterations[-1].iteration,
+        warm_iterations=iterations_of(warm),
+        cold_iterations=iterations_of(cold),
     )
 
 
@@ -118,7 +118,7 @@ def measure_mesh(elements, changes=None):
         solve_s=solved - ready,
         total_s=solved - started,
         variables=program.layout.unknowns,
-        iterations=sum(now.iteration > 0 for now in solution.iterations),
+        iterations=iterations_of(solution),
         energy_J=solution.objective,
     )
 
