@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict
 from enum import StrEnum
 from math import degrees
@@ -24,7 +25,7 @@ from pyomo_quad.cli.terminal import (
     real_number,
     result_console,
 )
-from pyomo_quad.report.folder import output_file
+from pyomo_quad.report.folder import MARK, output_file
 from pyomo_quad.report.tables import (
     FLIGHT_NAME,
     PLAN_NAME,
@@ -228,10 +229,11 @@ _REQUIRED = ("name", "mission")
 
 
 def _schema_text(model: type[BaseModel], kind: str, required: tuple[str, ...]) -> str:
-    return f"{json.dumps(editor_schema(model, f'pyomo_quad {kind}', required), indent=1)}\n"
+    schema = {"$comment": f"{MARK}.", **editor_schema(model, f"pyomo_quad {kind}", required)}
+    return f"{json.dumps(schema, indent=1)}\n"
 
 
-_README = """# Scenarios and studies
+_README = f"""# Scenarios and studies
 
 A scenario is one mission, run with `pyomo-quad run FILE`; a study varies fields of one, run with
 `pyomo-quad sweep FILE`. Any field of a scenario can also be set with `--set PATH=VALUE`. A field
@@ -243,7 +245,7 @@ A `use` that ends with `.toml` is a file of one's own, beside the scenario, with
 `[fields]` and, for a vehicle, `[limits]`: each number bare, or as a table of `value` and `source`.
 A `use` at the top of that file names the entry of the library that gives the rest.
 
-`pyomo-quad schema --out scenarios` writes this page and both schemas.
+{MARK}: `pyomo-quad schema --out scenarios` writes this page and both schemas.
 """
 _COLUMNS = ("field", "unit", "default", "allowed", "meaning")
 
@@ -266,8 +268,12 @@ def schema(
         pages["README.md"] += f"\n## Fields of a {kind}\n\n" + "\n".join(_field_rows(model)) + "\n"
     if not out.is_dir():
         raise ScenarioError(f"--out {out}: is no folder; make it first.")
-    for name, page in pages.items():
-        (out / name).write_text(page, encoding="utf-8")
+    with ExitStack() as files:
+        # All three are free to be written before the first is.
+        asides = {name: files.enter_context(output_file(out / name)) for name in pages}
+        for name, aside in asides.items():
+            aside.write_text(pages[name], encoding="utf-8")
+    for name in pages:
         print(out / name)
     return ExitCode.VERIFIED
 
@@ -384,7 +390,7 @@ def plot(
     drawing = drawings.get(what) or column_drawing(flight, what)
     path = out or Path(f"{run.resolve().name}_{what}.png")
     with output_file(path) as aside:
-        save_figure(drawing.draw, {path.suffix.removeprefix("."): aside})
+        save_figure(drawing.draw, {path.suffix.removeprefix("."): aside}, MARK)
     if not quiet:
         print(f"Written to {path}. Others: {', '.join(name for name in drawings if name != what)}.")
     return ExitCode.VERIFIED

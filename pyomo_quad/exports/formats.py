@@ -28,7 +28,7 @@ from pyomo_quad.exports.motion import (
 )
 from pyomo_quad.flight import Plan
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
-from pyomo_quad.report.folder import output_file, output_folder
+from pyomo_quad.report.folder import MARK, final_folder, output_file, output_folder
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.fields import number_in_text
 from pyomo_quad.scenario.messages import shown
@@ -302,7 +302,8 @@ def mission(legs: Legs, origin: Origin, name: str, path_error_m: float) -> dict[
     return {
         "fileType": "Plan",
         "version": 1,
-        "groundStation": "QGroundControl",
+        # Whoever wrote the file, as QGroundControl says of this entry; it reads any text.
+        "groundStation": MARK,
         "geoFence": {"circles": [], "polygons": [], "version": 2},
         "rallyPoints": {"points": [], "version": 2},
         "mission": {
@@ -478,7 +479,8 @@ def export_plan(
         Who reads it.
     out : str or Path, optional
         The file to write, for ROS 2 a folder; named after the scenario in the working folder by
-        default.  A file that is there is replaced.
+        default.  An earlier export is replaced, any other file that is there is not; a device or
+        a FIFO is written to.
     origin : str, optional
         Where the plan's origin lies, "LAT,LON,ALT" in degrees and metres above the sea; for
         QGroundControl, which cannot do without.
@@ -520,6 +522,8 @@ def export_plan(
     )
     motion = Motion.of(plan) if isinstance(plan, Plan) else Motion.read(plan)
     path = Path(out) if out is not None else Path(f"{motion.name}{writer.ending}")
+    if not isinstance(plan, Plan):
+        _refuse_source(path, Path(plan))
     parts, what, place, yaw = writer.write(motion, path, options)
     return Export(path=str(path), parts=parts, what=what, position_error_m=place, yaw_error_rad=yaw)
 
@@ -538,8 +542,15 @@ def _refuse_options(to: Format, writer: _Writer, given: list[str]) -> None:
         )
 
 
-def _write_text(path: Path, text: str) -> None:
-    with output_file(path) as aside:
+def _refuse_source(path: Path, source: Path) -> None:
+    """Refuse to write where the plan is read from."""
+    read, written = final_folder(source), final_folder(path)
+    if written == read or written in read.parents:
+        raise ScenarioError(f"--out {path}: holds the plan that is exported; choose another --out.")
+
+
+def _write_text(path: Path, text: str, mark: str = MARK) -> None:
+    with output_file(path, mark) as aside:
         aside.write_text(text, encoding="utf-8", newline="\n")
 
 
@@ -557,7 +568,8 @@ def _write_qgroundcontrol(motion: Motion, path: Path, options: _Options) -> _Wri
 
 def _write_px4(motion: Motion, path: Path, options: _Options) -> _Written:
     stream = offboard(motion, options.rate_hz or 0.0)
-    _write_text(path, stream.to_csv(index=False, float_format=_DIGITS, lineterminator="\n"))
+    text = stream.to_csv(index=False, float_format=_DIGITS, lineterminator="\n")
+    _write_text(path, text, mark=",".join(stream.columns))
     return len(stream), "setpoints", *offboard_deviation(motion, stream)
 
 
@@ -577,10 +589,12 @@ def _write_crazyflie(motion: Motion, path: Path, options: _Options) -> _Written:
     # The vehicle holds numbers of 32 bits: what is lost by them belongs to the error.
     rows = np.column_stack([durations, coefficients.reshape(len(durations), -1)])
     rows = rows.astype(np.float32)
-    names = ["duration"]
+    # Readers pass over the names. Those of other programs have no unit of the duration.
+    names = ["duration_s"]
     names += [f"{axis}^{power}" for axis in ("x", "y", "z", "yaw") for power in range(8)]
-    lines = [",".join(names), *(",".join(_DIGITS % value for value in row) for row in rows)]
-    _write_text(path, "".join(f"{line}\n" for line in lines))
+    header = ",".join(names)
+    lines = [header, *(",".join(_DIGITS % value for value in row) for row in rows)]
+    _write_text(path, "".join(f"{line}\n" for line in lines), mark=header)
     held = rows.astype(float)
     found = piece_deviation(motion, held[:, 0], held[:, 1:].reshape(coefficients.shape))
     return len(rows), "pieces", *found
@@ -591,16 +605,19 @@ def _write_rotorpy(motion: Motion, path: Path, options: _Options) -> _Written:
     _write_text(
         path,
         _ROTORPY_MODULE.format(
+            title=_ROTORPY_TITLE,
             definition=inspect.getsource(PolynomialTrajectory),
             durations=durations.tolist(),
             coefficients=coefficients.tolist(),
         ),
+        mark=_ROTORPY_TITLE,
     )
     return len(durations), "pieces", *piece_deviation(motion, durations, coefficients)
 
 
 # Of the plan there are only numbers in it, no text: it is a program.
-_ROTORPY_MODULE = '''"""A trajectory for RotorPy: from NAME import trajectory. It needs NumPy."""
+_ROTORPY_TITLE = "A trajectory for RotorPy: from NAME import trajectory. It needs NumPy."
+_ROTORPY_MODULE = '''"""{title}"""
 
 import numpy as np
 from numpy.typing import ArrayLike

@@ -6,7 +6,9 @@ import fcntl
 import os
 import re
 import shutil
+import stat
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -87,30 +89,96 @@ def output_folder(path: str | Path) -> Iterator[Path]:
         _refuse(path, error)
 
 
+#: What a single file says of itself, by which a later command knows that it may replace it.
+MARK = "Written by pyomo_quad"
+# The mark is looked for so near to either end of a file: a PDF names its creator last.
+_MARKED_WITHIN_BYTES = 65_536
+
+
 @contextmanager
-def output_file(path: str | Path) -> Iterator[Path]:
+def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
     """Give a file to write that takes its place, whole, when the block ends well.
+
+    A character device or a FIFO gets the bytes instead, and stays what it is.
+
+    Parameters
+    ----------
+    mark : str, optional
+        Text of the new file.  A regular file that is there is replaced only where it has this
+        text too, or is empty.
 
     Raises
     ------
     OutputError
-        If it cannot be written there.
+        If it cannot be written there, or another program or a person wrote the file that is there.
     """
     final = final_folder(path)
-    aside = _hidden(final, f"new-{os.getpid()}")
     try:
-        if final.is_dir():
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if _is_stream(path):
+            with _scratch_folder() as folder:
+                yield folder / final.name
+                _copy(folder / final.name, path)
+            return
+        aside = _hidden(final, f"new-{os.getpid()}")
+        _refuse_foreign_file(final, path, mark)
         final.parent.mkdir(parents=True, exist_ok=True)
         _unfinished.add(aside)
         try:
             yield aside
+            _refuse_foreign_file(final, path, mark)
             aside.replace(final)
         finally:
             aside.unlink(missing_ok=True)
             _unfinished.discard(aside)
     except OSError as error:
         _refuse(path, error)
+
+
+def _is_stream(path: str | Path) -> bool:
+    """Say whether a path leads to something that takes bytes without holding any."""
+    # The links of /dev/stdout end in no name that could be opened, but can be followed.
+    with suppress(FileNotFoundError):
+        mode = os.stat(path).st_mode  # noqa: PTH116  a path may be a text
+        return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode)
+    return False
+
+
+@contextmanager
+def _scratch_folder() -> Iterator[Path]:
+    folder = Path(tempfile.mkdtemp(prefix="pyomo_quad-"))
+    _unfinished.add(folder)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        _unfinished.discard(folder)
+
+
+def _copy(file: Path, stream: str | Path) -> None:
+    with os.fdopen(os.open(stream, os.O_WRONLY | os.O_NOCTTY), "wb") as target:
+        target.write(file.read_bytes())
+
+
+def _refuse_foreign_file(final: Path, path: str | Path, mark: str) -> None:
+    if not os.path.lexists(final):
+        return
+    if final.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not final.is_file():
+        raise OutputError(f"{path}: is neither a file nor a stream; choose another --out.")
+    if final.stat().st_size > 0 and not _is_marked(final, mark):
+        raise OutputError(
+            f"{path}: is there and was not written by this command; move it away or choose "
+            "another --out."
+        )
+
+
+def _is_marked(file: Path, mark: str) -> bool:
+    with file.open("rb") as stream:
+        first = stream.read(_MARKED_WITHIN_BYTES)
+        stream.seek(max(0, file.stat().st_size - _MARKED_WITHIN_BYTES))
+        last = stream.read(_MARKED_WITHIN_BYTES)
+    return any(mark.encode() in part for part in (first, last))
 
 
 def refuse_output_folder(path: str | Path) -> None:

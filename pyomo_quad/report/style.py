@@ -15,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from pyomo_quad.flight import flight
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
@@ -271,18 +272,22 @@ def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
     }
 
 
-def save_figure(draw: Callable[[], Figure], files: Mapping[str, Path]) -> None:
+def save_figure(
+    draw: Callable[[], Figure], files: Mapping[str, Path], creator: str | None = None
+) -> None:
     """Make a figure once, in the house style, and write it in each format (png, svg, pdf).
 
-    ``draw`` makes the figure; it is called with the style in force.
+    ``draw`` makes the figure; it is called with the style in force.  ``creator`` is what the files
+    say of who wrote them.
     """
     with mpl.rc_context(_RC):
         figure = _drawn(draw)
         for kind, path in files.items():
             if kind == "png":
-                _save_png(figure, path)
+                _save_png(figure, path, creator)
             else:
-                figure.savefig(path, format=kind, metadata=_UNDATED[kind])
+                said = {} if creator is None else {"Creator": creator}
+                figure.savefig(path, format=kind, metadata=_UNDATED[kind] | said)
 
 
 def _drawn(draw: Callable[[], Figure]) -> Figure:
@@ -295,14 +300,17 @@ def _drawn(draw: Callable[[], Figure]) -> Figure:
     return figure
 
 
-def _save_png(figure: Figure, path: Path) -> None:
+def _save_png(figure: Figure, path: Path, creator: str | None) -> None:
     # A palette picture is a third of the size, and lines and labels need few colours; so few that a
     # thin line gets the colour of a thicker one are too few.
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    about = PngInfo()
+    if creator is not None:
+        about.add_text("Software", creator)
     picture.quantize(_PNG_COLORS, kmeans=1, dither=Image.Dither.NONE).save(
-        path, format="PNG", dpi=(_DOTS_PER_INCH, _DOTS_PER_INCH)
+        path, format="PNG", dpi=(_DOTS_PER_INCH, _DOTS_PER_INCH), pnginfo=about
     )
 
 

@@ -10,6 +10,7 @@ from math import hypot
 from typing import Any, NamedTuple
 
 from pyomo_quad.flight.outside_plant import rotorpy_module
+from pyomo_quad.report.folder import MARK
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.messages import shown
 
@@ -79,8 +80,8 @@ def vehicle_fields(name: str) -> dict[str, Said]:
 def vehicle_file(name: str) -> str:
     """Return a vehicle file of a RotorPy parameter set, each number with its source."""
     lines = [
-        f"# The {name} of RotorPy. It has no motors' electrics: those of {_BASE} stand here, so",
-        '# that power.model = "shaft" alone says something of this vehicle.',
+        f"# {MARK}: the {name} of RotorPy. It has no motors' electrics: those of",
+        f'# {_BASE} stand here, so that power.model = "shaft" alone says something of it.',
         "",
         f'use = "{_BASE}"',
     ]
