@@ -331,11 +331,20 @@ def export(
     ] = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
+    allow_code: AllowCode = False,
 ) -> int:
-    """Write a verified plan for an autopilot, a swarm, a simulator or ROS 2."""
+    """Fly a verified plan once more, and write it for an autopilot, a swarm or a simulator."""
     from pyomo_quad.exports import export_plan  # noqa: PLC0415  SciPy takes a second
 
-    made = export_plan(plan, to.value, out, origin=origin, path_error_m=path_error, rate_hz=rate)
+    made = export_plan(
+        plan,
+        to.value,
+        out,
+        origin=origin,
+        path_error_m=path_error,
+        rate_hz=rate,
+        is_code_allowed=allow_code,
+    )
     if as_json:
         print(json.dumps(made.as_mapping(), indent=2))
     elif not quiet:

@@ -468,8 +468,11 @@ def export_plan(
     origin: str | None = None,
     path_error_m: float | None = None,
     rate_hz: float | None = None,
+    is_code_allowed: bool = False,
 ) -> Export:
     """Write a verified plan as an autopilot, a swarm, a simulator or ROS 2 reads it.
+
+    It is flown once more before: what a file says of its own proof counts nothing.
 
     Parameters
     ----------
@@ -488,6 +491,8 @@ def export_plan(
         The largest distance from the plan that waypoints and pieces may have.
     rate_hz : float, optional
         Of setpoints.
+    is_code_allowed : bool, optional
+        Whether the builder that the plan's scenario names may be run, to fly it.
 
     Returns
     -------
@@ -497,8 +502,9 @@ def export_plan(
     Raises
     ------
     ScenarioError
-        If there is no verified plan, it lacks what the format needs, an option is not allowed, a
-        limit of the format is exceeded, or its library is not installed.  Nothing is written.
+        If there is no verified plan, its flight does not confirm it, it lacks what the format
+        needs, an option is not allowed, a limit of the format is exceeded, or its library is not
+        installed.  Nothing is written.
     OutputError
         If it cannot be written there.
     """
@@ -520,7 +526,10 @@ def export_plan(
         path_error_m=path_error_m or writer.path_error_m,
         rate_hz=writer.rate_hz if rate_hz is None else rate_hz,
     )
-    motion = Motion.of(plan) if isinstance(plan, Plan) else Motion.read(plan)
+    if isinstance(plan, Plan):
+        motion = Motion.of(plan, is_code_allowed=is_code_allowed)
+    else:
+        motion = Motion.read(plan, is_code_allowed=is_code_allowed)
     path = Path(out) if out is not None else Path(f"{motion.name}{writer.ending}")
     if not isinstance(plan, Plan):
         _refuse_source(path, Path(plan))

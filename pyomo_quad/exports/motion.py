@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import factorial
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,11 +16,17 @@ from scipy.interpolate import PPoly, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from pyomo_quad.collocation import Mesh, TranscriptionError, interpolate, interpolate_rates
-from pyomo_quad.flight import COLUMNS, Plan, PlanStatus
-from pyomo_quad.flight.flight import POSITION_STATES, TIME, VELOCITY_STATES
+from pyomo_quad.flight import Plan, PlanStatus
+from pyomo_quad.flight.flight import POSITION_STATES, TIME, VELOCITY_STATES, columns_of
+from pyomo_quad.flight.plan import Trajectories
+from pyomo_quad.flight.proof import EXACT, TABLE, refuse_unproven
 from pyomo_quad.report.tables import PLAN_NAME, SUMMARY_NAME, read_report, refuse_report
-from pyomo_quad.scenario import ScenarioError
-from pyomo_quad.scenario.messages import printable, shown
+from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.messages import PyomoQuadError, printable, shown
+from pyomo_quad.scenario.vehicle import MOST_ROTORS
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FloatArray = NDArray[np.float64]
 
@@ -54,18 +60,47 @@ class Motion:
     degrees: tuple[int, ...]
 
     @classmethod
-    def of(cls, plan: Plan) -> Self:
-        """Return the motion of a verified plan.
+    def of(cls, plan: Plan, *, is_code_allowed: bool = False) -> Self:
+        """Return the motion of a verified plan, which is flown once more.
 
         Raises
         ------
         ScenarioError
-            If the plan is not verified.
+            If the plan is not verified, or the flight does not confirm it.
         """
         held = plan.trajectories
         _refuse_unverified(plan.scenario.name, plan.status.value)
+        refuse_unproven(
+            plan.scenario,
+            held,
+            plan.energy,
+            plan.passing_times_s,
+            EXACT,
+            None if plan.solution is None else plan.dynamics,
+            is_code_allowed=is_code_allowed,
+        )
+        return cls._along(plan.scenario.name, held)
+
+    @classmethod
+    def read(cls, path: str | Path, *, is_code_allowed: bool = False) -> Self:
+        """Read the motion of a file of `Plan.save`, or of the report folder of a run.
+
+        What is read is flown once more; a builder that its scenario names is run where allowed.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no plan, it is damaged or not verified, or the flight does not confirm it.
+        """
+        place = Path(path)
+        if place.is_dir():
+            return cls._of_report(place, is_code_allowed=is_code_allowed)
+        return cls.of(Plan.load(place), is_code_allowed=is_code_allowed)
+
+    @classmethod
+    def _along(cls, name: str, held: Trajectories) -> Self:
         return cls(
-            name=plan.scenario.name,
+            name=name,
             times=held.node_times,
             states=held.states,
             names=held.state_names,
@@ -73,19 +108,7 @@ class Motion:
         )
 
     @classmethod
-    def read(cls, path: str | Path) -> Self:
-        """Read the motion of a file of `Plan.save`, or of the report folder of a run.
-
-        Raises
-        ------
-        ScenarioError
-            If there is no plan, it is damaged, or it is not verified.
-        """
-        place = Path(path)
-        return cls._of_report(place) if place.is_dir() else cls.of(Plan.load(place))
-
-    @classmethod
-    def _of_report(cls, folder: Path) -> Self:
+    def _of_report(cls, folder: Path, *, is_code_allowed: bool) -> Self:
         summary, frame = read_report(folder)
         name, status, degrees = (summary.get(key) for key in ("scenario", "status", "mesh"))
         degrees = degrees.get("degrees") if isinstance(degrees, dict) else None
@@ -93,34 +116,31 @@ class Motion:
         if not isinstance(name, str) or not isinstance(status, str) or not is_whole:
             refuse_report(folder / SUMMARY_NAME, "is not the summary of a solve")
         _refuse_unverified(printable(name), printable(status))
-        shown_states = [c for c in COLUMNS if c.index is None and c.name in frame]
-        states = frame[[column.name for column in shown_states]].to_numpy(dtype=float)
-        times = frame[TIME].to_numpy(dtype=float)
-        if len(times) != sum(degrees or ()) + 1:
+        if len(frame) != sum(degrees or ()) + 1:
             refuse_report(
                 folder / PLAN_NAME,
-                f"has {len(times)} rows, not one for each of the mesh's {sum(degrees or ()) + 1} "
+                f"has {len(frame)} rows, not one for each of the mesh's {sum(degrees or ()) + 1} "
                 "nodes, as --rate makes it",
             )
-        motion = cls(
-            name=printable(name),
-            times=times,
-            states=states,
-            names=tuple(column.component for column in shown_states),
-            degrees=tuple(degrees or ()),
-        )
         try:
-            _ = motion.mesh
+            held = _trajectories(frame, tuple(degrees or ()))
         except TranscriptionError as error:
             refuse_report(folder, f"holds no mesh ({str(error).rstrip('.')})")
-        return motion
+        try:
+            scenario = Scenario.model_validate(summary["scenario_resolved"])
+            energy, passed = float(summary["energy_J"]), summary["passing_times_s"]
+            passing_times = tuple(float(time) for time in passed)
+        except (PyomoQuadError, KeyError, TypeError, ValueError):
+            refuse_report(folder / SUMMARY_NAME, "has no mission by which to fly the plan again")
+        refuse_unproven(
+            scenario, held, energy, passing_times, TABLE, is_code_allowed=is_code_allowed
+        )
+        return cls._along(scenario.name, held)
 
     @cached_property
     def mesh(self) -> Mesh:
         """Elements as fractions of the flight."""
-        ends = self.times[np.concatenate(([0], np.cumsum(self.degrees)))]
-        fractions = (ends - ends[0]) / self.duration
-        return Mesh(breakpoints=tuple(fractions.tolist()), degrees=self.degrees)
+        return _mesh(self.times, self.degrees)
 
     @property
     def duration(self) -> float:
@@ -186,6 +206,37 @@ class Motion:
 
     def _fractions(self, t: FloatArray) -> FloatArray:
         return np.clip(np.asarray(t, dtype=float) / self.duration, 0.0, 1.0)
+
+
+def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
+    """Return the elements of these degrees that have their nodes at these times."""
+    ends = times[np.concatenate(([0], np.cumsum(degrees)))]
+    fractions = (ends - ends[0]) / (ends[-1] - ends[0])
+    return Mesh(breakpoints=tuple(fractions.tolist()), degrees=degrees)
+
+
+def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectories:
+    """Return what a report's table says at the nodes of a mesh.
+
+    All of its columns stand as states and as controls: which they are, the equations know.
+    """
+    times = frame[TIME].to_numpy(dtype=float)
+    columns = [c for c in columns_of(range(1, MOST_ROTORS + 1)) if c.name in frame]
+    names = tuple(c.component if c.index is None else f"{c.component}[{c.index}]" for c in columns)
+    values = frame[[c.name for c in columns]].to_numpy(dtype=float)
+    points = len(times) - 1
+    return Trajectories(
+        mesh=_mesh(times, degrees),
+        horizon=(float(times[0]), float(times[-1])),
+        state_names=names,
+        control_names=names,
+        costate_names=(),
+        states=values,
+        controls=values[1:],
+        energy=np.zeros(points + 1),
+        costates=np.zeros((points, 0)),
+        hamiltonian=np.zeros(points),
+    )
 
 
 def _refuse_unverified(name: str, status: str) -> None:

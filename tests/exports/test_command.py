@@ -3,12 +3,17 @@
 import json
 import sys
 
+import numpy as np
 import pytest
 
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.cli.looking import Reader
-from pyomo_quad.exports import Format
+from pyomo_quad.exports import Format, Motion
+from pyomo_quad.exports.formats import offboard, thin, write_bag
+from pyomo_quad.exports.motion import fit_pieces
+from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
+from pyomo_quad.scenario import ScenarioError
 from tests.command import SCENARIOS
 
 REPORT = str(SCENARIOS.parent / "reports" / "paper_calm")
@@ -114,6 +119,7 @@ def damaged(folder, *, summary=None, table=None):
         ({"table": "time_s,x_m\n0,0\n0,1\n"}, "does not increase"),
         ({"table": "time_s,x_m\n0,0\n1,1\n2,2\n"}, "has 3 rows, not one for each of the mesh's 2"),
         ({"table": ""}, "is not a CSV table"),
+        ({}, "summary.json: has no mission by which to fly the plan again; solve the scenario"),
     ],
 )
 def test_a_damaged_report_is_refused(tmp_path, capsys, parts, said):
@@ -127,24 +133,26 @@ def test_a_damaged_report_is_refused(tmp_path, capsys, parts, said):
     assert not out.exists()
 
 
-def test_a_report_without_attitude_serves_formats_that_need_none(tmp_path, capsys):
-    folder, out = damaged(tmp_path / "report"), tmp_path / "x.plan"
-    command = ["export", folder, "--to", "qgroundcontrol", "--origin", "1,2,3", "--out", str(out)]
-    assert main(command) == ExitCode.VERIFIED
-    assert json.loads(out.read_text())["fileType"] == "Plan"
-    capsys.readouterr()
-    for reader, lacking in (
-        ("px4", "rigid_body.psi, which PX4's offboard mode needs"),
-        ("ros2", "rigid_body.phi, which a ROS 2 trajectory needs"),
-        ("crazyflie", "rigid_body.psi, which a polynomial needs"),
-        ("rotorpy", "rigid_body.psi, which a polynomial needs"),
-    ):
-        command = ["export", folder, "--to", reader, "--out", str(tmp_path / reader)]
-        assert main(command) == ExitCode.BAD_INPUT
-        complaint = capsys.readouterr().err
-        assert f"hop: the plan has no {lacking}" in complaint
-        assert complaint.count("\n") == 1
-    assert {path.name for path in tmp_path.iterdir()} == {"report", "x.plan"}
+@pytest.mark.parametrize(
+    ("write", "lacking"),
+    [
+        (lambda bare, _: offboard(bare, 50.0), "rigid_body.psi, which PX4's offboard mode needs"),
+        (lambda bare, out: write_bag(bare, 50.0, out), "rigid_body.phi, which a ROS 2 trajectory"),
+        (lambda bare, _: fit_pieces(bare, 0.01, 31), "rigid_body.psi, which a polynomial needs"),
+    ],
+)
+def test_a_plan_without_attitude_serves_formats_that_need_none(tmp_path, write, lacking):
+    bare = Motion(
+        name="hop",
+        times=np.array([0.0, 4.0]),
+        states=np.array([[0.0] * 6, [1.0] + [0.0] * 5]),
+        names=(*POSITION_STATES, *VELOCITY_STATES),
+        degrees=(1,),
+    )
+    assert len(thin(bare, 0.1).times) == 2
+    with pytest.raises(ScenarioError, match=f"hop: the plan has no {lacking}"):
+        write(bare, tmp_path / "out")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("place", ["nowhere", "nowhere/plan.npz"])

@@ -1,0 +1,229 @@
+"""Proof anew of a plan that was read from a file: what the file says of its proof counts nothing.
+
+Ends and horizon must be those of the mission, and the controls, flown by SciPy through the
+scenario's own equations, must lead along the very states of the file.
+"""
+
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+
+from pyomo_quad.collocation import Dynamics, SolveError, TranscriptionError
+from pyomo_quad.flight.baselines import declared_start, wanted_at_goal
+from pyomo_quad.flight.flight import (
+    ARRIVAL_DISTANCE_M,
+    VIOLATION_TOLERANCE,
+    FloatArray,
+    Flown,
+    terminal_miss_of,
+)
+from pyomo_quad.flight.plan import Trajectories
+from pyomo_quad.flight.planning import Builder, Planner
+from pyomo_quad.flight.verification import (
+    BALANCE_TOLERANCE,
+    ENERGY_TOLERANCE,
+    MISS_TOLERANCE,
+    Passage,
+    Verification,
+    verify_controls,
+)
+from pyomo_quad.model import build_model, model_builder
+from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.messages import shown
+
+# Share of a duration by which a horizon written in decimals may miss it.
+_SAME_TIME = 1e-9
+_AGAIN = "solve the scenario again."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Allowed:
+    """By how much a flight may differ from what a file says of it.
+
+    `miss` is of any state at any time and of the waypoints: metres, metres per second, radians,
+    or relative where a value is larger than 1.  `violation` of limits and `energy` are relative.
+    """
+
+    miss: float
+    violation: float
+    energy: float
+
+
+#: Of a file that holds every number of the plan.
+EXACT = Allowed(miss=MISS_TOLERANCE, violation=VIOLATION_TOLERANCE, energy=ENERGY_TOLERANCE)
+#: Of a report's table: it has each control held to its limits, and the polynomial through these
+#: is not the one that was flown.  Where controls are at their limits for long, flights of tables
+#: were found to be 2 cm, 1.4e-3 of a limit and 2e-5 of the energy off.
+TABLE = Allowed(miss=ARRIVAL_DISTANCE_M, violation=1e-2, energy=1e-3)
+
+
+def refuse_unproven(
+    scenario: Scenario,
+    held: Trajectories,
+    energy: float,
+    passing_times_s: tuple[float, ...],
+    allowed: Allowed,
+    dynamics: Dynamics | None = None,
+    *,
+    is_code_allowed: bool = False,
+) -> None:
+    """Refuse a plan that its mission's own equations do not confirm.
+
+    Parameters
+    ----------
+    held : Trajectories
+        Names may be of other components too; a state without a name starts as the mission says.
+    energy : float
+        Of the whole flight [J].
+    dynamics : Dynamics, optional
+        The equations, where the plan still has them; else the scenario's own.
+    is_code_allowed : bool, optional
+        Whether a builder that the scenario names may be run.
+
+    Raises
+    ------
+    ScenarioError
+        Naming what is off, by how much, and what is allowed.
+    """
+    _refuse_other_times(scenario, held, passing_times_s)
+    builder: Builder = build_model
+    if dynamics is None:
+        builder = model_builder(scenario, is_code_allowed=is_code_allowed)
+        told = scenario.lasting(held.horizon[1], passing_times_s).as_forecast()
+        try:
+            dynamics = Planner(builder).dynamics(told)
+        except TranscriptionError as error:
+            raise ScenarioError(f"{scenario.name}: {error}") from None
+    states, controls = _as_flown(scenario, held, dynamics)
+    if builder is build_model and scenario.model is None:
+        _refuse_other_ends(scenario, dynamics, states, allowed)
+    waypoints = zip(scenario.mission.waypoints, passing_times_s, strict=True)
+    passages = [Passage(time_s=t, position=w.position, radius=w.radius) for w, t in waypoints]
+    plan = dynamics, held.mesh, states, controls, held.horizon, energy
+    try:
+        verification, flown = verify_controls(*plan, scenario.airspace, passages)
+    except SolveError as error:
+        raise ScenarioError(f"{scenario.name}: {error}") from None
+    _refuse_astray(scenario, held, dynamics, flown, allowed)
+    _refuse_failed(scenario, verification, energy, allowed)
+
+
+def _refuse_failed(
+    scenario: Scenario, verification: Verification, energy: float, allowed: Allowed
+) -> None:
+    """Refuse a plan whose flight breaks limits or spends something else than it says."""
+    share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
+    passed = max(verification.passing_misses_m, default=0.0)
+    failings = (
+        (
+            verification.max_violation,
+            allowed.violation,
+            f"breach of {verification.worst_constraint}",
+        ),
+        (share, allowed.energy, "share of the energy not accounted for"),
+        (passed, allowed.miss, "distance in m by which a waypoint is missed"),
+        (verification.battery_imbalance, BALANCE_TOLERANCE, "share that the pack cannot give"),
+    )
+    for found, most, words in failings:
+        if not found <= most:
+            raise ScenarioError(
+                f"{scenario.name}: flown again, the plan has a {words} of {found:.3g}; must be at "
+                f"most {most:g}; {_AGAIN}"
+            )
+
+
+def _refuse_other_times(
+    scenario: Scenario, held: Trajectories, passing_times_s: tuple[float, ...]
+) -> None:
+    mission, (start, end) = scenario.mission, held.horizon
+    least, greatest = mission.duration_limits
+    leeway = _SAME_TIME * greatest
+    if abs(start) > leeway or not least - leeway <= end <= greatest + leeway:
+        allowed = (
+            f"0 to {least:g} s" if least == greatest else f"0 to from {least:g} to {greatest:g} s"
+        )
+        raise ScenarioError(
+            f"{scenario.name}: horizon = {start:g} to {end:.9g} s; must be {allowed}, as the "
+            f"mission says; {_AGAIN}"
+        )
+    ordered = np.diff([0.0, *passing_times_s, end])
+    if len(passing_times_s) != len(mission.waypoints) or np.any(ordered < 0.0):
+        raise ScenarioError(
+            f"{scenario.name}: passing_times_s has {len(passing_times_s)} times; must have a time "
+            f"within the flight for each of {len(mission.waypoints)} waypoints, rising; {_AGAIN}"
+        )
+    for k, (waypoint, time) in enumerate(zip(mission.waypoints, passing_times_s, strict=True)):
+        if waypoint.at is not None and abs(waypoint.at - time) > leeway:
+            raise ScenarioError(
+                f"{scenario.name}: mission.waypoints[{k}] is passed at {time:g} s; must be "
+                f"{waypoint.at:g} s, as the mission says; {_AGAIN}"
+            )
+
+
+def _as_flown(
+    scenario: Scenario, held: Trajectories, dynamics: Dynamics
+) -> tuple[FloatArray, FloatArray]:
+    """Return states and controls in the order of the dynamics; states not known later are NaN."""
+    missing = set(dynamics.control_names) - set(held.control_names)
+    if missing:
+        raise ScenarioError(
+            f"{scenario.name}: the plan has no {shown(min(missing))[1:-1]}, without which it "
+            "cannot be flown again; export the file of Plan.save."
+        )
+    start = declared_start(scenario, dynamics)
+    states = np.full((len(held.states), len(dynamics.state_names)), np.nan)
+    for k, name in enumerate(dynamics.state_names):
+        if name in held.state_names:
+            states[:, k] = held.states[:, held.state_names.index(name)]
+        elif name in start:
+            states[0, k] = start[name]
+        else:
+            raise ScenarioError(
+                f"{scenario.name}: nothing says where state {name} starts; export the file of "
+                "Plan.save."
+            )
+    return states, held.controls[:, [held.control_names.index(n) for n in dynamics.control_names]]
+
+
+def _refuse_other_ends(
+    scenario: Scenario, dynamics: Dynamics, states: FloatArray, allowed: Allowed
+) -> None:
+    """Refuse a plan that begins or ends elsewhere than its mission does."""
+    for end, wanted, found in (
+        ("start", declared_start(scenario, dynamics), states[0]),
+        ("end", wanted_at_goal(scenario, dynamics), states[-1]),
+    ):
+        known = {
+            name: value
+            for name, value in wanted.items()
+            if isfinite(found[dynamics.state_names.index(name)])
+        }
+        miss = terminal_miss_of(dynamics, found, known)
+        name = max(miss, key=lambda name: abs(miss[name]) / max(1.0, abs(known[name])))
+        if not abs(miss[name]) <= allowed.miss * max(1.0, abs(known[name])):
+            value, unit = known[name] + miss[name], dynamics.unit(name)
+            raise ScenarioError(
+                f"{scenario.name}: at the {end} of the plan {name} = {value:.6g} {unit}; must be "
+                f"{known[name]:.6g} {unit}, as the mission says; {_AGAIN}"
+            )
+
+
+def _refuse_astray(
+    scenario: Scenario, held: Trajectories, dynamics: Dynamics, flown: Flown, allowed: Allowed
+) -> None:
+    """Refuse a plan whose states are not those that its controls lead along."""
+    planned = held.states_at(flown.t)
+    worst, when, which = 0.0, 0.0, ""
+    for k, name in enumerate(held.state_names):
+        if name in dynamics.state_names:
+            column = flown.states[:, dynamics.state_names.index(name)]
+            off = np.abs(column - planned[:, k]) / np.maximum(1.0, np.abs(planned[:, k]))
+            if not off.max() <= worst:
+                worst, when, which = float(off.max()), float(flown.t[int(off.argmax())]), name
+    if not worst <= allowed.miss:
+        raise ScenarioError(
+            f"{scenario.name}: flown again, the plan is {worst:.3g} {dynamics.unit(which)} off in "
+            f"{which} at {when:.4g} s; must be at most {allowed.miss:g}, of what is larger than 1 "
+            f"relative; {_AGAIN}"
+        )
