@@ -15,11 +15,13 @@ from pyomo_quad.cli.terminal import (
     Overrides,
     Quiet,
     ScenarioFile,
+    complain,
     error_console,
 )
 from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import output_file, output_folder, refuse_output_folder
 from pyomo_quad.scenario import Scenario, ScenarioError, load_scenario
+from pyomo_quad.scenario.messages import printable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -258,6 +260,7 @@ def predict(logs: Logs, *, vehicle: Vehicle, out: NewFolder = None, quiet: Quiet
 
 def _read(logs: list[Path], vehicle: str, flights: Path | None) -> "tuple[Scenario, pd.DataFrame]":
     from pyomo_quad.identification.logs import (  # noqa: PLC0415
+        once_each,
         read_logs,
         refuse_wrong_units,
         together,
@@ -268,7 +271,9 @@ def _read(logs: list[Path], vehicle: str, flights: Path | None) -> "tuple[Scenar
     read = [(file, read_logs(file)) for file in logs]
     for file, frame in read:
         refuse_wrong_units(frame, scenario.vehicle.mass, str(file))
-    frame = together(read)
+    frame, copies = once_each(together(read))
+    for copy, flight in copies.items():
+        complain(printable(f"logs: flight {copy} is flight {flight} again; it counts once."))
     if flights is not None:
         frame = _chosen(frame, flights)
     return scenario, frame

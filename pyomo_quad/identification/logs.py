@@ -1,12 +1,13 @@
 """Logs of flights: the columns they need, and what is refused before anything is computed.
 
 A log is a table, Parquet or CSV, of one row a second or so, or a PX4 `.ulg`.  Its columns are
-those of `COLUMNS`; others are passed over.  World axes here are north, east and up.
+those of `COLUMNS`; others are not read.  World axes here are north, east and up.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
+from hashlib import sha256
 from io import StringIO
 from os import SEEK_END
 from pathlib import Path
@@ -16,10 +17,12 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 from numpy.typing import NDArray
-from pyarrow import parquet
+from pyarrow import compute, parquet, types
 
 from pyomo_quad.scenario import ScenarioError
-from pyomo_quad.scenario.messages import printable
+from pyomo_quad.scenario.fields import Sound
+from pyomo_quad.scenario.messages import printable, shown
+from pyomo_quad.scenario.vehicle import CARRIED
 from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 
 
@@ -58,6 +61,8 @@ COLUMNS: Mapping[str, Column] = {
         unit="m/s", meaning="velocity through the air as read, times vehicle.anemometer_factor"
     ),
 }
+# Where there is no power, it is made of these.
+_ELECTRIC = (VOLTAGE, CURRENT)
 FLYING = (1, 2, 3)
 CRUISE = 2
 _TEXTS = (FLIGHT,)
@@ -71,15 +76,28 @@ _MOST: Mapping[str, tuple[float, str]] = {
     CURRENT: (2e3, "milliamperes"),
 }
 _MOST_POWER_PER_KG, _LEAST_POWER_PER_KG = 5e3, 5.0
+# Payload over the vehicle's own mass: what carries more than some times itself carries grams.
+_MOST_PAYLOAD = 20.0
+# Beyond these nothing flies on earth.
+_SPEED = Sound(-1e3, 1e3, "the fastest aeroplane had 981 m/s")
+_SOUND: Mapping[str, Sound] = {
+    PAYLOAD: CARRIED,
+    DENSITY: Sound(1e-2, 2.0, "the air on earth has 1.5 at its densest and 0.02 at 30 km"),
+    POWER: Sound(-1e8, 1e8, "the largest helicopter has 2e7 W"),
+    **dict.fromkeys((*VELOCITY, *AIR_VELOCITY), _SPEED),
+}
 # s; rows farther apart than this tell no flight.
 _LONGEST_STEP_S = 60.0
 _LARGEST_FILE_BYTES, _MOST_ROWS = 500_000_000, 2_000_000
+_LONGEST_NAME, _LONGEST_HEADER_BYTES = 200, 1_000_000
+_BATCH_ROWS = 65_536
 # Logs of the PX4 autopilot: unit, topics and fields, the newest firmware's name first.
 Topic = dict[str, NDArray[np.float64]]
 _MICROSECONDS = 1e-6
 _POSITION, _BATTERY, _LANDED = "vehicle_local_position", "battery_status", "vehicle_land_detected"
 _WINDS = ("wind", "wind_estimate")
 _AIR = "vehicle_air_data"
+_TOPICS = (_POSITION, _BATTERY, _LANDED, *_WINDS, _AIR)
 _CURRENTS, _VOLTAGES = ("current_a", "current_average_a"), ("voltage_v", "voltage_filtered_v")
 
 
@@ -92,21 +110,14 @@ def read_logs(file: Path) -> pd.DataFrame:
         If the file cannot be read, lacks a column, or holds what no flight can have done.
     """
     source = printable(str(file))
-    whole = _renamed(_read(file, source))
-    if POWER not in whole and {VOLTAGE, CURRENT} <= set(whole):
-        whole[POWER] = whole[VOLTAGE] * whole[CURRENT]
-    for name, column in COLUMNS.items():
-        if name not in whole:
-            others = "".join(f" or {other}" for other in column.other_names)
-            unit = f", in {column.unit}" if column.unit else ""
-            raise ScenarioError(
-                f"{source}: has no column {name} ({column.meaning}{unit}); name it {name}{others}."
-            )
-    known = [*COLUMNS, *(name for name in (VOLTAGE, CURRENT) if name in whole)]
-    frame = whole[known]
-    for name in known:
-        if name not in _TEXTS and not pd.api.types.is_numeric_dtype(frame[name]):
+    whole = _read(file, source)
+    known = [*COLUMNS, *(name for name in _ELECTRIC if name in whole)]
+    for name in whole:
+        if name not in _TEXTS and not pd.api.types.is_numeric_dtype(whole[name]):
             raise ScenarioError(f"{source}: column {name} holds text; it must hold numbers.")
+    if POWER not in whole:
+        whole[POWER] = whole[VOLTAGE] * whole[CURRENT]
+    frame = whole[known]
     frame = frame[frame[PHASE].isin(FLYING) | frame[PHASE].isna()].reset_index(drop=True)
     if frame.empty:
         raise ScenarioError(
@@ -142,6 +153,28 @@ def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
     return pd.concat(held, ignore_index=True)
 
 
+def once_each(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
+    """Return flights without those that are there under another name, and these by that name.
+
+    Flights are the same whose rows are, times from the start on, in single precision: a copy in
+    decimals may miss the last digits.
+    """
+    numbers = frame[[name for name in COLUMNS if name not in _TEXTS]]
+    first: dict[bytes, str] = {}
+    copies: dict[str, str] = {}
+    for flight, rows in frame.groupby(FLIGHT, sort=False).indices.items():
+        own = numbers.iloc[rows].assign(**{TIME: lambda f: f[TIME] - f[TIME].iloc[0]})
+        key = sha256(own.to_numpy(dtype=np.float32).tobytes()).digest()
+        if key in first:
+            copies[str(flight)] = first[key]
+        else:
+            first[key] = str(flight)
+    if copies:
+        is_copy = frame[FLIGHT].astype(str).isin(copies)
+        frame = frame[~is_copy].reset_index(drop=True)
+    return frame, copies
+
+
 def _read(file: Path, source: str) -> pd.DataFrame:
     readers = {".parquet": _read_parquet, ".csv": _read_csv, ".ulg": _read_ulog}
     reader: Any = readers.get(file.suffix.lower())
@@ -153,6 +186,8 @@ def _read(file: Path, source: str) -> pd.DataFrame:
         return pd.DataFrame(reader(file))
     except ScenarioError as error:
         raise ScenarioError(f"{source}: {error}") from None
+    except MemoryError:
+        raise  # which Arrow counts among what is wrong with a file
     except OSError as error:
         reason = error.strerror or "not whole"
         raise ScenarioError(f"{source}: cannot be read ({printable(reason)}).") from None
@@ -160,33 +195,109 @@ def _read(file: Path, source: str) -> pd.DataFrame:
         raise ScenarioError(f"{source}: is damaged or cut short; copy it anew.") from None
 
 
-def _read_parquet(file: Path) -> pd.DataFrame:
-    # A small file may unpack to more than any memory holds.
-    with parquet.ParquetFile(file) as packed:
-        if packed.metadata.num_rows > _MOST_ROWS:
+def _wanted(names: Iterable[str]) -> dict[str, str]:
+    """Return which columns of a log are needed, and the names that they have here.
+
+    Raises
+    ------
+    ScenarioError
+        If one is missing.
+    """
+    there = set(names)
+    found = {name: name for name in _ELECTRIC if name in there}
+    for own, column in COLUMNS.items():
+        called = next((name for name in (own, *column.other_names) if name in there), None)
+        if called is not None:
+            found[called] = own
+        elif own != POWER or len(found.keys() & set(_ELECTRIC)) < len(_ELECTRIC):
+            others = "".join(f" or {other}" for other in column.other_names)
+            unit = f", in {column.unit}" if column.unit else ""
             raise ScenarioError(
-                f"has {packed.metadata.num_rows} rows; must be <= {_MOST_ROWS}: split it."
+                f"has no column {own} ({column.meaning}{unit}); name it {own}{others}."
             )
-    return pd.read_parquet(file)
+    return found
+
+
+def _read_parquet(file: Path) -> pd.DataFrame:
+    # A small file may unpack to more than any memory holds, and its description may lie.
+    with parquet.ParquetFile(file) as packed:
+        about = packed.metadata
+        groups = [about.row_group(k) for k in range(about.num_row_groups)]
+        _refuse_rows(max(about.num_rows, sum(group.num_rows for group in groups)))
+        wanted = _wanted(packed.schema_arrow.names)
+        kinds = {name: packed.schema_arrow.field(name).type for name in wanted}
+        for name, kind in kinds.items():
+            _refuse_kind(name, kind, is_text=wanted[name] in _TEXTS)
+        unpacked = sum(
+            group.column(k).total_uncompressed_size
+            for group in groups
+            for k in range(group.num_columns)
+            if group.column(k).path_in_schema in wanted
+        )
+    if unpacked > _LARGEST_FILE_BYTES:
+        raise ScenarioError(f"unpacks to more than {_LARGEST_FILE_BYTES} bytes; split it.")
+    # Each text is held once, however often it is there.
+    texts = [name for name, kind in kinds.items() if not _is_number(kind)]
+    with parquet.ParquetFile(file, read_dictionary=texts) as packed:
+        batches, rows = [], 0
+        for batch in packed.iter_batches(_BATCH_ROWS, columns=list(wanted)):
+            rows += batch.num_rows
+            _refuse_rows(rows)
+            for name in texts:
+                _refuse_long(compute.max(compute.binary_length(batch[name].dictionary)).as_py())
+            batches.append(batch)
+    if not batches:
+        return pd.DataFrame({name: [] for name in wanted.values()})
+    held = pa.Table.from_batches(batches)
+    for name in texts:
+        place = held.column_names.index(name)
+        held = held.set_column(place, name, held[name].cast(pa.string()))
+    return held.to_pandas().rename(columns=wanted)
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    return bool(types.is_integer(kind) or types.is_floating(kind))
+
+
+def _refuse_kind(name: str, kind: pa.DataType, *, is_text: bool) -> None:
+    """Refuse a column that holds neither numbers nor, where these may stand, texts."""
+    held = kind.value_type if types.is_dictionary(kind) else kind
+    is_string = types.is_string(held) or types.is_large_string(held)
+    if _is_number(kind) or (is_text and is_string):
+        return
+    words = "text" if is_string else shown(str(kind))[1:-1]
+    allowed = "numbers or texts" if is_text else "numbers"
+    raise ScenarioError(f"column {name} holds {words}; it must hold {allowed}.")
+
+
+def _refuse_rows(rows: int) -> None:
+    if rows > _MOST_ROWS:
+        raise ScenarioError(f"has {rows} rows; must be <= {_MOST_ROWS}: split it.")
+
+
+def _refuse_long(length: int | None) -> None:
+    if (length or 0) > _LONGEST_NAME:
+        raise ScenarioError(
+            f"{FLIGHT} has a name of {length} letters; must have at most {_LONGEST_NAME}."
+        )
 
 
 def _read_csv(file: Path) -> pd.DataFrame:
-    frame = pd.read_csv(file)
     with file.open("rb") as stream:
-        stream.seek(-1, SEEK_END)
+        if len(stream.readline(_LONGEST_HEADER_BYTES + 1)) > _LONGEST_HEADER_BYTES:
+            raise ScenarioError(f"has a first line above {_LONGEST_HEADER_BYTES} bytes; split it.")
+        if stream.seek(0, SEEK_END) > 0:
+            stream.seek(-1, SEEK_END)
         if stream.read() not in b"\r\n":
             raise ScenarioError("ends within a line; copy it anew, or end its last line.")
+    wanted = _wanted(map(str, pd.read_csv(file, nrows=0)))
+    # Types are told of whole columns: part by part, pandas would warn of those that mix.
+    options: dict[str, Any] = {"usecols": list(wanted), "nrows": _MOST_ROWS + 1}
+    frame = pd.read_csv(file, low_memory=False, **options).rename(columns=wanted)
+    _refuse_rows(len(frame))
+    if not pd.api.types.is_numeric_dtype(frame[FLIGHT]):
+        _refuse_long(int(frame[FLIGHT].astype(str).str.len().max() if len(frame) else 0))
     return frame
-
-
-def _renamed(frame: pd.DataFrame) -> pd.DataFrame:
-    names = {
-        other: name
-        for name, column in COLUMNS.items()
-        for other in column.other_names
-        if other in frame and name not in frame
-    }
-    return frame.rename(columns=names)
 
 
 def _complaints(frame: pd.DataFrame) -> Iterator[str]:
@@ -198,12 +309,7 @@ def _complaints(frame: pd.DataFrame) -> Iterator[str]:
             yield f"{name} is no number at {place}; drop the row or fill it."
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         yield from _time_complaints(str(flight), rows[TIME].to_numpy(float))
-    for name, (most, thousandths) in _MOST.items():
-        if name in frame and frame[name].abs().median() > most:
-            yield (
-                f"{name} has a median of {frame[name].median():.4g}, which must be {thousandths}; "
-                f"divide it by 1000."
-            )
+    yield from _unit_complaints(frame)
     usual = frame[POWER].groupby(frame[FLIGHT], sort=False).median()
     if usual.min() <= 0.0:
         yield (
@@ -219,6 +325,32 @@ def _complaints(frame: pd.DataFrame) -> Iterator[str]:
         )
     if frame[DENSITY].min() <= 0.0 or frame[PAYLOAD].min() < 0.0:
         yield f"{DENSITY} must be > 0 and {PAYLOAD} >= 0."
+    yield from _unsound(frame)
+
+
+def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
+    """Yield which flight has a quantity in thousandths of its unit."""
+    for flight, rows in frame.groupby(FLIGHT, sort=False):
+        for name, (most, thousandths) in _MOST.items():
+            usual = float(rows[name].median()) if name in frame else 0.0
+            if abs(usual) > most:
+                yield (
+                    f"flight {flight}: {name} has a median of {usual:.4g}, which must be "
+                    f"{thousandths}; divide it by 1000."
+                )
+
+
+def _unsound(frame: pd.DataFrame) -> Iterator[str]:
+    """Yield what nothing on earth has."""
+    for name, sound in _SOUND.items():
+        values = frame[name].to_numpy()
+        is_beyond = (values < sound.low) | (values > sound.high)
+        if is_beyond.any():
+            row = int(is_beyond.argmax())
+            yield (
+                f"{name} = {values[row]:.4g} {COLUMNS[name].unit} at {_place(frame, row)}; must be "
+                f"from {sound.low:g} to {sound.high:g}: {sound.because}."
+            )
 
 
 def _place(frame: pd.DataFrame, row: int) -> str:
@@ -250,24 +382,29 @@ def _time_complaints(flight: str, times: np.ndarray) -> Iterator[str]:
 
 
 def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None:
-    """Refuse a power that is a thousand times what carries the vehicle's weight, or a thousandth.
+    """Refuse a flight whose power is a thousand times what carries its weight, or a thousandth.
 
     Raises
     ------
     ScenarioError
-        If the median power is that of milliwatts or kilowatts.
+        If the median power of a flight is that of milliwatts or kilowatts, or its payload that of
+        grams.
     """
-    median = float(frame[POWER].median())
-    wrong = None
-    if median > _MOST_POWER_PER_KG * mass_kg:
-        wrong = "milliwatts; divide"
-    elif median < _LEAST_POWER_PER_KG * mass_kg:
-        wrong = "kilowatts; multiply"
-    if wrong is not None:
-        raise ScenarioError(
-            f"{printable(source)}: {POWER} has a median of {median:.4g} W for {mass_kg:.4g} kg, "
-            f"which must be {wrong} it by 1000."
-        )
+    for flight, rows in frame.groupby(FLIGHT, sort=False):
+        power, payload = float(rows[POWER].median()), float(rows[PAYLOAD].median())
+        wrong = None
+        if power > _MOST_POWER_PER_KG * mass_kg:
+            wrong = POWER, f"{power:.4g} W", "milliwatts; divide"
+        elif power < _LEAST_POWER_PER_KG * mass_kg:
+            wrong = POWER, f"{power:.4g} W", "kilowatts; multiply"
+        elif payload > _MOST_PAYLOAD * mass_kg:
+            wrong = PAYLOAD, f"{payload:.4g} kg", "grams; divide"
+        if wrong is not None:
+            name, median, words = wrong
+            raise ScenarioError(
+                f"{printable(source)}: flight {printable(str(flight))}: {name} has a median of "
+                f"{median} for a vehicle of {mass_kg:.4g} kg, which must be {words} it by 1000."
+            )
 
 
 def _read_ulog(file: Path) -> pd.DataFrame:
@@ -291,8 +428,9 @@ def _read_ulog(file: Path) -> pd.DataFrame:
     try:
         # The reader prints what it finds broken.
         with file.open("rb") as stream, redirect_stdout(StringIO()):
-            topics = {d.name: d.data for d in ULog(stream).data_list if d.multi_id == 0}
-    except OSError:
+            read = ULog(stream, message_name_filter_list=list(_TOPICS)).data_list
+            topics = {d.name: d.data for d in read if d.multi_id == 0}
+    except (OSError, MemoryError):
         raise
     except Exception as error:
         # A damaged log fails in as many ways as its reader has.

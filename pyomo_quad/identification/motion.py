@@ -162,7 +162,10 @@ class LoggedMotion:
                 / _STEP
                 for moved in self._moved(at)
             ]
-            steps = np.linalg.solve(np.stack(slopes, axis=2), missing[:, :, None])[:, :, 0]
+            try:
+                steps = np.linalg.solve(np.stack(slopes, axis=2), missing[:, :, None])[:, :, 0]
+            except np.linalg.LinAlgError:
+                break  # one of them has no slope left to go along
             for column, step in zip(self._angles, steps.T, strict=False):
                 at[:, column] = np.clip(at[:, column] + step, -_STEEPEST, _STEEPEST)
             at[:, self._rotors] *= np.clip(1.0 + steps[:, 2:], 0.5, 2.0)

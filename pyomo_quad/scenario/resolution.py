@@ -270,7 +270,26 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
             )
         if not isinstance(content, Mapping):
             raise ScenarioError(f"{name}: {section} = {shown(content)}; must be a table.")
+        _refuse_labels(name, content, (section,))
     return _entry(kind, name, written, {} if use is None else library_entry(kind, use).tables)
+
+
+def _refuse_labels(name: str, table: Mapping[str, Any], place: FieldPath) -> None:
+    """Refuse numbers with a label other than their value and source."""
+    is_labelled = len(place) > 1 and not set(_LABELS).isdisjoint(table)
+    for key, content in table.items():
+        where = shown(spell((*place, key)))[1:-1]
+        if (key in _LABELS) != is_labelled:
+            raise ScenarioError(
+                f"{name}: unknown key {where}; a number stands alone or as a table of its "
+                f"{_VALUE} and {_SOURCE}."
+            )
+        if is_labelled and isinstance(content, Mapping):
+            raise ScenarioError(f"{name}: {where} = a table; must be a number or a text.")
+        if is_labelled and key == _SOURCE and not isinstance(content, str):
+            raise ScenarioError(f"{name}: {where} = {shown(content)}; must be text in quotes.")
+        if isinstance(content, Mapping):
+            _refuse_labels(name, content, (*place, key))
 
 
 def _listed(names: object) -> str:

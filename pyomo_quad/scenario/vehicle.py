@@ -25,6 +25,9 @@ MOST_ROTORS = 8
 _CROSS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 _INERTIA = Sound(1e-9, 1e6, "a gram at a millimetre has 1e-9, ten tonnes at ten metres have 1e6")
+_WEIGHT = "flying machines weigh from a gram to ten tonnes"
+#: kg, of what a vehicle carries.
+CARRIED = Sound(0, 1e4, _WEIGHT)
 _ROTOR_DRAG = Sound(0, 1e2, "a rotor of a centimetre has about 1e-8, one of ten metres about 1")
 _FITTED = Sound(-1e9, 1e9, "f_r is a share and its arguments are not tiny")
 
@@ -76,14 +79,14 @@ class Vehicle(Part):
         "kg",
         "mass without payload",
         gt=0,
-        sound=Sound(1e-3, 1e4, "flying machines weigh from a gram to ten tonnes"),
+        sound=Sound(1e-3, CARRIED.high, _WEIGHT),
     )
     payload: Number = quantity(
         "kg",
         "mass carried, at the centre of mass",
         0.0,
         ge=0,
-        sound=Sound(0, 1e4, "flying machines weigh from a gram to ten tonnes"),
+        sound=CARRIED,
     )
     arm_length: Number = quantity(
         "m",

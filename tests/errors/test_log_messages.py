@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 
 from pyomo_quad.cli import main
@@ -114,6 +115,52 @@ SPOILT = {
         lambda: three().assign(vel_north_m_s=lambda f: 100.0 * f.vel_north_m_s),
         "of this vehicle give the acceleration at 10 s of flight 1; look at the velocities there.",
     ),
+    "no_such_air": (
+        lambda: with_value("air_density_kg_m3", 12.0),
+        (
+            "air_density_kg_m3 = 12 kg/m^3 at 15 s of flight 1; must be from 0.01 to 2: the air on "
+            "earth has 1.5 at its densest"
+        ),
+    ),
+    "no_such_speed": (
+        lambda: with_value("air_vel_east_m_s", -1e200),
+        "air_vel_east_m_s = -1e+200 m/s at 15 s of flight 1; must be from -1000 to 1000: the",
+    ),
+    "no_such_power": (
+        lambda: with_value("power_W", 1e12),
+        "power_W = 1e+12 W at 15 s of flight 1; must be from -1e+08 to 1e+08: the largest",
+    ),
+    "no_such_payload": (
+        lambda: three().assign(payload_kg=1e30),
+        "payload_kg = 1e+30 kg at 0 s of flight 1; must be from 0 to 10000: flying machines weigh",
+    ),
+    "grams": (
+        lambda: three().assign(payload_kg=lambda f: 500.0 * (f.flight == 2)),
+        (
+            "flight 2: payload_kg has a median of 500 kg for a vehicle of 3.715 kg, which must be "
+            "grams; divide it by 1000."
+        ),
+    ),
+    "one_in_milliwatts": (
+        lambda: three().assign(power_W=lambda f: f.power_W * np.where(f.flight == 3, 1e3, 1.0)),
+        ("log.csv: flight 3: power_W has a median of ", "must be milliwatts; divide it by 1000."),
+    ),
+    "one_in_kilowatts": (
+        lambda: three().assign(power_W=lambda f: f.power_W * np.where(f.flight == 3, 1e-3, 1.0)),
+        ("log.csv: flight 3: power_W has a median of ", "must be kilowatts; multiply it by 1000."),
+    ),
+    "one_in_millivolts": (
+        lambda: in_watts(three()).assign(voltage_V=lambda f: np.where(f.flight == 2, 22e3, 22.0)),
+        "flight 2: voltage_V has a median of 2.2e+04, which must be millivolts; divide it by 1000.",
+    ),
+    "one_in_milliamperes": (
+        lambda: in_watts(three()).assign(current_A=lambda f: np.where(f.flight == 2, 2e4, 20.0)),
+        "flight 2: current_A has a median of 2e+04, which must be milliamperes; divide it by 1000.",
+    ),
+    "long_name": (
+        lambda: three().assign(flight=lambda f: f.flight.map(lambda k: f"{k}" * 1000)),
+        "flight has a name of 1000 letters; must have at most 200.",
+    ),
     "on_ground": (
         lambda: three().assign(phase=0),
         "no row flies; phase must be 1, 2 or 3 for take-off, cruise and landing.",
@@ -137,7 +184,9 @@ def test_a_spoilt_log(tmp_path, capsys, name):
     frame, message = SPOILT[name]
     file = tmp_path / "log.csv"
     frame().to_csv(file, index=False)
-    assert message in refused(capsys, file)
+    line = refused(capsys, file)
+    for part in (message,) if isinstance(message, str) else message:
+        assert part in line
 
 
 def test_files_that_are_no_logs(tmp_path, capsys, monkeypatch):
@@ -162,6 +211,149 @@ def test_files_that_are_no_logs(tmp_path, capsys, monkeypatch):
     assert "is damaged or cut short; copy it anew." in refused(capsys, empty)
     monkeypatch.setattr(logs, "_LARGEST_FILE_BYTES", 100)
     assert "whole.parquet: larger than 100 bytes; split it." in refused(capsys, whole)
+
+
+def footer_of(file):
+    """Return what comes before a Parquet file's description, that, and what comes after."""
+    content = file.read_bytes()
+    (length,) = struct.unpack("<I", content[-8:-4])
+    return content[: -8 - length], content[-8 - length : -8], content[-8:]
+
+
+def varint(number, size=1):
+    """Return a number as Parquet writes it, over so many bytes at least."""
+    groups = []
+    while number or len(groups) < size:
+        groups.append(number & 0x7F)
+        number >>= 7
+    return bytes([*(group | 0x80 for group in groups[:-1]), groups[-1]])
+
+
+def test_a_parquet_file_whose_description_lies(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(logs, "_MOST_ROWS", 5000)
+    file = tmp_path / "forged.parquet"
+    rows = pd.concat([three()] * 100)
+    rows.iloc[:6000].to_parquet(file, row_group_size=1000)
+    before, footer, after = footer_of(file)
+    said = varint(2 * 6000)  # zigzag
+    assert footer.count(said) == 1
+    file.write_bytes(before + footer.replace(said, varint(2 * 1000, len(said))) + after)
+    assert "has 6000 rows; must be <= 5000: split it." in refused(capsys, file)
+    rows.iloc[:6000].to_csv(tmp_path / "long.csv", index=False)
+    assert "has 5001 rows; must be <= 5000: split it." in refused(capsys, tmp_path / "long.csv")
+
+
+def test_columns_that_nobody_needs_are_not_read(tmp_path):
+    file = tmp_path / "wide.parquet"
+    texts = np.array([f"needless {k}" for k in range(90)])
+    three().assign(needless=texts).to_parquet(file, compression=None)
+    content = file.read_bytes()
+    assert b"needless 44" in content
+    # Its pages are rubbish now: whoever reads them finds the file damaged.
+    for k in range(90):
+        length = struct.pack("<I", len(texts[k]))
+        content = content.replace(length + texts[k].encode(), b"\xff" * (4 + len(texts[k])))
+    file.write_bytes(content)
+    with pytest.raises(OSError, match=r"."):
+        pd.read_parquet(file, columns=["needless"])
+    assert len(logs.read_logs(file)) == 90
+    wide = three().assign(**{f"needless_{k}": "text" for k in range(50)})
+    wide.to_csv(tmp_path / "wide.csv", index=False)
+    assert len(logs.read_logs(tmp_path / "wide.csv")) == 90
+
+
+def test_a_text_of_a_parquet_file_is_bounded(tmp_path, capsys, monkeypatch):
+    file = tmp_path / "named.parquet"
+    three().assign(flight=lambda f: f.flight.map(lambda k: f"{k}" * 100_000)).to_parquet(file)
+    assert file.stat().st_size < 100_000
+    line = refused(capsys, file)
+    assert "flight has a name of 100000 letters; must have at most 200." in line
+    named = three().assign(flight=lambda f: "flight " + f.flight.astype(str))
+    named.assign(flight=lambda f: f.flight.astype("category")).to_parquet(file)
+    assert logs.read_logs(file)["flight"].unique().tolist() == ["flight 1", "flight 2", "flight 3"]
+    pd.concat([three()] * 200).to_parquet(file, compression="zstd")
+    monkeypatch.setattr(logs, "_LARGEST_FILE_BYTES", file.stat().st_size)
+    assert "unpacks to more than" in refused(capsys, file)
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({"flight": [[1]] * 90}, "column flight holds list<element: int64>; it must hold numbers"),
+        ({"flight": [{"a": 1}] * 90}, "column flight holds struct<a: int64>; it must hold numbers"),
+        ({"power_W": [[1.0]] * 90}, "column power_W holds list<element: double>; it must hold num"),
+        ({"power_W": ["much"] * 90}, "column power_W holds text; it must hold numbers."),
+        ({"time_s": pd.date_range("2026", periods=90)}, "column time_s holds timestamp["),
+    ],
+)
+def test_a_column_of_another_kind(tmp_path, capsys, columns, said):
+    file = tmp_path / "log.parquet"
+    three().assign(**columns).to_parquet(file)
+    assert said in refused(capsys, file)
+
+
+def test_an_empty_parquet_file_and_one_wide_line(tmp_path, capsys):
+    file = tmp_path / "empty.parquet"
+    three().head(0).to_parquet(file)
+    assert "no row flies; phase must be 1, 2 or 3" in refused(capsys, file)
+    wide = tmp_path / "wide.csv"
+    wide.write_text("x," * 600_000 + "y\n")
+    assert "has a first line above 1000000 bytes; split it." in refused(capsys, wide)
+
+
+def test_too_little_memory_is_no_damage(tmp_path, capsys, monkeypatch):
+    def unpack(_file):
+        raise pa.ArrowMemoryError("malloc of size 12000000000 failed")
+
+    monkeypatch.setattr(logs, "_read_parquet", unpack)
+    file = tmp_path / "log.parquet"
+    three().to_parquet(file)
+    arguments = ["predict", str(file), "--vehicle", "dji_matrice_100", "--out", str(tmp_path / "o")]
+    with pytest.raises(MemoryError):
+        logs.read_logs(file)
+    assert main(arguments) == ExitCode.FAULT
+    assert "damaged" not in capsys.readouterr().err
+
+
+def test_the_same_flights_under_two_names_count_once(tmp_path, capsys):
+    file, copy = tmp_path / "log.parquet", tmp_path / "copy.csv"
+    three().to_parquet(file)
+    renamed = three().assign(flight=lambda f: f.flight + 10, time_s=f_later)
+    renamed.to_csv(copy, index=False, float_format="%.15g")
+    alone, both = (
+        ["predict", *map(str, files), "--vehicle", "dji_matrice_100", "--out", str(tmp_path / "o")]
+        for files in ((file,), (file, copy))
+    )
+    assert main(alone) == ExitCode.VERIFIED
+    said = capsys.readouterr()
+    assert (said.out.startswith("3 flights: "), said.err) == (True, "")
+    assert main(both) == ExitCode.VERIFIED
+    again = capsys.readouterr()
+    assert again.out == said.out
+    assert again.err.splitlines() == [
+        f"logs: flight {k + 10} is flight {k} again; it counts once." for k in (1, 2, 3)
+    ]
+
+
+def f_later(frame):
+    return frame.time_s + 3600.0
+
+
+def test_other_labels_than_value_and_source_in_a_vehicle_file(tmp_path, capsys):
+    file, vehicle = tmp_path / "log.csv", tmp_path / "own.toml"
+    three().to_csv(file, index=False)
+    for written, said in {
+        'mass = { value = 3.0, source = "x", scale = 2.0 }': (
+            "own.toml: unknown key fields.mass.scale; a number stands alone or as a table of its "
+            "value and source."
+        ),
+        "mass = { value = 3.0, deep = { value = 1.0 } }": "unknown key fields.mass.deep; a number",
+        "value = 3.0": "own.toml: unknown key fields.value; a number stands alone or as a table",
+        "mass = { value = { value = 3.0 } }": "fields.mass.value = a table; must be a number or a",
+        "mass = { source = 3 }": "own.toml: fields.mass.source = 3; must be text in quotes.",
+    }.items():
+        vehicle.write_text(f'use = "dji_matrice_100"\n[fields]\n{written}\n')
+        assert said in refused(capsys, file, vehicle=str(vehicle))
 
 
 def test_a_flight_that_is_given_twice(tmp_path, capsys):
