@@ -377,15 +377,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, Stopped, typer.Abort):
         complain("pyomo-quad: interrupted; no report was written.")
         return ExitCode.INTERRUPTED
-    except (ScenarioError, FeasibilityError) as error:
-        complain(str(error))
-        return ExitCode.BAD_INPUT
     except Exception as error:  # noqa: BLE001  the last line of defence: one line and a status
         return _explain(error)
     return int(status or 0)
 
 
+# What C++ libraries and the loader of shared objects say where there is no memory left.
+_NO_MEMORY = ("std::bad_alloc", "Cannot allocate memory")
+
+
+def _lacks_memory(error: BaseException | None) -> bool:
+    """Say whether an error, or one that it was made of, is a lack of memory."""
+    while error is not None:
+        if isinstance(error, MemoryError) or any(said in str(error) for said in _NO_MEMORY):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
 def _explain(error: Exception) -> ExitCode:
+    if _lacks_memory(error):
+        complain(
+            "pyomo-quad: not enough memory; close other programs, solve on fewer elements or with "
+            "fewer --workers, or give smaller files."
+        )
+        return ExitCode.FAULT
+    if isinstance(error, ScenarioError | FeasibilityError):
+        complain(str(error))
+        return ExitCode.BAD_INPUT
     if isinstance(error, _UsageError):
         message = error.format_message()  # type: ignore[attr-defined]
         complain(f"pyomo-quad: {message} See pyomo-quad --help.")

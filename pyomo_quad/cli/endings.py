@@ -1,4 +1,4 @@
-"""How a command ends: what its exit status means, and what Ctrl-C and SIGTERM do."""
+"""How a command ends: what its exit status means, and what Ctrl-C, SIGTERM and SIGHUP do."""
 
 import gc
 import os
@@ -18,10 +18,10 @@ class ExitCode(IntEnum):
     BAD_INPUT = 2
     NOT_SOLVED = 3  # infeasible or not converged
     NOT_VERIFIED = 4
-    INTERRUPTED = 130  # by Ctrl-C, as shells report it, or by SIGTERM
+    INTERRUPTED = 130  # by Ctrl-C, as shells report it, by SIGTERM or by SIGHUP
 
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PATIENCE_S = 0.5
 _LINE = b"pyomo-quad: interrupted; no report was written.\n"
 # A line that follows a solve is wiped, and the cursor it hid comes back.
@@ -64,9 +64,15 @@ class Interruption:
 
 
 def end_on_signals() -> None:
-    """Let Ctrl-C and SIGTERM end this process from now on."""
-    for number in (*_SIGNALS, signal.SIGALRM):
+    """Let Ctrl-C, SIGTERM and SIGHUP end this process from now on."""
+    for number in (*_heeded(), signal.SIGALRM):
         signal.signal(number, _end)
+
+
+def _heeded() -> list[signal.Signals]:
+    """Return the signals that ask for an end; nohup has the loss of a terminal ignored."""
+    is_deaf = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return [number for number in _SIGNALS if number != signal.SIGHUP or not is_deaf]
 
 
 def leave(status: int) -> int:
@@ -117,7 +123,7 @@ def raise_on_interrupt() -> Iterator[None]:
 
 @contextmanager
 def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    previous = {number: signal.signal(number, handler) for number in _SIGNALS}
+    previous = {number: signal.signal(number, handler) for number in _heeded()}
     try:
         yield
     finally:

@@ -112,7 +112,8 @@ def verdict(scenario: Scenario, flight: Flight) -> str:
     """Return what became of a flight in one sentence."""
     end = "arrived" if has_arrived(flight) else "did not arrive"
     confirmed = "confirmed" if flight.is_verified else "not confirmed"
+    why = f": {flight.doubt}" if flight.doubt else ""
     return (
         f"{scenario.name}: {flight.name} {end}, {flight.terminal_miss_m:.2g} m from the goal; "
-        f"{flight.energy_J:.3f} J, {confirmed} by a second integrator."
+        f"{flight.energy_J:.3f} J, {confirmed} by a second integrator{why}."
     )

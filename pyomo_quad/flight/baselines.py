@@ -428,6 +428,7 @@ def assembled_flight(
     """
     flown = _joined([part for part, _ in flown_twice])
     final = dict(zip(dynamics.state_names, flown.states[-1].tolist(), strict=True))
+    doubt = "; ".join(_doubts(dynamics, flown_twice, flown))
     # The costates of a flight through another wind price another mission's end.
     is_told = scenario.wind.forecast is None
     flight = Flight.from_flown(
@@ -436,14 +437,13 @@ def assembled_flight(
         flown,
         wanted_at_goal(scenario, dynamics),
         flight_frame(dynamics, flown.t, flown.states, flown.controls, flown.energy),
-        is_verified=_agree(dynamics, flown_twice)
-        and battery_imbalance(dynamics, flown) <= BALANCE_TOLERANCE,
+        is_verified=not doubt,
         wall_s=perf_counter() - began,
         owed_energy_J=plan.owed_energy(final) if plan is not None and is_told else nan,
         allowed=_ALLOWED_UNDER_CONTROL,
     )
     missed = tuple(_missed_waypoints(scenario, dynamics, flown))
-    return replace(flight, broken_limits=(*flight.broken_limits, *missed))
+    return replace(flight, broken_limits=(*flight.broken_limits, *missed), doubt=doubt)
 
 
 # A flight under control may pass a waypoint, and hold there, as much further off and faster than it
@@ -509,15 +509,37 @@ def _yaw_acceleration(
     return np.asarray((after - before)[:, 0] / (2 * _INSTANT))
 
 
-def _agree(dynamics: Dynamics, flown_twice: Sequence[tuple[Flown, Flown]]) -> bool:
-    """Say whether pairs of flights end at the same places and spend the same, all told."""
+def _doubts(
+    dynamics: Dynamics, flown_twice: Sequence[tuple[Flown, Flown]], flown: Flown
+) -> Iterator[str]:
+    """Yield why two integrators do not confirm a flight, or why the pack cannot feed it."""
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])
     spent = np.array([[flown.energy[-1] for flown in pair] for pair in flown_twice])
     apart = float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).sum())
     total, other = spent.sum(axis=0)
-    is_same_energy = abs(total - other) <= ENERGY_TOLERANCE * max(1.0, abs(total))
-    return bool(apart <= MISS_TOLERANCE and is_same_energy)
+    allowed = ENERGY_TOLERANCE * max(1.0, abs(total))
+    added = ""
+    if len(flown_twice) > 1:
+        added = (
+            f", all {len(flown_twice)} parts between plans together, each with errors of its own; "
+            "a longer baseline.mpc.interval makes fewer"
+        )
+    if not apart <= MISS_TOLERANCE:
+        yield (
+            f"two integrators end {apart:.2g} m apart; must be at most {MISS_TOLERANCE:g} m{added}"
+        )
+    if not abs(total - other) <= allowed:
+        yield (
+            f"two integrators differ by {abs(total - other):.2g} J in the energy spent; must be at "
+            f"most {allowed:.2g} J{added}"
+        )
+    lacking = battery_imbalance(dynamics, flown)
+    if not lacking <= BALANCE_TOLERANCE:
+        yield (
+            f"the pack lacks {100.0 * lacking:.3g} % of the power or charge that the flight takes; "
+            f"must be at most {100.0 * BALANCE_TOLERANCE:g} %"
+        )
 
 
 def _joined(parts: Sequence[Flown]) -> Flown:

@@ -190,6 +190,8 @@ class Flight(Summarised):
     is_verified : bool
         Whether something that did not make the flight confirmed it, and the battery's power
         balance closes all along it.
+    doubt : str
+        Why a flight under control is not verified, what was found and what is allowed.
     owed_energy_J : float
         What the end state still owes: the price of bringing it to the end wanted, at the plan's
         costates; NaN where no plan prices it.
@@ -212,6 +214,7 @@ class Flight(Summarised):
     owed_energy_J: float = 0.0
     broken_limits: tuple[str, ...] = ()
     resolves: tuple[Resolve, ...] = ()
+    doubt: str = ""
 
     @property
     def summary(self) -> dict[str, str]:

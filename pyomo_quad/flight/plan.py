@@ -262,7 +262,7 @@ def read_plan_file(path: Path) -> tuple[Scenario, PlanRecord, Trajectories, Warm
         with path.open("rb") as file:
             arrays = _read_arrays(path, file)
         text = arrays.pop(_ABOUT)
-    except ScenarioError:
+    except (ScenarioError, MemoryError):
         raise
     except OSError as error:
         raise ScenarioError(f"{path}: cannot be read ({error.strerror or error}).") from None

@@ -61,6 +61,7 @@ def flight_summary(
         "scenario": scenario.name,
         "flight": flight.name,
         "verified": flight.is_verified,
+        "doubt": flight.doubt,
         "arrived": arrived,
         "energy_J": flight.energy_J,
         "duration_s": flight.duration_s,

@@ -30,7 +30,9 @@ _ENVIRONMENT = {
 # A copy is waited for so many times as long as this process was at the job, and a minute.
 _PATIENCE = 10.0
 _PLACES = 256  # a place in the queue is one byte
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# A terminal sends them to all processes of a command at once.
+_OF_TERMINALS = {signal.SIGINT, signal.SIGHUP}
 
 
 @contextmanager
@@ -116,7 +118,8 @@ def _at_work(
     """Be a copy: work, answer, and end without what a process does at its end."""
     try:
         for number in _SIGNALS:
-            signal.signal(number, signal.SIG_DFL)
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
         others_end.close()  # else nobody would tell it that the other end is gone
         _end_with_parent()
@@ -151,12 +154,12 @@ def process_pool(count: int) -> Iterator[Executor]:
 
 
 class _SpawningPool(ProcessPoolExecutor):
-    """Spawns its processes deaf to Ctrl-C, which is the parent's to hear."""
+    """Spawns its processes deaf to what a terminal sends, which is the parent's to hear."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # noqa: ANN401
         # A process inherits what is held back when it is spawned, so that it hears nothing while it
         # still imports; the parent hears of it right after.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, _OF_TERMINALS)
         try:
             return super().submit(fn, *args, **kwargs)
         finally:

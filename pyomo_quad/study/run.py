@@ -149,7 +149,11 @@ def run_scenario(
             "certify": certified - here,
             "front": swept - certified,
         },
-        warnings=(*cautions, *(why for why in flown if isinstance(why, str))),
+        warnings=(
+            *cautions,
+            *(why for why in flown if isinstance(why, str)),
+            *(f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt),
+        ),
     )
 
 

@@ -41,6 +41,7 @@ _TASKS_PER_WORKER = 2
 _CONNECT_SECONDS = 10.0
 # How often a silent executor is asked whether it still lives, and how many workers it has.
 _WATCH_SECONDS = 2.0
+_DASK_LOGGERS = ("distributed", "tornado", "asyncio")
 
 
 class ClusterError(PyomoQuadError, RuntimeError):
@@ -196,8 +197,6 @@ def cluster_workers(address: str) -> Iterator[Workers]:
     ClusterError
         If it cannot be reached, or its workers cannot do this work.
     """
-    # What Dask logs when it is lost is said here in one line.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     client = _connect(address)
     try:
         _check_workers(client, address)
@@ -214,6 +213,16 @@ def cluster_workers(address: str) -> Iterator[Workers]:
         workers.stop()
     finally:
         client.close(timeout=_WATCH_SECONDS)
+
+
+def _silence_dask() -> None:
+    """Let Dask log nothing: what it would when it is lost is said here in one line.
+
+    Its loggers have levels of their own once it is imported, tracebacks among what they write.
+    """
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] in _DASK_LOGGERS:
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
 
 
 class _Threads:
@@ -246,6 +255,7 @@ def _connect(address: str) -> "Client":
             "--scheduler needs dask.distributed; install it with: pip install "
             '"pyomo_quad[cluster]".'
         ) from None
+    _silence_dask()
     try:
         return Client(address, timeout=_CONNECT_SECONDS, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:

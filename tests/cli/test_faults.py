@@ -12,13 +12,16 @@ import time
 from contextlib import nullcontext
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from pyomo_quad import Plan
 from pyomo_quad.cli import main, solving
 from pyomo_quad.cli.endings import ExitCode, Stopped, raise_on_interrupt
+from pyomo_quad.collocation.program import ipopt
 from pyomo_quad.report.folder import output_folder
+from pyomo_quad.scenario import ScenarioError
 from tests.command import COMMAND, ENVIRONMENT, PAPER_CALM, QUICK, start
 from tests.scenario_files import write_scenario
 
@@ -55,6 +58,7 @@ def leftovers(folder):
 
 
 LINE = "pyomo-quad: interrupted; no report was written.\n"
+ENDING = (signal.SIGINT, signal.SIGTERM)
 # From the signal to the end, on a machine that does much else.
 PROMPT_S = 2.0
 
@@ -77,7 +81,13 @@ def assert_interrupted(ended):
 
 @pytest.mark.parametrize(
     ("number", "delay_s"),
-    [(signal.SIGINT, 0.0), (signal.SIGINT, 0.4), (signal.SIGINT, 1.0), (signal.SIGTERM, 0.2)],
+    [
+        (signal.SIGINT, 0.0),
+        (signal.SIGINT, 0.4),
+        (signal.SIGINT, 1.0),
+        (signal.SIGTERM, 0.2),
+        (signal.SIGHUP, 0.2),
+    ],
 )
 def test_a_signal_during_the_imports_ends_at_once(tmp_path, number, delay_s):
     process = start("run", PAPER_CALM, *QUICK, "--out", str(tmp_path / "report"))
@@ -86,6 +96,25 @@ def test_a_signal_during_the_imports_ends_at_once(tmp_path, number, delay_s):
     time.sleep(delay_s)
     assert_interrupted(interrupt(process, number))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_nohup_outlives_its_terminal(tmp_path):
+    def ignore_the_terminal():
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+    process = start("schema", "--out", str(tmp_path), preexec_fn=ignore_the_terminal)
+    while not handles(process, signal.SIGTERM):
+        assert process.poll() is None
+    status, _, err, _ = interrupt(process, signal.SIGHUP)
+    assert (status, err) == (ExitCode.VERIFIED, "")
+    assert (tmp_path / "README.md").is_file()
+
+
+def test_sighup_keeps_the_best_iterate_as_other_signals_do(tmp_path, monkeypatch, capsys):
+    hang_up = lambda _: signal.raise_signal(signal.SIGHUP)  # noqa: E731
+    monkeypatch.setattr(solving, "live_line", lambda **_: nullcontext(hang_up))
+    assert main(["solve", PAPER_CALM, "--out", str(tmp_path / "r")]) == ExitCode.INTERRUPTED
+    assert capsys.readouterr().err == "paper_calm: interrupted; no report was written.\n"
 
 
 def status_of(process):
@@ -99,7 +128,7 @@ def handles(process, number):
 
 
 @pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+    "number", [signal.SIGHUP, *(pytest.param(n, marks=pytest.mark.slow) for n in ENDING)]
 )
 def test_a_signal_at_work_keeps_the_old_report(folder, number):
     before = content(folder)
@@ -274,6 +303,43 @@ def test_error_inside_a_callback_is_one_line(tmp_path, capsys, monkeypatch):
     assert said.err.startswith("pyomo-quad: unexpected ZeroDivisionError: division by zero (at ")
     assert len(said.err.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def wrapped():
+    raise ScenarioError("plan.npz: is not a plan") from MemoryError()
+
+
+def no_memory():
+    raise RuntimeError("Error in Function::call at function.cpp:361: std::bad_alloc")
+
+
+def not_loaded():
+    raise ImportError("libcasadi.so: failed to map segment: Cannot allocate memory")
+
+
+@pytest.mark.parametrize("fail", [lambda: np.empty(10**15), wrapped, no_memory, not_loaded])
+def test_lack_of_memory_is_told_as_such(tmp_path, capsys, monkeypatch, fail):
+    monkeypatch.setattr(solving, "live_line", lambda **_: nullcontext(lambda _: fail()))
+    folder = tmp_path / "report"
+    assert main(["solve", PAPER_CALM, *QUICK, "--out", str(folder)]) == ExitCode.FAULT
+    assert capsys.readouterr().err == (
+        "pyomo-quad: not enough memory; close other programs, solve on fewer elements or with "
+        "fewer --workers, or give smaller files.\n"
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+class OutOfMemory(ipopt.cyipopt.Problem):
+    """Ipopt on a machine whose memory does not hold its matrices."""
+
+    def solve(self, *start, **_):
+        return start[0], {"status": -102, "status_msg": b"Insufficient memory"}
+
+
+def test_ipopt_without_memory_is_no_mission_that_does_not_converge(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(ipopt.cyipopt, "Problem", OutOfMemory)
+    assert main(["solve", PAPER_CALM, *QUICK, "--out", str(tmp_path / "r")]) == ExitCode.FAULT
+    assert capsys.readouterr().err.startswith("pyomo-quad: not enough memory; ")
 
 
 LIBRARY = ("library", "vehicles", "dji_phantom_2")

@@ -121,3 +121,16 @@ def test_an_interval_beyond_the_mission_is_one_line_and_writes_nothing(
     said = capsys.readouterr().err
     assert f"baseline.mpc.{found}" in said
     assert (said.count("\n"), list(tmp_path.iterdir())) == (1, [])
+
+
+def test_a_flight_planned_again_says_why_it_is_not_confirmed(tmp_path, capsys, monkeypatch):
+    # Planned again a hundred times a second, a flight misses the usual tolerance as this one does.
+    monkeypatch.setattr(baselines, "ENERGY_TOLERANCE", 1e-15)
+    command = ["fly", PAPER_CALM, *QUICK, "--controller", "mpc", "--knowledge", "told"]
+    coarse = ["--set=baseline.mpc.interval=0.8", "--out", str(tmp_path / "out")]
+    assert main([*command, *coarse]) == ExitCode.NOT_VERIFIED
+    said = capsys.readouterr().out.splitlines()[0]
+    doubt = json.loads((tmp_path / "out" / "summary.json").read_text())["doubt"]
+    assert said.endswith(f"not confirmed by a second integrator: {doubt}.")
+    assert " J in the energy spent; must be at most " in doubt
+    assert "a longer baseline.mpc.interval makes fewer" in doubt

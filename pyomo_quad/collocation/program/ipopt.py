@@ -349,6 +349,7 @@ SEEN = 1e-6
 _SHARPENINGS, _AIMED, _LARGEST_STEP, _PATIENCE = 2, 10.0, 1e5, 100
 #: Ipopt's return code for a solve that took longer than it may.
 TIME_LIMIT_CODE = -5
+_NO_MEMORY = -102
 
 
 def run(
@@ -490,6 +491,8 @@ def _result(
     callbacks: _Callbacks, z: FloatArray, info: dict[str, Any], wall: float, *, stopped: bool
 ) -> IpoptResult:
     code = _STOPPED if stopped else int(info["status"])
+    if code == _NO_MEMORY:
+        raise MemoryError("Ipopt: not enough memory for the matrices of this mesh")
     status = {
         _SOLVED: Status.CONVERGED,
         _INFEASIBLE: Status.INFEASIBLE,

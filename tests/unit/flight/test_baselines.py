@@ -192,6 +192,16 @@ def test_parts_of_a_flight_are_confirmed_by_all_that_integrators_differ_in(apart
     flight = assembled_flight("parts", told, dynamics, parts, None, 0.0)
     assert flight.is_verified == is_verified
     assert (flight.duration_s, flight.energy_J) == (10.0, 10.0)
+    assert (flight.doubt == "") == is_verified
+    if not is_verified:
+        assert flight.doubt.startswith(
+            "two integrators end 0.00012 m apart; must be at most 0.0001"
+        )
+        assert "all 2 parts between plans together" in flight.doubt
+        assert flight.doubt.endswith("a longer baseline.mpc.interval makes fewer")
+    spent = [(one, replace(two, energy=1.1 * one.energy, states=one.states)) for one, two in parts]
+    doubt = assembled_flight("spent", told, dynamics, spent, None, 0.0).doubt
+    assert "two integrators differ by 1 J in the energy spent; must be at most 1e-05 J" in doubt
 
 
 def test_the_plan_as_reference_needs_a_plan():
