@@ -40,9 +40,12 @@ from pyomo_quad.report.style import (
     flight_styles,
     keep_span,
     label_time,
+    last_end,
     legend_below,
     panel_grid,
+    take_one_time,
 )
+from pyomo_quad.study.certificate import SAME_TIME
 from pyomo_quad.study.comparison import (
     ERROR_WITH,
     ERROR_WITHOUT,
@@ -106,7 +109,7 @@ def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
             draw_over_time(axes, flight.frame, signal, flight.style, flight.name)
         axes.set_title(signal.title)
         keep_span([axes], signal.smallest_span)
-    label_time(panels.flat, flights[0].duration_s)
+    label_time(panels.flat, last_end(flights))
     legend_below(figure, panels[0, 0])
     return figure
 
@@ -120,7 +123,7 @@ def draw_controls(flights: Sequence[StyledFlight]) -> Figure:
         axes.set_title(signal.title)
         axes.axhline(0.0, color=MUTED, linewidth=0.6, zorder=1)
     keep_span(panels.flat, ROTOR_ACCELERATION[0].smallest_span)
-    label_time(panels[-1], flights[0].duration_s)
+    label_time(panels[-1], last_end(flights))
     legend_below(figure, panels[0, 0])
     return figure
 
@@ -193,13 +196,12 @@ _HOVER_LINE: dict[str, Any] = {"color": MUTED, "linewidth": 1.0, "linestyle": (0
 
 
 def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
-    """Draw power, energy, and energy above hovering for the mission's time, over each other."""
+    """Draw power, energy, and energy above hovering, over each other, to the last flight's end."""
     figure, panels = panel_grid(3, 1, panel_height=1.5, legend_entries=1 + len(flights))
-    duration = flights[0].duration_s
-    hover_power = hover_energy_J / duration
+    hover_power, end = hover_energy_J / flights[0].duration_s, last_end(flights)
     power, energy, above = panels[:, 0]
     power.axhline(hover_power, label="hovering", **_HOVER_LINE)
-    energy.plot([0.0, duration], [0.0, hover_energy_J], **_HOVER_LINE)
+    energy.plot([0.0, end], [0.0, hover_power * end], **_HOVER_LINE)
     for flight in flights:
         draw_over_time(power, flight.frame, POWER, flight.style, flight.name)
         draw_over_time(energy, flight.frame, ENERGY, flight.style, flight.name)
@@ -208,7 +210,7 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
         axes.set_title(signal.title)
         keep_span([axes], signal.smallest_span)
     _cut_peaks(power, flights)
-    label_time(panels[-1], duration)
+    label_time(panels[-1], end)
     legend_below(figure, power)
     return figure
 
@@ -240,7 +242,7 @@ def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
 def coinciding_flights(
     flights: Sequence[StyledFlight], hover_power_W: float
 ) -> tuple[StyledFlight, ...]:
-    """Return the flights whose energy above hovering lies on that of the first."""
+    """Return the flights whose energy above hovering lies on the first flight's to its end."""
     first, *others = flights
     time = TIME.of(first.frame)
     curves = [
@@ -251,7 +253,7 @@ def coinciding_flights(
     return tuple(
         flight
         for flight, curve in zip(others, curves[1:], strict=True)
-        if np.abs(curve - curves[0]).max() <= allowed
+        if take_one_time((first, flight)) and np.abs(curve - curves[0]).max() <= allowed
     )
 
 
@@ -288,10 +290,14 @@ _NUMBER_ROOM = 1.28  # the axis goes on past the longest bar for the numbers bes
 def draw_energy_split(
     flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
 ) -> Figure:
-    """Draw the whole energy from zero, and beside it what lies above the hover floor: bars."""
+    """Draw bars of the whole energy from zero, and beside it of where the flights differ.
+
+    That is the energy above the hover floor, or, where flights take other times and the floors
+    differ too, the energy that each takes more than the first.
+    """
     height = _EDGES + _ROW * len(flights)
     figure = Figure(figsize=(FULL_WIDTH, height))
-    whole, above = figure.subplots(1, 2, sharey=True)
+    whole, apart = figure.subplots(1, 2, sharey=True)
     figure.subplots_adjust(
         left=0.24, right=0.99, top=1 - 0.3 / height, bottom=0.62 / height, wspace=0.07
     )
@@ -304,22 +310,21 @@ def draw_energy_split(
     _write_values(whole, [flight.energy_J for flight in flights], longest)
     _make_room(whole, longest)
     whole.set(title="Whole: hover floor (grey) and the rest", xlabel="Energy (J)")
-    draw_excess(above, flights, hover_energy_J, absent)
-    above.set(
-        title="Above the hover floor only", xlabel=f"Energy above hovering (J){_note(absent)}"
-    )
+    least, title = hover_energy_J, "Above the hover floor only"
+    if not take_one_time(flights):
+        least, title = flights[0].energy_J, f"More than {flights[0].name}"
+    _draw_bars(apart, flights, [flight.energy_J - least for flight in flights], absent)
+    apart.set(title=title, xlabel=f"Energy (J){_note(absent)}")
     return figure
 
 
-def draw_excess(
-    axes: Axes, flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
+def _draw_bars(
+    axes: Axes, flights: Sequence[StyledFlight], values: Sequence[float], absent: frozenset[str]
 ) -> None:
-    """Draw one bar per flight for its energy above the hover floor, the first on top."""
-    hover_power = hover_energy_J / flights[0].duration_s
-    excess = [flight.energy_J - hover_power * flight.duration_s for flight in flights]
-    for row, (flight, surplus) in enumerate(zip(flights, excess, strict=True)):
-        axes.barh(row, surplus, **_look(flight))
-    _annotate(axes, excess)
+    """Draw one bar per flight, the first on top, with its value beside it."""
+    for row, (flight, value) in enumerate(zip(flights, values, strict=True)):
+        axes.barh(row, value, **_look(flight))
+    _annotate(axes, values)
     labels = [f"{f.name} *" if f.name in absent else f.name for f in flights]
     axes.set_yticks(range(len(flights)), labels)
     axes.invert_yaxis()
@@ -329,8 +334,16 @@ def _note(absent: frozenset[str]) -> str:
     return ", * did not arrive" if absent else ""
 
 
-def draw_excess_by_scenario(comparison: pd.DataFrame) -> Figure:
-    """Draw one bar per flight for its energy above hovering, a panel per scenario, one scale."""
+def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
+    """Draw one bar per flight for its energy, a panel per scenario, one scale.
+
+    It is the energy above hovering where the flights of every scenario take one time, else the
+    whole energy: above different hover floors it would rank flights by their time.
+    """
+    is_above = takes_one_time_each(comparison)
+    energies = comparison[ComparisonColumn.EXCESS_ENERGY].astype(float)
+    if not is_above:
+        energies = energies + comparison[ComparisonColumn.HOVER_ENERGY]
     scenarios = list(comparison.groupby(ComparisonColumn.SCENARIO, sort=False))
     counts = [len(rows) for _, rows in scenarios]
     height = _EDGES + _ROW * sum(counts) + _TITLE * len(counts)
@@ -341,18 +354,24 @@ def draw_excess_by_scenario(comparison: pd.DataFrame) -> Figure:
     )
     for axes, (name, rows) in zip(panels.flat, scenarios, strict=True):
         names = tuple(rows[ComparisonColumn.FLIGHT])
-        excess = rows[ComparisonColumn.EXCESS_ENERGY].to_numpy(dtype=float)
+        spent = energies[rows.index].to_numpy()
         arrived = rows[ComparisonColumn.ARRIVED].astype(bool)
         for row, style in enumerate(flight_styles(names).values()):
             opacity = 1.0 if arrived.iloc[row] else _ABSENT
-            axes.barh(row, excess[row], color=style.color, height=_BAR, alpha=opacity)
+            axes.barh(row, spent[row], color=style.color, height=_BAR, alpha=opacity)
         axes.set_yticks(range(len(names)), names)
         axes.invert_yaxis()
         axes.set_title(str(name))
-        _write_values(axes, excess.tolist(), excess.clip(min=0.0).tolist())
-    _make_room(panels[-1, 0], comparison[ComparisonColumn.EXCESS_ENERGY].tolist())
-    panels[-1, 0].set_xlabel("Energy above hovering (J)")
+        _write_values(axes, spent.tolist(), spent.clip(min=0.0).tolist())
+    _make_room(panels[-1, 0], energies.tolist())
+    panels[-1, 0].set_xlabel("Energy above hovering (J)" if is_above else "Energy (J)")
     return figure
+
+
+def takes_one_time_each(comparison: pd.DataFrame) -> bool:
+    """Say whether the flights of each scenario of a comparison take equal times."""
+    times = comparison.groupby(ComparisonColumn.SCENARIO)[ComparisonColumn.DURATION]
+    return bool((times.max() <= times.min() * (1.0 + SAME_TIME)).all())
 
 
 def _look(flight: StyledFlight) -> dict[str, Any]:
@@ -451,17 +470,34 @@ _HEIGHT = 4.2  # inches
 
 
 def draw_overview(
-    flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
+    flights: Sequence[StyledFlight],
+    hover_energy_J: float,
+    absent: frozenset[str],
+    mission: "Scenario",
 ) -> Figure:
-    """Draw the paths in space beside the energy above hovering, over time and in total."""
+    """Draw the paths in space beside the energy over time, to each flight's end, and in total.
+
+    Over time it is the energy above hovering, which tells more apart, but only where all flights
+    take one time: at the ends of different times lie different hover floors.
+    """
     figure = Figure(figsize=(FULL_WIDTH, _HEIGHT))
-    draw_space(figure.add_axes((0.0, 0.12, 0.46, 0.88), projection="3d"), distinct_paths(flights))
+    space = figure.add_axes((0.0, 0.12, 0.46, 0.88), projection="3d")
+    draw_space(space, distinct_paths(flights), mission)
     over_time = figure.add_axes((0.52, 0.69, 0.46, 0.25))
-    draw_above_hover(over_time, flights, hover_energy_J / flights[0].duration_s)
-    label_time([over_time], flights[0].duration_s)
+    hover_power = hover_energy_J / flights[0].duration_s
+    if take_one_time(flights):
+        draw_above_hover(over_time, flights, hover_power)
+    else:
+        for flight in flights:
+            draw_over_time(over_time, flight.frame, ENERGY, flight.style, flight.name)
+        over_time.set_title(ENERGY.title)
+    label_time([over_time], last_end(flights))
     in_total = figure.add_axes((0.66, 0.19, 0.32, 0.32))
-    draw_excess(in_total, flights, hover_energy_J, absent)
-    in_total.set_title(f"At the end (J){_note(absent)}")
+    _draw_bars(in_total, flights, [flight.energy_J for flight in flights], absent)
+    for row, flight in enumerate(flights):
+        ends = (row - _BAR / 2, row + _BAR / 2)
+        in_total.vlines(hover_power * flight.duration_s, *ends, color=INK, linewidth=1.6)
+    in_total.set_title(f"Total energy (J){_note(absent)}")
     legend_below(figure, over_time)
     return figure
 
@@ -556,7 +592,7 @@ def draw_states(flights: Sequence[StyledFlight]) -> Figure:
             axes.set_title(signal.title)
             keep_span([axes], signal.smallest_span)
     keep_span(panels[:, -1], STATE_GRID[0][-1].smallest_span)
-    label_time(panels[-1], flights[0].duration_s)
+    label_time(panels[-1], last_end(flights))
     legend_below(figure, panels[0, 0])
     return figure
 
