@@ -38,6 +38,7 @@ from pyomo_quad.report.tables import (
     write_table,
 )
 from pyomo_quad.scenario import Reference
+from pyomo_quad.scenario.tables import Replanning
 from pyomo_quad.study.comparison import (
     FAIR_BASELINE,
     INSIDE_DISTANCE_M,
@@ -120,7 +121,7 @@ def _write_tables(folder: Path, result: "RunResult") -> None:
         write_comparison(folder, result.comparison, _title(result.plan))
     if not result.front.empty:
         write_table(result.front, folder / FRONT_NAME)
-    replanned = replanning_table(result.flights)
+    replanned = _replanned(result)
     if not replanned.empty:
         write_table(replanned, folder / REPLANNING_NAME)
 
@@ -281,7 +282,7 @@ def _of_run(result: "RunResult") -> dict[str, Any]:
         "certificate": certificate,
         "gap_percent": certificate.gap_percent(result.plan.energy),
         "warnings": result.warnings,
-        "replanned": replanning_table(result.flights).to_dict("records"),
+        "replanned": _replanned(result).to_dict("records"),
         "replanning": result.scenario.baseline.mpc,
         "replanning_column": ReplanningColumn,
         "REPLANNING_NAME": REPLANNING_NAME,
@@ -301,6 +302,10 @@ def _of_run(result: "RunResult") -> dict[str, Any]:
         "COMPARISON_NAME": COMPARISON_NAME,
         "COMPARISON_REPORT_NAME": COMPARISON_REPORT_NAME,
     }
+
+
+def _replanned(result: "RunResult") -> "pd.DataFrame":
+    return replanning_table(result.flights, result.scenario.baseline.mpc or Replanning())
 
 
 def _rival(comparison: "pd.DataFrame") -> dict[Any, Any] | None:
