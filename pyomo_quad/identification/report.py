@@ -164,7 +164,7 @@ class Measure:
 
 def measures(models: pd.DataFrame, trials: Sequence[Trial]) -> tuple[Measure, ...]:
     """Return by what the models are judged, from the table of the models."""
-    own, rivals = models.iloc[-1], models.iloc[:-1]
+    *rivals, own = models.to_dict("records")
     columns = {
         "mean_absolute_error_percent": ("energy of a flight", "%"),
         "power_rmse_W": ("power of a second", "W"),
@@ -172,13 +172,14 @@ def measures(models: pd.DataFrame, trials: Sequence[Trial]) -> tuple[Measure, ..
     for number, trial in enumerate(trials, start=1):
         said = f"energy when fitted at {trial.fitted_on} and tried at {trial.tried_on}"
         columns[_extrapolation(number)] = (said, "%")
+    best = {column: min(rivals, key=lambda row: float(row[column])) for column in columns}
     return tuple(
         Measure(
             name=name,
             unit=unit,
             own=float(own[column]),
-            rival=str(rivals["model"][rivals[column].idxmin()]),
-            best=float(rivals[column].min()),
+            rival=str(best[column]["model"]),
+            best=float(best[column][column]),
         )
         for column, (name, unit) in columns.items()
     )
