@@ -1,6 +1,7 @@
 """The figures of a plan or a run, one function each; of several flights the optimum is first."""
 
 from collections.abc import Sequence
+from itertools import zip_longest
 from math import ceil, isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +31,7 @@ from pyomo_quad.report.style import (
     ROTOR_STYLES,
     SERIES_STYLES,
     STATE_GRID,
+    TICK_STEPS,
     TIME,
     VELOCITY,
     WIND,
@@ -319,12 +321,16 @@ def draw_energy_split(
 
 
 def _draw_bars(
-    axes: Axes, flights: Sequence[StyledFlight], values: Sequence[float], absent: frozenset[str]
+    axes: Axes,
+    flights: Sequence[StyledFlight],
+    values: Sequence[float],
+    absent: frozenset[str],
+    marks: Sequence[float] = (),
 ) -> None:
-    """Draw one bar per flight, the first on top, with its value beside it."""
+    """Draw one bar per flight, the first on top, with its value beside it and beside its mark."""
     for row, (flight, value) in enumerate(zip(flights, values, strict=True)):
         axes.barh(row, value, **_look(flight))
-    _annotate(axes, values)
+    _annotate(axes, values, marks)
     labels = [f"{f.name} *" if f.name in absent else f.name for f in flights]
     axes.set_yticks(range(len(flights)), labels)
     axes.invert_yaxis()
@@ -385,9 +391,10 @@ def _look(flight: StyledFlight) -> dict[str, Any]:
     }
 
 
-def _annotate(axes: Axes, values: Sequence[float]) -> None:
-    _write_values(axes, values, [max(value, 0.0) for value in values])
-    _make_room(axes, values)
+def _annotate(axes: Axes, values: Sequence[float], marks: Sequence[float] = ()) -> None:
+    beside = [max(ends) for ends in zip_longest(values, marks, fillvalue=0.0)]
+    _write_values(axes, values, beside)
+    _make_room(axes, [*values, *marks])
 
 
 def _write_values(axes: Axes, values: Sequence[float], beside: Sequence[float]) -> None:
@@ -493,10 +500,11 @@ def draw_overview(
         over_time.set_title(ENERGY.title)
     label_time([over_time], last_end(flights))
     in_total = figure.add_axes((0.66, 0.19, 0.32, 0.32))
-    _draw_bars(in_total, flights, [flight.energy_J for flight in flights], absent)
-    for row, flight in enumerate(flights):
-        ends = (row - _BAR / 2, row + _BAR / 2)
-        in_total.vlines(hover_power * flight.duration_s, *ends, color=INK, linewidth=1.6)
+    floors = [hover_power * flight.duration_s for flight in flights]
+    _draw_bars(in_total, flights, [flight.energy_J for flight in flights], absent, floors)
+    for row, floor in enumerate(floors):
+        in_total.vlines(floor, row - _BAR / 2, row + _BAR / 2, color=INK, linewidth=1.6)
+    in_total.xaxis.set_major_locator(MaxNLocator(nbins=5, steps=TICK_STEPS))
     in_total.set_title(f"Total energy (J){_note(absent)}")
     legend_below(figure, over_time)
     return figure

@@ -91,6 +91,10 @@ def test_flights_of_other_durations_are_compared_by_their_total_energy(late):
     spent = [flight.energy_J for flight in late.flights]
     assert [bar.get_width() for bar in in_total.patches] == pytest.approx(spent)
     assert [line.get_ydata()[-1] for line in over_time.get_lines()] == pytest.approx(spent)
+    floors = [lines.get_segments()[0][0, 0] for lines in in_total.collections]
+    assert floors == pytest.approx(late.comparison["hover_energy_J"])
+    beside = [number.xy[0] for number in in_total.texts]
+    assert beside == pytest.approx(np.maximum(spent, floors))
     assert [bar.get_width() for bar in split.axes[1].patches] == pytest.approx(
         [0.0, spent[1] - spent[0]]
     )
