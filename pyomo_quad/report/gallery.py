@@ -12,6 +12,11 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from pyomo_quad.report import Figures
+from pyomo_quad.report.energy_bars import (
+    draw_energy_by_scenario,
+    draw_energy_split,
+    takes_one_time_each,
+)
 from pyomo_quad.report.flight_figures import (
     COSTATES,
     coinciding_flights,
@@ -22,8 +27,6 @@ from pyomo_quad.report.flight_figures import (
     draw_controls,
     draw_costates,
     draw_energy,
-    draw_energy_by_scenario,
-    draw_energy_split,
     draw_front,
     draw_mesh,
     draw_overview,
@@ -32,7 +35,6 @@ from pyomo_quad.report.flight_figures import (
     draw_way,
     draw_wind,
     is_calm,
-    takes_one_time_each,
 )
 from pyomo_quad.report.paths import (
     BEAT_COUNT,

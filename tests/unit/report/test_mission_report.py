@@ -11,10 +11,9 @@ from PIL import Image
 from pyomo_quad.cli import main
 from pyomo_quad.flight import Planner
 from pyomo_quad.report import Figures
+from pyomo_quad.report.energy_bars import draw_energy_by_scenario, draw_energy_split
 from pyomo_quad.report.flight_figures import (
     draw_energy,
-    draw_energy_by_scenario,
-    draw_energy_split,
     draw_front,
     draw_overview,
     draw_way,
