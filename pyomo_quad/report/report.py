@@ -37,7 +37,7 @@ from pyomo_quad.report.tables import (
     write_plan_table,
     write_table,
 )
-from pyomo_quad.scenario import Reference
+from pyomo_quad.scenario import PowerModel, Reference
 from pyomo_quad.scenario.tables import Replanning
 from pyomo_quad.study.comparison import (
     FAIR_BASELINE,
@@ -224,6 +224,7 @@ def _of_plan(plan: "Plan") -> dict[str, Any]:
         "title": _title(plan),
         "plan": plan,
         "asked_energy": _asked_energy(plan, columns),
+        "free_climb": _free_climb(plan),
         "legs": leg_rows(plan.mission_flown, columns),
         "leg": LegColumn,
         "allowed": {
@@ -236,6 +237,41 @@ def _of_plan(plan: "Plan") -> dict[str, Any]:
         "SUMMARY_NAME": SUMMARY_NAME,
         "version": __version__,
     }
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeClimb:
+    """A climb that the power model gives away."""
+
+    height_m: float
+    potential_J: float
+    spent_J: float
+    """Energy above hovering, in which the climb would have to be."""
+
+
+def _free_climb(plan: "Plan") -> FreeClimb | None:
+    """Return the mission's climb where the flight spends less on it than its potential energy.
+
+    Of the declared power models only `momentum` depends on the airspeed and so prices a climb; a
+    model of the user's own may.  A parcel left on the way does not climb to the goal.
+    """
+    scenario = plan.scenario
+    height, potential = climb_of(scenario)
+    spent = plan.energy - plan.hover_energy_J
+    prices_climbs = scenario.model is not None or scenario.power.model is PowerModel.MOMENTUM
+    has_releases = any(waypoint.release for waypoint in scenario.mission.waypoints)
+    if plan.verification is None or prices_climbs or has_releases:
+        return None
+    if height <= 0.0 or spent >= potential:
+        return None
+    return FreeClimb(height_m=height, potential_J=potential, spent_J=spent)
+
+
+def climb_of(scenario: "Scenario") -> tuple[float, float]:
+    """Return how far a mission climbs, m, and the potential energy that this adds, J."""
+    mission = scenario.mission
+    height = mission.goal.position[2] - mission.start.position[2]
+    return height, scenario.vehicle.total_mass * scenario.gravity * height
 
 
 def _asked_energy(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, float | None]:
@@ -288,6 +324,7 @@ def _of_run(result: "RunResult") -> dict[str, Any]:
         "REPLANNING_NAME": REPLANNING_NAME,
         "rival": _rival(comparison[~is_cruise]),
         "cruise": _rival(comparison[is_cruise]),
+        "autopilot_settings": result.scenario.baseline,
         "alone": by_name.get(OPEN_LOOP),
         "followed": followed,
         "fair": fair,
