@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,12 +16,13 @@ from pyomo_quad.cli.endings import ExitCode, SolveStopped, stop_on_interrupt
 from pyomo_quad.cli.terminal import complain, live_line, result_console
 from pyomo_quad.collocation import Iteration, Problem, Progress, TranscriptionError, WarmStart
 from pyomo_quad.flight import Plan, Planner, PlanStatus
+from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.planning import Builder
 from pyomo_quad.model import model_builder
 from pyomo_quad.report.folder import output_folder
 from pyomo_quad.report.tables import summary_text, write_plan_table
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.study.comparison import ComparisonColumn
+from pyomo_quad.study.comparison import ComparisonColumn, against_hovering
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -159,15 +161,16 @@ _TOLD_ABOVE = (ComparisonColumn.SCENARIO, ComparisonColumn.DURATION)
 def verdict_lines(plan: Plan) -> Iterator[str]:
     """Yield the answer, or what is known of a failure besides its causes."""
     if plan.is_verified:
-        excess = plan.energy - plan.hover_energy_J
+        beside = against_hovering(plan.energy - plan.hover_energy_J, digits=3)
         yield (
-            f"{plan.scenario.name}: verified, {plan.energy:.3f} J, {excess:.3f} J above hovering "
+            f"{plan.scenario.name}: verified, {plan.energy:.3f} J, {beside} "
             f"for the same {plan.duration_s:g} s; {plan.iteration_count} "
             f"iterations, {plan.timings['solve']:.2f} s."
         )
     if plan.failure is not None:
         diagnosis = plan.failure.diagnosis
-        parts = {"Worst equations": diagnosis.residuals, "Limits reached": diagnosis.active}
+        limits = [replace(limit, name=limit_words(limit.name)) for limit in diagnosis.active]
+        parts = {"Worst equations": diagnosis.residuals, "Limits reached": limits}
         for heading, items in parts.items():
             if items:
                 yield f"{heading}:"

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Summarised
+from pyomo_quad.flight.limit_words import breach_words
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -164,7 +165,7 @@ class Resolve:
     """Processor time that it took, whatever the flight was charged."""
     is_converged: bool
     is_late: bool
-    """Whether its plan came after the moment that it was made for."""
+    """Whether its plan came in flight after the moment that it was made for."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -272,9 +273,9 @@ class Flight(Summarised):
 def broken_limits(
     dynamics: Dynamics, breaches: Sequence[Violation], allowed: Mapping[str, float]
 ) -> tuple[str, ...]:
-    """Return the limits broken by more than rounding, or than is allowed, as "mast by 0.4 m"."""
+    """Return the limits broken by more than rounding, or than allowed: "roll angle by 0.2 rad"."""
     return tuple(
-        f"{breach.name} by {breach.size:.2g} {dynamics.unit(breach.name)}".rstrip()
+        breach_words(breach, dynamics.unit(breach.name))
         for breach in breaches
         if breach.relative > VIOLATION_TOLERANCE
         and breach.size > allowed.get(breach.name.partition("[")[0], 0.0)

@@ -24,7 +24,7 @@ from pyomo_quad.identification.logs import (
     VELOCITY,
 )
 from pyomo_quad.identification.motion import LoggedMotion
-from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario import Scenario, ScenarioError, library_entry, library_names
 from pyomo_quad.scenario.tables import Vehicle
 
 FloatArray = NDArray[np.float64]
@@ -51,7 +51,7 @@ _LARGE_RESIDUAL_W = 20.0
 # move the windows' power by, W, for the flights to determine it.
 _SHARE = 0.1
 _LEAST_EFFECT_W = 0.5
-_FOLDS = 10
+_FOLDS, _HALVES = 10, 2
 _DRAWS = 200
 _SEED = 1
 # Speeds, m/s, and payloads, kg, that differ by less belong to one group.
@@ -67,11 +67,16 @@ class Parameter:
     """One number as the flights have it.
 
     `deviation` is its standard deviation over flights drawn anew, nought where it was kept.
+    `first_half` and `second_half` are of fits to one half of the flights each, with no flight in
+    common: unlike the base, which may have been fitted to these flights, they are independent.
     """
 
     name: str
     base: float
+    base_source: str
     value: float
+    first_half: float
+    second_half: float
     deviation: float
     is_determined: bool
     is_at_bound: bool
@@ -331,25 +336,38 @@ def identify(
 def _parameters(
     fit: Fit, values: FloatArray, draws: FloatArray, scenario: Scenario, names: Sequence[str]
 ) -> tuple[Parameter, ...]:
-    found = dict(
-        zip(fit.names, zip(values, draws.std(axis=0), *fit.bounds, strict=True), strict=True)
-    )
+    of_row = fit.frame[FLIGHT].to_numpy()
+    halves = [fit.over(np.isin(of_row, half), values) for half in folds(fit.frame, _HALVES)]
+    columns = zip(values, draws.std(axis=0), *fit.bounds, *halves, strict=True)
+    found = dict(zip(fit.names, columns, strict=True))
     rows = []
     for name in names:
         base = float(getattr(scenario.vehicle, name))
-        value, deviation, low, high = found.get(name, (base, 0.0, -np.inf, np.inf))
+        kept = (base, 0.0, -np.inf, np.inf, base, base)
+        value, deviation, low, high, first_half, second_half = found.get(name, kept)
         distance = min(value - low, high - value)
         rows.append(
             Parameter(
                 name=name,
                 base=base,
+                base_source=_base_source(scenario, f"vehicle.{name}"),
                 value=float(value),
+                first_half=float(first_half),
+                second_half=float(second_half),
                 deviation=float(deviation),
                 is_determined=name in found,
                 is_at_bound=bool(distance <= 10 * _NEAR_BOUND * max(1.0, abs(value))),
             )
         )
     return tuple(rows)
+
+
+def _base_source(scenario: Scenario, field: str) -> str:
+    """Return where a number of the base comes from, as its file says."""
+    vehicle, kind = scenario.vehicle.use, "vehicles"
+    if vehicle in library_names(kind):
+        return library_entry(kind, vehicle).sources.get(field, "default")
+    return scenario.provenance.get(field, "default")
 
 
 def _cross_validated(fit: Fit, values: FloatArray) -> FloatArray:
@@ -362,11 +380,11 @@ def _cross_validated(fit: Fit, values: FloatArray) -> FloatArray:
     return power
 
 
-def folds(frame: pd.DataFrame) -> list[NDArray[np.object_]]:
-    """Return the flights in groups of which each is tried by a fit to the others."""
+def folds(frame: pd.DataFrame, count: int = _FOLDS) -> list[NDArray[np.object_]]:
+    """Return the flights in groups, at most so many, drawn by lot."""
     flights = frame[FLIGHT].unique()
     order = np.random.default_rng(_SEED).permutation(len(flights))
-    return [flights[part] for part in np.array_split(order, min(_FOLDS, len(flights)))]
+    return [flights[part] for part in np.array_split(order, min(count, len(flights)))]
 
 
 def _trials(fit: Fit, values: FloatArray) -> tuple[Trial, ...]:

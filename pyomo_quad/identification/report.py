@@ -14,7 +14,7 @@ emissions savings for very small package delivery", Patterns 3 (2022), fitted an
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from pyomo_quad.identification.fitting import (
     PREDICTED_ENERGY,
     Identification,
     Scores,
+    Trial,
     changes,
     cruise_speeds,
     energies,
@@ -90,6 +91,7 @@ def write_identification(
         slow_m_s=_SLOW_M_S,
         slow_excess_W=found.excess(*_SLOW_M_S),
         models=models.to_dict("records"),
+        measures=measures(models, found.trials),
         drawings=drawings,
         worst=table.reindex(table[ERROR].abs().sort_values(ascending=False).index)
         .head(5)
@@ -144,6 +146,49 @@ def _models(found: Identification) -> pd.DataFrame:
     return pd.DataFrame([*rows, _row(_OURS, count, own)])
 
 
+@dataclass(frozen=True, kw_only=True)
+class Measure:
+    """How the declared equations do by one measure, beside the rival that does best by it."""
+
+    name: str
+    unit: str
+    own: float
+    rival: str
+    best: float
+
+    @property
+    def is_gain(self) -> bool:
+        """Whether the declared equations err less than every rival."""
+        return self.own < self.best
+
+
+def measures(models: pd.DataFrame, trials: Sequence[Trial]) -> tuple[Measure, ...]:
+    """Return by what the models are judged, from the table of the models."""
+    *rivals, own = models.to_dict("records")
+    columns = {
+        "mean_absolute_error_percent": ("energy of a flight", "%"),
+        "power_rmse_W": ("power of a second", "W"),
+    }
+    for number, trial in enumerate(trials, start=1):
+        said = f"energy when fitted at {trial.fitted_on} and tried at {trial.tried_on}"
+        columns[_extrapolation(number)] = (said, "%")
+    best = {column: min(rivals, key=lambda row: float(row[column])) for column in columns}
+    return tuple(
+        Measure(
+            name=name,
+            unit=unit,
+            own=float(own[column]),
+            rival=str(best[column]["model"]),
+            best=float(best[column][column]),
+        )
+        for column, (name, unit) in columns.items()
+    )
+
+
+def _extrapolation(number: int) -> str:
+    return f"extrapolation_{number}_error_percent"
+
+
 def _row(name: str, count: int, judged: list[Scores]) -> Mapping[str, object]:
     first, *others = judged
     return {
@@ -153,7 +198,7 @@ def _row(name: str, count: int, judged: list[Scores]) -> Mapping[str, object]:
         "bias_percent": first.bias_percent,
         "power_rmse_W": first.power_rmse_W,
         **{
-            f"extrapolation_{k}_error_percent": one.mean_absolute_error_percent
+            _extrapolation(k): one.mean_absolute_error_percent
             for k, one in enumerate(others, start=1)
         },
     }

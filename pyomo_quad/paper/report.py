@@ -39,7 +39,7 @@ from pyomo_quad.paper.tables import (
 from pyomo_quad.report import Figures
 from pyomo_quad.report.gallery import save_drawings, wanted_drawings
 from pyomo_quad.report.render import render_markdown
-from pyomo_quad.report.report import REPORT_NAME
+from pyomo_quad.report.report import REPORT_NAME, climb_of
 from pyomo_quad.report.style import BATTERY, POWER
 from pyomo_quad.report.tables import write_table
 from pyomo_quad.scenario import PowerModel, Reference, WindCoupling
@@ -135,11 +135,10 @@ def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figur
 def _flights(study: PaperStudy) -> dict[str, Any]:
     """Return the flights of the experiments, in every wind, and under control."""
     optimum = find_flight(study.flights, Experiment.CALM, PowerModel.MOTOR)
-    scenario = optimum.case.scenario
-    climb = scenario.mission.goal.position[2] - scenario.mission.start.position[2]
+    _, climb_J = climb_of(optimum.case.scenario)
     return {
         "optimum": optimum,
-        "climb_J": scenario.vehicle.total_mass * scenario.gravity * climb,
+        "climb_J": climb_J,
         "experiments": [_experiment(study, experiment) for experiment in Experiment],
         "wind_flights": [_planned(flown) for flown in study.wind_flights],
         "baselines": [_controlled(study, flown) for flown in study.baselines],

@@ -11,6 +11,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from pyomo_quad.flight.flight import ROTORS
+from pyomo_quad.report.energy_bars import (
+    BAR_WIDTH,
+    absence_note,
+    annotate_bars,
+    bar_look,
+    draw_bars,
+)
 from pyomo_quad.report.paths import distinct_paths, draw_space
 from pyomo_quad.report.style import (
     ATTITUDE,
@@ -22,7 +29,6 @@ from pyomo_quad.report.style import (
     LEGEND_COLUMNS,
     MOTOR,
     MUTED,
-    PALE,
     POSITION,
     POWER,
     ROTOR_ACCELERATION,
@@ -30,6 +36,7 @@ from pyomo_quad.report.style import (
     ROTOR_STYLES,
     SERIES_STYLES,
     STATE_GRID,
+    TICK_STEPS,
     TIME,
     VELOCITY,
     WIND,
@@ -40,8 +47,10 @@ from pyomo_quad.report.style import (
     flight_styles,
     keep_span,
     label_time,
+    last_end,
     legend_below,
     panel_grid,
+    take_one_time,
 )
 from pyomo_quad.study.comparison import (
     ERROR_WITH,
@@ -50,7 +59,6 @@ from pyomo_quad.study.comparison import (
     FAIR_BASELINE,
     OPTIMAL,
     TRUE,
-    ComparisonColumn,
     LegColumn,
     leg_table,
     way_flown,
@@ -106,7 +114,7 @@ def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
             draw_over_time(axes, flight.frame, signal, flight.style, flight.name)
         axes.set_title(signal.title)
         keep_span([axes], signal.smallest_span)
-    label_time(panels.flat, flights[0].duration_s)
+    label_time(panels.flat, last_end(flights))
     legend_below(figure, panels[0, 0])
     return figure
 
@@ -120,7 +128,7 @@ def draw_controls(flights: Sequence[StyledFlight]) -> Figure:
         axes.set_title(signal.title)
         axes.axhline(0.0, color=MUTED, linewidth=0.6, zorder=1)
     keep_span(panels.flat, ROTOR_ACCELERATION[0].smallest_span)
-    label_time(panels[-1], flights[0].duration_s)
+    label_time(panels[-1], last_end(flights))
     legend_below(figure, panels[0, 0])
     return figure
 
@@ -193,13 +201,12 @@ _HOVER_LINE: dict[str, Any] = {"color": MUTED, "linewidth": 1.0, "linestyle": (0
 
 
 def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
-    """Draw power, energy, and energy above hovering for the mission's time, over each other."""
+    """Draw power, energy, and energy above hovering, over each other, to the last flight's end."""
     figure, panels = panel_grid(3, 1, panel_height=1.5, legend_entries=1 + len(flights))
-    duration = flights[0].duration_s
-    hover_power = hover_energy_J / duration
+    hover_power, end = hover_energy_J / flights[0].duration_s, last_end(flights)
     power, energy, above = panels[:, 0]
     power.axhline(hover_power, label="hovering", **_HOVER_LINE)
-    energy.plot([0.0, duration], [0.0, hover_energy_J], **_HOVER_LINE)
+    energy.plot([0.0, end], [0.0, hover_power * end], **_HOVER_LINE)
     for flight in flights:
         draw_over_time(power, flight.frame, POWER, flight.style, flight.name)
         draw_over_time(energy, flight.frame, ENERGY, flight.style, flight.name)
@@ -208,7 +215,7 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
         axes.set_title(signal.title)
         keep_span([axes], signal.smallest_span)
     _cut_peaks(power, flights)
-    label_time(panels[-1], duration)
+    label_time(panels[-1], end)
     legend_below(figure, power)
     return figure
 
@@ -240,7 +247,7 @@ def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
 def coinciding_flights(
     flights: Sequence[StyledFlight], hover_power_W: float
 ) -> tuple[StyledFlight, ...]:
-    """Return the flights whose energy above hovering lies on that of the first."""
+    """Return the flights whose energy above hovering lies on the first flight's to its end."""
     first, *others = flights
     time = TIME.of(first.frame)
     curves = [
@@ -251,7 +258,7 @@ def coinciding_flights(
     return tuple(
         flight
         for flight, curve in zip(others, curves[1:], strict=True)
-        if np.abs(curve - curves[0]).max() <= allowed
+        if take_one_time((first, flight)) and np.abs(curve - curves[0]).max() <= allowed
     )
 
 
@@ -276,120 +283,6 @@ def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
     if window is not None:
         axes.set_ylim(*window)
         axes.set_title(f"{POWER.title}, short peaks cut off")
-
-
-_ROW, _EDGES = 0.32, 0.95  # inches
-_BAR = 0.62  # of the row
-_ABSENT = 0.35  # opacity
-_TITLE = 0.35  # inches
-_NUMBER_ROOM = 1.28  # the axis goes on past the longest bar for the numbers beside the bars
-
-
-def draw_energy_split(
-    flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
-) -> Figure:
-    """Draw the whole energy from zero, and beside it what lies above the hover floor: bars."""
-    height = _EDGES + _ROW * len(flights)
-    figure = Figure(figsize=(FULL_WIDTH, height))
-    whole, above = figure.subplots(1, 2, sharey=True)
-    figure.subplots_adjust(
-        left=0.24, right=0.99, top=1 - 0.3 / height, bottom=0.62 / height, wspace=0.07
-    )
-    longest = []
-    for row, flight in enumerate(flights):
-        hover = hover_energy_J * flight.duration_s / flights[0].duration_s
-        whole.barh(row, hover, color=PALE, edgecolor=MUTED, linewidth=0.6, height=_BAR)
-        whole.barh(row, flight.energy_J - hover, left=hover, **_look(flight))
-        longest.append(max(hover, flight.energy_J))
-    _write_values(whole, [flight.energy_J for flight in flights], longest)
-    _make_room(whole, longest)
-    whole.set(title="Whole: hover floor (grey) and the rest", xlabel="Energy (J)")
-    draw_excess(above, flights, hover_energy_J, absent)
-    above.set(
-        title="Above the hover floor only", xlabel=f"Energy above hovering (J){_note(absent)}"
-    )
-    return figure
-
-
-def draw_excess(
-    axes: Axes, flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
-) -> None:
-    """Draw one bar per flight for its energy above the hover floor, the first on top."""
-    hover_power = hover_energy_J / flights[0].duration_s
-    excess = [flight.energy_J - hover_power * flight.duration_s for flight in flights]
-    for row, (flight, surplus) in enumerate(zip(flights, excess, strict=True)):
-        axes.barh(row, surplus, **_look(flight))
-    _annotate(axes, excess)
-    labels = [f"{f.name} *" if f.name in absent else f.name for f in flights]
-    axes.set_yticks(range(len(flights)), labels)
-    axes.invert_yaxis()
-
-
-def _note(absent: frozenset[str]) -> str:
-    return ", * did not arrive" if absent else ""
-
-
-def draw_excess_by_scenario(comparison: pd.DataFrame) -> Figure:
-    """Draw one bar per flight for its energy above hovering, a panel per scenario, one scale."""
-    scenarios = list(comparison.groupby(ComparisonColumn.SCENARIO, sort=False))
-    counts = [len(rows) for _, rows in scenarios]
-    height = _EDGES + _ROW * sum(counts) + _TITLE * len(counts)
-    figure = Figure(figsize=(FULL_WIDTH, height))
-    panels = figure.subplots(len(counts), 1, sharex=True, squeeze=False, height_ratios=counts)
-    figure.subplots_adjust(
-        left=0.24, right=0.99, top=1 - 0.3 / height, bottom=0.5 / height, hspace=0.35
-    )
-    for axes, (name, rows) in zip(panels.flat, scenarios, strict=True):
-        names = tuple(rows[ComparisonColumn.FLIGHT])
-        excess = rows[ComparisonColumn.EXCESS_ENERGY].to_numpy(dtype=float)
-        arrived = rows[ComparisonColumn.ARRIVED].astype(bool)
-        for row, style in enumerate(flight_styles(names).values()):
-            opacity = 1.0 if arrived.iloc[row] else _ABSENT
-            axes.barh(row, excess[row], color=style.color, height=_BAR, alpha=opacity)
-        axes.set_yticks(range(len(names)), names)
-        axes.invert_yaxis()
-        axes.set_title(str(name))
-        _write_values(axes, excess.tolist(), excess.clip(min=0.0).tolist())
-    _make_room(panels[-1, 0], comparison[ComparisonColumn.EXCESS_ENERGY].tolist())
-    panels[-1, 0].set_xlabel("Energy above hovering (J)")
-    return figure
-
-
-def _look(flight: StyledFlight) -> dict[str, Any]:
-    style = flight.style
-    return {
-        "color": style.color,
-        "edgecolor": "white",
-        "hatch": style.hatch,
-        "linewidth": 0.0,
-        "height": _BAR,
-    }
-
-
-def _annotate(axes: Axes, values: Sequence[float]) -> None:
-    _write_values(axes, values, [max(value, 0.0) for value in values])
-    _make_room(axes, values)
-
-
-def _write_values(axes: Axes, values: Sequence[float], beside: Sequence[float]) -> None:
-    axes.grid(visible=False, axis="y")
-    axes.tick_params(axis="y", length=0)
-    for row, (value, at) in enumerate(zip(values, beside, strict=True)):
-        axes.annotate(
-            f"{value:.1f}",
-            (at, row),
-            xytext=(4, 0),
-            textcoords="offset points",
-            va="center",
-            color=INK,
-        )
-
-
-def _make_room(axes: Axes, values: Sequence[float]) -> None:
-    low, high = min(0.0, *values), max(0.0, *values)
-    axes.set_xlim(low * _NUMBER_ROOM, low + (high - low) * _NUMBER_ROOM)
-    if low < 0.0:
-        axes.axvline(0.0, color=MUTED, linewidth=0.6)
 
 
 _ERROR_FLOOR = 1e-16  # keeps an error of zero on the logarithmic axis
@@ -451,17 +344,35 @@ _HEIGHT = 4.2  # inches
 
 
 def draw_overview(
-    flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
+    flights: Sequence[StyledFlight],
+    hover_energy_J: float,
+    absent: frozenset[str],
+    mission: "Scenario",
 ) -> Figure:
-    """Draw the paths in space beside the energy above hovering, over time and in total."""
+    """Draw the paths in space beside the energy over time, to each flight's end, and in total.
+
+    Over time it is the energy above hovering, which tells more apart, but only where all flights
+    take one time: at the ends of different times lie different hover floors.
+    """
     figure = Figure(figsize=(FULL_WIDTH, _HEIGHT))
-    draw_space(figure.add_axes((0.0, 0.12, 0.46, 0.88), projection="3d"), distinct_paths(flights))
+    space = figure.add_axes((0.0, 0.12, 0.46, 0.88), projection="3d")
+    draw_space(space, distinct_paths(flights), mission)
     over_time = figure.add_axes((0.52, 0.69, 0.46, 0.25))
-    draw_above_hover(over_time, flights, hover_energy_J / flights[0].duration_s)
-    label_time([over_time], flights[0].duration_s)
+    hover_power = hover_energy_J / flights[0].duration_s
+    if take_one_time(flights):
+        draw_above_hover(over_time, flights, hover_power)
+    else:
+        for flight in flights:
+            draw_over_time(over_time, flight.frame, ENERGY, flight.style, flight.name)
+        over_time.set_title(ENERGY.title)
+    label_time([over_time], last_end(flights))
     in_total = figure.add_axes((0.66, 0.19, 0.32, 0.32))
-    draw_excess(in_total, flights, hover_energy_J, absent)
-    in_total.set_title(f"At the end (J){_note(absent)}")
+    floors = [hover_power * flight.duration_s for flight in flights]
+    draw_bars(in_total, flights, [flight.energy_J for flight in flights], absent, floors)
+    for row, floor in enumerate(floors):
+        in_total.vlines(floor, row - BAR_WIDTH / 2, row + BAR_WIDTH / 2, color=INK, linewidth=1.6)
+    in_total.xaxis.set_major_locator(MaxNLocator(nbins=5, steps=TICK_STEPS))
+    in_total.set_title(f"Total energy (J){absence_note(absent)}")
     legend_below(figure, over_time)
     return figure
 
@@ -504,10 +415,10 @@ def draw_way(flights: Sequence[StyledFlight], mission: "Scenario") -> Figure:
 def _draw_legs(axes: Axes, flight: StyledFlight, legs: pd.DataFrame) -> None:
     energies = legs[LegColumn.ENERGY].tolist()
     for row, energy in enumerate(energies):
-        axes.barh(row, energy, **_look(flight))
+        axes.barh(row, energy, **bar_look(flight))
     axes.set_yticks(range(len(legs)), legs[LegColumn.LEG])
     axes.invert_yaxis()
-    _annotate(axes, energies)
+    annotate_bars(axes, energies)
     axes.set(title="Energy of each leg (J)")
 
 
@@ -556,7 +467,7 @@ def draw_states(flights: Sequence[StyledFlight]) -> Figure:
             axes.set_title(signal.title)
             keep_span([axes], signal.smallest_span)
     keep_span(panels[:, -1], STATE_GRID[0][-1].smallest_span)
-    label_time(panels[-1], flights[0].duration_s)
+    label_time(panels[-1], last_end(flights))
     legend_below(figure, panels[0, 0])
     return figure
 

@@ -12,6 +12,11 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from pyomo_quad.report import Figures
+from pyomo_quad.report.energy_bars import (
+    draw_energy_by_scenario,
+    draw_energy_split,
+    takes_one_time_each,
+)
 from pyomo_quad.report.flight_figures import (
     COSTATES,
     coinciding_flights,
@@ -22,8 +27,6 @@ from pyomo_quad.report.flight_figures import (
     draw_controls,
     draw_costates,
     draw_energy,
-    draw_energy_split,
-    draw_excess_by_scenario,
     draw_front,
     draw_mesh,
     draw_overview,
@@ -59,6 +62,7 @@ from pyomo_quad.report.style import (
     plan_flight,
     save_figure,
     styled_flights,
+    take_one_time,
 )
 from pyomo_quad.study.comparison import ComparisonColumn
 from pyomo_quad.study.processes import side_by_side
@@ -143,30 +147,39 @@ def column_drawing(flight: StyledFlight, column: str) -> Drawing:
 
 
 def comparison_drawings(
-    flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
+    flights: Sequence[StyledFlight],
+    hover_energy_J: float,
+    absent: frozenset[str],
+    mission: "Scenario",
 ) -> tuple[Drawing, ...]:
     """List the figures that set flights against each other, the optimum first.
 
-    ``absent`` names those that did not arrive. A model of the user's own without positions has no
-    such figures.
+    ``absent`` names those that did not arrive; ``mission`` has the zones. A model of the
+    user's own without positions has no such figures.
     """
     if not set(_columns(POSITION)) <= set(flights[0].frame):
         return ()
+    is_timed_alike = take_one_time(flights)
+    over_time = "the energy that each flight has spent"
+    if is_timed_alike:
+        over_time += " more than hovering until then"
     return (
         Drawing(
             name="overview",
             title="The run at a glance",
-            caption="Left: the paths, from start (dot) to goal (star). Right: what each flight "
-            "spends above hovering for the same time, at the end with what its end state owes."
+            caption="Left: the paths, from start (dot) to goal (star), to one scale along all "
+            f"axes.{_zones(mission)} Right: {over_time}, and below the total energy, with what its "
+            "end state owes; the line in a bar is what hovering for as long takes."
             f"{left_out(flights)}"
-            f"{_coinciding(flights, hover_energy_J)}",
-            draw=lambda: draw_overview(flights, hover_energy_J, absent),
+            f"{_coinciding(flights, hover_energy_J if is_timed_alike else 0.0)}",
+            draw=lambda: draw_overview(flights, hover_energy_J, absent, mission),
         ),
         Drawing(
             name="energy_split",
             title="Energy of each flight",
-            caption="Energy of each flight with what its end state owes, split at what hovering "
-            f"for the same time takes.{_undercut(flights, hover_energy_J)}",
+            caption="Left: energy of each flight with what its end state owes, split at what "
+            f"hovering for as long takes.{_undercut(flights, hover_energy_J)} Right: "
+            + ("what lies above that." if is_timed_alike else f"{_more_than(flights[0])}."),
             draw=lambda: draw_energy_split(flights, hover_energy_J, absent),
         ),
     )
@@ -221,12 +234,15 @@ def drawings_of_run(result: "RunResult", figures: Figures) -> tuple[tuple[Drawin
 
 def drawings_of_comparison(comparison: pd.DataFrame, figures: Figures) -> tuple[Drawing, ...]:
     """List what the comparison of many scenarios shows: the energies of their flights."""
+    energy = "Energy above hovering for the same time, with what"
+    if not takes_one_time_each(comparison):
+        energy = "Total energy, with what"
     drawing = Drawing(
         name="energy_compared",
         title="Energy of each flight",
-        caption="Energy above hovering for the same time, with what the end state owes: one panel "
-        "for each scenario. A flight that did not arrive is pale.",
-        draw=lambda: draw_excess_by_scenario(comparison),
+        caption=f"{energy} the end state owes: one panel for each scenario. A flight that did not "
+        "arrive is pale.",
+        draw=lambda: draw_energy_by_scenario(comparison),
     )
     return wanted_drawings([drawing], figures)
 
@@ -247,7 +263,8 @@ def _comparison(result: "RunResult", flights: tuple[StyledFlight, ...]) -> tuple
         return ()
     arrived = comparison[ComparisonColumn.ARRIVED].astype(bool)
     absent = frozenset(comparison.loc[~arrived, ComparisonColumn.FLIGHT])
-    return comparison_drawings(flights, result.plan.hover_energy_J, absent)
+    mission = result.plan.mission_flown
+    return comparison_drawings(flights, result.plan.hover_energy_J, absent, mission)
 
 
 def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Drawing, ...]:
@@ -291,7 +308,8 @@ def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> tuple[
         Drawing(
             name=PATH_NAME,
             title="Path",
-            caption=f"Paths from start (dot) to goal (star), with a mark every {beat:.3g} s."
+            caption="Paths from start (dot) to goal (star), to one scale along all axes of a view, "
+            f"with a mark every {beat:.3g} s."
             f"{course}{left_out(flights)}",
             draw=lambda: draw_path(distinct, mission),
         ),
@@ -303,13 +321,18 @@ def _course(mission: "Scenario") -> str:
     airspace, said = mission.airspace, ""
     if mission.mission.waypoints:
         said += " Crosses: the waypoints, with the times at which the plan passes them."
-    if airspace.keep_out:
-        named = ", ".join(zone.name for zone in airspace.keep_out)
-        margin = ", within a dashed line their clearance" if airspace.clearance else ""
-        said += f" Red: the keep-outs ({named}){margin}."
+    said += _zones(mission)
+    if airspace.keep_out and airspace.clearance:
+        said += " Dashed around them, seen along an axis: their clearance."
     limits = (("floor", airspace.floor), ("ceiling", airspace.ceiling))
     told = [f"{name} at {height:g} m" for name, height in limits if height is not None]
     return f"{said} {' and '.join(told).capitalize()}." if told else said
+
+
+def _zones(mission: "Scenario") -> str:
+    """Name the keep-outs of a picture in space; empty where there are none."""
+    named = ", ".join(zone.name for zone in mission.airspace.keep_out)
+    return f" Red: the keep-outs ({named})." if named else ""
 
 
 def _has_way(scenario: "Scenario") -> bool:
@@ -377,7 +400,7 @@ def _supply(flights: Sequence[StyledFlight], hover_energy_J: float) -> tuple[Dra
             name="energy",
             title="Power and energy",
             caption="Power, energy, and energy above what hovering until then would have taken."
-            f"{_cut(flights)}{_coinciding(flights, hover_energy_J)}",
+            f"{_own_floors(flights)}{_cut(flights)}{_coinciding(flights, hover_energy_J)}",
             needs=_columns((POWER, ENERGY)),
             draw=lambda: draw_energy(flights, hover_energy_J),
         ),
@@ -412,6 +435,20 @@ def _wind(optimum: StyledFlight, blowing: StyledFlight | None) -> tuple[Drawing,
             draw=lambda: draw_wind(optimum, blowing),
         ),
     )
+
+
+def _own_floors(flights: Sequence[StyledFlight]) -> str:
+    """Warn of comparing the ends of curves above hovering where they lie at different times."""
+    if take_one_time(flights):
+        return ""
+    return (
+        " Flights that take other times end above other hover floors: only their total energies "
+        "compare."
+    )
+
+
+def _more_than(flight: StyledFlight) -> str:
+    return f"how much more each takes than {flight.name}, whatever their times"
 
 
 def _cut(flights: Sequence[StyledFlight]) -> str:

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 
 from pyomo_quad.report.style import (
@@ -37,6 +38,7 @@ from pyomo_quad.report.style import (
     StyledFlight,
     legend_below,
 )
+from pyomo_quad.report.zones import ZONE_COLOR, box_around, faces, outline
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.airspace import Airspace, KeepOut
 
@@ -50,9 +52,9 @@ _MOST_TICKS = 9
 # Beside sides so much shorter, the name of the longest one's axis comes to lie on its numbers.
 _FLAT = 0.3
 _SMALLEST_SIDE = 0.2  # m
+_SEEN_THROUGH = 0.18  # opacity of a zone's faces in space, of which two lie behind each other
 # As shares of the largest side of all paths: of zones, floor and ceiling no more is shown.
 _AROUND = 0.25
-_ZONE = "#a33a2a"  # as in the page's view
 _UP = 2
 _AT_LEFT: Any = ("axes fraction", "data")
 _BESIDE: dict[str, Any] = {
@@ -77,11 +79,9 @@ def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) 
     The mission has the passing times of its plan.
     """
     figure = Figure(figsize=(FULL_WIDTH, FULL_WIDTH))
-    limits = _limits(flights)
-    if mission is not None:
-        limits = _with_airspace(limits, mission.airspace)
+    limits = _limits(flights, mission)
     space: Axes3D = figure.add_axes((0.0, 0.53, 0.5, 0.46), projection="3d")
-    draw_space(space, flights)
+    draw_space(space, flights, mission)
     boxes = ((0.575, 0.595, 0.405, 0.37), (0.075, 0.115, 0.405, 0.37), (0.575, 0.115, 0.405, 0.37))
     for (across, up, title), box in zip(_PROJECTIONS, boxes, strict=True):
         axes = figure.add_axes(box)
@@ -92,10 +92,18 @@ def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) 
     return figure
 
 
-def draw_space(axes: Axes3D, flights: Sequence[StyledFlight]) -> None:
-    """Draw all paths in space."""
-    limits = _limits(flights)
+def draw_space(
+    axes: Axes3D, flights: Sequence[StyledFlight], mission: Scenario | None = None
+) -> None:
+    """Draw all paths in space with the keep-outs beside them, to one scale along all axes."""
+    limits = _limits(flights, mission)
     floor = limits[2, 0]
+    for zone in () if mission is None else mission.airspace.keep_out:
+        axes.add_collection3d(
+            Poly3DCollection(
+                faces(zone, limits), facecolor=ZONE_COLOR, alpha=_SEEN_THROUGH, linewidth=0.0
+            )
+        )
     for flight in flights:
         track, beats = (_inside(points, limits) for points in (_track(flight), _beats(flight)))
         shadow = np.full(len(track), floor)
@@ -137,13 +145,15 @@ def _further(flights: Sequence[StyledFlight], share: float) -> tuple[StyledFligh
     return tuple(f for f in others if _distance(f, time, track) > allowed)
 
 
-def _limits(flights: Sequence[StyledFlight]) -> np.ndarray:
+def _limits(flights: Sequence[StyledFlight], mission: Scenario | None) -> np.ndarray:
+    """Return low and high of what a picture shows along each axis, shape (3, 2), m."""
     astray = leaving_paths(flights)
     points = np.concatenate([_track(flight) for flight in flights if flight not in astray])
     low, high = points.min(axis=0), points.max(axis=0)
     middle = (low + high) / 2
     half = np.maximum(high - low, _SMALLEST_SIDE) / 2 * (1 + 2 * _MARGIN)
-    return np.column_stack([middle - half, middle + half])
+    limits = np.column_stack([middle - half, middle + half])
+    return limits if mission is None else _with_airspace(limits, mission.airspace)
 
 
 def _track(flight: StyledFlight) -> np.ndarray:
@@ -198,16 +208,16 @@ def _draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) ->
     airspace = mission.airspace
     for zone in airspace.keep_out:
         if airspace.clearance:
-            grown = _outline(zone, directions, airspace.clearance)
-            grown.set(fill=False, edgecolor=_ZONE, linewidth=0.6, linestyle=(0, (2, 2)))
+            grown = outline(zone, directions, airspace.clearance)
+            grown.set(fill=False, edgecolor=ZONE_COLOR, linewidth=0.6, linestyle=(0, (2, 2)))
             axes.add_patch(grown)
-        shape = _outline(zone, directions)
-        shape.set(facecolor=_ZONE, alpha=0.25, linewidth=0.0, zorder=1)
+        shape = outline(zone, directions)
+        shape.set(facecolor=ZONE_COLOR, alpha=0.25, linewidth=0.0, zorder=1)
         axes.add_patch(shape)
     for name, height in (("floor", airspace.floor), ("ceiling", airspace.ceiling)):
         if height is not None and directions[1] == _UP:
-            axes.axhline(height, color=_ZONE, linewidth=1.0)
-            axes.annotate(name, (0.0, height), xycoords=_AT_LEFT, color=_ZONE, **_BESIDE)
+            axes.axhline(height, color=ZONE_COLOR, linewidth=1.0)
+            axes.annotate(name, (0.0, height), xycoords=_AT_LEFT, color=ZONE_COLOR, **_BESIDE)
     passed: dict[tuple[float, float], list[str]] = {}
     for number, waypoint in enumerate(mission.mission.waypoints, start=1):
         place = waypoint.position[directions[0]], waypoint.position[directions[1]]
@@ -223,20 +233,6 @@ def _draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) ->
         axes.plot(across, up, marker="x", color=INK, markersize=5, linestyle="none", zorder=4)
         side = "left" if across <= middle else "right"
         axes.annotate(", ".join(said), (across, up), ha=side, **_BESIDE)
-
-
-def _outline(zone: KeepOut, directions: tuple[int, int], clearance: float = 0.0) -> Patch:
-    """Return the shape of a zone, its clearance around it, as seen along an axis."""
-    for ball in zone.balls:
-        if set(directions) <= set(ball.axes):
-            middle = [ball.centre[ball.axes.index(axis)] for axis in directions]
-            return Circle((middle[0], middle[1]), ball.radius + clearance)
-    extent = _extent(zone)
-    (left, right), (low, high) = (
-        (extent["low"]["xyz"[axis]] - clearance, extent["high"]["xyz"[axis]] + clearance)
-        for axis in directions
-    )
-    return Rectangle((left, low), right - left, high - low)
 
 
 def _draw_projection(
@@ -392,16 +388,8 @@ def _described(signal: Signal, group: Sequence[Signal]) -> dict[str, Any]:
 
 
 def _extent(zone: KeepOut) -> dict[str, dict[str, float]]:
-    """Return the least box around a zone."""
-    sides = {
-        "xyz"[axis]: (centre - ball.radius, centre + ball.radius)
-        for ball in zone.balls
-        for axis, centre in zip(ball.axes, ball.centre, strict=True)
-    }
-    return {
-        end: {axis: side[at] for axis, side in sides.items()}
-        for at, end in enumerate(("low", "high"))
-    }
+    corners = zip(("low", "high"), box_around(zone).tolist(), strict=True)
+    return {end: dict(zip("xyz", corner, strict=True)) for end, corner in corners}
 
 
 def _rounded(values: np.ndarray) -> list[Any]:

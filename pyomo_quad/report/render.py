@@ -10,7 +10,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from pyomo_quad.flight import PlanStatus
+from pyomo_quad.flight.limit_words import limit_amount, limit_words
 from pyomo_quad.scenario import PowerModel, WindCoupling
+from pyomo_quad.study.comparison import against_hovering
 
 #: Stands where a table has no number.
 NOTHING = "n/a"
@@ -138,9 +140,11 @@ def environment() -> Environment:
         keep_trailing_newline=True,
     )
     made.filters |= {
+        "against_hovering": against_hovering,
         "code": _code,
         "degrees": degrees,
         "fixed": fixed,
+        "limit": limit_words,
         "one_line": lambda text: written(" ".join(text.split())),
         "rough": rough,
         "seconds": lambda value: f"{value:.6g} s",
@@ -152,6 +156,7 @@ def environment() -> Environment:
         "FIGURE_FOLDER": FIGURE_FOLDER,
         "POWER_WORDS": POWER_WORDS,
         "STATUS_WORDS": STATUS_WORDS,
+        "limit_amount": limit_amount,
     }
     return made
 

@@ -37,7 +37,8 @@ from pyomo_quad.report.tables import (
     write_plan_table,
     write_table,
 )
-from pyomo_quad.scenario import Reference
+from pyomo_quad.scenario import PowerModel, Reference
+from pyomo_quad.scenario.tables import Replanning
 from pyomo_quad.study.comparison import (
     FAIR_BASELINE,
     INSIDE_DISTANCE_M,
@@ -120,7 +121,7 @@ def _write_tables(folder: Path, result: "RunResult") -> None:
         write_comparison(folder, result.comparison, _title(result.plan))
     if not result.front.empty:
         write_table(result.front, folder / FRONT_NAME)
-    replanned = replanning_table(result.flights)
+    replanned = _replanned(result)
     if not replanned.empty:
         write_table(replanned, folder / REPLANNING_NAME)
 
@@ -223,6 +224,7 @@ def _of_plan(plan: "Plan") -> dict[str, Any]:
         "title": _title(plan),
         "plan": plan,
         "asked_energy": _asked_energy(plan, columns),
+        "free_climb": _free_climb(plan),
         "legs": leg_rows(plan.mission_flown, columns),
         "leg": LegColumn,
         "allowed": {
@@ -235,6 +237,41 @@ def _of_plan(plan: "Plan") -> dict[str, Any]:
         "SUMMARY_NAME": SUMMARY_NAME,
         "version": __version__,
     }
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeClimb:
+    """A climb that the power model gives away."""
+
+    height_m: float
+    potential_J: float
+    spent_J: float
+    """Energy above hovering, in which the climb would have to be."""
+
+
+def _free_climb(plan: "Plan") -> FreeClimb | None:
+    """Return the mission's climb where the flight spends less on it than its potential energy.
+
+    Of the declared power models only `momentum` depends on the airspeed and so prices a climb; a
+    model of the user's own may.  A parcel left on the way does not climb to the goal.
+    """
+    scenario = plan.scenario
+    height, potential = climb_of(scenario)
+    spent = plan.energy - plan.hover_energy_J
+    prices_climbs = scenario.model is not None or scenario.power.model is PowerModel.MOMENTUM
+    has_releases = any(waypoint.release for waypoint in scenario.mission.waypoints)
+    if plan.verification is None or prices_climbs or has_releases:
+        return None
+    if height <= 0.0 or spent >= potential:
+        return None
+    return FreeClimb(height_m=height, potential_J=potential, spent_J=spent)
+
+
+def climb_of(scenario: "Scenario") -> tuple[float, float]:
+    """Return how far a mission climbs, m, and the potential energy that this adds, J."""
+    mission = scenario.mission
+    height = mission.goal.position[2] - mission.start.position[2]
+    return height, scenario.vehicle.total_mass * scenario.gravity * height
 
 
 def _asked_energy(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, float | None]:
@@ -281,12 +318,13 @@ def _of_run(result: "RunResult") -> dict[str, Any]:
         "certificate": certificate,
         "gap_percent": certificate.gap_percent(result.plan.energy),
         "warnings": result.warnings,
-        "replanned": replanning_table(result.flights).to_dict("records"),
+        "replanned": _replanned(result).to_dict("records"),
         "replanning": result.scenario.baseline.mpc,
         "replanning_column": ReplanningColumn,
         "REPLANNING_NAME": REPLANNING_NAME,
         "rival": _rival(comparison[~is_cruise]),
         "cruise": _rival(comparison[is_cruise]),
+        "autopilot_settings": result.scenario.baseline,
         "alone": by_name.get(OPEN_LOOP),
         "followed": followed,
         "fair": fair,
@@ -301,6 +339,10 @@ def _of_run(result: "RunResult") -> dict[str, Any]:
         "COMPARISON_NAME": COMPARISON_NAME,
         "COMPARISON_REPORT_NAME": COMPARISON_REPORT_NAME,
     }
+
+
+def _replanned(result: "RunResult") -> "pd.DataFrame":
+    return replanning_table(result.flights, result.scenario.baseline.mpc or Replanning())
 
 
 def _rival(comparison: "pd.DataFrame") -> dict[Any, Any] | None:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
-from math import ceil, degrees
+from math import ceil, degrees, isclose
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from pyomo_quad.flight import flight
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.flight.replanning import replanned_name
 from pyomo_quad.scenario.tables import MISSION_TIMED, Knowledge
+from pyomo_quad.study.certificate import SAME_TIME
 from pyomo_quad.study.comparison import FAIR_BASELINE, OPTIMAL, settled_energy
 
 if TYPE_CHECKING:
@@ -377,7 +378,7 @@ def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
 
 
 def label_time(panels: Iterable[Axes], duration: float) -> None:
-    """Name the time axis of the lowest panels and end it with the flight, s."""
+    """Name the time axis of the lowest panels and end it where the last flight ends, s."""
     for axes in panels:
         axes.set_xlabel(TIME.label)
         axes.set_xlim(0.0, duration)
@@ -436,6 +437,16 @@ def flight_of_table(name: str, frame: pd.DataFrame) -> StyledFlight:
         energy_J=float(ENERGY.of(frame)[-1]) if has_energy else 0.0,
         style=flight_styles((name,))[name],
     )
+
+
+def last_end(flights: Sequence[StyledFlight]) -> float:
+    """Return when the last of some flights ends, s."""
+    return max(flight.duration_s for flight in flights)
+
+
+def take_one_time(flights: Sequence[StyledFlight]) -> bool:
+    """Say whether flights take equal times, so that hovering takes as much for each."""
+    return all(isclose(f.duration_s, flights[0].duration_s, rel_tol=SAME_TIME) for f in flights)
 
 
 def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:

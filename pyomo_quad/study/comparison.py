@@ -30,7 +30,7 @@ from pyomo_quad.flight.flight import (
     columns_of,
 )
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.tables import Reference
+from pyomo_quad.scenario.tables import Reference, Replanning
 from pyomo_quad.scenario.vehicle import MOST_ROTORS
 from pyomo_quad.study.certificate import SAME_TIME, Certificate
 
@@ -161,7 +161,8 @@ def compare_flights(
 
     ``hover_energy_J`` is of the mission's duration; a flight that took another has its own hover
     floor, a bound only where the certificate is one of its duration, and no saving above hover:
-    the two would be above different floors.
+    the two would be above different floors.  Nor is there one where the optimum takes less than
+    hovering, which would save more than all of what another flight takes above it.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -183,7 +184,8 @@ def compare_flights(
         saved = saved_of_excess = nan
         if optimum is not None and is_rival:
             saved = settled - settled_energy(optimum)
-            if isclose(flight.duration_s, optimum.duration_s, rel_tol=SAME_TIME):
+            is_timed_alike = isclose(flight.duration_s, optimum.duration_s, rel_tol=SAME_TIME)
+            if is_timed_alike and settled_energy(optimum) >= hover:
                 saved_of_excess = saved
         rows.append(
             {
@@ -212,6 +214,11 @@ def compare_flights(
     if scenario.limits.reserve:
         compared[RESERVE] = [_reserve_percent(scenario, flight.frame) for flight in flights]
     return compared
+
+
+def against_hovering(excess_J: float, digits: int = 2) -> str:
+    """Return in words how an energy differs from hovering's: "3.20 J less than hovering"."""
+    return f"{abs(excess_J):.{digits}f} J {'less' if excess_J < 0.0 else 'more'} than hovering"
 
 
 def has_own_time(scenario: Scenario, duration_s: float) -> bool:
@@ -313,13 +320,17 @@ class ReplanningColumn(StrEnum):
     SOLVES = "solves"
     FAILED = "failed"
     LATE = "late"
+    BEYOND_INTERVAL = "beyond_interval"
     MEDIAN_SOLVE = "solve_median_s"
     SLOW_SOLVE = "solve_95_percent_s"
     LONGEST_SOLVE = "solve_longest_s"
 
 
-def replanning_table(flights: Sequence[Flight]) -> "pd.DataFrame":
+def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.DataFrame":
     """Return what became of each re-planned flight, and how long its solves took here.
+
+    Late are the solves that took longer here than ``solve_time`` allows, whatever the flight was
+    charged for them; some of them may have taken longer than the interval to the next.
 
     Returns
     -------
@@ -332,7 +343,8 @@ def replanning_table(flights: Sequence[Flight]) -> "pd.DataFrame":
     for flight in flights:
         if not flight.resolves:
             continue
-        times = np.percentile([resolve.solve_s for resolve in flight.resolves], (50, 95, 100))
+        took = np.array([resolve.solve_s for resolve in flight.resolves])
+        times = np.percentile(took, (50, 95, 100))
         rows.append(
             {
                 ReplanningColumn.FLIGHT: flight.name,
@@ -341,7 +353,8 @@ def replanning_table(flights: Sequence[Flight]) -> "pd.DataFrame":
                 ReplanningColumn.ARRIVED: has_arrived(flight),
                 ReplanningColumn.SOLVES: len(flight.resolves),
                 ReplanningColumn.FAILED: sum(not r.is_converged for r in flight.resolves),
-                ReplanningColumn.LATE: sum(r.is_late for r in flight.resolves),
+                ReplanningColumn.LATE: int((took > settings.solve_time).sum()),
+                ReplanningColumn.BEYOND_INTERVAL: int((took > settings.interval).sum()),
                 ReplanningColumn.MEDIAN_SOLVE: float(times[0]),
                 ReplanningColumn.SLOW_SOLVE: float(times[1]),
                 ReplanningColumn.LONGEST_SOLVE: float(times[2]),

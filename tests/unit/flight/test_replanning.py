@@ -14,7 +14,7 @@ from pyomo_quad.flight.replanning import fly_replanned
 from pyomo_quad.model import build_remaining, parameter_values
 from pyomo_quad.model.mission import measured_start
 from pyomo_quad.scenario import ScenarioError
-from pyomo_quad.scenario.tables import Knowledge, Reference
+from pyomo_quad.scenario.tables import Knowledge, Reference, Replanning
 from pyomo_quad.study.comparison import has_arrived, replanning_table, settled_energy
 from tests import flights
 
@@ -117,10 +117,11 @@ def test_where_every_solve_fails_the_first_plan_is_flown_under_feedback(monkeypa
     controlled = fly_baseline(mission, Reference.PLAN, dynamics=wind, plan=calm)
     assert flight.energy_J < 1.05 * controlled.energy_J
     assert flight.terminal_miss_m < 0.02
-    row = replanning_table([flight]).iloc[0]
+    settings = Replanning()
+    row = replanning_table([flight], settings).iloc[0]
     assert row["failed"] == row["solves"] == len(flight.resolves)
     assert row["settled_energy_J"] == settled_energy(flight)
-    assert replanning_table([replace(flight, resolves=())]).empty
+    assert replanning_table([replace(flight, resolves=())], settings).empty
 
 
 @pytest.mark.slow

@@ -45,7 +45,7 @@ def test_a_mast_between_the_samples_of_the_plain_flight_is_hit(planned):
     assert not closely.is_verified
     assert closely.worst_constraint == "airspace.keep_out[mast]"
     assert closely.max_violation == pytest.approx(MAST["radius"], rel=0.3)
-    assert closely.broken_limits[0].startswith("airspace.keep_out[mast] by 0.0")
+    assert closely.broken_limits[0].startswith("keep-out mast by 0.0")
 
 
 def test_the_element_where_a_limit_was_broken_is_split(planned):

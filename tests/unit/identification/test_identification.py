@@ -1,6 +1,7 @@
 """Identified and predicted vehicles against flights of the plain second writing."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from pyomo_quad.cli import main
 from pyomo_quad.identification.fitting import FITTABLE, identify, scores
 from pyomo_quad.identification.logs import read_logs
 from pyomo_quad.identification.motion import LoggedMotion, vehicle_scenario
+from pyomo_quad.identification.report import measures, write_identification
+from pyomo_quad.report import Figures
 from pyomo_quad.scenario import load_scenario
 from tests.agreement import plain_quadrotor as plain
 from tests.unit.identification import recorded
@@ -154,3 +157,43 @@ def test_the_matrice_100_is_known_from_its_flights():
         assert abs(one.value - getattr(scenario.vehicle, one.name)) < 0.1 * one.deviation
     shipped = scores(frame, LoggedMotion(scenario, frame).power())
     assert shipped.mean_absolute_error_percent < 2.1
+
+
+def test_halves_of_the_flights_confirm_each_other_and_the_base_is_named(identified):
+    """A base that was fitted to the same flights would agree with them whatever they were."""
+    for one in identified.parameters:
+        assert one.first_half == pytest.approx(PLANTED[one.name], rel=1e-3), one.name
+        assert one.second_half == pytest.approx(PLANTED[one.name], rel=1e-3), one.name
+    sources = {one.name: one.base_source for one in identified.parameters}
+    assert "craft.toml" in sources["profile_power_coefficient"]
+    scenario = vehicle_scenario("dji_matrice_100")
+    library = identify(scenario, identified.frame, ("climb_power_factor",))
+    assert "identified from the 120 flights" in library.parameters[0].base_source
+
+
+def test_the_error_stands_beside_its_rivals_and_where_the_gain_is(identified, tmp_path):
+    write_identification(tmp_path, identified, "craft", Figures.NONE)
+    table = pd.read_csv(tmp_path / "models.csv").set_index("model")
+    rivals, own = table.iloc[:-1], table.iloc[-1]
+    text = (tmp_path / "report.md").read_text()
+    headline = next(line for line in text.splitlines() if line.startswith("> "))
+    for name, error in rivals["mean_absolute_error_percent"].items():
+        assert re.search(rf"{name}, \d numbers?, {error:.2f} %", headline)
+    for column in ("mean_absolute_error_percent", "power_rmse_W", "extrapolation_2_error_percent"):
+        assert own[column] < rivals[column].min()
+        best = f"{rivals[column].idxmin()} {rivals[column].min():.2f}"
+        assert best in headline.partition("err less than the best of them in the ")[2]
+    assert "; not in the" not in headline
+
+
+def test_a_rival_that_errs_less_is_said_to():
+    models = pd.DataFrame(
+        {
+            "model": ["one number", "six numbers", "ours"],
+            "mean_absolute_error_percent": [2.06, 1.85, 1.86],
+            "power_rmse_W": [71.2, 61.3, 49.2],
+        }
+    )
+    energy, power = measures(models, ())
+    assert (energy.is_gain, energy.rival, energy.best) == (False, "six numbers", 1.85)
+    assert (power.is_gain, power.rival, power.best) == (True, "six numbers", 61.3)

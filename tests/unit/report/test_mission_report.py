@@ -11,15 +11,23 @@ from PIL import Image
 from pyomo_quad.cli import main
 from pyomo_quad.flight import Planner
 from pyomo_quad.report import Figures
-from pyomo_quad.report.flight_figures import draw_energy_split, draw_front, draw_way
+from pyomo_quad.report.energy_bars import draw_energy_by_scenario, draw_energy_split
+from pyomo_quad.report.flight_figures import (
+    draw_energy,
+    draw_front,
+    draw_overview,
+    draw_way,
+)
+from pyomo_quad.report.gallery import comparison_drawings
 from pyomo_quad.report.paths import draw_path
 from pyomo_quad.report.report import write_run_report
 from pyomo_quad.report.style import styled_flights
 from pyomo_quad.report.tables import write_table
+from pyomo_quad.report.zones import faces
 from pyomo_quad.scenario import load_scenario
-from pyomo_quad.study.comparison import leg_table
+from pyomo_quad.study.comparison import compare_flights, leg_table
 from pyomo_quad.study.front import energy_time_front
-from tests.synthetic_run import synthetic_run
+from tests.synthetic_run import HOVER_ENERGY_J, synthetic_certificate, synthetic_run
 
 ZONES = """[
     {name = "mast", shape = "cylinder", centre = [2.0, 5.0], radius = 1.0, bottom = 0.0, top = 6.0},
@@ -55,6 +63,99 @@ def test_energies_stand_beside_their_bars_and_not_on_them(run):
         [flight.energy_J for flight in flights], abs=0.05
     )
     assert whole.get_xlim()[1] > max(ends)
+
+
+@pytest.fixture(scope="module")
+def late():
+    """Return a run whose baseline takes 1.5 times as long, and less above its own hover floor."""
+    run = synthetic_run("scenarios/paper_calm.toml", AIRSPACE, ("optimal", "adaptive/step"))
+    slow = run.flights[1]
+    frame = slow.frame
+    slow.frame = frame.assign(time_s=1.5 * frame["time_s"], energy_J=1.3 * frame["energy_J"])
+    slow.duration_s, slow.energy_J = 1.5 * slow.duration_s, 1.3 * slow.energy_J
+    slow.terminal_miss_m, slow.terminal_miss = 0.0, {}
+    run.comparison = compare_flights(
+        run.scenario, run.flights, synthetic_certificate(), HOVER_ENERGY_J
+    )
+    first, second = run.comparison["excess_energy_J"]
+    assert second < 0.0 < first  # above the floors the dearer flight seems the cheaper
+    return run
+
+
+def test_flights_of_other_durations_are_compared_by_their_total_energy(late):
+    flights = styled_flights(late.flights)
+    drawn = comparison_drawings(flights, HOVER_ENERGY_J, frozenset(), late.scenario)
+    overview, split = (drawing.draw() for drawing in drawn)
+    _, over_time, in_total = overview.axes
+    spent = [flight.energy_J for flight in late.flights]
+    assert [bar.get_width() for bar in in_total.patches] == pytest.approx(spent)
+    assert [line.get_ydata()[-1] for line in over_time.get_lines()] == pytest.approx(spent)
+    floors = [lines.get_segments()[0][0, 0] for lines in in_total.collections]
+    assert floors == pytest.approx(late.comparison["hover_energy_J"])
+    beside = [number.xy[0] for number in in_total.texts]
+    assert beside == pytest.approx(np.maximum(spent, floors))
+    assert [bar.get_width() for bar in split.axes[1].patches] == pytest.approx(
+        [0.0, spent[1] - spent[0]]
+    )
+    assert "energy that each flight has spent, and" in drawn[0].caption
+    bars = draw_energy_by_scenario(late.comparison).axes[0].patches
+    assert [bar.get_width() for bar in bars] == pytest.approx(spent)
+
+
+def test_flights_of_one_duration_are_told_apart_above_hovering(run):
+    flights = styled_flights(run.flights)
+    overview, split = (
+        draw(flights, HOVER_ENERGY_J, frozenset(), *mission)
+        for draw, mission in ((draw_overview, (run.scenario,)), (draw_energy_split, ()))
+    )
+    above = [flight.energy_J - HOVER_ENERGY_J for flight in flights]
+    ends = {line.get_label(): line.get_ydata()[-1] for line in overview.axes[1].get_lines()}
+    assert [ends[flight.name] for flight in flights] == pytest.approx(above)
+    assert [bar.get_width() for bar in split.axes[1].patches] == pytest.approx(above)
+    floors = [lines.get_segments()[0][0, 0] for lines in overview.axes[2].collections]
+    assert floors == pytest.approx([HOVER_ENERGY_J] * 2)
+
+
+def test_time_axes_show_every_flight_to_its_end(late):
+    flights = styled_flights(late.flights)
+    overview = draw_overview(flights, HOVER_ENERGY_J, frozenset(), late.scenario)
+    energy = draw_energy(flights, HOVER_ENERGY_J)
+    for axes in (overview.axes[1], energy.axes[-1]):
+        assert axes.get_xlim() == pytest.approx((0.0, late.flights[1].duration_s))
+
+
+def test_the_view_in_space_has_one_scale_and_shows_the_zones(run):
+    flights, zones = styled_flights(run.flights), run.scenario.airspace.keep_out
+    overview = draw_overview(flights, HOVER_ENERGY_J, frozenset(), run.scenario)
+    for figure in (overview, draw_path(flights, run.scenario)):
+        space = figure.axes[0]
+        sides = np.ptp([space.get_xlim(), space.get_ylim(), space.get_zlim()], axis=1)
+        per_metre = space._box_aspect / sides
+        assert per_metre == pytest.approx(np.full(3, per_metre[0]))
+        assert len(space.collections) == len(zones)
+    limits = np.tile([-50.0, 50.0], (3, 1))
+    surfaces = {zone.name: faces(zone, limits) for zone in zones}
+    for zone in zones:
+        assert np.abs(zone.depth(np.concatenate(surfaces[zone.name]))).max() < 1e-12
+    areas = {name: sum(map(area, held)) for name, held in surfaces.items()}
+    assert areas["shed"] == pytest.approx(2 * (2 * 1 + 2 * 2 + 1 * 2))
+    assert areas["mast"] == pytest.approx(2 * np.pi * 1.0 * (6.0 + 1.0), rel=0.01)
+    assert areas["kite"] == pytest.approx(4 * np.pi * 0.5**2, rel=0.02)
+
+
+def area(face):
+    """Return the area of a flat polygon: half the sum of the cross products of its corners."""
+    return np.linalg.norm(np.cross(face, np.roll(face, -1, axis=0)).sum(axis=0)) / 2
+
+
+def test_zones_are_cut_off_where_the_picture_ends(run):
+    mast = run.scenario.airspace.keep_out[0]
+    limits = np.array([(1.0, 2.0), (4.0, 6.0), (2.0, 5.0)])
+    cut = faces(mast, limits)
+    # Half of the wall is left and neither end.
+    assert sum(map(area, cut)) == pytest.approx(np.pi * 1.0 * 3.0, rel=0.01)
+    corners = np.concatenate(cut)
+    assert np.all((limits[:, 0] - 1e-12 <= corners) & (corners <= limits[:, 1] + 1e-12))
 
 
 def test_legs_of_an_even_flight_share_way_and_energy_by_their_time(run):

@@ -1,13 +1,16 @@
 """What a report says to whoever knows none of its words, and energy as people ask for it."""
 
 import re
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from pyomo_quad.flight import PlanStatus
 from pyomo_quad.report import Figures
-from pyomo_quad.report.report import write_run_report, write_solve_report
+from pyomo_quad.report.report import climb_of, write_run_report, write_solve_report
+from pyomo_quad.scenario import load_scenario
 from tests.synthetic_run import (
     LOWER_BOUND_J,
     synthetic_failure,
@@ -110,3 +113,74 @@ def test_a_wind_that_was_not_told_is_said_at_once(tmp_path):
     assert "that is so in the wind that the plan was told; in the one that blows" in (
         opening(tmp_path)
     )
+
+
+def climb_said(folder, run):
+    write_run_report(folder, run, Figures.NONE)
+    text = (folder / "report.md").read_text(encoding="utf-8")
+    return next((part for part in text.split("\n\n") if "Climbing is free" in part), None)
+
+
+def test_a_climb_that_the_power_model_gives_away_is_said_beside_the_numbers(run, report):
+    text = (report / "report.md").read_text(encoding="utf-8")
+    said = text.split("\n\n")[3]
+    vehicle, climb_m = run.scenario.vehicle, 8.0
+    potential = vehicle.total_mass * run.scenario.gravity * climb_m
+    assert said.startswith("**Climbing is free in this power model.** The mission climbs 8 m, ")
+    assert f"adds {potential:.1f} J of potential energy" in said
+    spent = run.plan.energy - run.plan.hover_energy_J
+    assert f"the optimum takes {spent:.2f} J more than hovering" in said
+
+
+@pytest.mark.parametrize(
+    ("overrides", "above_hover_J"),
+    [
+        ((), 150.0),
+        (("power.model='momentum'", "vehicle.rotor_radius=0.12"), 2.0),
+        (("mission.start.position=[0, 0, 9]",), 2.0),
+    ],
+    ids=["paid for", "priced", "a descent"],
+)
+def test_a_climb_that_is_paid_for_is_not_called_free(overrides, above_hover_J, tmp_path):
+    run = synthetic_run("scenarios/paper_calm.toml", overrides)
+    run.plan.hover_energy_J = run.plan.energy - above_hover_J
+    assert climb_said(tmp_path, run) is None
+
+
+def test_a_saving_over_the_autopilot_stands_beside_the_autopilots_settings(tmp_path):
+    run = synthetic_run(
+        "scenarios/paper_calm.toml",
+        ("baseline.cruise_acceleration=6.0", "baseline.cruise_jerk=8.0"),
+    )
+    cruise = run.comparison["flight"] == "adaptive/minimum_snap"
+    run.comparison.loc[cruise, "flight"] = "adaptive/cruise 2 m/s"
+    write_run_report(tmp_path, run, Figures.NONE)
+    text = (tmp_path / "report.md").read_text(encoding="utf-8")
+    headline = next(part for part in text.split("\n\n") if part.startswith("> "))
+    assert "than `adaptive/cruise 2 m/s` in its 10.00 s" in headline
+    assert "accelerates by up to 6 m/s², with a jerk of up to 8 m/s³" in headline
+
+
+README = " ".join(Path("README.md").read_text(encoding="utf-8").split())
+
+
+def test_the_readme_says_that_climbing_is_free_where_the_energies_stand():
+    scenario = load_scenario("scenarios/paper_calm.toml")
+    _, potential = climb_of(scenario)
+    frame = pd.read_csv("reports/paper_calm/comparison.csv").set_index("flight")
+    spent = frame.excess_energy_J["optimal"]
+    first_table = README.index("| optimum | adaptive, smooth reference")
+    said = README[first_table : README.index("Free to choose its time")]
+    assert f"8 m are {potential:.0f} J of potential energy" in said
+    assert f"{spent:.2f} J more than hovering" in said
+
+
+def test_the_readme_says_on_which_settings_of_the_autopilot_its_savings_rest():
+    parcel = load_scenario("scenarios/parcel.toml")
+    frame = pd.read_csv("reports/parcel/comparison.csv")
+    cruise = frame[frame.flight.str.startswith("adaptive/cruise")]
+    cheapest = cruise.loc[cruise.energy_J.idxmin()]
+    limit = f"{parcel.baseline.cruise_acceleration:g} m/s²"
+    saved = f"`parcel` saves {cheapest.saving_percent:.1f} %"
+    assert f"{saved} where the autopilot accelerates by up to {limit}" in README
+    assert "run scenarios/parcel.toml --set baseline.cruise_acceleration=6" in README

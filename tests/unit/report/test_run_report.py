@@ -143,7 +143,7 @@ def test_cheapest_rival_is_named_when_the_fair_one_did_not_arrive(tmp_path):
 def test_without_a_rival_the_optimum_stands_alone(tmp_path):
     run = synthetic_run(flights=("optimal", "adaptive/step"))
     text = write(tmp_path, run)
-    assert "> **Verified.** The optimal flight spends 711.70 J: 2.10 J above what" in text
+    assert "> **Verified.** The optimal flight spends 711.70 J: 2.10 J more than hovering" in text
 
 
 @pytest.mark.usefixtures("_no_figures")
@@ -276,12 +276,45 @@ def test_replanned_flights_are_told_by_what_they_knew_and_how_long_their_solves_
     text = write(tmp_path, run)
     assert "Every 0.25 s the rest of the mission is solved again" in text
     assert re.search(
-        r"\| `mpc/estimated` \| 723.80 \| [\d.e-]+ \| yes \| 4 \| 1 \| 1 \| 20 \| 88 \| 100 \|",
+        r"\| `mpc/estimated` \| 723.80 \| [\d.e-]+ \| yes \| 4 \| 1 \| 1 \| 0 "
+        r"\| 20 \| 88 \| 100 \|",
         text,
     )
     table = pd.read_csv(tmp_path / "replanning.csv")
     assert table["solve_95_percent_s"].tolist() == pytest.approx([0.088])
     assert "Limits are broken by" not in text
+
+
+@pytest.mark.usefixtures("_no_figures")
+def test_solves_are_late_by_the_times_that_stand_beside_the_count(tmp_path):
+    """The stated clock charges a flight 60 ms for every solve, so that none was late in it."""
+    run = synthetic_run(overrides=("baseline.mpc.interval=0.2",))
+    run.flights[1].name = "mpc/told"
+    run.flights[1].resolves = tuple(
+        Resolve(t=0.2 * k, arrived_at=0.2 * k + 0.06, solve_s=s, is_converged=True, is_late=False)
+        for k, s in enumerate((0.05, 0.0601, 0.19, 0.201, 0.375))
+    )
+    text = write(tmp_path, run)
+    (row,) = pd.read_csv(tmp_path / "replanning.csv").to_dict("records")
+    assert (row["solves"], row["late"], row["beyond_interval"]) == (5, 4, 2)
+    assert row["solve_longest_s"] == 0.375
+    assert "| Late: over 60 ms | Over the interval of 200 ms |" in text
+    assert "ask for a computer on which none is late" in text
+
+
+@pytest.mark.usefixtures("_no_figures")
+def test_a_flight_below_hovering_is_said_to_take_less(tmp_path):
+    run = synthetic_run("scenarios/paper_calm.toml", flights=("optimal", "adaptive/quintic"))
+    run.plan.hover_energy_J = run.plan.energy + 2304.69
+    run.comparison["saving_of_excess_percent"] = np.nan
+    run.comparison.loc[0, "saving_percent"] = np.nan
+    text = write(tmp_path, run)
+    assert "; it takes 2304.69 J less than hovering for the same 10 s (" in text
+    run.comparison["saving_percent"] = np.nan
+    (tmp_path / "alone").mkdir()
+    text = write(tmp_path / "alone", run)
+    assert "J: 2304.69 J less than hovering for the same 10 s takes (" in text
+    assert "-2304" not in text
 
 
 @pytest.mark.usefixtures("_no_figures")

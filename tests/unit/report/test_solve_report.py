@@ -105,7 +105,7 @@ def test_failure_names_cause_equation_and_limit(run, tmp_path):
     cause = "mission.duration = 2 s is 1.4 s too short: within rotors.omega"
     assert f"> **Failed, infeasible.** No flight was found: {cause}" in text
     assert "| `rigid_body.z_balance` | 5 | 0.8819 | 3.6 | `N` |" in text
-    assert "| `rotors.omega` | 1047.2 | `rad/s` | 62 |" in text
+    assert "| speed of rotor | 1047.2 | rad/s | 62 |" in text
 
 
 @pytest.mark.usefixtures("_no_figures")

@@ -11,7 +11,12 @@ from pyomo_quad.flight import Flight
 from pyomo_quad.scenario import scenario_from_mapping
 from pyomo_quad.study.certificate import Certificate
 from pyomo_quad.study.comparison import ComparisonColumn as Column
-from pyomo_quad.study.comparison import combine, compare_flights, has_arrived
+from pyomo_quad.study.comparison import (
+    against_hovering,
+    combine,
+    compare_flights,
+    has_arrived,
+)
 
 MISSION = {"goal": {"position": [3.0, 0.0, 4.0]}, "duration": 4.0}
 BOUND = Certificate(lower_bound_J=380.0, hover_energy_J=400.0, applies=True, reason="")
@@ -139,6 +144,16 @@ def test_energy_below_hover_has_no_share_above_it():
     table = compared(flight("optimal", 390.0), flight("adaptive/quintic", 395.0))
     assert table.loc["adaptive/quintic", Column.SAVING] == pytest.approx(100 * 5 / 395)
     assert np.isnan(table.loc["adaptive/quintic", Column.SAVING_OF_EXCESS])
+
+
+def test_an_optimum_below_hovering_saves_no_share_of_what_lies_above_it():
+    """It would save more than all of it: 105 J of the 5 J that the quintic takes above hovering."""
+    table = compared(flight("optimal", 300.0), flight("adaptive/quintic", 405.0))
+    row = table.loc["adaptive/quintic"]
+    assert row[Column.SAVING] == pytest.approx(100 * 105 / 405)
+    assert np.isnan(row[Column.SAVING_OF_EXCESS])
+    assert against_hovering(-100.0) == "100.00 J less than hovering"
+    assert against_hovering(5.0, digits=1) == "5.0 J more than hovering"
 
 
 def test_flights_of_other_durations_stand_on_other_floors():

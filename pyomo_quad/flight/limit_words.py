@@ -1,0 +1,66 @@
+"""The limits of the declared model as users call them, in units that they can picture.
+
+Limits of a model of the user's own keep the names and units that the user gave them.
+"""
+
+from math import sqrt
+
+from pyomo_quad.collocation import Violation
+
+#: Name of a limit without its index -> words, with the place of the rotor, waypoint or zone.
+WORDS = {
+    "airspace.ceiling_limit": "ceiling",
+    "airspace.floor_limit": "floor",
+    "airspace.keep_out": "keep-out {}",
+    "limits.battery_current_limit": "battery current",
+    "limits.battery_power_limit": "power left in the battery",
+    "limits.battery_voltage_limit": "battery voltage",
+    "limits.motor_braking_limit": "lag of motor {} while it slows down",
+    "limits.motor_lag_limit": "lag of motor {} while it speeds up",
+    "limits.pitch_limit": "pitch angle",
+    "limits.pitch_moment_limit": "pitch moment",
+    "limits.roll_limit": "roll angle",
+    "limits.roll_moment_limit": "roll moment",
+    "limits.rotor_acceleration_limit": "acceleration of rotor {}",
+    "limits.rotor_speed_limit": "speed of rotor {}",
+    "limits.speed_limit": "speed over ground",
+    "limits.state_of_charge_limit": "state of charge",
+    "limits.thrust_limit": "total thrust",
+    "limits.yaw_moment_limit": "yaw moment",
+    "mission.hold_distance": "distance from hold place {}",
+    "mission.hold_speed": "speed at hold place {}",
+    "mission.passing_near": "distance from waypoint {}",
+    "mission.passing_speed": "speed at waypoint {}",
+    "mission.yaw_keeping": "turning while the heading is kept",
+    "rotors.alpha": "acceleration of rotor {}",
+    "rotors.omega": "speed of rotor {}",
+}
+# The equations number waypoints from 0, and every figure and table from 1, as the mission's legs.
+_COUNTED_FROM_0 = "mission."
+_UNITS = {"N*m": "N m", "rad/s**2": "rad/s²"}
+# The equations limit the squares of lengths of vectors, which have a derivative at zero.
+_ROOTS = {"m**2": "m", "m**2/s**2": "m/s"}
+
+
+def limit_words(name: str) -> str:
+    """Return how users call a limit, "speed at hold place 1" of ``mission.hold_speed[0]``."""
+    declared, _, index = name.partition("[")
+    index = index.removesuffix("]")
+    if declared.startswith(_COUNTED_FROM_0) and index.isdecimal():
+        index = str(int(index) + 1)
+    return WORDS[declared].format(index).rstrip() if declared in WORDS else name
+
+
+def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
+    """Return an amount of a limit and its unit as users know them: m/s of m**2/s**2."""
+    if name.partition("[")[0] not in WORDS:
+        return size, unit
+    return (sqrt(size), _ROOTS[unit]) if unit in _ROOTS else (size, _UNITS.get(unit, unit))
+
+
+def breach_words(breach: Violation, unit: str) -> str:
+    """Return which limit is broken, and by how much: "roll angle by 0.15 rad"."""
+    # Of a square it is how far the length lies beyond its limit, not the root of the difference.
+    reached, plain = limit_amount(breach.name, abs(breach.bound) + breach.size, unit)
+    size = reached - limit_amount(breach.name, abs(breach.bound), unit)[0]
+    return f"{limit_words(breach.name)} by {size:.2g} {plain}".rstrip()

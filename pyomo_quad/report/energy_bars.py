@@ -1,0 +1,159 @@
+"""Energies of flights as bars: whole, above hovering, and scenario by scenario."""
+
+from collections.abc import Sequence
+from itertools import zip_longest
+from typing import Any
+
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pyomo_quad.report.style import (
+    FULL_WIDTH,
+    INK,
+    MUTED,
+    PALE,
+    StyledFlight,
+    flight_styles,
+    take_one_time,
+)
+from pyomo_quad.study.certificate import SAME_TIME
+from pyomo_quad.study.comparison import ComparisonColumn
+
+_ROW, _EDGES = 0.32, 0.95  # inches
+BAR_WIDTH = 0.62  # of the row
+_ABSENT = 0.35  # opacity
+_TITLE = 0.35  # inches
+_NUMBER_ROOM = 1.28  # the axis goes on past the longest bar for the numbers beside the bars
+
+
+def draw_energy_split(
+    flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
+) -> Figure:
+    """Draw bars of the whole energy from zero, and beside it of where the flights differ.
+
+    That is the energy above the hover floor, or, where flights take other times and the floors
+    differ too, the energy that each takes more than the first.
+    """
+    height = _EDGES + _ROW * len(flights)
+    figure = Figure(figsize=(FULL_WIDTH, height))
+    whole, apart = figure.subplots(1, 2, sharey=True)
+    figure.subplots_adjust(
+        left=0.24, right=0.99, top=1 - 0.3 / height, bottom=0.62 / height, wspace=0.07
+    )
+    longest = []
+    for row, flight in enumerate(flights):
+        hover = hover_energy_J * flight.duration_s / flights[0].duration_s
+        whole.barh(row, hover, color=PALE, edgecolor=MUTED, linewidth=0.6, height=BAR_WIDTH)
+        whole.barh(row, flight.energy_J - hover, left=hover, **bar_look(flight))
+        longest.append(max(hover, flight.energy_J))
+    _write_values(whole, [flight.energy_J for flight in flights], longest)
+    _make_room(whole, longest)
+    whole.set(title="Whole: hover floor (grey) and the rest", xlabel="Energy (J)")
+    least, title = hover_energy_J, "Above the hover floor only"
+    if not take_one_time(flights):
+        least, title = flights[0].energy_J, f"More than {flights[0].name}"
+    draw_bars(apart, flights, [flight.energy_J - least for flight in flights], absent)
+    apart.set(title=title, xlabel=f"Energy (J){absence_note(absent)}")
+    return figure
+
+
+def draw_bars(
+    axes: Axes,
+    flights: Sequence[StyledFlight],
+    values: Sequence[float],
+    absent: frozenset[str],
+    marks: Sequence[float] = (),
+) -> None:
+    """Draw one bar per flight, the first on top, with its value beside it and beside its mark."""
+    for row, (flight, value) in enumerate(zip(flights, values, strict=True)):
+        axes.barh(row, value, **bar_look(flight))
+    annotate_bars(axes, values, marks)
+    labels = [f"{f.name} *" if f.name in absent else f.name for f in flights]
+    axes.set_yticks(range(len(flights)), labels)
+    axes.invert_yaxis()
+
+
+def absence_note(absent: frozenset[str]) -> str:
+    """Return what the stars behind names mean, if there are any."""
+    return ", * did not arrive" if absent else ""
+
+
+def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
+    """Draw one bar per flight for its energy, a panel per scenario, one scale.
+
+    It is the energy above hovering where the flights of every scenario take one time, else the
+    whole energy: above different hover floors it would rank flights by their time.
+    """
+    is_above = takes_one_time_each(comparison)
+    energies = comparison[ComparisonColumn.EXCESS_ENERGY].astype(float)
+    if not is_above:
+        energies = energies + comparison[ComparisonColumn.HOVER_ENERGY]
+    scenarios = list(comparison.groupby(ComparisonColumn.SCENARIO, sort=False))
+    counts = [len(rows) for _, rows in scenarios]
+    height = _EDGES + _ROW * sum(counts) + _TITLE * len(counts)
+    figure = Figure(figsize=(FULL_WIDTH, height))
+    panels = figure.subplots(len(counts), 1, sharex=True, squeeze=False, height_ratios=counts)
+    figure.subplots_adjust(
+        left=0.24, right=0.99, top=1 - 0.3 / height, bottom=0.5 / height, hspace=0.35
+    )
+    for axes, (name, rows) in zip(panels.flat, scenarios, strict=True):
+        names = tuple(rows[ComparisonColumn.FLIGHT])
+        spent = energies[rows.index].to_numpy()
+        arrived = rows[ComparisonColumn.ARRIVED].astype(bool)
+        for row, style in enumerate(flight_styles(names).values()):
+            opacity = 1.0 if arrived.iloc[row] else _ABSENT
+            axes.barh(row, spent[row], color=style.color, height=BAR_WIDTH, alpha=opacity)
+        axes.set_yticks(range(len(names)), names)
+        axes.invert_yaxis()
+        axes.set_title(str(name))
+        _write_values(axes, spent.tolist(), spent.clip(min=0.0).tolist())
+    _make_room(panels[-1, 0], energies.tolist())
+    panels[-1, 0].set_xlabel("Energy above hovering (J)" if is_above else "Energy (J)")
+    return figure
+
+
+def takes_one_time_each(comparison: pd.DataFrame) -> bool:
+    """Say whether the flights of each scenario of a comparison take equal times."""
+    times = comparison.groupby(ComparisonColumn.SCENARIO)[ComparisonColumn.DURATION]
+    return bool((times.max() <= times.min() * (1.0 + SAME_TIME)).all())
+
+
+def bar_look(flight: StyledFlight) -> dict[str, Any]:
+    """Return how the bar of a flight looks in every figure."""
+    style = flight.style
+    return {
+        "color": style.color,
+        "edgecolor": "white",
+        "hatch": style.hatch,
+        "linewidth": 0.0,
+        "height": BAR_WIDTH,
+    }
+
+
+def annotate_bars(axes: Axes, values: Sequence[float], marks: Sequence[float] = ()) -> None:
+    """Write each value beside its bar, and beside its mark where that lies further out."""
+    beside = [max(ends) for ends in zip_longest(values, marks, fillvalue=0.0)]
+    _write_values(axes, values, beside)
+    _make_room(axes, [*values, *marks])
+
+
+def _write_values(axes: Axes, values: Sequence[float], beside: Sequence[float]) -> None:
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)
+    for row, (value, at) in enumerate(zip(values, beside, strict=True)):
+        axes.annotate(
+            f"{value:.1f}",
+            (at, row),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            color=INK,
+        )
+
+
+def _make_room(axes: Axes, values: Sequence[float]) -> None:
+    low, high = min(0.0, *values), max(0.0, *values)
+    axes.set_xlim(low * _NUMBER_ROOM, low + (high - low) * _NUMBER_ROOM)
+    if low < 0.0:
+        axes.axvline(0.0, color=MUTED, linewidth=0.6)

@@ -1,0 +1,90 @@
+"""Keep-out zones as a picture shows them: outlines along an axis, and faces in space."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.patches import Circle, Patch, Rectangle
+from numpy.typing import NDArray
+
+from pyomo_quad.scenario.airspace import KeepOut, Shape
+
+ZONE_COLOR = "#a33a2a"  # as in the page's view
+_ROUND = 36  # corners of a circle
+
+FloatArray = NDArray[np.float64]
+
+
+def outline(zone: KeepOut, directions: tuple[int, int], clearance: float = 0.0) -> Patch:
+    """Return the shape of a zone, its clearance around it, as seen along an axis."""
+    for ball in zone.balls:
+        if set(directions) <= set(ball.axes):
+            middle = [ball.centre[ball.axes.index(axis)] for axis in directions]
+            return Circle((middle[0], middle[1]), ball.radius + clearance)
+    low, high = box_around(zone)
+    (left, below), (right, above) = low[list(directions)], high[list(directions)]
+    return Rectangle(
+        (left - clearance, below - clearance),
+        right - left + 2 * clearance,
+        above - below + 2 * clearance,
+    )
+
+
+def box_around(zone: KeepOut) -> FloatArray:
+    """Return the least and the greatest corner of the smallest box around a zone, shape (2, 3)."""
+    sides = {
+        axis: (centre - ball.radius, centre + ball.radius)
+        for ball in zone.balls
+        for axis, centre in zip(ball.axes, ball.centre, strict=True)
+    }
+    return np.array([sides[axis] for axis in range(3)]).T
+
+
+def faces(zone: KeepOut, limits: FloatArray) -> list[FloatArray]:
+    """Return the surface of a zone inside a box: polygons, each with corners of shape (n, 3).
+
+    ``limits`` has a row of low and high for each axis; the faces are cut off there.
+    """
+    cut = (_clipped(face, limits) for face in _whole_faces(zone))
+    return [face for face in cut if len(face)]
+
+
+def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:
+    """Yield the faces of a stack of rings, each a cross-section at its height."""
+    low, high = box_around(zone)
+    middle, half = (low + high) / 2, (high - low) / 2
+    if zone.shape is Shape.BOX:
+        ring = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+    else:
+        angles = np.linspace(0.0, 2 * np.pi, _ROUND, endpoint=False)
+        ring = np.column_stack([np.cos(angles), np.sin(angles)])
+    levels = np.array([(1.0, -1.0), (1.0, 1.0)])  # width of the ring, height
+    if zone.shape is Shape.SPHERE:
+        slopes = np.linspace(-np.pi / 2, np.pi / 2, _ROUND // 2 + 1)
+        levels = np.column_stack([np.cos(slopes), np.sin(slopes)])
+    rings = [
+        middle + half * np.column_stack([width * ring, np.full(len(ring), height)])
+        for width, height in levels
+    ]
+    if zone.shape is not Shape.SPHERE:
+        yield rings[0]
+        yield rings[-1]
+    for below, above in pairwise(rings):
+        for k in range(len(ring)):
+            yield np.array([below[k - 1], below[k], above[k], above[k - 1]])
+
+
+def _clipped(face: FloatArray, limits: FloatArray) -> FloatArray:
+    """Cut a convex polygon off at the sides of a box, by the rule of Sutherland and Hodgman."""
+    for axis, ends in enumerate(limits):
+        for side, end in zip((1.0, -1.0), ends, strict=True):
+            inside = side * (face[:, axis] - end)
+            corners = []
+            for k in range(len(face)):
+                if inside[k - 1] * inside[k] < 0.0:
+                    share = inside[k - 1] / (inside[k - 1] - inside[k])
+                    corners.append(face[k - 1] + share * (face[k] - face[k - 1]))
+                if inside[k] >= 0.0:
+                    corners.append(face[k])
+            face = np.reshape(corners, (-1, 3))
+    return face
