@@ -14,7 +14,12 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "pyomo_quad"
 THEORY = ROOT / "docs" / "theory"
 MODULES = sorted(PACKAGE.rglob("*.py"))
-DOCUMENTS = sorted((ROOT / "docs").rglob("*.md"))
+DOCUMENTS = [
+    *sorted((ROOT / "docs").rglob("*.md")),
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "README.md",
+    PACKAGE / "collocation" / "README.md",
+]
 PAGES = [page for page in sorted(THEORY.glob("*.md")) if page.name != "README.md"]
 
 _SEE = re.compile(r"\b[Ss]ee\s+(?!it\b|them\b)")
