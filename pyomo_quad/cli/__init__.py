@@ -20,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ.setdefault("OMP_NUM_THREADS", "1")
         end_on_signals()
         gc.set_threshold(_MANY, *gc.get_threshold()[1:])
-    from pyomo_quad.cli import commands  # noqa: PLC0415  see above
+    from pyomo_quad.cli import commands  # noqa: PLC0415  after signals are caught
 
     status = commands.main(arguments)
     return status if arguments is not None else leave(status)

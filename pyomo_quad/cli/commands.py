@@ -104,7 +104,7 @@ def fly(
     folder = folder_of(resolved, out or _own_folder(resolved, (*flown, followed or knowledge)))
     refuse_output_folder(folder)
     with watch.phase("import"):
-        from pyomo_quad.cli import flying, solving  # noqa: PLC0415  take a while, see there
+        from pyomo_quad.cli import flying, solving  # noqa: PLC0415  takes seconds
     if plant is Plant.ROTORPY:
         flying.refuse_outside(resolved)
     planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
@@ -194,7 +194,7 @@ def run(
     folder = folder_of(resolved, out)
     refuse_output_folder(folder)
     with watch.phase("import"):
-        from pyomo_quad.cli import solving  # noqa: PLC0415  takes a while, see there
+        from pyomo_quad.cli import solving  # noqa: PLC0415  takes seconds
         from pyomo_quad.report.report import prepare_figures, write_run_report  # noqa: PLC0415
         from pyomo_quad.study.run import run_scenario  # noqa: PLC0415
     planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
@@ -230,7 +230,7 @@ def compare(
     """
     missions = [load_scenario(file, overrides or ()) for file in scenarios]
     refuse_output_folder(out)
-    from pyomo_quad.cli import solving  # noqa: PLC0415  takes a while, see there
+    from pyomo_quad.cli import solving  # noqa: PLC0415  takes seconds
     from pyomo_quad.report.report import RunRecord, find_run, write_compare_report  # noqa: PLC0415
     from pyomo_quad.study.comparison import combine  # noqa: PLC0415
     from pyomo_quad.study.run import run_scenario  # noqa: PLC0415
@@ -292,7 +292,7 @@ def solve(
     folder = folder_of(resolved, out)
     refuse_output_folder(folder)
     with watch.phase("import"):
-        from pyomo_quad.cli import solving  # noqa: PLC0415  takes a while, see there
+        from pyomo_quad.cli import solving  # noqa: PLC0415  takes seconds
         from pyomo_quad.report.report import write_solve_report  # noqa: PLC0415
         from pyomo_quad.study.check import plan_cautions  # noqa: PLC0415
     planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)

@@ -1,4 +1,7 @@
-"""Costates: what the multipliers of a solution say of the states over time, and how well."""
+"""Costates from the multipliers of a solution, by the covector mapping, and their errors.
+
+Derivation and sign rule: see docs/theory/transcription.md, eqs. (9) to (13).
+"""
 
 from __future__ import annotations
 

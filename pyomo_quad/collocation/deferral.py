@@ -19,7 +19,7 @@ def _unseen(*names: str) -> Iterator[None]:
 # What it finds it completes at once, as `pyomo_unaware` says.
 with _unseen("scipy", "matplotlib"):
     from pyomo.common import dependencies
-from pyomo.core.base.units_container import PyomoUnitsContainer, units  # noqa: E402  see above
+from pyomo.core.base.units_container import PyomoUnitsContainer, units  # noqa: E402  after Pyomo's dependencies
 
 
 @contextmanager

@@ -1,4 +1,7 @@
-"""The mesh, its flipped Radau points, and the polynomials through values on it."""
+"""The mesh, its flipped Radau points, and the polynomials through values on it.
+
+See docs/theory/transcription.md, eqs. (1) to (3) and (8).
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
 """The adaptive controller that stands in for the one the paper cites.
 
+Law, Lyapunov proof and limits: see docs/theory/controller.md, eqs. (1) to (10).
+
 Its law is written once, with arithmetic and NumPy's functions of single numbers and without a
 branch on any of them: called with numbers it gives numbers, called with the engine's symbols it is
 compiled together with the vehicle.
@@ -336,7 +338,8 @@ def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
 def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> list[float]:
     """Keep an estimate inside a ball by turning aside the outward part of its rate.
 
-    Smooth projection of Krstic, Kanellakopoulos and Kokotovic (1995), appendix E.
+    Smooth projection of Krstic, Kanellakopoulos and Kokotovic (1995): see
+    docs/theory/controller.md, eq. (6).
 
     Parameters
     ----------
@@ -367,7 +370,9 @@ STATES_PER_LOOP = 3 * _AXES
 
 @dataclass(frozen=True, kw_only=True)
 class BacksteppingLoop:
-    """Adaptive backstepping of three double integrators; see the module for law and proof.
+    """Adaptive backstepping of three double integrators.
+
+    Law and proof: see docs/theory/controller.md, eqs. (1) to (7).
 
     Its states, in order: xi_p (3), xi_v (3), d_hat (3).
     """
@@ -607,7 +612,9 @@ _AHEAD = slice(12, COMMAND_SIZE)
 
 
 class AdaptiveController:
-    """Adaptive backstepping of a quadrotor; see the module for the law.
+    """Adaptive backstepping of a quadrotor: two loops, a command filter and an allocation.
+
+    The cascade: see docs/theory/controller.md.
 
     Parameters
     ----------

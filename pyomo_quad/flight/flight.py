@@ -177,7 +177,7 @@ class Flight(Summarised):
     name : str
         "optimal", "adaptive/quintic", "open_loop/plan" and so on.
     frame : DataFrame
-        Dense table, columns of `flight.columns`.
+        Dense table with the columns `COLUMNS`.
     energy_J : float
         Energy spent, integrated with the flight.
     terminal_miss : mapping

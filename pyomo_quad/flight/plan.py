@@ -530,7 +530,7 @@ class Plan(Summarised):
         Returns
         -------
         DataFrame
-            Columns of `flight.columns`.
+            Columns as in `flight.COLUMNS`.
 
         Raises
         ------

@@ -3,6 +3,9 @@
 Nothing of the vehicle is written here.  A trim is the state and the controls at which the very
 equations that were solved leave everything at rest but the place, which moves at a given velocity;
 a model of the user's own is trimmed like the declared one.
+
+The lower bound reads its momentum balance and its power here: see docs/theory/bound.md, eqs. (1)
+and (6).
 """
 
 from __future__ import annotations

@@ -203,7 +203,7 @@ class Verification:
     passing_misses_m : tuple of float
         By how much the flight passes each waypoint further off than allowed.
     battery_imbalance : float
-        See the function of that name.
+        See `battery_imbalance`.
     is_verified : bool
         All of the above within this module's tolerances.
     """

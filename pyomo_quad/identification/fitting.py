@@ -1,5 +1,7 @@
 """Parameters of the declared equations by robust least squares, and what their numbers are worth.
 
+Method: see docs/theory/identification.md, eqs. (2) to (5).
+
 The residual is the mean power of windows of some seconds, measured less computed: over one second
 airspeed and acceleration are noise as much as flight, and a fit to single rows takes that noise
 for a flatter power curve.  Large residuals (gusts, the ground) count less than by their square.

@@ -1,5 +1,7 @@
 """The declared equations at the states of a log: which attitude and thrust flew it, for what power.
 
+Method: see docs/theory/identification.md, eq. (1).
+
 No formula of the vehicle stands here.  Airspeed and acceleration come from the log; attitude and
 rotor speed are those at which the compiled equations give that acceleration, and power is what
 they say of it.

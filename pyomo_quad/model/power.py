@@ -11,13 +11,16 @@ motor_with_friction | v i with friction in the torque | yes | no
 shaft | tau omega | yes, linear | yes
 constant_efficiency | tau omega / eta | yes | yes
 efficiency | tau omega / f_r(tau, omega) | no | no
-momentum | induced, profile and axial, in moving air: see below | yes | yes
+momentum | induced, profile and axial power, in moving air | yes | yes
 
 By default the first three and the last earn what braking gives: theirs are balances that hold
 whichever way the energy flows.  The others do not: a braking power divided by an efficiency
 would earn more than it gave.
 
-Momentum theory, blade drag and climb, in moving air, `power.model momentum`:
+Why accelerating rotors earns nothing: see docs/theory/bound.md, eq. (5).
+
+Momentum theory, blade drag and climb, in moving air, `power.model momentum`; derivation and
+validated range: see docs/theory/momentum_power.md, eqs. (1) to (6).
 
 symbol | name | unit | meaning
 v_i | induced_velocity | m/s | velocity that the rotors add to the air, one for all of them
@@ -35,8 +38,8 @@ Induced velocity: Glauert (1926), v_i sqrt(v_p^2 + (v_a + v_i)^2) = v_h^2.  Wher
 into its own wake momentum theory has no answer, or three; a term of the descent alone, tau v_a^2
 under the root, leaves exactly one as soon as tau exceeds 1/8.  With the tau used here v_i stays
 within 0.13 v_h of the curve that Leishman (2006), eq. (2.96), fits to measurements of sinking
-rotors down to v_a = -0.5 v_h, within 0.4 v_h down to -1.5 v_h, and beyond -1.8 v_h the wind turns
-the rotor.
+rotors down to v_a = -0.5 v_h, within 0.4 v_h down to -1.5 v_h; beyond -1.66 v_h the air flows
+upwards through the rotor.
 
 Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2), with mu = v_p / (omega R); the thrust
 and not the rotor speed sets it, so that it holds over payload and density.  K = 4.65 is Bennett's,
@@ -332,7 +335,7 @@ _VELOCITY = units.m / units.s
 # Where an airspeed changes sign its norm, and the factor of climb or descent, are rounded.
 _AIRSPEED_WIDTH = 1e-2 * _VELOCITY
 _AXIAL_WIDTH = 0.5 * _VELOCITY
-# tau of the module's text.
+# tau of docs/theory/momentum_power.md, eqs. (2) and (3).
 WAKE_FACTOR = 1 / 7.67
 # Induced velocities that the solver may look at, over that of hover.
 _FASTEST_INDUCED = 20.0

@@ -391,7 +391,7 @@ def _page(folder: Path, text: str, result: "RunResult", drawings: "Sequence[Draw
     data = ""
     if drawings and _gallery().PATH_NAME in [drawing.name for drawing in drawings]:
         views, data = _gallery().view_of_paths(result)
-    from pyomo_quad.report.page import render_html  # noqa: PLC0415  see above
+    from pyomo_quad.report.page import render_html  # noqa: PLC0415  only for a page
 
     return render_html(
         text,

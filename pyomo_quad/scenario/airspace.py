@@ -118,7 +118,7 @@ class KeepOut(Part):
 
         Negative outside, where it is the distance beyond the face that is farthest behind.
         """
-        import numpy as np  # noqa: PLC0415  see above
+        import numpy as np  # noqa: PLC0415  see `Ball.depth`
 
         return np.min([ball.depth(places) for ball in self.balls], axis=0)
 

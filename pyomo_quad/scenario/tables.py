@@ -1,4 +1,4 @@
-"""The tables of a scenario beside vehicle and wind: battery, mission, limits, power, solver."""
+"""Tables of a scenario: baselines and their gains, battery, power, solver and limits."""
 
 from collections.abc import Mapping
 from enum import StrEnum

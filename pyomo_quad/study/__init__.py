@@ -1,1 +1,1 @@
-"""Placeholder replaced by the floor's owner."""
+"""Studies of one scenario: run, comparison, lower bound, energy against time, checks."""

@@ -1,4 +1,7 @@
-"""A lower bound on the energy of every flight that meets a mission's boundary conditions."""
+"""A lower bound on the energy of every flight that meets a mission's boundary conditions.
+
+Derivation, proof and variants: see docs/theory/bound.md, eqs. (1) to (11).
+"""
 
 from __future__ import annotations
 
@@ -52,7 +55,8 @@ class ThrustMoments:
     widths : ndarray, shape (n,)
         Widths of a quadrature over the flight, s.
     weights : ndarray, shape (2, n, 3)
-        Weights of (a) and of a combination of (a) and (b), at the nodes of the quadrature.
+        Weights of docs/theory/bound.md, eq. (2), and of a combination of eqs. (2) and (4), at the
+        nodes of the quadrature.
     demanded : ndarray, shape (2, 3)
         What the integrals of the weights times the thrust must be, N s.
     mean_thrust : ndarray, shape (3,)
@@ -125,7 +129,7 @@ def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return the weights of (a) and (b) at times, each of shape (n, 3)."""
+    """Return the weights of docs/theory/bound.md, eqs. (2) and (4), each of shape (n, 3)."""
     left = (duration - times)[:, None] * np.ones_like(rate)
     has_drag = rate > 0.0
     divisor = np.where(has_drag, rate, 1.0)

@@ -259,7 +259,7 @@ def leg_rows(
     mission : Scenario
         With the times at which the flight passes its waypoints (`Plan.mission_flown`).
     flown : mapping or DataFrame
-        The flight, columns of `flight.columns`.
+        The flight, with the columns `flight.COLUMNS`.
 
     Returns
     -------

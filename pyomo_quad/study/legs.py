@@ -1,5 +1,7 @@
 """The bound on a flight in legs: prices of thrust at its passages and of time, chosen together.
 
+Derivation: see docs/theory/bound.md, eqs. (12) and (13).
+
 symbol | meaning
 d_k, T_k, m_k | way of leg k, its duration, and the mass that flies it
 r_k | how far both its ends together may lie from where they are meant to be
@@ -67,7 +69,7 @@ class Leg:
     mass : float
         Share of the mass at the start.
     party : int
-        Legs of one party share a time: see `Flightplan.shared`.
+        Legs of one party share a time: see `Itinerary`.
     end_speed : float
         Largest speed at its end, m/s; infinite where nothing limits it.
     """

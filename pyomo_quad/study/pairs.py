@@ -1,5 +1,7 @@
 """The bound on flights through air: over pairs of thrust and airspeed, where both cost power.
 
+Derivation: see docs/theory/bound.md, eqs. (14) to (19).
+
 symbol | meaning
 u, v, W | thrust, airspeed and the steady wind, world axes
 f(v) | force of the air, against the airspeed

@@ -43,7 +43,7 @@ class RunResult(Summarised):
     certificate : Certificate
         Of the mission in the wind that really blows.
     adaptation : DataFrame or None
-        What adaptation is worth in that wind, see `study.adaptation`; None where none blows.
+        Effect of the adaptation in that wind, see `comparison.adaptation_study`; None in calm air.
     front : DataFrame
         Energy against time, see `study.front`; no rows where the mission fixes its duration.
     timings : mapping

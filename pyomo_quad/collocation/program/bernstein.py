@@ -2,7 +2,7 @@
 
 A polynomial lies in the convex hull of its coefficients in Bernstein's basis [1]_: where these keep
 a bound, so does all of it.  A polynomial need not have them within the bound to keep it, which
-costs something; what, the multipliers tell.
+costs something; what, the multipliers tell: see docs/theory/transcription.md, eqs. (6) and (7).
 
 .. [1] Farouki, "The Bernstein polynomial basis: a centennial retrospective", Computer Aided
    Geometric Design 29 (2012).

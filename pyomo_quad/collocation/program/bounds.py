@@ -1,4 +1,7 @@
-"""Bounds and scales of unknowns and rows, and what they alone show to be unsolvable."""
+"""Bounds and scales of unknowns and rows, and what they alone show to be unsolvable.
+
+Scaling: see docs/theory/refinement.md, eqs. (12) to (15).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Ipopt through cyipopt: options, callbacks, history and the best iterate."""
+"""Ipopt through cyipopt: options, callbacks, history and the best iterate.
+
+The barrier's gap and role: see docs/theory/refinement.md, eq. (16).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Where each unknown and each derivative sits: layout, sparsity patterns, scattered values."""
+"""Layout of the unknowns, sparsity patterns of the derivatives, scattered values.
+
+The compact form: see docs/theory/transcription.md, eq. (4).
+"""
 
 from __future__ import annotations
 

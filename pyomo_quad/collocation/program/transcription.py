@@ -1,4 +1,7 @@
-"""The nonlinear program of a compiled model on one mesh, and the names of its rows."""
+"""The nonlinear program of a compiled model on one mesh, and the names of its rows.
+
+Compact form and quadrature: see docs/theory/transcription.md, eqs. (4) and (5).
+"""
 
 from __future__ import annotations
 

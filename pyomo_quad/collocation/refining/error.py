@@ -1,4 +1,7 @@
-"""How far a solution is from the differential equations, and what that error becomes."""
+"""Error of a solution between its collocation points, and its effect on objective and final states.
+
+Derivations: see docs/theory/refinement.md, eqs. (1) to (3); active limits: eq. (7).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""What small changes do not tell of an optimum: a better control a jump away, and flatness.
+"""Tests by Pontryagin's principle: a better control a jump away, and flatness of the optimum.
+
+Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
 
 A nonlinear program holds each control where small changes gain nothing.  Where the Hamiltonian has
 two valleys that is not enough: a switch then stays wherever the first mesh put it, and no finer

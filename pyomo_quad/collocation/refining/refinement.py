@@ -1,4 +1,7 @@
-"""hp-adaptive refinement: solve, estimate, change the mesh, solve again from there."""
+"""hp-adaptive refinement: solve, estimate, change the mesh, solve again from there.
+
+Damping of controls that enter linearly: see docs/theory/refinement.md, eq. (9).
+"""
 
 from __future__ import annotations
 

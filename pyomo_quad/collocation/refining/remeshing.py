@@ -1,4 +1,7 @@
-"""What becomes of each element: more degree, a split at a junction, less degree, or a merger."""
+"""The next mesh: raise an element's degree, split it, lower its degree, or merge neighbours.
+
+Rules and sources: see docs/theory/refinement.md, eqs. (4) to (6) and (8).
+"""
 
 from __future__ import annotations
 
