@@ -11,6 +11,7 @@ import typer
 
 from pyomo_quad.cli.endings import ExitCode, Stopped, before_the_end
 from pyomo_quad.cli.looking import check, export, init, library, plot, schema
+from pyomo_quad.cli.startup import import_scipy_alone
 from pyomo_quad.cli.studies import identify, outside_plant, paper, polar, predict, rotorpy_vehicle
 from pyomo_quad.cli.sweeping import sweep, sweep_report
 from pyomo_quad.cli.terminal import (
@@ -104,6 +105,7 @@ def fly(
     folder = folder_of(resolved, out or _own_folder(resolved, (*flown, followed or knowledge)))
     refuse_output_folder(folder)
     with watch.phase("import"):
+        import_scipy_alone()
         from pyomo_quad.cli import flying, solving  # noqa: PLC0415  takes seconds
     if plant is Plant.ROTORPY:
         flying.refuse_outside(resolved)
@@ -194,6 +196,7 @@ def run(
     folder = folder_of(resolved, out)
     refuse_output_folder(folder)
     with watch.phase("import"):
+        import_scipy_alone()
         from pyomo_quad.cli import solving  # noqa: PLC0415  takes seconds
         from pyomo_quad.report.report import prepare_figures, write_run_report  # noqa: PLC0415
         from pyomo_quad.study.run import run_scenario  # noqa: PLC0415
@@ -230,6 +233,7 @@ def compare(
     """
     missions = [load_scenario(file, overrides or ()) for file in scenarios]
     refuse_output_folder(out)
+    import_scipy_alone()
     from pyomo_quad.cli import solving  # noqa: PLC0415  takes seconds
     from pyomo_quad.report.report import RunRecord, find_run, write_compare_report  # noqa: PLC0415
     from pyomo_quad.study.comparison import combine  # noqa: PLC0415
@@ -292,6 +296,7 @@ def solve(
     folder = folder_of(resolved, out)
     refuse_output_folder(folder)
     with watch.phase("import"):
+        import_scipy_alone()
         from pyomo_quad.cli import solving  # noqa: PLC0415  takes seconds
         from pyomo_quad.report.report import write_solve_report  # noqa: PLC0415
         from pyomo_quad.study.check import plan_cautions  # noqa: PLC0415

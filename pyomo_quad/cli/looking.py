@@ -16,6 +16,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.cli.startup import import_scipy_alone
 from pyomo_quad.cli.terminal import (
     AllowCode,
     AsJson,
@@ -71,6 +72,7 @@ def check(
     """Validate a scenario and print every field with its unit and where it came from."""
     resolved = load_scenario(scenario, overrides or ())
     # Pyomo takes a second to import: a refused scenario need not wait for it.
+    import_scipy_alone()
     from pyomo_quad.model.build import model_builder  # noqa: PLC0415
     from pyomo_quad.model.screening import inspect_model  # noqa: PLC0415
 

@@ -6,7 +6,6 @@ parameters, horizons and meshes without being built again.
 
 from typing import Any
 
-from pyomo_quad.collocation.deferral import pyomo_unaware
 from pyomo_quad.collocation.diagnosis import ActiveLimit, Diagnosis, Relaxation, Residual, diagnose
 from pyomo_quad.collocation.dynamics import (
     ClosedLoop,
@@ -77,7 +76,6 @@ __all__ = [
     "diagnose",
     "interpolate",
     "interpolate_rates",
-    "pyomo_unaware",
     "real_array",
     "solve",
     "split_algebraics",

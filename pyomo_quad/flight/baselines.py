@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from pyomo_quad.collocation import ClosedLoop, Dynamics, Law, SolveError
+from pyomo_quad.collocation import ClosedLoop, Dynamics, SolveError
 from pyomo_quad.flight.controller import (
     COMMAND_SIZE,
     CONTROLLER_STATES,
     MEASURED_STATES,
     AdaptiveController,
-    VehicleDynamics,
     feedback_law,
     mixer_matrix,
 )
@@ -166,17 +165,14 @@ class ClosedLoopFlight:
 
 def fly(
     *,
-    dynamics: VehicleDynamics,
+    dynamics: Dynamics,
     controller: AdaptiveController,
     reference: ReferencePath,
     initial_state: FloatArray,
     times: FloatArray,
     integrator: Integrator = Integrator.RUNGE_KUTTA,
 ) -> ClosedLoopFlight:
-    """Fly a reference under feedback.
-
-    The law is compiled with the engine's own dynamics; any other vehicle is flown with the law
-    evaluated in numbers.
+    """Fly a reference under feedback; the control law is compiled together with the dynamics.
 
     Parameters
     ----------
@@ -216,7 +212,7 @@ class _Loop:
 
     def __init__(
         self,
-        dynamics: VehicleDynamics,
+        dynamics: Dynamics,
         controller: AdaptiveController,
         reference: ReferencePath,
         *,
@@ -227,10 +223,8 @@ class _Loop:
         self._size = len(dynamics.state_names)
         self._body = [list(dynamics.state_names).index(name) for name in MEASURED_STATES]
         law = feedback_law(controller, dynamics)
-        self._system = (
-            ClosedLoop(dynamics, law, n_command=COMMAND_SIZE, n_own=len(CONTROLLER_STATES))
-            if isinstance(dynamics, Dynamics)
-            else _Interpreted(dynamics, law)
+        self._system = ClosedLoop(
+            dynamics, law, n_command=COMMAND_SIZE, n_own=len(CONTROLLER_STATES)
         )
         self._guard = TumblingGuard("controlled flight", duration)
 
@@ -257,31 +251,6 @@ class _Loop:
             controller_states=rows[:, self._size : -1],
             evaluations=self._guard.evaluations,
         )
-
-
-class _Interpreted:
-    """A vehicle that is not compiled, under a law evaluated as it is written."""
-
-    def __init__(self, dynamics: VehicleDynamics, law: Law) -> None:
-        self._dynamics = dynamics
-        self._law = law
-        self._size = len(dynamics.state_names)
-
-    def rates(self, t: float, joint: FloatArray, command: Sequence[float]) -> FloatArray:
-        """Return the derivative of the joint state."""
-        alpha, own_rates = self._applied(joint, command)
-        rates, power = self._dynamics.rates_and_integrand(t, joint[: self._size], np.array(alpha))
-        return np.array([*rates.tolist(), *own_rates, power])
-
-    def controls(self, _times: FloatArray, rows: FloatArray, commands: FloatArray) -> FloatArray:
-        """Return what is applied at n times, shape (n, n_controls)."""
-        return np.array([self._applied(y, c)[0] for y, c in zip(rows, commands, strict=True)])
-
-    def _applied(
-        self, joint: FloatArray, command: Sequence[float]
-    ) -> tuple[Sequence[float], Sequence[float]]:
-        values = joint.tolist()
-        return self._law(command, values[: self._size], values[self._size : -1])
 
 
 OPEN_LOOP = "open_loop/plan"

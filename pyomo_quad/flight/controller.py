@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pyomo_quad.collocation import Law
+from pyomo_quad.collocation import Dynamics, Law
 from pyomo_quad.flight.references import ReferencePath, Setpoint
 from pyomo_quad.scenario import Attitude, Scenario
 from pyomo_quad.scenario.tables import Limits
@@ -127,29 +127,12 @@ _MIXER_ROWS = (
 )
 
 
-class VehicleDynamics(Protocol):
-    """What the controlled flight asks of compiled equations."""
-
-    state_names: tuple[str, ...]
-    control_names: tuple[str, ...]
-
-    def rates_and_integrand(
-        self, t: float, x: FloatArray, u: FloatArray, /
-    ) -> tuple[FloatArray, float]:
-        """Return dx/dt, shape (n_states,), and the power, W."""
-
-    def evaluate(
-        self, component: str, t: FloatArray, states: FloatArray, controls: FloatArray, /
-    ) -> FloatArray:
-        """Return a component at n points, shape (n,)."""
-
-
-def rotor_columns(dynamics: VehicleDynamics) -> list[int]:
+def rotor_columns(dynamics: Dynamics) -> list[int]:
     """Return where the rotor speeds stand among the states, in the order of the controls.
 
     Parameters
     ----------
-    dynamics : VehicleDynamics
+    dynamics : Dynamics
         With states ``rotors.omega[j]`` for controls ``rotors.alpha[j]``.
 
     Returns
@@ -161,12 +144,12 @@ def rotor_columns(dynamics: VehicleDynamics) -> list[int]:
     return [names.index(name.replace("alpha", "omega")) for name in dynamics.control_names]
 
 
-def mixer_matrix(dynamics: VehicleDynamics) -> FloatArray:
+def mixer_matrix(dynamics: Dynamics) -> FloatArray:
     """Read the mixer, eq. (7), off the declared equations.
 
     Parameters
     ----------
-    dynamics : VehicleDynamics
+    dynamics : Dynamics
         Evaluated with one rotor at a time turning at 1 rad/s.
 
     Returns
@@ -798,7 +781,7 @@ class AdaptiveController:
         return [inertia * a for inertia, a in zip(self._inertia, wanted, strict=True)], rates
 
 
-def feedback_law(controller: AdaptiveController, dynamics: VehicleDynamics) -> Law:
+def feedback_law(controller: AdaptiveController, dynamics: Dynamics) -> Law:
     """Return the controller as a law of a vehicle's states, in their order."""
     body = [list(dynamics.state_names).index(name) for name in MEASURED_STATES]
     rotors = rotor_columns(dynamics)

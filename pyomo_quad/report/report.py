@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pyomo_quad.collocation import pyomo_unaware
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.flight.flight import (
     ARRIVAL_DISTANCE_M,
@@ -381,8 +380,8 @@ def _drawn_meanwhile(drawings: "Sequence[Drawing]", folder: Path) -> AbstractCon
 
 def _gallery() -> ModuleType:
     """Import matplotlib, which takes longer than a solve, where there is something to draw."""
-    with pyomo_unaware():
-        from pyomo_quad.report import gallery  # noqa: PLC0415
+    from pyomo_quad.report import gallery  # noqa: PLC0415
+
     return gallery
 
 

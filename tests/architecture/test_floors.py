@@ -26,7 +26,6 @@ FLOORS = {
 TOP = 6
 # The same inside the engine; files of one floor may import each other one way.
 ENGINE = {
-    "deferral": 0,
     "errors": 0,
     "enclosure": 1,
     "mesh": 0,
