@@ -189,6 +189,17 @@ def test_vehicle_from_a_file_beside_the_scenario(tmp_path):
     assert stored.with_values({"vehicle.payload": 0.2}).vehicle.total_mass == pytest.approx(1.3)
 
 
+def test_what_a_vehicle_file_inherits_names_the_library_that_gave_it(tmp_path):
+    (tmp_path / "mine.toml").write_text(OWN_VEHICLE)
+    file = write_scenario(tmp_path, 'vehicle.use = "mine.toml"', "air.height = 2000.0")
+    said = load_scenario(file).provenance
+    assert said["vehicle.use"] == "scenario"
+    assert said["vehicle.mass"] == said["limits.roll_max"] == "file mine.toml"
+    inherited = ("vehicle.Ix", "vehicle.efficiency_map.cubic", "limits.pitch_max")
+    assert {said[field] for field in inherited} == {"library dji_phantom_2"}
+    assert said["vehicle.thrust_coefficient"].startswith("library dji_phantom_2, in air of ")
+
+
 def test_a_copy_of_the_librarys_file_is_the_same_vehicle(tmp_path):
     from importlib import resources
 
