@@ -44,7 +44,13 @@ from pyomo_quad.scenario.tables import (
     derived_limits,
 )
 from pyomo_quad.scenario.vehicle import Vehicle
-from pyomo_quad.scenario.wind import LARGEST_WIND, LATEST_TIME, STRONGEST_GUST, in_the_air
+from pyomo_quad.scenario.wind import (
+    LARGEST_WIND,
+    LATEST_TIME,
+    STRONGEST_GUST,
+    in_the_air,
+    with_coupling,
+)
 
 LARGEST_FILE_BYTES = 1_000_000
 DEEPEST_NESTING = 8
@@ -463,7 +469,7 @@ DEFAULT_LIBRARY: Mapping[str, str] = {
 }
 
 # A forecast is a wind of its own, told to the same vehicle.
-_INHERITED_BY_FORECAST = ("coupling", "acceleration_coefficient", "frequency_unit")
+_INHERITED_BY_FORECAST = ("acceleration_coefficient", "frequency_unit")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -516,10 +522,11 @@ def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
         tables = _add_library(origin, tables, own, provenance, (table,), kind)
     if isinstance(own.get("wind"), Mapping) and isinstance(own["wind"].get("forecast"), Mapping):
         tables = _add_library(origin, tables, own, provenance, ("wind", "forecast"), "winds")
-        tables = _inherit_coupling(tables, own)
+        tables = _inherit_by_forecast(tables, own)
     tables = _with_assignments(origin, merge(tables, own), indexed=True)
     tables = _add_wind_series(origin, tables, provenance)
     tables = in_the_air(tables, origin.document if origin.is_resolved else None, provenance)
+    tables = with_coupling(tables, own, provenance)
     return Resolution(tables=_add_derived_limits(origin, tables, provenance), provenance=provenance)
 
 
@@ -601,7 +608,7 @@ def _add_library(
     return tables
 
 
-def _inherit_coupling(tables: dict[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+def _inherit_by_forecast(tables: dict[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
     for name in _INHERITED_BY_FORECAST:
         if name in own["wind"]:
             tables = set_value(tables, ("wind", "forecast", name), own["wind"][name])
