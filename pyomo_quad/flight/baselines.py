@@ -35,11 +35,10 @@ from pyomo_quad.flight.plan import Plan, Trajectories
 from pyomo_quad.flight.references import ReferencePath, SampledPath, minimum_snap, quintic, step
 from pyomo_quad.flight.routes import cruise
 from pyomo_quad.flight.verification import (
-    BALANCE_TOLERANCE,
     ENERGY_TOLERANCE,
     MISS_TOLERANCE,
-    battery_imbalance,
     fly_controls,
+    is_fed,
 )
 from pyomo_quad.model.mission import HOVERING_M, HOVERING_M_PER_S
 from pyomo_quad.scenario import Scenario, ScenarioError
@@ -436,8 +435,7 @@ def assembled_flight(
         flown,
         wanted_at_goal(scenario, dynamics),
         flight_frame(dynamics, flown.t, flown.states, flown.controls, flown.energy),
-        is_verified=_agree(dynamics, flown_twice)
-        and battery_imbalance(dynamics, flown) <= BALANCE_TOLERANCE,
+        is_verified=_agree(dynamics, flown_twice) and is_fed(dynamics, flown),
         wall_s=perf_counter() - began,
         owed_energy_J=plan.owed_energy(final) if plan is not None and is_told else nan,
         allowed=_ALLOWED_UNDER_CONTROL,

@@ -172,9 +172,13 @@ def _voltage_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Find
     if hovering.power_W > hovering.greatest_battery_power_W:
         return  # the pack has no voltage under such a load, which is a finding of its own
     pack = hovering.battery_voltage_V
-    motor = steady.rotor_value("rotors.motor_voltage", steady.hover_speed)
+    # Under the other models nothing else is asked of the motors' electrics, which may be unknown.
+    is_counted = scenario.power.model in (PowerModel.MOTOR, PowerModel.MOTOR_WITH_FRICTION)
+    name = "power.terminal_voltage" if is_counted else "rotors.motor_voltage"
+    motor = steady.rotor_value(name, steady.hover_speed)
     if motor > pack:
-        yield _caution(
+        say = _impossible if is_counted else _caution
+        yield say(
             "battery.cells_series",
             f"{scenario.battery.cells_series}: hover needs {motor:.4g} V at the motors, the pack "
             f"gives {pack:.4g} V; add cells in series.",
