@@ -372,7 +372,7 @@ def diagnose(
         The impossible first; empty when nothing was found, which proves nothing.
     """
     told = scenario.as_forecast()
-    findings = list(_angles_in_degrees(scenario))
+    findings = [*_contradictions(scenario), *_angles_in_degrees(scenario)]
     planner = planner or Planner(builder)
     if planner.builder is build_model:
         if not told.mission.is_free:  # what only more time would mend is the plan's to choose
@@ -382,7 +382,13 @@ def diagnose(
         findings += _idle_limits(told)
     findings += _beyond_measured_heights(told)
     findings += screen_model(planner.model(told))
-    return tuple(sorted(findings, key=lambda f: f.severity is not Severity.IMPOSSIBLE))
+    return tuple(sorted(findings, key=lambda f: list(Severity).index(f.severity)))
+
+
+def _contradictions(scenario: Scenario) -> Iterator[Finding]:
+    """Yield in which ways the vehicle cannot exist as it is described."""
+    for found in scenario.contradictions:
+        yield Finding(severity=Severity.UNPHYSICAL, subject=found.field, message=found.message)
 
 
 def _angles_in_degrees(scenario: Scenario) -> Iterator[Finding]:
