@@ -39,7 +39,7 @@ def scenario(**tables):
     document = {
         "name": "agreement",
         "vehicle": {"use": "dji_phantom_2"},
-        "wind": {"use": "calm"},
+        "wind": {"use": "calm", "coupling": "acceleration"},
         "mission": MISSION,
     }
     for name, table in tables.items():

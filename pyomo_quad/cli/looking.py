@@ -88,6 +88,8 @@ def check(
             result_console().print(_table(resolved))
             for line in _verdict(inspection, findings):
                 print(line)
+            for remark in resolved.remarks:
+                print(f"Note: {remark}")
     return ExitCode.VERIFIED if inspection.is_unit_consistent else ExitCode.BAD_INPUT
 
 
@@ -145,6 +147,7 @@ def _as_mapping(
             "is_unit_consistent": inspection.is_unit_consistent,
         },
         "findings": [asdict(finding) for finding in findings],
+        "notes": list(scenario.remarks),
     }
 
 

@@ -167,6 +167,8 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
             f"for the same {plan.duration_s:g} s; {plan.iteration_count} "
             f"iterations, {plan.timings['solve']:.2f} s."
         )
+    for found in plan.scenario.contradictions:
+        yield f"{plan.scenario.name}: no such vehicle can exist: {found.message}"
     if plan.failure is not None:
         diagnosis = plan.failure.diagnosis
         limits = [replace(limit, name=limit_words(limit.name)) for limit in diagnosis.active]

@@ -37,8 +37,9 @@ from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
     ENERGY_TOLERANCE,
     MISS_TOLERANCE,
-    battery_imbalance,
     fly_controls,
+    shares_lacking,
+    voltage_lacking,
 )
 from pyomo_quad.model.mission import HOVERING_M, HOVERING_M_PER_S
 from pyomo_quad.scenario import Scenario, ScenarioError
@@ -503,12 +504,16 @@ def _doubts(
             f"two integrators differ by {abs(total - other):.2g} J in the energy spent; must be at "
             f"most {allowed:.2g} J{added}"
         )
-    lacking = battery_imbalance(dynamics, flown)
-    if not lacking <= BALANCE_TOLERANCE:
-        yield (
-            f"the pack lacks {100.0 * lacking:.3g} % of the power or charge that the flight takes; "
-            f"must be at most {100.0 * BALANCE_TOLERANCE:g} %"
-        )
+    shares = {
+        "power or charge that the flight takes": max(shares_lacking(dynamics, flown)),
+        "voltage at which the motors keep their speed": voltage_lacking(dynamics, flown),
+    }
+    for needed, lacking in shares.items():
+        if not lacking <= BALANCE_TOLERANCE:
+            yield (
+                f"the pack lacks {100.0 * lacking:.3g} % of the {needed}; "
+                f"must be at most {100.0 * BALANCE_TOLERANCE:g} %"
+            )
 
 
 def _joined(parts: Sequence[Flown]) -> Flown:

@@ -597,10 +597,16 @@ def _verified(plan: Plan, solution: Solution) -> Plan:
     is_proven = verification.is_verified and solution.status is Status.CONVERGED
     timings = dict(plan.timings) | {"verify": time.perf_counter() - started}
     message = plan.message
-    if not verification.is_fed:
+    if verification.battery_imbalance > BALANCE_TOLERANCE:
         message = (
             f"battery: the pack lacks {100.0 * verification.battery_imbalance:.3g} % of the power "
             "or charge that the flight takes; give it more cells, carry less or allow more time."
+        )
+    elif not verification.is_fed:
+        message = (
+            f"battery: the pack lacks {100.0 * verification.voltage_lacking:.3g} % of the voltage "
+            "at which the motors keep their speed; give it more cells in series, or motors of a "
+            "higher vehicle.voltage_constant."
         )
     return replace(
         plan,

@@ -420,6 +420,8 @@ def battery_shortfalls(scenario: Scenario, steady: SteadyFlight) -> tuple[str, .
     pack = scenario.battery
     cells = f"battery {pack.use}, {pack.cells_series} x {pack.cells_parallel} cells"
     greatest = hover.greatest_battery_power_W
+    if greatest <= 0.0:
+        return (f"{cells}: has no voltage at the start; correct its K, or charge it.",)
     if hover.power_W > greatest:
         needs = f"hover needs {hover.power_W:.4g} W, the pack delivers at most {greatest:.4g} W"
         return (f"{cells}: {needs}; add cells.",)

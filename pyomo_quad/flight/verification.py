@@ -177,10 +177,15 @@ MISS_TOLERANCE = 1e-4
 #: Largest relative difference of flown and planned energy.
 ENERGY_TOLERANCE = 1e-6
 #: Largest share of the power drawn that voltage times current of the pack may lack: the guard
-#: that keeps a current finite beyond the pack's greatest power lets it lack more.
+#: that keeps a current finite beyond the pack's greatest power lets it lack more.  As much may
+#: its voltage be below what the motors need.
 BALANCE_TOLERANCE = 1e-3
 
-_BALANCE = ("power.total", "battery.voltage", "battery.current", "battery.state_of_charge")
+_VOLTAGE = "battery.voltage"
+_BALANCE = ("power.total", _VOLTAGE, "battery.current", "battery.state_of_charge")
+_MOTOR_VOLTAGE = "power.terminal_voltage"
+# The motors of standing rotors need no voltage, of which no share can be told.
+_STANDSTILL_V = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,7 +208,10 @@ class Verification:
     passing_misses_m : tuple of float
         By how much the flight passes each waypoint further off than allowed.
     battery_imbalance : float
-        See `battery_imbalance`.
+        Largest share of the power, or of the charge, drawn that the pack cannot give.
+    voltage_lacking : float
+        Largest share of the voltage at which a motor keeps its speed that the pack cannot give;
+        negative where it gives more.
     is_verified : bool
         All of the above within this module's tolerances.
     """
@@ -219,20 +227,28 @@ class Verification:
     broken_limits: tuple[str, ...] = ()
     passing_misses_m: tuple[float, ...] = ()
     battery_imbalance: float = 0.0
+    voltage_lacking: float = 0.0
 
     @property
     def is_fed(self) -> bool:
-        """Whether the pack can give the power and the charge that the flight takes."""
-        return self.battery_imbalance <= BALANCE_TOLERANCE
+        """Whether the pack can give the power, the charge and the voltage of the flight."""
+        return max(self.battery_imbalance, self.voltage_lacking) <= BALANCE_TOLERANCE
 
 
-def battery_imbalance(dynamics: Dynamics, flown: Flown) -> float:
-    """Return the largest share of the power, or of the charge, drawn that the pack cannot give.
+def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
+    """Return the largest share of a motor's voltage that the pack cannot give; negative if none.
 
-    The declared equations stay finite beyond what a pack delivers and beyond empty; a flight
-    there is no flight.  A model without a battery lacks nothing.
+    It is the voltage, of motor and of pack, at which the rotors keep the speeds of an instant:
+    the limit on their acceleration stands for the voltage that changing speed takes.
     """
-    return max(shares_lacking(dynamics, flown))
+    if not dynamics.has(_MOTOR_VOLTAGE) or not dynamics.has(_VOLTAGE):
+        return 0.0
+    count = sum(name.startswith("rotors.omega[") for name in dynamics.state_names)
+    keys = (*((_MOTOR_VOLTAGE, j + 1) for j in range(count)), (_VOLTAGE, None))
+    steady = np.zeros_like(flown.controls)
+    *needed, given = dynamics.table(keys, flown.t, flown.states, steady).T
+    highest = np.max(needed, axis=0)
+    return float(np.max((highest - given) / np.maximum(_STANDSTILL_V, highest)))
 
 
 def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
@@ -339,7 +355,8 @@ def verify_controls(
     worst_miss = max(relative, key=lambda name: relative[name])
     breaches = dynamics.violations(flown.t, flown.states, flown.controls)
     breach = breaches[0]
-    imbalance = battery_imbalance(dynamics, flown)
+    imbalance = max(shares_lacking(dynamics, flown))
+    lacking = voltage_lacking(dynamics, flown)
     flown_energy = float(flown.energy[-1])
     passing = tuple(_passing_miss(dynamics, flown, passage) for passage in passages)
     verification = Verification(
@@ -355,11 +372,12 @@ def verify_controls(
             and breach.relative <= VIOLATION_TOLERANCE
             and abs(flown_energy - energy) <= ENERGY_TOLERANCE * max(1.0, abs(energy))
             and max(passing, default=0.0) <= MISS_TOLERANCE
-            and imbalance <= BALANCE_TOLERANCE
+            and max(imbalance, lacking) <= BALANCE_TOLERANCE
             and np.isfinite(flown_energy)
         ),
         broken_limits=broken_limits(dynamics, breaches, {}),
         passing_misses_m=passing,
         battery_imbalance=imbalance,
+        voltage_lacking=lacking,
     )
     return verification, flown

@@ -7,7 +7,8 @@ coefficient of 1 1/s that this silently needs is declared with its unit.  The ve
 velocity has no part in it.
 
 `drag` is the force against the airspeed, the velocity relative to the wind: linear (rotor
-drag) plus quadratic (parasitic drag).  Isotropic; sound at the few m/s of these missions.
+drag) plus quadratic (parasitic drag).  Isotropic; sound at the few m/s of these missions.  It is
+the default of a vehicle that has drag.
 
 Under either, a vehicle with numbers for them feels on its airspeed, resolved in body axes:
 

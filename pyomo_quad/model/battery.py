@@ -17,6 +17,9 @@ finite where the paper's have no value: eq. (5) has a pole at an empty cell, and
 balances more power than the pack can deliver, U^2/4R.  Above a fifth of the charge and below
 nine tenths of that power both guards are exact to rounding; `power_reserve` turning negative
 or the state of charge running below zero says that the pack cannot fly the mission.
+
+A pack whose polarisation voltage k / SoC grows beyond its other voltages has none left before it
+is empty: its greatest power is then negative, and its flights are limited to where e_m >= 0.
 """
 
 from pyomo.core import Block, ConcreteModel, Expression, Var, exp, sqrt
@@ -24,7 +27,7 @@ from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
 
-from pyomo_quad.model.parameters import Parameter, declare_parameters, saturated
+from pyomo_quad.model.parameters import DIP, Parameter, declare_parameters, saturated
 from pyomo_quad.scenario import Scenario
 
 CHARGE = units.A * units.hr
@@ -74,6 +77,12 @@ PARAMETERS = (
 )
 
 
+def may_lose_voltage(scenario: Scenario) -> bool:
+    """Whether the pack's voltage, eq. (5), can vanish before the pack is empty."""
+    least_share = GUARD_FLOOR - DIP * GUARD_WIDTH
+    return scenario.battery.K / least_share >= scenario.battery.E0
+
+
 def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the pack's charge, voltage and current in block `battery`.
 
@@ -94,6 +103,11 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
     m.scaling_factor[b.charge_drawn] = 1.0 / (_NOMINAL_SHARE * pack_capacity)
     _declare_voltage(b, m)
     _declare_charge(b, m)
+    if may_lose_voltage(scenario):
+
+        @b.Constraint(m.time, doc="the pack has a voltage [V]")
+        def pack_voltage_limit(b: Block, t: float) -> RelationalExpression:
+            return b.open_circuit_voltage[t] >= 0 * units.V
 
 
 def _declare_charge(b: Block, m: ConcreteModel) -> None:
@@ -127,7 +141,9 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 
     @b.Expression(m.time, doc="greatest power the pack can deliver, at half its voltage [W]")
     def greatest_power(b: Block, t: float) -> NumericExpression:
-        return b.open_circuit_voltage[t] ** 2 / (4 * b.pack_resistance)
+        # Negative, so that it gives nothing, where the pack has no voltage.
+        voltage_squared = b.open_circuit_voltage[t] * abs(b.open_circuit_voltage[t])
+        return voltage_squared / (4 * b.pack_resistance)
 
     @b.Expression(m.time, doc="greatest power less the power drawn [W]")
     def power_reserve(b: Block, t: float) -> NumericExpression:

@@ -187,6 +187,7 @@ def structure_key(scenario: Scenario) -> Hashable:
         scenario.vehicle.rotor_senses,
         tuple(row.name for row in aerodynamics.parameters_of(scenario)),
         tuple(row.name for row in limits.parameters_of(scenario)),
+        battery.may_lose_voltage(scenario),
         airspace.structure_of(scenario),
         scenario.keeps_yaw,
         (scenario.mission, tuple(t / end for t in passages)) if passages else None,

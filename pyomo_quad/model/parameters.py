@@ -103,6 +103,10 @@ def floored(
     return floor + positive_part(value - floor, width)
 
 
+#: Share of the width by which `saturated` may fall below its floor.
+DIP = 0.14
+
+
 def saturated(
     value: NumericExpression, floor: NumericExpression, width: NumericExpression
 ) -> NumericExpression:
@@ -114,7 +118,7 @@ def saturated(
         Quantities of the same unit.
     width : expression
         Ten times this above the floor, value and result agree to 2e-8 of the width; near the
-        floor the result may dip below it by 0.14 of the width.
+        floor the result may dip below it by `DIP` of the width.
 
     Returns
     -------

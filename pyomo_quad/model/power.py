@@ -189,6 +189,10 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
     """
     b = m.power
 
+    @b.Expression(m.rotors.rotor, m.time, doc="voltage that the pack must give a motor [V]")
+    def terminal_voltage(b: Block, j: int, t: float) -> NumericExpression:
+        return b.parent_block().rotors.motor_voltage[j, t]
+
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
         return rotors.motor_voltage[j, t] * rotors.motor_current[j, t]
@@ -307,12 +311,19 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
         friction = m.vehicle.friction_torque + m.vehicle.viscous_damping * m.rotors.omega[j, t]
         return m.rotors.motor_torque[j, t] + friction
 
-    def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
+    @b.Expression(m.rotors.rotor, m.time, doc="motor current with friction [A]")
+    def current_with_friction(b: Block, j: int, t: float) -> NumericExpression:
+        return b.torque_with_friction[j, t] / b.parent_block().vehicle.torque_constant
+
+    @b.Expression(m.rotors.rotor, m.time, doc="voltage that the pack must give a motor [V]")
+    def terminal_voltage(b: Block, j: int, t: float) -> NumericExpression:
         m = b.parent_block()
-        current = b.torque_with_friction[j, t] / m.vehicle.torque_constant
-        resistive_drop = m.vehicle.motor_resistance * current
+        resistive_drop = m.vehicle.motor_resistance * b.current_with_friction[j, t]
         electromotive_force = m.rotors.omega[j, t] / m.vehicle.voltage_constant
-        return (resistive_drop + electromotive_force) * current
+        return resistive_drop + electromotive_force
+
+    def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
+        return b.terminal_voltage[j, t] * b.current_with_friction[j, t]
 
     b.add_component(
         name,

@@ -23,9 +23,10 @@ from pyomo.repn import generate_standard_repn
 
 
 class Severity(StrEnum):
-    """Whether a finding rules a flight out, or only asks for a second look."""
+    """Whether a finding rules a flight out, a vehicle, or only asks for a second look."""
 
     IMPOSSIBLE = "impossible"
+    UNPHYSICAL = "unphysical"
     CAUTION = "caution"
 
 

@@ -104,6 +104,8 @@ _POWER_SYMBOL = {
     "torque_floor": r"\tau_{min}",
     "smoothing": r"\varepsilon",
     "torque_with_friction": r"\tau^{f}",
+    "current_with_friction": "i^{f}",
+    "terminal_voltage": r"v^{m}",
     "rotor_radius": "R",
     "air_density": r"\rho",
     "disc_area": "A",
@@ -426,6 +428,8 @@ class _Writer:
 
     def _function(self, node: NumericValue) -> tuple[str, int]:
         argument = self.text(node.args[0])
+        if node.name == "abs":
+            return rf"\left|{argument}\right|", _ATOM
         if node.name == "sqrt":
             return rf"\sqrt{{{argument}}}", _ATOM
         if node.name == "exp":

@@ -53,7 +53,7 @@ def paper_scenario(experiment: Experiment, values: Mapping[str, Any] | None = No
         {
             "name": _NAME[experiment],
             "vehicle": {"use": "dji_phantom_2", "attitude": Attitude.PAPER},
-            "wind": {"use": _WIND[experiment]},
+            "wind": {"use": _WIND[experiment], "coupling": WindCoupling.ACCELERATION},
             "mission": {"duration": 10.0, "goal": {"position": [6.0, 7.0, 8.0], "yaw": 0.0}},
         },
         source=f"experiment {experiment.value} of the paper",

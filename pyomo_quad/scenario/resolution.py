@@ -44,7 +44,13 @@ from pyomo_quad.scenario.tables import (
     derived_limits,
 )
 from pyomo_quad.scenario.vehicle import Vehicle
-from pyomo_quad.scenario.wind import LARGEST_WIND, LATEST_TIME, STRONGEST_GUST, in_the_air
+from pyomo_quad.scenario.wind import (
+    LARGEST_WIND,
+    LATEST_TIME,
+    STRONGEST_GUST,
+    in_the_air,
+    with_coupling,
+)
 
 LARGEST_FILE_BYTES = 1_000_000
 DEEPEST_NESTING = 8
@@ -140,12 +146,15 @@ class LibraryEntry:
         Scenario tables that the entry fills, ``{"vehicle": {...}, "limits": {...}}``.
     sources : mapping
         Dotted scenario field -> where its number comes from.
+    base : LibraryEntry or None
+        The set that gives what a file of one's own leaves out.
     """
 
     kind: str
     name: str
     tables: Mapping[str, Mapping[str, Any]]
     sources: Mapping[str, str]
+    base: "LibraryEntry | None" = None
 
     def values(self) -> dict[str, Any]:
         """Return the numbers that have a source.
@@ -222,15 +231,18 @@ def library_entry(kind: str, name: str) -> LibraryEntry:
         )
     folder = resources.files("pyomo_quad.scenario").joinpath("library", kind)
     written = tomllib.loads(folder.joinpath(f"{name}{_SUFFIX}").read_text(encoding="utf-8"))
-    return _entry(kind, name, written, {})
+    return _entry(kind, name, written, None)
 
 
 def _entry(
-    kind: str, name: str, written: Mapping[str, Any], base: Mapping[str, Any]
+    kind: str, name: str, written: Mapping[str, Any], base: LibraryEntry | None
 ) -> LibraryEntry:
-    """Return the entry that sections of numbers, bare or with their sources, make over a base."""
+    """Return the entry of sections of numbers, bare or with their sources.
+
+    Only its own tables are in it; those of the base lie below.
+    """
     table = LIBRARY_KINDS[kind]
-    tables: dict[str, Any] = set_value(base, (table, "use"), name)
+    tables: dict[str, Any] = {table: {"use": name}}
     sources: dict[str, str] = {}
     for path, value in leaves(written):
         section, *field = path
@@ -242,7 +254,11 @@ def _entry(
         else:
             tables = set_value(tables, target, value)
     return LibraryEntry(
-        kind=kind, name=name, tables=MappingProxyType(tables), sources=MappingProxyType(sources)
+        kind=kind,
+        name=name,
+        tables=MappingProxyType(tables),
+        sources=MappingProxyType(sources),
+        base=base,
     )
 
 
@@ -271,7 +287,7 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
         if not isinstance(content, Mapping):
             raise ScenarioError(f"{name}: {section} = {shown(content)}; must be a table.")
         _refuse_labels(name, content, (section,))
-    return _entry(kind, name, written, {} if use is None else library_entry(kind, use).tables)
+    return _entry(kind, name, written, None if use is None else library_entry(kind, use))
 
 
 def _refuse_labels(name: str, table: Mapping[str, Any], place: FieldPath) -> None:
@@ -472,7 +488,7 @@ DEFAULT_LIBRARY: Mapping[str, str] = {
 }
 
 # A forecast is a wind of its own, told to the same vehicle.
-_INHERITED_BY_FORECAST = ("coupling", "acceleration_coefficient", "frequency_unit")
+_INHERITED_BY_FORECAST = ("acceleration_coefficient", "frequency_unit")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -525,10 +541,11 @@ def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
         tables = _add_library(origin, tables, own, provenance, (table,), kind)
     if isinstance(own.get("wind"), Mapping) and isinstance(own["wind"].get("forecast"), Mapping):
         tables = _add_library(origin, tables, own, provenance, ("wind", "forecast"), "winds")
-        tables = _inherit_coupling(tables, own)
+        tables = _inherit_by_forecast(tables, own)
     tables = _with_assignments(origin, merge(tables, own), indexed=True)
     tables = _add_wind_series(origin, tables, provenance)
     tables = in_the_air(tables, origin.document if origin.is_resolved else None, provenance)
+    tables = with_coupling(tables, own, provenance)
     return Resolution(tables=_add_derived_limits(origin, tables, provenance), provenance=provenance)
 
 
@@ -598,16 +615,19 @@ def _add_library(
         where = whose(origin, provenance, use)
         raise ScenarioError(f"{where}: {spell(use)} = {shown(name)}; {reason}") from None
     provenance.setdefault(spell(use), "default")
-    table = LIBRARY_KINDS[kind]
-    said = f"file {shown(name)[1:-1]}" if is_file else f"library {name}"
-    for path, value in leaves(entry.tables):
-        full = (*place, *path[1:]) if path[0] == table else path
-        tables = set_value(tables, full, value)
-        provenance.setdefault(spell(full), said)
+    said: dict[str, str] = {}
+    for layer in filter(None, (entry.base, entry)):
+        is_own = is_file and layer is entry
+        source = f"file {shown(name)[1:-1]}" if is_own else f"library {layer.name}"
+        for path, value in leaves(layer.tables):
+            full = (*place, *path[1:]) if path[0] == LIBRARY_KINDS[kind] else path
+            tables = set_value(tables, full, value)
+            said[spell(full)] = source
+    provenance.update(said | provenance)
     return tables
 
 
-def _inherit_coupling(tables: dict[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+def _inherit_by_forecast(tables: dict[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
     for name in _INHERITED_BY_FORECAST:
         if name in own["wind"]:
             tables = set_value(tables, ("wind", "forecast", name), own["wind"][name])

@@ -24,6 +24,12 @@ from pyomo_quad.scenario.fields import (
 )
 from pyomo_quad.scenario.messages import FeasibilityError, ScenarioError, complaint, shown
 from pyomo_quad.scenario.mission import Mission, Yaw
+from pyomo_quad.scenario.plausibility import (
+    Contradiction,
+    contradictions,
+    created_power,
+    remarks,
+)
 from pyomo_quad.scenario.resolution import Origin, resolve, whose
 from pyomo_quad.scenario.tables import (
     Baseline,
@@ -117,6 +123,7 @@ class Scenario(Part):
         scenario._origin = origin  # noqa: SLF001
         scenario._provenance = resolution.provenance  # noqa: SLF001
         scenario._check_hover(origin.source)  # noqa: SLF001
+        scenario._check_motors(origin.source)  # noqa: SLF001
         scenario._check_replanning(origin.source)  # noqa: SLF001
         scenario._check_airspace(origin.source)  # noqa: SLF001
         scenario._check_payload(origin.source)  # noqa: SLF001
@@ -278,6 +285,25 @@ class Scenario(Part):
     def as_it_blows(self) -> Self:
         """Return the scenario of an optimiser that is told the wind that blows."""
         return self.model_copy(update={"wind": self.wind.model_copy(update={"forecast": None})})
+
+    @property
+    def contradictions(self) -> tuple[Contradiction, ...]:
+        """In which ways the vehicle cannot exist as it is described; of an own model, unknown."""
+        if self.model is not None:
+            return ()
+        return tuple(contradictions(self.vehicle, self.power, self.gravity))
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What of the vehicle is at the edge of what can exist; of an own model, unknown."""
+        if self.model is not None:
+            return ()
+        return tuple(remarks(self.vehicle, self.power, self.gravity))
+
+    def _check_motors(self, source: str) -> None:
+        told = "" if self.model else created_power(self.vehicle, self.power, self.gravity)
+        if told:
+            raise ScenarioError(f"{source}: {told}")
 
     def _check_airspace(self, source: str) -> None:
         waypoints = [f"waypoints[{k}]" for k in range(len(self.mission.waypoints))]

@@ -263,6 +263,17 @@ class Battery(Part):
         "percent", "state of charge at the start", 100.0, gt=0, le=100
     )
 
+    @model_validator(mode="after")
+    def _has_a_voltage(self) -> Self:
+        # Eq. (5) of a full cell, whose voltage is the highest that it ever has.
+        highest = self.E0 + self.A
+        if highest <= self.K:
+            raise ValueError(
+                f"K = {self.K:g} V leaves a full cell {highest - self.K:.3g} V; must be below "
+                f"E0 + A = {highest:g} V; correct K, E0 or A"
+            )
+        return self
+
 
 class PowerModel(StrEnum):
     """Which declared power the mission's energy integrates."""

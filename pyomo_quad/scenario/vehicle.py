@@ -349,6 +349,10 @@ class Vehicle(Part):
         """Whether the air acts on the rotors beside their thrust."""
         return bool(self.rotor_drag_plane or self.rotor_drag_axis or self.translational_lift)
 
+    def drag_torque(self, speed: float) -> float:
+        """Return the torque [N m] that keeps one rotor at a speed [rad/s]."""
+        return self.drag_torque_coefficient * speed**2
+
     def hover_speed(self, gravity: float) -> float:
         """Return the rotor speed at which the thrust balances the weight.
 

@@ -136,7 +136,9 @@ class Wind(Part):
         "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
     )
     coupling: WindCoupling = quantity(
-        "", "acceleration (eq. 9 as printed) or drag", WindCoupling.ACCELERATION
+        "",
+        "drag on the airspeed, the default of a vehicle that has drag, or acceleration (eq. 9 as "
+        "printed), that of a vehicle that has none",
     )
     acceleration_coefficient: Number = quantity(
         "1/s",
@@ -279,6 +281,49 @@ def in_the_air(
         tables = set_value(tables, _DENSITY, density)
         provenance[spell(_DENSITY)] = "air"
     return tables
+
+
+# What makes the air hold a vehicle back, or carry it along.
+_DRAG = (
+    "drag_linear",
+    "drag_quadratic",
+    "rotor_drag_plane",
+    "rotor_drag_axis",
+    "parasitic_drag",
+)
+
+
+def with_coupling(
+    tables: dict[str, Any], own: Mapping[str, Any], provenance: dict[str, str]
+) -> dict[str, Any]:
+    """Return a scenario's tables with the coupling of a wind that names none, and of its forecast.
+
+    Wind carries a vehicle along by drag on its airspeed; eq. (9) as printed is left for a vehicle
+    without drag, which no wind would move otherwise.  A forecast is told to the same vehicle, and
+    so has the coupling of the wind unless the scenario's `own` tables give it another.
+    """
+    wind = tables.get("wind")
+    if not isinstance(wind, Mapping):
+        return tables
+    if "coupling" not in wind:
+        vehicle = tables.get("vehicle")
+        numbers = vehicle if isinstance(vehicle, Mapping) else {}
+        cause = next((name for name in _DRAG if _is_any(numbers.get(name))), None)
+        coupling = WindCoupling.ACCELERATION if cause is None else WindCoupling.DRAG
+        tables = set_value(tables, ("wind", "coupling"), coupling)
+        why = "no drag" if cause is None else f"vehicle.{cause}"
+        provenance["wind.coupling"] = f"default: the vehicle has {why}"
+    forecast = own.get("wind", {}).get("forecast") if "forecast" in wind else None
+    if isinstance(forecast, Mapping) and "coupling" not in forecast:
+        path: FieldPath = ("wind", "forecast", "coupling")
+        tables = set_value(tables, path, tables["wind"]["coupling"])
+        provenance[spell(path)] = "wind.coupling"
+    return tables
+
+
+def _is_any(number: object) -> bool:
+    """Say whether a number, or one of a list, is not zero."""
+    return any(number) if isinstance(number, list | tuple) else bool(number)
 
 
 def _density(tables: Mapping[str, Any]) -> float:

@@ -172,9 +172,13 @@ def _voltage_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Find
     if hovering.power_W > hovering.greatest_battery_power_W:
         return  # the pack has no voltage under such a load, which is a finding of its own
     pack = hovering.battery_voltage_V
-    motor = steady.rotor_value("rotors.motor_voltage", steady.hover_speed)
+    # Under the other models nothing else is asked of the motors' electrics, which may be unknown.
+    is_counted = scenario.power.model in (PowerModel.MOTOR, PowerModel.MOTOR_WITH_FRICTION)
+    name = "power.terminal_voltage" if is_counted else "rotors.motor_voltage"
+    motor = steady.rotor_value(name, steady.hover_speed)
     if motor > pack:
-        yield _caution(
+        say = _impossible if is_counted else _caution
+        yield say(
             "battery.cells_series",
             f"{scenario.battery.cells_series}: hover needs {motor:.4g} V at the motors, the pack "
             f"gives {pack:.4g} V; add cells in series.",
@@ -368,7 +372,7 @@ def diagnose(
         The impossible first; empty when nothing was found, which proves nothing.
     """
     told = scenario.as_forecast()
-    findings = list(_angles_in_degrees(scenario))
+    findings = [*_contradictions(scenario), *_angles_in_degrees(scenario)]
     planner = planner or Planner(builder)
     if planner.builder is build_model:
         if not told.mission.is_free:  # what only more time would mend is the plan's to choose
@@ -378,7 +382,13 @@ def diagnose(
         findings += _idle_limits(told)
     findings += _beyond_measured_heights(told)
     findings += screen_model(planner.model(told))
-    return tuple(sorted(findings, key=lambda f: f.severity is not Severity.IMPOSSIBLE))
+    return tuple(sorted(findings, key=lambda f: list(Severity).index(f.severity)))
+
+
+def _contradictions(scenario: Scenario) -> Iterator[Finding]:
+    """Yield in which ways the vehicle cannot exist as it is described."""
+    for found in scenario.contradictions:
+        yield Finding(severity=Severity.UNPHYSICAL, subject=found.field, message=found.message)
 
 
 def _angles_in_degrees(scenario: Scenario) -> Iterator[Finding]:

@@ -9,6 +9,7 @@ from pyomo.environ import Constraint, units
 from pyomo_quad import build_model
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop
+from pyomo_quad.flight.plan import PlanStatus
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.study.comparison import ComparisonColumn as Column
 from pyomo_quad.study.comparison import compare_flights, has_arrived
@@ -210,12 +211,52 @@ def test_no_flight_on_a_pack_that_cannot_feed_it_is_verified(cells_series, is_fe
         assert plan.message.startswith("battery: the pack lacks ")
 
 
+@pytest.mark.parametrize(("cells_series", "is_fed"), [(1, False), (2, False), (3, True)])
+def test_no_flight_on_a_pack_that_cannot_turn_the_motors_is_verified(cells_series, is_fed):
+    # A motor that holds the hover speed needs omega / kv + R kappa omega^2 / kt = 9.83 V.
+    told = coarse(battery={"cells_series": cells_series})
+    plan = PLANNER.solve(told)
+    vehicle, speed = told.vehicle, told.vehicle.hover_speed(told.gravity)
+    current = vehicle.drag_torque_coefficient * speed**2 / vehicle.torque_constant
+    needed = speed / vehicle.voltage_constant + vehicle.motor_resistance * current
+    power, resistance = 4 * needed * current, cells_series * told.battery.cell_resistance
+    full = cells_series * (told.battery.E0 - told.battery.K + told.battery.A)
+    given = full / 2 + np.sqrt(full**2 / 4 - resistance * power)
+    lacking = plan.verification.voltage_lacking
+    # The flight begins and ends in hover, and in between its rotors are hardly faster.
+    assert 1 - given / needed - 1e-3 < lacking < 1 - given / needed + 0.05
+    assert (lacking > 0.0) != is_fed
+    assert plan.verification.battery_imbalance < 1e-3
+    assert plan.verification.is_fed == is_fed
+    flight = fly_baseline(told, Reference.QUINTIC, dynamics=PLANNER.dynamics(told), plan=plan)
+    assert flight.is_verified == is_fed
+    if not is_fed:
+        assert not plan.is_verified
+        assert plan.message.startswith("battery: the pack lacks ")
+        assert "of the voltage at which the motors keep their speed" in plan.message
+
+
+def test_motors_whose_voltage_no_equation_counts_need_none():
+    told = coarse(battery={"cells_series": 2}, power={"model": "shaft"})
+    assert PLANNER.solve(told).verification.voltage_lacking == 0.0
+
+
+@pytest.mark.slow
+def test_a_flight_that_would_drain_a_pack_of_its_voltage_is_infeasible():
+    # At a third of its charge three volts of polarisation leave each cell less than nothing.
+    told = coarse(battery={"K": 3.0, "initial_state_of_charge": 33.0})
+    plan = PLANNER.solve(told)
+    assert plan.status is PlanStatus.INFEASIBLE
+    assert any("battery" in cause for cause in plan.failure.causes())
+
+
 @pytest.mark.slow
 def test_a_plan_that_its_pack_cannot_feed_is_held_to_what_the_pack_gives():
     """A quick hop peaks at twice its mean power, just above the most that the pack gives."""
     quick = {"mission": HOP | {"duration": 2.0}}
     at_will = PLANNER.solve(scenario(**quick))
-    told = scenario(**quick, battery={"cell_resistance": 0.0905})
+    # Six cells, so that the motors can turn at little more than half of the pack's voltage.
+    told = scenario(**quick, battery={"cells_series": 6, "cell_resistance": 0.181})
     plan, cell = PLANNER.solve(told), told.battery
     assert plan.is_verified
     assert plan.scenario == told

@@ -98,6 +98,11 @@ IMPOSSIBLE = {
         "limits.battery_power_share_max",
         "limits.battery_power_share_max = 0.05: the mean power of any flight is at least 0.093",
     ),
+    "too few cells in series": (
+        {"battery": {"cells_series": 2, "cells_parallel": 2}},
+        "battery.cells_series",
+        "battery.cells_series = 2: hover needs 9.83 V at the motors, the pack gives",
+    ),
 }
 
 # What deserves a second look, without being impossible.
@@ -107,13 +112,18 @@ DOUBTFUL = {
         "battery.use",
         "hover needs 70.86 W, the pack delivers at most 24.26 W",
     ),
+    "a pack without voltage": (
+        {"battery": {"K": 3.0, "initial_state_of_charge": 30.0}},
+        "battery.use",
+        "3 x 1 cells: has no voltage at the start; correct its K, or charge it.",
+    ),
     "a pack too small": (
         {"mission": PLACE | {"duration": 20_000.0}},
         "battery.use",
         "the pack holds 5.2 Ah; add cells or shorten the mission",
     ),
-    "too few cells in series": (
-        {"battery": {"cells_series": 2, "cells_parallel": 2}},
+    "too few cells in series for motors whose voltage is not counted": (
+        {"battery": {"cells_series": 2, "cells_parallel": 2}, "power": {"model": "shaft"}},
         "battery.cells_series",
         "battery.cells_series = 2: hover needs 9.83 V at the motors, the pack gives",
     ),

@@ -57,6 +57,10 @@ REFUSED = {
     ),
     "vehicle.mass = -1.3": "vehicle.mass = -1.3 kg; must be > 0.",
     "vehicle.payload = -0.1": "vehicle.payload = -0.1 kg; must be >= 0.",
+    "battery.K = 11.0": (
+        "battery: K = 11 V leaves a full cell -6.8 V; must be below E0 + A = 4.2028 V; correct K, "
+        "E0 or A."
+    ),
     "vehicle = 3": "vehicle = 3; must be a table.",
     "vehicle.use = 7": "vehicle.use = 7; must be text in quotes.",
     'vehicle.use = "dji_phantom"': (

@@ -11,6 +11,8 @@ title = "Base case"
 [mission]
 duration = 10.0
 goal.position = [6.0, 7.0, 8.0]
+[wind]
+coupling = "acceleration"
 """
 
 DURATION_AXIS = """

@@ -144,6 +144,35 @@ def test_the_pack_gives_most_at_half_its_voltage():
     assert value(limit.body) - value(limit.upper) == pytest.approx(drawn - 0.5 * greatest)
 
 
+# Polarised so strongly that e_0 + c_1 exp(-c_2 q) = k / SoC at a quarter of the charge.
+POLARISED = {"K": 0.95, "A": 0.0, "E0": 3.8}
+
+
+def test_a_pack_without_voltage_gives_no_power_and_no_flight_keeps_its_limit():
+    told = scenario(battery=POLARISED)
+    at = Instant(build_model(told)).set(omega=(900.0,) * 4, charge=0.9 * told.battery.capacity)
+    voltage = at.read("battery.open_circuit_voltage")
+    assert voltage == pytest.approx(3 * (3.8 - 0.95 / 0.1))
+    assert at.read("battery.greatest_power") < 0.0
+    # What it would have to give charges it no more.
+    assert at.read("battery.current") > 0.0
+    limit = at.model.battery.pack_voltage_limit[at.t]
+    assert value(limit.body) - value(limit.lower) == pytest.approx(voltage)
+    at.set(charge=0.75 * told.battery.capacity)
+    assert value(limit.body) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_only_a_pack_that_can_lose_its_voltage_has_a_limit_on_it():
+    usual, polarised = scenario(), scenario(battery=POLARISED)
+    assert build_model(usual).battery.component("pack_voltage_limit") is None
+    assert structure_key(usual) != structure_key(polarised)
+    for name in ("paper_cell", "phantom_2_pack", "matrice_100_pack"):
+        pack = scenario(battery={"use": name})
+        empty = Instant(build_model(pack)).set(charge=2.0 * pack.battery.capacity)
+        assert empty.read("battery.open_circuit_voltage") > 0.0
+        assert structure_key(pack) == structure_key(usual)
+
+
 def test_only_structure_forces_a_rebuild():
     told = scenario(airspace=AIRSPACE)
     for path, number in {

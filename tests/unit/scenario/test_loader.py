@@ -68,6 +68,53 @@ def test_with_values_keeps_earlier_overrides(tmp_path):
     assert scenario.wind.speed == 0.0
 
 
+@pytest.mark.parametrize(
+    ("line", "cause"),
+    [
+        ("vehicle.drag_linear=0.1", "drag_linear"),
+        ("vehicle.drag_quadratic=0.1", "drag_quadratic"),
+        ("vehicle.rotor_drag_plane=1e-5", "rotor_drag_plane"),
+        ("vehicle.rotor_drag_axis=1e-5", "rotor_drag_axis"),
+        ("vehicle.parasitic_drag=[0.0, 0.0, 0.01]", "parasitic_drag"),
+        ("vehicle.translational_lift=1e-5", None),
+    ],
+)
+@pytest.mark.parametrize("wind", ["calm", "constant"])
+def test_the_wind_acts_through_the_drag_of_a_vehicle_that_has_any(tmp_path, wind, line, cause):
+    lines = [f"wind.use={wind}", "vehicle.drag_linear=0.0", line]
+    scenario = load_scenario(write_scenario(tmp_path), lines)
+    expected, why = ("acceleration", "no drag") if cause is None else ("drag", f"vehicle.{cause}")
+    assert scenario.wind.coupling == expected
+    assert scenario.provenance["wind.coupling"] == f"default: the vehicle has {why}"
+
+
+def test_the_coupling_by_default_follows_the_vehicle_and_gives_way_to_what_is_said(tmp_path):
+    scenario = load_scenario(write_scenario(tmp_path))
+    assert scenario.wind.coupling == "drag"
+    assert scenario.with_values({"vehicle.drag_linear": 0.0}).wind.coupling == "acceleration"
+    printed = scenario.with_values({"wind.coupling": "acceleration"})
+    assert printed.wind.coupling == "acceleration"
+    assert printed.with_values({"vehicle.drag_linear": 0.5}).wind.coupling == "acceleration"
+
+
+def test_the_papers_own_winds_act_as_it_prints(tmp_path):
+    scenario = load_scenario(write_scenario(tmp_path), ["wind.use=paper_table_2"])
+    assert scenario.wind.coupling == "acceleration"
+    assert scenario.provenance["wind.coupling"] == "library paper_table_2"
+    for name in ("paper_calm", "paper_free", "paper_wind", "paper_free_wind", "wind_untold"):
+        shipped = load_scenario(SCENARIOS / f"{name}.toml")
+        assert {shipped.wind.coupling, shipped.as_forecast().wind.coupling} == {"acceleration"}
+
+
+def test_a_forecast_has_the_coupling_of_the_wind_unless_it_is_given_its_own(tmp_path):
+    lines = ["wind.use=constant", "wind.forecast.use=paper_table_2"]
+    scenario = load_scenario(write_scenario(tmp_path), lines)
+    assert scenario.as_forecast().wind.coupling == "drag"
+    assert scenario.provenance["wind.forecast.coupling"] == "wind.coupling"
+    own = load_scenario(write_scenario(tmp_path), [*lines, "wind.forecast.coupling=acceleration"])
+    assert (own.wind.coupling, own.as_forecast().wind.coupling) == ("drag", "acceleration")
+
+
 def test_forecast_is_a_wind_of_its_own(tmp_path):
     lines = ["wind.use=paper_table_2", "wind.coupling=drag", "wind.forecast.use=calm"]
     scenario = load_scenario(write_scenario(tmp_path), lines)
@@ -187,6 +234,17 @@ def test_vehicle_from_a_file_beside_the_scenario(tmp_path):
     stored = Scenario.model_validate_json(scenario.model_dump_json())
     (tmp_path / "mine.toml").unlink()
     assert stored.with_values({"vehicle.payload": 0.2}).vehicle.total_mass == pytest.approx(1.3)
+
+
+def test_what_a_vehicle_file_inherits_names_the_library_that_gave_it(tmp_path):
+    (tmp_path / "mine.toml").write_text(OWN_VEHICLE)
+    file = write_scenario(tmp_path, 'vehicle.use = "mine.toml"', "air.height = 2000.0")
+    said = load_scenario(file).provenance
+    assert said["vehicle.use"] == "scenario"
+    assert said["vehicle.mass"] == said["limits.roll_max"] == "file mine.toml"
+    inherited = ("vehicle.Ix", "vehicle.efficiency_map.cubic", "limits.pitch_max")
+    assert {said[field] for field in inherited} == {"library dji_phantom_2"}
+    assert said["vehicle.thrust_coefficient"].startswith("library dji_phantom_2, in air of ")
 
 
 def test_a_copy_of_the_librarys_file_is_the_same_vehicle(tmp_path):
