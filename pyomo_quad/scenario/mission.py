@@ -117,7 +117,7 @@ class Mission(Part):
     )
     duration_max: Number | None = quantity(
         "s",
-        "greatest duration where it is free, no limit when absent",
+        "greatest duration where it is free; when absent until wind.file ends, or without limit",
         None,
         gt=0,
         sound=_ALOFT,
