@@ -100,7 +100,7 @@ class Deadline:
             return plan
         message = (
             f"given up after solver.time_limit = {self._limit_s:g} s; allow more time, or ask for "
-            "a looser solver.tolerance or fewer solver.elements."
+            f"a looser solver.tolerance or fewer solver.elements. {plan.reached}"
         )
         if plan.attempts:
             message += f" Tried: {'; '.join(plan.attempts)}."
