@@ -12,6 +12,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from pyomo_quad.collocation import ClosedLoop, Dynamics, Mesh, SolveError, control_polynomial
+from pyomo_quad.flight.deadline import keep_time
 from pyomo_quad.flight.flight import (
     HELD_BREACH,
     POSITION_STATES,
@@ -155,8 +156,13 @@ def _integrate(
 
     Its equations hold from `inside` on.
     """
+
+    def rates(t: float, y: FloatArray) -> FloatArray:
+        keep_time()
+        return flow.rates(max(t, inside), y, control(t))
+
     flown = solve_ivp(
-        lambda t, y: flow.rates(max(t, inside), y, control(t)),
+        rates,
         (times[0], times[-1]),
         state,
         t_eval=times[1:],
