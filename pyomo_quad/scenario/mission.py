@@ -160,6 +160,14 @@ class Mission(Part):
         return (self.start.position, *between, self.goal.position)
 
     @property
+    def named_positions(self) -> tuple[tuple[str, tuple[float, float, float]], ...]:
+        """Start, waypoints and goal, m, each after the field that says so."""
+        waypoints = (f"waypoints[{k}]" for k in range(len(self.waypoints)))
+        names = ("start", *waypoints, "goal")
+        fields = (f"mission.{name}.position" for name in names)
+        return tuple(zip(fields, self.positions, strict=True))
+
+    @property
     def released(self) -> float:
         """Payload left on the way, kg."""
         return sum(waypoint.release for waypoint in self.waypoints)
