@@ -331,8 +331,9 @@ def read_wind_file(
         return series
     series["times"] = columns[_TIME_COLUMN][:: len(series.get("heights", "1"))]
     _check_times(series["times"], place)
-    if isinstance(longest[1], int | float) and isinstance(time_offset, int | float):
-        _check_cover(series["times"], time_offset, *longest, place)
+    field, duration = longest
+    if isinstance(duration, int | float) and isinstance(time_offset, int | float):
+        _check_cover(series["times"], time_offset, field, duration, place)
     return series
 
 
