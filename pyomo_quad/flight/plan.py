@@ -489,9 +489,11 @@ class Plan(Summarised):
         asked = self.scenario.solver.tolerance
         parts = [
             f"mesh {max(len(self.history), 1)} with {self.mesh.points} points",
-            f"{self.energy:.6g} J after {self.iteration_count} iterations",
-            *(f"infeasibility {line.infeasibility:.1e}" for line in self.iterations[-1:]),
+            f"{self.energy:.6g} J",
         ]
+        if self.iterations:
+            last = self.iterations[-1]
+            parts += [f"iteration {last.iteration}", f"infeasibility {last.infeasibility:.1e}"]
         if isfinite(self.error_estimate):
             parts.append(f"estimated error {self.error_estimate:.1e} where {asked:g} is asked for")
         return f"Reached: {', '.join(parts)}."
