@@ -107,26 +107,29 @@ def fly(
     with watch.phase("import"):
         import_scipy_alone()
         from pyomo_quad.cli import flying, solving  # noqa: PLC0415  takes seconds
+        from pyomo_quad.flight.deadline import Deadline  # noqa: PLC0415
     if plant is Plant.ROTORPY:
         flying.refuse_outside(resolved)
     planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
-    plan = None
     is_untimed = any(waypoint.at is None for waypoint in resolved.mission.waypoints)
     is_replanned = controller is Controller.MPC
-    if followed is Reference.PLAN or resolved.mission.is_free or (is_replanned and is_untimed):
-        with watch.phase("solve"):
-            made = flying.make_plan(planner, resolved)
-        if isinstance(made, ExitCode):
-            return made
-        plan, resolved = made, made.mission_flown
     flight: Flight | ExitCode
-    if plant is Plant.ROTORPY and followed is not None:
-        flight = flying.make_outside_flight(planner, resolved, controller.value, followed, plan)
-    elif is_replanned:
-        flight = flying.make_replanned_flight(planner, resolved, knowledge)
-    else:
-        reference = followed if controller is Controller.ADAPTIVE else None
-        flight = flying.make_flight(planner, resolved, reference, plan)
+    with Deadline(resolved):
+        plan = None
+        if followed is Reference.PLAN or resolved.mission.is_free or (is_replanned and is_untimed):
+            with watch.phase("solve"):
+                made = flying.make_plan(planner, resolved)
+            if isinstance(made, ExitCode):
+                return made
+            plan, resolved = made, made.mission_flown
+        if plant is Plant.ROTORPY and followed is not None:
+            outside = resolved, controller.value, followed, plan
+            flight = flying.make_outside_flight(planner, *outside)
+        elif is_replanned:
+            flight = flying.make_replanned_flight(planner, resolved, knowledge)
+        else:
+            reference = followed if controller is Controller.ADAPTIVE else None
+            flight = flying.make_flight(planner, resolved, reference, plan)
     if isinstance(flight, ExitCode):
         return flight
     with output_folder(folder) as aside:
@@ -298,12 +301,14 @@ def solve(
     with watch.phase("import"):
         import_scipy_alone()
         from pyomo_quad.cli import solving  # noqa: PLC0415  takes seconds
+        from pyomo_quad.flight.deadline import Deadline  # noqa: PLC0415
         from pyomo_quad.report.report import write_solve_report  # noqa: PLC0415
         from pyomo_quad.study.check import plan_cautions  # noqa: PLC0415
     planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
     with solving.report_folder(folder) as aside:
-        plan = planner.solve(resolved)
-        cautions = plan_cautions(plan, planner=planner)
+        with Deadline(resolved):
+            plan = planner.solve(resolved)
+            cautions = plan_cautions(plan, planner=planner)
         with watch.phase("report"):
             write_solve_report(aside, plan, cautions, rate, figures)
         summary = plan_summary(plan, wall_s=watch.seconds, warnings=cautions)

@@ -19,6 +19,7 @@ from pyomo_quad.flight.controller import (
     feedback_law,
     mixer_matrix,
 )
+from pyomo_quad.flight.deadline import keep_time
 from pyomo_quad.flight.flight import (
     AIR_FORCE,
     ARRIVAL_DISTANCE_M,
@@ -136,7 +137,8 @@ class TumblingGuard:
         self._most = _MOST_EVALUATIONS_PER_SECOND * max(1.0, duration)
 
     def evaluated(self, t: float) -> None:
-        """Count an evaluation of the right-hand side."""
+        """Count an evaluation of the right-hand side, within the time limit."""
+        keep_time()
         self.evaluations += 1
         if self.evaluations > self._most:
             raise SolveError(

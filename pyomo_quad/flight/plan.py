@@ -6,6 +6,7 @@ from collections.abc import Mapping  # noqa: TC003  read by pydantic
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Final, Literal, NoReturn, Self
 from zipfile import ZipFile
@@ -481,6 +482,21 @@ class Plan(Summarised):
     def iteration_count(self) -> int:
         """Ipopt iterations over all meshes."""
         return sum(record.iterations for record in self.history)
+
+    @property
+    def reached(self) -> str:
+        """How far a search came that ended early, in one sentence."""
+        asked = self.scenario.solver.tolerance
+        parts = [
+            f"mesh {max(len(self.history), 1)} with {self.mesh.points} points",
+            f"{self.energy:.6g} J",
+        ]
+        if self.iterations:
+            last = self.iterations[-1]
+            parts += [f"iteration {last.iteration}", f"infeasibility {last.infeasibility:.1e}"]
+        if isfinite(self.error_estimate):
+            parts.append(f"estimated error {self.error_estimate:.1e} where {asked:g} is asked for")
+        return f"Reached: {', '.join(parts)}."
 
     @cached_property
     def dynamics(self) -> Dynamics:

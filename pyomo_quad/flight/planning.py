@@ -26,10 +26,10 @@ from pyomo_quad.collocation import (
     WarmStart,
     compile,
 )
+from pyomo_quad.flight.deadline import Deadline
 from pyomo_quad.flight.flight import HELD_BREACH, VIOLATION_TOLERANCE
 from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
 from pyomo_quad.flight.rescue import (
-    Deadline,
     Effort,
     Rescuer,
     at_its_easiest,
@@ -38,6 +38,7 @@ from pyomo_quad.flight.rescue import (
     easier_numbers,
     fine_mesh,
     guess_of,
+    in_time,
     is_long,
     rough_mesh,
     shortest_flight,
@@ -195,14 +196,14 @@ class Planner:
         -------
         Plan
             With its status; a failure of the numerics is a result, not an exception. One that
-            takes longer than `solver.time_limit` of processor time is not converged and says so;
-            nothing else depends on how fast the machine is.
+            takes longer than `solver.time_limit` of processor time, the flight that checks it
+            included, is not converged and says so; nothing else depends on how fast the machine is.
         """
-        deadline = Deadline(scenario, progress)
         solve = self._solve_quickest if scenario.mission.aim is Aim.TIME else self._solve
-        if scenario.mission.order is Order.BEST and scenario.mission.waypoints:
-            return deadline.applied_to(self._solve_in_best_order(scenario, solve, deadline))
-        return deadline.applied_to(solve(scenario, warm_start, deadline))
+        with Deadline(scenario, progress) as deadline:
+            if scenario.mission.order is Order.BEST and scenario.mission.waypoints:
+                return in_time(self._solve_in_best_order(scenario, solve, deadline), deadline)
+            return in_time(solve(scenario, warm_start, deadline), deadline)
 
     def _solve_in_best_order(
         self, scenario: Scenario, solve: Callable[..., Plan], progress: Progress

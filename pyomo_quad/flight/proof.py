@@ -124,7 +124,11 @@ def _refuse_failed(
         (share, allowed.energy, "share of the energy not accounted for"),
         (passed, allowed.miss, "distance in m by which a waypoint is missed"),
         (verification.battery_imbalance, BALANCE_TOLERANCE, "share that the pack cannot give"),
-        (verification.voltage_lacking, BALANCE_TOLERANCE, "share of the voltage that it cannot"),
+        (
+            verification.voltage_lacking,
+            BALANCE_TOLERANCE,
+            "share of the voltage that the pack cannot give",
+        ),
     )
     for found, most, words in failings:
         if not found <= most:

@@ -9,7 +9,6 @@ at which a metre costs least.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from math import cos, inf, sin, sqrt
 from typing import TYPE_CHECKING, Any
@@ -34,7 +33,7 @@ from pyomo_quad.collocation import (
     diagnose,
 )
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
-from pyomo_quad.flight.plan import Failure, Plan, PlanStatus
+from pyomo_quad.flight.plan import Failure, PlanStatus
 from pyomo_quad.flight.routes import speed_profile
 from pyomo_quad.flight.steady import PITCH, ROLL
 from pyomo_quad.model import ask_for_least_time
@@ -48,6 +47,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from pyomo_quad.collocation import Diagnosis, Problem
+    from pyomo_quad.flight.deadline import Deadline
+    from pyomo_quad.flight.plan import Plan
     from pyomo_quad.flight.steady import FloatArray, SteadyFlight
     from pyomo_quad.scenario import Scenario
     from pyomo_quad.scenario.mission import NamedDuration
@@ -75,36 +76,17 @@ _TIME_TOLERANCE = 1e-4
 _TIMED = RefinementOptions(damping=1.0, allowance=Allowance(limit_breach=inf))
 
 
-class Deadline:
-    """Stops a solve, and all that follows it, at the scenario's time limit or when told to.
-
-    The time is the processor's, so that what else the machine does changes no answer.
-    """
-
-    def __init__(self, scenario: Scenario, progress: Progress | None) -> None:
-        self._limit_s = scenario.solver.time_limit
-        self._end = time.thread_time() + self._limit_s
-        self._progress = progress
-        self.is_over = False
-
-    def __call__(self, iteration: Iteration) -> bool:
-        """Return False once the time is up, or the caller's own callback says so."""
-        self.is_over = self.is_over or time.thread_time() > self._end
-        if self.is_over:
-            return False
-        return self._progress is None or self._progress(iteration) is not False
-
-    def applied_to(self, plan: Plan) -> Plan:
-        """Return the plan: given up where the limit left neither a flight nor a proof."""
-        if not self.is_over or plan.status in (PlanStatus.VERIFIED, PlanStatus.INFEASIBLE):
-            return plan
-        message = (
-            f"given up after solver.time_limit = {self._limit_s:g} s; allow more time, or ask for "
-            "a looser solver.tolerance or fewer solver.elements."
-        )
-        if plan.attempts:
-            message += f" Tried: {'; '.join(plan.attempts)}."
-        return replace(plan, status=PlanStatus.NOT_CONVERGED, message=message, failure=None)
+def in_time(plan: Plan, deadline: Deadline) -> Plan:
+    """Return a plan, given up where the time limit left neither a flight nor a proof."""
+    if not deadline.is_over or plan.status in (PlanStatus.VERIFIED, PlanStatus.INFEASIBLE):
+        return plan
+    message = (
+        f"given up after solver.time_limit = {deadline.limit_s:g} s; allow more time, or ask for "
+        f"a looser solver.tolerance or fewer solver.elements. {plan.reached}"
+    )
+    if plan.attempts:
+        message += f" Tried: {'; '.join(plan.attempts)}."
+    return replace(plan, status=PlanStatus.NOT_CONVERGED, message=message, failure=None)
 
 
 class Effort:

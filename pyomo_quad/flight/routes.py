@@ -2,10 +2,9 @@
 
 Places beside every zone that is in the way are joined where the straight line between them is free;
 Dijkstra's algorithm finds the shortest way through them.  A zone between start and goal is passed
-on the left or right, over or under it, by where the way crosses the plane through its centre and
-across the leg.  The shortest route fixes a side of each; forbidding these one after the other, with
-those before it kept, splits all others into classes [1]_, whose own shortest routes follow in order
-of length.
+on the left or right, over or under it.  The shortest route fixes a side of each zone; forbidding
+these one after the other, with those before it kept, splits all others into classes [1]_, whose own
+shortest routes follow in order of length.
 
 Cruise is what an autopilot makes of a mission: one speed and straight legs with limited jerk.
 Each is flown from rest to rest in the seven phases of [2]_: the jerk is j, 0, -j to reach the
@@ -24,10 +23,9 @@ Times that the mission gives are not kept: a cruise takes its own.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from heapq import heappop, heappush
-from itertools import pairwise, product
-from math import cos, inf, pi, sqrt
+from itertools import pairwise
+from math import inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -38,8 +36,17 @@ from scipy.sparse.csgraph import dijkstra
 from pyomo_quad.collocation import Solution, Status
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.references import SampledPath, quintic_progress, stops_of
+from pyomo_quad.flight.zones import (
+    MARGIN_M,
+    ROUNDING,
+    Side,
+    are_blocked,
+    places_beside,
+    sides_passed,
+    zones_hit,
+)
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.airspace import Airspace, Ball, KeepOut
+from pyomo_quad.scenario.airspace import Airspace, KeepOut
 
 FloatArray = NDArray[np.float64]
 Place = tuple[float, float, float]
@@ -48,23 +55,7 @@ Place = tuple[float, float, float]
 #: all they may be: a detour that doubles the way saves no energy.
 MOST_ROUTES = 8
 _LONGEST = 2.0
-#: m. Places beside a zone are this far from it and its clearance; a gap so narrow is none.
-MARGIN_M = 0.15
-_CORNERS = 12
 _GUESS_SAMPLES = 201
-# Between the directions of a cube's corners, edges and faces lie at most 54.8 degrees.
-_DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
-_SPHERE_MARGIN = 1.0 / cos(54.8 / 2 * pi / 180)
-_ROUNDING = 1e-9
-
-
-class Side(StrEnum):
-    """On which side a route passes a zone, as seen in flight."""
-
-    LEFT = "left"
-    RIGHT = "right"
-    OVER = "over"
-    UNDER = "under"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,14 +109,14 @@ def find_routes(
         Empty where no way of a width of `MARGIN_M` is free.
     """
     ends = np.array([start, goal], dtype=float)
-    relevant = _hit(airspace.keep_out, ends, airspace.clearance)
+    relevant = zones_hit(airspace.keep_out, ends, airspace.clearance)
     while True:
         graph = _Graph(airspace, ends, relevant)
         routes = tuple(route for route, _ in zip(graph.routes(), range(most), strict=False))
         more = [
             zone
             for route in routes
-            for zone in _hit(airspace.keep_out, route.places, airspace.clearance)
+            for zone in zones_hit(airspace.keep_out, route.places, airspace.clearance)
         ]
         if not more:
             return tuple(r for r in routes if r.length <= _LONGEST * routes[0].length)
@@ -241,47 +232,6 @@ def with_plain_passages(told: Scenario) -> Scenario | None:
     return told.model_copy(update={"mission": mission})
 
 
-def _hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) -> list[KeepOut]:
-    return [
-        zone
-        for zone in zones
-        if any(
-            _blocked(zone, first[None, :], last[None, :], clearance)[0]
-            for first, last in pairwise(places)
-        )
-    ]
-
-
-def _blocked(
-    zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
-) -> NDArray[np.bool_]:
-    """Say which straight lines, from places of shape (n, 3) to others, cut into a zone."""
-    entered, left = np.zeros(len(starts)), np.ones(len(starts))
-    for ball in zone.balls:
-        first, last = _span_inside(ball, starts, ends, clearance)
-        entered, left = np.maximum(entered, first), np.minimum(left, last)
-    return np.asarray(left - entered > _ROUNDING)
-
-
-def _span_inside(
-    ball: Ball, starts: FloatArray, ends: FloatArray, clearance: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return between which shares of straight lines they are inside a ball; none is (1, 0)."""
-    axes = list(ball.axes)
-    away, along = starts[:, axes] - ball.centre, (ends - starts)[:, axes]
-    radius = ball.radius + clearance - _ROUNDING
-    a = np.sum(along**2, axis=1)
-    b = np.sum(away * along, axis=1)
-    c = np.sum(away**2, axis=1) - radius**2
-    root = np.sqrt(np.maximum(b**2 - a * c, 0.0))
-    moves = a > 0.0
-    divisor = np.where(moves, a, 1.0)
-    is_cut = np.where(moves, b**2 > a * c, c < 0.0)
-    first = np.where(moves, (-b - root) / divisor, 0.0)
-    last = np.where(moves, (-b + root) / divisor, 1.0)
-    return np.where(is_cut, first, 1.0), np.where(is_cut, last, 0.0)
-
-
 class _Graph:
     """Places beside the zones, and the free straight lines between them.
 
@@ -295,26 +245,26 @@ class _Graph:
 
     def __init__(self, airspace: Airspace, ends: FloatArray, relevant: list[KeepOut]) -> None:
         self._zones = relevant
-        beside = [_places_beside(zone, airspace.clearance, ends) for zone in relevant]
+        beside = [places_beside(zone, airspace.clearance, ends) for zone in relevant]
         places = np.vstack([ends, *beside])
         low = -np.inf if airspace.floor is None else airspace.floor
         high = np.inf if airspace.ceiling is None else airspace.ceiling
         is_free = (places[:, 2] >= low) & (places[:, 2] <= high)
         for zone in airspace.keep_out:
-            is_free &= zone.depth(places) + airspace.clearance <= _ROUNDING
+            is_free &= zone.depth(places) + airspace.clearance <= ROUNDING
         is_free[:2] = True
         self._places = places[is_free]
         first, last = np.triu_indices(len(self._places), 1)
         is_open = np.ones(len(first), dtype=bool)
+        lines = self._places[first], self._places[last]
         for zone in relevant:
-            is_open &= ~_blocked(zone, self._places[first], self._places[last], airspace.clearance)
+            is_open &= ~are_blocked(zone, *lines, airspace.clearance)
         self._first, self._last = first[is_open], last[is_open]
         self._lengths = np.linalg.norm(self._places[self._first] - self._places[self._last], axis=1)
-        self._crossings = [self._sides(zone, ends) for zone in relevant]
-
-    def _sides(self, zone: KeepOut, ends: FloatArray) -> NDArray[np.intp]:
-        """Return the number of the side on which each line passes a zone's plane, or -1."""
-        return _passed(zone, ends, self._places[self._first], self._places[self._last])
+        starts, stops = self._places[self._first], self._places[self._last]
+        self._crossings = [
+            sides_passed(zone, ends, airspace.clearance, starts, stops) for zone in relevant
+        ]
 
     def routes(self) -> Iterator[Route]:
         """Yield the shortest route of every class, the shortest first."""
@@ -374,25 +324,6 @@ class _Graph:
         return sides
 
 
-def _passed(
-    zone: KeepOut, ends: FloatArray, starts: FloatArray, stops: FloatArray
-) -> NDArray[np.intp]:
-    """Return the number of the side on which each line passes a zone, -1 where it does not.
-
-    A zone is passed where the plane across the leg through its middle is.
-    """
-    along, left, up = _frame(ends)
-    centre = _centre(zone)
-    first, last = (starts - centre) @ along, (stops - centre) @ along
-    crosses = (first < 0.0) != (last < 0.0)
-    share = np.where(crosses, first / np.where(crosses, first - last, 1.0), 0.0)
-    across = starts + share[:, None] * (stops - starts) - centre
-    aside, above = across @ left, across @ up
-    wide, high = _half_width(zone, left), _half_width(zone, up)
-    beyond = np.array([aside - wide, -aside - wide, above - high, -above - high])
-    return np.where(crosses, beyond.argmax(axis=0), -1)
-
-
 def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Journey:
     """Return a journey with the sides on which its flight passes the zones.
 
@@ -409,66 +340,12 @@ def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Jo
         part = track[first : last + 1]
         sides = []
         for name, side in route.sides:
-            found = _passed(zones[name], route.places[[0, -1]], part[:-1], part[1:])
+            leg = zones[name], route.places[[0, -1]], told.airspace.clearance
+            found = sides_passed(*leg, part[:-1], part[1:])
             crossed = found[found >= 0]
             sides.append((name, list(Side)[crossed[0]] if crossed.size else side))
         flown.append(replace(route, sides=tuple(sides)))
     return tuple(flown)
-
-
-def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the directions along a leg, to its left and up, of length one."""
-    along = ends[1] - ends[0]
-    length = np.linalg.norm(along)
-    along = along / length if length > 0.0 else np.array([1.0, 0.0, 0.0])
-    left = np.cross([0.0, 0.0, 1.0], along)
-    size = np.linalg.norm(left)
-    left = left / size if size > _ROUNDING else np.array([0.0, 1.0, 0.0])
-    return along, left, np.cross(along, left)
-
-
-def _centre(zone: KeepOut) -> FloatArray:
-    centre = np.zeros(3)
-    for ball in zone.balls:
-        centre[list(ball.axes)] = ball.centre
-    return centre
-
-
-def _half_width(zone: KeepOut, direction: FloatArray) -> float:
-    """Return how far a zone reaches from its centre in a direction."""
-    parts = [ball.radius * np.linalg.norm(direction[list(ball.axes)]) for ball in zone.balls]
-    return float(sum(parts))
-
-
-def _places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArray:
-    """Return places all round a zone, whose straight lines along it do not cut into it."""
-    reach = clearance + MARGIN_M
-    passing = _nearest_on_leg(zone, ends)
-    choices = []
-    for ball in zone.balls:
-        radius = ball.radius + reach
-        if len(ball.axes) == 3:
-            sizes = np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
-            choices.append(ball.centre + _SPHERE_MARGIN * radius * _DIRECTIONS / sizes)
-        elif len(ball.axes) == 2:
-            angles = 2 * pi * np.arange(_CORNERS) / _CORNERS
-            circle = np.column_stack([np.cos(angles), np.sin(angles)])
-            choices.append(ball.centre + radius / cos(pi / _CORNERS) * circle)
-        else:
-            # A shortest way may pass anywhere along an edge, above all where it is straight.
-            (axis,) = ball.axes
-            near = np.append(ends[:, axis], passing[axis])
-            sides = ball.centre[0] + radius * np.array([-1.0, 1.0])
-            choices.append(np.unique(np.append(sides, np.clip(near, *sides)))[:, None])
-    return np.array([np.concatenate(parts) for parts in product(*choices)])
-
-
-def _nearest_on_leg(zone: KeepOut, ends: FloatArray) -> FloatArray:
-    """Return the place on the straight line from start to goal that is nearest to a zone."""
-    along = ends[1] - ends[0]
-    square = float(along @ along)
-    share = (_centre(zone) - ends[0]) @ along / square if square > 0.0 else 0.0
-    return np.asarray(ends[0] + np.clip(share, 0.0, 1.0) * along)
 
 
 @dataclass(frozen=True, kw_only=True)

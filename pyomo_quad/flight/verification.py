@@ -12,6 +12,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from pyomo_quad.collocation import ClosedLoop, Dynamics, Mesh, SolveError, control_polynomial
+from pyomo_quad.flight.deadline import keep_time
 from pyomo_quad.flight.flight import (
     HELD_BREACH,
     POSITION_STATES,
@@ -155,8 +156,13 @@ def _integrate(
 
     Its equations hold from `inside` on.
     """
+
+    def rates(t: float, y: FloatArray) -> FloatArray:
+        keep_time()
+        return flow.rates(max(t, inside), y, control(t))
+
     flown = solve_ivp(
-        lambda t, y: flow.rates(max(t, inside), y, control(t)),
+        rates,
         (times[0], times[-1]),
         state,
         t_eval=times[1:],
@@ -252,7 +258,11 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
 
 
 def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
-    """Return the largest shares of the power, and of the charge, that the pack cannot give."""
+    """Return the largest shares of the power, and of the charge, that the pack cannot give.
+
+    The declared equations stay finite beyond what a pack delivers and beyond empty; a flight
+    there is no flight.  A model without a battery lacks nothing.
+    """
     if not all(dynamics.has(name) for name in _BALANCE):
         return 0.0, 0.0
     keys = tuple((name, None) for name in _BALANCE)

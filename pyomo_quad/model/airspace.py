@@ -13,10 +13,14 @@ the d_k being positive.  That largest is joined smoothly and from below, so that
 zone is allowed: near an edge, where two of the d_k agree to about w, places up to 0.14 w = 70 mm
 outside (0.28 w = 140 mm beside the corners of a box) are forbidden too; elsewhere, and on the edge
 itself, the zone is exact.  Faces move out by the clearance, so that edges stay sharp.
+
+A flight that starts or ends on a wall, or passes a waypoint there, has no room to keep: such a
+place is refused before anything is solved.
 """
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from functools import reduce
+from typing import Any
 
 from pyomo.core import Block, ConcreteModel, sqrt
 from pyomo.core.base.units_container import units
@@ -24,12 +28,18 @@ from pyomo.core.expr import NumericExpression, RelationalExpression
 
 from pyomo_quad.model.parameters import Parameter, declare_parameters, saturated
 from pyomo_quad.model.rigid_body import PLACE
-from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.airspace import KeepOut
+from pyomo_quad.scenario.messages import shown
 
 AXES = PLACE[:3]
 EDGE_WIDTH_M = 0.5
+# How far outside places may be forbidden, beside a corner: see above.
+_EDGE_M = 0.28 * EDGE_WIDTH_M
 # The distance from a centre has no derivative there; the surface stays where it is.
 _ROUNDING_M = 1e-3
+# Nearer to where a flight may not be, a place is on the wall: half of what a flight may miss by.
+_TOUCHING_M = 5e-5
 
 
 def structure_of(scenario: Scenario) -> Hashable:
@@ -117,6 +127,7 @@ def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
     m : ConcreteModel
         With `time` and `rigid_body`.
     """
+    _refuse_touching(scenario)
     b = m.airspace = Block(doc="airspace")
     declare_parameters(b, parameters_of(scenario), scenario)
     if scenario.airspace.floor is not None:
@@ -141,12 +152,55 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
         body = b.parent_block().rigid_body
         axes = [axis for axis in AXES if (zone, ball, axis) in b.centre]
         away = sum((body.component(axis)[t] - b.centre[zone, ball, axis]) ** 2 for axis in axes)
-        radius = b.radius[zone, ball] + b.clearance
-        return sqrt(away + b.rounding**2) - sqrt(radius**2 + b.rounding**2)
+        return _beyond(away, b.radius[zone, ball] + b.clearance, b.rounding)
 
     @b.Constraint(
         [zone.name for zone in scenario.airspace.keep_out], m.time, doc="outside of a zone [m]"
     )
     def keep_out(b: Block, zone: str, t: float) -> RelationalExpression:
         distances = [b.beyond[index, t] for index in b.radius if index[0] == zone]
-        return reduce(lambda one, other: saturated(one, other, b.edge_width), distances) >= 0
+        return _largest(distances, b.edge_width) >= 0
+
+
+def _beyond(away: Any, radius: Any, rounding: Any) -> Any:
+    """Return how far beyond a ball a place is whose squared distance from the centre is `away`."""
+    return sqrt(away + rounding**2) - sqrt(radius**2 + rounding**2)
+
+
+def _largest(distances: Sequence[Any], width: Any) -> Any:
+    """Return the largest of some distances, joined smoothly and from below."""
+    return reduce(lambda one, other: saturated(one, other, width), distances)
+
+
+def _refuse_touching(scenario: Scenario) -> None:
+    """Refuse a start, waypoint or goal on the wall of a zone."""
+    told, mission = scenario.airspace, scenario.mission
+    # A waypoint that may be passed at a distance has room.
+    is_exact = (True, *(waypoint.radius == 0.0 for waypoint in mission.waypoints), True)
+    for (field, place), has_no_room in zip(mission.named_positions, is_exact, strict=True):
+        for zone in told.keep_out if has_no_room else ():
+            if _room(zone, told.clearance, place) < _TOUCHING_M:
+                outside = max(0.0, -float(zone.depth(place)) - told.clearance)
+                rounded = (
+                    f", beside an edge, which is rounded outwards by up to {_EDGE_M:g} m"
+                    if outside >= _TOUCHING_M
+                    else ""
+                )
+                raise ScenarioError(
+                    f"{scenario.name}: {field} = {shown(list(place))} m touches keep-out "
+                    f"{told.with_clearance(zone)}: it is {outside:.3g} m from the wall{rounded}; "
+                    "move one of them."
+                )
+
+
+def _room(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
+    """Return how far a place is outside of a zone, as the constraint says it [m]."""
+    distances = [
+        _beyond(
+            sum((place[axis] - c) ** 2 for axis, c in zip(ball.axes, ball.centre, strict=True)),
+            ball.radius + clearance,
+            _ROUNDING_M,
+        )
+        for ball in zone.balls
+    ]
+    return float(_largest(distances, EDGE_WIDTH_M))

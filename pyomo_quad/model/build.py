@@ -175,13 +175,15 @@ def structure_key(scenario: Scenario) -> Hashable:
     """
     series = scenario.wind.series
     *passages, end = scenario.nominal_times
+    # A table of times that the plan chooses has the rows that the longest flight reads.
+    longest = scenario.mission.duration_limits[1] if scenario.mission.is_free else None
     return (
         scenario.model,
         scenario.vehicle.attitude,
         scenario.power.model,
         scenario.power.regeneration,
         scenario.wind.coupling,
-        None if series is None else (series, scenario.wind.time_offset),
+        None if series is None else (series, scenario.wind.time_offset, longest),
         tuple(row.name for row in wind.parameters_of(scenario)),
         scenario.vehicle.has_own_rotors,
         scenario.vehicle.rotor_senses,

@@ -17,11 +17,15 @@ law holds, the wind stays what it is there: h is a smooth largest of that and z,
 as z rises and from half a metre above on is z to 1e-12 m.  A wind measured over heights is a cubic
 spline through them, of h between the lowest and the highest, beyond which it stays likewise.
 
+A wind measured over time is the cubic spline of the wind time through its rows, twice
+differentiable wherever the times of a flight lie, so that a plan may choose them; after the last
+row it stays what it is there.
+
 The gust of eq. (12) peaks at v_gmax a quarter of a period after its start.
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cached_property, partial
 from math import cos, pi, tau
 from math import sin as sine
 from typing import Any
@@ -32,6 +36,7 @@ from pyomo.core import Block, ConcreteModel, Expression, Param, exp, log, sin, s
 from pyomo.core.base.units_container import UnitsError, units
 from pyomo.core.expr import NumericExpression
 
+from pyomo_quad.collocation import Table
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.wind import FrequencyUnit, WindAxis, WindLaw, WindProfile, WindSeries
@@ -57,6 +62,12 @@ PARAMETERS = (
 )
 _VERTICAL = Parameter(
     name="vertical", units=_SPEED, value=lambda s: s.wind.vertical, doc="w_0: steady wind upwards"
+)
+_MEASURED = Parameter(
+    name="measured_unit",
+    units=_SPEED,
+    value=lambda _s: 1.0,
+    doc="speed that a wind measured over time is counted in",
 )
 
 
@@ -97,6 +108,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
         *(PARAMETERS if wind.series is None else ()),
         *((_VERTICAL,) if wind.vertical else ()),
         *(() if wind.profile is None else _profile_parameters(wind.profile)),
+        *((_MEASURED,) if wind.series is not None and wind.series.times else ()),
         *(() if wind.series is None else _measured_heights(wind.series)),
     )
 
@@ -183,7 +195,7 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
     if series is None:
         _declare_formula(m, scenario)
     else:
-        _declare_series(m, series, scenario.wind.time_offset)
+        _declare_series(m, series, scenario)
     if scenario.wind.vertical:
 
         @b.Expression(m.time, doc="wind along world z [m/s]")
@@ -203,11 +215,10 @@ def _declare_height(b: Block, m: ConcreteModel) -> None:
         return b.least_height + _smooth_positive(b.height_above[t])
 
 
-def _smooth_positive(height: NumericExpression) -> NumericExpression:
-    """Return the larger of a height and nought, smoothly."""
-    width = HEIGHT_SMOOTHING
-    rounding = width**2 * exp(-((height / width) ** 2))
-    return (height + sqrt(height**2 + rounding)) / 2
+def _smooth_positive(number: Any, width: Any = HEIGHT_SMOOTHING) -> Any:
+    """Return the larger of a number, a height as a rule, and nought, smoothly."""
+    rounding = width**2 * exp(-((number / width) ** 2))
+    return (number + sqrt(number**2 + rounding)) / 2
 
 
 def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
@@ -291,7 +302,7 @@ def _declare_gust(axis: Block, m: ConcreteModel) -> None:
         return 2 * axis.gust_amplitude / (1 + exp(-4 * (sin(phase) - 1)))
 
 
-def _declare_series(m: ConcreteModel, series: WindSeries, offset: float) -> None:
+def _declare_series(m: ConcreteModel, series: WindSeries, scenario: Scenario) -> None:
     b = m.wind
     heights = np.array(series.heights)
     if series.heights:
@@ -302,7 +313,7 @@ def _declare_series(m: ConcreteModel, series: WindSeries, offset: float) -> None
         measured = [f"measured_{name}{_after(k, series)}" for k in range(len(weights))]
         for component, row in zip(measured, weights, strict=True):
             if series.times:
-                _declare_measured(b, m, component, _spline(series.times, row, offset))
+                _declare_measured(b, m, component, _OverTime(series.times, row, scenario))
             else:
                 _declare_steady(b, component, float(row[0]))
         _declare_velocity(b, m, name, measured)
@@ -312,18 +323,15 @@ def _after(number: int, series: WindSeries) -> str:
     return f"_{number}" if series.heights else ""
 
 
-def _declare_measured(
-    b: Block, m: ConcreteModel, name: str, spline: Callable[[float], float]
-) -> None:
-    def measured(_b: Block, t: float) -> float:
-        return spline(t)
+def _declare_measured(b: Block, m: ConcreteModel, name: str, speeds: "_OverTime") -> None:
+    def measured(_b: Block, t: Any) -> Any:
+        return speeds(t)
 
     table = Param(
         m.time,
         initialize=measured,
         mutable=True,
-        units=_SPEED,
-        doc=f"{name} along its world axis, cubic spline [m/s]",
+        doc=f"{name} along its world axis, cubic spline, in measured_unit",
     )
     b.add_component(name, table)
 
@@ -335,7 +343,10 @@ def _declare_steady(b: Block, name: str, speed: float) -> None:
 
 def _declare_velocity(b: Block, m: ConcreteModel, name: str, measured: Sequence[str]) -> None:
     def velocity(b: Block, t: float) -> NumericExpression:
-        parts = [held[t] if held.is_indexed() else held for held in map(b.component, measured)]
+        parts = [
+            b.measured_unit * held[t] if held.is_indexed() else held
+            for held in map(b.component, measured)
+        ]
         if b.component("shape") is None:
             return _at_height(b, t, parts[0])
         return parts[0] + sum(part * b.shape[k, t] for k, part in enumerate(parts[1:], start=1))
@@ -395,11 +406,45 @@ def _power_from(start: float, share: Any) -> Any:
     return ((beyond + abs(beyond)) / 2) ** _CUBIC
 
 
-def _spline(
-    times: tuple[float, ...], speeds: FloatArray, offset: float
-) -> Callable[[float], float]:
-    """Return measured speed as a function of the time in flight."""
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415  for measured wind alone
+# Of the usual step between rows: over how long the wind passes into the one that is held.
+_PASSING_STEPS = 0.1
+# Rows on either side of those that a flight reads: each row between makes a row felt less by a
+# factor of 3.7, so that those beyond are below rounding.
+_ROWS_BESIDE = 30
 
-    spline = CubicSpline(times, speeds)
-    return lambda t: float(spline(t + offset))
+
+class _OverTime:
+    """A measured speed as a function of the time in flight, which may be a number or a symbol.
+
+    It is the cubic spline through its rows, held after the last with a passage as smooth as that
+    of a profile.
+    """
+
+    def __init__(self, times: Sequence[float], speeds: FloatArray, scenario: Scenario) -> None:
+        from scipy.interpolate import CubicSpline  # noqa: PLC0415  for measured wind alone
+
+        self._offset = scenario.wind.time_offset
+        self._end = times[-1]
+        self._width = _PASSING_STEPS * float(np.median(np.diff(times)))
+        self._spline = CubicSpline(times, speeds)
+        ends = self._offset, self._offset + scenario.mission.duration_limits[1]
+        first, last = (int(row) for row in np.searchsorted(times, ends))
+        self._rows = slice(max(first - _ROWS_BESIDE, 0), last + _ROWS_BESIDE)
+
+    def __call__(self, t: Any) -> Any:
+        """Return the speed at a time, as a number, or as a Pyomo expression of a symbol."""
+        if isinstance(t, int | float):
+            return float(self._spline(self._held(t, self._end)))
+        return self._table(self._held(t, float(self._spline.x[self._rows][-1])))
+
+    def _held(self, t: Any, end: float) -> Any:
+        return end - _smooth_positive(end - (t + self._offset), self._width)
+
+    @cached_property
+    def _table(self) -> Table:
+        """The spline of the rows that a flight may read, for times that a solver varies.
+
+        Its work grows with its rows; those left out are too far away to be felt.
+        """
+        times = self._spline.x[self._rows]
+        return Table(times, self._spline(times), name="measured wind")

@@ -346,8 +346,8 @@ def _way(flights: Sequence[StyledFlight], mission: "Scenario") -> tuple[Drawing,
     if not set(_columns(POSITION, VELOCITY, (ENERGY,))) <= set(flights[0].frame):
         return ()
     waypoints = mission.mission.waypoints
-    legs = " Right: what each leg of the optimal flight takes." if waypoints else ""
-    marks = " Dotted: where the optimal flight passes the waypoints." if waypoints else ""
+    legs = " Right: what each leg of the plan takes." if waypoints else ""
+    marks = " Dotted: where the plan passes the waypoints." if waypoints else ""
     return (
         Drawing(
             name="way",

@@ -19,7 +19,7 @@ from pyomo_quad.flight.flight import (
     COLUMNS,
     VIOLATION_TOLERANCE,
 )
-from pyomo_quad.flight.plan import FLIGHT_SAMPLES
+from pyomo_quad.flight.plan import FLIGHT_SAMPLES, PlanStatus
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
     ENERGY_TOLERANCE,
@@ -232,6 +232,7 @@ def _of_plan(plan: "Plan") -> dict[str, Any]:
             "energy_J": ENERGY_TOLERANCE * max(1.0, abs(plan.energy)),
             "imbalance": BALANCE_TOLERANCE,
         },
+        "INFEASIBLE": PlanStatus.INFEASIBLE,
         "PLAN_NAME": PLAN_NAME,
         "SUMMARY_NAME": SUMMARY_NAME,
         "version": __version__,

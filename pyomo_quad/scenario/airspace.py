@@ -162,5 +162,10 @@ class Airspace(Part):
         for zone in self.keep_out:
             depth = float(zone.depth(place)) + self.clearance
             if depth > 0.0:
-                near = f" with its clearance of {self.clearance:g} m" if self.clearance else ""
-                yield f"is inside keep-out {zone.name}{near} by {depth:.3g} m; move one of them"
+                near = self.with_clearance(zone)
+                yield f"is inside keep-out {near} by {depth:.3g} m; move one of them"
+
+    def with_clearance(self, zone: KeepOut) -> str:
+        """Return the name of a zone, with the clearance kept from it if there is any."""
+        near = f" with its clearance of {self.clearance:g} m" if self.clearance else ""
+        return f"{zone.name}{near}"

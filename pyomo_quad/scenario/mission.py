@@ -117,7 +117,7 @@ class Mission(Part):
     )
     duration_max: Number | None = quantity(
         "s",
-        "greatest duration where it is free, no limit when absent",
+        "greatest duration where it is free; when absent until wind.file ends, or without limit",
         None,
         gt=0,
         sound=_ALOFT,
@@ -158,6 +158,14 @@ class Mission(Part):
         """Start, waypoints and goal, m."""
         between = (waypoint.position for waypoint in self.waypoints)
         return (self.start.position, *between, self.goal.position)
+
+    @property
+    def named_positions(self) -> tuple[tuple[str, tuple[float, float, float]], ...]:
+        """Start, waypoints and goal, m, each after the field that says so."""
+        waypoints = (f"waypoints[{k}]" for k in range(len(self.waypoints)))
+        names = ("start", *waypoints, "goal")
+        fields = (f"mission.{name}.position" for name in names)
+        return tuple(zip(fields, self.positions, strict=True))
 
     @property
     def released(self) -> float:

@@ -329,7 +329,7 @@ _Rows = list[tuple[float, ...]]
 
 
 def read_wind_file(
-    file: Path, where: str, duration: object, time_offset: object
+    file: Path, where: str, longest: tuple[str, object], time_offset: object
 ) -> dict[str, tuple[float, ...]]:
     """Read and check a wind over time, over height, or over both.
 
@@ -338,9 +338,11 @@ def read_wind_file(
     file : Path
         CSV file with the columns `WIND_COLUMNS`, with `HEIGHT_COLUMN` in place of or after the
         first; over both, every time has the same heights.
-    duration, time_offset : object
-        Duration of the mission and wind time at its start, s; anything that is not a number is
-        left to the schema to refuse.
+    longest : tuple of str and object
+        The field that says how long the mission may take, and its value, s.
+    time_offset : object
+        Wind time at the start of the mission, s; anything that is not a number is left to the
+        schema to refuse, here and in `longest`.
 
     Returns
     -------
@@ -362,14 +364,11 @@ def read_wind_file(
         series["heights"] = _heights(columns, place)
     if _TIME_COLUMN not in keys:
         return series
-    if duration == FREE:
-        _refuse(
-            place, "a measured wind needs a fixed mission.duration; give one in s, or another wind"
-        )
     series["times"] = columns[_TIME_COLUMN][:: len(series.get("heights", "1"))]
     _check_times(series["times"], place)
+    field, duration = longest
     if isinstance(duration, int | float) and isinstance(time_offset, int | float):
-        _check_cover(series["times"], time_offset, time_offset + duration, place)
+        _check_cover(series["times"], time_offset, field, duration, place)
     return series
 
 
@@ -411,12 +410,14 @@ def _check_times(times: tuple[float, ...], place: str) -> None:
             )
 
 
-def _check_cover(times: tuple[float, ...], start: float, end: float, place: str) -> None:
-    if times[0] > start or times[-1] < end:
+def _check_cover(
+    times: tuple[float, ...], start: float, field: str, duration: float, place: str
+) -> None:
+    if times[0] > start or times[-1] - start < duration:
         _refuse(
             place,
-            f"wind from {times[0]:g} to {times[-1]:g} s does not cover the mission "
-            f"from {start:g} to {end:g} s; give a longer file or shorten mission.duration",
+            f"wind from {times[0]:g} to {times[-1]:g} s does not cover the mission from "
+            f"{start:g} to {start + duration:g} s; give a longer file or shorten {field}",
         )
 
 
@@ -486,6 +487,10 @@ DEFAULT_LIBRARY: Mapping[str, str] = {
     "battery": "phantom_2_pack",
     "wind": "calm",
 }
+
+# How long a free duration may be, and the shortest that there is, in s.
+_LONGEST: FieldPath = ("mission", "duration_max")
+_SHORTEST_S = 1e-3
 
 # A forecast is a wind of its own, told to the same vehicle.
 _INHERITED_BY_FORECAST = ("acceleration_coefficient", "frequency_unit")
@@ -637,6 +642,8 @@ def _inherit_by_forecast(tables: dict[str, Any], own: Mapping[str, Any]) -> dict
 def _add_wind_series(
     origin: Origin, tables: dict[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
+    field, longest = _longest(tables)
+    known: list[tuple[float, str]] = []
     for place in (("wind",), ("wind", "forecast")):
         wind: Any = tables
         for step in place:
@@ -644,14 +651,28 @@ def _add_wind_series(
         if not isinstance(wind, Mapping) or not isinstance(wind.get("file"), str):
             continue
         where = f"{whose(origin, provenance, (*place, 'file'))}: {spell((*place, 'file'))}"
-        mission = tables.get("mission")
-        duration = mission.get("duration") if isinstance(mission, Mapping) else None
         offset = wind.get("time_offset", 0.0)
-        series = read_wind_file(origin.folder / wind["file"], where, duration, offset)
+        told = (spell(field), _SHORTEST_S if longest is None else longest)
+        series = read_wind_file(origin.folder / wind["file"], where, told, offset)
         tables = set_value(tables, (*place, "series"), series)
+        said = f"file {shown(wind['file'])[1:-1]}"
         for column in series:
-            provenance[spell((*place, "series", column))] = f"file {shown(wind['file'])[1:-1]}"
+            provenance[spell((*place, "series", column))] = said
+        if series["times"] and isinstance(offset, int | float):
+            known.append((series["times"][-1] - offset, said))
+    if field == _LONGEST and longest is None and known:
+        # A free duration ends where the wind is not known any more.
+        last, provenance[spell(field)] = min(known)
+        tables = set_value(tables, field, last)
     return tables
+
+
+def _longest(tables: Mapping[str, Any]) -> tuple[FieldPath, object]:
+    """Return the field that says how long a mission may take, and what it says."""
+    mission = tables.get("mission")
+    told = mission if isinstance(mission, Mapping) else {}
+    field = _LONGEST if told.get("duration") == FREE else ("mission", "duration")
+    return field, told.get(field[-1])
 
 
 def _add_derived_limits(

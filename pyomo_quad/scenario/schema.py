@@ -306,11 +306,9 @@ class Scenario(Part):
             raise ScenarioError(f"{source}: {told}")
 
     def _check_airspace(self, source: str) -> None:
-        waypoints = [f"waypoints[{k}]" for k in range(len(self.mission.waypoints))]
-        names = ("start", *waypoints, "goal")
-        for name, place in zip(names, self.mission.positions, strict=True):
+        for field, place in self.mission.named_positions:
             for complaint_of_place in self.airspace.complaints(place):
-                where = f"mission.{name}.position = {shown(list(place))} m"
+                where = f"{field} = {shown(list(place))} m"
                 raise ScenarioError(f"{source}: {where} {complaint_of_place}.")
 
     def _check_replanning(self, source: str) -> None:

@@ -365,7 +365,7 @@ class Solver(Part):
     max_iterations: WholeNumber = quantity("1", "Ipopt iterations per mesh", 150, ge=1, le=100_000)
     time_limit: Number = quantity(
         "s",
-        "processor time after which a solve, its fallbacks and its diagnosis end",
+        "processor time after which a command ends its solves, its diagnosis and its flights",
         300.0,
         gt=0,
         le=1e6,

@@ -8,6 +8,7 @@ import numpy as np
 
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
+from pyomo_quad.flight.deadline import TimeIsUpError
 from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, ROTORS, position_miss, terminal_miss_of
 from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight, battery_shortfalls
 from pyomo_quad.flight.verification import fly_controls
@@ -461,6 +462,8 @@ def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> tuple[str, ..
     planned = dict(zip(held.state_names, held.states[-1].tolist(), strict=True))
     try:
         flown = fly_controls(exact, held.mesh, held.controls, held.states[0], held.horizon)
+    except TimeIsUpError as error:
+        return (f"the plan could not be flown with exact attitude: {error}",)
     except SolveError:
         miss = inf
     else:

@@ -10,6 +10,7 @@ import pandas as pd
 from pyomo_quad.collocation import Dynamics, EngineError, Progress, Summarised
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name, fly_baseline, fly_open_loop
+from pyomo_quad.flight.deadline import Deadline
 from pyomo_quad.flight.flight import WIND
 from pyomo_quad.flight.replanning import fly_replanned, replanned_name
 from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at
@@ -101,12 +102,23 @@ def run_scenario(
     Parameters
     ----------
     progress : callable, optional
-        Called at each Ipopt iteration; returning False stops the solve.
+        Called at each Ipopt iteration; returning False stops the solve.  All together, in each
+        process, ends after `solver.time_limit`: what could not be flown by then is a warning.
     meanwhile : callable, optional
         Called once while others fly, such as to import what the report needs.
     """
-    planner = planner or Planner()
     references = scenario.baseline.references if baselines is None else tuple(baselines)
+    with Deadline(scenario):
+        return _run(scenario, planner or Planner(), references, progress, meanwhile)
+
+
+def _run(
+    scenario: Scenario,
+    planner: Planner,
+    references: Sequence[Reference],
+    progress: Progress | None,
+    meanwhile: Callable[[], object],
+) -> RunResult:
     plan = planner.solve(scenario, progress=progress)
     began = perf_counter()
     mission, dynamics = plan.mission_flown, planner.dynamics(plan.mission_flown)

@@ -375,10 +375,24 @@ def test_a_waypoint_outside_the_airspace(tmp_path, airspace, message):
     assert message in one_line(caught)
 
 
-def test_a_measured_wind_needs_a_fixed_duration(tmp_path):
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (
+            ["mission.duration_max = 20.0"],
+            (
+                "wind from 0 to 9 s does not cover the mission from 0 to 20 s; give a longer file "
+                "or shorten mission.duration_max."
+            ),
+        ),
+        (["wind.time_offset = 9.0"], "wind from 0 to 9 s does not cover the mission from 9 to"),
+        (["wind.time_offset = -1.0"], "wind from 0 to 9 s does not cover the mission from -1 to"),
+    ],
+)
+def test_a_measured_wind_covers_a_free_duration(tmp_path, lines, message):
     write_wind(tmp_path, range(10))
-    file = write_scenario(tmp_path, FREE, 'wind.file = "wind.csv"')
-    with pytest.raises(ScenarioError, match=r"needs a fixed mission\.duration; give") as caught:
+    file = write_scenario(tmp_path, FREE, 'wind.file = "wind.csv"', *lines)
+    with pytest.raises(ScenarioError, match=re.escape(message)) as caught:
         load_scenario(file)
     assert one_line(caught).startswith(f'{file}: wind.file = "wind.csv"; ')
 

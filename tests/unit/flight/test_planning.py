@@ -11,12 +11,13 @@ from pyomo_quad import load_scenario
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.collocation import Mesh, SolverOptions, Status, Trajectory
-from pyomo_quad.flight import Planner, PlanStatus, planning, rescue
+from pyomo_quad.flight import Planner, PlanStatus, deadline, planning, rescue
 from pyomo_quad.flight.planning import solve_scenario
 from pyomo_quad.flight.rescue import Rescuer
 from pyomo_quad.model import build_model
 from pyomo_quad.model.power import wider_smoothings
 from pyomo_quad.scenario.mission import NamedDuration
+from pyomo_quad.study.run import run_scenario
 from tests.command import IMPOSSIBLE, PAPER_CALM
 
 TOO_SHORT = [setting.removeprefix("--set=") for setting in IMPOSSIBLE]
@@ -40,7 +41,7 @@ class IterationClock:
 
 def solve(monkeypatch, limit):
     clock = IterationClock()
-    for module in (planning, rescue):
+    for module in (planning, deadline):
         monkeypatch.setattr(module, "time", clock)
     scenario = load_scenario(PAPER_CALM, [*TOO_SHORT, f"solver.time_limit={limit}"])
     return solve_scenario(scenario, progress=clock.tick), clock.now
@@ -59,6 +60,80 @@ def test_every_part_of_a_failing_solve_keeps_the_limit(monkeypatch):
         if plan.status is not PlanStatus.INFEASIBLE:
             assert plan.status is PlanStatus.NOT_CONVERGED
             assert plan.message.startswith(f"given up after solver.time_limit = {limit} s; allow")
+
+
+class WatchedClock:
+    """A clock that ticks each time that someone looks at it for the time limit."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def thread_time(self):
+        self.now += 1.0
+        return self.now
+
+
+def timed(monkeypatch, act, limit):
+    """What an act on a coarse hop gives within a limit, and when it was over."""
+    clock = WatchedClock()
+    monkeypatch.setattr(deadline, "time", clock)
+    return act(load_scenario(PAPER_CALM, [*COARSE_HOP, f"solver.time_limit={limit}"])), clock.now
+
+
+COARSE_HOP = ["mission.goal.position=[1.0, 0.0, 0.5]", "mission.duration=4.0"]
+# Looks at the clock after its time was up: none goes on, but each begins.
+FEW_LOOKS = 60
+
+
+def test_the_flight_that_checks_a_plan_keeps_the_limit(monkeypatch):
+    told = []
+
+    def solve_hop(scenario):
+        # What is told last of a solve is told before its flight.
+        return solve_scenario(scenario, progress=lambda line: told.append(line.iteration))
+
+    plan, whole = timed(monkeypatch, solve_hop, 1e6)
+    assert plan.is_verified
+    in_solve = len(told)
+    assert whole > in_solve + 10 * FEW_LOOKS
+    limit = (in_solve + whole) // 2
+    stopped, used = timed(monkeypatch, solve_hop, limit)
+    assert used <= limit + FEW_LOOKS
+    assert (stopped.status, stopped.verification) == (PlanStatus.NOT_CONVERGED, None)
+    assert stopped.message.startswith(f"given up after solver.time_limit = {limit:g} s; allow")
+    assert stopped.energy == pytest.approx(plan.energy, rel=1e-6)
+
+
+def test_the_flights_beside_a_plan_keep_the_limit_that_it_left(monkeypatch):
+    """In one process, where all look at one clock."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    _, solving = timed(monkeypatch, solve_scenario, 1e6)
+    whole, used = timed(monkeypatch, run_scenario, 1e6)
+    assert used > solving + 10 * FEW_LOOKS
+    assert len(whole.flights) > 1
+    limit = int(solving) + FEW_LOOKS
+    result, used = timed(monkeypatch, run_scenario, limit)
+    assert result.plan.is_verified
+    assert used <= limit + FEW_LOOKS
+    assert [flight.name for flight in result.flights] == ["optimal"]
+    why = f"could not be flown: given up after solver.time_limit = {limit:g} s; allow more time."
+    assert sum(why in warning for warning in result.warnings) == len(whole.flights) - 1
+
+
+def test_a_copy_of_a_process_has_what_was_left_when_it_was_copied(monkeypatch):
+    """The clock of a copy begins anew."""
+    clock, process = WatchedClock(), [1]
+    monkeypatch.setattr(deadline, "time", clock)
+    monkeypatch.setattr(deadline.os, "getpid", lambda: process[0])
+    scenario = load_scenario(PAPER_CALM, ["solver.time_limit=30.0"])
+    with deadline.Deadline(scenario):
+        for _ in range(20):
+            deadline.keep_time()
+        clock.now, process[0] = 0.0, 2
+        for _ in range(11):
+            deadline.keep_time()
+        with pytest.raises(deadline.TimeIsUpError, match=r"solver\.time_limit = 30 s; allow more"):
+            deadline.keep_time()
 
 
 def test_the_command_says_that_time_ran_out(capsys):
@@ -266,7 +341,7 @@ def test_a_limit_counts_the_processor_s_time_and_not_what_else_the_machine_does(
             return 0.0
 
     clock = Busy()
-    for module in (planning, rescue):
+    for module in (planning, deadline):
         monkeypatch.setattr(module, "time", clock)
     scenario = load_scenario(PAPER_CALM, ["solver.time_limit=1.0"])
     assert solve_scenario(scenario, progress=clock.tick).is_verified

@@ -5,12 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.collocation import Mesh, Status, Trajectory
 from pyomo_quad.flight.routes import (
-    MARGIN_M,
     best_of_journeys,
     find_journeys,
     find_routes,
@@ -18,8 +19,11 @@ from pyomo_quad.flight.routes import (
     length_of,
     no_way,
 )
+from pyomo_quad.flight.zones import MARGIN_M
 from pyomo_quad.scenario.airspace import Airspace
 from tests.command import PAPER_CALM
+from tests.declared_model import scenario
+from tests.flights import PLANNER
 
 START, GOAL = (0.0, 0.0, 5.0), (20.0, 0.0, 5.0)
 MAST = {
@@ -111,6 +115,82 @@ def test_a_zone_beside_the_way_makes_no_other():
     (route,) = find_routes(airspace(MAST | {"centre": [10, 5]}), START, GOAL)
     assert route.name == "straight"
     assert route.length == pytest.approx(20.0)
+
+
+LEG = (0.0, 0.0, 0.0), (6.0, 7.0, 8.0)
+TOWER = {"name": "tower", "shape": "cylinder", "centre": [3, 3.5], "radius": 2}
+
+
+@pytest.mark.parametrize(("bottom", "top"), [(-5, 50), (-50, 10), (-1, 9), (-500, 500)])
+def test_a_tower_on_a_climb_is_passed_on_both_sides_however_tall(bottom, top):
+    """The plane through the middle of the tallest lies beyond both ends of the leg."""
+    routes = find_routes(airspace(TOWER | {"bottom": bottom, "top": top}), *LEG)
+    names = {route.name: route for route in routes}
+    left, right = names["left of tower"], names["right of tower"]
+    # The leg leads through the tower's axis: each side is the mirror image of the other.
+    assert left.length == pytest.approx(right.length, rel=1e-9)
+    to_the_left = np.array([-7.0, 6.0, 0.0])
+    assert max(left.places @ to_the_left) > 0.0 == pytest.approx(min(left.places @ to_the_left))
+    assert min(right.places @ to_the_left) < 0.0 == pytest.approx(max(right.places @ to_the_left))
+
+
+@pytest.mark.slow
+def test_the_cheaper_side_of_a_tower_is_flown():
+    told = scenario(
+        mission={"goal": {"position": LEG[1]}, "duration": "free"},
+        power={"model": "motor"},
+        airspace={"keep_out": [TOWER | {"bottom": -5, "top": 50}]},
+    )
+    plan = PLANNER.solve(told)
+    assert plan.is_verified
+    tried = {route.name: route for route in plan.routes}
+    assert tried["left of tower"].is_kept
+    assert plan.energy == pytest.approx(331.71, abs=0.01)
+    assert tried["right of tower"].energy_J == pytest.approx(331.98, rel=1e-3)
+
+
+def beside(zone, leg):
+    """Ways past the sides of a zone, by name, and their lengths."""
+    routes = find_routes(airspace(zone), *leg)
+    return {route.name: route.length for route in routes if " of " in route.name}
+
+
+COORDINATE = st.floats(-10.0, 10.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    across=st.tuples(COORDINATE, COORDINATE),
+    climb=COORDINATE,
+    offset=st.tuples(st.floats(-0.9, 0.9), st.floats(-0.9, 0.9)),
+    where=st.floats(0.2, 0.8),
+    is_round=st.booleans(),
+    more=st.tuples(st.floats(0.0, 300.0), st.floats(0.0, 300.0)),
+)
+def test_a_zone_made_taller_keeps_its_routes(across, climb, offset, where, is_round, more):
+    assume(np.hypot(*across) > 6.0)
+    leg = (0.0, 0.0, 0.0), (*across, climb)
+    x, y = where * np.array(across) + 0.7 * np.array(offset)
+    bottom, top = min(0.0, climb) - 1.0, max(0.0, climb) + 1.0
+
+    def zone(down, up):
+        if is_round:
+            heights = {"bottom": bottom - down, "top": top + up}
+            return {"name": "tower", "shape": "cylinder", "centre": [x, y], "radius": 1} | heights
+        return wall("tower", [x - 0.7, y - 0.7, bottom - down], [x + 0.7, y + 0.7, top + up])
+
+    short, tall = beside(zone(0.0, 0.0), leg), beside(zone(*more), leg)
+    assert short.keys() == tall.keys() == {"left of tower", "right of tower"}
+    for name, length in short.items():
+        assert tall[name] == pytest.approx(length, rel=1e-6)
+
+
+def test_an_upright_leg_passes_a_balcony_on_every_side():
+    balcony = wall("balcony", [-2, -2, 9], [2, 2, 10])
+    routes = find_routes(airspace(balcony), (0.0, 0.5, 0.0), (0.0, 0.5, 20.0))
+    assert len({route.name for route in routes}) == 4
+    nearly = find_routes(airspace(balcony), (0.0, 0.5, 0.0), (0.1, 0.5, 20.0))
+    assert len({route.name for route in nearly}) == 4
 
 
 def test_a_yard_is_left_by_the_air_unless_there_is_a_ceiling():

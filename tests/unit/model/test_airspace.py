@@ -1,10 +1,15 @@
 """The declared zones beside plain geometry: no place inside is allowed, few outside are not."""
 
+import re
+
 import numpy as np
 import pytest
 from pyomo.environ import value
 
-from pyomo_quad.model import build_model
+from pyomo_quad.collocation import Problem
+from pyomo_quad.flight import Planner
+from pyomo_quad.model import airspace, build_model
+from pyomo_quad.scenario import ScenarioError
 from tests.declared_model import AIRSPACE, Instant, scenario
 
 # Centre and half widths of what is looked at.
@@ -64,3 +69,68 @@ def test_speed_is_limited_over_ground():
     at.set(body=(0, 0, 0, 3.0, -4.0, 12.0, *[0.0] * 6))
     limit = at.model.limits.speed_limit[at.t]
     assert value(limit.body) - value(limit.upper) == pytest.approx(8.0, abs=1e-6)
+
+
+HALL = {"name": "hall", "shape": "box", "low": [0.0, -3.0, -5.0], "high": [2.5, 3.0, 6.0]}
+TOWER = {
+    "name": "tower",
+    "shape": "cylinder",
+    "centre": [3, 4],
+    "radius": 2,
+    "bottom": -9,
+    "top": 9,
+}
+
+
+@pytest.mark.parametrize(
+    ("zone", "clearance", "mission", "said"),
+    [
+        (HALL, 0.0, {}, "mission.start.position = [0.0, 0.0, 0.0] m touches keep-out hall: it is"),
+        (
+            TOWER | {"centre": [-3, -4], "radius": 4.0},
+            1.0,
+            {},
+            "[0.0, 0.0, 0.0] m touches keep-out tower with its clearance of 1 m: it is 0 m from",
+        ),
+        (
+            TOWER,
+            0.0,
+            {"waypoints": [{"position": [1.0, 4.0, 0.0]}]},
+            "waypoints[0].position = [1.0, 4.0, 0.0] m touches keep-out tower: it is 0 m from the",
+        ),
+        (
+            HALL | {"low": [0.02, -3.0, -0.3]},
+            0.0,
+            {},
+            "it is 0.02 m from the wall, beside an edge, which is rounded outwards by up to 0.14 m",
+        ),
+        (HALL | {"low": [6.0, 6.0, -5.0], "high": [9.0, 7.0, 9.0]}, 0.0, {}, "mission.goal.pos"),
+    ],
+)
+def test_a_place_on_the_wall_of_a_zone_is_told_before_anything_is_solved(
+    monkeypatch, zone, clearance, mission, said
+):
+    monkeypatch.setattr(Problem, "solve", lambda *_, **__: pytest.fail("it is solved"))
+    told = scenario(mission=mission, airspace={"keep_out": [zone], "clearance": clearance})
+    with pytest.raises(ScenarioError, match=re.escape(said)) as caught:
+        Planner().solve(told)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_place_beside_a_wall_has_room():
+    """A tenth of a millimetre is enough, and so is a waypoint that may be passed at a distance."""
+    build_model(scenario(airspace={"keep_out": [HALL | {"low": [1e-4, -3.0, -5.0]}]}))
+    near = {"waypoints": [{"position": [1.0, 4.0, 0.0], "radius": 0.5}]}
+    build_model(scenario(mission=near, airspace={"keep_out": [TOWER]}))
+
+
+def test_a_place_has_the_room_that_the_constraint_says():
+    told = scenario(airspace=AIRSPACE)
+    at = Instant(build_model(told))
+    places = np.random.default_rng(3).uniform((-1, -1, -3), (7, 7, 12), (50, 3))
+    for zone in told.airspace.keep_out:
+        for place in places:
+            at.set(body=(*place, *[0.0] * 9))
+            declared = value(at.model.airspace.keep_out[zone.name, at.t].body)
+            room = airspace._room(zone, told.airspace.clearance, place)
+            assert room == pytest.approx(declared, rel=1e-12, abs=1e-12)

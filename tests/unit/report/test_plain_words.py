@@ -8,9 +8,11 @@ import pandas as pd
 import pytest
 
 from pyomo_quad.flight import PlanStatus
+from pyomo_quad.flight.planning import solve_scenario
 from pyomo_quad.report import Figures
 from pyomo_quad.report.report import climb_of, write_run_report, write_solve_report
 from pyomo_quad.scenario import load_scenario
+from tests.declared_model import scenario
 from tests.synthetic_run import (
     LOWER_BOUND_J,
     synthetic_failure,
@@ -96,6 +98,8 @@ def test_terms_are_told_before_they_head_a_column(report):
     ("status", "said"),
     [
         (PlanStatus.INFEASIBLE, "**Found:** none that keeps to the vehicle's limits."),
+        (PlanStatus.NOT_CONVERGED, "**Found:** none, and no proof that there is none."),
+        (PlanStatus.INTERRUPTED, "**Found:** none, and no proof that there is none."),
         (PlanStatus.SOLVED, "**It means:** do not fly it"),
         (PlanStatus.VERIFIED, "no small change of this flight would save energy"),
     ],
@@ -106,6 +110,23 @@ def test_a_solve_opens_with_its_outcome_in_plain_words(run, status, said, tmp_pa
     plan = synthetic_plan(run.scenario, flight, status, failure=failure)
     write_solve_report(tmp_path, plan, figures=Figures.NONE)
     assert said in opening(tmp_path)
+
+
+def test_a_solve_whose_time_ran_out_says_what_happened_and_what_it_reached(tmp_path):
+    """No table tells of an optimal flight, and nothing is promised that is not said."""
+    told = scenario(
+        mission={"waypoints": [{"position": [3.0, 4.0, 4.0]}]}, solver={"time_limit": 1e-3}
+    )
+    plan = solve_scenario(told)
+    assert plan.status is PlanStatus.NOT_CONVERGED
+    write_solve_report(tmp_path, plan, figures=Figures.NONE)
+    text = (tmp_path / "report.md").read_text(encoding="utf-8").replace("\\_", "_")
+    assert "given up after solver.time_limit = 0.001 s; allow more time" in text
+    assert f"Reached: mesh 1 with {plan.mesh.points} points, {plan.energy:.6g} J, iteration" in text
+    last = plan.iterations[-1]
+    assert f"iteration {last.iteration}, infeasibility {last.infeasibility:.1e}" in text
+    for promised in ("optimal flight", "vehicle's limits", "mission must change", "drawn below"):
+        assert promised not in text
 
 
 def test_a_wind_that_was_not_told_is_said_at_once(tmp_path):

@@ -1,0 +1,106 @@
+"""The time limit of a command: its solves and its flights all look at one clock.
+
+The time is the processor's, so that what else the machine does changes no answer.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+from pyomo_quad.collocation import SolveError
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation import Iteration, Progress
+    from pyomo_quad.scenario import Scenario
+
+
+class TimeIsUpError(SolveError):
+    """The time limit ended a flight."""
+
+
+@dataclass
+class _Watch:
+    """When the time is up, on the clock of the process that looks."""
+
+    limit_s: float
+    end: float
+    seen: float
+    process: int
+    is_over: bool = False
+
+    @classmethod
+    def started(cls, limit_s: float) -> Self:
+        now = time.thread_time()
+        return cls(limit_s=limit_s, end=now + limit_s, seen=now, process=os.getpid())
+
+    def look(self) -> bool:
+        """Say whether the time is up."""
+        now = time.thread_time()
+        if os.getpid() != self.process:
+            # The clock of a copy of a process begins anew, at what was left when it was copied.
+            self.process, self.end = os.getpid(), now + self.end - self.seen
+        self.seen = now
+        self.is_over = self.is_over or now > self.end
+        return self.is_over
+
+
+_CURRENT: ContextVar[_Watch | None] = ContextVar("time_limit", default=None)
+
+
+class Deadline:
+    """Stops a solve, and all that is done in its block, at the scenario's time limit.
+
+    A deadline inside the block of another is that one: what a command does it does together.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    progress : callable, optional
+        The caller's own callback, which may stop a solve before.
+    """
+
+    def __init__(self, scenario: Scenario, progress: Progress | None = None) -> None:
+        self._watch = _CURRENT.get() or _Watch.started(scenario.solver.time_limit)
+        self._progress = progress
+
+    def __enter__(self) -> Self:
+        self._token = _CURRENT.set(self._watch)
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        _CURRENT.reset(self._token)
+
+    def __call__(self, iteration: Iteration) -> bool:
+        """Return False once the time is up, or the caller's own callback says so."""
+        if self._watch.look():
+            return False
+        return self._progress is None or self._progress(iteration) is not False
+
+    @property
+    def limit_s(self) -> float:
+        """The time limit [s]."""
+        return self._watch.limit_s
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the time was up when it was last looked at."""
+        return self._watch.is_over
+
+
+def keep_time() -> None:
+    """Look at the clock of the deadline in whose block this is called, if any.
+
+    Raises
+    ------
+    TimeIsUpError
+        If its time is up.
+    """
+    watch = _CURRENT.get()
+    if watch is not None and watch.look():
+        raise TimeIsUpError(
+            f"given up after solver.time_limit = {watch.limit_s:g} s; allow more time."
+        )

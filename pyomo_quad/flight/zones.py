@@ -1,0 +1,205 @@
+"""Zones beside a leg: which straight lines cut them, on which side they are passed, and where.
+
+The side is read where the leg passes the zone: in the upright plane across the course, through the
+middle of what the zone covers of the leg, or through the place on the leg that is nearest to the
+zone.  This plane parts the start from the goal and cuts the zone however tall it is; a plane
+through the zone's centre need not.
+"""
+
+from collections.abc import Sequence
+from enum import StrEnum
+from itertools import pairwise, product
+from math import cos, inf, pi
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pyomo_quad.scenario.airspace import Ball, KeepOut
+
+FloatArray = NDArray[np.float64]
+
+#: m. Places beside a zone are this far from it and its clearance; a gap so narrow is none.
+MARGIN_M = 0.15
+_CORNERS = 12
+# Between the directions of a cube's corners, edges and faces lie at most 54.8 degrees.
+_DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+_SPHERE_MARGIN = 1.0 / cos(54.8 / 2 * pi / 180)
+ROUNDING = 1e-9
+
+
+class Side(StrEnum):
+    """On which side a route passes a zone, as seen in flight."""
+
+    LEFT = "left"
+    RIGHT = "right"
+    OVER = "over"
+    UNDER = "under"
+
+
+def zones_hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) -> list[KeepOut]:
+    """Return the zones that a way of straight lines from place to place cuts into."""
+    return [
+        zone
+        for zone in zones
+        if any(
+            are_blocked(zone, first[None, :], last[None, :], clearance)[0]
+            for first, last in pairwise(places)
+        )
+    ]
+
+
+def are_blocked(
+    zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
+) -> NDArray[np.bool_]:
+    """Say which straight lines, from places of shape (n, 3) to others, cut into a zone."""
+    entered, left = _spans_inside(zone, starts, ends, clearance)
+    return np.asarray(np.minimum(left, 1.0) - np.maximum(entered, 0.0) > ROUNDING)
+
+
+def _spans_inside(
+    zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return between which shares of straight lines, prolonged, they are in a zone.
+
+    Where they are in none of it, the last is below the first.
+    """
+    entered, left = np.full(len(starts), -inf), np.full(len(starts), inf)
+    for ball in zone.balls:
+        first, last = _span_inside(ball, starts, ends, clearance)
+        entered, left = np.maximum(entered, first), np.minimum(left, last)
+    return entered, left
+
+
+def _span_inside(
+    ball: Ball, starts: FloatArray, ends: FloatArray, clearance: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return between which shares of straight lines, prolonged, they are in a ball, or (1, 0)."""
+    axes = list(ball.axes)
+    away, along = starts[:, axes] - ball.centre, (ends - starts)[:, axes]
+    radius = ball.radius + clearance - ROUNDING
+    a = np.sum(along**2, axis=1)
+    b = np.sum(away * along, axis=1)
+    c = np.sum(away**2, axis=1) - radius**2
+    root = np.sqrt(np.maximum(b**2 - a * c, 0.0))
+    moves = a > 0.0
+    divisor = np.where(moves, a, 1.0)
+    is_cut = np.where(moves, b**2 > a * c, c < 0.0)
+    first = np.where(moves, (-b - root) / divisor, -inf)
+    last = np.where(moves, (-b + root) / divisor, inf)
+    return np.where(is_cut, first, 1.0), np.where(is_cut, last, 0.0)
+
+
+def sides_passed(
+    zone: KeepOut, ends: FloatArray, clearance: float, starts: FloatArray, stops: FloatArray
+) -> NDArray[np.intp]:
+    """Return the number of the side on which each line passes a zone, -1 where it does not."""
+    section = _section(zone, ends, clearance)
+    if section is None:
+        return np.full(len(starts), -1)
+    first, last = ((places - section.middle) @ section.along for places in (starts, stops))
+    crosses = (first < 0.0) != (last < 0.0)
+    share = np.where(crosses, first / np.where(crosses, first - last, 1.0), 0.0)
+    across = starts + share[:, None] * (stops - starts) - section.middle
+    aside, above = across @ section.left, across @ section.up
+    wide, high = section.half_width, section.half_height
+    beyond = np.array([aside - wide, -aside - wide, above - high, -above - high])
+    return np.where(crosses, beyond.argmax(axis=0), -1)
+
+
+class _Section(NamedTuple):
+    """What the plane in which a leg passes a zone cuts out of it."""
+
+    middle: FloatArray
+    """m; shape (3,), as the directions along the course, to its left and up, of length one."""
+    along: FloatArray
+    left: FloatArray
+    up: FloatArray
+    half_width: float
+    """m, to the left and to the right of the middle."""
+    half_height: float
+    """m, above and below it."""
+
+
+def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
+    """Return the section of a zone where a leg passes it, None where that is one of its ends."""
+    share, reach = _passage(zone, ends, clearance)
+    if not ROUNDING < share < 1.0 - ROUNDING:
+        return None
+    along, left, up = _frame(ends)
+    middle = ends[0] + share * (ends[1] - ends[0])
+    middle, _ = _chord(zone, middle, left, reach)
+    # This chord and the next are the longest, in a round section too.
+    middle, half_height = _chord(zone, middle, up, reach)
+    middle, half_width = _chord(zone, middle, left, reach)
+    return _Section(middle, along, left, up, half_width, half_height)
+
+
+def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, float]:
+    """Return the share of a leg where it passes a zone, and the clearance that reaches the leg.
+
+    It is the middle of what is within the zone and its clearance or, where nothing is, within the
+    least clearance that would reach the leg.
+    """
+
+    def span(reach: float) -> tuple[float, float]:
+        (first,), (last,) = _spans_inside(zone, ends[:1], ends[1:], reach)
+        return max(float(first), 0.0), min(float(last), 1.0)
+
+    short, reach = clearance, max(clearance, -float(zone.depth(ends[0]))) + MARGIN_M
+    first, last = span(clearance)
+    if last > first:
+        return (first + last) / 2, clearance
+    while reach - short > ROUNDING * reach:
+        middle = (short + reach) / 2
+        first, last = span(middle)
+        short, reach = (short, middle) if last > first else (middle, reach)
+    first, last = span(reach)
+    return (first + last) / 2, reach + MARGIN_M
+
+
+def _chord(
+    zone: KeepOut, place: FloatArray, direction: FloatArray, reach: float
+) -> tuple[FloatArray, float]:
+    """Return the middle of a straight line's part inside a zone, and half of its length."""
+    (first,), (last,) = _spans_inside(zone, place[None], (place + direction)[None], reach)
+    return place + (first + last) / 2 * direction, float(last - first) / 2
+
+
+def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the directions of a leg's course, to its left and up, of length one.
+
+    The course is level unless the leg is upright: a steep leg, too, passes a tall zone on the left
+    or right.
+    """
+    upward = np.array([0.0, 0.0, 1.0])
+    along = (ends[1] - ends[0]) * (1.0, 1.0, 0.0)
+    if np.linalg.norm(along) <= ROUNDING:
+        along = upward if ends[1, 2] != ends[0, 2] else np.array([1.0, 0.0, 0.0])
+    along = along / np.linalg.norm(along)
+    left = np.cross(upward, along) if along[2] == 0.0 else np.array([0.0, 1.0, 0.0])
+    return along, left, np.cross(along, left)
+
+
+def places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArray:
+    """Return places all round a zone, whose straight lines along it do not cut into it."""
+    reach = clearance + MARGIN_M
+    share, _ = _passage(zone, ends, clearance)
+    passing = ends[0] + share * (ends[1] - ends[0])
+    choices = []
+    for ball in zone.balls:
+        radius = ball.radius + reach
+        if len(ball.axes) == 3:
+            sizes = np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
+            choices.append(ball.centre + _SPHERE_MARGIN * radius * _DIRECTIONS / sizes)
+        elif len(ball.axes) == 2:
+            angles = 2 * pi * np.arange(_CORNERS) / _CORNERS
+            circle = np.column_stack([np.cos(angles), np.sin(angles)])
+            choices.append(ball.centre + radius / cos(pi / _CORNERS) * circle)
+        else:
+            # A shortest way may pass anywhere along an edge, above all where it is straight.
+            (axis,) = ball.axes
+            near = np.append(ends[:, axis], passing[axis])
+            sides = ball.centre[0] + radius * np.array([-1.0, 1.0])
+            choices.append(np.unique(np.append(sides, np.clip(near, *sides)))[:, None])
+    return np.array([np.concatenate(parts) for parts in product(*choices)])
