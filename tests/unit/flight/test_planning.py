@@ -402,26 +402,28 @@ def test_without_zones_waypoints_within_a_radius_are_passed_by_way_of_themselves
     assert plan.status is PlanStatus.SOLVED
 
 
+FOUR_TURNS = (
+    "mission.start.position=[-6.653, 3.754, 7.594]",
+    "mission.goal.position=[-7.849, -0.682, 1.211]",
+    (
+        "mission.waypoints=[{position=[7.543, -3.736, 3.210]}, "
+        "{position=[-6.985, 9.054, 5.422], radius=0.312, speed_max=1.510}, "
+        "{position=[7.300, -5.694, 1.840], radius=0.947, yaw=-0.678}, "
+        "{position=[-5.230, -6.557, 5.082], hold=0.981}]"
+    ),
+    "mission.duration=44.058",
+    "airspace.ceiling=8.319",
+    "power.model='shaft'",
+)
+
+
 @pytest.mark.slow
 def test_convex_valleys_are_not_regularised():
     """Four turns in 44 s: steps solved to few digits crept through 1,600 iterations, and gave up.
 
     Curvatures counted wrong made Ipopt push against directions that its KKT matrix had right.
     """
-    settings = [
-        "mission.start.position=[-6.653, 3.754, 7.594]",
-        "mission.goal.position=[-7.849, -0.682, 1.211]",
-        (
-            "mission.waypoints=[{position=[7.543, -3.736, 3.210]}, "
-            "{position=[-6.985, 9.054, 5.422], radius=0.312, speed_max=1.510}, "
-            "{position=[7.300, -5.694, 1.840], radius=0.947, yaw=-0.678}, "
-            "{position=[-5.230, -6.557, 5.082], hold=0.981}]"
-        ),
-        "mission.duration=44.058",
-        "airspace.ceiling=8.319",
-        "power.model='shaft'",
-    ]
-    plan = solve_scenario(load_scenario(PAPER_CALM, settings))
+    plan = solve_scenario(load_scenario(PAPER_CALM, FOUR_TURNS))
     assert plan.status is PlanStatus.VERIFIED
 
 

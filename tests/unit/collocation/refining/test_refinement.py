@@ -105,10 +105,14 @@ MOST = 5.0
 EFFORT = MOST**2 * (1 / 2 - 2 / 3 * np.sqrt(3 * (1 / 4 - 1 / MOST)))
 
 
-def test_limits_that_move_leave_no_more_than_the_tolerance():
-    m, tolerance = double_integrator.build(), 1e-8
+def limited_mass():
+    m = double_integrator.build()
     m.most = Constraint(m.t, rule=lambda m, t: inequality(-MOST, m.u[t], MOST))
-    problem = collocation.compile(m)
+    return collocation.compile(m)
+
+
+def test_limits_that_move_leave_no_more_than_the_tolerance():
+    problem, tolerance = limited_mass(), 1e-8
     for limits_move in (False, True):
         options = RefinementOptions(limits_move=limits_move)
         found = problem.solve(tolerance=tolerance, refinement=options)
