@@ -58,11 +58,6 @@ def test_the_paper_s_mission_agrees_with_a_fine_mesh(wind):
     assert plan.is_verified
     assert plan.energy == pytest.approx(by_hand.energy_J, rel=1e-5)
     assert plan.duration_s == pytest.approx(by_hand.duration_s, abs=1e-3)
-    if wind == "calm":
-        # A start from the mesh before, whose limits hold at other times, is no worse than none.
-        problem, _ = PLANNER.problem_for(plan.scenario)
-        cold = problem.solve(mesh=plan.trajectories.mesh).iterations[-1].iteration
-        assert max(record.iterations for record in plan.history) <= cold
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ MODULES = {
     "run": "run_speed",
     "engine": "engine_speed",
     "resolve": "resolve_speed",
+    "counts": "counts",
     "missions": "mission_speed",
     "robustness": "robustness",
     "places": "random_places",

@@ -14,7 +14,7 @@ from pathlib import Path
 
 FOLDER = Path(__file__).parents[2] / "reports" / "benchmarks"
 REPORT = "report.md"
-NAMES = ("run", "engine", "resolve", "missions", "robustness", "places", "sweep", "mpc")
+NAMES = ("run", "engine", "resolve", "counts", "missions", "robustness", "places", "sweep", "mpc")
 PACKAGES = ("pyomo_quad", "pyomo", "casadi", "cyipopt-wheels", "numpy", "scipy")
 HEADING = """# Benchmarks
 

