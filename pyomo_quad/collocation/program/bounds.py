@@ -227,6 +227,10 @@ def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: Float
 
 
 _LARGEST_BOUND = 1e6
+# A row whose slopes vanish at the first point, as those of a squared speed do at rest, would be
+# scaled up without end: its slopes are read this share of each magnitude beside the point, where
+# they are so many times larger there.
+_BESIDE, _FLAT = 1e-2, 1e-2
 _ROW_RANGE = (1e-8, 1e8)
 
 
@@ -329,14 +333,24 @@ def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling
 
 def scaling_by(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> Scaling:
     """Return scaling factors for a program whose unknowns have given magnitudes."""
-    rows, columns = program.jacobianstructure()
-    weighted = np.abs(program.jacobian(z)) * nominal[columns]
-    largest = np.zeros(program.n_rows)
-    np.maximum.at(largest, rows, weighted)
+    largest, beside = (_largest_slopes(program, nominal, at) for at in (z, z + _BESIDE * nominal))
+    with np.errstate(invalid="ignore"):
+        is_flat = np.isfinite(beside) & (largest < _FLAT * beside)
+    largest = np.where(is_flat, beside, largest)
     largest = np.clip(np.where(largest > 0.0, largest, 1.0), *_ROW_RANGE)
     slope = float(np.max(np.abs(program.gradient(z)) * nominal, initial=0.0))
     objective = 1.0 / max(slope, abs(program.objective(z)), 1e-8) if slope > 0.0 else 1.0
     return Scaling(objective=objective, unknowns=1.0 / nominal, rows=1.0 / largest)
+
+
+def _largest_slopes(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> FloatArray:
+    """Return the largest slope of each row at a point, over unknowns in their magnitudes."""
+    rows, columns = program.jacobianstructure()
+    with np.errstate(all="ignore"):
+        weighted = np.abs(program.jacobian(z)) * nominal[columns]
+    largest = np.zeros(program.n_rows)
+    np.maximum.at(largest, rows, weighted)
+    return largest
 
 
 def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
