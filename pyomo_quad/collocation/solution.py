@@ -152,6 +152,10 @@ def outside_tables(solution: Solution) -> str:
     return line
 
 
+# Of the objective's size, or of 1: the most that the unit of its scaling counts for.
+_STEEPEST = 10.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class MeshRecord:
     """One mesh of a refinement: its size, its solve and its error."""
@@ -266,8 +270,13 @@ class Solution(Summarised):
 
     @property
     def nominal_objective(self) -> float:
-        """What changes of the objective are measured by: its size, or that of its scaling."""
-        return max(abs(self.objective), 1.0 / self.scaling.objective)
+        """What changes of the objective are measured by: its size, or that of its scaling.
+
+        A penalty may make the first slopes, and so the unit of the scaling, far steeper than any
+        that matters: no more than some times the size counts.
+        """
+        size = abs(self.objective)
+        return max(size, min(1.0 / self.scaling.objective, _STEEPEST * max(1.0, size)))
 
     @property
     def is_converged(self) -> bool:
