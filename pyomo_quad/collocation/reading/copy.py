@@ -87,6 +87,12 @@ def bounds_rule_of(variable: Any) -> Any:
     return None if rule is None or rule.constant() else rule
 
 
+def initial_rule_of(variable: Any) -> Any:
+    """Return the rule that gives a variable's members their first values, None if there is none."""
+    rule = getattr(variable, "_rule_init", None)
+    return None if rule is None or rule.constant() else rule
+
+
 def refuse_lost_members(copy: Any, template_time: float) -> None:
     """Refuse rules that fail at a time of which the model did not know.
 

@@ -12,6 +12,7 @@ from numpy.polynomial.legendre import leggauss
 from pyomo_quad.collocation.dynamics import control_limits
 from pyomo_quad.collocation.mesh import FloatArray, radau_rule
 from pyomo_quad.collocation.program.compiled import MappedFunction
+from pyomo_quad.collocation.program.definitions import definitions, with_defined
 from pyomo_quad.collocation.program.ipopt import barrier_gap
 from pyomo_quad.collocation.program.transcription import linearised, rate_corrections
 from pyomo_quad.collocation.refining.switches import misplaced_switches
@@ -285,6 +286,8 @@ def _sampled(solution: Solution, places: list[FloatArray]) -> _Samples:
         ]
     )
     data = solution.problem.data_of(solution.instance, fractions).at_points()
+    # Between the points, what an equation defines is what it says, not what a polynomial does.
+    variables = with_defined(program, variables, data, definitions(program, solution.unknowns))
     return _Samples(
         variables=variables,
         data=data,

@@ -1,6 +1,7 @@
 """Reactors and processes, and the like of them in fisheries, mines and medicine."""
 
-from pyomo.environ import exp, log
+from pyomo.dae import ContinuousSet, DerivativeVar
+from pyomo.environ import ConcreteModel, Constraint, Expression, Var, exp, log
 
 from tests.problems.published.statement import (
     Case,
@@ -58,6 +59,33 @@ def batch_reactor():
         rates,
     )
     return maximised(m, m.b[1])
+
+
+def reactor_of_rates(*, are_variables=True):
+    """The same for as long as it pays, 0.05 a unit of time, with its rates as variables."""
+    m = ConcreteModel(name="batch reactor of rates")
+    m.t, m.T = ContinuousSet(bounds=(0, 1)), Var(bounds=(0.1, 10), initialize=1)
+    m.a, m.b = Var(m.t, bounds=(0, 1)), Var(m.t, bounds=(0, 1))
+    m.kelvin = Var(m.t, bounds=(298, 398))
+    m.da, m.db = DerivativeVar(m.a, wrt=m.t), DerivativeVar(m.b, wrt=m.t)
+    for name, (factor, energy) in {"k1": (4e3, 2500), "k2": (6.2e5, 5000)}.items():
+
+        def law(m, t, factor=factor, energy=energy):
+            return factor * exp(-energy / m.kelvin[t])
+
+        if not are_variables:
+            m.add_component(name, Expression(m.t, rule=law))
+            continue
+        m.add_component(name, Var(m.t))
+        m.add_component(
+            f"{name}_law",
+            Constraint(m.t, rule=lambda m, t, k=name, law=law: m.component(k)[t] == law(m, t)),
+        )
+    m.loss = Constraint(m.t, rule=lambda m, t: m.da[t] == -m.k1[t] * m.a[t] ** 2)
+    m.gain = Constraint(m.t, rule=lambda m, t: m.db[t] == m.k1[t] * m.a[t] ** 2 - m.k2[t] * m.b[t])
+    m.a[0].fix(1)
+    m.b[0].fix(0)
+    return maximised(m, m.b[1] - 0.05 * m.T)
 
 
 def stirred_tank():
@@ -183,6 +211,13 @@ CASES = (
     ),
     Case(name="parallel_reactions", build=parallel_reactions, published="0.5735", source=DADEBO),
     Case(name="batch_reactor", build=batch_reactor, published="0.6108", source=DADEBO),
+    Case(
+        name="reactor_of_rates",
+        build=reactor_of_rates,
+        published="0.56913196",
+        source="Pontryagin's conditions by shooting, in tests/unit/collocation/test_first_guesses",
+        times=lambda m: {1: m.T},
+    ),
     Case(
         name="stirred_tank",
         build=stirred_tank,
