@@ -289,9 +289,7 @@ def refine(
         records.append(_record(solved, error))
         solution = solved.updated(error_estimate=error, history=tuple(records))
         if solved.status is not Status.CONVERGED:
-            if reached is not None and solved.status.has_failed:
-                return reached.after_a_lost_restart(tolerance)
-            return solution
+            return _lost(solution, reached, tolerance) if solved.status.has_failed else solution
         if reached is not None:
             reached.compare(solution, error)
         finer = _next_meshes(solution, errors, tolerance, refinement, is_damped=is_damped)
@@ -308,10 +306,8 @@ def refine(
             continue
         is_stuck = finer == _meshes(solution) and error > tolerance
         if is_stuck or len(records) >= refinement.max_meshes or _is_lost(records):
-            if reached is not None:
-                return reached.after_a_lost_restart(tolerance)
             ended = _given_up(solution, before, error, tolerance)
-            return _with_state_error(ended, errors, before, tolerance)
+            return _lost(_with_state_error(ended, errors, before, tolerance), reached, tolerance)
         settled += is_damped and _has_settled(solution, tolerance)
         is_stalled = settled >= _MANY_SETTLED
         if is_damped and (is_stalled or records[-1].iterations > _MANY_ITERATIONS):
@@ -452,10 +448,16 @@ class _Reached(Generic[S]):
             return other
         return self.solution.updated(history=other.parts[0].history)
 
-    def after_a_lost_restart(self, tolerance: float) -> S:
-        """Return the solution, which stands unless the restart has shown a better one."""
-        is_refuted = self.shown is None or self.shown > tolerance
-        return _doubted(self.solution) if is_refuted else self.solution
+
+def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
+    """Return how a search ends that met no tolerance, or what was reached before its restart.
+
+    That stands, unless the restart has shown a better solution or led to none at all.
+    """
+    if reached is None:
+        return ended
+    is_refuted = reached.shown is None or reached.shown > tolerance
+    return _doubted(reached.solution) if is_refuted else reached.solution
 
 
 def _ended_or_better(
