@@ -370,8 +370,11 @@ def with_moving_limits(declared: Declarations) -> Declarations:
         return not statics.isdisjoint(symbol_names(side))
 
     def without_moving(slots: tuple[Slot, ...]) -> tuple[Slot, ...]:
-        free = {"lower": casadi.SX(-casadi.inf), "upper": casadi.SX(casadi.inf)}
-        return tuple(replace(s, **free) if moves(s.lower) or moves(s.upper) else s for s in slots)
+        none = casadi.SX(casadi.inf)
+        return tuple(
+            replace(s, lower=-none, upper=none) if moves(s.lower) or moves(s.upper) else s
+            for s in slots
+        )
 
     bounds = [
         PathEquation(
