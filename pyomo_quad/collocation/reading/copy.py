@@ -126,7 +126,14 @@ def refuse_changed_members(copy: Any) -> None:
     """
     for component, rule in _with_rules(copy):
         for index in tuple(component)[-1:]:
-            stated = rule(component.parent_block(), index)
+            try:
+                stated = rule(component.parent_block(), index)
+            except Exception as error:
+                raise TranscriptionError(
+                    f"{component.name}: its rule no longer fits the model ({raised(error)}), as "
+                    "after core.scale_model; scale with the Suffix scaling_factor alone, which the "
+                    "engine reads, or discretise the model before it is transformed."
+                ) from error
             if component.ctype is Constraint:
                 stated = type(component[index])(expr=stated).expr
             if not _is_same(component[index].expr, stated):
