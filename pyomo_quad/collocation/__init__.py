@@ -4,7 +4,9 @@ The front door is `solve`; `compile` returns a problem that can be solved again 
 parameters, horizons and meshes without being built again.
 """
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 from pyomo_quad.collocation.diagnosis import ActiveLimit, Diagnosis, Relaxation, Residual, diagnose
 from pyomo_quad.collocation.dynamics import (
@@ -37,6 +39,12 @@ from pyomo_quad.collocation.reading.tables import Table
 from pyomo_quad.collocation.refining.error import Allowance
 from pyomo_quad.collocation.refining.remeshing import RefinementOptions
 from pyomo_quad.collocation.solution import MeshRecord, Solution
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pyomo_quad.collocation.guess import Guess
+    from pyomo_quad.collocation.reading.values import Overrides
 
 __all__ = [
     "ActiveLimit",
@@ -83,6 +91,10 @@ __all__ = [
 ]
 
 
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
 def compile(  # noqa: A001  as casadi, re and builtins do
     model: Any, *, final_time: Any = None, times: FreeTimes | None = None
 ) -> Any:
@@ -95,13 +107,50 @@ def solve(
     *,
     final_time: Any = None,
     times: FreeTimes | None = None,
-    **arguments: Any,
-) -> Any:
-    """Compile and solve a Pyomo.DAE model; the arguments are those of `Problem.solve`.
+    mesh: Mesh | Mapping[str, Mesh] | None = None,
+    tolerance: float | None = None,
+    parameters: Overrides | None = None,
+    horizon: tuple[float, float] | None = None,
+    guess: Guess | None = None,
+    warm_start: Solution | WarmStart | JointSolution | tuple[WarmStart, ...] | None = None,
+    options: SolverOptions | None = None,
+    refinement: RefinementOptions | None = None,
+    starts: int = 1,
+    progress: Progress | None = None,
+) -> Solution | JointSolution:
+    """Compile and solve a Pyomo.DAE model, and load the values at the times that it declares.
 
-    The solution's values are also loaded into the model, at the times it declares.
+    Parameters
+    ----------
+    model : ConcreteModel
+    final_time : Var, optional
+    times : mapping, optional
+        See `Problem`, and `JointProblem` for several continuous sets.
+    mesh, tolerance, parameters, horizon, guess, warm_start, options, refinement, starts, progress
+        See `Problem.solve`, and `JointProblem.solve` for several continuous sets.
+
+    Returns
+    -------
+    Solution or JointSolution
+        The latter of a model with several continuous sets.
+
+    Raises
+    ------
+    TranscriptionError
+        If the model or an argument cannot be used; the message names it.
     """
     problem = compiled_of(model, final_time, times)
-    solution = problem.solve(**arguments)
+    solution: Solution | JointSolution = problem.solve(
+        mesh=mesh,
+        tolerance=tolerance,
+        parameters=parameters,
+        horizon=horizon,
+        guess=guess,
+        warm_start=warm_start,
+        options=options,
+        refinement=refinement,
+        starts=starts,
+        progress=progress,
+    )
     problem.load(solution)
     return solution

@@ -10,6 +10,7 @@ import numpy as np
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.mesh import Mesh, Timeline, Trajectory, interpolate, real_array
 from pyomo_quad.collocation.program.compiled import MappedFunction
+from pyomo_quad.collocation.program.definitions import definitions, with_defined
 from pyomo_quad.collocation.program.ipopt import Multipliers
 
 if TYPE_CHECKING:
@@ -56,8 +57,9 @@ def initial_point(
 ) -> FloatArray:
     """Return a first point: straight lines between what is known, inside the bounds.
 
-    Known are the values a guess gives, those the model's variables hold, and those that
-    boundary conditions fix.
+    Known are the values a guess gives, those of `initialize` rules at any time, those the model's
+    variables hold, and those that boundary conditions fix.  Algebraic variables of which nothing is
+    known take what their equations make of the others.
     """
     if isinstance(guess, Trajectory):
         return np.clip(point_from_trajectory(program, guess), bounds.lower, bounds.upper)
@@ -81,10 +83,40 @@ def initial_point(
         z[column] = _inside(0.0 if held is None else float(np.asarray(held)), bounds, int(column))
     _order_times(program, bounds, values, given, z)
     z = np.clip(z, bounds.lower, bounds.upper)
+    z = _with_defined_algebraics(program, bounds, values, given, z)
     integrals = program.integrals(z)
     for integral, static in program.compiled.static_of_integral.items():
         z[layout.static_columns[static]] = integrals[integral]
     return np.clip(z, bounds.lower, bounds.upper)
+
+
+def _with_defined_algebraics(
+    program: Transcription,
+    bounds: Bounds,
+    values: ModelValues,
+    given: Mapping[str, Any] | pd.DataFrame,
+    z: FloatArray,
+) -> FloatArray:
+    """Return a point whose algebraic variables without a guess are what equations define."""
+    columns = program.layout.algebraic_columns
+    unknown = [
+        k
+        for k, slot in enumerate(program.compiled.declared.algebraics)
+        if not (slot.name in given or values.initial_values(slot))
+        and not np.any(_are_fixed(bounds, columns[:, k]))
+    ]
+    found = definitions(program, z, unknown)
+    if not found:
+        return z
+    moved, first = np.array(z), 2 * program.layout.n_states
+    variables = with_defined(program, program.path_variables(z), program.data.at_points(), found)
+    for _, k, _ in found:
+        moved[columns[:, k]] = variables[:, first + k]
+    return np.clip(moved, bounds.lower, bounds.upper) if np.all(np.isfinite(moved)) else z
+
+
+def _are_fixed(bounds: Bounds, columns: Any) -> NDArray[np.bool_]:
+    return np.asarray(bounds.lower[columns] == bounds.upper[columns])
 
 
 _STEPS = 3
@@ -159,8 +191,11 @@ def _function_of_time(
 ) -> FloatArray:
     if slot.name in given:
         return _given(program, given, slot.name, fractions)
+    fixed = _are_fixed(bounds, columns)
+    guessed = values.first_guesses(slot, fractions)
+    if guessed is not None:
+        return np.where(fixed, bounds.lower[columns], guessed)
     known = dict(values.initial_values(slot))
-    fixed = bounds.lower[columns] == bounds.upper[columns]
     known |= dict(zip(fractions[fixed], bounds.lower[columns][fixed], strict=True))
     if not known:
         middle = _inside(0.0, bounds, int(columns[len(columns) // 2]))

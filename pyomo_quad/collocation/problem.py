@@ -226,7 +226,7 @@ class Problem(Summarised, Formulation):
             tolerance=tolerance,
             refinement=refinement,
             warm_start=begun,
-            past_the_barrier=lambda found, dampings: solve_on(
+            past_the_barrier=lambda dampings, found: solve_on(
                 found.mesh, found.warm_start, dampings[0], to_the_gap=True
             ),
         )

@@ -152,6 +152,10 @@ def outside_tables(solution: Solution) -> str:
     return line
 
 
+# Of the objective's size, or of 1: the most that the unit of its scaling counts for.
+_STEEPEST = 10.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class MeshRecord:
     """One mesh of a refinement: its size, its solve and its error."""
@@ -266,8 +270,13 @@ class Solution(Summarised):
 
     @property
     def nominal_objective(self) -> float:
-        """What changes of the objective are measured by: its size, or that of its scaling."""
-        return max(abs(self.objective), 1.0 / self.scaling.objective)
+        """What changes of the objective are measured by: its size, or that of its scaling.
+
+        A penalty may make the first slopes, and so the unit of the scaling, far steeper than any
+        that matters: no more than some times the size counts.
+        """
+        size = abs(self.objective)
+        return max(size, min(1.0 / self.scaling.objective, _STEEPEST * max(1.0, size)))
 
     @property
     def is_converged(self) -> bool:
@@ -524,6 +533,14 @@ class Prices:
     over_time: dict[str, Callable[[float], float]] = field(default_factory=dict)
     once: dict[str, float] = field(default_factory=dict)
 
+    def add(self, name: str, price: Callable[[float], float]) -> None:
+        """Add a price over time to those of a name: both sides of a limit may be rows."""
+        held = self.over_time.get(name)
+        if held is None:
+            self.over_time[name] = price
+        else:
+            self.over_time[name] = lambda time: held(time) + price(time)
+
 
 def load_suffixes(*solutions: Solution) -> None:
     """Fill the model's suffixes `dual`, `rc` and `costate`, where it imports them.
@@ -589,7 +606,7 @@ def _prices(solution: Solution) -> tuple[Prices, Prices]:
     if program.mesh is not None:
         over_time = rows[: program.first_condition_row].reshape(program.n_points, -1)
         for equation, held in zip(declared.equations, over_time.T, strict=True):
-            dual.over_time[equation.name] = _function(solution, held / _widths(solution))
+            dual.add(equation.name, _function(solution, held / _widths(solution)))
     conditions = rows[program.first_condition_row : program.first_integral_row]
     for condition, held in zip(declared.conditions, conditions.tolist(), strict=True):
         dual.once[condition.name] = held
@@ -627,6 +644,6 @@ def _share_bounds(solution: Solution, sign: float, dual: Prices, reduced: Prices
         table = dual if limit.name in of_constraints else reduced
         if program.mesh is not None and prices.size >= program.n_points > 1:
             own = prices[-program.n_points :]
-            table.over_time[limit.name] = _function(solution, own / _widths(solution))
+            table.add(limit.name, _function(solution, own / _widths(solution)))
         elif prices.size == 1:
             table.once[limit.name] = float(prices[0])

@@ -8,7 +8,7 @@ from enum import StrEnum
 from functools import cached_property
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Final, Literal, NoReturn, Self
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Final, Literal, NoReturn, Self, overload
 from zipfile import ZipFile
 
 import numpy as np
@@ -40,7 +40,7 @@ from pyomo_quad.scenario.fields import Part
 from pyomo_quad.scenario.messages import PyomoQuadError, complaint, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     import pandas as pd
 
@@ -589,18 +589,29 @@ class Plan(Summarised):
         controls = held.controls_at(times, self.dynamics.control_limits(HELD_BREACH))
         return self.dynamics, times, held.states_at(times), controls, held.energy_at(times)
 
-    def at(self, t: float) -> pd.Series:
-        """Return the row of `to_frame` at one time [s].
+    @overload
+    def at(self, t: float) -> pd.Series: ...
+
+    @overload
+    def at(self, t: Sequence[float] | FloatArray) -> pd.DataFrame: ...
+
+    def at(self, t: float | Sequence[float] | FloatArray) -> pd.Series | pd.DataFrame:
+        """Return the row of `to_frame` at a time [s], or a frame of the rows at several times.
 
         Raises
         ------
         ScenarioError
-            If the time is outside the flight.
+            If a time is outside the flight.
         """
         start, end = self.trajectories.horizon
-        if not start <= t <= end:
-            raise ScenarioError(f"t = {t:g} s is outside the flight, [{start:g}, {end:g}] s.")
-        return flight_frame(*self._sampled(np.array([float(t)]))).iloc[0]
+        times = np.atleast_1d(np.asarray(t, dtype=float))
+        outside = times[~((start <= times) & (times <= end))]
+        if outside.size:
+            raise ScenarioError(
+                f"t = {outside[0]:g} s is outside the flight, [{start:g}, {end:g}] s."
+            )
+        frame = flight_frame(*self._sampled(times))
+        return frame.iloc[0] if np.ndim(t) == 0 else frame
 
     def flight(self, name: str = "optimal", samples: int = FLIGHT_SAMPLES) -> Flight:
         """Return the plan as a flight, with the verdict of its verification."""

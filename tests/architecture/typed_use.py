@@ -6,6 +6,7 @@ import pandas as pd
 from pyomo.environ import ConcreteModel
 
 import pyomo_quad
+from pyomo_quad.collocation import JointSolution, Solution, Status, solve
 from pyomo_quad.exports import Export, Format, Motion, PolynomialTrajectory
 from pyomo_quad.flight import Flight, Planner, PlanStatus, Verification
 from pyomo_quad.scenario import Scenario, ScenarioError, library_names
@@ -23,6 +24,15 @@ def told(plan: pyomo_quad.Plan) -> tuple[float, str, pd.DataFrame, pd.Series]:
     status: PlanStatus = plan.status
     flight: Flight = plan.flight()
     return miss + flight.energy_J, status.value, plan.to_frame(rate_hz=50.0), plan.at(0.5)
+
+
+def along(plan: pyomo_quad.Plan) -> pd.DataFrame:
+    return plan.at([1.0, 2.0, 3.0])
+
+
+def optimum(model: ConcreteModel) -> float:
+    found: Solution | JointSolution = solve(model, tolerance=1e-8, starts=2)
+    return found.objective if found.status is Status.CONVERGED else float("nan")
 
 
 def handed_over(plan: pyomo_quad.Plan, folder: Path) -> Export:

@@ -33,6 +33,16 @@ def test_plan_answers(plan):
     pd.testing.assert_series_equal(plan.at(2.0), row, check_names=False, rtol=1e-12, atol=1e-12)
 
 
+def test_a_plan_gives_a_frame_at_several_times(plan):
+    frame = plan.at([1, 2, 3])
+    pd.testing.assert_frame_equal(frame, plan.at(np.array([1.0, 2.0, 3.0])))
+    assert frame["time_s"].tolist() == [1.0, 2.0, 3.0]
+    for k, time in enumerate((1, 2, 3)):
+        pd.testing.assert_series_equal(frame.iloc[k], plan.at(time), check_names=False)
+    with pytest.raises(pyomo_quad.scenario.ScenarioError, match=r"t = 5 s is outside the flight"):
+        plan.at([1, 5])
+
+
 def test_plan_survives_its_file(plan, tmp_path):
     plan.save(tmp_path / "hop.npz")
     again = pyomo_quad.Plan.load(tmp_path / "hop.npz")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pyomo_quad.collocation.reading.symbols import Declarations, PathEquation, PointCondition, Slot
-from pyomo_quad.collocation.reading.writer import symbol_names
+from pyomo_quad.collocation.reading.writer import is_unbounded, symbol_names
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -312,7 +312,7 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile declarations to CasADi functions."""
     if symbol_names(declared.objective) & _point_symbols(declared).keys():
         declared = set_outputs_aside(declared)
-    declared = _with_integral_variables(declared)
+    declared = _with_integral_variables(with_moving_limits(declared))
     path_variables = _path_symbols(declared)
     point_variables = _point_symbols(declared)
     equations, path_simple = split_simple_bounds(
@@ -356,6 +356,60 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
             if i not in direct
         },
     )
+
+
+def with_moving_limits(declared: Declarations) -> Declarations:
+    """Move limits that hold static variables from the sides of relations into their expressions.
+
+    A free time makes the time in a rule such as `m.x[t] <= t` depend on static variables, while
+    the sides of a relation and the bounds of a variable are functions of data alone.
+    """
+    statics = symbol_names(_symbols(declared.statics))
+
+    def moves(side: Any) -> bool:
+        return not statics.isdisjoint(symbol_names(side))
+
+    def without_moving(slots: tuple[Slot, ...]) -> tuple[Slot, ...]:
+        none = casadi.SX(casadi.inf)
+        return tuple(
+            replace(s, lower=-none, upper=none) if moves(s.lower) or moves(s.upper) else s
+            for s in slots
+        )
+
+    bounds = [
+        PathEquation(
+            name=s.name, expression=s.symbol, lower=s.lower, upper=s.upper, is_equality=False
+        )
+        for s in (*declared.states, *declared.algebraics)
+        if moves(s.lower) or moves(s.upper)
+    ]
+    relations = (*declared.equations, *bounds)
+    return replace(
+        declared,
+        equations=tuple(part for held in relations for part in _with_fixed_sides(held, moves)),
+        states=without_moving(declared.states),
+        algebraics=without_moving(declared.algebraics),
+    )
+
+
+def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> list[PathEquation]:
+    """Return a relation whose sides hold data alone; of a range, each moving side is its own."""
+    below, above = moves(equation.lower), moves(equation.upper)
+    if not (below or above):
+        return [equation]
+    body, none = equation.expression, casadi.SX(casadi.inf)
+    zero = casadi.SX(0)
+    found = []
+    if below:
+        found.append(replace(equation, expression=body - equation.lower, lower=zero, upper=none))
+    if above:
+        found.append(replace(equation, expression=body - equation.upper, lower=-none, upper=zero))
+    rest = replace(
+        equation,
+        lower=-none if below else equation.lower,
+        upper=none if above else equation.upper,
+    )
+    return found if is_unbounded(rest.lower, rest.upper) else [*found, rest]
 
 
 def _table_arguments(

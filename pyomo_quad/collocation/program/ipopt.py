@@ -17,6 +17,11 @@ import cyipopt
 import numpy as np
 
 from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.program.linear_solvers import (
+    OPTION,
+    OWN_SOLVER,
+    refuse_absent_solver,
+)
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
@@ -319,7 +324,7 @@ _TOLERANCE = 1e-9
 _DEFAULTS: dict[str, Any] = {
     "print_level": 0,
     "sb": "yes",
-    "linear_solver": "mumps",
+    OPTION: OWN_SOLVER,
     "mumps_pivtol": 1e-4,
     "mumps_scaling": 77,  # as it chooses for each matrix
     "mumps_permuting_scaling": 0,
@@ -480,6 +485,7 @@ def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None
     }
     if is_warm:
         chosen |= _WARM
+    refuse_absent_solver(dict(options.extra))
     for name, value in (chosen | dict(options.extra)).items():
         try:
             problem.add_option(name, value)

@@ -405,3 +405,14 @@ def linearised(program: Transcription, variables: FloatArray, data: FloatArray) 
     at = np.searchsorted(rows, path.jacobian_rows[wanted])
     matrices[:, at, path.jacobian_columns[wanted]] = entries[:, wanted]
     return Linearised(rows=rows, by_rate=matrices[:, :, :n], by_state=matrices[:, :, n:])
+
+
+def rate_corrections(
+    program: Transcription, variables: FloatArray, data: FloatArray, rows: FloatArray
+) -> FloatArray:
+    """Return what must be added to the rates for the differential equations to hold."""
+    equations = linearised(program, variables, data)
+    matrices, residuals = equations.by_rate, rows[:, equations.rows]
+    if matrices.shape[1] == matrices.shape[2]:
+        return np.asarray(-np.linalg.solve(matrices, residuals[:, :, None])[:, :, 0], dtype=float)
+    return np.asarray(-np.einsum("kij,kj->ki", np.linalg.pinv(matrices), residuals), dtype=float)

@@ -87,6 +87,12 @@ def bounds_rule_of(variable: Any) -> Any:
     return None if rule is None or rule.constant() else rule
 
 
+def initial_rule_of(variable: Any) -> Any:
+    """Return the rule that gives a variable's members their first values, None if there is none."""
+    rule = getattr(variable, "_rule_init", None)
+    return None if rule is None or rule.constant() else rule
+
+
 def refuse_lost_members(copy: Any, template_time: float) -> None:
     """Refuse rules that fail at a time of which the model did not know.
 
@@ -120,7 +126,14 @@ def refuse_changed_members(copy: Any) -> None:
     """
     for component, rule in _with_rules(copy):
         for index in tuple(component)[-1:]:
-            stated = rule(component.parent_block(), index)
+            try:
+                stated = rule(component.parent_block(), index)
+            except Exception as error:
+                raise TranscriptionError(
+                    f"{component.name}: its rule no longer fits the model ({raised(error)}), as "
+                    "after core.scale_model; scale with the Suffix scaling_factor alone, which the "
+                    "engine reads, or discretise the model before it is transformed."
+                ) from error
             if component.ctype is Constraint:
                 stated = type(component[index])(expr=stated).expr
             if not _is_same(component[index].expr, stated):

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import casadi
-from pyomo.core import Constraint, Expression, Objective, maximize, value
+from pyomo.core import Constraint, Expression, maximize, value
 from pyomo.core.expr.numvalue import native_types
 from pyomo.core.expr.visitor import identify_variables
 from pyomo.dae import DerivativeVar
@@ -22,6 +22,7 @@ from pyomo_quad.collocation.reading.copy import (
     rule_of,
 )
 from pyomo_quad.collocation.reading.model_source import declared_magnitudes
+from pyomo_quad.collocation.reading.objectives import objective_of
 from pyomo_quad.collocation.reading.symbols import (
     Declarations,
     PathEquation,
@@ -441,16 +442,7 @@ class ModelReader:
 
     def objective(self) -> Any:
         """Return the active objective, None where only the equations are to be met."""
-        objectives = list(
-            self.copy.model.component_data_objects(Objective, active=True, descend_into=True)
-        )
-        if len(objectives) > 1:
-            names = ", ".join(o.name for o in objectives)
-            raise TranscriptionError(
-                f"objective: {len(objectives)} active ({names}); at most one is allowed; "
-                "deactivate the others."
-            )
-        return objectives[0] if objectives else None
+        return objective_of(self.copy)
 
     def _require_variables(self) -> None:
         table = self.symbols

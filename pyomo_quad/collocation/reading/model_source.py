@@ -13,7 +13,7 @@ from pyomo.core.base.units_container import UnitsError, units
 from pyomo.dae import DerivativeVar, Integral
 
 from pyomo_quad.collocation.errors import TranscriptionError, raised
-from pyomo_quad.collocation.reading.copy import rule_of
+from pyomo_quad.collocation.reading.copy import initial_rule_of, rule_of
 from pyomo_quad.collocation.reading.schedules import (
     Interpolant,
     Reading,
@@ -150,6 +150,38 @@ class LiveModel:
         held = self._member(component, slot, time).value
         return None if held is None else float(held)
 
+    def first_guess(self, slot: Slot) -> Callable[[float], float] | None:
+        """Return a variable's `initialize` rule as a function of time.
+
+        None where it has none, and where the variable holds other values than its rule gives.
+
+        Raises
+        ------
+        TranscriptionError
+            The function, where the rule knows no value.
+        """
+        component = self.model.find_component(slot.component)
+        rule = initial_rule_of(component) if component.ctype is Var else None
+        if rule is None:
+            return None
+        block, join = component.parent_block(), self._addresses.join
+
+        def guess(t: float) -> float:
+            try:
+                return float(value(rule(block, join(component, slot.index, t))))
+            except Exception as error:
+                raise TranscriptionError(
+                    f"{slot.name}: its initialize rule fails at time {t:g} ({raised(error)})."
+                ) from error
+
+        members = ((t, self._member(component, slot, t)) for t in self.times)
+        held = [(t, member.value) for t, member in members if not member.fixed]
+        try:
+            is_as_made = all(number == guess(t) for t, number in held)
+        except TranscriptionError:
+            return None
+        return guess if is_as_made else None
+
     def _member(self, component: Any, slot: Slot, time: float | None = None) -> Any:
         if time is not None:
             return component[self._addresses.join(component, slot.index, time)]
@@ -254,6 +286,11 @@ class LiveModel:
             signals={
                 slot.name: self._signal_kept(slot, horizon, asked) for slot in declared.signals
             },
+            guesses={
+                slot.name: _kept(slot, guess, horizon, asked)
+                for slot in varying
+                if (guess := self.first_guess(slot)) is not None
+            },
             schedules=tuple(
                 interpolant(s.name, s.row, horizon, list(jumps(s.reading, asked)))
                 for s in self.schedules
@@ -264,11 +301,23 @@ class LiveModel:
         self, slot: Slot, horizon: tuple[float, float], asked: list[float]
     ) -> Interpolant:
         try:
-            signal = self.signal(slot)
-            found = list(jumps(partial(as_reading, signal), asked))
+            return _kept(slot, self.signal(slot), horizon, asked)
         except TranscriptionError as error:
             return Interpolant(edges=(), pieces=(), refusal=str(error))
-        return interpolant(slot.name, lambda t: (signal(t),), horizon, found)
+
+
+def _kept(
+    slot: Slot,
+    function: Callable[[float], float],
+    horizon: tuple[float, float],
+    asked: list[float],
+) -> Interpolant:
+    """Return polynomials of a function of time, or the reason why there are none."""
+    try:
+        edges = list(jumps(partial(as_reading, function), asked))
+    except TranscriptionError as error:
+        return Interpolant(edges=(), pieces=(), refusal=str(error))
+    return interpolant(slot.name, lambda t: (function(t),), horizon, edges)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,6 +330,7 @@ class ModelSnapshot:
     parameters: dict[str, float | None]
     variables: dict[tuple[str, float | None], float | None]
     signals: dict[str, Interpolant]
+    guesses: dict[str, Interpolant]
     schedules: tuple[Interpolant, ...]
 
     @property
@@ -307,6 +357,10 @@ class ModelSnapshot:
     def variable(self, slot: Slot, time: float | None = None) -> float | None:
         """Return what a variable held at a declared time, None if nothing or no variable."""
         return self.variables[slot.name, time]
+
+    def first_guess(self, slot: Slot) -> Interpolant | None:
+        """Return a variable's `initialize` rule as a function of time, None if it had none."""
+        return self.guesses.get(slot.name)
 
     def signal(self, slot: Slot) -> Interpolant:
         """Return a parameter over time as a function of it."""

@@ -204,6 +204,22 @@ class ModelValues:
                 pairs.append(((time - first) / (last - first), held))
         return pairs
 
+    def first_guesses(self, slot: Slot, fractions: FloatArray) -> FloatArray | None:
+        """Return what the variable's `initialize` rule gives at fractions of the horizon.
+
+        None where it has no rule or holds other values, and where the rule knows no others than
+        those at the declared times.
+        """
+        first, last = self.declared_horizon
+        guess = self._source.first_guess(slot)
+        if guess is None:
+            return None
+        try:
+            found = np.array([guess(first + (last - first) * float(f)) for f in fractions])
+        except TranscriptionError:
+            return None
+        return found if np.all(np.isfinite(found)) else None
+
     def static_value(self, slot: Slot) -> float | None:
         """Return the value a static variable holds, None if it has none."""
         return self._source.variable(slot)

@@ -15,8 +15,10 @@ from numpy.polynomial.legendre import leggauss
 from pyomo_quad.collocation.dynamics import control_limits
 from pyomo_quad.collocation.mesh import FloatArray, radau_rule
 from pyomo_quad.collocation.program.compiled import MappedFunction
+from pyomo_quad.collocation.program.definitions import definitions, with_defined
 from pyomo_quad.collocation.program.ipopt import barrier_gap
-from pyomo_quad.collocation.program.transcription import linearised
+from pyomo_quad.collocation.program.transcription import linearised, rate_corrections
+from pyomo_quad.collocation.refining.switches import misplaced_switches
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -110,18 +112,22 @@ class ErrorEstimate:
     `violation` is that of path equations and bounds, relative to the larger of 1 and the
     bound.  `objective` is what an element's state errors change in the objective, which the
     costates tell, times the number of elements but never more than the sum over all of them,
-    and relative to the objective.  `restraint` is likewise what it costs that bounds are kept
-    between the points too, of which a share of the tolerance is all, and `integrals` the error of
-    the quadrature, of the objective and of every integral, the latter relative to the larger of 1
-    and the integral.  `miss` is what the state errors become at the end, as a share of what is
-    allowed of which the tolerance is all.  `gap` is what the barrier leaves of the objective, which
-    no mesh makes smaller.  `is_held` says where a control is held to its limit, a corner that no
-    degree resolves.
+    and relative to the objective.  `switches` is what misplaced switches of controls may cost,
+    summed up likewise, and `costs` are those of `objective`, both relative to the objective's own
+    size, and only counted once all else is below the tolerance.  `restraint` is likewise what it
+    costs that bounds are kept between the points too, of which a share of the tolerance is all, and
+    `integrals` the error of the quadrature, of the objective and of every integral, the latter
+    relative to the larger of 1 and the integral.  `miss` is what the state errors become at the
+    end, as a share of what is allowed of which the tolerance is all.  `gap` is what the barrier
+    leaves of the objective, which no mesh makes smaller.  `is_held` says where a control is held to
+    its limit, a corner that no degree resolves.
     """
 
     states: FloatArray
     violation: FloatArray
     objective: FloatArray
+    switches: FloatArray
+    costs: FloatArray
     restraint: FloatArray
     integrals: FloatArray
     miss: FloatArray
@@ -136,6 +142,8 @@ class ErrorEstimate:
                 self.states.max(axis=1, initial=0.0),
                 self.violation,
                 self.objective,
+                self.switches,
+                self.costs,
                 self.restraint,
                 self.integrals,
                 self.miss,
@@ -167,7 +175,8 @@ def estimate_error(
     ----------
     solution : Solution
     tolerance : float, optional
-        What a final miss that is just allowed counts.
+        What a final miss that is just allowed counts, and below which all else must be for
+        switches to count: what is coarse is refined first.
     allowance : Allowance, optional
     """
     allowance = allowance or Allowance()
@@ -185,9 +194,12 @@ def estimate_error(
     moved = _state_corrections(solution, slopes)
     for e, change in _held_corrections(solution, free, dense, is_held).items():
         moved[e][-1] += change
-    return ErrorEstimate(
+    none = np.zeros(solution.mesh.elements)
+    found = ErrorEstimate(
         states=_relative(solution, moved),
         objective=_objective_errors(solution, moved),
+        switches=none,
+        costs=none,
         restraint=_restraints(solution),
         violation=_breaches(solution, dense, allowance),
         integrals=_quadrature_errors(solution, panels),
@@ -195,16 +207,37 @@ def estimate_error(
         gap=_gap(solution),
         is_held=is_held,
     )
+    if found.per_element.max(initial=0.0) > tolerance:
+        return found
+    unit = _unit(solution)
+    return replace(
+        found,
+        switches=_of_all(misplaced_switches(solution) / unit),
+        costs=_UNSEEN * found.objective * solution.nominal_objective / unit,
+    )
 
 
 # Of the unit that the objective is scaled by: the least that its size counts for.
 _LEAST_SIZE = 1e-3
 
 
+# What the controls miss, whose polynomials satisfy the equations as they are, costs as much again.
+_UNSEEN = 2.0
+# Of the unit that the objective is scaled by, the least that an error of it is relative to.
+_LEAST_UNIT = 1e-4
+
+
+def _unit(solution: Solution) -> float:
+    """Return what errors of the objective are relative to: its size, or 1 where it is less."""
+    scaled = 1.0 / solution.scaling.objective
+    return max(abs(solution.objective), min(1.0, scaled), _LEAST_UNIT * scaled)
+
+
 def _gap(solution: Solution) -> float:
     """Return the barrier's gap relative to the size of the objective's parts."""
     program, z = solution.program, solution.unknowns
-    size = max(program.objective_size(z), _LEAST_SIZE / solution.scaling.objective)
+    least = min(_unit(solution), _LEAST_SIZE / solution.scaling.objective)
+    size = max(program.objective_size(z), least)
     if solution.restraint is not None:
         return solution.restraint.gap / size
     return barrier_gap(program, solution.bounds, z, solution.multipliers) / size
@@ -256,6 +289,8 @@ def _sampled(solution: Solution, places: list[FloatArray]) -> _Samples:
         ]
     )
     data = solution.problem.data_of(solution.instance, fractions).at_points()
+    # Between the points, what an equation defines is what it says, not what a polynomial does.
+    variables = with_defined(program, variables, data, definitions(program, solution.unknowns))
     return _Samples(
         variables=variables,
         data=data,
@@ -275,17 +310,6 @@ def _held(
         return samples
     values = MappedFunction(program.compiled.path.values, len(variables))
     return replace(samples, variables=variables, rows=values(variables, samples.data)[0])
-
-
-def rate_corrections(
-    program: Transcription, variables: FloatArray, data: FloatArray, rows: FloatArray
-) -> FloatArray:
-    """Return what must be added to the rates for the differential equations to hold."""
-    equations = linearised(program, variables, data)
-    matrices, residuals = equations.by_rate, rows[:, equations.rows]
-    if matrices.shape[1] == matrices.shape[2]:
-        return np.asarray(-np.linalg.solve(matrices, residuals[:, :, None])[:, :, 0], dtype=float)
-    return np.asarray(-np.einsum("kij,kj->ki", np.linalg.pinv(matrices), residuals), dtype=float)
 
 
 def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArray]:
@@ -455,46 +479,3 @@ def _outside(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatA
         below = (lower - values) / np.maximum(1.0, np.abs(lower))
         above = (values - upper) / np.maximum(1.0, np.abs(upper))
     return np.nan_to_num(np.fmax(np.fmax(below, above), 0.0), nan=0.0)
-
-
-def active_limits(solution: Solution) -> NDArray[np.bool_]:
-    """Say of every limit over time whether it holds at each point, shape (n_points, n_limits).
-
-    At an interior-point solution the product of multiplier and slack is the same small
-    number everywhere; a limit is active where the multiplier is the larger of the two.
-    """
-    program, layout = solution.program, solution.program.layout
-    bounds, scaling = solution.bounds, solution.scaling
-    density = scaling.objective / solution.mesh.quadrature_weights[:, None]
-    columns = np.hstack([layout.state_columns[1:], layout.algebraic_columns])
-    z, scale = solution.unknowns, scaling.unknowns
-    held = bounds.lower == bounds.upper
-    found = [
-        _exceeds(multiplier / scale, np.abs(z - limit) * scale, held, columns, density)
-        for multiplier, limit in (
-            (solution.multipliers.lower, bounds.lower),
-            (solution.multipliers.upper, bounds.upper),
-        )
-    ]
-    rows = np.arange(program.first_condition_row).reshape(
-        solution.mesh.points, program.compiled.n_equations
-    )
-    values = program.constraints(z)
-    held = bounds.row_lower == bounds.row_upper
-    multipliers, scale = solution.multipliers.rows, scaling.rows
-    for limit, sign in ((bounds.row_lower, -1.0), (bounds.row_upper, 1.0)):
-        pull = np.maximum(sign * multipliers, 0.0) / scale
-        found.append(_exceeds(pull, np.abs(values - limit) * scale, held, rows, density))
-    return np.hstack(found)
-
-
-def _exceeds(
-    multipliers: FloatArray,
-    slacks: FloatArray,
-    held: NDArray[np.bool_],
-    positions: NDArray[np.intp],
-    density: FloatArray,
-) -> NDArray[np.bool_]:
-    """Compare scaled multiplier densities with scaled slacks; equalities never count."""
-    is_active = multipliers[positions] * density > slacks[positions]
-    return np.asarray(is_active & ~held[positions])

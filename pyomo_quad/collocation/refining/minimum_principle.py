@@ -16,13 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pyomo_quad.collocation.program.compiled import MappedFunction
-from pyomo_quad.collocation.refining.error import (
-    active_limits,
-    densely_sampled,
-    rate_corrections,
-    state_sizes,
-    violations,
-)
+from pyomo_quad.collocation.program.transcription import rate_corrections
+from pyomo_quad.collocation.refining.activity import active_limits
+from pyomo_quad.collocation.refining.error import densely_sampled, state_sizes, violations
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

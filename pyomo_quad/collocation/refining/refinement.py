@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -16,12 +16,12 @@ from numpy.polynomial.legendre import legvander
 from pyomo_quad.collocation.mesh import radau_rule
 from pyomo_quad.collocation.program.bounds import ChangedProgram
 from pyomo_quad.collocation.program.ipopt import SEEN, Status
+from pyomo_quad.collocation.refining.activity import junction_elements
 from pyomo_quad.collocation.refining.error import ErrorEstimate, estimate_error
 from pyomo_quad.collocation.refining.minimum_principle import improved_controls, state_error
 from pyomo_quad.collocation.refining.remeshing import (
     Marks,
     RefinementOptions,
-    junction_elements,
     refined_mesh,
 )
 from pyomo_quad.collocation.solution import MeshRecord, Solution
@@ -254,7 +254,7 @@ def refine(
     tolerance: float,
     refinement: RefinementOptions,
     warm_start: Any,
-    past_the_barrier: Callable[[S, tuple[Damping | None, ...]], S] | None = None,
+    past_the_barrier: Callable[[tuple[Damping | None, ...], S], S] | None = None,
 ) -> S:
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
 
@@ -268,7 +268,7 @@ def refine(
     meshes : tuple
         To begin with, one for each horizon.
     past_the_barrier : callable, optional
-        (solution, dampings) -> a solution on the same meshes with less of the barrier's gap.
+        (dampings, solution) -> a solution on the same meshes with less of the barrier's gap.
 
     Returns
     -------
@@ -281,26 +281,27 @@ def refine(
     dampings: tuple[Damping | None, ...] = (None,) * len(chosen)
     firmness, improvements, settled = 1.0, 0, 0
     gap = min(_GAP * tolerance, _LARGEST_GAP)
-    reached: S | None = None
+    reached: _Reached[S] | None = None
     before: tuple[Solution | None, ...] = (None,) * len(chosen)
     while True:
         solved, dampings = _solved(solve, chosen, warm_start, dampings, gap)
         is_damped = _are_damped(dampings)
-        errors = _errors(solved, tolerance, refinement)
-        if past_the_barrier is not None and _is_held_by_the_barrier(solved, errors, tolerance):
-            solved = past_the_barrier(solved, dampings)
-            errors = _errors(solved, tolerance, refinement)
+        sharpen = past_the_barrier and partial(past_the_barrier, dampings)
+        solved, errors = _measured(solved, sharpen, tolerance, refinement)
         error = max(e.largest for e in errors)
         records.append(_record(solved, error))
         solution = solved.updated(error_estimate=error, history=tuple(records))
         if solved.status is not Status.CONVERGED:
-            return _doubted(reached) if reached and solved.status.has_failed else solution
+            return _lost(solution, reached, tolerance) if solved.status.has_failed else solution
+        if reached is not None:
+            reached.compare(solution, error)
         finer = _next_meshes(solution, errors, tolerance, refinement, is_damped=is_damped)
         if finer is None:
-            reached = _with_state_error(solution, errors, before, tolerance)
-            better = _improved(solution, tolerance)
-            if better is None or improvements == _IMPROVEMENTS:
-                return reached if better is None else _doubted(reached)
+            met = _with_state_error(solution, errors, before, tolerance)
+            ended, better = _ended_or_better(met, reached, _IMPROVEMENTS - improvements, tolerance)
+            if better is None:
+                return ended
+            reached = _Reached(met)
             improvements += 1
             chosen, warm_start, before = _meshes(solution), better.warm_start, (None,)
             weight = firmness * refinement.damping * tolerance
@@ -309,13 +310,11 @@ def refine(
         is_stuck = finer == _meshes(solution) and error > tolerance
         if is_stuck or len(records) >= refinement.max_meshes or _is_lost(records):
             ended = _given_up(solution, before, error, tolerance)
-            return _with_state_error(ended, errors, before, tolerance)
+            return _lost(_with_state_error(ended, errors, before, tolerance), reached, tolerance)
         settled += is_damped and _has_settled(solution, tolerance)
         is_stalled = settled >= _MANY_SETTLED
         if is_damped and (is_stalled or records[-1].iterations > _MANY_ITERATIONS):
-            most = _FIRMEST if is_stalled else _FIRM
-            most = math.inf if settled >= _TOO_MANY_SETTLED else most
-            firmness = max(firmness, min(_FIRMER * firmness, most))
+            firmness = _firmer(firmness, settled)
         chosen, warm_start, before = finer, solution.warm_start, solution.parts
         weight = firmness * refinement.damping * tolerance
         left = gap if is_stalled else 0.0
@@ -324,6 +323,13 @@ def refine(
         dampings = tuple(
             damping_of(part, weight, gap=left, is_still=is_stalled) for part in solution.parts
         )
+
+
+def _firmer(firmness: float, settled: int) -> float:
+    """Return how firmly to damp from now on, where costs have settled on so many meshes."""
+    most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
+    most = math.inf if settled >= _TOO_MANY_SETTLED else most
+    return max(firmness, min(_FIRMER * firmness, most))
 
 
 def _solved(
@@ -341,6 +347,20 @@ def _solved(
     if solved.status.has_failed and warm_start is not None:
         solved = solve(meshes, None, dampings)
     return solved, dampings
+
+
+def _measured(
+    solved: S,
+    sharpen: Callable[[S], S] | None,
+    tolerance: float,
+    refinement: RefinementOptions,
+) -> tuple[S, tuple[ErrorEstimate, ...]]:
+    """Return a solution and its errors, with less of the barrier where that is in the way."""
+    errors = _errors(solved, tolerance, refinement)
+    if sharpen is not None and _is_held_by_the_barrier(solved, errors, tolerance):
+        solved = sharpen(solved)
+        errors = _errors(solved, tolerance, refinement)
+    return solved, errors
 
 
 def _gap_to_leave(solution: Solved, errors: tuple[ErrorEstimate, ...], tolerance: float) -> float:
@@ -385,13 +405,78 @@ def _errors(
 def _is_held_by_the_barrier(
     solution: Solved, errors: tuple[ErrorEstimate, ...], tolerance: float
 ) -> bool:
-    """Say whether only the barrier, or a scaling that hides the objective, is in the way."""
+    """Say whether the barrier, or a scaling that hides the objective, is in the way.
+
+    It is where the barrier alone is, or leaves more of the objective than any element errs by.
+    """
     (part,), (error,) = solution.parts, errors
-    is_fine = error.per_element.max(initial=0.0) <= tolerance
+    counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
+    is_fine = counted.per_element.max(initial=0.0) <= max(tolerance, error.gap)
     size = part.program.objective_size(part.unknowns) * part.scaling.objective
     is_hidden = size < SEEN and part.problem.compiled.declared.objective_name != ""
     is_solved = solution.status is Status.CONVERGED
     return is_solved and is_fine and (error.gap > tolerance or is_hidden)
+
+
+@dataclass
+class _Reached(Generic[S]):
+    """A solution that met the tolerance before a restart by Pontryagin's principle.
+
+    Attributes
+    ----------
+    solution : Solved
+    shown : float, optional
+        What the restart has shown to be gained, relative to the objective: by how much any of its
+        solutions is better, less that one's own error; None before there is one.
+    """
+
+    solution: S
+    shown: float | None = None
+
+    def gain(self, other: S) -> float:
+        """Return by how much another solution is better, relative to the objective."""
+        first = self.solution.parts[0]
+        earned = self.solution.objective - other.objective
+        is_maximised = first.problem.compiled.declared.maximise
+        return (-earned if is_maximised else earned) / first.nominal_objective
+
+    def compare(self, other: S, error: float) -> None:
+        """Take note of what a solution of the restart shows, whose error is given."""
+        shown = self.gain(other) - error
+        self.shown = shown if self.shown is None else max(self.shown, shown)
+
+    def better(self, other: S) -> S:
+        """Return the better of both, which meet the tolerance."""
+        if self.gain(other) >= 0.0:
+            return other
+        return self.solution.updated(history=other.parts[0].history)
+
+
+def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
+    """Return how a search ends that met no tolerance, or what was reached before its restart.
+
+    That stands, unless the restart has shown a better solution or led to none at all.
+    """
+    if reached is None:
+        return ended
+    is_refuted = reached.shown is None or reached.shown > tolerance
+    return _doubted(reached.solution) if is_refuted else reached.solution
+
+
+def _ended_or_better(
+    met: S, reached: _Reached[S] | None, restarts: int, tolerance: float
+) -> tuple[S, Solution | None]:
+    """Return what to end with, or better controls to start a solution that met the tolerance from.
+
+    A restart that earned less than the tolerance is the last: the Hamiltonian of a singular control
+    is so flat that rounding alone finds lower points of it for ever.
+    """
+    if reached is not None and reached.gain(met) <= tolerance:
+        return reached.better(met), None
+    better = _improved(met, tolerance)
+    if better is not None and restarts == 0:
+        return _doubted(met), None
+    return met, better
 
 
 def _doubted(solution: S) -> S:

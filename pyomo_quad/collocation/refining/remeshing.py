@@ -13,34 +13,12 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from pyomo_quad.collocation.mesh import FloatArray, Mesh, radau_rule
-from pyomo_quad.collocation.refining.error import Allowance, active_limits
+from pyomo_quad.collocation.refining.activity import SAME, known_boundaries
+from pyomo_quad.collocation.refining.error import Allowance
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from pyomo_quad.collocation.refining.error import ErrorEstimate
     from pyomo_quad.collocation.solution import Solution
-
-
-def junction_elements(solution: Solution) -> frozenset[int]:
-    """Return the elements in or beside which the activity of a limit changes.
-
-    A change where the equations themselves may change is where it has to be.
-    """
-    active = active_limits(solution)
-    element = solution.mesh.element_of_point
-    is_known = np.isin(element[1:], np.flatnonzero(_known_boundaries(solution))) & (
-        element[1:] > element[:-1]
-    )
-    changes = np.flatnonzero(np.any(active[1:] != active[:-1], axis=1) & ~is_known)
-    return frozenset(element[changes].tolist()) | frozenset(element[changes + 1].tolist())
-
-
-def _known_boundaries(solution: Solution) -> NDArray[np.bool_]:
-    """Say of each element and the end whether it starts at a condition or a jump."""
-    required = solution.problem.required_breakpoints(solution.instance)
-    starts = np.asarray(solution.mesh.breakpoints)
-    return np.any(np.abs(starts[:, None] - np.array([0.0, *required, 1.0])) < _SAME, axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,8 +95,6 @@ _JUMP_SHARE = 0.25
 _STRAIGHT = 3.0
 # One degree more lets the weights integrate polynomials of two degrees more.
 _QUADRATURE_GAIN = 2.0
-# Shares of the horizon that are the same but for rounding.
-_SAME = 1e-12
 # Half the width of the sliver around a jump, as a share of the element.
 _SLIVER = 0.02
 
@@ -220,7 +196,8 @@ def _finer(
     degree, size = mesh.degrees[e], float(error.per_element[e])
     if mesh.widths[e] < 2.0 * options.smallest_width:
         return [_Piece(mesh.breakpoints[e + 1], degree, size, is_changed=True)]
-    if size <= tolerance or error.is_held[e] or error.restraint[e] == size:
+    is_corner = error.is_held[e] or size in (error.restraint[e], error.switches[e])
+    if size <= tolerance or is_corner:
         is_chased = error.is_held[e] and len(solution.history) > _CHASING_MESHES
         parts = (_CONSTANT_PARTS, 1) if is_chased else (_CORNER_PARTS, min(degree, _CORNER_DEGREE))
         return _parts(mesh, e, *parts, size)
@@ -262,7 +239,7 @@ def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[
             degree = max(last.degree, piece.degree)
             ratio = (piece.end - starts[-1]) / min(piece.end - start, start - starts[-1])
             predicted = max(last.error, piece.error) * ratio ** (degree + 1)
-            needed = any(abs(start - b) < _SAME for b in required)
+            needed = any(abs(start - b) < SAME for b in required)
             if predicted < _MARGIN * tolerance and not needed:
                 merged[-1] = _Piece(piece.end, degree, predicted, is_changed=False)
                 continue
@@ -310,7 +287,7 @@ def _decay(sizes: FloatArray) -> float:
 def _jump(solution: Solution, e: int) -> float | None:
     """Return where in an element a bounded control jumps, as a fraction of the horizon."""
     mesh = solution.mesh
-    if _known_boundaries(solution)[e : e + 2].any():
+    if known_boundaries(solution)[e : e + 2].any():
         return None
     controls = solution.trajectory.algebraics
     lower, upper = solution.algebraic_limits

@@ -1,6 +1,7 @@
 """Reactors and processes, and the like of them in fisheries, mines and medicine."""
 
-from pyomo.environ import exp, log
+from pyomo.dae import ContinuousSet, DerivativeVar
+from pyomo.environ import ConcreteModel, Constraint, Expression, Var, exp, log
 
 from tests.problems.published.statement import (
     Case,
@@ -58,6 +59,108 @@ def batch_reactor():
         rates,
     )
     return maximised(m, m.b[1])
+
+
+def reactor_of_rates(*, are_variables=True):
+    """The same for as long as it pays, 0.05 a unit of time, with its rates as variables."""
+    m = ConcreteModel(name="batch reactor of rates")
+    m.t, m.T = ContinuousSet(bounds=(0, 1)), Var(bounds=(0.1, 10), initialize=1)
+    m.a, m.b = Var(m.t, bounds=(0, 1)), Var(m.t, bounds=(0, 1))
+    m.kelvin = Var(m.t, bounds=(298, 398))
+    m.da, m.db = DerivativeVar(m.a, wrt=m.t), DerivativeVar(m.b, wrt=m.t)
+    for name, (factor, energy) in {"k1": (4e3, 2500), "k2": (6.2e5, 5000)}.items():
+
+        def law(m, t, factor=factor, energy=energy):
+            return factor * exp(-energy / m.kelvin[t])
+
+        if not are_variables:
+            m.add_component(name, Expression(m.t, rule=law))
+            continue
+        m.add_component(name, Var(m.t))
+        m.add_component(
+            f"{name}_law",
+            Constraint(m.t, rule=lambda m, t, k=name, law=law: m.component(k)[t] == law(m, t)),
+        )
+    m.loss = Constraint(m.t, rule=lambda m, t: m.da[t] == -m.k1[t] * m.a[t] ** 2)
+    m.gain = Constraint(m.t, rule=lambda m, t: m.db[t] == m.k1[t] * m.a[t] ** 2 - m.k2[t] * m.b[t])
+    m.a[0].fix(1)
+    m.b[0].fix(0)
+    return maximised(m, m.b[1] - 0.05 * m.T)
+
+
+# Declared instants of the kinetic reactor: start, the end of two stages of transients, and the end.
+STAGES = (0.0, 0.01, 0.5, 2.0)
+
+
+def kinetic_reactor():
+    """Leineweber's batch reactor in three phases, the last three quarters of the time.
+
+    The ions that the acid's equilibria bind are substituted; its exponent is between 8 and 12, well
+    inside which the optimum stays, and y4, bounded by the square of time in the first two phases,
+    by 1.5 in the last.
+    """
+    m = ConcreteModel(name="kinetic batch reactor")
+    m.t = ContinuousSet(initialize=STAGES)
+    last = STAGES[-1]
+    m.T1, m.T2 = Var(initialize=STAGES[1]), Var(bounds=(0.02, 2.5), initialize=STAGES[2])
+    m.T1.fix(STAGES[1])
+    m.T3, m.p = Var(bounds=(1.5, 10), initialize=last), Var(bounds=(0, 0.0262), initialize=0.013)
+    guesses = {
+        "y1": (2, 1.5776, 1.57, 1.2, 0.5),
+        "y2": (10, 8.32, 8.3, 7.5, 6.5),
+        "y3": (2, 0, 0, 0.3, 0.5),
+        "y4": (2, 0, 1e-4, 0.3, 1),
+        "y5": (2, 0, 0, 0.4, 0.5),
+        "y6": (0.1, 0.013, 0.013, 0.013, 0.013),
+        "acid": (12, 8, 10, 10, 10),
+        "kelvin": (393.15, 373, 393, 393, 393),
+    }
+    lowest = {"y2": 5, "acid": 8, "kelvin": 293.15}
+    for key, (most, *held) in guesses.items():
+        first = dict(zip(STAGES, held, strict=True))
+        m.add_component(key, Var(m.t, bounds=(lowest.get(key, 0), most)))
+        for t, number in first.items():
+            m.component(key)[t].set_value(number)
+
+    def rates(m, t):
+        k1 = 1.3708e12 * exp(-9.2984e3 / m.kelvin[t])
+        back = 1.6215e20 * exp(-1.3108e4 / m.kelvin[t])
+        k2 = 5.2282e12 * exp(-9.5999e3 / m.kelvin[t])
+        u2, u3, u4 = ions(m, t)
+        r1 = k1 * m.y2[t] * m.y6[t] - back * u4
+        r2 = k2 * m.y2[t] * u2
+        r3 = k1 * m.y4[t] * m.y6[t] - back / 2 * u3
+        return {"y1": -r2, "y2": -r1 - r2, "y3": r2 + r3, "y4": -r3, "y5": r1, "y6": -r1 - r3}
+
+    def protons(m, t):
+        return exp(-log(10) * m.acid[t])
+
+    def ions(m, t):
+        parts = ((m.y1, 4.876e-14), (m.y3, 1.7884e-16), (m.y5, 2.575e-16))
+        return [y[t] / (1 + protons(m, t) / constant) for y, constant in parts]
+
+    for key in [f"y{k}" for k in range(1, 7)]:
+        m.add_component(f"d{key}", DerivativeVar(m.component(key), wrt=m.t))
+
+        def law(m, t, key=key):
+            return m.component(f"d{key}")[t] == rates(m, t)[key]
+
+        m.add_component(f"{key}_law", Constraint(m.t, rule=law))
+    m.charge = Constraint(
+        m.t, rule=lambda m, t: 100 * (m.p - m.y6[t] + protons(m, t) - sum(ions(m, t))) == 0
+    )
+    m.limit = Constraint(m.t, rule=lambda m, t: m.y4[t] <= (2 * t**2 if t <= STAGES[2] else 1.5))
+    for key, number in {"y1": 1.5776, "y2": 8.32, "y3": 0, "y4": 0, "y5": 0}.items():
+        m.component(key)[0].fix(number)
+    m.first = Constraint(expr=m.y6[0] == m.p)
+    m.made = Constraint(expr=m.y4[last] >= 1)
+    m.quarter = Constraint(expr=m.T2 == m.T3 / 4)
+    return minimised(m, m.T3 + 100 * m.p)
+
+
+def kinetic_times(m):
+    """Return what gives the reactor's instants."""
+    return dict(zip(STAGES[1:], (m.T1, m.T2, m.T3), strict=True))
 
 
 def stirred_tank():
@@ -183,6 +286,13 @@ CASES = (
     ),
     Case(name="parallel_reactions", build=parallel_reactions, published="0.5735", source=DADEBO),
     Case(name="batch_reactor", build=batch_reactor, published="0.6108", source=DADEBO),
+    Case(
+        name="reactor_of_rates",
+        build=reactor_of_rates,
+        published="0.56913196",
+        source="Pontryagin's conditions by shooting, in tests/unit/collocation/test_first_guesses",
+        times=lambda m: {1: m.T},
+    ),
     Case(
         name="stirred_tank",
         build=stirred_tank,

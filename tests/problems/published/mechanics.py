@@ -3,7 +3,7 @@
 import numpy as np
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.environ import ConcreteModel, Constraint, Var, cos, exp, log, sin
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize_scalar
 
 from tests.problems.published.statement import (
     Case,
@@ -370,6 +370,63 @@ def hager():
     return maximised(m, m.x[2])
 
 
+def complementary():
+    """Betts' dynamic complementarity: y' = 2 - sign(y), its sign s with p, q >= 0 by a penalty."""
+    m = posed(
+        "complementarity",
+        {"y": (-1, None, -10, 10)},
+        {"s": (-1, 1), "p": (0, 10), "q": (0, 10)},
+        lambda m, t: {"y": 2 - m.s[t]},
+        end=2.0,
+    )
+    m.parts = Constraint(m.t, rule=lambda m, t: m.q[t] - m.p[t] == m.y[t])
+
+    def running(m, t):
+        left = m.p[t] * (m.s[t] + 1) + m.q[t] * (1 - m.s[t])
+        return m.y[t] ** 2 + PENALTY * left
+
+    return minimised(m, (m.y[2] - 5 / 3) ** 2 + total(m, running))
+
+
+PENALTY = 1e3
+
+
+def _complementary_cost():
+    """The switch from s = -1 to 1 at y = -e: until then y grows by 3 in a unit of time, then by 1.
+
+    All else is bang-bang: H is linear in s, with a slope that changes its sign once.
+    """
+
+    def cost(e):
+        last = 5 / 3 - 2 * e / 3
+        return (1 - e**3) / 9 + (last**3 + e**3) / 3 + PENALTY * e**2 + (last - 5 / 3) ** 2
+
+    return float(minimize_scalar(cost, bounds=(0, 0.1), options={"xatol": 1e-12}).fun)
+
+
+COMPLEMENTARY_COST = _complementary_cost()
+
+
+def singular_control():
+    """Luus' control whose square costs next to nothing, so that restarts find no end of gains."""
+    m = posed(
+        "singular control",
+        {"x": (0, None), "y": (-1, None), "z": (-(5**0.5), None)},
+        {"u": (0, 10)},
+        lambda m, t: {
+            "x": m.y[t],
+            "y": -m.z[t] * m.u[t] + 16 * t - 8,
+            "z": m.u[t],
+        },
+    )
+
+    def running(m, t):
+        bent = m.y[t] + 16 * t - 8 - 0.1 * m.z[t] * m.u[t] ** 2
+        return m.x[t] ** 2 + m.y[t] ** 2 + 5e-4 * bent**2
+
+    return minimised(m, total(m, running))
+
+
 CASES = (
     Case(
         name="oscillator",
@@ -453,6 +510,19 @@ CASES = (
     ),
     Case(name="isoperimetric", build=isoperimetric, published="-0.3755", source=PSOPT),
     Case(name="aly_chan", build=aly_chan, published=0.0, source="Aly and Chan (1973), IJC 17"),
+    Case(
+        name="mpec",
+        build=complementary,
+        published=COMPLEMENTARY_COST,
+        source="one switch, found by itself; Betts (2010) states it, and PSOPT 5 has 1.656309 and "
+        "1.654223 on coarse meshes",
+    ),
+    Case(
+        name="singular5",
+        build=singular_control,
+        published="0.1192",
+        source="Luus (2002), stated as PSOPT 5 does in examples/singular5: 0.119262 there",
+    ),
     Case(name="interior_point", build=interior_point, published=_interior_cost(), source=PSOPT),
     Case(
         name="logarithmic",

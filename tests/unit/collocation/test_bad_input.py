@@ -17,6 +17,8 @@ from pyomo.environ import (
     Piecewise,
     Set,
     SOSConstraint,
+    Suffix,
+    TransformationFactory,
     Var,
     log,
     maximize,
@@ -78,6 +80,42 @@ def refused(model, message, **arguments):
 def test_two_objectives(m):
     m.other = Objective(expr=m.x[1])
     refused(m, r"objective: 2 active \(objective, other\); at most one is allowed; deactivate the")
+
+
+SUMS = {
+    "squares": lambda m: sum(m.u[t] ** 2 for t in m.t),
+    "a multiple beside an end value": lambda m: 0.5 * sum(m.u[t] ** 2 for t in m.t) + m.x[1],
+    "with states": lambda m: sum(m.x[t] ** 2 + m.u[t] ** 2 for t in m.t),
+    "a rate": lambda m: sum(m.dx_dt[t] ** 2 for t in m.t),
+}
+
+
+@pytest.mark.parametrize("kind", SUMS)
+def test_a_sum_of_a_control_over_the_declared_instants(m, kind):
+    m.objective.set_value(SUMS[kind](m))
+    name = "dx_dt" if kind == "a rate" else "u"
+    refused(
+        m, rf"objective: sums {name} over the 2 declared instants of t only.*declare an Integral"
+    )
+
+
+def test_a_sum_over_instants_that_is_a_fit_is_taken(m):
+    seen = {0: 0.3, 1: 0.7}
+    m.objective.set_value(sum((m.u[t] - seen[t]) ** 2 for t in m.t) + m.cost)
+    compile(m)
+    m.objective.set_value(sum(m.x[t] ** 2 for t in m.t))
+    compile(m)
+
+
+def test_a_model_scaled_before_it_is_discretised(m):
+    m.scaling_factor = Suffix(direction=Suffix.EXPORT)
+    m.scaling_factor[m.x] = 10.0
+    scaled = TransformationFactory("core.scale_model").create_using(m)
+    refused(
+        scaled,
+        r"scaled_balance: its rule no longer fits the model \(AttributeError.*core\.scale_model; "
+        r"scale with the Suffix scaling_factor alone",
+    )
 
 
 def test_derivative_without_dynamics(m):

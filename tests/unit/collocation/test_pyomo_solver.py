@@ -20,7 +20,7 @@ from pyomo.environ import (
 from pyomo.opt import TerminationCondition
 
 from pyomo_quad.collocation import RefinementOptions, TranscriptionError
-from pyomo_quad.collocation.program import ipopt
+from pyomo_quad.collocation.program import ipopt, linear_solvers
 from tests.problems import bryson_denham, double_integrator, hyper_sensitive
 from tests.starts import assert_begins_at, noted_starts
 
@@ -189,6 +189,25 @@ def test_what_is_unknown_is_refused_by_name(solver):
     for options in ({"max_iteration": 5}, {"max_iter": -3}):
         with pytest.raises(TranscriptionError, match=r"^options: Ipopt does not take max_iter"):
             solver.solve(m, options=options)
+
+
+@pytest.mark.parametrize("name", ["pardiso", "ma97"])
+def test_a_linear_solver_that_this_ipopt_lacks_is_refused(solver, monkeypatch, name):
+    """Whether a library that Ipopt misses ends the process is seen in another process alone."""
+    monkeypatch.setattr(linear_solvers, "_PROBE", "import os; os.abort()")
+    linear_solvers._is_loaded.cache_clear()
+    with pytest.raises(
+        TranscriptionError, match=rf"^options: linear_solver = '{name}', which this"
+    ):
+        solver.solve(hock_schittkowski_71(), options={"linear_solver": name})
+
+
+def test_a_linear_solver_is_tried_in_a_process_of_its_own():
+    linear_solvers._is_loaded.cache_clear()
+    refuse = linear_solvers.refuse_absent_solver
+    assert linear_solvers._is_loaded('{"linear_solver": "mumps"}')
+    with pytest.raises(TranscriptionError, match="leave the option out for 'mumps'"):
+        refuse({"linear_solver": "ma27", "hsllib": "/no/such/library.so"})
 
 
 def test_a_mesh_that_is_too_coarse_ends_otherwise(solver):

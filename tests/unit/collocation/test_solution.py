@@ -3,6 +3,7 @@
 import pickle
 from copy import deepcopy
 from functools import cache
+from inspect import signature
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -10,6 +11,7 @@ import pandas as pd
 import pytest
 from pyomo.environ import Constraint, Param, value
 
+from pyomo_quad import collocation
 from pyomo_quad.collocation import Mesh, Status, Summarised, TranscriptionError, compile, solve
 from tests.problems import bang_bang, dido, double_integrator, mass_chain, saving, waypoint
 from tests.starts import assert_begins_at, noted_starts
@@ -250,3 +252,17 @@ def test_a_name_is_escaped_in_a_notebook():
             return {"name": "<b> & c"}
 
     assert "<td>&lt;b&gt; &amp; c</td>" in Named()._repr_html_()
+
+
+def test_the_front_door_says_what_it_takes():
+    own, of_problem = signature(solve).parameters, signature(collocation.Problem.solve).parameters
+    assert own.keys() - {"model", "final_time", "times"} == of_problem.keys() - {"self"}
+    assert all(p.kind is not p.VAR_KEYWORD and p.annotation is not p.empty for p in own.values())
+    for name in own.keys() & of_problem.keys():
+        assert own[name].default == of_problem[name].default
+    assert "JointSolution" in signature(solve).return_annotation
+
+
+def test_only_public_names_are_shown():
+    assert dir(collocation) == sorted(collocation.__all__)
+    assert all(hasattr(collocation, name) for name in dir(collocation))

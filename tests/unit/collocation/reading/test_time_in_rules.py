@@ -18,6 +18,7 @@ from pyomo.environ import (
     Objective,
     Param,
     Set,
+    Suffix,
     Var,
     value,
 )
@@ -475,3 +476,66 @@ def test_what_a_rule_asks_for_at_one_declared_time_is_kept(rule, off):
     asked += [b.name for b in solution.problem.compiled.simple_point_bounds]
     assert asked == (["asked[0.5]"] if off else [])
     assert solution.warnings == ()
+
+
+# The limit, its form, and how far x' = u can get in two seconds under it.
+TIMED_LIMITS = {
+    "a state": (lambda m, t: m.x[t] <= t, 2.0),
+    "a range of a state": (lambda m, t: (-t - 1, m.x[t], t), 2.0),
+    "a number and the time": (lambda m, t: (-5, m.x[t], t), 2.0),
+    "a power of time": (lambda m, t: m.x[t] <= 2 * t**2, 8.0),
+    "a control": (lambda m, t: m.u[t] <= 20 - t, 38.0),
+    "the other way round": (lambda m, t: 20 - t >= m.u[t], 38.0),
+}
+
+
+def pushed(limit, end, **bounds):
+    m = ConcreteModel()
+    m.t = ContinuousSet(bounds=(0, end))
+    m.x, m.u = Var(m.t, **bounds), Var(m.t, bounds=(-1, 30))
+    m.dx = DerivativeVar(m.x, wrt=m.t)
+    m.motion = Constraint(m.t, rule=lambda m, t: m.dx[t] == m.u[t])
+    m.limit = Constraint(m.t, rule=limit)
+    m.x[0].fix(0)
+    return m
+
+
+@pytest.mark.parametrize("kind", TIMED_LIMITS)
+def test_a_limit_may_have_the_time_on_one_side_whether_the_end_is_fixed_or_free(kind):
+    limit, distance = TIMED_LIMITS[kind]
+    m = pushed(limit, 2)
+    m.cost = Objective(expr=-m.x[2])
+    assert solve(m).objective == pytest.approx(-distance, rel=2e-6)
+    m = pushed(limit, 1)
+    m.T = Var(bounds=(0.5, 9), initialize=3)
+    m.x[1].fix(distance)
+    m.cost = Objective(expr=m.T)
+    assert solve(m, final_time=m.T).objective == pytest.approx(2.0, rel=2e-6)
+
+
+def test_a_bound_by_a_rule_may_hold_a_free_time():
+    m = pushed(plain_limit, 1, bounds=lambda m, t: (-1, 2 + t))
+    m.T = Var(bounds=(0.5, 9), initialize=3)
+    m.goal = Constraint(expr=m.x[1] == 4)
+    m.cost = Objective(expr=m.T)
+    assert solve(m, final_time=m.T).objective == pytest.approx(2.0, rel=2e-6)
+
+
+def plain_limit(m, t):
+    return m.u[t] <= 30
+
+
+def test_prices_of_a_limit_with_time_on_both_its_sides_are_those_of_the_side_that_holds():
+    """A limit higher by c everywhere lets x = 2 be reached c earlier: its prices sum to -1."""
+    prices = {}
+    for kind in ("a state", "a range of a state", "a number and the time"):
+        m = pushed(TIMED_LIMITS[kind][0], 1)
+        m.T = Var(bounds=(0.5, 9), initialize=3)
+        m.x[1].fix(2)
+        m.cost = Objective(expr=m.T)
+        m.dual = Suffix(direction=Suffix.IMPORT)
+        solve(m, final_time=m.T)
+        prices[kind] = m.dual[m.limit[1]]
+    assert prices["a state"] < 0
+    assert prices["a range of a state"] == pytest.approx(prices["a state"], rel=1e-3)
+    assert prices["a number and the time"] == pytest.approx(prices["a state"], rel=1e-3)

@@ -1,16 +1,20 @@
 """Controls that are right for small changes only, on a problem with two valleys."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.environ import ConcreteModel, Constraint, Objective, Var
 from scipy.optimize import minimize_scalar
 
-from pyomo_quad.collocation import RefinementOptions, Status, compile
+from pyomo_quad.collocation import Mesh, RefinementOptions, Status, compile
 from pyomo_quad.collocation.refining import minimum_principle
 from pyomo_quad.collocation.refining.minimum_principle import improved_controls
+from pyomo_quad.collocation.refining.refinement import _lost, _Reached
 from tests.problems import bang_bang, bryson_denham
 from tests.problems.published.chemistry import oil_shale
+from tests.problems.published.mechanics import singular_control
 
 
 def two_valleys(first):
@@ -97,3 +101,37 @@ def test_a_looser_tolerance_finds_the_same_optimum_of_the_oil_shale():
     loose, tight = (problem.solve(tolerance=tolerance) for tolerance in (1e-6, 1e-8))
     claimed = loose.error_estimate + tight.error_estimate
     assert abs(loose.objective - tight.objective) <= 2 * claimed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tolerance", [1e-5, 1e-6])
+def test_restarts_that_earn_nothing_leave_what_was_reached(tolerance):
+    solution = compile(singular_control()).solve(tolerance=tolerance)
+    assert solution.is_converged
+    assert solution.error_estimate <= tolerance
+    finer = compile(singular_control()).solve(mesh=Mesh.uniform(120, 3))
+    assert solution.objective <= finer.objective * (1.0 + 2.0 * tolerance)
+
+
+def test_a_restart_that_earns_less_than_the_tolerance_is_the_last(monkeypatch):
+    """Whatever is found the same once more is not started again."""
+    refinement = "pyomo_quad.collocation.refining.refinement.improved_controls"
+    asked = []
+    monkeypatch.setattr(refinement, lambda found, _tolerance: asked.append(found) or found)
+    solution = compile(bang_bang.build()).solve(tolerance=1e-6)
+    assert solution.is_converged
+    assert solution.objective == pytest.approx(bang_bang.objective(), rel=1e-6)
+    assert len(asked) == 1
+
+
+def test_a_lost_restart_refutes_only_by_a_better_solution():
+    found = compile(bang_bang.build()).solve(tolerance=1e-4)
+    unit, error = found.nominal_objective, 1e-3
+    for earned, status in (
+        (0.5 * error, Status.CONVERGED),
+        (2.0 * error, Status.TOLERANCE_NOT_MET),
+    ):
+        reached = _Reached(found)
+        reached.compare(replace(found, objective=found.objective - earned * unit), error)
+        assert _lost(found, reached, 1e-4).status is status
+    assert _lost(found, _Reached(found), 1e-4).status is Status.TOLERANCE_NOT_MET

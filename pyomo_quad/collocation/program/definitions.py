@@ -1,0 +1,92 @@
+"""Algebraic variables that an equation defines, such as a rate constant by its temperature."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pyomo_quad.collocation.program.compiled import MappedFunction
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from pyomo_quad.collocation.mesh import FloatArray
+    from pyomo_quad.collocation.program.transcription import Transcription
+
+# A coefficient is constant if it is the same at two points but for rounding.
+_SAME = 1e-9
+# By what share of their size, or of 1, all variables differ between these.
+_AWAY = 0.5
+# Of the largest residual before, what may be left for a value to be taken.
+_LEFT = 1e-6
+
+#: A path equation, the algebraic variable that it defines, and the variable's coefficient in it.
+Definition = tuple[int, int, float]
+
+
+def definitions(
+    program: Transcription, z: FloatArray, among: Iterable[int] | None = None
+) -> list[Definition]:
+    """Return which equations without rates define one algebraic variable each.
+
+    An equation defines the one variable that has a constant coefficient in it, others defined:
+    ``k == exp(-1 / x)`` defines k and leaves x free, ``p - q == y`` defines neither.
+
+    Parameters
+    ----------
+    program : Transcription
+    z : ndarray
+        Where coefficients are looked at.
+    among : iterable of int, optional
+        Positions of the algebraic variables that may be defined, all unless given.
+    """
+    compiled, layout, path = program.compiled, program.layout, program.compiled.path
+    n, count = layout.n_states, layout.n_algebraics
+    differential = path.jacobian_rows[path.jacobian_columns < n]
+    rows = np.setdiff1d(np.flatnonzero(compiled.is_equality), differential)
+    if program.mesh is None or not (count and rows.size):
+        return []
+    here, data = program.path_variables(z), program.data.at_points()
+    there = here + _AWAY * np.maximum(1.0, np.abs(here))
+    function = MappedFunction(path.jacobian, program.n_points)
+    entries, moved = (function(variables, data)[0] for variables in (here, there))
+    is_constant = np.all((entries == entries[0]) & (entries != 0.0), axis=0)
+    is_constant &= np.all(np.abs(moved - entries) <= _SAME * np.abs(entries), axis=0)
+    chosen = is_constant & np.isin(path.jacobian_rows, rows)
+    chosen &= (path.jacobian_columns >= 2 * n) & (path.jacobian_columns < 2 * n + count)
+    coefficients = np.zeros((compiled.n_equations, count))
+    at = path.jacobian_rows[chosen], path.jacobian_columns[chosen] - 2 * n
+    coefficients[at] = entries[0, chosen]
+    is_open = np.isin(np.arange(count), list(range(count) if among is None else among))
+    found: list[Definition] = []
+    while True:
+        candidates = (coefficients != 0.0) & is_open
+        single = np.flatnonzero(candidates.sum(axis=1) == 1)
+        if not single.size:
+            return found
+        row = int(single[0])
+        k = int(candidates[row].argmax())
+        found.append((row, k, float(coefficients[row, k])))
+        is_open[k], coefficients[row] = False, 0.0
+
+
+def with_defined(
+    program: Transcription, variables: FloatArray, data: FloatArray, given: list[Definition]
+) -> FloatArray:
+    """Return variables at points, one row each, of which the defined ones meet their equations.
+
+    Definitions may read each other; the same where they do so in a circle and nothing is gained.
+    """
+    if not given:
+        return variables
+    rows, defined, coefficients = (np.array(part) for part in zip(*given, strict=True))
+    function = MappedFunction(program.compiled.path.values, len(variables))
+    columns, moved = 2 * program.layout.n_states + defined, np.array(variables)
+    before = function(moved, data)[0][:, rows]
+    left = before
+    for _ in given:
+        moved[:, columns] -= left / coefficients
+        left = function(moved, data)[0][:, rows]
+    is_met = np.abs(left).max() <= _LEFT * np.abs(before).max()
+    return moved if is_met else variables

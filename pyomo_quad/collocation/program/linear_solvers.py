@@ -1,0 +1,73 @@
+"""Linear solvers that this Ipopt has: asking it for another one may end the process."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from pyomo_quad.collocation.errors import TranscriptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+#: The linear solver that Ipopt is built with, and the option that names another one.
+OWN_SOLVER, OPTION = "mumps", "linear_solver"
+# Options that say where a solver's library lies.
+_LIBRARIES = ("hsllib", "pardisolib")
+_TIMEOUT_S = 60.0
+
+# Ipopt loads the library of a linear solver when a solve begins.  Without the library the solve
+# fails, or ends the process while Ipopt is taken down; so another process tries it, on the least
+# square of one number.
+_PROBE = """
+import json, sys
+import cyipopt, numpy
+class Square:
+    def objective(self, x): return float(x[0] ** 2)
+    def gradient(self, x): return 2 * x
+    def constraints(self, x): return x[:1]
+    def jacobianstructure(self): return numpy.zeros(1, int), numpy.zeros(1, int)
+    def jacobian(self, x): return numpy.ones(1)
+    def hessianstructure(self): return numpy.zeros(1, int), numpy.zeros(1, int)
+    def hessian(self, x, multipliers, factor): return numpy.array([2 * factor])
+problem = cyipopt.Problem(n=1, m=1, problem_obj=Square(), lb=[-5], ub=[5], cl=[-5], cu=[5])
+for name, value in {"print_level": 0, "sb": "yes", **json.loads(sys.argv[1])}.items():
+    problem.add_option(name, value)
+sys.exit(problem.solve(numpy.ones(1))[1]["status"] != 0)
+"""
+
+
+def refuse_absent_solver(options: Mapping[str, Any]) -> None:
+    """Refuse Ipopt options that ask for a linear solver which this Ipopt cannot load.
+
+    Raises
+    ------
+    TranscriptionError
+        Naming the solver.
+    """
+    chosen = str(options.get(OPTION, OWN_SOLVER))
+    asked = {name: options[name] for name in (OPTION, *_LIBRARIES) if name in options}
+    if chosen != OWN_SOLVER and not _is_loaded(json.dumps(asked, sort_keys=True, default=str)):
+        raise TranscriptionError(
+            f"options: {OPTION} = {chosen!r}, which this Ipopt does not have or cannot load; leave "
+            f"the option out for {OWN_SOLVER!r}, or name the library in one of the options "
+            f"{' and '.join(_LIBRARIES)}."
+        )
+
+
+@lru_cache
+def _is_loaded(options: str) -> bool:
+    """Say whether Ipopt solves a problem with these options, in a process of its own."""
+    try:
+        probe = subprocess.run(  # noqa: S603  our own interpreter and program
+            [sys.executable, "-c", _PROBE, options],
+            capture_output=True,
+            check=False,
+            timeout=_TIMEOUT_S,
+        )
+    except subprocess.TimeoutExpired:
+        return False
+    return probe.returncode == 0
