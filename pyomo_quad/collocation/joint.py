@@ -13,6 +13,7 @@ from pyomo_quad.collocation.formulation import Formulation
 from pyomo_quad.collocation.guess import (
     TIME_COLUMN,
     initial_point,
+    on_path_equalities,
     transfer,
     with_consistent_algebraics,
 )
@@ -409,7 +410,9 @@ class JointProblem(Summarised):
             zip(union.programs, self._parts, guesses, strict=True)
         ):
             own = union.bounds_of(bounds, k)
-            point = initial_point(program, own, part.values, guess)
+            point = on_path_equalities(
+                program, own, initial_point(program, own, part.values, guess)
+            )
             if not is_defined(program, point):
                 point = with_consistent_algebraics(program, own, point)
             guessed.append(point)
@@ -435,7 +438,7 @@ class JointProblem(Summarised):
             own = union.bounds_of(bounds, k)
             fixed = np.flatnonzero(own.lower == own.upper)
             held |= {str(unknown_place(program, int(column)).name) for column in fixed}
-        refuse_overdetermined(bounds, held)
+        refuse_overdetermined(CoupledProgram(union, union.programs), bounds, z, held)
 
     def load(self, solution: JointSolution) -> None:
         """Put a solution's values into the Pyomo model, at the times it declares."""

@@ -19,6 +19,7 @@ from pyomo_quad.collocation.program.linear_solvers import (
     OWN_SOLVER,
     refuse_absent_solver,
 )
+from pyomo_quad.collocation.program.padding import padded
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
@@ -225,6 +226,15 @@ class IpoptResult:
         """Whether Ipopt met its tolerance."""
         return self.status is Status.CONVERGED
 
+    def of_first(self, count: int) -> IpoptResult:
+        """Return what it says of so many first unknowns."""
+        held = self.multipliers
+        return replace(
+            self,
+            z=self.z[:count],
+            multipliers=replace(held, lower=held.lower[:count], upper=held.upper[:count]),
+        )
+
 
 @dataclass
 class _Callbacks:
@@ -352,8 +362,8 @@ _GAP_SHARE, _LEAST = 1e3, 1e-12
 SEEN = 1e-6
 # How often a solve goes on, how much farther it aims, at most at once, and with what patience.
 _SHARPENINGS, _AIMED, _LARGEST_STEP, _PATIENCE = 2, 10.0, 1e5, 100
-#: Ipopt's return code for a solve that took longer than it may.
-TIME_LIMIT_CODE = -5
+#: Ipopt's return codes for a solve that took longer than it may, and for one that diverged.
+TIME_LIMIT_CODE, DIVERGED_CODE = -5, 4
 
 
 def run(
@@ -373,6 +383,18 @@ def run(
     Exception
         Whatever a callback raised, once Ipopt has been left cleanly.
     """
+    spare = padded(program, bounds, scaling)
+    if spare is not None:
+        result = run(
+            spare,
+            spare.bounds(bounds),
+            spare.scaling(scaling),
+            spare.point(start),
+            options=options,
+            multipliers=multipliers and spare.multipliers(multipliers),
+            progress=progress,
+        )
+        return result.of_first(start.size)
     sign = -1.0 if program.is_negated else 1.0
     callbacks = _Callbacks(program, progress, sign)
     problem = cyipopt.Problem(
