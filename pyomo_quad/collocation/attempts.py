@@ -19,7 +19,7 @@ from pyomo_quad.collocation.program.redundancy import (
     redundant_conditions,
     without,
 )
-from pyomo_quad.collocation.program.transcription import row_place
+from pyomo_quad.collocation.program.transcription import row_place, unknown_place
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.bounds import Bounds
     from pyomo_quad.collocation.program.elastic import LeastViolation
     from pyomo_quad.collocation.program.ipopt import Progress, SolverOptions
-    from pyomo_quad.collocation.program.transcription import Place, Transcription
+    from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance
     from pyomo_quad.collocation.solution import Solution
 
@@ -91,12 +91,15 @@ REDUCED = (
     Attempt(name="without conditions that follow from others", first=First.REDUCED),
     Attempt(name="the same on a mesh four times finer", first=First.REDUCED, finer=4),
 )
-#: On the mesh that failed.
-ON_THE_MESH = (
-    Attempt(name="from the point of least violation", first=First.FEASIBLE),
+WITH_OTHER_SETTINGS = (
     Attempt(name="monotone barrier", barrier="monotone"),
     Attempt(name="adaptive barrier, unscaled", barrier="adaptive", is_scaled=False),
     Attempt(name="monotone barrier, unscaled", barrier="monotone", is_scaled=False),
+)
+#: On the mesh that failed.
+ON_THE_MESH = (
+    Attempt(name="from the point of least violation", first=First.FEASIBLE),
+    *WITH_OTHER_SETTINGS,
 )
 #: On others: a first mesh may be too coarse for what limits ask, or too fine for how far the first
 #: point is off.
@@ -129,6 +132,8 @@ class FirstSolve:
     instance : Instance
     options : SolverOptions
     progress : callable or None
+    is_overdetermined : bool
+        Whether there are more equations than free unknowns.
     is_mesh_free : bool
         Whether the first mesh is nobody's choice.
     """
@@ -142,13 +147,22 @@ class FirstSolve:
     instance: Instance
     options: SolverOptions
     progress: Progress | None
+    is_overdetermined: bool
     is_mesh_free: bool
 
     def __call__(self) -> Solution:
         """Return the first solution that did not fail, else the first failure and its verdict."""
+        for way in REDUCED[: 1 + self.is_mesh_free] if self.is_overdetermined else ():
+            reduced = self._tried(way, None)
+            if reduced is not None and not reduced.status.has_failed:
+                return reduced
         first = self.finish(self.solve_on, self.mesh, self.warm_start)
-        if not first.status.has_failed or first.ipopt_code == DIVERGED_CODE:
+        if not first.status.has_failed:
             return _noted(first)
+        return _unbounded(first) if first.ipopt_code == DIVERGED_CODE else self._again(first)
+
+    def _again(self, first: Solution) -> Solution:
+        """Return what other attempts find after a first failure, else that and its verdict."""
         simulated = self._tried(SIMULATED, first)
         if simulated is not None and not simulated.status.has_failed:
             return simulated
@@ -164,8 +178,8 @@ class FirstSolve:
 
     def _ways(self, failed: Solution) -> tuple[Attempt, ...]:
         """Return what is worth trying: nothing more on a mesh that is infeasible."""
-        few = 1 + self.is_mesh_free
-        reduced = REDUCED[:few] if failed.bounds.surplus >= 0 else ()
+        is_square = failed.bounds.surplus == 0
+        reduced = REDUCED[: 1 + self.is_mesh_free] if is_square else ()
         own = () if failed.status is Status.INFEASIBLE else ON_THE_MESH
         return (*reduced, *own, *(ON_OTHER_MESHES if self.is_mesh_free and self.simulate else ()))
 
@@ -184,23 +198,24 @@ class FirstSolve:
         if way.first is First.GIVEN:
             return self.finish(solve_on, mesh, start)
         if way.first is First.REDUCED:
-            return None if failed is None else self._reduced(solve_on, failed, mesh)
+            return self._reduced(solve_on, mesh)
         path = failed and failed.trajectory
         if way.first is First.SIMULATED:
             path = self.simulate and self.simulate()
         return self.finish(partial(solve_on, guess=path), mesh, None) if path else None
 
-    def _reduced(
-        self, solve_on: Callable[..., Solution], near: Solution, mesh: Mesh | None
-    ) -> Solution | None:
+    def _reduced(self, solve_on: Callable[..., Solution], mesh: Mesh | None) -> Solution | None:
         """Solve without conditions that follow from others, and see that they are met.
 
-        `near` is the point of least violation on the first mesh.
+        They are found at the point of least violation near the guess: with them a coarse mesh has
+        solutions that are none of the equations, if it has any.
         """
-        if mesh != self.mesh:
-            near = solve_on(mesh)
-            least = violation_of(near, self.options, self.progress)
-            near = near if least is None else judged(near, least)
+        none = replace(self.options, max_iterations=0)
+        near = solve_on(mesh, self.warm_start, options=none)
+        least = violation_of(near, self.options, self.progress)
+        if least is None or least.result.status is Status.INTERRUPTED:
+            return None
+        near = judged(near, least)
         fixed = self.instance.fixed
         left_out = redundant_conditions(
             near.program, near.bounds, near.scaling, fixed, near.unknowns
@@ -212,7 +227,8 @@ class FirstSolve:
         )
         solution = self.finish(reduced, mesh, None)
         bounds = self.bounds_of(solution.program)
-        missed = misses(left_out, solution.program, bounds, fixed, solution)
+        found = solution.scaling, solution.unknowns
+        missed = misses(left_out, solution.program, bounds, fixed, *found)
         if solution.status.has_failed or max(missed) > FORGIVEN:
             return None
         names = ", ".join(candidate.name for candidate in left_out)
@@ -221,6 +237,19 @@ class FirstSolve:
             f"solve, which meets them to {max(missed):.1e} of their size; their multipliers are 0."
         )
         return solution.updated(notes=(note,))
+
+
+def _unbounded(solution: Solution) -> Solution:
+    """Return a solution that names what grows without end."""
+    program, sizes = solution.program, np.abs(solution.unknowns) * solution.scaling.unknowns
+    name = unknown_place(program, int(np.nanargmax(sizes))).name
+    objective = program.compiled.declared.objective_name
+    way = "grows" if program.is_negated else "falls"
+    message = (
+        f"unbounded: {objective} {way} without end while {name} diverges; bound {name}, or let "
+        f"{objective} hold what it costs."
+    )
+    return solution.updated(message=message)
 
 
 def _noted(solution: Solution) -> Solution:
@@ -259,26 +288,29 @@ def judged(failed: Solution, found: LeastViolation) -> Solution:
         objective=failed.program.user_objective(found.z),
     )
     if found.is_positive:
-        places = [row_place(failed.program, int(row)) for row in found.worst_rows]
-        sizes = 1.0 / failed.scaling.rows[found.worst_rows]
-        missed = (found.slacks[found.worst_rows] * sizes).tolist()
-        units = [failed.problem.source.unit(place.name) for place in places]
-        return told.updated(
-            status=Status.INFEASIBLE, message=verdict(list(zip(places, missed, units, strict=True)))
-        )
+        rows = found.worst_rows.tolist()
+        violated = [violation(failed, row, found.slacks[row]) for row in rows]
+        return told.updated(status=Status.INFEASIBLE, message=verdict(violated))
     if found.is_zero and failed.status is Status.INFEASIBLE:
         return told.updated(status=Status.NOT_CONVERGED)
     return told
 
 
-def verdict(violated: list[tuple[Place, float, str]]) -> str:
+def violation(failed: Solution, row: int, slack: float) -> tuple[str, str]:
+    """Return the name of an equation, and where it is missed by how much in its own unit."""
+    place = row_place(failed.program, row)
+    missed, unit = slack / failed.scaling.rows[row], failed.problem.source.unit(place.name)
+    return place.name, f"{place} by {missed:.3g} {unit}".rstrip()
+
+
+def verdict(violated: list[tuple[str, str]]) -> str:
     """Return what a positive least violation says: the equations that it leaves, the worst first.
 
     Each equation is named once.
     """
     worst: dict[str, str] = {}
-    for place, missed, unit in violated:
-        worst.setdefault(place.name, f"{place} by {missed:.3g} {unit}".rstrip())
+    for name, line in violated:
+        worst.setdefault(name, line)
     named = ", ".join(list(worst.values())[:_NAMED])
     others = len(worst) - _NAMED
     more = f" and {others} more" if others > 0 else ""

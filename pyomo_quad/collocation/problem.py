@@ -59,6 +59,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pyomo_quad.collocation.mesh import FloatArray, Trajectory
+    from pyomo_quad.collocation.program.bounds import Bounds
+    from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance, Overrides
     from pyomo_quad.collocation.refining.refinement import Damping
 
@@ -230,6 +232,11 @@ class Problem(Summarised, Formulation):
         if begun is None and guess is None and first is not None and tolerance is not None:
             simulate = partial(self._simulated, first, instance)
 
+        def all_bounds(program: Transcription) -> Bounds:
+            return bounds_of(program, self.data_at_starts(instance), instance.fixed)
+
+        cut = first and first.with_breakpoints(self.required_breakpoints(instance))
+
         def finish(
             own: Callable[..., Solution], mesh: Mesh | None, start: WarmStart | None
         ) -> Solution:
@@ -249,9 +256,8 @@ class Problem(Summarised, Formulation):
         return FirstSolve(
             solve_on=solve_on,
             finish=finish,
-            bounds_of=lambda program: bounds_of(
-                program, self.data_at_starts(instance), instance.fixed
-            ),
+            bounds_of=all_bounds,
+            is_overdetermined=all_bounds(self.program(cut, instance)).surplus > 0,
             simulate=simulate,
             mesh=first,
             warm_start=begun,
@@ -478,7 +484,7 @@ def limited(
         progress = deadline = Deadline(limit_s=options.max_wall_s, progress=progress)
     if tolerance is None and not has_mesh:
         tolerance = DEFAULT_TOLERANCE
-    solution = _within_tables(_undoubted(solve(options, progress, tolerance)))
+    solution = _within_tables(_undoubted(_without_objective(solve(options, progress, tolerance))))
     return solution if deadline is None else _in_time(solution, deadline)
 
 
@@ -499,6 +505,17 @@ def load_values(*solutions: Solution) -> None:
         names = [integral.name for integral in declared.integrals]
         values.load_integrals(dict(zip(names, totals, strict=True)))
     load_suffixes(*solutions)
+
+
+def _without_objective(solution: S) -> S:
+    """Return a solution that says so where there is nothing to be optimised."""
+    declared = solution.parts[0].problem.compiled.declared
+    if declared.objective_name or solution.status is not Status.CONVERGED:
+        return solution
+    return solution.updated(
+        message="no objective is declared: all equations and limits are met, and nothing is "
+        "optimised; declare an active Objective to choose among such solutions."
+    )
 
 
 def _undoubted(solution: S) -> S:

@@ -243,6 +243,8 @@ class _Callbacks:
     program: NonlinearProgram
     progress: Progress | None
     sign: float
+    floor: float
+    below: int = 0
     started: float = field(default_factory=time.perf_counter)
     history: list[Iteration] = field(default_factory=list)
     best: tuple[float, FloatArray | None] = (np.inf, None)
@@ -250,6 +252,11 @@ class _Callbacks:
     # Ipopt asks for the Jacobian at its iterates alone, of which fetching one from it would cost a
     # tenth of a warm re-solve.
     iterate: FloatArray | None = None
+
+    @property
+    def is_bottomless(self) -> bool:
+        """Whether the objective has stayed below its floor."""
+        return self.below >= _PATIENCE_BELOW
 
     # A program may put its structure together anew each time that it is asked.
     @cached_property
@@ -313,13 +320,15 @@ class _Callbacks:
             mesh_points=self.program.n_points,
         )
         self.history.append(line)
+        self.below = self.below + 1 if objective < self.floor else 0
         if infeasibility <= 0.1 * self.best[0] and self.iterate is not None:
             self.best = (infeasibility, self.iterate)
         try:
-            return self.progress is None or self.progress(line) is not False
+            goes_on = self.progress is None or self.progress(line) is not False
         except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  raised again later
             self.error = error
             return False
+        return goes_on and not self.is_bottomless
 
 
 _TOLERANCE = 1e-9
@@ -353,6 +362,9 @@ _WARM: dict[str, Any] = {
 } | dict.fromkeys(_PUSHES, _NEAR)
 
 _SOLVED, _INFEASIBLE, _STOPPED = 0, 2, 5
+# A scaled objective, of the size of one at the first point, that has no lower bound, and the
+# iterations for which it stays below.
+_BOTTOMLESS, _PATIENCE_BELOW = -1e12, 5
 # Slacks beyond this are of no bound at all.
 _FAR = 1e19
 # Of the objective's size, in units of Ipopt's own tolerance: the barrier's gap that is let be, and
@@ -391,12 +403,17 @@ def run(
             spare.scaling(scaling),
             spare.point(start),
             options=options,
-            multipliers=multipliers and spare.multipliers(multipliers),
+            multipliers=multipliers
+            and replace(
+                multipliers,
+                lower=spare.point(multipliers.lower),
+                upper=spare.point(multipliers.upper),
+            ),
             progress=progress,
         )
         return result.of_first(start.size)
     sign = -1.0 if program.is_negated else 1.0
-    callbacks = _Callbacks(program, progress, sign)
+    callbacks = _Callbacks(program, progress, sign, floor=_BOTTOMLESS / scaling.objective)
     problem = cyipopt.Problem(
         n=start.size,
         m=program.n_rows,
@@ -416,6 +433,8 @@ def run(
     stopped = isinstance(callbacks.error, KeyboardInterrupt)
     if callbacks.error is not None and not stopped:
         raise callbacks.error
+    if callbacks.is_bottomless:
+        info["status"] = DIVERGED_CODE
     return _result(callbacks, np.asarray(z), info, wall, stopped=stopped)
 
 
@@ -523,7 +542,7 @@ def _result(
         _INFEASIBLE: Status.INFEASIBLE,
         _STOPPED: Status.INTERRUPTED,
     }.get(code, Status.NOT_CONVERGED)
-    if status is not Status.CONVERGED and callbacks.best[1] is not None:
+    if status is not Status.CONVERGED and code != DIVERGED_CODE and callbacks.best[1] is not None:
         z = callbacks.best[1]
     message = info["status_msg"]
     return IpoptResult(

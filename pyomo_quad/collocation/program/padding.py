@@ -18,7 +18,6 @@ from pyomo_quad.collocation.program.bounds import Bounds, ChangedProgram, Scalin
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.program.ipopt import Multipliers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,10 +81,6 @@ class PaddedProgram(ChangedProgram):
     def point(self, own: FloatArray, fill: float = 0.0) -> FloatArray:
         """Return the program's unknowns with the idle ones."""
         return np.concatenate([own, np.full(self.idle, fill)])
-
-    def multipliers(self, own: Multipliers) -> Multipliers:
-        """Return the program's multipliers with those of the idle unknowns."""
-        return replace(own, lower=self.point(own.lower), upper=self.point(own.upper))
 
 
 def padded(program: Any, bounds: Bounds, scaling: Scaling) -> PaddedProgram | None:

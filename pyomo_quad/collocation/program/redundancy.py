@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.bounds import Bounds, Scaling
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance
-    from pyomo_quad.collocation.solution import Solution
 
 # Share of a condition's scaled slopes outside those of the conditions before it that counts as
 # none: above the error of a first mesh, far below what any condition of its own has.
@@ -160,16 +159,16 @@ def misses(
     program: Transcription,
     bounds: Bounds,
     fixed: dict[tuple[str, float], float],
-    solution: Solution,
+    scaling: Scaling,
+    z: FloatArray,
 ) -> list[float]:
-    """Return by how much a solution misses conditions that were left out, as shares of their size.
+    """Return by how much a point misses conditions that were left out, as shares of their size.
 
     Parameters
     ----------
     bounds, fixed : Bounds, dict
         Of the program with these conditions.
     """
-    z, scaling = solution.unknowns, solution.scaling
     values, keys = program.constraints(z), {candidate.key for candidate in left_out}
     found = []
     # Rows and columns are those of the mesh: the last is not that where they were found.
