@@ -9,6 +9,7 @@ import numpy as np
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.mesh import Mesh, Timeline, Trajectory, interpolate, real_array
+from pyomo_quad.collocation.program.bounds import nominal_magnitudes
 from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.program.definitions import definitions, with_defined
 from pyomo_quad.collocation.program.ipopt import Multipliers
@@ -148,6 +149,48 @@ def with_consistent_algebraics(program: Transcription, bounds: Bounds, z: FloatA
         moved[columns] -= np.einsum("kij,kj->ki", np.linalg.pinv(matrices), residuals)
         moved = np.clip(moved, bounds.lower, bounds.upper)
     return moved
+
+
+# Steps onto equations among states, and what they may leave, as a share of the first miss.
+_PROJECTIONS, _LEFT = 30, 1e-9
+
+
+def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
+    """Return a point whose states meet the equations that hold states alone, near a given one.
+
+    Such an equation makes the index 2: its slopes at a first point far off it say little of the
+    rates and controls that keep it.  Gauss-Newton steps, each the shortest in the states' sizes.
+    """
+    compiled, layout = program.compiled, program.layout
+    path, n = compiled.path, layout.n_states
+    of_states = (path.jacobian_columns >= n) & (path.jacobian_columns < 2 * n)
+    others = np.unique(path.jacobian_rows[~of_states])
+    rows = np.setdiff1d(np.flatnonzero(compiled.is_equality), others)
+    if program.mesh is None or not rows.size:
+        return z
+    columns = layout.state_columns[1:]
+    sizes = nominal_magnitudes(program, bounds, z)[columns]
+    sizes = np.where(bounds.lower[columns] < bounds.upper[columns], sizes, 0.0)
+    chosen = np.isin(path.jacobian_rows, rows) & of_states
+    at = np.searchsorted(rows, path.jacobian_rows[chosen]), path.jacobian_columns[chosen] - n
+    jacobian, moved = MappedFunction(path.jacobian, program.n_points), np.array(z)
+    first = largest = float(np.abs(program.rows_at_points(z)[:, rows]).max())
+    for _ in range(_PROJECTIONS):
+        if largest <= _LEFT * max(first, 1.0):
+            break
+        entries = jacobian(program.path_variables(moved), program.data.at_points())[0]
+        matrices = np.zeros((program.n_points, rows.size, n))
+        matrices[:, at[0], at[1]] = entries[:, chosen]
+        if not np.all(np.isfinite(matrices)):
+            break
+        residuals = program.rows_at_points(moved)[:, rows]
+        steps = np.einsum("kij,kj->ki", np.linalg.pinv(matrices * sizes[:, None, :]), residuals)
+        moved[columns] -= sizes * steps
+        moved = np.clip(moved, bounds.lower, bounds.upper)
+        largest = float(np.abs(program.rows_at_points(moved)[:, rows]).max())
+        if not np.isfinite(largest):
+            break
+    return with_consistent_algebraics(program, bounds, moved) if largest < first else z
 
 
 # Random functions are straight between so many instants; bounds beyond this size are none.

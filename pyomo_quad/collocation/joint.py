@@ -8,17 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pyomo_quad.collocation.attempts import WITH_OTHER_SETTINGS, verdict, violation
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.formulation import Formulation
 from pyomo_quad.collocation.guess import (
     TIME_COLUMN,
     initial_point,
+    on_path_equalities,
     transfer,
     with_consistent_algebraics,
 )
 from pyomo_quad.collocation.mesh import Mesh, Summarised
 from pyomo_quad.collocation.problem import Problem, limited, load_values, within_budget
 from pyomo_quad.collocation.program.bounds import (
+    Scaling,
     bounds_of,
     is_defined,
     refuse_not_finite,
@@ -26,6 +29,7 @@ from pyomo_quad.collocation.program.bounds import (
     scaling_by,
 )
 from pyomo_quad.collocation.program.coupling import CoupledProgram, StateValue, Union, read_horizons
+from pyomo_quad.collocation.program.elastic import least_violation
 from pyomo_quad.collocation.program.ipopt import SolverOptions, Status, run
 from pyomo_quad.collocation.program.transcription import unknown_place
 from pyomo_quad.collocation.reading.copy import continuous_sets
@@ -38,7 +42,7 @@ if TYPE_CHECKING:
 
     from pyomo_quad.collocation.guess import ColdStart, WarmStart
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.program.bounds import Bounds, Scaling
+    from pyomo_quad.collocation.program.bounds import Bounds
     from pyomo_quad.collocation.program.ipopt import (
         IpoptResult,
         Iteration,
@@ -242,15 +246,28 @@ class JointProblem(Summarised):
                 on = given
                 if start is not None and mesh is None:
                     on = [part.mesh for part in start[:-1]]
-                if tolerance is None:
-                    return solve_on(on, start, options=options, progress=progress)
-                return refine(
-                    partial(solve_on, options=options.suiting(tolerance), progress=progress),
-                    meshes=tuple(mesh or chosen.first_mesh for mesh in on),
-                    tolerance=tolerance,
-                    refinement=chosen,
-                    warm_start=start,
-                )
+
+                def solved_by(own: SolverOptions, *, is_scaled: bool = True) -> JointSolution:
+                    posed = partial(solve_on, progress=progress, is_scaled=is_scaled)
+                    if tolerance is None:
+                        return posed(on, start, options=own)
+                    return refine(
+                        partial(posed, options=own.suiting(tolerance)),
+                        meshes=tuple(mesh or chosen.first_mesh for mesh in on),
+                        tolerance=tolerance,
+                        refinement=chosen,
+                        warm_start=start,
+                    )
+
+                found = solved_by(options)
+                if not found.status.has_failed:
+                    return found
+                found = self._judged(found, options, progress)
+                for way in WITH_OTHER_SETTINGS if found.status is Status.NOT_CONVERGED else ():
+                    other = solved_by(way.settings(options), is_scaled=way.is_scaled)
+                    if not other.status.has_failed:
+                        return other
+                return found
 
             known = start[0].cold_start if start else None
             return within_budget(attempt, start, known, tolerance, progress)
@@ -326,6 +343,7 @@ class JointProblem(Summarised):
         guesses: list[Any],
         options: SolverOptions,
         progress: Progress | None,
+        is_scaled: bool = True,
     ) -> JointSolution:
         """Solve once, with a mesh for each horizon."""
         parts = self._parts
@@ -351,13 +369,51 @@ class JointProblem(Summarised):
         result = run(
             CoupledProgram(union, damped),
             bounds,
-            scaling,
+            scaling if is_scaled else scaling.none,
             z,
             options=options.for_phases(),
             multipliers=multipliers,
             progress=progress,
         )
         return self._solution_from(union, instances, result, bounds, scaling)
+
+    def _judged(
+        self, failed: JointSolution, options: SolverOptions, progress: Progress | None
+    ) -> JointSolution:
+        """Return a failed solution with the verdict of its elastic program."""
+        parts = [*failed.horizons.values(), failed.coupling]
+        union = Union([part.program for part in parts], self._states)
+        scaling = Scaling(
+            objective=parts[0].scaling.objective,
+            unknowns=union.joined([part.scaling.unknowns for part in parts]),
+            rows=np.concatenate([part.scaling.rows for part in parts]),
+        )
+        z = union.joined([part.unknowns for part in parts])
+        if not np.all(np.isfinite(z)):
+            return failed
+        found = least_violation(
+            CoupledProgram(union, union.programs),
+            union.bounds([part.bounds for part in parts]),
+            scaling,
+            z,
+            options=options.for_phases(),
+            progress=progress,
+        )
+        if found.result.status is Status.INTERRUPTED:
+            return failed.updated(status=Status.INTERRUPTED)
+        if not found.is_positive:
+            is_wrong = found.is_zero and failed.status is Status.INFEASIBLE
+            return failed.updated(status=Status.NOT_CONVERGED) if is_wrong else failed
+        violated = []
+        for part, rows in zip(parts, union.rows, strict=True):
+            violated += [
+                (found.slacks[row], violation(part, row - rows.start, found.slacks[row]))
+                for row in found.worst_rows.tolist()
+                if rows.start <= row < rows.stop
+            ]
+        violated.sort(key=lambda pair: -pair[0])
+        message = verdict([line for _, line in violated])
+        return failed.updated(status=Status.INFEASIBLE, message=message)
 
     def _solution_from(
         self,
@@ -409,7 +465,9 @@ class JointProblem(Summarised):
             zip(union.programs, self._parts, guesses, strict=True)
         ):
             own = union.bounds_of(bounds, k)
-            point = initial_point(program, own, part.values, guess)
+            point = on_path_equalities(
+                program, own, initial_point(program, own, part.values, guess)
+            )
             if not is_defined(program, point):
                 point = with_consistent_algebraics(program, own, point)
             guessed.append(point)
@@ -435,7 +493,7 @@ class JointProblem(Summarised):
             own = union.bounds_of(bounds, k)
             fixed = np.flatnonzero(own.lower == own.upper)
             held |= {str(unknown_place(program, int(column)).name) for column in fixed}
-        refuse_overdetermined(bounds, held)
+        refuse_overdetermined(CoupledProgram(union, union.programs), bounds, z, held)
 
     def load(self, solution: JointSolution) -> None:
         """Put a solution's values into the Pyomo model, at the times it declares."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from pyomo_quad.collocation.diagnosis import elastic_point
+from pyomo_quad.collocation.attempts import FirstSolve
 from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.formulation import Formulation, structural_index
@@ -19,6 +19,7 @@ from pyomo_quad.collocation.guess import (
     Guess,
     WarmStart,
     initial_point,
+    on_path_equalities,
     scattered,
     transfer,
     with_consistent_algebraics,
@@ -30,7 +31,9 @@ from pyomo_quad.collocation.program.bounds import (
     is_defined,
     refuse_unsolvable,
     scaling_of,
+    without_settled_rows,
 )
+from pyomo_quad.collocation.program.elastic import elastic_point
 from pyomo_quad.collocation.program.ipopt import (
     TIME_LIMIT_CODE,
     Counter,
@@ -46,6 +49,7 @@ from pyomo_quad.collocation.refining.remeshing import RefinementOptions
 from pyomo_quad.collocation.solution import (
     Solution,
     diverging_multipliers,
+    hamiltonian_warnings,
     load_suffixes,
     outside_tables,
     solution_from,
@@ -55,13 +59,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pyomo_quad.collocation.mesh import FloatArray, Trajectory
+    from pyomo_quad.collocation.program.bounds import Bounds
+    from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance, Overrides
     from pyomo_quad.collocation.refining.refinement import Damping
 
 # Steps between the nodes of a first mesh, and a state that no simulation means.
 _SUBSTEPS, _LARGEST_STATE = 10, 1e12
-# First meshes where the usual one fails: so many times finer, and a coarse one.
-_FINER, _COARSE = (4, 2), Mesh.uniform(elements=4, degree=3)
 #: Largest relative error of a solution that is refined without a tolerance being asked for.
 DEFAULT_TOLERANCE = 1e-6
 
@@ -177,7 +181,7 @@ class Problem(Summarised, Formulation):
                 options = options.suiting(tolerance)
             attempt = partial(
                 self._attempt,
-                on_mesh=partial(self.solve_on_mesh, instance=instance, options=options),
+                options=options,
                 mesh=mesh,
                 guess=guess,
                 starts=starts,
@@ -201,7 +205,7 @@ class Problem(Summarised, Formulation):
         start: WarmStart | None,
         progress: Progress,
         *,
-        on_mesh: Callable[..., Solution],
+        options: SolverOptions,
         mesh: Mesh | None,
         guess: Guess | None,
         starts: int,
@@ -214,54 +218,54 @@ class Problem(Summarised, Formulation):
         if mesh is None and self.has_horizon:
             first = refinement.first_mesh if start is None else start.mesh
         breach = refinement.breach_between_points
-        solve_on = partial(on_mesh, guess=guess, progress=progress, breach=breach)
+        solve_on = partial(
+            self.solve_on_mesh,
+            instance=instance,
+            options=options,
+            guess=guess,
+            progress=progress,
+            breach=breach,
+        )
         best = self._best_of(starts, partial(solve_on, first), start) if starts > 1 else None
         begun = start if best is None else best.warm_start
-        if first is None or tolerance is None:
-            return solve_on(first, begun, to_the_gap=True)
-        refined = partial(
-            refine,
-            lambda meshes, start, dampings: solve_on(meshes[0], start, dampings[0]),
-            meshes=(first,),
-            tolerance=tolerance,
-            refinement=refinement,
+        simulate = None
+        if begun is None and guess is None and first is not None and tolerance is not None:
+            simulate = partial(self._simulated, first, instance)
+
+        def all_bounds(program: Transcription) -> Bounds:
+            return bounds_of(program, self.data_at_starts(instance), instance.fixed)
+
+        cut = first and first.with_breakpoints(self.required_breakpoints(instance))
+
+        def finish(
+            own: Callable[..., Solution], mesh: Mesh | None, start: WarmStart | None
+        ) -> Solution:
+            if mesh is None or tolerance is None:
+                return own(mesh, start, to_the_gap=True)
+            return refine(
+                lambda meshes, start, dampings: own(meshes[0], start, dampings[0]),
+                meshes=(mesh,),
+                tolerance=tolerance,
+                refinement=refinement,
+                warm_start=start,
+                past_the_barrier=lambda dampings, found: own(
+                    found.mesh, found.warm_start, dampings[0], to_the_gap=True
+                ),
+            )
+
+        return FirstSolve(
+            solve_on=solve_on,
+            finish=finish,
+            bounds_of=all_bounds,
+            is_overdetermined=all_bounds(self.program(cut, instance)).surplus > 0,
+            simulate=simulate,
+            mesh=first,
             warm_start=begun,
-            past_the_barrier=lambda dampings, found: solve_on(
-                found.mesh, found.warm_start, dampings[0], to_the_gap=True
-            ),
-        )
-        found = refined()
-        if begun is None and guess is None and found.status.has_failed:
-            path = self._simulated(first, instance)
-            if path is not None:
-                solve_on = partial(solve_on, guess=path)
-                found = refined()
-            elif mesh is None:
-                found = self._on_another_mesh(found, first, solve_on, refined)
-        return found
-
-    @staticmethod
-    def _on_another_mesh(
-        failed: Solution,
-        mesh: Mesh,
-        solve_on: Callable[..., Solution],
-        refined: Callable[..., Solution],
-    ) -> Solution:
-        """Return what finer first meshes, a coarse or an elastic start lead to, else what failed.
-
-        A first mesh may be too coarse for what limits ask, or too fine for how far the first
-        point is off.
-        """
-        for finer in _FINER:
-            found = refined(meshes=(Mesh.uniform(finer * mesh.elements, mesh.degrees[0]),))
-            if not found.status.has_failed:
-                return found
-        for lenient in (partial(solve_on, _COARSE), partial(solve_on, mesh, is_elastic=True)):
-            first = lenient()
-            found = refined(warm_start=first.warm_start) if first.is_converged else failed
-            if not found.status.has_failed:
-                return found
-        return failed
+            instance=instance,
+            options=options,
+            progress=progress,
+            is_mesh_free=mesh is None and begun is None and tolerance is not None,
+        )()
 
     def _simulated(self, mesh: Mesh, instance: Instance) -> Trajectory | None:
         """Return what the equations make of the first states, None where something is free."""
@@ -322,6 +326,7 @@ class Problem(Summarised, Formulation):
         guess: Guess | None = None,
         seed: int = 0,
         is_elastic: bool = False,
+        is_scaled: bool = True,
         to_the_gap: bool = False,
         breach: float = inf,
         progress: Progress | None = None,
@@ -329,6 +334,7 @@ class Problem(Summarised, Formulation):
         """Solve once on one mesh; `solve` and `Damping` say what the arguments mean.
 
         A `seed` above 0 starts at random between the bounds; `is_elastic`, at what slacks lead to;
+        without `is_scaled` Ipopt sees the program as declared;
         `to_the_gap`, the solve goes on where the barrier's gap is no small share of the objective.
         A finite `breach` is what a warm start may be off its bounds between the points.
         """
@@ -336,17 +342,19 @@ class Problem(Summarised, Formulation):
             mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
         program = self.program(mesh, instance)
         at_start = self.data_at_starts(instance)
-        bounds = bounds_of(program, at_start, instance.fixed)
+        bounds = bounds_of(program, at_start, instance.fixed, instance.left_out)
         multipliers, within = None, None
         if warm_start is None:
             z = initial_point(program, bounds, self.values, guess)
             z = scattered(program, bounds, z, seed) if seed else z
+            z = on_path_equalities(program, bounds, z)
             if not is_defined(program, z):
                 z = with_consistent_algebraics(program, bounds, z)
         else:
             z, multipliers = transfer(warm_start, program)
             within = bounded(program, bounds, z, breach) if np.isfinite(breach) else None
             z = np.clip(z, bounds.lower, bounds.upper)
+        bounds = without_settled_rows(program, bounds, z)
         refuse_unsolvable(program, bounds, z)
         scaling = scaling_of(program, bounds, z)
         if self.compiled.declared.clock.phases:
@@ -354,10 +362,10 @@ class Problem(Summarised, Formulation):
         if is_elastic:
             z = elastic_point(program, bounds, scaling, z, options=options, progress=progress)
         changed: Any = program if damping is None else damping.applied_to(program)
-        kept, scales = bounds, scaling
+        kept, scales = bounds, scaling if is_scaled else scaling.none
         if within is not None and multipliers is not None:
             changed = replace(within, program=changed)
-            kept, scales = within.bounds(bounds), within.scaling(scaling)
+            kept, scales = within.bounds(bounds), within.scaling(scales)
             multipliers = within.multipliers(multipliers)
         if damping is not None and damping.gap and warm_start is not None:
             parameter = damping.gap * scaling.objective / kept.sides
@@ -476,7 +484,7 @@ def limited(
         progress = deadline = Deadline(limit_s=options.max_wall_s, progress=progress)
     if tolerance is None and not has_mesh:
         tolerance = DEFAULT_TOLERANCE
-    solution = _within_tables(_undoubted(solve(options, progress, tolerance)))
+    solution = _within_tables(_undoubted(_without_objective(solve(options, progress, tolerance))))
     return solution if deadline is None else _in_time(solution, deadline)
 
 
@@ -499,15 +507,26 @@ def load_values(*solutions: Solution) -> None:
     load_suffixes(*solutions)
 
 
+def _without_objective(solution: S) -> S:
+    """Return a solution that says so where there is nothing to be optimised."""
+    declared = solution.parts[0].problem.compiled.declared
+    if declared.objective_name or solution.status is not Status.CONVERGED:
+        return solution
+    return solution.updated(
+        message="no objective is declared: all equations and limits are met, and nothing is "
+        "optimised; declare an active Objective to choose among such solutions."
+    )
+
+
 def _undoubted(solution: S) -> S:
     """Return a solution that is not converged where multipliers and Hamiltonian say so."""
     for part in solution.parts if solution.status is Status.CONVERGED else ():
-        names = diverging_multipliers(part)
-        if names and part.warnings:
+        names, warnings = diverging_multipliers(part), hamiltonian_warnings(part)
+        if names and warnings:
             line = (
                 f"{', '.join(names)}: multipliers grow without bound, so that nothing vouches for "
                 f"the optimum; where a product must vanish, let it be at most a small number. "
-                f"{part.warnings[0]}"
+                f"{warnings[0]}"
             )
             return solution.updated(status=Status.TOLERANCE_NOT_MET, message=line)
     return solution

@@ -197,6 +197,8 @@ class Solution(Summarised):
         What it took without a warm start; from a warm one, what that had taken.
     restraint : Restraint or None
         What bounds that are kept between the points too do to the objective; None where none are.
+    notes : tuple of str
+        Warnings of the solve itself, one line each.
     """
 
     problem: Formulation
@@ -218,6 +220,7 @@ class Solution(Summarised):
     history: tuple[MeshRecord, ...] = field(default=())
     cold_start: ColdStart | None = None
     restraint: Restraint | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def mesh(self) -> Mesh:
@@ -452,7 +455,7 @@ class Solution(Summarised):
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What makes a converged solution doubtful, one line each."""
-        return hamiltonian_warnings(self) if self.is_converged else ()
+        return (*self.notes, *hamiltonian_warnings(self)) if self.is_converged else ()
 
     def hamiltonian(self, t: Any) -> Any:
         """Return the Hamiltonian H = L + p . dx/dt at times."""

@@ -37,6 +37,7 @@ ENGINE = {
     "dynamics": 3,
     "solution": 3,
     "refining": 4,
+    "attempts": 4,
     "diagnosis": 4,
     "problem": 5,
     "joint": 6,

@@ -5,10 +5,12 @@ Scaling: see docs/theory/refinement.md, eqs. (12) to (15).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 import numpy as np
+from scipy.sparse import block_array, coo_array, diags_array, identity
+from scipy.sparse.linalg import splu
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.program.compiled import MappedFunction
@@ -34,6 +36,12 @@ class Bounds:
     row_upper: FloatArray
 
     @property
+    def surplus(self) -> int:
+        """How many more equations there are than free unknowns."""
+        equations = int(np.sum(self.row_lower == self.row_upper))
+        return equations - int(np.sum(self.lower < self.upper))
+
+    @property
     def sides(self) -> int:
         """Number of limits that hold something in and leave it an interior."""
         pairs = ((self.lower, self.upper), (self.row_lower, self.row_upper))
@@ -55,7 +63,10 @@ class Limit:
 
 
 def bounds_of(
-    program: Transcription, start_data: FloatArray, fixed: dict[tuple[str, float], float]
+    program: Transcription,
+    start_data: FloatArray,
+    fixed: dict[tuple[str, float], float],
+    left_out: frozenset[str] = frozenset(),
 ) -> Bounds:
     """Evaluate all bounds for the current data.
 
@@ -66,6 +77,8 @@ def bounds_of(
         Fraction, signals and parameters at the start of the horizon, and just after each jump.
     fixed : dict
         Values fixed at declared times, by slot name and fraction.
+    left_out : frozenset of str, optional
+        Names of conditions that are not imposed.
 
     Raises
     ------
@@ -76,11 +89,17 @@ def bounds_of(
     lower = np.full(program.layout.unknowns, -np.inf)
     upper = np.full(program.layout.unknowns, np.inf)
     for limit in limits_of(program, start_data, fixed):
+        if limit.name in left_out:
+            continue
         lower[limit.columns] = np.maximum(lower[limit.columns], limit.lower)
         upper[limit.columns] = np.minimum(upper[limit.columns], limit.upper)
     _refuse_crossed(program, lower, upper)
     row_lower, row_upper = _rows(program)
     _refuse_crossed_rows(program, row_lower, row_upper)
+    for k, condition in enumerate(program.compiled.declared.conditions if left_out else ()):
+        if condition.name in left_out:
+            row = program.first_condition_row + k
+            row_lower[row], row_upper[row] = -np.inf, np.inf
     return Bounds(lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper)
 
 
@@ -242,6 +261,13 @@ class Scaling:
     unknowns: FloatArray
     rows: FloatArray
 
+    @property
+    def none(self) -> Scaling:
+        """Factors of one."""
+        return Scaling(
+            objective=1.0, unknowns=np.ones_like(self.unknowns), rows=np.ones_like(self.rows)
+        )
+
 
 class NonlinearProgram(Protocol):
     """What Ipopt asks for, and what its progress shows."""
@@ -284,34 +310,34 @@ class NonlinearProgram(Protocol):
 class ChangedProgram:
     """A program of which a part is changed by who inherits this, and the rest is as it was."""
 
-    program: Transcription
+    program: Any
 
     @property
     def n_rows(self) -> int:
         """Number of rows."""
-        return self.program.n_rows
+        return int(self.program.n_rows)
 
     @property
     def n_points(self) -> int:
         """Number of collocation points."""
-        return self.program.n_points
+        return int(self.program.n_points)
 
     @property
     def is_negated(self) -> bool:
         """Whether the declared objective is maximised."""
-        return self.program.is_negated
+        return bool(self.program.is_negated)
 
     def objective(self, z: FloatArray) -> float:
         """Return what Ipopt minimises."""
-        return self.program.objective(z)
+        return float(self.program.objective(z))
 
     def gradient(self, z: FloatArray) -> FloatArray:
         """Return its gradient."""
-        return self.program.gradient(z)
+        return np.asarray(self.program.gradient(z))
 
     def constraints(self, z: FloatArray) -> FloatArray:
         """Return the value of every row."""
-        return self.program.constraints(z)
+        return np.asarray(self.program.constraints(z))
 
     def jacobianstructure(self) -> tuple[Any, Any]:
         """Return rows and columns of the Jacobian's nonzeros."""
@@ -319,7 +345,7 @@ class ChangedProgram:
 
     def jacobian(self, z: FloatArray) -> FloatArray:
         """Return the Jacobian's nonzeros."""
-        return self.program.jacobian(z)
+        return np.asarray(self.program.jacobian(z))
 
     def hessianstructure(self) -> tuple[Any, Any]:
         """Return rows and columns of the Lagrangian Hessian's lower triangle."""
@@ -387,20 +413,82 @@ def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> 
     """
     refuse_not_finite(program, z)
     held = np.flatnonzero(bounds.lower == bounds.upper).tolist()
-    refuse_overdetermined(bounds, (unknown_place(program, column).name for column in held))
+    names = (unknown_place(program, column).name for column in held)
+    refuse_overdetermined(program, bounds, z, names)
 
 
-def refuse_overdetermined(bounds: Bounds, held: Iterable[str]) -> None:
-    """Refuse more equations than free unknowns; `held` are the variables that are not free."""
-    equalities = int(np.sum(bounds.row_lower == bounds.row_upper))
+def counted(bounds: Bounds) -> str:
+    """Return how many equations there are for how many unknowns."""
     free = int(np.sum(bounds.lower < bounds.upper))
-    if equalities > free:
+    return f"{bounds.surplus + free} equations for {free} free unknowns"
+
+
+def refuse_overdetermined(
+    program: NonlinearProgram, bounds: Bounds, z: FloatArray, held: Iterable[str]
+) -> None:
+    """Refuse more equations than free unknowns, where they are linear and contradict each other.
+
+    Whether others do only a solve can say.  `held` are the variables that are not free.
+    """
+    if bounds.surplus > 0 and _is_contradictory(program, bounds, z):
         names = sorted(set(held))
         raise TranscriptionError(
-            f"model: {equalities} equations for {free} free unknowns; it is over-determined. "
+            f"model: {counted(bounds)}; it is over-determined. "
             f"Release a fixed value or boundary condition of {', '.join(names[:8]) or 'the model'}"
             ", or add a control."
         )
+
+
+# Of scaled equations: what linear ones may be off and still agree, and the weight that makes their
+# least squares unique.
+_AGREED, _REGULAR = 1e-7, 1e-12
+
+
+def _is_contradictory(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> bool:
+    """Say whether the equations are linear, and off where the sum of their squares is least."""
+    rows, columns = program.jacobianstructure()
+    slopes = coo_array((program.jacobian(z), (rows, columns)), shape=(program.n_rows, z.size))
+    equal = np.flatnonzero(bounds.row_lower == bounds.row_upper)
+    free = np.flatnonzero(bounds.lower < bounds.upper)
+    slopes = slopes.tocsr()[equal][:, free]
+    sizes = 1.0 / np.maximum(abs(slopes).max(axis=1).toarray().ravel(), _ROW_RANGE[0])
+    slopes = diags_array(sizes) @ slopes
+    m, n = slopes.shape
+
+    def off(point: FloatArray) -> FloatArray:
+        return np.asarray((program.constraints(point)[equal] - bounds.row_lower[equal]) * sizes)
+
+    system = block_array([[identity(m), slopes], [slopes.T, -_REGULAR * identity(n)]], format="csc")
+    solved = splu(system).solve(np.concatenate([-off(z), np.zeros(n)]))
+    left, moved = -solved[:m], np.array(z)
+    moved[free] += solved[m:]
+    size = float(np.abs(left).max(initial=0.0))
+    return size > _AGREED and bool(np.all(np.abs(off(moved) - left) <= _AGREED * (1.0 + size)))
+
+
+# Of a row's size: what rounding may leave of it where all its unknowns are fixed.
+_ROUNDING = 1e-9
+
+
+def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> Bounds:
+    """Return bounds that leave out rows which hold fixed unknowns only, and are met.
+
+    A path equality where all its states are fixed says nothing; its empty slopes make the others
+    seem dependent.
+    """
+    rows, columns = program.jacobianstructure()
+    is_free = bounds.lower < bounds.upper
+    moves = np.zeros(program.n_rows, dtype=bool)
+    moves[rows[is_free[columns]]] = True
+    values = program.constraints(z)
+    slack = _ROUNDING * (1.0 + np.abs(values))
+    is_met = (bounds.row_lower - slack <= values) & (values <= bounds.row_upper + slack)
+    settled = is_met & ~moves
+    return replace(
+        bounds,
+        row_lower=np.where(settled, -np.inf, bounds.row_lower),
+        row_upper=np.where(settled, np.inf, bounds.row_upper),
+    )
 
 
 def is_defined(program: Transcription, z: FloatArray) -> bool:

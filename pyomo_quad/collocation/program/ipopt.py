@@ -22,6 +22,7 @@ from pyomo_quad.collocation.program.linear_solvers import (
     OWN_SOLVER,
     refuse_absent_solver,
 )
+from pyomo_quad.collocation.program.padding import padded
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
@@ -228,6 +229,15 @@ class IpoptResult:
         """Whether Ipopt met its tolerance."""
         return self.status is Status.CONVERGED
 
+    def of_first(self, count: int) -> IpoptResult:
+        """Return what it says of so many first unknowns."""
+        held = self.multipliers
+        return replace(
+            self,
+            z=self.z[:count],
+            multipliers=replace(held, lower=held.lower[:count], upper=held.upper[:count]),
+        )
+
 
 @dataclass
 class _Callbacks:
@@ -236,6 +246,8 @@ class _Callbacks:
     program: NonlinearProgram
     progress: Progress | None
     sign: float
+    floor: float
+    below: int = 0
     started: float = field(default_factory=time.perf_counter)
     history: list[Iteration] = field(default_factory=list)
     best: tuple[float, FloatArray | None] = (np.inf, None)
@@ -243,6 +255,11 @@ class _Callbacks:
     # Ipopt asks for the Jacobian at its iterates alone, of which fetching one from it would cost a
     # tenth of a warm re-solve.
     iterate: FloatArray | None = None
+
+    @property
+    def is_bottomless(self) -> bool:
+        """Whether the objective has stayed below its floor."""
+        return self.below >= _PATIENCE_BELOW
 
     # A program may put its structure together anew each time that it is asked.
     @cached_property
@@ -306,13 +323,15 @@ class _Callbacks:
             mesh_points=self.program.n_points,
         )
         self.history.append(line)
+        self.below = self.below + 1 if objective < self.floor else 0
         if infeasibility <= 0.1 * self.best[0] and self.iterate is not None:
             self.best = (infeasibility, self.iterate)
         try:
-            return self.progress is None or self.progress(line) is not False
+            goes_on = self.progress is None or self.progress(line) is not False
         except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  raised again later
             self.error = error
             return False
+        return goes_on and not self.is_bottomless
 
 
 _TOLERANCE = 1e-9
@@ -346,6 +365,9 @@ _WARM: dict[str, Any] = {
 } | dict.fromkeys(_PUSHES, _NEAR)
 
 _SOLVED, _INFEASIBLE, _STOPPED = 0, 2, 5
+# A scaled objective, of the size of one at the first point, that has no lower bound, and the
+# iterations for which it stays below.
+_BOTTOMLESS, _PATIENCE_BELOW = -1e12, 5
 # Slacks beyond this are of no bound at all.
 _FAR = 1e19
 # Of the objective's size, in units of Ipopt's own tolerance: the barrier's gap that is let be, and
@@ -355,8 +377,8 @@ _GAP_SHARE, _LEAST = 1e3, 1e-12
 SEEN = 1e-6
 # How often a solve goes on, how much farther it aims, at most at once, and with what patience.
 _SHARPENINGS, _AIMED, _LARGEST_STEP, _PATIENCE = 2, 10.0, 1e5, 100
-#: Ipopt's return code for a solve that took longer than it may.
-TIME_LIMIT_CODE = -5
+#: Ipopt's return codes for a solve that took longer than it may, and for one that diverged.
+TIME_LIMIT_CODE, DIVERGED_CODE = -5, 4
 _NO_MEMORY = -102
 
 
@@ -377,8 +399,25 @@ def run(
     Exception
         Whatever a callback raised, once Ipopt has been left cleanly.
     """
+    spare = padded(program, bounds, scaling)
+    if spare is not None:
+        result = run(
+            spare,
+            spare.bounds(bounds),
+            spare.scaling(scaling),
+            spare.point(start),
+            options=options,
+            multipliers=multipliers
+            and replace(
+                multipliers,
+                lower=spare.point(multipliers.lower),
+                upper=spare.point(multipliers.upper),
+            ),
+            progress=progress,
+        )
+        return result.of_first(start.size)
     sign = -1.0 if program.is_negated else 1.0
-    callbacks = _Callbacks(program, progress, sign)
+    callbacks = _Callbacks(program, progress, sign, floor=_BOTTOMLESS / scaling.objective)
     problem = cyipopt.Problem(
         n=start.size,
         m=program.n_rows,
@@ -398,6 +437,8 @@ def run(
     stopped = isinstance(callbacks.error, KeyboardInterrupt)
     if callbacks.error is not None and not stopped:
         raise callbacks.error
+    if callbacks.is_bottomless:
+        info["status"] = DIVERGED_CODE
     return _result(callbacks, np.asarray(z), info, wall, stopped=stopped)
 
 
@@ -507,7 +548,7 @@ def _result(
         _INFEASIBLE: Status.INFEASIBLE,
         _STOPPED: Status.INTERRUPTED,
     }.get(code, Status.NOT_CONVERGED)
-    if status is not Status.CONVERGED and callbacks.best[1] is not None:
+    if status is not Status.CONVERGED and code != DIVERGED_CODE and callbacks.best[1] is not None:
         z = callbacks.best[1]
     message = info["status_msg"]
     return IpoptResult(

@@ -35,7 +35,8 @@ Overrides = Mapping[Any, float | Callable[[float], float]]
 class Instance:
     """The numbers of one solve: parameters, horizon, fixed values and signals.
 
-    `jumps` are the fractions of the horizon where something that changes with time may jump.
+    `jumps` are the fractions of the horizon where something that changes with time may jump;
+    `left_out` are names of conditions that are not imposed, because they follow from others.
     """
 
     parameters: FloatArray
@@ -43,6 +44,7 @@ class Instance:
     fixed: dict[tuple[str, float], float]
     overrides: Mapping[str, float | Callable[[float], float]]
     jumps: tuple[float, ...]
+    left_out: frozenset[str] = frozenset()
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle functions of time as polynomials."""

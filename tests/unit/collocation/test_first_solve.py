@@ -15,8 +15,8 @@ from pyomo_quad.collocation import (
     TranscriptionError,
     compile,
 )
-from pyomo_quad.collocation.diagnosis import priced
 from pyomo_quad.collocation.problem import Problem
+from pyomo_quad.collocation.program.elastic import priced
 from pyomo_quad.collocation.refining.refinement import refine
 from pyomo_quad.flight.verification import fly_controls
 from tests.problems import bryson_denham, double_integrator
@@ -57,18 +57,72 @@ def test_more_starts_find_the_quickest_manoeuvre():
     assert problem.solve(starts=6).objective == pytest.approx(3.78086, abs=1e-5)
 
 
+def failing_where(monkeypatch, fails, status=Status.NOT_CONVERGED):
+    """Let solves on a mesh fail where the arguments say so; return those of all."""
+    solve_on_mesh, seen = Problem.solve_on_mesh, []
+
+    def stubbed(self, mesh, *rest, **arguments):
+        solution = solve_on_mesh(self, mesh, *rest, **arguments)
+        seen.append((mesh, arguments))
+        return replace(solution, status=status) if fails(mesh, arguments) else solution
+
+    monkeypatch.setattr(Problem, "solve_on_mesh", stubbed)
+    return seen
+
+
 def test_where_the_first_mesh_fails_others_are_tried(monkeypatch):
-    solve_on_mesh, coarse = Problem.solve_on_mesh, RefinementOptions().first_mesh
-
-    def failing_at_first(self, mesh, *rest, **options):
-        solution = solve_on_mesh(self, mesh, *rest, **options)
-        return replace(solution, status=Status.NOT_CONVERGED) if mesh == coarse else solution
-
-    monkeypatch.setattr(Problem, "solve_on_mesh", failing_at_first)
-    solution = compile(geodesic()).solve()
+    first = RefinementOptions().first_mesh
+    failing_where(monkeypatch, lambda mesh, _: mesh == first)
+    solution = compile(bryson_denham.build()).solve()
     assert solution.is_converged
-    assert solution.history[0].elements > RefinementOptions().first_elements
+    assert solution.history[0].elements > first.elements
+    assert solution.objective == pytest.approx(4.0, rel=2e-6)
+
+
+def test_a_guess_is_put_on_an_equation_among_states_and_its_controls_follow():
+    """A chord lies inside the spheroid; without help the search ends in zigzags."""
+    solution = compile(geodesic()).solve(mesh=Mesh.uniform(10, 4))
+    assert solution.is_converged
     assert solution.objective == pytest.approx(5.5496819, abs=5e-8)
+
+
+def test_an_end_that_lies_on_an_equation_among_states_leaves_no_empty_row():
+    problem = compile(geodesic())
+    solution = problem.solve(mesh=Mesh.uniform(4, 3))
+    rows, columns = solution.program.jacobianstructure()
+    free = solution.bounds.lower < solution.bounds.upper
+    held = np.isfinite(solution.bounds.row_lower)
+    assert set(np.flatnonzero(held)) <= set(rows[free[columns]].tolist())
+
+
+@pytest.mark.parametrize(
+    ("barrier", "is_scaled"), [("monotone", True), ("adaptive", False), ("monotone", False)]
+)
+def test_a_fixed_mesh_is_tried_again_with_other_settings(monkeypatch, barrier, is_scaled):
+    def fails(_, arguments):
+        chosen = dict(arguments["options"].extra).get("mu_strategy")
+        return (chosen, arguments.get("is_scaled", True)) != (barrier, is_scaled)
+
+    failing_where(monkeypatch, fails)
+    solution = compile(bryson_denham.build()).solve(mesh=Mesh.uniform(12, 5))
+    assert solution.is_converged
+    assert solution.objective == pytest.approx(4.0, rel=1e-4)
+
+
+def test_what_is_claimed_infeasible_but_can_be_met_begins_there(monkeypatch):
+    def fails(_, arguments):
+        return arguments.get("guess") is None
+
+    failing_where(monkeypatch, fails, Status.INFEASIBLE)
+    solution = compile(double_integrator.build()).solve(mesh=Mesh.uniform(5, 4))
+    assert solution.is_converged
+    assert solution.objective == pytest.approx(6.0, rel=1e-6)
+
+
+def test_what_can_be_met_is_not_called_infeasible(monkeypatch):
+    failing_where(monkeypatch, lambda *_: True, Status.INFEASIBLE)
+    solution = compile(double_integrator.build()).solve(mesh=Mesh.uniform(5, 4))
+    assert solution.status is Status.NOT_CONVERGED
 
 
 def pumped_pendulum():
@@ -128,7 +182,7 @@ def test_an_elastic_start_gives_back_what_it_lent():
 
 def test_the_derivatives_of_an_elastic_program_are_the_slopes():
     solution = compile(bryson_denham.build()).solve(mesh=Mesh.uniform(2, 3))
-    elastic = priced(solution.program, solution.scaling)
+    elastic = priced(solution.program, solution.scaling, solution.unknowns)
     slacks = np.random.default_rng(1).uniform(0.1, 1, 2 * elastic.rows.size)
     z = np.concatenate([solution.unknowns, slacks])
     steps = 1e-6 * np.eye(z.size)
@@ -157,6 +211,8 @@ def test_what_fails_on_every_mesh_is_told_of_the_first(monkeypatch):
     assert solution.status is Status.INFEASIBLE
     assert solution.mesh == RefinementOptions().first_mesh
     assert len(set(meshes)) > 2
+    assert solution.message.startswith("infeasible: the least violation of all equations")
+    assert any(f"{name} at time" in solution.message for name in ("motion", "force", "slow"))
 
 
 def test_a_warm_start_that_ends_infeasible_is_tried_again_from_the_guess():
