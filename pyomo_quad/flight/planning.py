@@ -597,22 +597,10 @@ def _verified(plan: Plan, solution: Solution) -> Plan:
         return replace(plan, status=PlanStatus.SOLVED, message=str(error))
     is_proven = verification.is_verified and solution.status is Status.CONVERGED
     timings = dict(plan.timings) | {"verify": time.perf_counter() - started}
-    message = plan.message
-    if verification.battery_imbalance > BALANCE_TOLERANCE:
-        message = (
-            f"battery: the pack lacks {100.0 * verification.battery_imbalance:.3g} % of the power "
-            "or charge that the flight takes; give it more cells, carry less or allow more time."
-        )
-    elif not verification.is_fed:
-        message = (
-            f"battery: the pack lacks {100.0 * verification.voltage_lacking:.3g} % of the voltage "
-            "at which the motors keep their speed; give it more cells in series, or motors of a "
-            "higher vehicle.voltage_constant."
-        )
     return replace(
         plan,
         status=PlanStatus.VERIFIED if is_proven else PlanStatus.SOLVED,
-        message=message,
+        message=verification.shortfall or plan.message,
         verification=verification,
         flown=flown,
         timings=timings,

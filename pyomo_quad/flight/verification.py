@@ -240,6 +240,22 @@ class Verification:
         """Whether the pack can give the power, the charge and the voltage of the flight."""
         return max(self.battery_imbalance, self.voltage_lacking) <= BALANCE_TOLERANCE
 
+    @property
+    def shortfall(self) -> str:
+        """What the pack lacks and how to mend that, in one line; empty where it lacks nothing."""
+        if self.battery_imbalance > BALANCE_TOLERANCE:
+            return (
+                f"battery: the pack lacks {100.0 * self.battery_imbalance:.3g} % of the power or "
+                "charge that the flight takes; give it more cells, carry less or allow more time."
+            )
+        if not self.is_fed:
+            return (
+                f"battery: the pack lacks {100.0 * self.voltage_lacking:.3g} % of the voltage at "
+                "which the motors keep their speed; give it more cells in series, or motors of a "
+                "higher vehicle.voltage_constant."
+            )
+        return ""
+
 
 def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
     """Return the largest share of a motor's voltage that the pack cannot give; negative if none.

@@ -34,7 +34,7 @@ from pyomo_quad.scenario.messages import shown
 
 AXES = PLACE[:3]
 EDGE_WIDTH_M = 0.5
-# How far outside places may be forbidden, beside a corner: see above.
+# How far outside a box places may be forbidden beside its corners: 0.28 of `EDGE_WIDTH_M`.
 _EDGE_M = 0.28 * EDGE_WIDTH_M
 # The distance from a centre has no derivative there; the surface stays where it is.
 _ROUNDING_M = 1e-3

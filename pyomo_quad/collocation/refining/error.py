@@ -271,8 +271,25 @@ def _dense_places(degree: int) -> FloatArray:
     return np.linspace(_START, 1.0, _SAMPLES * (degree + 1) + 1)
 
 
-def _sampled(solution: Solution, places: list[FloatArray]) -> _Samples:
-    """Evaluate the path equations at places of each element, the last one its end."""
+def state_errors_as_interpolated(solution: Solution) -> FloatArray:
+    """Return the errors of the states, with every algebraic variable read off its polynomial.
+
+    Shape (n_elements, n_states).  Where an equation defines an algebraic variable between the
+    points, as in ``x' = r``, ``f = r + r^3``, the equations may hold everywhere and hide that the
+    control's own polynomial is not the optimum's.
+    """
+    places = [radau_rule(degree + 1).points for degree in solution.mesh.degrees]
+    finer = _sampled(solution, places, is_defined=False)
+    slopes = rate_corrections(solution.program, finer.variables, finer.data, finer.rows)
+    return _relative(solution, _state_corrections(solution, slopes))
+
+
+def _sampled(solution: Solution, places: list[FloatArray], *, is_defined: bool = True) -> _Samples:
+    """Evaluate the path equations at places of each element, the last one its end.
+
+    Algebraic variables that an equation defines are what it says, or, not `is_defined`, what their
+    polynomials say.
+    """
     program, mesh, path = solution.program, solution.mesh, solution.trajectory
     counts = np.array([len(p) for p in places])
     fractions = np.concatenate(
@@ -289,8 +306,9 @@ def _sampled(solution: Solution, places: list[FloatArray]) -> _Samples:
         ]
     )
     data = solution.problem.data_of(solution.instance, fractions).at_points()
-    # Between the points, what an equation defines is what it says, not what a polynomial does.
-    variables = with_defined(program, variables, data, definitions(program, solution.unknowns))
+    if is_defined:
+        found = definitions(program, solution.unknowns)
+        variables = with_defined(program, variables, data, found)
     return _Samples(
         variables=variables,
         data=data,

@@ -18,7 +18,12 @@ import numpy as np
 from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.program.transcription import rate_corrections
 from pyomo_quad.collocation.refining.activity import active_limits
-from pyomo_quad.collocation.refining.error import densely_sampled, state_sizes, violations
+from pyomo_quad.collocation.refining.error import (
+    densely_sampled,
+    state_errors_as_interpolated,
+    state_sizes,
+    violations,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -202,7 +207,8 @@ def state_error(
     change : float
         Of the objective, relative, since a mesh that was as good.
     """
-    own = max(error.largest, _UNSEEN * float(error.states.sum(axis=0).max(initial=0.0)))
+    moving = np.maximum(error.states, state_errors_as_interpolated(solution))
+    own = max(error.largest, _UNSEEN * float(moving.sum(axis=0).max(initial=0.0)))
     order = singular_order(solution)
     if order:
         factor, root = _FELT[order]
