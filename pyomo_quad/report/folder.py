@@ -1,13 +1,11 @@
 """Output folders and files that appear whole or not at all."""
 
-import ctypes
 import errno
 import fcntl
 import os
 import re
 import shutil
 import stat
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -15,34 +13,6 @@ from pathlib import Path
 from typing import NoReturn
 
 from pyomo_quad.scenario.messages import OutputError
-
-_AT_FDCWD = -100
-_RENAME_EXCHANGE = 2
-
-
-def exchange_folders(one: Path, other: Path) -> bool:
-    """Let two folders of one file system swap their names atomically.
-
-    Returns
-    -------
-    bool
-        False, with nothing changed, where the system or the file system cannot do it.
-
-    Notes
-    -----
-    Linux offers it as renameat2 with RENAME_EXCHANGE, which Python does not wrap.
-    """
-    if not sys.platform.startswith("linux"):
-        return False
-    try:
-        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
-    except AttributeError:
-        return False
-    result = renameat2(
-        _AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), ctypes.c_uint(_RENAME_EXCHANGE)
-    )
-    return int(result) == 0
-
 
 MANIFEST_NAME = ".pyomo_quad_files"
 
@@ -71,7 +41,7 @@ def output_folder(path: str | Path) -> Iterator[Path]:
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
         with _lock(final, path):
-            _finish_swap(final, path)
+            _finish_swap(final, path, aside)
             _remove_leftovers(final)
             _refuse_foreign_files(final, path)
             aside.mkdir()
@@ -80,7 +50,8 @@ def output_folder(path: str | Path) -> Iterator[Path]:
                 (aside / MANIFEST_NAME).touch()
                 yield aside
                 _write_manifest(aside)
-                _swap(aside, final, path)
+                aside.rename(_hidden(final, "ready") if final.exists() else final)
+                _finish_swap(final, path, aside)
             finally:
                 with suppress(OSError):
                     _remove(aside)
@@ -208,24 +179,6 @@ def discard_unfinished() -> None:
             (_remove if begun.is_dir() else Path.unlink)(begun)
 
 
-def recover_folder(path: str | Path) -> None:
-    """Finish a swap that a killed run left half done.
-
-    Raises
-    ------
-    OutputError
-        If the swap cannot be finished.
-    """
-    final = final_folder(path)
-    if not _hidden(final, "ready").exists():
-        return
-    try:
-        with _lock(final, path):
-            _finish_swap(final, path)
-    except OSError as error:
-        _refuse(path, error)
-
-
 def final_folder(path: str | Path) -> Path:
     """Return where a path leads; no report goes to the root of all folders."""
     # Unlike `Path.resolve`, `realpath` lets a loop of links be found out by whoever opens it.
@@ -268,21 +221,18 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _swap(aside: Path, final: Path, path: str | Path) -> None:
-    if not final.exists():
-        aside.rename(final)
-    elif not exchange_folders(aside, final):
-        aside.rename(_hidden(final, "ready"))
-        _finish_swap(final, path)
+def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
+    """Let the folder that is ready, if a run left one, take the place of the old one.
 
-
-def _finish_swap(final: Path, path: str | Path) -> None:
+    The old one keeps the name `aside` until it is removed.  Between two renames there is no final
+    folder: a run killed just there leaves the new one ready, and the next run puts it in place.
+    """
     ready = _hidden(final, "ready")
     if not _is_of_a_run(ready):
         return
     _refuse_foreign_files(final, path)
     if final.exists():
-        _remove(final)
+        final.rename(aside)
     ready.rename(final)
 
 
