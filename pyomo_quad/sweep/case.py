@@ -75,10 +75,6 @@ class CaseTask:
     baselines: tuple[Reference, ...]
     warm_start: bytes | None = None
 
-    def for_scenario(self, scenario: str) -> "CaseTask":
-        """Return the task with a scenario filled in."""
-        return replace(self, scenario=scenario)
-
 
 @dataclass(frozen=True, kw_only=True)
 class CaseResult:
@@ -139,16 +135,23 @@ class CaseOutcome:
         return self.status is CaseStatus.FINISHED
 
     @classmethod
-    def failure(cls, task: CaseTask, reason: str) -> "CaseOutcome":
-        """Make the row of a case that gave no result."""
+    def of(cls, task: CaseTask, result: CaseResult) -> "CaseOutcome":
+        """Make the row of a case from the answer of its solver."""
+        # A cell without a number stays empty: NaN is no answer, and JSON has none.
+        finite = {n: float(v) for n, v in result.values.items() if abs(v) <= LARGEST_OUTPUT}
         return cls(
             position=task.position,
             key=task.key,
-            status=CaseStatus.FAILED,
-            reason=" ".join(reason.split())[:_LONGEST_REASON],
-            values={},
-            warm_start=task.warm_start,
+            status=CaseStatus.FAILED if result.reason else CaseStatus.FINISHED,
+            reason=" ".join(result.reason.split())[:_LONGEST_REASON],
+            values=finite,
+            warm_start=result.warm_start if result.warm_start is not None else task.warm_start,
         )
+
+    @classmethod
+    def failure(cls, task: CaseTask, reason: str) -> "CaseOutcome":
+        """Make the row of a case that gave no numbers."""
+        return cls.of(task, CaseResult(values={}, reason=reason))
 
     @classmethod
     def loss(cls, task: CaseTask) -> "CaseOutcome":
@@ -158,22 +161,14 @@ class CaseOutcome:
 
 
 def perform(task: CaseTask) -> CaseOutcome:
-    """Solve one case in the present process; what goes wrong is a failed row, not an exception."""
+    """Solve one case in the present process; an exception becomes a failed row."""
     started = time.perf_counter()
+    module, _, function = task.solver.partition(":")
     try:
-        result = _case_solver(task.solver)(task)
+        solver: CaseSolver = getattr(importlib.import_module(module), function)
+        outcome = CaseOutcome.of(task, solver(task))
     except Exception as error:  # noqa: BLE001  a fault in one case must not end the sweep
         outcome = CaseOutcome.failure(task, f"{type(error).__name__}: {error}")
-    else:
-        status = CaseStatus.FAILED if result.reason else CaseStatus.FINISHED
-        outcome = CaseOutcome(
-            position=task.position,
-            key=task.key,
-            status=status,
-            reason=" ".join(result.reason.split())[:_LONGEST_REASON],
-            values=_finite(result.values),
-            warm_start=result.warm_start if result.warm_start is not None else task.warm_start,
-        )
     return replace(
         outcome,
         seconds=time.perf_counter() - started,
@@ -184,17 +179,6 @@ def perform(task: CaseTask) -> CaseOutcome:
 def worker_version() -> str:
     """Return the version of this package in the present process."""
     return __version__
-
-
-def _finite(values: Mapping[str, float]) -> dict[str, float]:
-    # A cell without a number stays empty: NaN is no answer, and JSON has none.
-    return {name: float(held) for name, held in values.items() if abs(held) <= LARGEST_OUTPUT}
-
-
-def _case_solver(name: str) -> CaseSolver:
-    module, _, function = name.partition(":")
-    solver: CaseSolver = getattr(importlib.import_module(module), function)
-    return solver
 
 
 ENERGY = "energy_J"
@@ -315,24 +299,11 @@ def unknown_column(
     return next((name for name in names if name not in known), None)
 
 
-def plan_outputs(plan: Plan) -> dict[str, float]:
-    """Return the numbers of a case's plan, verified or not; not finite where it has none."""
-    flight = plan.flight(samples=_SAMPLES)
-    return _read(_OF_A_PLAN, _Flown(flight=flight, plan=plan, scenario=plan.scenario))
-
-
-def baseline_outputs(reference: Reference, flight: Flight, plan: Plan) -> dict[str, float]:
-    """Return the numbers of a controlled flight beside the plan of the same case."""
-    flown = _Flown(flight=flight, plan=plan, scenario=plan.scenario)
-    return _read(_of_a_baseline(reference), flown)
-
-
-def flown_outputs(flight: Flight, plan: Plan, scenario: Scenario) -> dict[str, float]:
-    """Return the numbers of a plan flown by the controller in another world than planned."""
-    return _read(_OF_A_PLAN_FLOWN, _Flown(flight=flight, plan=plan, scenario=scenario))
-
-
-def _read(columns: _Columns, flown: _Flown) -> dict[str, float]:
+def _read(
+    columns: _Columns, flight: Flight, plan: Plan, scenario: Scenario | None = None
+) -> dict[str, float]:
+    """Return the numbers of a flight in the plan's world or another; NaN where there is none."""
+    flown = _Flown(flight=flight, plan=plan, scenario=scenario or plan.scenario)
     return {name: _meaningful(name, read(flown)) for name, read in columns.items()}
 
 
@@ -376,13 +347,13 @@ def solve_case(task: CaseTask) -> CaseResult:
 
 def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
     plan = _BENCH.plan(scenario, task.warm_start)
-    values = plan_outputs(plan)
+    values = _read(_OF_A_PLAN, plan.flight(samples=_SAMPLES), plan)
     if not plan.is_verified:
         return CaseResult(values=values, reason=f"{plan.status}: {plan.message}")
     reason = ""
     for reference in task.baselines:
         flight = fly_baseline(plan.mission_flown, reference, dynamics=plan.dynamics, plan=plan)
-        values |= baseline_outputs(reference, flight, plan)
+        values |= _read(_of_a_baseline(reference), flight, plan)
         if not flight.is_verified:
             reason = f"{flight.name}: two integrators disagree on this flight"
     warm_start = pack(plan.warm_start) if plan.warm_start is not None else None
@@ -400,7 +371,8 @@ def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
         plan.mission_flown, Reference.PLAN, dynamics=_BENCH.planner.dynamics(world), plan=plan
     )
     reason = "" if flight.is_verified else "two integrators disagree on this flight"
-    return CaseResult(values=flown_outputs(flight, plan, scenario), reason=reason)
+    values = _read(_OF_A_PLAN_FLOWN, flight, plan, scenario)
+    return CaseResult(values=values, reason=reason)
 
 
 @dataclass

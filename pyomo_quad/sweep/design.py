@@ -210,6 +210,11 @@ class Dimension:
         is_plain = all(len(found) == 1 and None not in found for found in kinds)
         return len(columns) == len(self.paths) and is_whole and is_plain
 
+    @property
+    def is_numeric(self) -> bool:
+        """Whether the first field holds numbers."""
+        return all(kind_of(step[0]) is float for step in self.steps)
+
     def values(self, path: str) -> list[Any]:
         """Return the values that one field takes along the steps."""
         column = self.paths.index(path)
