@@ -322,24 +322,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Minimum-energy quadrotor flight in wind: solve, verify, compare, report.",
 )
-app.command()(init)
-app.command()(run)
-app.command()(solve)
-app.command()(compare)
-app.command()(check)
-app.command()(library)
-app.command()(schema)
-app.command()(fly)
-app.command()(export)
-app.command()(plot)
-app.command()(identify)
-app.command()(predict)
-app.command()(polar)
-app.command()(outside_plant)
-app.command()(rotorpy_vehicle)
-app.command()(paper)
-app.command()(sweep)
-app.command()(sweep_report)
+for _command in (
+    *(init, run, solve, compare, check, library, schema, fly, export, plot, identify, predict),
+    *(polar, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
+):
+    app.command()(_command)
 
 
 def _print_version(is_wanted: bool) -> None:
@@ -392,7 +379,7 @@ _NO_MEMORY = ("std::bad_alloc", "Cannot allocate memory")
 
 
 def _lacks_memory(error: BaseException | None) -> bool:
-    """Say whether an error, or one that it was made of, is a lack of memory."""
+    """Say whether an error, or any error in its chain of causes, is a lack of memory."""
     while error is not None:
         if isinstance(error, MemoryError) or any(said in str(error) for said in _NO_MEMORY):
             return True

@@ -235,39 +235,23 @@ def _schema_text(model: type[BaseModel], kind: str, required: tuple[str, ...]) -
     return f"{json.dumps(schema, indent=1)}\n"
 
 
-_README = f"""# Scenarios and studies
-
-A scenario is one mission, run with `pyomo-quad run FILE`; a study varies fields of one, run with
-`pyomo-quad sweep FILE`. Any field of a scenario can also be set with `--set PATH=VALUE`. A field
-without a default must be given, by the file or by the entry of the library that a table names with
-`use`; `pyomo-quad check FILE` shows every value and where it came from, `pyomo-quad library` the
-entries. Editors that know JSON Schema complete and check these files by their first line.
-
-A `use` that ends with `.toml` is a file of one's own, beside the scenario, with the sections
-`[fields]` and, for a vehicle, `[limits]`: each number bare, or as a table of `value` and `source`.
-A `use` at the top of that file names the entry of the library that gives the rest.
-
-{MARK}: `pyomo-quad schema --out scenarios` writes this page and both schemas.
-"""
-_COLUMNS = ("field", "unit", "default", "allowed", "meaning")
-
-
 def schema(
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Where the three files go.")
     ] = Path(),
 ) -> int:
     """Write the JSON Schemas of scenarios and studies, and a page that lists every field."""
-    from pyomo_quad.sweep.study_file import Study  # noqa: PLC0415  NumPy takes a moment
+    from pyomo_quad.report.render import render_markdown  # noqa: PLC0415  takes a second
+    from pyomo_quad.sweep.study_file import Study  # noqa: PLC0415
 
     kinds: dict[str, tuple[type[BaseModel], tuple[str, ...]]] = {
         "scenario": (Scenario, _REQUIRED),
         "study": (Study, ("name", "scenario", "axis")),
     }
-    pages = {"README.md": _README}
+    fields = {kind: list(writable_fields(model)) for kind, (model, _) in kinds.items()}
+    pages = {"README.md": render_markdown("cli/schema.md.j2", mark=MARK, kinds=fields)}
     for kind, (model, required) in kinds.items():
         pages[f"{kind}.schema.json"] = _schema_text(model, kind, required)
-        pages["README.md"] += f"\n## Fields of a {kind}\n\n" + "\n".join(_field_rows(model)) + "\n"
     if not out.is_dir():
         raise ScenarioError(f"--out {out}: is no folder; make it first.")
     with ExitStack() as files:
@@ -278,14 +262,6 @@ def schema(
     for name in pages:
         print(out / name)
     return ExitCode.VERIFIED
-
-
-def _field_rows(model: type[BaseModel]) -> Iterator[str]:
-    yield f"| {' | '.join(_COLUMNS)} |"
-    yield "|---" * len(_COLUMNS) + "|"
-    for field in writable_fields(model):
-        cells = (f"`{field.path}`", field.unit, field.default, field.allowed, field.meaning)
-        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 class Reader(StrEnum):

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -186,7 +186,7 @@ _SECONDS_OF_MEMORY = 60.0
 
 @contextmanager
 def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
-    """Show how a sweep goes on while the block runs."""
+    """Show how a sweep goes on while the block runs: a bar on a terminal, else lines."""
     console = error_console()
     if not console.is_terminal:
         yield _Lines(console, is_verbose=is_verbose)
@@ -202,63 +202,57 @@ def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
         yield _Bar(progress, is_verbose=is_verbose)
 
 
-class _Counter:
-    """Counts cases, and writes a line for each if asked."""
+class _Listener:
+    """Counts the cases of a sweep and shows the counts, with a line for each case if asked."""
+
+    total = done = failed = _solved = 0
 
     def __init__(self, console: Console, *, is_verbose: bool) -> None:
         self._console = console
         self._is_verbose = is_verbose
         self._began = monotonic()
-        self.total = self.done = self.failed = self._solved = 0
 
     def start(self, total: int, already_ended: int) -> None:
-        """Hear how many cases there are, and how many need not be solved any more."""
+        """Take the number of cases, and of those which have ended before."""
         self.total, self.done = total, already_ended
+        self._show()
 
     def case_ended(self, case: "Case", outcome: "CaseOutcome", done: int) -> None:
-        """Hear that a case's row has been committed, and how many cases are done now."""
+        """Count a case whose row has been committed."""
         self.done = done
         self._solved += 1
         self.failed += not outcome.is_finished
         if self._is_verbose:
             self._console.print(_line(case, outcome), markup=False, soft_wrap=True)
+        self._show()
 
     @property
     def rate(self) -> float:
         """Cases per second since the start."""
         return self._solved / max(monotonic() - self._began, 1e-9)
 
+    def _show(self) -> None:
+        raise NotImplementedError
 
-class _Bar(_Counter):
+
+class _Bar(_Listener):
     def __init__(self, progress: Progress, *, is_verbose: bool) -> None:
         super().__init__(progress.console, is_verbose=is_verbose)
         self._progress = progress
         self._bar = progress.add_task("", total=None, failed=0, rate=0.0)
 
-    def start(self, total: int, already_ended: int) -> None:
-        super().start(total, already_ended)
-        self._progress.update(self._bar, total=total, completed=already_ended)
-
-    def case_ended(self, case: "Case", outcome: "CaseOutcome", done: int) -> None:
-        super().case_ended(case, outcome, done)
-        self._progress.update(self._bar, completed=done, failed=self.failed, rate=self.rate)
+    def _show(self) -> None:
+        shown: dict[str, Any] = {"failed": self.failed, "rate": self.rate}
+        self._progress.update(self._bar, total=self.total, completed=self.done, **shown)
 
 
-class _Lines(_Counter):
-    _written_at = 0.0
+class _Lines(_Listener):
+    _next_at = 0.0
 
-    def start(self, total: int, already_ended: int) -> None:
-        super().start(total, already_ended)
-        self._write()
-
-    def case_ended(self, case: "Case", outcome: "CaseOutcome", done: int) -> None:
-        super().case_ended(case, outcome, done)
-        is_due = monotonic() - self._written_at > _SECONDS_BETWEEN_LINES
-        if is_due or self.done == self.total:
-            self._write()
-
-    def _write(self) -> None:
-        self._written_at = monotonic()
+    def _show(self) -> None:
+        if monotonic() < self._next_at and self.done < self.total:
+            return
+        self._next_at = monotonic() + _SECONDS_BETWEEN_LINES
         left = f", {(self.total - self.done) / self.rate:.0f} s left" if self.rate > 0.0 else ""
         self._console.print(
             f"{self.done} of {self.total} cases, {self.failed} failed, "

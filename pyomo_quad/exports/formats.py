@@ -197,8 +197,12 @@ _FLATTENING = 1.0 / 298.257223563
 _ECCENTRICITY_2 = _FLATTENING * (2.0 - _FLATTENING)
 _LATITUDE_STEPS = 6  # each gains more than two digits; near the ground three suffice
 
-# Degrees, degrees, and metres from below the Dead Sea to above the highest summit.
-_GLOBE = ((-90.0, 90.0), (-180.0, 180.0), (-500.0, 9000.0))
+# Altitudes are from below the Dead Sea to above the highest summit.
+_GLOBE = {
+    "latitude": (-90.0, 90.0, "deg"),
+    "longitude": (-180.0, 180.0, "deg"),
+    "altitude": (-500.0, 9000.0, "m"),
+}
 
 # Below, a leg is a pause: the autopilot is told to wait and not to creep [m/s].
 _SLOWEST = 0.05
@@ -213,7 +217,7 @@ _GROUND_SPEED = 1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Origin:
+class GeodeticOrigin:
     """Where on the globe the plan's origin lies: degrees on WGS 84, metres above the sea."""
 
     latitude: float
@@ -272,7 +276,7 @@ def thin(motion: Motion, path_error_m: float) -> Legs:
     return Legs(times=t[rows], places=place[rows])
 
 
-def mission(legs: Legs, origin: Origin, name: str, path_error_m: float) -> dict[str, Any]:
+def mission(legs: Legs, origin: GeodeticOrigin, name: str, path_error_m: float) -> dict[str, Any]:
     """Return a QGroundControl plan file: heights are over the origin, which is the home.
 
     Raises
@@ -360,7 +364,7 @@ def _geodetic(place: FloatArray) -> FloatArray:
     return np.column_stack([np.degrees(latitude), np.degrees(np.arctan2(y, x)), height])
 
 
-def origin_of(text: str) -> Origin:
+def origin_of(text: str) -> GeodeticOrigin:
     """Read LAT,LON,ALT in degrees and metres above the sea.
 
     Raises
@@ -368,28 +372,20 @@ def origin_of(text: str) -> Origin:
     ScenarioError
         If it is not three numbers, or no place on the globe.
     """
-    numbers = [_number(part) for part in text.split(",")]
-    if len(numbers) != 3 or None in numbers:
+    try:
+        given = dict(zip(_GLOBE, map(number_in_text, text.split(",")), strict=True))
+    except ValueError:
         raise ScenarioError(
             f"--origin {shown(text)}: must be LAT,LON,ALT in degrees and metres above the sea, "
             "such as 47.3977,8.5456,488."
-        )
-    for name, value, (low, high), unit in zip(
-        ("latitude", "longitude", "altitude"), numbers, _GLOBE, ("deg", "deg", "m"), strict=True
-    ):
-        if value is None or not low <= value <= high:
+        ) from None
+    for name, (low, high, unit) in _GLOBE.items():
+        if not low <= given[name] <= high:
             raise ScenarioError(
-                f"--origin: {name} = {value:g} {unit}; must be from {low:g} to {high:g} {unit}."
+                f"--origin: {name} = {given[name]:g} {unit}; must be from {low:g} to {high:g} "
+                f"{unit}."
             )
-    latitude, longitude, altitude = (float(value or 0.0) for value in numbers)
-    return Origin(latitude=latitude, longitude=longitude, altitude=altitude)
-
-
-def _number(text: str) -> float | None:
-    try:
-        return number_in_text(text)
-    except ValueError:
-        return None
+    return GeodeticOrigin(**given)
 
 
 class Format(StrEnum):
@@ -435,21 +431,23 @@ _Written = tuple[int, str, float, float | None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Options:
-    origin: Origin | None
-    path_error_m: float | None
-    rate_hz: float | None
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Writer:
-    """How a format is written, the end of its name, and what it may be asked."""
+    """How a format is written, the end of its file's name, and the options that it takes.
 
-    write: Callable[[Motion, Path, _Options], _Written]
+    ``option`` is a number with a default, the second argument of ``write`` after the path; a
+    format on the globe takes an origin beside it.
+    """
+
+    write: Callable[..., _Written]
     ending: str
-    takes: tuple[str, ...]
-    path_error_m: float = 0.0
-    rate_hz: float = 0.0
+    option: str
+    default: float
+    is_on_globe: bool = False
+
+    @property
+    def takes(self) -> tuple[str, ...]:
+        """Options that the format can be given."""
+        return ("--origin", self.option) if self.is_on_globe else (self.option,)
 
 
 _DIGITS = "%.9g"  # of a number of 32 bits, none is lost
@@ -521,11 +519,7 @@ def export_plan(
             f"--path-error = {path_error_m:g} m; must be from {_SMALLEST_PATH_ERROR_M:g} to "
             f"{_LARGEST_PATH_ERROR_M:g} m."
         )
-    options = _Options(
-        origin=None if origin is None else origin_of(origin),
-        path_error_m=path_error_m or writer.path_error_m,
-        rate_hz=writer.rate_hz if rate_hz is None else rate_hz,
-    )
+    place = () if origin is None else (origin_of(origin),)
     if isinstance(plan, Plan):
         motion = Motion.of(plan, is_code_allowed=is_code_allowed)
     else:
@@ -533,8 +527,11 @@ def export_plan(
     path = Path(out) if out is not None else Path(f"{motion.name}{writer.ending}")
     if not isinstance(plan, Plan):
         _refuse_source(path, Path(plan))
-    parts, what, place, yaw = writer.write(motion, path, options)
-    return Export(path=str(path), parts=parts, what=what, position_error_m=place, yaw_error_rad=yaw)
+    amount = path_error_m if rate_hz is None else rate_hz
+    parts, what, far, yaw = writer.write(
+        motion, path, writer.default if amount is None else amount, *place
+    )
+    return Export(path=str(path), parts=parts, what=what, position_error_m=far, yaw_error_rad=yaw)
 
 
 def _refuse_options(to: Format, writer: _Writer, given: list[str]) -> None:
@@ -563,10 +560,9 @@ def _write_text(path: Path, text: str, mark: str = MARK) -> None:
         aside.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _write_qgroundcontrol(motion: Motion, path: Path, options: _Options) -> _Written:
-    error_m, origin = options.path_error_m or 0.0, options.origin
-    if origin is None:
-        raise ScenarioError("--to qgroundcontrol needs --origin LAT,LON,ALT.")
+def _write_qgroundcontrol(
+    motion: Motion, path: Path, error_m: float, origin: GeodeticOrigin
+) -> _Written:
     legs = thin(motion, error_m)
     text = json.dumps(mission(legs, origin, motion.name, error_m), indent=1, allow_nan=False)
     _write_text(path, f"{text}\n")
@@ -575,15 +571,14 @@ def _write_qgroundcontrol(motion: Motion, path: Path, options: _Options) -> _Wri
     return len(legs.times), "waypoints", float(found), None
 
 
-def _write_px4(motion: Motion, path: Path, options: _Options) -> _Written:
-    stream = offboard(motion, options.rate_hz or 0.0)
+def _write_px4(motion: Motion, path: Path, rate_hz: float) -> _Written:
+    stream = offboard(motion, rate_hz)
     text = stream.to_csv(index=False, float_format=_DIGITS, lineterminator="\n")
     _write_text(path, text, mark=",".join(stream.columns))
     return len(stream), "setpoints", *offboard_deviation(motion, stream)
 
 
-def _write_ros2(motion: Motion, path: Path, options: _Options) -> _Written:
-    rate_hz = options.rate_hz or 0.0
+def _write_ros2(motion: Motion, path: Path, rate_hz: float) -> _Written:
     with output_folder(path) as aside:
         bag = aside / (path.resolve().name or motion.name)
         points = write_bag(motion, rate_hz, bag)
@@ -593,8 +588,8 @@ def _write_ros2(motion: Motion, path: Path, options: _Options) -> _Written:
     return points, "points", sampled_deviation(motion, rate_hz), 0.0
 
 
-def _write_crazyflie(motion: Motion, path: Path, options: _Options) -> _Written:
-    durations, coefficients = fit_pieces(motion, options.path_error_m or 0.0, MOST_CRAZYFLIE_PIECES)
+def _write_crazyflie(motion: Motion, path: Path, error_m: float) -> _Written:
+    durations, coefficients = fit_pieces(motion, error_m, MOST_CRAZYFLIE_PIECES)
     # The vehicle holds numbers of 32 bits: what is lost by them belongs to the error.
     rows = np.column_stack([durations, coefficients.reshape(len(durations), -1)])
     rows = rows.astype(np.float32)
@@ -609,8 +604,8 @@ def _write_crazyflie(motion: Motion, path: Path, options: _Options) -> _Written:
     return len(rows), "pieces", *found
 
 
-def _write_rotorpy(motion: Motion, path: Path, options: _Options) -> _Written:
-    durations, coefficients = fit_pieces(motion, options.path_error_m or 0.0, _MOST_ROTORPY_PIECES)
+def _write_rotorpy(motion: Motion, path: Path, error_m: float) -> _Written:
+    durations, coefficients = fit_pieces(motion, error_m, _MOST_ROTORPY_PIECES)
     _write_text(
         path,
         _ROTORPY_MODULE.format(
@@ -644,18 +639,16 @@ _WRITERS = {
     Format.QGROUNDCONTROL: _Writer(
         write=_write_qgroundcontrol,
         ending=".plan",
-        takes=("--origin", "--path-error"),
-        path_error_m=0.25,
+        option="--path-error",
+        default=0.25,
+        is_on_globe=True,
     ),
-    Format.PX4: _Writer(write=_write_px4, ending="_px4.csv", takes=("--rate",), rate_hz=50.0),
-    Format.ROS2: _Writer(write=_write_ros2, ending="_ros2", takes=("--rate",), rate_hz=50.0),
+    Format.PX4: _Writer(write=_write_px4, ending="_px4.csv", option="--rate", default=50.0),
+    Format.ROS2: _Writer(write=_write_ros2, ending="_ros2", option="--rate", default=50.0),
     Format.CRAZYFLIE: _Writer(
-        write=_write_crazyflie,
-        ending="_crazyflie.csv",
-        takes=("--path-error",),
-        path_error_m=0.001,
+        write=_write_crazyflie, ending="_crazyflie.csv", option="--path-error", default=0.001
     ),
     Format.ROTORPY: _Writer(
-        write=_write_rotorpy, ending="_rotorpy.py", takes=("--path-error",), path_error_m=0.0001
+        write=_write_rotorpy, ending="_rotorpy.py", option="--path-error", default=0.0001
     ),
 }

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, Json, Strict, ValidationError
 
 from pyomo_quad.scenario.messages import OutputError, printable, shown
 from pyomo_quad.sweep.case import LARGEST_OUTPUT, CaseOutcome, CaseStatus
-from pyomo_quad.sweep.design import Case, SweepDesign, case_key, cell_of, expand
+from pyomo_quad.sweep.design import SweepDesign, case_key, cell_of, expand
 from pyomo_quad.version import __version__
 
 STORE_NAME = "sweep.sqlite"
@@ -462,26 +462,20 @@ def results_frame(store: ResultStore) -> pd.DataFrame:
     """
     design, rows = store.design, store.rows()
     ended = [(case, rows[case.key]) for case in expand(design) if case.key in rows]
-    outputs = _output_columns(design, [row for _, row in ended])
-    frame = pd.DataFrame([_record(case, row, outputs) for case, row in ended])
+    kept = design.outputs or [name for _, row in ended for name in row.outputs]
+    outputs = dict.fromkeys((*kept, *design.report_on))
+    frame = pd.DataFrame(
+        {
+            CASE_COLUMN: case.position,
+            **{path: cell_of(value) for path, value in case.overrides.items()},
+            STATUS_COLUMN: row.status.value,
+            REASON_COLUMN: row.reason,
+            **row.outputs,
+        }
+        for case, row in ended
+    )
     columns = [CASE_COLUMN, *design.paths, STATUS_COLUMN, REASON_COLUMN, *outputs]
     return frame.reindex(columns=columns)
-
-
-def _record(case: Case, row: StoredCase, outputs: list[str]) -> dict[str, Any]:
-    fields = {path: cell_of(value) for path, value in case.overrides.items()}
-    return {
-        CASE_COLUMN: case.position,
-        **fields,
-        STATUS_COLUMN: row.status.value,
-        REASON_COLUMN: row.reason,
-        **{name: row.outputs[name] for name in outputs if name in row.outputs},
-    }
-
-
-def _output_columns(design: SweepDesign, rows: list[StoredCase]) -> list[str]:
-    kept = design.outputs or [name for row in rows for name in row.outputs]
-    return list(dict.fromkeys((*kept, *design.report_on)))
 
 
 _MOST_CHANGES = 5
