@@ -4,8 +4,9 @@ import sys
 import traceback
 from collections.abc import Sequence
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -31,19 +32,11 @@ from pyomo_quad.cli.terminal import (
 )
 from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import discard_unfinished, output_folder, refuse_output_folder
-from pyomo_quad.report.tables import (
-    plan_summary,
-    run_summary,
-    summary_text,
-    write_summary,
-)
+from pyomo_quad.report.tables import plan_summary, run_summary, summary_text, write_summary
 from pyomo_quad.scenario import Scenario, load_scenario
 from pyomo_quad.scenario.messages import FeasibilityError, PyomoQuadError, ScenarioError
 from pyomo_quad.scenario.tables import Knowledge, Reference
 from pyomo_quad.version import __version__
-
-if TYPE_CHECKING:
-    from pyomo_quad.flight import Flight
 
 
 class Controller(StrEnum):
@@ -71,8 +64,7 @@ _Controller = Annotated[
     ),
 ]
 _Knowledge = Annotated[
-    Knowledge,
-    typer.Option("--knowledge", help="mpc: what re-planning knows of the wind."),
+    Knowledge, typer.Option("--knowledge", help="mpc: what re-planning knows of the wind.")
 ]
 _Plant = Annotated[Plant, typer.Option("--plant", help="What flies.")]
 _Reference = Annotated[
@@ -119,14 +111,14 @@ def fly(
         if isinstance(made, ExitCode):
             return made
         plan, resolved = made, made.mission_flown
-    flight: Flight | ExitCode
     if plant is Plant.ROTORPY and followed is not None:
-        flight = flying.make_outside_flight(planner, resolved, controller.value, followed, plan)
+        make = partial(flying.fly_rotorpy, planner, resolved, controller.value, followed, plan)
     elif is_replanned:
-        flight = flying.make_replanned_flight(planner, resolved, knowledge)
+        make = partial(flying.fly_mpc, planner, resolved, knowledge)
     else:
         reference = followed if controller is Controller.ADAPTIVE else None
-        flight = flying.make_flight(planner, resolved, reference, plan)
+        make = partial(flying.fly_declared, planner, resolved, reference, plan)
+    flight = flying.make_flight(resolved, make)
     if isinstance(flight, ExitCode):
         return flight
     with output_folder(folder) as aside:

@@ -1,6 +1,6 @@
 """What `pyomo-quad fly` flies, and what it says of it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,32 +36,31 @@ def make_plan(planner: Planner, scenario: Scenario) -> Plan | ExitCode:
     return status
 
 
-def make_flight(
-    planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
-) -> Flight | ExitCode:
-    """Fly the adaptive controller along a reference or, without one, the plan in open loop."""
+def make_flight(scenario: Scenario, fly: Callable[[], Flight]) -> Flight | ExitCode:
+    """Make a flight, or say why it cannot be flown and return the status to end with."""
     try:
-        if reference is Reference.CRUISE:
-            return fly_cruise(scenario, None, plan, planner)
-        dynamics = planner.dynamics(scenario)
-        if reference is None and plan is not None:
-            return fly_open_loop(scenario, plan, dynamics)
-        return fly_baseline(scenario, reference or Reference.PLAN, dynamics=dynamics, plan=plan)
+        return fly()
     except SolveError as error:
         complain(f"{scenario.name}: {error}")
         return ExitCode.NOT_SOLVED
 
 
-def make_replanned_flight(
-    planner: Planner, scenario: Scenario, knowledge: Knowledge
-) -> Flight | ExitCode:
+def fly_declared(
+    planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
+) -> Flight:
+    """Fly the adaptive controller along a reference or, without one, the plan in open loop."""
+    if reference is Reference.CRUISE:
+        return fly_cruise(scenario, None, plan, planner)
+    dynamics = planner.dynamics(scenario)
+    if reference is None and plan is not None:
+        return fly_open_loop(scenario, plan, dynamics)
+    return fly_baseline(scenario, reference or Reference.PLAN, dynamics=dynamics, plan=plan)
+
+
+def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Flight:
     """Fly with the rest of the mission planned again and again."""
     dynamics = planner.dynamics(scenario)
-    try:
-        return fly_replanned(scenario, knowledge, dynamics=dynamics, planner=planner)
-    except SolveError as error:
-        complain(f"{scenario.name}: {error}")
-        return ExitCode.NOT_SOLVED
+    return fly_replanned(scenario, knowledge, dynamics=dynamics, planner=planner)
 
 
 def refuse_outside(scenario: Scenario) -> None:
@@ -70,24 +69,16 @@ def refuse_outside(scenario: Scenario) -> None:
     refuse_pushing_wind(scenario)
 
 
-def make_outside_flight(
+def fly_rotorpy(
     planner: Planner, scenario: Scenario, pilot: str, followed: Reference, plan: Plan | None
-) -> Flight | ExitCode:
+) -> Flight:
     """Fly RotorPy's vehicle."""
-    try:
-        plant = OutsidePlant(scenario, planner.dynamics(scenario))
-        return fly_outside(plant, Pilot(pilot), followed, plan)
-    except SolveError as error:
-        complain(f"{scenario.name}: {error}")
-        return ExitCode.NOT_SOLVED
+    plant = OutsidePlant(scenario, planner.dynamics(scenario))
+    return fly_outside(plant, Pilot(pilot), followed, plan)
 
 
 def write_flight(
-    folder: Path,
-    planner: Planner,
-    scenario: Scenario,
-    flight: Flight,
-    wall_s: Mapping[str, float],
+    folder: Path, planner: Planner, scenario: Scenario, flight: Flight, wall_s: Mapping[str, float]
 ) -> dict[str, Any]:
     """Write a flight's table and summary.
 

@@ -281,8 +281,7 @@ def export(
     *,
     to: Annotated[Reader, typer.Option("--to", help="Who reads it.")],
     out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="FILE", help="What to write; for ros2 a folder."),
+        Path | None, typer.Option("--out", metavar="FILE", help="What to write; for ros2 a folder.")
     ] = None,
     origin: Annotated[
         str | None,

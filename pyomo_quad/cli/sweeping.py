@@ -2,20 +2,14 @@
 
 import os
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pyomo_quad.cli.endings import ExitCode, raise_on_interrupt
 from pyomo_quad.cli.terminal import FigureChoice, complain, error_console, positive_count
@@ -24,16 +18,9 @@ from pyomo_quad.report.folder import final_folder, output_folder, refuse_output_
 from pyomo_quad.scenario.messages import OutputError
 
 if TYPE_CHECKING:
-    from pyomo_quad.sweep import (
-        SweepDesign,
-        SweepEstimate,
-        SweepListener,
-        SweepSummary,
-        Workers,
-    )
+    from pyomo_quad.sweep import SweepDesign, SweepEstimate, SweepListener, SweepSummary
     from pyomo_quad.sweep.case import CaseOutcome
     from pyomo_quad.sweep.design import Case
-    from pyomo_quad.sweep.study_file import LoadedStudy
 
 _REPORT_FOLDER = "report"
 
@@ -82,24 +69,27 @@ def sweep(
         try:
             refuse_output_folder(report)
         except OutputError:
-            if out.is_dir() and not os.access(out, os.W_OK):
-                from pyomo_quad.sweep.store import refuse_kept_results  # noqa: PLC0415  a second
+            from pyomo_quad.sweep.store import refuse_kept_results  # noqa: PLC0415  a second
 
-                refuse_kept_results(out)
+            refuse_kept_results(out)
             raise
-    from pyomo_quad.sweep import design_sweep, load_study  # noqa: PLC0415  takes a second
+    from pyomo_quad import sweep as sweeps  # noqa: PLC0415  takes a second
 
-    loaded = load_study(study)
-    design = design_sweep(loaded, is_large_allowed=yes)
+    loaded = sweeps.load_study(study)
+    design = sweeps.design_sweep(loaded, is_large_allowed=yes)
     folder = out or Path("reports") / design.name
     count = workers or len(os.sched_getaffinity(0))
     if dry_run:
-        from pyomo_quad.sweep import estimate_sweep  # noqa: PLC0415
-
-        print(_estimate_line(design, estimate_sweep(design, loaded.base, folder), count))
+        print(_estimate_line(design, sweeps.estimate_sweep(design, loaded.base, folder), count))
         return ExitCode.VERIFIED
-    with raise_on_interrupt(), _workers(count, scheduler) as crew:
-        summary = _run(loaded, design, folder, crew, is_fresh=fresh, is_verbose=verbose)
+    crew = sweeps.process_workers(count) if scheduler is None else sweeps.cluster_workers(scheduler)
+    writing = sweeps.ResultStore.writing(folder, design, is_fresh=fresh)
+    with raise_on_interrupt(), crew as workforce, writing as store:
+        for change in sweeps.adopt_design(store, design):
+            complain(f"{folder}: extended: {change}")
+        complain(f"{design.name}: {design.case_count} cases on {workforce.description}")
+        with follow_sweep(is_verbose=verbose) as listener:
+            summary = sweeps.Sweep(design, loaded.base, store, listener).run(workforce)
     print(_summary_line(design, summary, folder))
     if summary.is_interrupted:
         return ExitCode.INTERRUPTED
@@ -112,47 +102,18 @@ def sweep_report(
     folder: SweepFolder, *, out: ReportOutput = None, figures: FigureChoice = Figures.SVG
 ) -> int:
     """Write tables and figures of a sweep from its store; nothing is solved."""
-    from pyomo_quad.sweep import (  # noqa: PLC0415
-        ResultStore,
-        results_frame,
-        write_sweep_report,
-    )
+    from pyomo_quad import sweep as sweeps  # noqa: PLC0415
 
-    with ResultStore.reading(folder) as store:
-        design, frame = store.design, results_frame(store)
+    with sweeps.ResultStore.reading(folder) as store:
+        design, frame = store.design, sweeps.results_frame(store)
     if frame.empty:
         complain(f"{folder}: holds no finished case yet; run the sweep first.")
         return ExitCode.BAD_INPUT
     target = out or folder / _REPORT_FOLDER
     with output_folder(target) as aside:
-        write_sweep_report(aside, design, frame, figures)
+        sweeps.write_sweep_report(aside, design, frame, figures)
     print(f"Report written to {target}.")
     return ExitCode.VERIFIED
-
-
-def _workers(count: int, scheduler: str | None) -> AbstractContextManager["Workers"]:
-    from pyomo_quad.sweep import cluster_workers, process_workers  # noqa: PLC0415
-
-    return process_workers(count) if scheduler is None else cluster_workers(scheduler)
-
-
-def _run(
-    loaded: "LoadedStudy",
-    design: "SweepDesign",
-    folder: Path,
-    workers: "Workers",
-    *,
-    is_fresh: bool,
-    is_verbose: bool,
-) -> "SweepSummary":
-    from pyomo_quad.sweep import ResultStore, Sweep, adopt_design  # noqa: PLC0415
-
-    with ResultStore.writing(folder, design, is_fresh=is_fresh) as store:
-        for change in adopt_design(store, design):
-            complain(f"{folder}: extended: {change}")
-        complain(f"{design.name}: {design.case_count} cases on {workers.description}")
-        with follow_sweep(is_verbose=is_verbose) as listener:
-            return Sweep(design, loaded.base, store, listener).run(workers)
 
 
 def _estimate_line(design: "SweepDesign", estimate: "SweepEstimate", workers: int) -> str:

@@ -136,26 +136,17 @@ def write_bag(motion: Motion, rate_hz: float, folder: Path) -> int:
 
 
 def _points(motion: Motion, t: FloatArray, make: dict[str, type]) -> list[object]:
-    vector, twist = make["geometry_msgs/msg/Vector3"], make["geometry_msgs/msg/Twist"]
-    quaternion, transform = (
-        make["geometry_msgs/msg/Quaternion"],
-        make["geometry_msgs/msg/Transform"],
-    )
+    names = ("Vector3", "Twist", "Quaternion", "Transform")
+    vector, twist, quaternion, transform = (make[f"geometry_msgs/msg/{name}"] for name in names)
     duration = make["builtin_interfaces/msg/Duration"]
     point = make["trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"]
-    turning, turning_faster = motion.values(t, RATE_STATES), motion.slopes(t, RATE_STATES)
-    rows = zip(
-        t.tolist(),
-        motion.position(t).tolist(),
-        motion.quaternions(t).tolist(),
-        motion.velocity(t).tolist(),
-        turning.tolist(),
-        motion.acceleration(t).tolist(),
-        turning_faster.tolist(),
-        strict=True,
+    columns = (
+        *(motion.position(t), motion.quaternions(t), motion.velocity(t)),
+        *(motion.values(t, RATE_STATES), motion.acceleration(t), motion.slopes(t, RATE_STATES)),
     )
     points = []
-    for time, place, attitude, velocity, rates, acceleration, rates_slope in rows:
+    for time, *row in zip(t.tolist(), *(column.tolist() for column in columns), strict=True):
+        place, attitude, velocity, rates, acceleration, rates_slope = row
         seconds, nanoseconds = divmod(round(time * _NS_PER_S), _NS_PER_S)
         points.append(
             point(

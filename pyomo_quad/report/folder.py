@@ -45,17 +45,12 @@ def output_folder(path: str | Path) -> Iterator[Path]:
             _remove_leftovers(final)
             _refuse_foreign_files(final, path)
             aside.mkdir()
-            _unfinished.add(aside)
-            try:
+            with _until_finished(aside):
                 (aside / MANIFEST_NAME).touch()
                 yield aside
                 _write_manifest(aside)
                 aside.rename(_hidden(final, "ready") if final.exists() else final)
                 _finish_swap(final, path, aside)
-            finally:
-                with suppress(OSError):
-                    _remove(aside)
-                _unfinished.discard(aside)
     except OSError as error:
         _refuse(path, error)
 
@@ -86,21 +81,18 @@ def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
     final = final_folder(path)
     try:
         if _is_stream(path):
-            with _scratch_folder() as folder:
+            folder = Path(tempfile.mkdtemp(prefix="pyomo_quad-"))
+            with _until_finished(folder):
                 yield folder / final.name
                 _copy(folder / final.name, path)
             return
         aside = _hidden(final, f"new-{os.getpid()}")
         _refuse_foreign_file(final, path, mark)
         final.parent.mkdir(parents=True, exist_ok=True)
-        _unfinished.add(aside)
-        try:
+        with _until_finished(aside):
             yield aside
             _refuse_foreign_file(final, path, mark)
             aside.replace(final)
-        finally:
-            aside.unlink(missing_ok=True)
-            _unfinished.discard(aside)
     except OSError as error:
         _refuse(path, error)
 
@@ -112,17 +104,6 @@ def _is_stream(path: str | Path) -> bool:
         mode = os.stat(path).st_mode  # noqa: PTH116  a path may be a text
         return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode)
     return False
-
-
-@contextmanager
-def _scratch_folder() -> Iterator[Path]:
-    folder = Path(tempfile.mkdtemp(prefix="pyomo_quad-"))
-    _unfinished.add(folder)
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        _unfinished.discard(folder)
 
 
 def _copy(file: Path, stream: str | Path) -> None:
@@ -175,8 +156,23 @@ def refuse_output_folder(path: str | Path) -> None:
 def discard_unfinished() -> None:
     """Remove what this process has begun and will not finish."""
     for begun in _unfinished:
-        with suppress(OSError):
-            (_remove if begun.is_dir() else Path.unlink)(begun)
+        _discard(begun)
+
+
+def _discard(begun: Path) -> None:
+    with suppress(OSError):
+        (_remove if begun.is_dir() else Path.unlink)(begun)
+
+
+@contextmanager
+def _until_finished(begun: Path) -> Iterator[None]:
+    """Remove a file or folder at the end of the block, also if the process is ended in it."""
+    _unfinished.add(begun)
+    try:
+        yield
+    finally:
+        _discard(begun)
+        _unfinished.discard(begun)
 
 
 def final_folder(path: str | Path) -> Path:
@@ -212,12 +208,10 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
     if os.fstat(descriptor).st_size > 0:
         os.close(descriptor)
         raise OutputError(f"{path}: needs the name {file.name!r} beside it; move that file away.")
-    _unfinished.add(file)
     try:
-        yield
+        with _until_finished(file):
+            yield
     finally:
-        file.unlink(missing_ok=True)
-        _unfinished.discard(file)
         os.close(descriptor)
 
 

@@ -343,12 +343,7 @@ def draw_scatter(
         Numeric fields, one column of panels each.
     """
     figure, panels = panel_grid(
-        len(quantities),
-        len(fields),
-        panel_height=1.6,
-        left=0.62,
-        gap=0.62,
-        share_time=False,
+        len(quantities), len(fields), panel_height=1.6, left=0.62, gap=0.62, share_time=False
     )
     style = SERIES_STYLES[0]
     for line, quantity in zip(panels, quantities, strict=True):

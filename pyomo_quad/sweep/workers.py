@@ -120,18 +120,15 @@ class Workers:
             return [future.result()]
         except CancelledError:
             raise ClusterError(f"{self.description}: no longer answers.") from None
-        # `perform` raises nothing: whatever comes instead of an outcome says that a worker is gone.
+        # `perform` raises nothing: an exception instead of an outcome says that a worker is gone.
         except Exception as error:  # noqa: BLE001
-            return self._suspect(task, error)
-
-    def _suspect(self, task: CaseTask, error: Exception) -> list[CaseOutcome]:
-        # One that no worker ever had before may be tried alone a second time.
-        is_lost = self._is_alone and task.key in self._accused
-        if not is_lost:
-            self._accuse(task)
-        if isinstance(error, BrokenExecutor):
-            self._suspect_all()
-        return [CaseOutcome.loss(task)] if is_lost else []
+            # A case that no worker had in hand before may be tried alone a second time.
+            is_lost = self._is_alone and task.key in self._accused
+            if not is_lost:
+                self._accuse(task)
+            if isinstance(error, BrokenExecutor):
+                self._suspect_all()
+            return [CaseOutcome.loss(task)] if is_lost else []
 
     def _accuse(self, task: CaseTask) -> None:
         self._suspects.append(task)
