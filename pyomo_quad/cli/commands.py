@@ -1,4 +1,4 @@
-"""The `pyomo-quad` command: what solves and flies, and where errors become exit codes."""
+"""The `pyomo-quad` command: `fly`, `run`, `compare`, `solve`, and exit codes for all errors."""
 
 import sys
 import traceback
@@ -40,7 +40,7 @@ from pyomo_quad.version import __version__
 
 
 class Controller(StrEnum):
-    """What moves the rotors."""
+    """Source of the rotor commands of a flight."""
 
     ADAPTIVE = "adaptive"
     OPEN_LOOP = "open_loop"
@@ -49,7 +49,7 @@ class Controller(StrEnum):
 
 
 class Plant(StrEnum):
-    """What flies: the declared equations, or a simulator that others wrote."""
+    """Vehicle model in flight: the declared equations, or a simulator that others wrote."""
 
     DECLARED = "declared"
     ROTORPY = "rotorpy"
@@ -66,7 +66,9 @@ _Controller = Annotated[
 _Knowledge = Annotated[
     Knowledge, typer.Option("--knowledge", help="mpc: what re-planning knows of the wind.")
 ]
-_Plant = Annotated[Plant, typer.Option("--plant", help="What flies.")]
+_Plant = Annotated[
+    Plant, typer.Option("--plant", help="Vehicle model: the declared equations, or RotorPy.")
+]
 _Reference = Annotated[
     Reference | None,
     typer.Option("--reference", help="What to follow: quintic by default, the plan in open loop."),
@@ -158,7 +160,7 @@ def _refuse_unfit(controller: Controller, plant: Plant) -> None:
 
 
 def _own_folder(scenario: Scenario, parts: Sequence[StrEnum]) -> Path:
-    # Not that of the scenario's report, which a single flight must not replace.
+    # A single flight must not replace the report of the scenario, in reports/NAME.
     return Path("reports") / "-".join((scenario.name, *(part.value for part in parts)))
 
 
@@ -305,7 +307,7 @@ def solve(
     return solving.exit_code_of(plan)
 
 
-# Base of all complaints about the command line: click's, or the copy that newer typer carries.
+# Base class of errors in the command line: in click, or in the copy of click in newer typer.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(
@@ -334,7 +336,7 @@ def _before_any_command(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Version.")
     ] = False,
 ) -> None:
-    """Take the options that stand before the command."""
+    """Read the options that stand before the command."""
 
 
 def _end_other_processes() -> None:
@@ -366,7 +368,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return int(status or 0)
 
 
-# What C++ libraries and the loader of shared objects say where there is no memory left.
+# Messages of C++ libraries and of the loader of shared objects when memory runs out.
 _NO_MEMORY = ("std::bad_alloc", "Cannot allocate memory")
 
 
@@ -394,7 +396,7 @@ def _explain(error: Exception) -> ExitCode:
         complain(f"pyomo-quad: {message} See pyomo-quad --help.")
         return ExitCode.BAD_INPUT
     if isinstance(error, OSError) and gives_up_output(error):
-        if not isinstance(error, BrokenPipeError):  # whoever read the output has had enough of it
+        if not isinstance(error, BrokenPipeError):  # the reader of the output has ended
             complain(f"pyomo-quad: standard output cannot be written ({error.strerror}).")
     elif isinstance(error, OSError | PyomoQuadError):
         complain(str(error))

@@ -1,4 +1,4 @@
-"""What `pyomo-quad fly` flies, and what it says of it."""
+"""Flights of `pyomo-quad fly`, their files and their verdict."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -27,7 +27,7 @@ from pyomo_quad.study.run import fly_cruise
 
 
 def make_plan(planner: Planner, scenario: Scenario) -> Plan | ExitCode:
-    """Make the plan that a flight follows, or return the status to end with."""
+    """Solve the plan that a flight follows, or print the failure and return the exit status."""
     plan = planner.solve(scenario)
     status = exit_code_of(plan)
     if status is ExitCode.VERIFIED:
@@ -37,7 +37,7 @@ def make_plan(planner: Planner, scenario: Scenario) -> Plan | ExitCode:
 
 
 def make_flight(scenario: Scenario, fly: Callable[[], Flight]) -> Flight | ExitCode:
-    """Make a flight, or say why it cannot be flown and return the status to end with."""
+    """Fly, or print why the flight is impossible and return the exit status."""
     try:
         return fly()
     except SolveError as error:
@@ -58,13 +58,13 @@ def fly_declared(
 
 
 def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Flight:
-    """Fly with the rest of the mission planned again and again."""
+    """Fly under model predictive control, which re-plans the rest of the mission in flight."""
     dynamics = planner.dynamics(scenario)
     return fly_replanned(scenario, knowledge, dynamics=dynamics, planner=planner)
 
 
 def refuse_outside(scenario: Scenario) -> None:
-    """Refuse what RotorPy cannot fly before anything is solved."""
+    """Refuse a scenario that RotorPy cannot fly, before a plan is solved."""
     rotorpy_module(MULTIROTOR)
     refuse_pushing_wind(scenario)
 
@@ -72,7 +72,7 @@ def refuse_outside(scenario: Scenario) -> None:
 def fly_rotorpy(
     planner: Planner, scenario: Scenario, pilot: str, followed: Reference, plan: Plan | None
 ) -> Flight:
-    """Fly RotorPy's vehicle."""
+    """Fly the scenario's vehicle in RotorPy."""
     plant = OutsidePlant(scenario, planner.dynamics(scenario))
     return fly_outside(plant, Pilot(pilot), followed, plan)
 
@@ -100,7 +100,7 @@ def write_flight(
 
 
 def verdict(scenario: Scenario, flight: Flight) -> str:
-    """Return what became of a flight in one sentence."""
+    """Return the result of a flight in one sentence."""
     end = "arrived" if has_arrived(flight) else "did not arrive"
     confirmed = "confirmed" if flight.is_verified else "not confirmed"
     why = f": {flight.doubt}" if flight.doubt else ""

@@ -1,4 +1,4 @@
-"""Commands around a scenario: begin one, look at it before it is solved, and at what it led to."""
+"""Commands around a scenario: `init`, `check`, `library` and `schema`, `export` and `plot`."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -255,7 +255,7 @@ def schema(
     if not out.is_dir():
         raise ScenarioError(f"--out {out}: is no folder; make it first.")
     with ExitStack() as files:
-        # All three are free to be written before the first is.
+        # Check that all three files may be written before the first is written.
         asides = {name: files.enter_context(output_file(out / name)) for name in pages}
         for name, aside in asides.items():
             aside.write_text(pages[name], encoding="utf-8")
@@ -265,7 +265,7 @@ def schema(
 
 
 class Reader(StrEnum):
-    """Who reads a plan; the formats of `pyomo_quad.exports`, which take a second to import."""
+    """Programs that read plans: the formats of `pyomo_quad.exports`, which import slowly."""
 
     QGROUNDCONTROL = "qgroundcontrol"
     PX4 = "px4"
@@ -394,7 +394,7 @@ def _flight(run: Path) -> "tuple[StyledFlight, float, Scenario | None]":
 
 
 def _mission(summary: dict[str, Any]) -> Scenario | None:
-    """Return the mission with its passing times, None where another version wrote it."""
+    """Return a report's scenario with its passing times, None where this version cannot read it."""
     try:
         scenario = Scenario.model_validate(summary["scenario_resolved"])
         return scenario.lasting(summary["duration_s"], summary.get("passing_times_s", ()))

@@ -1,4 +1,4 @@
-"""Studies that write a report: the paper, polars, other simulators, vehicles from their flights."""
+"""Commands of studies with a report: paper, polar, RotorPy, and vehicles from measured flights."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -59,7 +59,7 @@ def paper(
 
 @contextmanager
 def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list[str]]]:
-    """Give a folder for a study's report; once it is written, print the lines, then its place.
+    """Yield a folder for a study's report; at the end print the study's lines and the folder.
 
     Yields
     ------
@@ -75,7 +75,7 @@ def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list
 
 @contextmanager
 def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
-    """Show how many results there are while the block runs."""
+    """Show the number of finished results while the block runs."""
     console = error_console()
     if is_quiet or not console.is_terminal:
         yield None
@@ -171,7 +171,7 @@ def rotorpy_vehicle(
     return ExitCode.VERIFIED
 
 
-# Of a list of flights, and what stands there for those that are read.
+# Column of a list of flights, and its value for flights that are read.
 _SPLIT, _READ = "split", "fit"
 
 Logs = Annotated[

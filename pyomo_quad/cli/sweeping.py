@@ -1,4 +1,4 @@
-"""`pyomo-quad sweep` and `sweep-report`: many cases of a scenario, and how they go."""
+"""`pyomo-quad sweep` and `sweep-report`: many cases of a scenario, with progress on a terminal."""
 
 import os
 from collections.abc import Iterator
@@ -141,13 +141,13 @@ def _summary_line(design: "SweepDesign", summary: "SweepSummary", folder: Path) 
 
 
 _SECONDS_BETWEEN_LINES = 10.0
-# The time left is judged by so many seconds of the past: early cases wait for each other.
+# The time left is estimated from the last minute: early cases wait for their parents.
 _SECONDS_OF_MEMORY = 60.0
 
 
 @contextmanager
 def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
-    """Show how a sweep goes on while the block runs: a bar on a terminal, else lines."""
+    """Show the progress of a sweep while the block runs: a bar on a terminal, else lines."""
     console = error_console()
     if not console.is_terminal:
         yield _Lines(console, is_verbose=is_verbose)

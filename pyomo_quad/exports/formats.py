@@ -1,4 +1,4 @@
-"""The formats that a plan can go to, what each may be asked, and the file that each becomes.
+"""Export formats of plans: their options, their files, and their deviation from the plan.
 
 A stream of setpoints is for PX4's offboard mode and, as a trajectory message, for ROS 2; few
 waypoints with speeds, on the globe, are a mission of QGroundControl.
@@ -89,7 +89,7 @@ def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
 
 
 def offboard_deviation(motion: Motion, stream: pd.DataFrame) -> tuple[float, float]:
-    """Return how far a stream leaves the plan between and at its rows: place [m], yaw [rad]."""
+    """Return the largest deviation of a stream from the plan: position [m] and yaw [rad]."""
     t = stream["time_boot_ms"].to_numpy() / _MS_PER_S
     place = _north_east_down(stream[["x", "y", "z"]].to_numpy(dtype=float))
     velocity = _north_east_down(stream[["vx", "vy", "vz"]].to_numpy(dtype=float))
@@ -160,13 +160,13 @@ def _points(motion: Motion, t: FloatArray, make: dict[str, type]) -> list[object
 
 
 def sampled_deviation(motion: Motion, rate_hz: float) -> float:
-    """Return how far a stream of exact numbers leaves the plan between its points [m]."""
+    """Return the largest distance from the plan between the points of an exact stream [m]."""
     t = motion.samples(rate_hz)
     return _between(motion, t, motion.position(t), motion.velocity(t))
 
 
 def _between(motion: Motion, t: FloatArray, place: FloatArray, velocity: FloatArray) -> float:
-    """Return the distance from the plan of the cubics that a consumer draws between rows [m]."""
+    """Return the largest distance from the plan of a cubic Hermite spline through rows [m]."""
     between = np.unique(np.concatenate([t, t[:-1] + np.diff(t) / 2.0]))
     drawn = CubicHermiteSpline(t, place, velocity)(between)
     return float(np.linalg.norm(drawn - motion.position(between), axis=1).max())
@@ -195,11 +195,11 @@ _GLOBE = {
     "altitude": (-500.0, 9000.0, "m"),
 }
 
-# Below, a leg is a pause: the autopilot is told to wait and not to creep [m/s].
+# A slower leg becomes a pause of the mission: autopilots do not hold such a speed [m/s].
 _SLOWEST = 0.05
 #: Items of a mission that PX4 holds on its smaller boards.
 MOST_ITEMS = 500
-_CHECKED = 4001
+_CHECKED = 4001  # samples of a flight at which the distance of the legs is checked
 # MAVLink's commands and frame, and the autopilot and vehicle that the file names.
 _NAV_WAYPOINT, _DO_CHANGE_SPEED = 16, 178
 _GLOBAL_RELATIVE_ALTITUDE, _MISSION = 3, 2
@@ -209,7 +209,7 @@ _GROUND_SPEED = 1
 
 @dataclass(frozen=True, kw_only=True)
 class GeodeticOrigin:
-    """Where on the globe the plan's origin lies: degrees on WGS 84, metres above the sea."""
+    """Position of the plan's origin on the globe: degrees on WGS 84, metres above the sea."""
 
     latitude: float
     longitude: float
@@ -244,7 +244,7 @@ class Legs:
 
 
 def thin(motion: Motion, path_error_m: float) -> Legs:
-    """Return the legs of a plan: at no time is one further from it than the path error.
+    """Approximate a plan by straight legs, at no time further from it than the path error.
 
     The plan is split where it is furthest from where a flight at even speed would be at that time,
     until it is near enough everywhere (the top-down time-ratio algorithm of Meratnia and de By,
@@ -297,7 +297,7 @@ def mission(legs: Legs, origin: GeodeticOrigin, name: str, path_error_m: float) 
     return {
         "fileType": "Plan",
         "version": 1,
-        # Whoever wrote the file, as QGroundControl says of this entry; it reads any text.
+        # QGroundControl reads any text here, which names the program that wrote the file.
         "groundStation": MARK,
         "geoFence": {"circles": [], "polygons": [], "version": 2},
         "rallyPoints": {"points": [], "version": 2},
@@ -338,7 +338,7 @@ def _normal_radius(latitude: FloatArray) -> FloatArray:
 
 
 def _geodetic(place: FloatArray) -> FloatArray:
-    """Return latitude [deg], longitude [deg] and height over the ellipsoid [m] of earth-centred."""
+    """Convert earth-centred places to latitude, longitude [deg] and ellipsoidal height [m]."""
     x, y, z = place.T
     across = np.hypot(x, y)
     latitude = np.arctan2(z, across * (1.0 - _ECCENTRICITY_2))
@@ -346,7 +346,7 @@ def _geodetic(place: FloatArray) -> FloatArray:
         normal = _normal_radius(latitude)
         latitude = np.arctan2(z + normal * _ECCENTRICITY_2 * np.sin(latitude), across)
     normal = _normal_radius(latitude)
-    # Of the two ways to the height that which does not divide by nothing at poles or equator.
+    # This formula of the height divides by zero neither at the poles nor at the equator.
     height = (
         across * np.cos(latitude)
         + z * np.sin(latitude)
@@ -380,7 +380,7 @@ def origin_of(text: str) -> GeodeticOrigin:
 
 
 class Format(StrEnum):
-    """Who reads a plan."""
+    """Programs and autopilots that read an exported plan."""
 
     QGROUNDCONTROL = "qgroundcontrol"
     PX4 = "px4"
@@ -391,20 +391,20 @@ class Format(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """What was written.
+    """Result of an export: its file and its deviation from the plan.
 
     Attributes
     ----------
     path : str
-        Of the file, or of the folder of a bag.
+        Path of the file, or of the folder of a bag.
     parts : int
-        How many waypoints, setpoints, points or pieces it holds.
+        Number of waypoints, setpoints, points or pieces.
     what : str
-        The word for these.
+        Name of the parts, such as "setpoints".
     position_error_m : float
-        The largest distance from the plan at any time, as its reader would fly it.
+        Largest distance from the plan at any time of a vehicle that follows the export.
     yaw_error_rad : float or None
-        The same of the heading; None where the format leaves it to the autopilot.
+        Largest deviation of the heading; None where the autopilot chooses the heading.
     """
 
     path: str
@@ -414,7 +414,7 @@ class Export:
     yaw_error_rad: float | None
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return all of it by name."""
+        """Return the result as a mapping, by the names of its fields."""
         return asdict(self)
 
 
@@ -461,14 +461,14 @@ def export_plan(
 ) -> Export:
     """Write a verified plan as an autopilot, a swarm, a simulator or ROS 2 reads it.
 
-    It is flown once more before: what a file says of its own proof counts nothing.
+    The plan is flown again before: a file's own claim to be verified is not believed.
 
     Parameters
     ----------
     plan : Plan, str or Path
         A plan, the file of one, or the report folder of a run.
     to : Format or str
-        Who reads it.
+        Format of the export.
     out : str or Path, optional
         The file to write, for ROS 2 a folder; named after the scenario in the working folder by
         default.  An earlier export is replaced, any other file that is there is not; a device or
@@ -479,7 +479,7 @@ def export_plan(
     path_error_m : float, optional
         The largest distance from the plan that waypoints and pieces may have.
     rate_hz : float, optional
-        Of setpoints.
+        Setpoints per second.
     is_code_allowed : bool, optional
         Whether the builder that the plan's scenario names may be run, to fly it.
 
@@ -540,7 +540,7 @@ def _refuse_options(to: Format, writer: _Writer, given: list[str]) -> None:
 
 
 def _refuse_source(path: Path, source: Path) -> None:
-    """Refuse to write where the plan is read from."""
+    """Refuse an output path that holds the plan to export."""
     read, written = final_folder(source), final_folder(path)
     if written == read or written in read.parents:
         raise ScenarioError(f"--out {path}: holds the plan that is exported; choose another --out.")
@@ -581,10 +581,10 @@ def _write_ros2(motion: Motion, path: Path, rate_hz: float) -> _Written:
 
 def _write_crazyflie(motion: Motion, path: Path, error_m: float) -> _Written:
     durations, coefficients = fit_pieces(motion, error_m, MOST_CRAZYFLIE_PIECES)
-    # The vehicle holds numbers of 32 bits: what is lost by them belongs to the error.
+    # The vehicle holds numbers of 32 bits: the deviation includes their rounding.
     rows = np.column_stack([durations, coefficients.reshape(len(durations), -1)])
     rows = rows.astype(np.float32)
-    # Readers pass over the names. Those of other programs have no unit of the duration.
+    # Readers skip the names. Files of other programs give no unit of the duration.
     names = ["duration_s"]
     names += [f"{axis}^{power}" for axis in ("x", "y", "z", "yaw") for power in range(8)]
     header = ",".join(names)
@@ -610,7 +610,7 @@ def _write_rotorpy(motion: Motion, path: Path, error_m: float) -> _Written:
     return len(durations), "pieces", *piece_deviation(motion, durations, coefficients)
 
 
-# Of the plan there are only numbers in it, no text: it is a program.
+# The file is a program: it takes numbers of the plan and no text.
 _ROTORPY_TITLE = "A trajectory for RotorPy: from NAME import trajectory. It needs NumPy."
 _ROTORPY_MODULE = '''"""{title}"""
 

@@ -16,13 +16,13 @@ from pyomo_quad.scenario.messages import OutputError
 
 MANIFEST_NAME = ".pyomo_quad_files"
 
-# What this process has made beside its output folders, while it is at work on them.
+# Files and folders that this process has begun beside its outputs and not yet finished.
 _unfinished: set[Path] = set()
 
 
 @contextmanager
 def output_folder(path: str | Path) -> Iterator[Path]:
-    """Give a folder to write into that takes its place when the block ends well.
+    """Yield a folder to write into, which becomes the final folder when the block succeeds.
 
     Yields
     ------
@@ -55,7 +55,7 @@ def output_folder(path: str | Path) -> Iterator[Path]:
         _refuse(path, error)
 
 
-#: What a single file says of itself, by which a later command knows that it may replace it.
+#: Text in each single file, by which a later command knows that it may replace the file.
 MARK = "Written by pyomo_quad"
 # The mark is looked for so near to either end of a file: a PDF names its creator last.
 _MARKED_WITHIN_BYTES = 65_536
@@ -63,7 +63,7 @@ _MARKED_WITHIN_BYTES = 65_536
 
 @contextmanager
 def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
-    """Give a file to write that takes its place, whole, when the block ends well.
+    """Yield a file to write, which becomes the final file when the block succeeds.
 
     A character device or a FIFO gets the bytes instead, and stays what it is.
 
@@ -98,7 +98,7 @@ def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
 
 
 def _is_stream(path: str | Path) -> bool:
-    """Say whether a path leads to something that takes bytes without holding any."""
+    """Return whether a path leads to a character device or a FIFO."""
     # The links of /dev/stdout end in no name that could be opened, but can be followed.
     with suppress(FileNotFoundError):
         mode = os.stat(path).st_mode  # noqa: PTH116  a path may be a text
@@ -134,12 +134,12 @@ def _is_marked(file: Path, mark: str) -> bool:
 
 
 def refuse_output_folder(path: str | Path) -> None:
-    """Refuse a folder that `output_folder` would refuse, without making anything.
+    """Refuse a folder that `output_folder` would refuse, without writing.
 
     Raises
     ------
     OutputError
-        If no report can go there; what else may happen until then is found out then.
+        If no report can be written there now.
     """
     final = final_folder(path)
     try:
@@ -154,7 +154,7 @@ def refuse_output_folder(path: str | Path) -> None:
 
 
 def discard_unfinished() -> None:
-    """Remove what this process has begun and will not finish."""
+    """Remove the files and folders that this process has begun and not finished."""
     for begun in _unfinished:
         _discard(begun)
 
@@ -176,7 +176,7 @@ def _until_finished(begun: Path) -> Iterator[None]:
 
 
 def final_folder(path: str | Path) -> Path:
-    """Return where a path leads; no report goes to the root of all folders."""
+    """Resolve all links of an output path, and refuse the root of all folders."""
     # Unlike `Path.resolve`, `realpath` lets a loop of links be found out by whoever opens it.
     final = Path(os.path.realpath(path))
     if final == final.parent:
@@ -216,10 +216,10 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
 
 
 def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
-    """Let the folder that is ready, if a run left one, take the place of the old one.
+    """Replace the final folder by the folder that is ready, if a run has left one.
 
-    The old one keeps the name `aside` until it is removed.  Between two renames there is no final
-    folder: a run killed just there leaves the new one ready, and the next run puts it in place.
+    The old folder keeps the name `aside` until it is removed.  Between two renames there is no
+    final folder: a run killed there leaves the new folder ready, which the next run puts in place.
     """
     ready = _hidden(final, "ready")
     if not _is_of_a_run(ready):
@@ -244,12 +244,12 @@ def _remove_leftovers(final: Path) -> None:
 
 
 def _is_of_a_run(folder: Path) -> bool:
-    """Say whether a folder of a hidden name was made by a run and not by a stranger."""
+    """Return whether a run made a folder of a hidden name, by its manifest."""
     return not folder.is_symlink() and (folder / MANIFEST_NAME).is_file()
 
 
 def _remove(folder: Path) -> None:
-    """Delete a folder, its manifest last, so that what a kill leaves is still known."""
+    """Delete a folder, its manifest last, which marks the rest if the process is killed."""
     for entry in folder.iterdir():
         if entry.name == MANIFEST_NAME:
             continue
@@ -261,7 +261,7 @@ def _remove(folder: Path) -> None:
 
 
 def _files(folder: Path) -> Iterator[str]:
-    """Yield all that is not a folder, links to folders included, and fail where it cannot look."""
+    """Yield all files of a folder, links to folders included; raise where it cannot be read."""
 
     def fail(error: OSError) -> NoReturn:
         raise error

@@ -1,4 +1,4 @@
-"""Other processes of this machine: workers that are spawned, and copies that share one job."""
+"""Other processes of this machine: spawned workers, and copies of the process for one job."""
 
 import multiprocessing
 import os
@@ -13,8 +13,8 @@ from multiprocessing.reduction import ForkingPickler
 from time import monotonic
 from typing import Any
 
-# Read by numerical libraries and by Python when they start, so set before a worker does.  Python's
-# own watcher of shared resources outlives a killed sweep, and would tell the terminal about it.
+# Numerical libraries and Python read these when a worker starts.  Python's tracker of shared
+# resources outlives a killed sweep, and would warn on the terminal.
 _WARNINGS = "PYTHONWARNINGS"
 _ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
@@ -25,7 +25,7 @@ _ENVIRONMENT = {
 }
 
 
-# Copies are waited for so many times as long as this process was at the job, and a minute.
+# Copies get a minute, and this many times the seconds that this process spent on the job.
 _PATIENCE = 10.0
 _PLACES = 256  # a place in the queue is one byte
 _SIGNALS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
@@ -35,7 +35,7 @@ _SIGNALS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 def side_by_side(
     tasks: Sequence[Callable[[], Any]], *, use_blas: bool = True
 ) -> Iterator[Callable[[], tuple[Any, ...]]]:
-    """Let copies of this process, one per further core, begin tasks that it then helps to end.
+    """Run tasks in copies of this process, one per further core, and then in this process too.
 
     A copy has all libraries and data already, and ends with this process. A task that a copy fails
     at, or whose result it cannot send back, is done here, where its error is raised. Where copies
@@ -86,7 +86,7 @@ def side_by_side(
 
 
 def _cores(most: int, *, use_blas: bool) -> int:
-    """Return how many processes share a job: one alone where copies are unsafe or forbidden.
+    """Return the number of processes for a job: 1 where copies are unsafe or forbidden.
 
     A copy does not have the threads that BLAS or OpenMP wait for; a worker is one of many already.
     """
@@ -99,7 +99,7 @@ def _cores(most: int, *, use_blas: bool) -> int:
 
 @contextmanager
 def process_pool(count: int) -> Iterator[Executor]:
-    """Give a pool of processes, of which none is left after the block."""
+    """Yield a pool of processes, and end them all after the block."""
     with environment_of_workers():
         pool = pool_of(count)
         try:
@@ -109,7 +109,7 @@ def process_pool(count: int) -> Iterator[Executor]:
 
 
 class _QuietPool(ProcessPoolExecutor):
-    """A pool whose processes are deaf to the signals of a terminal, which are the parent's."""
+    """A pool whose processes ignore the signals of a terminal, which the parent handles."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # noqa: ANN401
         # A process inherits the mask with which it starts: it neither ends while it still imports,
@@ -133,7 +133,7 @@ _work: Callable[[], Any] | None = None
 
 
 def _begin(work: Callable[[], Any] | None) -> None:
-    """Prepare a process of a pool for the work of its copies, if it is one."""
+    """Initialise a process of a pool, with its work if it is a copy."""
     global _work  # noqa: PLW0603  a copy inherits its work, which cannot be pickled
     _work = work
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -146,13 +146,13 @@ def _at_work() -> Any:  # noqa: ANN401  the answer of any work
 
 
 def pool_of(count: int) -> Executor:
-    """Return a pool of so many processes."""
+    """Return a pool of spawned processes."""
     # Spawned, not forked: Ipopt and BLAS do not survive a fork with threads.
     return _pool(count, "spawn")
 
 
 def end_processes(pool: Executor) -> None:
-    """End a pool and what it runs, now."""
+    """Kill the processes of a pool and shut it down."""
     for process in multiprocessing.active_children():
         process.kill()
     pool.shutdown(wait=True, cancel_futures=True)
@@ -160,7 +160,7 @@ def end_processes(pool: Executor) -> None:
 
 @contextmanager
 def environment_of_workers() -> Iterator[None]:
-    """Let processes that start in this block find one thread for numerics, and be silent."""
+    """Set one thread for numerics and no warnings for processes that start in the block."""
     before = {name: os.environ.get(name) for name in _ENVIRONMENT}
     os.environ.update(_ENVIRONMENT)
     os.environ[_WARNINGS] = ",".join(filter(None, (before[_WARNINGS], _ENVIRONMENT[_WARNINGS])))

@@ -28,7 +28,7 @@ from pyomo_quad.sweep.statistics import Curve, Sensitivity, Spread, best_along, 
 
 _PANEL_HEIGHT = 2.7  # inches
 _STAR_SIZE = 11
-# The front is shown together with durations up to so many times the best.
+# The panel of the front shows durations up to this multiple of the best duration.
 FRONT_ZOOM = 1.6
 _LINE_POINTS = 11
 _BAR: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.0}
@@ -86,7 +86,7 @@ def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quanti
 
 
 def _pairs(count: int, **layout: Any) -> tuple[Figure, np.ndarray]:  # noqa: ANN401
-    """Lay out so many panels, two in a row."""
+    """Lay out panels, two in a row, and hide the last if their number is odd."""
     columns = min(2, count)
     figure, panels = panel_grid(ceil(count / columns), columns, **layout)
     for axes in panels.flat[count:]:
@@ -149,12 +149,12 @@ def _draw_hover_floor(axes: Axes, curve: Curve, quantity: Quantity) -> None:
         )
 
 
-# Runs from dark to light in grey as well.
+# The colour map runs from dark to light when printed in grey, too.
 _COLORS = "cividis"
 _CELL, _EDGES = 0.34, 1.25  # inches
 _MOST_PRINTED = 13
 _HALF = 0.5
-# A curve that varies by less than this share of the picture has no worst direction to see.
+# A curve that varies by less than this share of the range of all curves has no star.
 _SAME = 0.01
 _RIM = 0.06
 _STAR: dict[str, Any] = {
@@ -209,7 +209,7 @@ def _print_cells(axes: Axes, values: np.ndarray) -> None:
 
 
 def draw_wind_rose(curves: Sequence[Curve], field: str, quantity: Quantity) -> Figure:
-    """Draw a quantity around the compass."""
+    """Draw a quantity over the direction of the wind, in polar coordinates."""
     figure = Figure(figsize=(FULL_WIDTH, 4.2))
     axes = figure.add_axes((0.04, 0.07, 0.55, 0.76), projection="polar")
     least, greatest = rose_range(curves, quantity)
@@ -256,7 +256,7 @@ _BELOW, _ABOVE = SERIES_STYLES[:2]
 
 
 def draw_tornado(found: Sequence[Sensitivity], spread: Spread, quantity: Quantity) -> Figure:
-    """Draw by how much a quantity swings over all cases, and with each field."""
+    """Draw the range of a quantity over all cases and over each field."""
     height = _BAR_EDGES + _BAR_ROW * (1 + len(found))
     figure = Figure(figsize=(FULL_WIDTH, height))
     axes = figure.subplots()

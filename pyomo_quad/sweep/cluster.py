@@ -1,4 +1,4 @@
-"""Workers of a Dask cluster, whose scheduler is reached by its address."""
+"""Connection to the workers of a Dask cluster."""
 
 import logging
 import time
@@ -48,9 +48,9 @@ def cluster_workers(address: str) -> Iterator[Workers]:
 
 
 def _silence_dask() -> None:
-    """Let Dask log nothing: what it would when it is lost is said here in one line.
+    """Silence Dask's loggers, as a lost cluster is reported in one line here.
 
-    Its loggers have levels of their own once it is imported, tracebacks among what they write.
+    The loggers set their own levels when Dask is imported, and would write tracebacks.
     """
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] in _DASK_LOGGERS:
@@ -58,7 +58,7 @@ def _silence_dask() -> None:
 
 
 class _Threads:
-    """Counts the threads of a cluster's workers, but not at every question."""
+    """Number of threads of a cluster's workers, asked for every `WATCH_SECONDS` at most."""
 
     def __init__(self, client: "Client", address: str) -> None:
         self._client = client

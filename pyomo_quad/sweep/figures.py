@@ -32,7 +32,7 @@ from pyomo_quad.sweep.quantities import (
 from pyomo_quad.sweep.statistics import Curve, SweepResults
 
 _DIRECTION_FIELD = "wind.direction"
-# A map needs an area, a rose some directions, a legend no more lines than one can tell apart.
+# A map or a rose needs three steps; more than seven curves cannot be told apart in a legend.
 _FEWEST_STEPS = 3
 _MOST_CURVES = 7
 
@@ -53,7 +53,7 @@ def sweep_drawings(results: SweepResults) -> tuple[Drawing, ...]:
 
 @dataclass(frozen=True)
 class _Figures:
-    """Lists figures of the quantities that a study reports on."""
+    """Figures of the quantities that a study reports on."""
 
     results: SweepResults
     quantities: Sequence[Quantity]
@@ -157,7 +157,7 @@ class _Figures:
             )
 
     def _curves_along(self, field: str) -> tuple[list[Curve], str]:
-        """Choose as many curves as can be told apart, and say how many are left out."""
+        """Choose curves evenly from all, at most `_MOST_CURVES`, with a note on omitted cases."""
         curves = self.results.curves_along(field)
         count = len(curves)
         if count <= _MOST_CURVES:
@@ -167,7 +167,7 @@ class _Figures:
         return shown, f" Shown are {_MOST_CURVES} of {count} curves.{self._hidden()}"
 
     def _hidden(self) -> str:
-        """Say how many cases have no result to draw."""
+        """Return a note on the number of cases without a result."""
         total = self.results.design.case_count
         missing = total - len(self.results.finished)
         return f" Not drawn: {missing} of {total} cases, which did not finish." if missing else ""
@@ -182,7 +182,7 @@ class _Figures:
 
 
 def _worst_direction(curves: Sequence[Curve], quantity: Quantity) -> str:
-    """Say where a rose begins, and which of its directions is worst."""
+    """Describe the centre of a rose and its worst direction."""
     least, _ = rose_range(curves, quantity)
     worst_rows = [quantity.worst_row(curve.rows) for curve in curves]
     worst = quantity.worst_row(pd.DataFrame(worst_rows).reset_index(drop=True))

@@ -10,7 +10,7 @@ import pandas as pd
 from pyomo_quad.report.render import NOTHING
 from pyomo_quad.scenario import field_unit
 
-# A column's name ends in its unit.
+# The name of an output column ends in its unit; a name without a unit is dimensionless.
 _SUFFIXES = {
     "_m_per_s": "m/s",
     "_percent": "%",
@@ -49,19 +49,19 @@ class Quantity:
 
     @property
     def label(self) -> str:
-        """Name and unit, as beside an axis."""
+        """Label of an axis: name and unit."""
         return f"{self.name[:1].upper()}{self.name[1:]}" + (f" ({self.unit})" if self.unit else "")
 
 
 def field_quantity(path: str) -> Quantity:
-    """Return how a scenario field is printed."""
+    """Return name, unit and scale of a scenario field in print."""
     unit = field_unit(path)
     name = " ".join(path.split(".")[-2:]).replace("_", " ")
     return _quantity(path, name, _PRINTED.get(unit, unit))
 
 
 def output_quantity(column: str) -> Quantity:
-    """Return how a column of results is printed."""
+    """Return name, unit and scale of an output column in print."""
     endings = (pair for pair in _SUFFIXES.items() if column.endswith(pair[0]))
     suffix, unit = next(endings, ("", ""))
     return _quantity(column, column.removesuffix(suffix).replace("_", " "), unit)

@@ -1,4 +1,4 @@
-"""The report of a sweep: numbers for its templates, tables and files."""
+"""The report of a sweep: the numbers for its templates, its tables and its files."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -74,7 +74,7 @@ def write_sweep_report(
 
 
 def _outcome(results: SweepResults) -> dict[str, Any]:
-    """Return what came out: arrivals, extremes, best durations and sensitivities."""
+    """Return the results in print: arrivals, extremes, best durations and sensitivities."""
     quantities = [output_quantity(column) for column in results.design.report_on]
     spans = [one.of(results.finished).dropna().quantile(_QUANTILES) for one in quantities]
     return {
@@ -88,7 +88,7 @@ def _outcome(results: SweepResults) -> dict[str, Any]:
 
 
 def _reasons(failed: pd.DataFrame) -> list[tuple[str, list[Any]]]:
-    """Return why cases failed, the most frequent reason first, each with its cases."""
+    """Return the reasons of failed cases, each with its cases, the most frequent first."""
     grouped = failed.groupby(REASON_COLUMN)[CASE_COLUMN]
     reasons = sorted(grouped, key=lambda pair: len(pair[1]), reverse=True)
     return [(str(reason), cases.tolist()) for reason, cases in reasons[:_MOST_REASONS]]
@@ -129,7 +129,7 @@ def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
 def _sensitivities(
     results: SweepResults, quantities: Sequence[Quantity]
 ) -> Iterator[dict[str, Any]]:
-    """Yield by how much each quantity changes with one field at a time, where many vary."""
+    """Yield the sensitivities of each quantity, where more than one field varies."""
     for quantity in quantities:
         found = results.sensitivities(quantity.column)
         if len(found) > 1:
@@ -143,7 +143,7 @@ def _sensitivities(
 
 
 def _best_durations(results: SweepResults, quantity: Quantity) -> Iterator[dict[str, Any]]:
-    """Yield where along the duration a quantity is least, for each set of the other fields."""
+    """Yield the best duration for each combination of the other fields."""
     along = results.dimension_of(DURATION_FIELD)
     if along is None:
         return

@@ -1,4 +1,4 @@
-"""The run of a sweep: cases are handed out when their parent has ended, and committed at once."""
+"""The run of a sweep: a case starts after its parent ends, and its row is committed at once."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,39 +17,37 @@ FLIGHT_SOLVER = "pyomo_quad.sweep.case:solve_case"
 
 
 class SweepListener(Protocol):
-    """Is told how a sweep goes on."""
+    """Receiver of the progress of a sweep."""
 
     def start(self, total: int, already_ended: int) -> None:
-        """Hear how many cases there are, and how many need not be solved any more."""
-        ...
+        """Receive the number of cases, and of cases which ended in earlier runs."""
 
     def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
-        """Hear that a case's row has been committed, and how many cases are done now."""
-        ...
+        """Receive a case whose row has been committed, and the number of cases done."""
 
 
 class SilentListener:
-    """Tells nobody."""
+    """A listener that ignores the progress."""
 
     def start(self, total: int, already_ended: int) -> None:
-        """Take no notice."""
+        """Do nothing."""
 
     def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
-        """Take no notice."""
+        """Do nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepSummary:
-    """How a sweep ended.
+    """Numbers of cases at the end of a sweep.
 
     Attributes
     ----------
     total : int
         Cases of the design.
     already_finished : int
-        Rows that were there before and still are.
+        Rows of earlier runs that this run kept.
     finished, failed, lost : int
-        Rows added, by how their case ended.
+        Rows added by this run, by the status of their case.
     is_interrupted : bool
         Whether Ctrl-C ended it.
     """
@@ -68,19 +66,19 @@ class SweepSummary:
 
 
 class Sweep:
-    """The cases of a design on their way into a store.
+    """The run of a design, from its cases to the rows of a store.
 
     Parameters
     ----------
     design : SweepDesign
-        What is to be solved.
+        Design to solve.
     base : Scenario
         The base scenario of the design.
     store : ResultStore
         Open for writing; cases that finished or failed are not solved again, those that were lost
         with their worker are.
     listener : SweepListener
-        Is told of each row.
+        Receives each row.
     solver : str, optional
         Case solver as ``module:function``.
     """
@@ -101,12 +99,12 @@ class Sweep:
         self._cases = expand(design)
         statuses = store.statuses()
         self._lost_before = {key for key, held in statuses.items() if held is CaseStatus.LOST}
-        # Those settled before this run, and not solved anew in it.
+        # Cases that finished or failed in an earlier run and are not solved again.
         self._kept = statuses.keys() - self._lost_before
         self._settled = set(self._kept)
         self._lost: set[str] = set()
         self._children = _children(self._cases)
-        # How many children still need what a case left: those lost may be tried again.
+        # Number of children of each case that still need its warm start, lost children included.
         self._waiting = {
             position: sum(self._cases[child].key not in self._settled for child in children)
             for position, children in self._children.items()
@@ -147,7 +145,7 @@ class Sweep:
         )
 
     def _work_off(self, workers: Workers) -> None:
-        # Last in, first out: going deep keeps few warm starts waiting.
+        # Last in, first out: depth-first order keeps few warm starts in the store.
         roots = [case for case in reversed(self._cases) if case.parent is None]
         ready = self._next_of(roots)
         under_way = 0
@@ -166,7 +164,7 @@ class Sweep:
                 ready += self._commit_all(outcomes)
 
     def _next_of(self, cases: list[Case]) -> list[Case]:
-        """Return the cases to solve next: these, or below those of them that have ended."""
+        """Return each case or, where it has ended, its nearest descendants that have not."""
         found, pending = [], list(reversed(cases))
         while pending:
             case = pending.pop()
@@ -206,10 +204,10 @@ class Sweep:
         return self._next_of(self._children_of(case))
 
     def _forget_descendants(self, case: Case) -> list[str]:
-        """Let go of rows that go back past a case which was lost then and is settled now.
+        """Delete rows that descend from a case which was lost earlier and has now been solved.
 
-        They started from where it had started: solved again from its own result, they are what
-        they would have been had no worker died.
+        They started from the warm start of its parent.  Solved again from the result of the case,
+        they are equal to the rows of a sweep in which no worker died.
         """
         if case.key not in self._lost_before:
             return []
@@ -234,7 +232,7 @@ class Sweep:
 def case_task(
     design: SweepDesign, base: Scenario, case: Case, solver: str, warm_start: bytes | None
 ) -> CaseTask | CaseOutcome:
-    """Spell out a case for a worker; one that asks for the impossible is a failed row at once."""
+    """Return the task of a case, or its failed row where its scenario is not allowed."""
     task = CaseTask(
         position=case.position,
         key=case.key,
@@ -262,14 +260,14 @@ def _children(cases: tuple[Case, ...]) -> Mapping[int, list[int]]:
 
 @dataclass(frozen=True, kw_only=True)
 class SweepEstimate:
-    """What is left of a sweep.
+    """Cases and time left of a sweep.
 
     Attributes
     ----------
     total, missing : int
         Cases of the design, and those without a row.
     seconds_per_case : float
-        Of one worker.
+        Mean solve time of one worker.
     """
 
     total: int
@@ -277,14 +275,14 @@ class SweepEstimate:
     seconds_per_case: float
 
     def seconds(self, workers: int) -> float:
-        """Return the time left with so many workers, if none of them waits."""
+        """Return the time left for a number of workers of which none waits."""
         return self.missing * self.seconds_per_case / workers
 
 
 def estimate_sweep(
     design: SweepDesign, base: Scenario, folder: Path, solver: str = FLIGHT_SOLVER
 ) -> SweepEstimate:
-    """Estimate what is left of a sweep; nothing is written."""
+    """Estimate the cases and the time left of a sweep, without writing."""
     cases = expand(design)
     if (folder / STORE_NAME).is_file():
         with ResultStore.reading(folder) as store:

@@ -14,7 +14,7 @@ from pyomo_quad.sweep.case import CaseStatus
 from pyomo_quad.sweep.design import Dimension, SweepDesign
 from pyomo_quad.sweep.store import CASE_COLUMN, STATUS_COLUMN
 
-# Random fields are compared over the middle nine tenths of their draws.
+# Sensitivities to random fields are taken over the middle nine tenths of their draws.
 _LOW_SHARE, _HIGH_SHARE = 0.05, 0.95
 
 
@@ -28,7 +28,7 @@ class Curve:
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """By how much a quantity changes with one field.
+    """Range of a quantity along one field.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Sensitivity:
     least, greatest : float
         The quantity's range along the field, all else being as in the `central_case`.
     least_at, greatest_at : float
-        Where in the field these are reached.
+        Values of the field at the ends of the range.
     base : float
         The quantity in the central case, of random fields in the middle of their draws; NaN where
         that case failed.
@@ -58,14 +58,14 @@ class Sensitivity:
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """From where to where a quantity goes over all finished cases.
+    """Range of a quantity over all finished cases.
 
     Attributes
     ----------
     least, greatest : float
-        Its range.
+        Ends of the range.
     least_case, greatest_case : int
-        The cases at its ends.
+        Cases at the ends of the range.
     linear_share : float
         Share of the variance that a plane over the random fields explains; NaN without such
         fields, or too few cases for a plane.
@@ -79,7 +79,7 @@ class Spread:
 
     @property
     def note(self) -> str:
-        """How much of the variance the linear effects of random fields explain.
+        """Share of the variance that the linear effects of random fields explain, in words.
 
         Begins with a semicolon; empty where no field is random.
         """
@@ -93,7 +93,7 @@ class Spread:
 
 @dataclass(frozen=True, kw_only=True)
 class Best:
-    """Where along a field a quantity is least, among the values tried.
+    """Value of a field, among those tried, at which a quantity is least.
 
     Attributes
     ----------
@@ -262,7 +262,7 @@ def _matching(rows: pd.DataFrame, fixed: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
-    """Return the rows that no other row beats in both of two quantities to be small.
+    """Return the Pareto front of two quantities to minimise.
 
     Returns
     -------
@@ -275,7 +275,7 @@ def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
 
 
 def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) -> Best:
-    """Find where along a curve a quantity is least, and whether that is an edge."""
+    """Find the value of a field at which a curve is least, and the values tried beside it."""
     best = pareto_front(curve.rows, field, quantity).iloc[-1]
     at, flown = float(best[field]), set(curve.rows[field])
     below = max((value for value in tried if value < at), default=None)

@@ -1,8 +1,8 @@
 """The workers of a sweep: the cases under way on processes of this machine or on a cluster.
 
-Each crew stands behind an Executor: `concurrent.futures` does the work.  What it leaves to its user
-is here: a broken executor is made anew, and a case whose worker died is tried again alone, so that
-a case that kills its worker takes no other case with it.
+Each crew works behind an Executor of `concurrent.futures`, which leaves two duties to its user: a
+broken executor is replaced, and a case whose worker died is retried alone, so that a case that
+kills its worker loses no other case.
 """
 
 from collections import deque
@@ -24,7 +24,7 @@ from pyomo_quad.sweep.case import CaseOutcome, CaseTask, perform
 
 # One task waits behind each running one, so that no worker idles while its result travels.
 _TASKS_PER_WORKER = 2
-# How often a silent executor is asked whether it still lives, and how many workers it has.
+# Seconds between two checks of whether a silent executor works, and of its workers.
 WATCH_SECONDS = 2.0
 
 
@@ -34,18 +34,18 @@ class ClusterError(PyomoQuadError, RuntimeError):
 
 @dataclass(frozen=True, kw_only=True)
 class Crew:
-    """Where executors come from.
+    """Functions that start, stop and count the workers of an executor.
 
     Attributes
     ----------
     description : str
-        Who works, for people.
+        Name of the workers in messages.
     start : callable
-        Makes an executor.
+        Starts an executor.
     stop : callable
-        Ends one without waiting for what it runs.
+        Stops an executor without waiting for its running tasks.
     count : callable
-        How many tasks run at a time now; raises ClusterError where nobody answers any more.
+        Number of tasks that run at a time; raises ClusterError if the cluster is lost.
     """
 
     description: str
@@ -55,28 +55,28 @@ class Crew:
 
 
 class Workers:
-    """The cases under way on a crew's executor."""
+    """The running cases of a crew's executor."""
 
     def __init__(self, crew: Crew) -> None:
         self.description = crew.description
         self._crew = crew
         self._executor: Executor | None = None
         self._under_way: dict[Future[CaseOutcome], CaseTask] = {}
-        # Cases to try alone, and those of all that were in a worker's hands when one died.
+        # Cases to retry alone, and keys of all cases that were running when a worker died.
         self._suspects: deque[CaseTask] = deque()
         self._accused: set[str] = set()
         self._is_alone = False
 
     @property
     def room(self) -> int:
-        """How many more tasks are wanted now."""
+        """Number of tasks that can be submitted now."""
         if self._suspects or self._is_alone:
             return 0
-        # Without any worker, one task waits for the first to come.
+        # Without any worker, one task waits for the first worker to connect.
         return max(1, _TASKS_PER_WORKER * self._crew.count()) - len(self._under_way)
 
     def submit(self, task: CaseTask) -> None:
-        """Take a task."""
+        """Submit a task to the executor."""
         if self._executor is None:
             self._executor = self._crew.start()
         try:
@@ -86,7 +86,7 @@ class Workers:
             self._suspect_all()
 
     def wait(self) -> list[CaseOutcome]:
-        """Wait until at least one task has ended, and return all that have."""
+        """Wait until at least one task has ended, and return all outcomes."""
         outcomes: list[CaseOutcome] = []
         while not outcomes:
             if self._suspects and not self._under_way:
@@ -101,7 +101,7 @@ class Workers:
         return outcomes
 
     def stop(self) -> list[CaseOutcome]:
-        """Give up what is running, and return what had ended."""
+        """Stop all running tasks, and return the outcomes of those that have ended."""
         outcomes = [
             future.result()
             for future in self._under_way
@@ -122,7 +122,7 @@ class Workers:
             raise ClusterError(f"{self.description}: no longer answers.") from None
         # `perform` raises nothing: an exception instead of an outcome says that a worker is gone.
         except Exception as error:  # noqa: BLE001
-            # A case that no worker had in hand before may be tried alone a second time.
+            # A case that was not running at an earlier death may be retried alone once more.
             is_lost = self._is_alone and task.key in self._accused
             if not is_lost:
                 self._accuse(task)
@@ -135,7 +135,7 @@ class Workers:
         self._accused.add(task.key)
 
     def _suspect_all(self) -> None:
-        """Set aside all cases under way on a broken executor: nobody can say which one broke it."""
+        """Set aside all running cases of a broken executor, any of which may have broken it."""
         for future, task in list(self._under_way.items()):
             if not future.done() or future.exception() is not None:
                 self._accuse(task)
@@ -150,7 +150,7 @@ class Workers:
 
 @contextmanager
 def process_workers(count: int) -> Iterator[Workers]:
-    """Keep so many processes of this machine for the length of a block."""
+    """Yield workers in processes of this machine, which end with the block."""
     with environment_of_workers():
         workers = Workers(
             Crew(
