@@ -22,6 +22,7 @@ from pyomo_quad.cli.terminal import (
     Output,
     Overrides,
     Quiet,
+    ReportFolder,
     ScenarioFile,
     Stopwatch,
     claim_streams,
@@ -32,8 +33,8 @@ from pyomo_quad.cli.terminal import (
 )
 from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import discard_unfinished, output_folder, refuse_output_folder
-from pyomo_quad.report.tables import plan_summary, run_summary, summary_text, write_summary
-from pyomo_quad.scenario import Scenario, load_scenario
+from pyomo_quad.report.tables import plan_summary, run_summary, write_summary
+from pyomo_quad.scenario import load_scenario
 from pyomo_quad.scenario.messages import FeasibilityError, PyomoQuadError, ScenarioError
 from pyomo_quad.scenario.tables import Knowledge, Reference
 from pyomo_quad.version import __version__
@@ -95,8 +96,10 @@ def fly(
     resolved = load_scenario(scenario, overrides or ())
     if controller is Controller.MPC and resolved.baseline.mpc is None:
         resolved = resolved.with_values({"baseline.mpc": {}})
-    flown = (plant, controller) if plant is Plant.ROTORPY else (controller,)
-    folder = folder_of(resolved, out or _own_folder(resolved, (*flown, followed or knowledge)))
+    flown = [plant] if plant is Plant.ROTORPY else []
+    # A single flight must not replace the report of the scenario, in reports/NAME.
+    name = "-".join((resolved.name, *flown, controller, followed or knowledge))
+    folder = out or Path("reports") / name
     refuse_output_folder(folder)
     with watch.phase("import"):
         import_scipy_alone()
@@ -109,10 +112,8 @@ def fly(
     is_replanned = controller is Controller.MPC
     if followed is Reference.PLAN or resolved.mission.is_free or (is_replanned and is_untimed):
         with watch.phase("solve"):
-            made = flying.make_plan(planner, resolved)
-        if isinstance(made, ExitCode):
-            return made
-        plan, resolved = made, made.mission_flown
+            plan = flying.make_plan(planner, resolved)
+        resolved = plan.mission_flown
     if plant is Plant.ROTORPY and followed is not None:
         make = partial(flying.fly_rotorpy, planner, resolved, controller.value, followed, plan)
     elif is_replanned:
@@ -121,15 +122,10 @@ def fly(
         reference = followed if controller is Controller.ADAPTIVE else None
         make = partial(flying.fly_declared, planner, resolved, reference, plan)
     flight = flying.make_flight(resolved, make)
-    if isinstance(flight, ExitCode):
-        return flight
     with output_folder(folder) as aside:
         summary = flying.write_flight(aside, planner, resolved, flight, watch.seconds)
-    if as_json:
-        print(summary_text(summary), end="")
-    elif not quiet:
-        print(flying.verdict(resolved, flight))
-        print(f"Written to {folder}.")
+    lines = [flying.verdict(resolved, flight)]
+    solving.answer(lines, summary, folder, is_quiet=quiet, as_json=as_json)
     return ExitCode.VERIFIED if flight.is_verified else ExitCode.NOT_VERIFIED
 
 
@@ -159,18 +155,10 @@ def _refuse_unfit(controller: Controller, plant: Plant) -> None:
         )
 
 
-def _own_folder(scenario: Scenario, parts: Sequence[StrEnum]) -> Path:
-    # A single flight must not replace the report of the scenario, in reports/NAME.
-    return Path("reports") / "-".join((scenario.name, *(part.value for part in parts)))
-
-
 _COMPARISON_FOLDER = Path("reports") / "comparison"
 
 ScenarioFiles = Annotated[
     list[Path], typer.Argument(metavar="SCENARIO...", help="Scenario files (TOML).")
-]
-ComparisonOutput = Annotated[
-    Path, typer.Option("--out", metavar="DIR", help="Output folder of the table.")
 ]
 
 
@@ -214,7 +202,7 @@ def run(
 def compare(
     scenarios: ScenarioFiles,
     *,
-    out: ComparisonOutput = _COMPARISON_FOLDER,
+    out: ReportFolder = _COMPARISON_FOLDER,
     overrides: Overrides = None,
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,

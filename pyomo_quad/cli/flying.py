@@ -4,6 +4,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import typer
+
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.cli.solving import exit_code_of
 from pyomo_quad.cli.terminal import complain
@@ -26,23 +28,23 @@ from pyomo_quad.study.comparison import has_arrived
 from pyomo_quad.study.run import fly_cruise
 
 
-def make_plan(planner: Planner, scenario: Scenario) -> Plan | ExitCode:
-    """Solve the plan that a flight follows, or print the failure and return the exit status."""
+def make_plan(planner: Planner, scenario: Scenario) -> Plan:
+    """Solve the plan that a flight follows, or print the failure and exit."""
     plan = planner.solve(scenario)
     status = exit_code_of(plan)
     if status is ExitCode.VERIFIED:
         return plan
     complain(f"{scenario.name}: no plan to follow, {plan.status.value}: {plan.message}")
-    return status
+    raise typer.Exit(status)
 
 
-def make_flight(scenario: Scenario, fly: Callable[[], Flight]) -> Flight | ExitCode:
-    """Fly, or print why the flight is impossible and return the exit status."""
+def make_flight(scenario: Scenario, fly: Callable[[], Flight]) -> Flight:
+    """Fly, or print why the flight is impossible and exit."""
     try:
         return fly()
     except SolveError as error:
         complain(f"{scenario.name}: {error}")
-        return ExitCode.NOT_SOLVED
+        raise typer.Exit(ExitCode.NOT_SOLVED) from None
 
 
 def fly_declared(

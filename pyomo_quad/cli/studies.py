@@ -14,6 +14,7 @@ from pyomo_quad.cli.terminal import (
     Output,
     Overrides,
     Quiet,
+    ReportFolder,
     ScenarioFile,
     complain,
     error_console,
@@ -31,15 +32,12 @@ if TYPE_CHECKING:
 _PAPER_FOLDER = Path("reports/paper")
 _OUTSIDE_FOLDER = Path("reports/outside_plant")
 
-PaperFolder = Annotated[
-    Path, typer.Option("--out", metavar="DIR", help="Output folder, reports/paper by default.")
-]
 Quick = Annotated[bool, typer.Option("--quick", help="Coarse meshes, and fewer of them.")]
 
 
 def paper(
     *,
-    out: PaperFolder = _PAPER_FOLDER,
+    out: ReportFolder = _PAPER_FOLDER,
     quick: Quick = False,
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
@@ -130,9 +128,7 @@ def polar(
 
 def outside_plant(
     *,
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Output folder.")
-    ] = _OUTSIDE_FOLDER,
+    out: ReportFolder = _OUTSIDE_FOLDER,
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:

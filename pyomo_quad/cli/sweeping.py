@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pyomo_quad.cli.endings import ExitCode, raise_on_interrupt
-from pyomo_quad.cli.terminal import FigureChoice, complain, error_console, positive_count
+from pyomo_quad.cli.terminal import FigureChoice, Output, complain, error_console, positive_count
 from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import final_folder, output_folder, refuse_output_folder
 from pyomo_quad.scenario.messages import OutputError
@@ -35,10 +35,6 @@ Scheduler = Annotated[
     str | None,
     typer.Option("--scheduler", metavar="ADDRESS", help="Use the workers of a Dask cluster."),
 ]
-SweepOutput = Annotated[
-    Path | None,
-    typer.Option("--out", metavar="DIR", help="Store and report, reports/NAME by default."),
-]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Only count cases and estimate time.")]
 Fresh = Annotated[bool, typer.Option("--fresh", help="Discard the results that are there.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Many cases are meant.")]
@@ -56,7 +52,7 @@ def sweep(
     *,
     workers: WorkerCount = None,
     scheduler: Scheduler = None,
-    out: SweepOutput = None,
+    out: Output = None,
     dry_run: DryRun = False,
     fresh: Fresh = False,
     yes: Yes = False,

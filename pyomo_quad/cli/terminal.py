@@ -132,6 +132,7 @@ Output = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="Output folder, reports/NAME by default."),
 ]
+ReportFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Output folder.")]
 Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="Set a field to a TOML value; repeatable."),

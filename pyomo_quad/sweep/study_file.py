@@ -239,14 +239,9 @@ def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> Swee
     dimensions = tuple(_dimensions(study, loaded.base))
     for dimension in dimensions:
         _check_steps(dimension, loaded.base, source)
+    kept = ("name", "title", "about", "task", "baselines", "outputs", "report_on")
     return SweepDesign(
-        name=study.name,
-        title=study.title,
-        about=study.about,
-        task=study.task,
-        baselines=study.baselines,
-        outputs=study.outputs,
-        report_on=study.report_on,
+        **{name: getattr(study, name) for name in kept},
         base=loaded.base.model_dump(mode="json"),
         dimensions=dimensions,
     )
