@@ -152,10 +152,14 @@ def pool_of(count: int) -> Executor:
 
 
 def end_processes(pool: Executor) -> None:
-    """Kill the processes of a pool and shut it down."""
-    for process in multiprocessing.active_children():
+    """Kill the processes of a pool, and of no other, and shut it down."""
+    # Python has a public method for this from 3.14 on.
+    processes = list((getattr(pool, "_processes", None) or {}).values())
+    for process in processes:
         process.kill()
     pool.shutdown(wait=True, cancel_futures=True)
+    for process in processes:
+        process.join()
 
 
 @contextmanager
