@@ -65,9 +65,10 @@ def sweep(
         try:
             refuse_output_folder(report)
         except OutputError:
-            from pyomo_quad.sweep.store import refuse_kept_results  # noqa: PLC0415  a second
+            if out.is_dir() and not os.access(out, os.W_OK):
+                from pyomo_quad.sweep.store import refuse_kept_results  # noqa: PLC0415  a second
 
-            refuse_kept_results(out)
+                refuse_kept_results(out)
             raise
     from pyomo_quad import sweep as sweeps  # noqa: PLC0415  takes a second
 
