@@ -87,6 +87,18 @@ def test_a_fault_is_raised_here_and_leaves_no_copy(capfd):
 
 
 @pytest.mark.usefixtures("cores")
+def test_processes_of_the_caller_live_on():
+    own = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,))
+    own.start()
+    try:
+        assert all_of([partial(pow, 2, 2)] * 4) == (4,) * 4
+        assert own.is_alive()
+    finally:
+        own.kill()
+        own.join()
+
+
+@pytest.mark.usefixtures("cores")
 def test_results_larger_than_a_pipe_arrive():
     assert [len(text) for text in all_of([partial(str.ljust, "", 10**6)] * 5)] == [10**6] * 5
 
