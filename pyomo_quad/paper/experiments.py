@@ -12,7 +12,8 @@ import numpy as np
 from pyomo_quad.collocation import Dynamics, Mesh, Solution, SolverOptions, Status
 from pyomo_quad.flight import Flight, Plan, Planner, PlanStatus
 from pyomo_quad.flight.baselines import baseline_name, fly_baseline
-from pyomo_quad.flight.flight import POSITION_STATES, ROTORS
+from pyomo_quad.flight.columns import ROTORS
+from pyomo_quad.flight.flight import POSITION_STATES
 from pyomo_quad.flight.steady import battery_shortfalls
 from pyomo_quad.flight.verification import fly_controls, verify_controls
 from pyomo_quad.model import build_model

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from pyomo_quad.flight.flight import ROTORS, TIME
+from pyomo_quad.flight.columns import ROTORS, TIME
 from pyomo_quad.paper.experiments import Experiment, PaperFlight, Reading
 from pyomo_quad.paper.study import EfficiencyMap, PaperStudy
 from pyomo_quad.paper.tables import OPTIMAL_ENERGY, find_flight
@@ -25,17 +25,14 @@ from pyomo_quad.report.flight_figures import (
 )
 from pyomo_quad.report.gallery import left_out
 from pyomo_quad.report.paths import distinct_paths, draw_path
+from pyomo_quad.report.signals import MOTOR, POWER, ROTOR_SPEED, TORQUE
 from pyomo_quad.report.style import (
     FULL_WIDTH,
     INK,
-    MOTOR,
     MUTED,
     PALE,
-    POWER,
-    ROTOR_SPEED,
     ROTOR_STYLES,
     SERIES_STYLES,
-    TORQUE,
     panel_grid,
     styled_flights,
 )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Dynamics
 from pyomo_quad.flight import Planner
-from pyomo_quad.flight.flight import ROTORS
+from pyomo_quad.flight.columns import ROTORS
 from pyomo_quad.flight.steady import battery_shortfalls
 from pyomo_quad.paper.experiments import (
     PAPER_CELL,

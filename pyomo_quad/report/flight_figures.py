@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from pyomo_quad.flight.flight import ROTORS
+from pyomo_quad.flight.columns import ROTORS
 from pyomo_quad.report.energy_bars import (
     BAR_WIDTH,
     absence_note,
@@ -19,29 +19,30 @@ from pyomo_quad.report.energy_bars import (
     draw_bars,
 )
 from pyomo_quad.report.paths import distinct_paths, draw_space
-from pyomo_quad.report.style import (
+from pyomo_quad.report.signals import (
     ATTITUDE,
     BATTERY,
     BODY_RATE,
     ENERGY,
-    FULL_WIDTH,
-    INK,
-    LEGEND_COLUMNS,
     MOTOR,
-    MUTED,
     POSITION,
     POWER,
     ROTOR_ACCELERATION,
     ROTOR_SPEED,
-    ROTOR_STYLES,
-    SERIES_STYLES,
     STATE_GRID,
-    TICK_STEPS,
     TIME,
     VELOCITY,
     WIND,
+)
+from pyomo_quad.report.style import (
+    FULL_WIDTH,
+    INK,
+    LEGEND_COLUMNS,
+    MUTED,
+    ROTOR_STYLES,
+    SERIES_STYLES,
+    TICK_STEPS,
     LineStyle,
-    Signal,
     StyledFlight,
     draw_over_time,
     flight_styles,
@@ -156,14 +157,9 @@ _LEGEND: dict[str, Any] = {
 _SMALLEST_POWER = 0.1  # W
 
 
-def costate_name(state: Signal) -> str:
-    """Return the name of a state in the plan's table of costates."""
-    return state.component if state.index is None else f"{state.component}[{state.index}]"
-
-
 #: Columns of the plan's table of costates that the figure shows.
 COSTATES = (
-    *(costate_name(state) for group in _GROUPS for state in group[0]),
+    *(state.variable for group in _GROUPS for state in group[0]),
     HAMILTONIAN,
 )
 
@@ -174,7 +170,7 @@ def draw_costates(costates: pd.DataFrame, duration: float) -> Figure:
     time = TIME.of(costates)
     for axes, (states, title, unit, scale) in zip(panels.flat, _GROUPS, strict=False):
         for state, style in zip(states, ROTOR_STYLES, strict=False):
-            price = costates[costate_name(state)].to_numpy() * scale
+            price = costates[state.variable].to_numpy() * scale
             axes.plot(time, price, label=f"${state.symbol}$", **style.line)
         _finish(axes, f"{title} ({unit})", _SMALLEST_PRICE)
         axes.legend(**_LEGEND)

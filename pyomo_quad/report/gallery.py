@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from pyomo_quad.flight.columns import Column
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import Drawing, wanted_drawings
 from pyomo_quad.report.energy_bars import (
@@ -42,7 +43,7 @@ from pyomo_quad.report.paths import (
     view_markup,
 )
 from pyomo_quad.report.render import fixed
-from pyomo_quad.report.style import (
+from pyomo_quad.report.signals import (
     BATTERY,
     ENERGY,
     MOTOR,
@@ -52,7 +53,8 @@ from pyomo_quad.report.style import (
     STATE_GRID,
     VELOCITY,
     WIND,
-    Signal,
+)
+from pyomo_quad.report.style import (
     StyledFlight,
     fair_pair,
     plan_flight,
@@ -394,7 +396,7 @@ def _more_than(flight: StyledFlight) -> str:
 
 def _cut(flights: Sequence[StyledFlight]) -> str:
     """Say whose peaks the panel of the power leaves out, and how far they go."""
-    if POWER.column not in flights[0].frame:
+    if POWER.name not in flights[0].frame:
         return ""
     peaks = [
         f"{flight.name} ({fixed(power.min(), 1)} to {fixed(power.max(), 1)} W)"
@@ -406,7 +408,7 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
 
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     """Say whose energy cannot be told from the optimum's."""
-    if ENERGY.column not in flights[0].frame:
+    if ENERGY.name not in flights[0].frame:
         return ""
     same = coinciding_flights(flights, hover_energy_J / flights[0].duration_s)
     if not same:
@@ -442,8 +444,8 @@ def _costates(plan: "Plan") -> tuple[Drawing, ...]:
     )
 
 
-def _columns(*groups: Iterable[Signal]) -> tuple[str, ...]:
-    return tuple(signal.column for group in groups for signal in group)
+def _columns(*groups: Iterable[Column]) -> tuple[str, ...]:
+    return tuple(signal.name for group in groups for signal in group)
 
 
 def _listed(flights: Sequence[StyledFlight]) -> str:

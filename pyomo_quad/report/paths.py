@@ -16,25 +16,27 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 
-from pyomo_quad.report.style import (
+from pyomo_quad.flight.columns import Column
+from pyomo_quad.report.signals import (
     ATTITUDE,
     BATTERY,
     BODY_RATE,
     ENERGY,
-    FULL_WIDTH,
-    INK,
     MOTOR,
-    MUTED,
-    PALE,
     POSITION,
     POWER,
     ROTOR_ACCELERATION,
     ROTOR_SPEED,
-    TICK_STEPS,
     TIME,
     VELOCITY,
     WIND,
-    Signal,
+)
+from pyomo_quad.report.style import (
+    FULL_WIDTH,
+    INK,
+    MUTED,
+    PALE,
+    TICK_STEPS,
     StyledFlight,
     legend_below,
 )
@@ -282,7 +284,7 @@ def _marker(flight: StyledFlight) -> dict[str, Any]:
     }
 
 
-def _axis_label(signal: Signal) -> str:
+def _axis_label(signal: Column) -> str:
     return f"${signal.symbol}$ ({signal.unit})"
 
 
@@ -329,16 +331,16 @@ def view_data(flights: Sequence[StyledFlight], airspace: Airspace) -> dict[str, 
     framed = [flight for flight in flights if flight not in leaving_paths(flights)]
     shown = [flight for flight in distinct_paths(flights) if flight in framed]
     optimum = flights[0].frame
-    winds = np.array([signal.of(optimum) for signal in WIND if signal.column in optimum])
+    winds = np.array([signal.of(optimum) for signal in WIND if signal.name in optimum])
     return {
         "flights": [
             _played(flight, is_shown=flight in shown, is_framed=flight in framed)
             for flight in flights
         ],
         "groups": [
-            (name, [_described(s, signals) for s in signals if s.column in optimum])
+            (name, [_described(s, signals) for s in signals if s.name in optimum])
             for name, signals in _SERIES
-            if any(signal.column in optimum for signal in signals)
+            if any(signal.name in optimum for signal in signals)
         ],
         "zones": [
             {"name": zone.name, "shape": zone.shape.value, **_extent(zone)}
@@ -362,26 +364,26 @@ def _played(flight: StyledFlight, *, is_shown: bool, is_framed: bool) -> dict[st
         "t": _rounded(TIME.of(kept) - TIME.of(kept)[0]),
         **{axis: _rounded(signal.of(kept)) for axis, signal in zip("xyz", POSITION, strict=True)},
         "series": {
-            signal.column: _rounded(signal.of(kept))
+            signal.name: _rounded(signal.of(kept))
             for _, signals in _SERIES
             for signal in signals
-            if signal.column in kept
+            if signal.name in kept
         },
     }
-    if all(signal.column in kept for signal in ATTITUDE):
+    if all(signal.name in kept for signal in ATTITUDE):
         for angle, signal in zip(("phi", "theta", "psi"), ATTITUDE, strict=True):
-            played[angle] = _rounded(kept[signal.column].to_numpy(dtype=float))
-    if all(signal.column in kept for signal in WIND):
+            played[angle] = _rounded(kept[signal.name].to_numpy(dtype=float))
+    if all(signal.name in kept for signal in WIND):
         played["wind"] = [_rounded(signal.of(kept)) for signal in WIND]
     return played
 
 
-def _described(signal: Signal, group: Sequence[Signal]) -> dict[str, Any]:
+def _described(signal: Column, group: Sequence[Column]) -> dict[str, Any]:
     which = signal.index or signal.symbol.removeprefix("v_")
-    is_alone = [other.name for other in group].count(signal.name) == 1
+    is_alone = [other.words for other in group].count(signal.words) == 1
     return {
-        "key": signal.column,
-        "name": signal.name if is_alone else f"{signal.name} {which}",
+        "key": signal.name,
+        "name": signal.words if is_alone else f"{signal.words} {which}",
         "unit": signal.unit,
         "span": signal.smallest_span,
     }

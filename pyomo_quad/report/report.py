@@ -12,12 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
-from pyomo_quad.flight.flight import (
-    ARRIVAL_DISTANCE_M,
-    ARRIVAL_SPEED_M_PER_S,
-    COLUMNS,
-    VIOLATION_TOLERANCE,
-)
+from pyomo_quad.flight.columns import column_of
+from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, ARRIVAL_SPEED_M_PER_S, VIOLATION_TOLERANCE
 from pyomo_quad.flight.plan import FLIGHT_SAMPLES
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
@@ -59,8 +55,7 @@ if TYPE_CHECKING:
     from pyomo_quad.scenario import Scenario
     from pyomo_quad.study.run import RunResult
 
-_COLUMN_OF = {column.component: column.name for column in COLUMNS if column.index is None}
-_CHARGE = _COLUMN_OF["battery.state_of_charge"]
+_CHARGE = column_of("battery.state_of_charge").name
 _SHORTEST_PATH_M = 0.1  # below, a flight stays where it is and has no range
 
 PAGE_NAME = "report.html"

@@ -1,9 +1,9 @@
-"""How every figure looks: colours, panels, signals, and files that are equal from run to run."""
+"""How every figure looks: colours, panels, and files that are equal from run to run."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
-from math import ceil, degrees, isclose
+from math import ceil, isclose
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,141 +17,16 @@ from matplotlib.ticker import MaxNLocator
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from pyomo_quad.flight import flight
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
+from pyomo_quad.flight.columns import Column
 from pyomo_quad.flight.replanning import replanned_name
+from pyomo_quad.report.signals import ENERGY, TIME
 from pyomo_quad.scenario.tables import MISSION_TIMED, Knowledge
 from pyomo_quad.study.certificate import SAME_TIME
 from pyomo_quad.study.comparison import FAIR_BASELINE, OPTIMAL, settled_energy
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Flight, Plan
-
-_COLUMN_OF = {(shown.component, shown.index): shown.name for shown in flight.COLUMNS}
-_IN_DEGREES = degrees(1.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Signal:
-    """One printed quantity.
-
-    ``smallest_span`` keeps an axis from blowing up rounding noise: it never shows less than that.
-    """
-
-    column: str
-    symbol: str
-    name: str
-    unit: str
-    component: str = ""
-    index: int | None = None
-    scale: float = 1.0
-    smallest_span: float = 0.0
-
-    def of(self, frame: pd.DataFrame) -> np.ndarray:
-        """Return the values of a flight in the printed unit, one per row."""
-        return frame[self.column].to_numpy(dtype=float) * self.scale
-
-    @property
-    def title(self) -> str:
-        """Symbol, name and unit, as over a panel."""
-        return f"${self.symbol}$, {self.name} ({self.unit})"
-
-    @property
-    def label(self) -> str:
-        """Name and unit, as beside an axis."""
-        return f"{self.name[0].upper()}{self.name[1:]} ({self.unit})"
-
-
-def _signal(
-    component: str,
-    symbol: str,
-    name: str,
-    unit: str,
-    *,
-    span: float,
-    rotor: int | None = None,
-    scale: float = 1.0,
-) -> Signal:
-    return Signal(
-        column=_COLUMN_OF[component, rotor],
-        symbol=symbol,
-        name=name,
-        unit=unit,
-        component=component,
-        index=rotor,
-        scale=scale,
-        smallest_span=span,
-    )
-
-
-def _per_rotor(
-    component: str, symbol: str, name: str, unit: str, *, span: float, scale: float = 1.0
-) -> tuple[Signal, ...]:
-    return tuple(
-        _signal(
-            component,
-            f"{symbol}_{rotor}",
-            name.format(rotor),
-            unit,
-            span=span,
-            rotor=rotor,
-            scale=scale,
-        )
-        for rotor in flight.ROTORS
-    )
-
-
-def _angle(state: str, symbol: str, name: str, unit: str = "°") -> Signal:
-    return _signal(f"rigid_body.{state}", symbol, name, unit, span=0.5, scale=_IN_DEGREES)
-
-
-TIME = Signal(column=flight.TIME, symbol="t", name="time", unit="s")
-ENERGY = Signal(column=flight.ENERGY, symbol="E", name="energy", unit="J", smallest_span=1.0)
-POWER = _signal("power.total", "P", "power", "W", span=1.0)
-
-POSITION = tuple(_signal(f"rigid_body.{a}", a, "position", "m", span=0.1) for a in "xyz")
-VELOCITY = tuple(_signal(f"rigid_body.v{a}", f"v_{a}", "velocity", "m/s", span=0.1) for a in "xyz")
-ATTITUDE = (
-    _angle("phi", r"\phi", "roll"),
-    _angle("theta", r"\theta", "pitch"),
-    _angle("psi", r"\psi", "yaw"),
-)
-BODY_RATE = (
-    _angle("p", "p", "roll rate", "°/s"),
-    _angle("q", "q", "pitch rate", "°/s"),
-    _angle("r", "r", "yaw rate", "°/s"),
-)
-ROTOR_SPEED = _per_rotor("rotors.omega", r"\omega", "rotor speed", "rad/s", span=5.0)
-ROTOR_ACCELERATION = _per_rotor(
-    "rotors.alpha", r"\alpha", "acceleration of rotor {}", "rad/s²", span=1.0
-)
-TORQUE = _per_rotor("rotors.motor_torque", r"\tau", "motor torque", "mN m", span=0.05, scale=1e3)
-
-# Rows: place, velocity, attitude, body rates.  The last column holds the rotors.
-STATE_GRID = tuple(
-    (*row, speed)
-    for row, speed in zip((POSITION, VELOCITY, ATTITUDE, BODY_RATE), ROTOR_SPEED, strict=True)
-)
-
-# One tuple per panel, one signal per rotor in it.
-MOTOR = (
-    ROTOR_SPEED,
-    TORQUE,
-    _per_rotor("rotors.motor_current", "i", "motor current", "A", span=0.05),
-    _per_rotor("rotors.motor_voltage", "v", "motor voltage", "V", span=0.05),
-)
-
-BATTERY = (
-    _signal("battery.voltage", r"V_\mathrm{bat}", "voltage", "V", span=0.1),
-    _signal("battery.current", r"i_\mathrm{bat}", "current", "A", span=0.1),
-    _signal("battery.state_of_charge", r"\mathrm{SoC}", "state of charge", "%", span=0.1),
-)
-
-WIND = tuple(
-    _signal(f"wind.velocity_{a}", f"v_{a}^\\mathrm{{wind}}", f"wind along {a}", "m/s", span=0.1)
-    for a in "xy"
-)
-
 
 FULL_WIDTH = 7.2  # inches: the text width of an A4 page, and of the HTML report
 _DOTS_PER_INCH = 160
@@ -357,10 +232,10 @@ def panel_grid(
 
 
 def draw_over_time(
-    axes: Axes, frame: pd.DataFrame, signal: Signal, style: LineStyle, label: str
+    axes: Axes, frame: pd.DataFrame, shown: Column, style: LineStyle, label: str
 ) -> None:
-    """Draw one signal of one flight against time, under its name in the legend."""
-    axes.plot(TIME.of(frame), signal.of(frame), label=label, **style.line)
+    """Draw one column of one flight against time, under its name in the legend."""
+    axes.plot(TIME.of(frame), shown.of(frame), label=label, **style.line)
 
 
 def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
@@ -429,7 +304,7 @@ def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
 def flight_of_table(name: str, frame: pd.DataFrame) -> StyledFlight:
     """Return a flight of which nothing but its table is left."""
     time = TIME.of(frame)
-    has_energy = ENERGY.column in frame
+    has_energy = ENERGY.name in frame
     return StyledFlight(
         name=name,
         frame=frame,

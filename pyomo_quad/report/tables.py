@@ -237,7 +237,7 @@ def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "
     dict
         The summary, as it is there.
     DataFrame
-        `TIME`, which increases, and what `columns_of` names of the table; all are finite.
+        `TIME`, which increases, and what `ALL_COLUMNS` names of the table; all are finite.
 
     Raises
     ------
@@ -294,8 +294,7 @@ def _read_table(file: Path) -> "pd.DataFrame":
     import numpy as np  # noqa: PLC0415  see `write_table`
     import pandas as pd  # noqa: PLC0415
 
-    from pyomo_quad.flight.flight import TIME, columns_of  # noqa: PLC0415
-    from pyomo_quad.scenario.vehicle import MOST_ROTORS  # noqa: PLC0415
+    from pyomo_quad.flight.columns import ALL_COLUMNS, TIME  # noqa: PLC0415
 
     content = _content(file)
     try:
@@ -304,8 +303,7 @@ def _read_table(file: Path) -> "pd.DataFrame":
         refuse_report(file, "is not a CSV table")
     if TIME not in frame:
         refuse_report(file, f"has no column {TIME}")
-    known = columns_of(range(1, MOST_ROTORS + 1))
-    numbers = frame[[TIME, *(column.name for column in known if column.name in frame)]]
+    numbers = frame[[TIME, *(column.name for column in ALL_COLUMNS if column.name in frame)]]
     if any(kind.kind not in "fi" for kind in numbers.dtypes):
         refuse_report(file, "holds texts among its numbers")
     if len(numbers) < 2 or not np.isfinite(numbers.to_numpy(dtype=float)).all():

@@ -22,7 +22,8 @@ from pyomo_quad.flight.baselines import (
     reference_path,
     start_state,
 )
-from pyomo_quad.flight.flight import AIR_FORCE, COLUMNS, POSITION_STATES, TIME, VELOCITY_STATES
+from pyomo_quad.flight.columns import COLUMNS, TIME
+from pyomo_quad.flight.flight import AIR_FORCE, POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.outside_plant import (
     ACROSS,
     AS_IT_COMES,

@@ -8,7 +8,8 @@ import numpy as np
 
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
-from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, ROTORS, position_miss, terminal_miss_of
+from pyomo_quad.flight.columns import ROTORS
+from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, position_miss, terminal_miss_of
 from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight, battery_shortfalls
 from pyomo_quad.flight.verification import fly_controls
 from pyomo_quad.model import build_model

@@ -16,22 +16,18 @@ from pyomo_quad.flight.baselines import (
     fly_reference,
     reference_path,
 )
+from pyomo_quad.flight.columns import ALL_COLUMNS, ENERGY, ROTORS, TIME, column_of
 from pyomo_quad.flight.controller import CONTROLLER_STATES
 from pyomo_quad.flight.flight import (
     AIR_FORCE,
     ARRIVAL_DISTANCE_M,
     ARRIVAL_SPEED_M_PER_S,
-    ENERGY,
     POSITION_STATES,
-    ROTORS,
-    TIME,
     VELOCITY_STATES,
     Flight,
-    columns_of,
 )
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Reference, Replanning
-from pyomo_quad.scenario.vehicle import MOST_ROTORS
 from pyomo_quad.study.certificate import SAME_TIME, Certificate
 
 if TYPE_CHECKING:
@@ -92,9 +88,7 @@ FAIR_BASELINE = baseline_name(Reference.QUINTIC)
 INSIDE_DISTANCE_M = 0.1
 """Distance from the goal that counts as being there."""
 
-_EVERY_ROTOR = range(1, MOST_ROTORS + 1)
-_COLUMN_OF = {(shown.component, shown.index): shown.name for shown in columns_of(_EVERY_ROTOR)}
-_HAS_LEGS = {ENERGY, *(_COLUMN_OF[name, None] for name in POSITION_STATES)}
+_PLACE = tuple(column_of(state).name for state in POSITION_STATES)
 
 
 class ComparisonColumn(StrEnum):
@@ -259,14 +253,14 @@ def leg_rows(
     mission : Scenario
         With the times at which the flight passes its waypoints (`Plan.mission_flown`).
     flown : mapping or DataFrame
-        The flight, with the columns `flight.COLUMNS`.
+        The flight, with the columns `columns.COLUMNS`.
 
     Returns
     -------
     list of dict
         Values by `LegColumn`; none for a mission without waypoints.
     """
-    if not mission.mission.waypoints or not _HAS_LEGS.issubset(flown):
+    if not mission.mission.waypoints or not {ENERGY, *_PLACE}.issubset(flown):
         return []
     time, way = np.asarray(flown[TIME], dtype=float), way_flown(flown)
     rows: list[dict[str, str | float]] = []
@@ -303,8 +297,7 @@ def way_flown(flown: "Mapping[str, FloatArray] | pd.DataFrame") -> FloatArray:
 
     Axes that a model of the user's own does not have count for nothing.
     """
-    names = [_COLUMN_OF[state, None] for state in POSITION_STATES]
-    held = [np.asarray(flown[name], dtype=float) for name in names if name in flown]
+    held = [np.asarray(flown[name], dtype=float) for name in _PLACE if name in flown]
     places = np.reshape(held, (-1, len(flown[TIME]))).T
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
@@ -427,12 +420,15 @@ def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
 
 def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
     """Return a column for each rotor, four at least; NaN where a user's model lacks one."""
-    rotors = [j for j in _EVERY_ROTOR if j in ROTORS or _COLUMN_OF[component, j] in frame]
-    return np.column_stack([_values(frame, component, rotor) for rotor in rotors])
+    shown = [one for one in ALL_COLUMNS if one.component == component]
+    return np.column_stack(
+        [_values(frame, one.variable) for one in shown if one.index in ROTORS or one.name in frame]
+    )
 
 
-def _values(frame: "pd.DataFrame", component: str, index: int | None = None) -> FloatArray:
-    name = _COLUMN_OF[component, index]
+def _values(frame: "pd.DataFrame", variable: str) -> FloatArray:
+    """Return the values of a variable of the model; NaN where the table lacks its column."""
+    name = column_of(variable).name
     if name not in frame:
         return np.full(len(frame), nan)
     return frame[name].to_numpy(dtype=float)

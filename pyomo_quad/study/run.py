@@ -10,7 +10,7 @@ import pandas as pd
 from pyomo_quad.collocation import Dynamics, EngineError, Progress, Summarised
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name, fly_baseline, fly_open_loop
-from pyomo_quad.flight.flight import WIND
+from pyomo_quad.flight.columns import WIND
 from pyomo_quad.flight.replanning import fly_replanned, replanned_name
 from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError

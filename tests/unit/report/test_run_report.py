@@ -12,7 +12,8 @@ from PIL import Image
 
 from pyomo_quad.flight import PlanStatus
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
-from pyomo_quad.flight.flight import TIME, Resolve
+from pyomo_quad.flight.columns import TIME
+from pyomo_quad.flight.flight import Resolve
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import save_drawings
 from pyomo_quad.report.gallery import adaptation_drawing, plan_drawings
