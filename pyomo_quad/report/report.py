@@ -1,9 +1,8 @@
 """The reports of a solve, of a run and of a comparison: their numbers, templates and files."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from math import inf
 from pathlib import Path
 from types import ModuleType
@@ -21,15 +20,22 @@ from pyomo_quad.flight.verification import (
     MISS_TOLERANCE,
 )
 from pyomo_quad.report import Figures
-from pyomo_quad.report.document import REPORT_NAME, Drawing, drawn_meanwhile, write_text
-from pyomo_quad.report.render import FIGURE_FOLDER, STATUS_WORDS
+from pyomo_quad.report.document import (
+    PAGE_NAME,
+    REPORT_NAME,
+    Drawing,
+    write_page,
+    write_study,
+    write_text,
+)
+from pyomo_quad.report.render import STATUS_WORDS
 from pyomo_quad.report.tables import (
     FRONT_NAME,
     PLAN_NAME,
     SUMMARY_NAME,
     installed_versions,
+    plan_table,
     run_summary,
-    write_plan_table,
     write_table,
 )
 from pyomo_quad.scenario import PowerModel, Reference
@@ -46,7 +52,6 @@ from pyomo_quad.study.comparison import (
     way_flown,
 )
 from pyomo_quad.study.front import FrontColumn
-from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,9 +63,9 @@ if TYPE_CHECKING:
 _CHARGE = column_of("battery.state_of_charge").name
 _SHORTEST_PATH_M = 0.1  # below, a flight stays where it is and has no range
 
-PAGE_NAME = "report.html"
 COMPARISON_NAME = "comparison.csv"
 COMPARISON_REPORT_NAME = "comparison.md"
+_COMPARISON_TEMPLATE = "report/comparison.md.j2"
 REPLANNING_NAME = "replanning.csv"
 
 
@@ -71,76 +76,50 @@ def write_solve_report(
     rate_hz: float | None = None,
     figures: Figures = Figures.SVG,
 ) -> None:
-    """Write what there is to say of a plan of any status into a folder empty of reports.
+    """Write the report of a plan of any status into a folder empty of reports.
 
-    A plan that is not verified is called so in title and text; ``warnings`` are what a reader
-    should know beside the numbers. The table has a row per node of the mesh, or ``rate_hz`` a
-    second.
+    The title and the text say if the plan is not verified; ``warnings`` are cautions to print with
+    the numbers.  The table has a row per node of the mesh, or ``rate_hz`` rows a second.
     """
-    drawings = () if figures is Figures.NONE else _gallery().drawings_of_solve(plan, figures)
-    with drawn_meanwhile(drawings, folder):
-        write_plan_table(folder, plan, rate_hz)
-        write_text(
-            folder / REPORT_NAME,
-            "report/solve.md.j2",
-            **_of_plan(plan),
-            drawings=drawings,
-            warnings=warnings,
-        )
+    write_study(
+        folder,
+        "report/solve.md.j2",
+        tables={PLAN_NAME: plan_table(plan, rate_hz)},
+        drawings=_from_gallery(lambda gallery: gallery.drawings_of_solve(plan)),
+        figures=figures,
+        warnings=warnings,
+        **_of_plan(plan),
+    )
 
 
 def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figures.SVG) -> None:
-    """Write all there is to say of a run of any status into a folder empty of reports.
+    """Write the report of a run of any status into a folder empty of reports.
 
-    That is tables, figures, `report.md` and `report.html`; without figures the page has no paths to
-    turn either.
+    It has tables, figures, `report.md` and `report.html`; without figures the page has no view of
+    the paths.
     """
-    parts: tuple[tuple[Drawing, ...], ...] = ((), (), ())
-    if figures is not Figures.NONE:
-        parts = _gallery().drawings_of_run(result, figures)
-    drawings = tuple(chain(*parts))
-    with drawn_meanwhile(drawings, folder):
-        _write_tables(folder, result)
-        shown = dict(zip(("beside", "studied", "drawings"), parts, strict=True))
-        text = write_text(
-            folder / REPORT_NAME,
-            "report/run.md.j2",
-            **_of_plan(result.plan),
-            **_of_run(result),
-            **shown,
-        )
-    page = _page(folder, text, result, drawings)
-    (folder / PAGE_NAME).write_text(page, encoding="utf-8")
-
-
-def _write_tables(folder: Path, result: "RunResult") -> None:
-    write_plan_table(folder, result.plan)
-    if not result.comparison.empty:
-        write_comparison(folder, result.comparison, _title(result.plan))
-    if not result.front.empty:
-        write_table(result.front, folder / FRONT_NAME)
     replanned = _replanned(result)
-    if not replanned.empty:
-        write_table(replanned, folder / REPLANNING_NAME)
-
-
-def write_comparison(folder: Path, comparison: "pd.DataFrame", title: str = "Comparison") -> None:
-    """Write a comparison, one row per flight, as CSV and under its title as Markdown."""
-    write_table(comparison, folder / COMPARISON_NAME)
-    if not comparison.empty:
-        _write_comparison_text(folder, comparison, title)
-
-
-def _write_comparison_text(
-    folder: Path, comparison: "pd.DataFrame", title: str, drawings: Sequence[Drawing] = ()
-) -> str:
-    return write_text(
-        folder / COMPARISON_REPORT_NAME,
-        "report/comparison.md.j2",
-        title=title,
-        **_of_flights(comparison),
-        drawings=drawings,
+    optional = {
+        COMPARISON_NAME: result.comparison,
+        FRONT_NAME: result.front,
+        REPLANNING_NAME: replanned,
+    }
+    tables = {name: table for name, table in optional.items() if not table.empty}
+    drawn = write_study(
+        folder,
+        "report/run.md.j2",
+        tables={PLAN_NAME: plan_table(result.plan), **tables},
+        drawings=_from_gallery(lambda gallery: gallery.drawings_of_run(result)),
+        figures=figures,
+        **_of_plan(result.plan),
+        **_of_run(result, replanned),
     )
+    if not result.comparison.empty:
+        values = _of_flights(result.comparison)
+        file, title = folder / COMPARISON_REPORT_NAME, _title(result.plan)
+        write_text(file, _COMPARISON_TEMPLATE, title=title, drawings=(), **values)
+    views, data = _gallery().view_of_paths(result, drawn) if drawn else ({}, "")
+    write_page(folder, REPORT_NAME, drawn, is_good=_is_good(result), views=views, data=data)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,20 +175,20 @@ def write_compare_report(
 
     ``is_good`` says whether every plan was verified.
     """
-    write_table(comparison, folder / COMPARISON_NAME)
     if comparison.empty:
+        write_table(comparison, folder / COMPARISON_NAME)
         return
-    drawings: tuple[Drawing, ...] = ()
-    if figures is not Figures.NONE:
-        drawings = _gallery().drawings_of_comparison(comparison, figures)
-    with drawn_meanwhile(drawings, folder):
-        text = _write_comparison_text(folder, comparison, "Comparison", drawings)
-    from pyomo_quad.report.page import render_html  # noqa: PLC0415  a solve writes no page
-
-    page = render_html(
-        text, is_good=is_good, pictures=_pictures(folder, drawings), views={}, data=""
+    drawn = write_study(
+        folder,
+        _COMPARISON_TEMPLATE,
+        tables={COMPARISON_NAME: comparison},
+        drawings=_from_gallery(lambda gallery: gallery.drawings_of_comparison(comparison)),
+        figures=figures,
+        name=COMPARISON_REPORT_NAME,
+        title="Comparison",
+        **_of_flights(comparison),
     )
-    (folder / PAGE_NAME).write_text(page, encoding="utf-8")
+    write_page(folder, COMPARISON_REPORT_NAME, drawn, is_good=is_good, views={}, data="")
 
 
 def _title(plan: "Plan") -> str:
@@ -236,7 +215,6 @@ def _of_plan(plan: "Plan") -> dict[str, Any]:
         },
         "PLAN_NAME": PLAN_NAME,
         "SUMMARY_NAME": SUMMARY_NAME,
-        "version": __version__,
     }
 
 
@@ -307,7 +285,7 @@ def _of_flights(comparison: "pd.DataFrame") -> dict[str, Any]:
     }
 
 
-def _of_run(result: "RunResult") -> dict[str, Any]:
+def _of_run(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any]:
     """Return what the template of a run says beyond its plan."""
     comparison, certificate = result.comparison, result.certificate
     by_name = comparison.set_index(ComparisonColumn.FLIGHT, drop=False).to_dict("index")
@@ -319,7 +297,7 @@ def _of_run(result: "RunResult") -> dict[str, Any]:
         "certificate": certificate,
         "gap_percent": certificate.gap_percent(result.plan.energy),
         "warnings": result.warnings,
-        "replanned": _replanned(result).to_dict("records"),
+        "replanned": replanned.to_dict("records"),
         "replanning": result.scenario.baseline.mpc,
         "replanning_column": ReplanningColumn,
         "REPLANNING_NAME": REPLANNING_NAME,
@@ -383,21 +361,6 @@ def _gallery() -> ModuleType:
     return gallery
 
 
-def _page(folder: Path, text: str, result: "RunResult", drawings: Sequence[Drawing]) -> str:
-    views: dict[str, str] = {}
-    data = ""
-    if drawings and _gallery().PATH_NAME in [drawing.name for drawing in drawings]:
-        views, data = _gallery().view_of_paths(result)
-    from pyomo_quad.report.page import render_html  # noqa: PLC0415  only for a page
-
-    return render_html(
-        text,
-        is_good=_is_good(result),
-        pictures=_pictures(folder, drawings),
-        views=views,
-        data=data,
-    )
-
-
-def _pictures(folder: Path, drawings: Sequence[Drawing]) -> dict[str, bytes]:
-    return {d.name: (folder / FIGURE_FOLDER / d.files[0]).read_bytes() for d in drawings}
+def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator[Drawing]:
+    """Yield figures that the gallery lists; it is imported when the first one is wanted."""
+    yield from listed(_gallery())

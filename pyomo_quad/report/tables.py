@@ -9,7 +9,7 @@ from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from pyomo_quad.scenario.messages import ScenarioError, printable
 from pyomo_quad.version import __version__
@@ -34,8 +34,12 @@ def neutral_cell(value: object) -> object:
     return value
 
 
-def write_table(table: "pd.DataFrame | Mapping[str, Iterable[object]]", path: Path) -> None:
-    """Write as CSV a frame, or columns by name, which spare a solve the 0.3 s of pandas."""
+#: A frame, or columns by name, which spare a solve the 0.3 s of importing pandas.
+Table: TypeAlias = "pd.DataFrame | Mapping[str, Iterable[object]]"
+
+
+def write_table(table: Table, path: Path) -> None:
+    """Write a table as CSV."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([neutral_cell(name) for name, _ in table.items()])
@@ -83,13 +87,13 @@ PLAN_NAME = "plan.csv"
 _STATUS_COLUMN = "status"
 
 
-def write_plan_table(folder: Path, plan: "Plan", rate_hz: float | None = None) -> None:
-    """Write a plan's table: a row per node of the mesh, or so many a second."""
+def plan_table(plan: "Plan", rate_hz: float | None = None) -> dict[str, Iterable[object]]:
+    """Return the columns of a plan: a row per node of the mesh, or ``rate_hz`` rows a second."""
     columns = plan.columns(plan.times(rate_hz))
     status: dict[str, Iterable[object]] = {}
     if plan.verification is None:
         status[_STATUS_COLUMN] = [plan.status.value] * len(next(iter(columns.values())))
-    write_table({**columns, **status}, folder / PLAN_NAME)
+    return {**columns, **status}
 
 
 SUMMARY_NAME = "summary.json"

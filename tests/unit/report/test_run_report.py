@@ -19,7 +19,7 @@ from pyomo_quad.report.document import save_drawings
 from pyomo_quad.report.gallery import adaptation_drawing, plan_drawings
 from pyomo_quad.report.page import render_html
 from pyomo_quad.report.paths import leaving_paths
-from pyomo_quad.report.report import write_comparison, write_run_report
+from pyomo_quad.report.report import write_compare_report, write_run_report
 from pyomo_quad.report.style import flight_styles, styled_flights
 from pyomo_quad.scenario.tables import MISSION_TIMED
 from pyomo_quad.study.comparison import (
@@ -59,8 +59,8 @@ def report(tmp_path_factory):
 @pytest.fixture
 def _no_figures(monkeypatch):
     # Drawing is tested once above; here only the text counts.
-    monkeypatch.setattr("pyomo_quad.report.report.drawn_meanwhile", lambda *_: nullcontext())
-    monkeypatch.setattr("pyomo_quad.report.report._page", lambda *_: "")
+    monkeypatch.setattr("pyomo_quad.report.document.drawn_meanwhile", lambda *_: nullcontext())
+    monkeypatch.setattr("pyomo_quad.report.report.write_page", lambda *_, **__: None)
 
 
 def test_answer_comes_first(report):
@@ -173,7 +173,8 @@ def test_adaptation_adds_its_figure(tmp_path):
 @pytest.mark.usefixtures("_no_figures")
 def test_comparison_of_many_scenarios_names_them(tmp_path):
     calm = synthetic_run("scenarios/paper_calm.toml").comparison
-    write_comparison(tmp_path, combine([calm, synthetic_run().comparison]))
+    compared = combine([calm, synthetic_run().comparison])
+    write_compare_report(tmp_path, compared, is_good=True, figures=Figures.NONE)
     text = (tmp_path / "comparison.md").read_text()
     assert "| Scenario | Flight | Duration (s) | Energy (J) |" in text
     assert "| `paper_calm` | `optimal` | 10.00 | 711.70 |" in text
