@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pyomo_quad.scenario.vehicle import MOST_ROTORS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     import pandas as pd
 
@@ -81,88 +81,54 @@ class Column:
         return f"{name} ({self.unit})" if self.unit else name
 
 
-def _body(
-    name: str, words: str, unit: str, symbol: str, smallest_span: float, scale: float = 1.0
-) -> Column:
-    component = f"rigid_body.{name.partition('_')[0]}"
-    return Column(name, component, words, symbol, unit, smallest_span, scale)
+def _of(block: str) -> Callable[..., Column]:
+    """Return a constructor of the columns that show a block of the model."""
+    return lambda name, shown, *printed: Column(name, f"{block}.{shown}", *printed)
 
+
+_body, _rotor, _battery, _wind = map(_of, ("rigid_body", "rotors", "battery", "wind"))
 
 _OF_THE_BODY = (
-    *(_body(f"{axis}_m", "position", "m", axis, 0.1) for axis in "xyz"),
-    *(_body(f"v{axis}_m_per_s", "velocity", "m/s", f"v_{axis}", 0.1) for axis in "xyz"),
-    _body("phi_rad", "roll", "°", r"\phi", 0.5, _IN_DEGREES),
-    _body("theta_rad", "pitch", "°", r"\theta", 0.5, _IN_DEGREES),
-    _body("psi_rad", "yaw", "°", r"\psi", 0.5, _IN_DEGREES),
-    _body("p_rad_per_s", "roll rate", "°/s", "p", 0.5, _IN_DEGREES),
-    _body("q_rad_per_s", "pitch rate", "°/s", "q", 0.5, _IN_DEGREES),
-    _body("r_rad_per_s", "yaw rate", "°/s", "r", 0.5, _IN_DEGREES),
+    *(_body(f"{axis}_m", axis, "position", axis, "m", 0.1) for axis in "xyz"),
+    *(_body(f"v{axis}_m_per_s", f"v{axis}", "velocity", f"v_{axis}", "m/s", 0.1) for axis in "xyz"),
+    _body("phi_rad", "phi", "roll", r"\phi", "°", 0.5, _IN_DEGREES),
+    _body("theta_rad", "theta", "pitch", r"\theta", "°", 0.5, _IN_DEGREES),
+    _body("psi_rad", "psi", "yaw", r"\psi", "°", 0.5, _IN_DEGREES),
+    _body("p_rad_per_s", "p", "roll rate", "p", "°/s", 0.5, _IN_DEGREES),
+    _body("q_rad_per_s", "q", "pitch rate", "q", "°/s", 0.5, _IN_DEGREES),
+    _body("r_rad_per_s", "r", "yaw rate", "r", "°/s", 0.5, _IN_DEGREES),
 )
 _OF_THE_WHOLE = (
-    Column("thrust_N", "rotors.total_thrust", "thrust", "T", "N", 0.1),
+    _rotor("thrust_N", "total_thrust", "thrust", "T", "N", 0.1),
     Column("power_W", "power.total", "power", "P", "W", 1.0),
     Column(ENERGY, "", "energy", "E", "J", 1.0),
-    *(
-        Column(
-            name,
-            f"wind.velocity_{axis}",
-            f"wind along {axis}",
-            f"v_{axis}^\\mathrm{{wind}}",
-            "m/s",
-            0.1,
-        )
-        for name, axis in zip(WIND, "xy", strict=True)
-    ),
-    Column("battery_current_A", "battery.current", "current", r"i_\mathrm{bat}", "A", 0.1),
-    Column("battery_voltage_V", "battery.voltage", "voltage", r"V_\mathrm{bat}", "V", 0.1),
-    Column(
-        "state_of_charge_percent",
-        "battery.state_of_charge",
-        "state of charge",
-        r"\mathrm{SoC}",
-        "%",
-        0.1,
+    _wind(WIND[0], "velocity_x", "wind along x", r"v_x^\mathrm{wind}", "m/s", 0.1),
+    _wind(WIND[1], "velocity_y", "wind along y", r"v_y^\mathrm{wind}", "m/s", 0.1),
+    _battery("battery_current_A", "current", "current", r"i_\mathrm{bat}", "A", 0.1),
+    _battery("battery_voltage_V", "voltage", "voltage", r"V_\mathrm{bat}", "V", 0.1),
+    _battery(
+        "state_of_charge_percent", "state_of_charge", "state of charge", r"\mathrm{SoC}", "%", 0.1
     ),
 )
 # Each stands for one column a rotor, whose number takes the place of the braces.
 _SPEEDS = (
-    Column("omega_{}_rad_per_s", "rotors.omega", "rotor speed", r"\omega_{}", "rad/s", 5.0),
-    Column(
-        "alpha_{}_rad_per_s2",
-        "rotors.alpha",
-        "acceleration of rotor {}",
-        r"\alpha_{}",
-        "rad/s²",
-        1.0,
-    ),
+    _rotor("omega_{}_rad_per_s", "omega", "rotor speed", r"\omega_{}", "rad/s", 5.0),
+    _rotor("alpha_{}_rad_per_s2", "alpha", "acceleration of rotor {}", r"\alpha_{}", "rad/s²", 1.0),
 )
 _MOTORS = (
-    Column("motor_{}_current_A", "rotors.motor_current", "motor current", "i_{}", "A", 0.05),
-    Column("motor_{}_voltage_V", "rotors.motor_voltage", "motor voltage", "v_{}", "V", 0.05),
-    Column(
-        "motor_{}_torque_N_m",
-        "rotors.motor_torque",
-        "motor torque",
-        r"\tau_{}",
-        "mN m",
-        0.05,
-        1e3,
-    ),
+    _rotor("motor_{}_current_A", "motor_current", "motor current", "i_{}", "A", 0.05),
+    _rotor("motor_{}_voltage_V", "motor_voltage", "motor voltage", "v_{}", "V", 0.05),
+    _rotor("motor_{}_torque_N_m", "motor_torque", "motor torque", r"\tau_{}", "mN m", 0.05, 1e3),
 )
 
 
 def _per_rotor(patterns: Sequence[Column], rotors: Sequence[int]) -> tuple[Column, ...]:
-    return tuple(
-        replace(
-            shown,
-            name=shown.name.format(rotor),
-            words=shown.words.format(rotor),
-            symbol=shown.symbol.format(rotor),
-            index=rotor,
-        )
-        for shown in patterns
-        for rotor in rotors
-    )
+    def of_rotor(shown: Column, rotor: int) -> Column:
+        texts = shown.name, shown.words, shown.symbol
+        name, words, symbol = (text.format(rotor) for text in texts)
+        return replace(shown, name=name, words=words, symbol=symbol, index=rotor)
+
+    return tuple(of_rotor(shown, rotor) for shown in patterns for rotor in rotors)
 
 
 def columns_of(rotors: Sequence[int]) -> tuple[Column, ...]:

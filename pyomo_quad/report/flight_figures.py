@@ -1,6 +1,7 @@
 """The figures of a plan or a run, one function each; of several flights the optimum is first."""
 
 from collections.abc import Sequence
+from itertools import chain
 from math import ceil, isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +46,7 @@ from pyomo_quad.report.style import (
     LineStyle,
     StyledFlight,
     draw_over_time,
+    draw_panels,
     flight_styles,
     keep_span,
     label_time,
@@ -110,11 +112,7 @@ def _draw_disturbance(
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
     """Draw what the flights ask of the pack."""
     figure, panels = panel_grid(1, 3, panel_height=1.7, legend_entries=len(flights))
-    for axes, signal in zip(panels.flat, BATTERY, strict=True):
-        for flight in flights:
-            draw_over_time(axes, flight.frame, signal, flight.style, flight.name)
-        axes.set_title(signal.title)
-        keep_span([axes], signal.smallest_span)
+    draw_panels(panels.flat, BATTERY, flights)
     label_time(panels.flat, last_end(flights))
     legend_below(figure, panels[0, 0])
     return figure
@@ -123,10 +121,8 @@ def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
 def draw_controls(flights: Sequence[StyledFlight]) -> Figure:
     """Draw the acceleration of each rotor in its own panel, all on one scale."""
     figure, panels = panel_grid(2, 2, panel_height=1.25, legend_entries=len(flights))
-    for axes, signal in zip(panels.flat, ROTOR_ACCELERATION, strict=True):
-        for flight in flights:
-            draw_over_time(axes, flight.frame, signal, flight.style, flight.name)
-        axes.set_title(signal.title)
+    draw_panels(panels.flat, ROTOR_ACCELERATION, flights)
+    for axes in panels.flat:
         axes.axhline(0.0, color=MUTED, linewidth=0.6, zorder=1)
     keep_span(panels.flat, ROTOR_ACCELERATION[0].smallest_span)
     label_time(panels[-1], last_end(flights))
@@ -172,18 +168,15 @@ def draw_costates(costates: pd.DataFrame, duration: float) -> Figure:
         for state, style in zip(states, ROTOR_STYLES, strict=False):
             price = costates[state.variable].to_numpy() * scale
             axes.plot(time, price, label=f"${state.symbol}$", **style.line)
-        _finish(axes, f"{title} ({unit})", _SMALLEST_PRICE)
+        axes.set_title(f"{title} ({unit})")
+        keep_span([axes], _SMALLEST_PRICE)
         axes.legend(**_LEGEND)
     last = panels[-1, -1]
     last.plot(time, costates[HAMILTONIAN].to_numpy(), **ROTOR_STYLES[0].line)
-    _finish(last, "Hamiltonian $H$ (W)", _SMALLEST_POWER)
+    last.set_title("Hamiltonian $H$ (W)")
+    keep_span([last], _SMALLEST_POWER)
     label_time(panels[-1], duration)
     return figure
-
-
-def _finish(axes: Axes, title: str, smallest_span: float) -> None:
-    axes.set_title(title)
-    keep_span([axes], smallest_span)
 
 
 _ABOVE_HOVER_TITLE = r"$E - P_\mathrm{hover}\,t$, energy above hovering (J)"
@@ -203,13 +196,8 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
     power, energy, above = panels[:, 0]
     power.axhline(hover_power, label="hovering", **_HOVER_LINE)
     energy.plot([0.0, end], [0.0, hover_power * end], **_HOVER_LINE)
-    for flight in flights:
-        draw_over_time(power, flight.frame, POWER, flight.style, flight.name)
-        draw_over_time(energy, flight.frame, ENERGY, flight.style, flight.name)
+    draw_panels((power, energy), (POWER, ENERGY), flights)
     draw_above_hover(above, flights, hover_power)
-    for axes, signal in ((power, POWER), (energy, ENERGY)):
-        axes.set_title(signal.title)
-        keep_span([axes], signal.smallest_span)
     _cut_peaks(power, flights)
     label_time(panels[-1], end)
     legend_below(figure, power)
@@ -456,12 +444,7 @@ def draw_states(flights: Sequence[StyledFlight]) -> Figure:
     figure, panels = panel_grid(
         4, 4, panel_height=1.15, gap=0.52, left=0.42, legend_entries=len(flights)
     )
-    for row, signals in zip(panels, STATE_GRID, strict=True):
-        for axes, signal in zip(row, signals, strict=True):
-            for flight in flights:
-                draw_over_time(axes, flight.frame, signal, flight.style, flight.name)
-            axes.set_title(signal.title)
-            keep_span([axes], signal.smallest_span)
+    draw_panels(panels.flat, chain(*STATE_GRID), flights)
     keep_span(panels[:, -1], STATE_GRID[0][-1].smallest_span)
     label_time(panels[-1], last_end(flights))
     legend_below(figure, panels[0, 0])

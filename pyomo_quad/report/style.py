@@ -238,6 +238,17 @@ def draw_over_time(
     axes.plot(TIME.of(frame), shown.of(frame), label=label, **style.line)
 
 
+def draw_panels(
+    panels: Iterable[Axes], shown: Iterable[Column], flights: Sequence["StyledFlight"]
+) -> None:
+    """Draw one column in each panel over time, of all flights, under its title and in its span."""
+    for axes, column in zip(panels, shown, strict=True):
+        for flight in flights:
+            draw_over_time(axes, flight.frame, column, flight.style, flight.name)
+        axes.set_title(column.title)
+        keep_span([axes], column.smallest_span)
+
+
 def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
     """Give drawn panels one vertical scale, which does not blow up what hardly varies.
 
