@@ -221,8 +221,8 @@ def fly_cruise(
 ) -> Flight:
     """Fly the mission as an autopilot does: at a cruise speed, in the time that it takes.
 
-    ``speed`` None is the cruise speed of the scenario.  The flight waits at the goal until it has arrived,
-    at most the last of `SETTLINGS_S`.
+    ``speed`` None is the cruise speed of the scenario.  The flight waits at the goal until it has
+    arrived, at most the last of `SETTLINGS_S`.
     """
     for settling_s in SETTLINGS_S:
         told = cruise_at(scenario, speed, settling_s)

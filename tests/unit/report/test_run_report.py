@@ -96,7 +96,7 @@ def test_every_figure_is_drawn_in_both_formats_and_linked(report):
 
 @pytest.mark.parametrize("name", ["report.md", "report.html", "comparison.md"])
 def test_stand_in_is_called_one(report, name):
-    assert "it stands in for the controller that the paper cites" in (report / name).read_text()
+    assert "It stands in for the controller that the paper cites" in (report / name).read_text()
 
 
 def test_comparison_reads_back(report):
@@ -124,7 +124,7 @@ def test_no_certificate_is_said(tmp_path):
 @pytest.mark.parametrize("waypoints", ["[]", "[{position = [1.0, 2.0, 3.0], at = 5.0}]"])
 def test_a_bound_over_passing_times_is_explained_to_pilots(tmp_path, waypoints):
     text = write(tmp_path, synthetic_run(overrides=(f"mission.waypoints={waypoints}",)))
-    explained = "The bound is the least over all such choices at once"
+    explained = "The bound is the least over all these choices"
     assert (explained in text) == (waypoints != "[]")
 
 
@@ -132,7 +132,7 @@ def test_a_bound_over_passing_times_is_explained_to_pilots(tmp_path, waypoints):
 def test_a_bound_over_ways_of_flying_is_explained_to_pilots(tmp_path):
     of = ('vehicle.use="dji_matrice_100"', 'power.model="momentum"')
     text = write(tmp_path, synthetic_run(overrides=of))
-    assert "In place it may circle rather than hang, which costs less." in text
+    assert "it may circle instead of hovering, which costs less." in text
 
 
 @pytest.mark.usefixtures("_no_figures")
@@ -231,8 +231,8 @@ def test_captions_name_what_their_figures_hide():
 
 
 UNTOLD = (
-    "> **Verified in the wind that it was told, not in the one that blows.** There the plan spends "
-    "711.70 J. In the wind that blows `open_loop/plan`, without feedback, misses the goal by 67 m; "
+    "> **Verified in the forecast wind, not in the actual one.** In the forecast the plan spends "
+    "711.70 J. In the actual wind `open_loop/plan`, without feedback, misses the goal by 67 m; "
     "`adaptive/plan`, under feedback, arrives 0.0084 m from the goal and spends {spent:.2f} "
     "J. Following it {outcome} over `adaptive/quintic` (723.80 J), which needs no plan."
 )
@@ -302,7 +302,7 @@ def test_solves_are_late_by_the_times_that_stand_beside_the_count(tmp_path):
     assert (row["solves"], row["late"], row["beyond_interval"]) == (5, 4, 2)
     assert row["solve_longest_s"] == 0.375
     assert "| Late: over 60 ms | Over the interval of 200 ms |" in text
-    assert "ask for a computer on which none is late" in text
+    assert "require a computer on which no solve is late" in text
 
 
 @pytest.mark.usefixtures("_no_figures")
