@@ -1,4 +1,4 @@
-"""The figures of a plan or a run, one function each; of several flights the optimum is first."""
+"""Figures of a plan or a run, one function each; the first of several flights is the optimum."""
 
 from collections.abc import Sequence
 from itertools import chain
@@ -75,7 +75,7 @@ if TYPE_CHECKING:
 _CENTIMETRES = 100.0
 _SMALLEST_ERROR = 1.0  # cm
 _SMALLEST_DISTURBANCE = 0.1  # m/s^2
-# With adaptation it is the flight of that name in the other figures.
+# The flight with adaptation has its style of the other figures.
 _WITH = flight_styles((FAIR_BASELINE,))[FAIR_BASELINE]
 _WITHOUT = LineStyle(color=MUTED, dashes=(4.5, 1.6))
 
@@ -110,7 +110,7 @@ def _draw_disturbance(
 
 
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw what the flights ask of the pack."""
+    """Draw voltage, current and state of charge of the battery."""
     figure, panels = panel_grid(1, 3, panel_height=1.7, legend_entries=len(flights))
     draw_panels(panels.flat, BATTERY, flights)
     label_time(panels.flat, last_end(flights))
@@ -140,7 +140,7 @@ _GROUPS = (
     (ROTOR_SPEED, "Rotors", "mJ s/rad", 1e3),
 )
 _SMALLEST_PRICE = 1e-2
-# In the line of the title, so that it hides nothing.
+# In the line of the title, where no curve is.
 _LEGEND: dict[str, Any] = {
     "loc": "lower right",
     "bbox_to_anchor": (1.0, 0.98),
@@ -180,17 +180,17 @@ def draw_costates(costates: pd.DataFrame, duration: float) -> Figure:
 
 
 _ABOVE_HOVER_TITLE = r"$E - P_\mathrm{hover}\,t$, energy above hovering (J)"
-# Peaks are what a flight spends less than this share of its time in.
+# Values of power outside these quantiles are peaks.
 _PEAK_SHARE = 0.05
 _WORTH_CUTTING = 2.0
 _PEAK_MARGIN = 0.1
-# Curves nearer than this share of their range cannot be told apart.
+# Difference of two curves, relative to their range, below which they look like one.
 _COINCIDENT = 0.01
 _HOVER_LINE: dict[str, Any] = {"color": MUTED, "linewidth": 1.0, "linestyle": (0, (1, 1))}
 
 
 def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
-    """Draw power, energy, and energy above hovering, over each other, to the last flight's end."""
+    """Draw power, energy, and energy above hovering, in three panels with one time axis."""
     figure, panels = panel_grid(3, 1, panel_height=1.5, legend_entries=1 + len(flights))
     hover_power, end = hover_energy_J / flights[0].duration_s, last_end(flights)
     power, energy, above = panels[:, 0]
@@ -205,7 +205,7 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
 
 
 def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W: float) -> None:
-    """Draw the energy spent until each time, less what hovering until then takes."""
+    """Draw the energy spent until each time, less the energy of hovering until then."""
     axes.axhline(0.0, **_HOVER_LINE)
     for flight in flights:
         time, energy = TIME.of(flight.frame), ENERGY.of(flight.frame)
@@ -215,7 +215,7 @@ def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W:
 
 
 def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights whose short peaks leave the panel of the power."""
+    """Return the flights whose short peaks exceed the panel of power."""
     window = _power_window(flights)
     if window is None:
         return ()
@@ -247,7 +247,10 @@ def coinciding_flights(
 
 
 def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None:
-    """Return what the panel of the power shows where a baseline's peaks would flatten all else."""
+    """Return the range of the panel of power [W] if peaks of a baseline would flatten the rest.
+
+    None if the panel can show all values.
+    """
     optimum, *others = powers = [POWER.of(flight.frame) for flight in flights]
     ends = [optimum.min(), optimum.max()]
     for power in others:
@@ -262,7 +265,7 @@ def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None
 
 
 def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
-    """Let the short peaks of a baseline leave the panel, where they would flatten all else."""
+    """Cut the short peaks of a baseline off if they would flatten the other curves."""
     window = _power_window(flights)
     if window is not None:
         axes.set_ylim(*window)
@@ -333,10 +336,10 @@ def draw_overview(
     absent: frozenset[str],
     mission: "Scenario",
 ) -> Figure:
-    """Draw the paths in space beside the energy over time, to each flight's end, and in total.
+    """Draw the paths in space, the energy of each flight over time, and the total energies.
 
-    Over time it is the energy above hovering, which tells more apart, but only where all flights
-    take one time: at the ends of different times lie different hover floors.
+    Over time the figure shows the energy above hovering, which separates the curves better, if all
+    durations are equal; otherwise the hover floors differ, and it shows the energy.
     """
     figure = Figure(figsize=(FULL_WIDTH, _HEIGHT))
     space = figure.add_axes((0.0, 0.12, 0.46, 0.88), projection="3d")
@@ -367,9 +370,9 @@ _LEG_ROW = 0.2  # inches
 
 
 def draw_way(flights: Sequence[StyledFlight], mission: "Scenario") -> Figure:
-    """Draw the speed over the way flown, and the energy of each leg of the first flight.
+    """Draw the speed over the path length, and the energy of each leg of the first flight.
 
-    The mission has the times at which that flight passes its waypoints.
+    ``mission`` has the passing times of that flight.
     """
     optimum, legs = flights[0], leg_table(mission, flights[0].frame)
     below = 0.45 + 0.2 * ceil(len(flights) / LEGEND_COLUMNS)
@@ -461,13 +464,13 @@ def draw_column(flight: StyledFlight, column: str) -> Figure:
     return figure
 
 
-# The wind is no flight: it has none of their colours.
+# Wind has other colours than flights.
 _WIND = LineStyle(color=INK, width=1.9)
 _FORECAST = LineStyle(color=MUTED, dashes=(4.5, 1.6))
 
 
 def draw_wind(told: StyledFlight, flown: StyledFlight | None = None) -> Figure:
-    """Draw both components of the wind, and the forecast where one differs from it."""
+    """Draw both components of the wind, and of the forecast if there is one."""
     figure, panels = panel_grid(1, 2, panel_height=1.5, legend_entries=0 if flown is None else 2)
     forecast = [] if flown is None else [("forecast", told, _FORECAST)]
     winds = [("wind", told if flown is None else flown, _WIND), *forecast]
@@ -484,5 +487,5 @@ def draw_wind(told: StyledFlight, flown: StyledFlight | None = None) -> Figure:
 
 
 def is_calm(*flights: StyledFlight) -> bool:
-    """Return whether no wind blows in any of the flights, so that there is nothing to draw."""
+    """Return whether all flights are in calm air."""
     return not any(signal.of(flight.frame).any() for flight in flights for signal in WIND)

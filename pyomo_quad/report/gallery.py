@@ -1,4 +1,4 @@
-"""Which figures a report holds, in which order, and what stands under them."""
+"""Lists of the figures of a report, in order, with their captions."""
 
 from collections.abc import Iterable, Sequence
 from functools import partial
@@ -40,9 +40,8 @@ from pyomo_quad.report.paths import (
     leaving_paths,
     script_json,
     view_data,
-    view_markup,
 )
-from pyomo_quad.report.render import fixed
+from pyomo_quad.report.render import environment, fixed
 from pyomo_quad.report.signals import (
     BATTERY,
     ENERGY,
@@ -217,7 +216,8 @@ def view_of_paths(result: "RunResult", drawn: Sequence[Drawing]) -> tuple[dict[s
     if PATH_NAME not in [drawing.name for drawing in drawn]:
         return {}, ""
     played = view_data(_styled(result), result.plan.scenario.airspace)
-    return {PATH_NAME: view_markup()}, script_json(played)
+    markup = environment().get_template("report/view.html.j2").render()
+    return {PATH_NAME: markup}, script_json(played)
 
 
 def _styled(result: "RunResult") -> tuple[StyledFlight, ...]:
@@ -245,7 +245,7 @@ def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> Drawin
 
 
 def _course(mission: "Scenario") -> str:
-    """Say what of a mission stands in the picture of its paths, and what lies beyond."""
+    """Return the words on waypoints, zones and limits in the figure of the paths."""
     airspace, said = mission.airspace, ""
     if mission.mission.waypoints:
         said += " Crosses: the waypoints, with the times at which the plan passes them."
@@ -258,13 +258,13 @@ def _course(mission: "Scenario") -> str:
 
 
 def _zones(mission: "Scenario") -> str:
-    """Name the keep-outs of a picture in space; empty where there are none."""
+    """Return the words that name the keep-outs in a figure, empty without any."""
     named = ", ".join(zone.name for zone in mission.airspace.keep_out)
     return f" Red: the keep-outs ({named})." if named else ""
 
 
 def _has_way(scenario: "Scenario") -> bool:
-    """Say whether a mission asks for more than to get from start to goal in a given time."""
+    """Return whether a mission has a free duration, waypoints, zones or a speed limit."""
     mission, airspace = scenario.mission, scenario.airspace
     has_more = mission.is_free or mission.waypoints or airspace.keep_out
     return bool(has_more or scenario.limits.speed_max)
@@ -284,7 +284,7 @@ def _way(flights: Sequence[StyledFlight], mission: "Scenario") -> Drawing:
 
 
 def left_out(flights: Sequence[StyledFlight]) -> str:
-    """Say under a picture of paths which of them are not, or not all, in it; empty if all are."""
+    """Return the words that name paths left out of a figure or cut off; empty without any."""
     said = ""
     distinct, astray = distinct_paths(flights), leaving_paths(flights)
     near = [flight for flight in flights if flight not in distinct]
@@ -341,7 +341,7 @@ def _wind(optimum: StyledFlight, blowing: StyledFlight | None) -> tuple[Drawing,
 
 
 def _own_floors(flights: Sequence[StyledFlight]) -> str:
-    """Warn of comparing the ends of curves above hovering where they lie at different times."""
+    """Return the warning that flights of different durations have different hover floors."""
     if take_one_time(flights):
         return ""
     return (
@@ -351,7 +351,7 @@ def _own_floors(flights: Sequence[StyledFlight]) -> str:
 
 
 def _cut(flights: Sequence[StyledFlight]) -> str:
-    """Say whose peaks the panel of the power leaves out, and how far they go."""
+    """Return the words that name the flights with cut-off peaks of power, and their ranges."""
     if POWER.name not in flights[0].frame:
         return ""
     peaks = [
@@ -363,7 +363,7 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
 
 
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
-    """Say whose energy cannot be told from the optimum's."""
+    """Return the words that name the flights whose energy curve lies on the optimum's."""
     if ENERGY.name not in flights[0].frame:
         return ""
     same = coinciding_flights(flights, hover_energy_J / flights[0].duration_s)
@@ -373,14 +373,14 @@ def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
 
 
 def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
-    """Say what the bars show of flights below the hover floor, where there are any."""
+    """Return the explanation of bars below the hover floor, empty without any."""
     hover_power = hover_energy_J / flights[0].duration_s
     is_below = any(flight.energy_J < hover_power * flight.duration_s for flight in flights)
     return " Colour within the grey is what a flight takes less." if is_below else ""
 
 
 def _not_drawn(flights: Sequence[StyledFlight], drawn: Sequence[StyledFlight]) -> str:
-    """Say which flights of a run a figure leaves to the table."""
+    """Return the words that name the flights that a figure leaves out."""
     rest = [flight for flight in flights if flight not in drawn]
     return f" Not drawn: {_listed(rest)}." if rest else ""
 

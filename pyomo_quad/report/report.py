@@ -1,4 +1,4 @@
-"""The reports of a solve, of a run and of a comparison: their numbers, templates and files."""
+"""Reports of a solve, a run and a comparison: their numbers, templates and files."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -88,7 +88,7 @@ def write_solve_report(
         drawings=_from_gallery(lambda gallery: gallery.drawings_of_solve(plan)),
         figures=figures,
         warnings=warnings,
-        **_of_plan(plan),
+        **_plan_values(plan),
     )
 
 
@@ -111,11 +111,11 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
         tables={PLAN_NAME: plan_table(result.plan), **tables},
         drawings=_from_gallery(lambda gallery: gallery.drawings_of_run(result)),
         figures=figures,
-        **_of_plan(result.plan),
-        **_of_run(result, replanned),
+        **_plan_values(result.plan),
+        **_run_values(result, replanned),
     )
     if not result.comparison.empty:
-        values = _of_flights(result.comparison)
+        values = _comparison_values(result.comparison)
         file, title = folder / COMPARISON_REPORT_NAME, _title(result.plan)
         write_text(file, _COMPARISON_TEMPLATE, title=title, drawings=(), **values)
     views, data = _gallery().view_of_paths(result, drawn) if drawn else ({}, "")
@@ -124,7 +124,7 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
 
 @dataclass(frozen=True, kw_only=True)
 class RunRecord:
-    """What is kept of a run: its summary, and its flights beside each other."""
+    """Record of a run: its summary and the comparison of its flights."""
 
     summary: Mapping[str, Any]
     comparison: "pd.DataFrame"
@@ -136,10 +136,10 @@ class RunRecord:
 
 
 def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
-    """Return the verified run of exactly this scenario that a folder holds, if it does.
+    """Return the verified run of exactly this scenario in a folder, None without one.
 
-    A run by other versions may differ in its numbers, and the code of a model of one's own may
-    have changed since: neither is taken.
+    A run by other versions is ignored, since its numbers may differ; so is a run of a user's model,
+    whose code may have changed since.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -171,7 +171,7 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
 def write_compare_report(
     folder: Path, comparison: "pd.DataFrame", *, is_good: bool, figures: Figures = Figures.SVG
 ) -> None:
-    """Write the flights of many scenarios beside each other: tables, a figure and a page.
+    """Write the comparison of the flights of many scenarios: a table, a figure and a page.
 
     ``is_good`` says whether every plan was verified.
     """
@@ -186,24 +186,24 @@ def write_compare_report(
         figures=figures,
         name=COMPARISON_REPORT_NAME,
         title="Comparison",
-        **_of_flights(comparison),
+        **_comparison_values(comparison),
     )
     write_page(folder, COMPARISON_REPORT_NAME, drawn, is_good=is_good, views={}, data="")
 
 
 def _title(plan: "Plan") -> str:
-    """Return the report's title, which says so when the plan is not verified."""
+    """Return the report's title, with the status of a plan that is not verified."""
     title = plan.scenario.title or plan.scenario.name
     return title if plan.is_verified else f"{STATUS_WORDS[plan.status]}: {title}"
 
 
-def _of_plan(plan: "Plan") -> dict[str, Any]:
-    """Return what the templates say of a plan."""
+def _plan_values(plan: "Plan") -> dict[str, Any]:
+    """Return the values of a plan for the templates."""
     columns = plan.columns(np.linspace(*plan.trajectories.horizon, FLIGHT_SAMPLES))
     return {
         "title": _title(plan),
         "plan": plan,
-        "asked_energy": _asked_energy(plan, columns),
+        "asked_energy": _battery_use(plan, columns),
         "free_climb": _free_climb(plan),
         "legs": leg_rows(plan.mission_flown, columns),
         "leg": LegColumn,
@@ -220,19 +220,20 @@ def _of_plan(plan: "Plan") -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class FreeClimb:
-    """A climb that the power model gives away."""
+    """A climb that costs less energy than it adds, because the power model does not price it."""
 
     height_m: float
     potential_J: float
     spent_J: float
-    """Energy above hovering, in which the climb would have to be."""
+    """Energy above hovering, which would have to cover the climb."""
 
 
 def _free_climb(plan: "Plan") -> FreeClimb | None:
-    """Return the mission's climb where the flight spends less on it than its potential energy.
+    """Return the mission's climb if the flight spends less than its potential energy on it.
 
     Of the declared power models only `momentum` depends on the airspeed and so prices a climb; a
-    model of the user's own may.  A parcel left on the way does not climb to the goal.
+    user's model may.  Parcels released on the way do not climb to the goal, so missions with them
+    are left out.
     """
     scenario = plan.scenario
     height, potential = climb_of(scenario)
@@ -247,14 +248,14 @@ def _free_climb(plan: "Plan") -> FreeClimb | None:
 
 
 def climb_of(scenario: "Scenario") -> tuple[float, float]:
-    """Return how far a mission climbs, m, and the potential energy that this adds, J."""
+    """Return the height that a mission climbs [m] and the potential energy it adds [J]."""
     mission = scenario.mission
     height = mission.goal.position[2] - mission.start.position[2]
     return height, scenario.vehicle.total_mass * scenario.gravity * height
 
 
-def _asked_energy(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, float | None]:
-    """Return the plan's energy as people ask for it, and what a whole charge is good for."""
+def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, float | None]:
+    """Return the plan's path length and battery use, and time and distance on a full charge."""
     if plan.verification is None:
         return {"path_m": 0.0, "battery_percent": None}
     path = float(way_flown(columns)[-1])
@@ -271,8 +272,8 @@ def _asked_energy(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, 
     }
 
 
-def _of_flights(comparison: "pd.DataFrame") -> dict[str, Any]:
-    """Return what the templates say of flights beside each other."""
+def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
+    """Return the values of a comparison for the templates."""
     return {
         "column": ComparisonColumn,
         "rows": comparison.to_dict("records"),
@@ -285,15 +286,15 @@ def _of_flights(comparison: "pd.DataFrame") -> dict[str, Any]:
     }
 
 
-def _of_run(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any]:
-    """Return what the template of a run says beyond its plan."""
+def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any]:
+    """Return the values of a run for its template, besides those of its plan."""
     comparison, certificate = result.comparison, result.certificate
     by_name = comparison.set_index(ComparisonColumn.FLIGHT, drop=False).to_dict("index")
     names = comparison[ComparisonColumn.FLIGHT]
     is_cruise = names.str.startswith(baseline_name(Reference.CRUISE)).astype(bool)
     followed, fair = by_name.get(baseline_name(Reference.PLAN)), by_name.get(FAIR_BASELINE)
     return {
-        **_of_flights(comparison),
+        **_comparison_values(comparison),
         "certificate": certificate,
         "gap_percent": certificate.gap_percent(result.plan.energy),
         "warnings": result.warnings,
@@ -325,7 +326,10 @@ def _replanned(result: "RunResult") -> "pd.DataFrame":
 
 
 def _rival(comparison: "pd.DataFrame") -> dict[Any, Any] | None:
-    """Return the arrived baseline to measure against: the smooth one, or the cheapest."""
+    """Return the baseline to compare with, among those that arrived.
+
+    That is the smooth baseline, or else the baseline of least energy.
+    """
     has_saving = comparison[ComparisonColumn.SAVING].notna()
     is_own = comparison[ComparisonColumn.FLIGHT] == OPEN_LOOP
     rivals = comparison[comparison[ComparisonColumn.ARRIVED].astype(bool) & has_saving & ~is_own]
@@ -337,30 +341,30 @@ def _rival(comparison: "pd.DataFrame") -> dict[Any, Any] | None:
 
 
 def _spent(row: dict[Any, Any]) -> float:
-    """Return the energy by which flights are compared, what the end owes included, J."""
+    """Return the energy of a flight plus its owed energy, by which flights are compared [J]."""
     return float(row[ComparisonColumn.HOVER_ENERGY] + row[ComparisonColumn.EXCESS_ENERGY])
 
 
 def _is_good(result: "RunResult") -> bool:
-    """Say whether the plan holds, and in a wind that it was not told whether all flights arrive."""
+    """Return whether the plan is verified and, with a forecast, all flights arrive."""
     is_untold = result.plan.scenario.wind.forecast is not None
     arrived = result.comparison[ComparisonColumn.ARRIVED].astype(bool)
     return result.plan.is_verified and (not is_untold or bool(arrived.all()))
 
 
 def prepare_figures(figures: Figures) -> None:
-    """Import now what figures of a report need, if any are wanted."""
+    """Import matplotlib and the gallery now, if figures are wanted."""
     if figures is not Figures.NONE:
         _gallery()
 
 
 def _gallery() -> ModuleType:
-    """Import matplotlib, which takes longer than a solve, where there is something to draw."""
+    """Return the gallery; its import of matplotlib takes longer than a solve."""
     from pyomo_quad.report import gallery  # noqa: PLC0415
 
     return gallery
 
 
 def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator[Drawing]:
-    """Yield figures that the gallery lists; it is imported when the first one is wanted."""
+    """Yield figures that the gallery lists, which is imported for the first of them."""
     yield from listed(_gallery())

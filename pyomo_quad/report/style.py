@@ -1,4 +1,4 @@
-"""How every figure looks: colours, panels, and files that are equal from run to run."""
+"""House style of all figures: colours, panels, and files with the same bytes at each run."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -89,7 +89,7 @@ _RC: Any = {
 
 @dataclass(frozen=True, kw_only=True)
 class LineStyle:
-    """Colour, dashes and marker that together stand for one flight or one rotor."""
+    """Colour, dashes and marker of a flight or a rotor."""
 
     color: str
     dashes: tuple[float, ...] = ()
@@ -104,7 +104,7 @@ class LineStyle:
         return {"color": self.color, "linestyle": pattern, "linewidth": self.width}
 
 
-#: For curves that are no flights, as those of a sweep.
+#: Styles of curves that are not flights, such as those of a sweep.
 SERIES_STYLES = (
     LineStyle(color=_BLUE, marker="o", width=1.9),
     LineStyle(color=_VERMILION, dashes=(4.5, 1.6), marker="s", hatch="///"),
@@ -124,8 +124,8 @@ _FLIGHTS = (
     *(OPTIMAL, *(baseline_name(reference) for reference in MISSION_TIMED), OPEN_LOOP),
     *(replanned_name(knowledge) for knowledge in Knowledge),
 )
-# Every flight that the program can fly has a style of its own in every report; the rest is for
-# what a caller names in another way.
+# Every flight of the program has one style in every report; the others are for names that a caller
+# chooses.
 _FLIGHT_STYLES = dict(zip(_FLIGHTS, SERIES_STYLES, strict=False))
 _OTHER_STYLES = SERIES_STYLES[len(_FLIGHTS) :]
 
@@ -138,9 +138,9 @@ ROTOR_STYLES = (
 
 
 def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
-    """Give each flight, by name, the style that it keeps in every figure of every report.
+    """Return the style of each flight by name, the same in every figure of every report.
 
-    Names of no known flight share the styles left over.
+    Other names share the remaining styles.
     """
     others = cycle(_OTHER_STYLES)
     return {
@@ -151,10 +151,9 @@ def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
 def save_figure(
     draw: Callable[[], Figure], files: Mapping[str, Path], creator: str | None = None
 ) -> None:
-    """Make a figure once, in the house style, and write it in each format (png, svg, pdf).
+    """Draw a figure once, in the house style, and write it in each format (png, svg, pdf).
 
-    ``draw`` makes the figure; it is called with the style in force.  ``creator`` is what the files
-    say of who wrote them.
+    ``draw`` is called under the house style; ``creator`` is written into the files' metadata.
     """
     with mpl.rc_context(_RC):
         figure = _drawn(draw)
@@ -167,7 +166,7 @@ def save_figure(
 
 
 def _drawn(draw: Callable[[], Figure]) -> Figure:
-    """Draw a figure whose axes without a label look for no place to put it: a tenth of the time."""
+    """Draw a figure; axes without a label skip its placement, which takes a tenth of the time."""
     figure = draw()
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
@@ -177,8 +176,8 @@ def _drawn(draw: Callable[[], Figure]) -> Figure:
 
 
 def _save_png(figure: Figure, path: Path, creator: str | None) -> None:
-    # A palette picture is a third of the size, and lines and labels need few colours; so few that a
-    # thin line gets the colour of a thicker one are too few.
+    # A palette image has a third of the size.  With fewer colours than these a thin line takes the
+    # colour of a thicker one.
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
@@ -207,10 +206,10 @@ def panel_grid(
     legend_entries: int = 1,
     share_time: bool = True,
 ) -> tuple[Figure, np.ndarray]:
-    """Lay out a figure of equal panels with titles above them and a legend below.
+    """Return a figure of equal panels, with room for titles above them and a legend below.
 
-    Heights and gaps are in inches; ``left`` is the room for tick labels, and a legend of a single
-    entry is not needed.
+    Heights and gaps are in inches; ``left`` is the room for tick labels.  A legend of a single
+    entry is left out.
     """
     right, top = 0.12, 0.28
     gap_y = 0.36 if share_time else 0.72
@@ -234,14 +233,14 @@ def panel_grid(
 def draw_over_time(
     axes: Axes, frame: pd.DataFrame, shown: Column, style: LineStyle, label: str
 ) -> None:
-    """Draw one column of one flight against time, under its name in the legend."""
+    """Draw a column of a flight against time, with a legend entry."""
     axes.plot(TIME.of(frame), shown.of(frame), label=label, **style.line)
 
 
 def draw_panels(
     panels: Iterable[Axes], shown: Iterable[Column], flights: Sequence["StyledFlight"]
 ) -> None:
-    """Draw one column in each panel over time, of all flights, under its title and in its span."""
+    """Draw a column of all flights against time in each panel, with title and vertical scale."""
     for axes, column in zip(panels, shown, strict=True):
         for flight in flights:
             draw_over_time(axes, flight.frame, column, flight.style, flight.name)
@@ -250,7 +249,7 @@ def draw_panels(
 
 
 def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
-    """Give drawn panels one vertical scale, which does not blow up what hardly varies.
+    """Set a common vertical scale of panels, with a least span against magnified noise.
 
     ``smallest_span`` is the least difference between the ends of the axis, in the printed unit.
     """
@@ -264,7 +263,7 @@ def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
 
 
 def label_time(panels: Iterable[Axes], duration: float) -> None:
-    """Name the time axis of the lowest panels and end it where the last flight ends, s."""
+    """Label the time axis of the lowest panels and end it at a duration [s]."""
     for axes in panels:
         axes.set_xlabel(TIME.label)
         axes.set_xlim(0.0, duration)
@@ -272,7 +271,7 @@ def label_time(panels: Iterable[Axes], duration: float) -> None:
 
 
 def legend_below(figure: Figure, axes: Axes) -> None:
-    """Put one legend under all panels, of the lines of one, if there is anything to tell apart."""
+    """Draw a legend of the lines of one panel below all panels, if there are several lines."""
     handles, labels = axes.get_legend_handles_labels()
     if len(labels) > 1:
         figure.legend(handles, labels, loc="lower center", ncols=min(LEGEND_COLUMNS, len(labels)))
@@ -283,7 +282,7 @@ _FAILED_PLAN = "best iterate"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StyledFlight:
-    """A flight with the look that it keeps in every figure; its energy is with what it owes."""
+    """A flight with its style in all figures; the energy includes the owed energy."""
 
     name: str
     frame: pd.DataFrame
@@ -293,12 +292,12 @@ class StyledFlight:
 
 
 def plan_flight(plan: "Plan") -> "Flight":
-    """Return a plan as a flight, named "best iterate" if the solve failed."""
+    """Return the flight of a plan, named "best iterate" if the solve failed."""
     return plan.flight() if plan.verification is not None else plan.flight(_FAILED_PLAN)
 
 
 def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
-    """Give each flight its style, in the same order, the optimum first."""
+    """Return flights with their styles in the same order, the optimum first."""
     styles = flight_styles(tuple(flight.name for flight in flights))
     return tuple(
         StyledFlight(
@@ -313,7 +312,7 @@ def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
 
 
 def flight_of_table(name: str, frame: pd.DataFrame) -> StyledFlight:
-    """Return a flight of which nothing but its table is left."""
+    """Return a flight that is read from its table."""
     time = TIME.of(frame)
     has_energy = ENERGY.name in frame
     return StyledFlight(
@@ -326,19 +325,19 @@ def flight_of_table(name: str, frame: pd.DataFrame) -> StyledFlight:
 
 
 def last_end(flights: Sequence[StyledFlight]) -> float:
-    """Return when the last of some flights ends, s."""
+    """Return the largest duration of several flights [s]."""
     return max(flight.duration_s for flight in flights)
 
 
 def take_one_time(flights: Sequence[StyledFlight]) -> bool:
-    """Say whether flights take equal times, so that hovering takes as much for each."""
+    """Return whether flights have equal durations, and so equal hover floors."""
     return all(isclose(f.duration_s, flights[0].duration_s, rel_tol=SAME_TIME) for f in flights)
 
 
 def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the optimum, which is first, and the baseline that flies the same mission smoothly.
+    """Return the optimum, which is first, and the smooth baseline `FAIR_BASELINE`.
 
-    The optimum is alone when that baseline was not flown.
+    The optimum is alone if that baseline was not flown.
     """
     return tuple(
         flight for index, flight in enumerate(flights) if index == 0 or flight.name == FAIR_BASELINE

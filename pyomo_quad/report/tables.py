@@ -1,4 +1,4 @@
-"""Tables as CSV files and summaries for programs: the same bytes from run to run."""
+"""CSV tables and JSON summaries, with the same bytes at each run."""
 
 import csv
 import json
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from pyomo_quad.study.run import RunResult
 
 _NUMBER_FORMAT = "%.12g"
-# A cell that starts with one of these, full-width forms included, is a formula to a spreadsheet.
+# Spreadsheets read a cell that starts with one of these, or its full-width form, as a formula.
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
 
 
 def neutral_cell(value: object) -> object:
-    """Return a cell that a spreadsheet shows and does not run."""
+    """Return a cell that a spreadsheet does not run as a formula."""
     if isinstance(value, str) and value.lstrip(" ").startswith(_FORMULA_STARTS):
         return f"'{value}"
     return value
@@ -113,7 +113,7 @@ _PHASES = ("import", "build", "compile", "solve", "verify", "report")
 def plan_summary(
     plan: "Plan", *, wall_s: Mapping[str, float], warnings: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Summarise a plan in what JSON can hold, None where there is no number.
+    """Summarise a plan for JSON, with None for numbers that are not finite.
 
     ``wall_s`` has the seconds of the phases that the plan's own timings do not hold.
     """
@@ -151,7 +151,7 @@ def plan_summary(
 
 
 def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str, Any]:
-    """Summarise a run: its plan, and what was flown and proven beside it.
+    """Summarise a run: its plan, its flights and its lower bound.
 
     ``wall_s`` has the seconds of the phases that the result's own timings do not hold.
     """
@@ -209,7 +209,7 @@ def _number(value: float | None) -> float | None:
 
 
 def installed_versions() -> dict[str, str]:
-    """Return the versions of all that can change a number, by distribution."""
+    """Return the versions of the distributions that can change a number."""
     found = {name: _version(names) for name, names in _DISTRIBUTIONS.items()}
     return {"pyomo_quad": __version__, "python": platform.python_version(), **found}
 
@@ -224,12 +224,12 @@ def _version(names: Sequence[str]) -> str:
 
 
 FLIGHT_NAME = "flight.csv"
-# Of a table or a summary: what a run of a day would write is far below.
+# Bytes of a table or a summary; the reports of the longest runs are far smaller.
 _LARGEST_FILE = 256 * 1024 * 1024
 
 
 def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "pd.DataFrame"]:
-    """Read the summary and a table of a report that may come from a stranger.
+    """Read the summary and a table of a report, which may be untrusted.
 
     Parameters
     ----------
@@ -239,14 +239,14 @@ def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "
     Returns
     -------
     dict
-        The summary, as it is there.
+        The summary, unchecked.
     DataFrame
-        `TIME`, which increases, and what `ALL_COLUMNS` names of the table; all are finite.
+        `TIME`, which increases, and the columns of `ALL_COLUMNS` in the table; all are finite.
 
     Raises
     ------
     ScenarioError
-        If one is missing, too large, damaged or no flight.
+        If a file is missing, too large, damaged or no flight.
     """
     file = folder / SUMMARY_NAME
     content = _content(file)
@@ -261,7 +261,7 @@ FRONT_NAME = "front.csv"
 
 
 def read_front(folder: Path) -> "pd.DataFrame | None":
-    """Read the energy-time front of a report that may come from a stranger, None without one.
+    """Read the energy-time front of a report, which may be untrusted; None without one.
 
     Raises
     ------
@@ -284,7 +284,7 @@ def read_front(folder: Path) -> "pd.DataFrame | None":
 
 
 def refuse_report(file: Path, what: str) -> NoReturn:
-    """Say in one line what is wrong with a report.
+    """Refuse a damaged report with a one-line message.
 
     Raises
     ------
