@@ -1,4 +1,4 @@
-"""The command line; importing it imports next to nothing, so that signals are heeded at once."""
+"""The command line, which catches signals before it imports the commands."""
 
 from collections.abc import Sequence
 

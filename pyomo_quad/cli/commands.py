@@ -1,11 +1,12 @@
-"""The `pyomo-quad` command: what solves and flies, and where errors become exit codes."""
+"""The `pyomo-quad` command: `fly`, `run`, `compare`, `solve`, and exit codes for all errors."""
 
 import sys
 import traceback
 from collections.abc import Sequence
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -31,23 +32,15 @@ from pyomo_quad.cli.terminal import (
 )
 from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import discard_unfinished, output_folder, refuse_output_folder
-from pyomo_quad.report.tables import (
-    plan_summary,
-    run_summary,
-    summary_text,
-    write_summary,
-)
+from pyomo_quad.report.tables import plan_summary, run_summary, summary_text, write_summary
 from pyomo_quad.scenario import Scenario, load_scenario
 from pyomo_quad.scenario.messages import FeasibilityError, PyomoQuadError, ScenarioError
 from pyomo_quad.scenario.tables import Knowledge, Reference
 from pyomo_quad.version import __version__
 
-if TYPE_CHECKING:
-    from pyomo_quad.flight import Flight
-
 
 class Controller(StrEnum):
-    """What moves the rotors."""
+    """Source of the rotor commands of a flight."""
 
     ADAPTIVE = "adaptive"
     OPEN_LOOP = "open_loop"
@@ -56,7 +49,7 @@ class Controller(StrEnum):
 
 
 class Plant(StrEnum):
-    """What flies: the declared equations, or a simulator that others wrote."""
+    """Vehicle model in flight: the declared equations, or a simulator that others wrote."""
 
     DECLARED = "declared"
     ROTORPY = "rotorpy"
@@ -71,10 +64,11 @@ _Controller = Annotated[
     ),
 ]
 _Knowledge = Annotated[
-    Knowledge,
-    typer.Option("--knowledge", help="mpc: what re-planning knows of the wind."),
+    Knowledge, typer.Option("--knowledge", help="mpc: what re-planning knows of the wind.")
 ]
-_Plant = Annotated[Plant, typer.Option("--plant", help="What flies.")]
+_Plant = Annotated[
+    Plant, typer.Option("--plant", help="Vehicle model: the declared equations, or RotorPy.")
+]
 _Reference = Annotated[
     Reference | None,
     typer.Option("--reference", help="What to follow: quintic by default, the plan in open loop."),
@@ -119,14 +113,14 @@ def fly(
         if isinstance(made, ExitCode):
             return made
         plan, resolved = made, made.mission_flown
-    flight: Flight | ExitCode
     if plant is Plant.ROTORPY and followed is not None:
-        flight = flying.make_outside_flight(planner, resolved, controller.value, followed, plan)
+        make = partial(flying.fly_rotorpy, planner, resolved, controller.value, followed, plan)
     elif is_replanned:
-        flight = flying.make_replanned_flight(planner, resolved, knowledge)
+        make = partial(flying.fly_mpc, planner, resolved, knowledge)
     else:
         reference = followed if controller is Controller.ADAPTIVE else None
-        flight = flying.make_flight(planner, resolved, reference, plan)
+        make = partial(flying.fly_declared, planner, resolved, reference, plan)
+    flight = flying.make_flight(resolved, make)
     if isinstance(flight, ExitCode):
         return flight
     with output_folder(folder) as aside:
@@ -166,7 +160,7 @@ def _refuse_unfit(controller: Controller, plant: Plant) -> None:
 
 
 def _own_folder(scenario: Scenario, parts: Sequence[StrEnum]) -> Path:
-    # Not that of the scenario's report, which a single flight must not replace.
+    # A single flight must not replace the report of the scenario, in reports/NAME.
     return Path("reports") / "-".join((scenario.name, *(part.value for part in parts)))
 
 
@@ -313,7 +307,7 @@ def solve(
     return solving.exit_code_of(plan)
 
 
-# Base of all complaints about the command line: click's, or the copy that newer typer carries.
+# Base class of errors in the command line: in click, or in the copy of click in newer typer.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(
@@ -322,24 +316,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Minimum-energy quadrotor flight in wind: solve, verify, compare, report.",
 )
-app.command()(init)
-app.command()(run)
-app.command()(solve)
-app.command()(compare)
-app.command()(check)
-app.command()(library)
-app.command()(schema)
-app.command()(fly)
-app.command()(export)
-app.command()(plot)
-app.command()(identify)
-app.command()(predict)
-app.command()(polar)
-app.command()(outside_plant)
-app.command()(rotorpy_vehicle)
-app.command()(paper)
-app.command()(sweep)
-app.command()(sweep_report)
+for _command in (
+    *(init, run, solve, compare, check, library, schema, fly, export, plot, identify, predict),
+    *(polar, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
+):
+    app.command()(_command)
 
 
 def _print_version(is_wanted: bool) -> None:
@@ -355,7 +336,7 @@ def _before_any_command(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Version.")
     ] = False,
 ) -> None:
-    """Take the options that stand before the command."""
+    """Read the options that stand before the command."""
 
 
 def _end_other_processes() -> None:
@@ -387,12 +368,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return int(status or 0)
 
 
-# What C++ libraries and the loader of shared objects say where there is no memory left.
+# Messages of C++ libraries and of the loader of shared objects when memory runs out.
 _NO_MEMORY = ("std::bad_alloc", "Cannot allocate memory")
 
 
 def _lacks_memory(error: BaseException | None) -> bool:
-    """Say whether an error, or one that it was made of, is a lack of memory."""
+    """Say whether an error, or any error in its chain of causes, is a lack of memory."""
     while error is not None:
         if isinstance(error, MemoryError) or any(said in str(error) for said in _NO_MEMORY):
             return True
@@ -415,7 +396,7 @@ def _explain(error: Exception) -> ExitCode:
         complain(f"pyomo-quad: {message} See pyomo-quad --help.")
         return ExitCode.BAD_INPUT
     if isinstance(error, OSError) and gives_up_output(error):
-        if not isinstance(error, BrokenPipeError):  # whoever read the output has had enough of it
+        if not isinstance(error, BrokenPipeError):  # the reader of the output has ended
             complain(f"pyomo-quad: standard output cannot be written ({error.strerror}).")
     elif isinstance(error, OSError | PyomoQuadError):
         complain(str(error))

@@ -1,4 +1,4 @@
-"""How a command ends: what its exit status means, and what Ctrl-C, SIGTERM and SIGHUP do."""
+"""The end of a command: exit statuses, and the effect of Ctrl-C, SIGTERM and SIGHUP."""
 
 import gc
 import os
@@ -22,16 +22,16 @@ class ExitCode(IntEnum):
 
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_PATIENCE_S = 0.5
+_PATIENCE_S = 0.5  # a user who stops a command expects the prompt at once
 _LINE = b"pyomo-quad: interrupted; no report was written.\n"
-# A line that follows a solve is wiped, and the cursor it hid comes back.
+# Erase the progress line of a solve, and show the cursor, which that line hid.
 _CLEAR = b"\r\x1b[K\x1b[?25h"
 
 _last_acts: list[Callable[[], object]] = []
 
 
 class Stopped(Exception):  # noqa: N818  what the user wanted is no error
-    """The user stopped a command that had nothing to say of it itself."""
+    """The user stopped a command which printed no message about it."""
 
 
 class SolveStopped(Stopped):
@@ -43,13 +43,13 @@ class SolveStopped(Stopped):
 
 
 class Interruption:
-    """Whether the user asked to stop."""
+    """Record of the user's request to stop."""
 
     def __init__(self) -> None:
         self.is_requested = False
 
     def request(self, _signal: int, _frame: FrameType | None) -> None:
-        """Take the first signal as a wish; where nothing enforces it, the second as an order.
+        """Record the first signal; raise at the second where no timer ends the process.
 
         Raises
         ------
@@ -70,27 +70,27 @@ def end_on_signals() -> None:
 
 
 def _heeded() -> list[signal.Signals]:
-    """Return the signals that ask for an end; nohup has the loss of a terminal ignored."""
+    """Return the signals that end a command; under nohup SIGHUP is ignored."""
     is_deaf = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     return [number for number in _SIGNALS if number != signal.SIGHUP or not is_deaf]
 
 
 def leave(status: int) -> int:
-    """End the process now if a signal asked for it, while its handlers stand; else return."""
+    """End the process now if a signal asked for it; else return the status."""
     if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
         os._exit(status)
-    gc.freeze()  # the process ends: what there is need not be taken apart, which takes 0.3 s
+    gc.freeze()  # the process ends: freeing its objects one by one would take 0.3 s
     return status
 
 
 def before_the_end(act: Callable[[], object]) -> None:
-    """Call something, which must be quick, before a signal ends the process."""
+    """Register a function, which must be quick, to call before a signal ends the process."""
     _last_acts.append(act)
 
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[Interruption]:
-    """Turn a signal into a wish while the block runs; the process ends soon all the same."""
+    """Record a signal as a request to stop; the process ends `_PATIENCE_S` later in any case."""
     interruption = Interruption()
     with _handled_by(interruption.request):
         yield interruption
@@ -98,7 +98,7 @@ def stop_on_interrupt() -> Iterator[Interruption]:
 
 @contextmanager
 def raise_on_interrupt() -> Iterator[None]:
-    """Turn the first signal into `KeyboardInterrupt`; the process ends soon all the same."""
+    """Raise `KeyboardInterrupt` at the first signal; end the process `_PATIENCE_S` later."""
     is_asked = False
 
     def once(_signal: int, _frame: FrameType | None) -> None:
@@ -113,9 +113,9 @@ def raise_on_interrupt() -> Iterator[None]:
         try:
             yield
         except KeyboardInterrupt:
-            raise Stopped from None  # typer would end without a word
+            raise Stopped from None  # typer would end without a message
         except Exception:
-            # Libraries turn it into errors of their own: an import that it cuts short is one.
+            # Libraries turn KeyboardInterrupt into errors of their own, such as ImportError.
             if is_asked:
                 raise Stopped from None
             raise
@@ -132,7 +132,7 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 
 
 def _enforce() -> bool:
-    """End the process a moment from now, if it is the command's own; say whether it is."""
+    """End the process `_PATIENCE_S` from now if it is the command's own; return whether it is."""
     is_own = signal.getsignal(signal.SIGALRM) is _end
     if is_own and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0:
         signal.setitimer(signal.ITIMER_REAL, _PATIENCE_S)

@@ -1,6 +1,6 @@
-"""What `pyomo-quad fly` flies, and what it says of it."""
+"""Flights of `pyomo-quad fly`, their files and their verdict."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from pyomo_quad.study.run import fly_cruise
 
 
 def make_plan(planner: Planner, scenario: Scenario) -> Plan | ExitCode:
-    """Make the plan that a flight follows, or return the status to end with."""
+    """Solve the plan that a flight follows, or print the failure and return the exit status."""
     plan = planner.solve(scenario)
     status = exit_code_of(plan)
     if status is ExitCode.VERIFIED:
@@ -36,58 +36,49 @@ def make_plan(planner: Planner, scenario: Scenario) -> Plan | ExitCode:
     return status
 
 
-def make_flight(
+def make_flight(scenario: Scenario, fly: Callable[[], Flight]) -> Flight | ExitCode:
+    """Fly, or print why the flight is impossible and return the exit status."""
+    try:
+        return fly()
+    except SolveError as error:
+        complain(f"{scenario.name}: {error}")
+        return ExitCode.NOT_SOLVED
+
+
+def fly_declared(
     planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
-) -> Flight | ExitCode:
+) -> Flight:
     """Fly the adaptive controller along a reference or, without one, the plan in open loop."""
-    try:
-        if reference is Reference.CRUISE:
-            return fly_cruise(scenario, None, plan, planner)
-        dynamics = planner.dynamics(scenario)
-        if reference is None and plan is not None:
-            return fly_open_loop(scenario, plan, dynamics)
-        return fly_baseline(scenario, reference or Reference.PLAN, dynamics=dynamics, plan=plan)
-    except SolveError as error:
-        complain(f"{scenario.name}: {error}")
-        return ExitCode.NOT_SOLVED
-
-
-def make_replanned_flight(
-    planner: Planner, scenario: Scenario, knowledge: Knowledge
-) -> Flight | ExitCode:
-    """Fly with the rest of the mission planned again and again."""
+    if reference is Reference.CRUISE:
+        return fly_cruise(scenario, None, plan, planner)
     dynamics = planner.dynamics(scenario)
-    try:
-        return fly_replanned(scenario, knowledge, dynamics=dynamics, planner=planner)
-    except SolveError as error:
-        complain(f"{scenario.name}: {error}")
-        return ExitCode.NOT_SOLVED
+    if reference is None and plan is not None:
+        return fly_open_loop(scenario, plan, dynamics)
+    return fly_baseline(scenario, reference or Reference.PLAN, dynamics=dynamics, plan=plan)
+
+
+def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Flight:
+    """Fly under model predictive control, which re-plans the rest of the mission in flight."""
+    dynamics = planner.dynamics(scenario)
+    return fly_replanned(scenario, knowledge, dynamics=dynamics, planner=planner)
 
 
 def refuse_outside(scenario: Scenario) -> None:
-    """Refuse what RotorPy cannot fly before anything is solved."""
+    """Refuse a scenario that RotorPy cannot fly, before a plan is solved."""
     rotorpy_module(MULTIROTOR)
     refuse_pushing_wind(scenario)
 
 
-def make_outside_flight(
+def fly_rotorpy(
     planner: Planner, scenario: Scenario, pilot: str, followed: Reference, plan: Plan | None
-) -> Flight | ExitCode:
-    """Fly RotorPy's vehicle."""
-    try:
-        plant = OutsidePlant(scenario, planner.dynamics(scenario))
-        return fly_outside(plant, Pilot(pilot), followed, plan)
-    except SolveError as error:
-        complain(f"{scenario.name}: {error}")
-        return ExitCode.NOT_SOLVED
+) -> Flight:
+    """Fly the scenario's vehicle in RotorPy."""
+    plant = OutsidePlant(scenario, planner.dynamics(scenario))
+    return fly_outside(plant, Pilot(pilot), followed, plan)
 
 
 def write_flight(
-    folder: Path,
-    planner: Planner,
-    scenario: Scenario,
-    flight: Flight,
-    wall_s: Mapping[str, float],
+    folder: Path, planner: Planner, scenario: Scenario, flight: Flight, wall_s: Mapping[str, float]
 ) -> dict[str, Any]:
     """Write a flight's table and summary.
 
@@ -109,7 +100,7 @@ def write_flight(
 
 
 def verdict(scenario: Scenario, flight: Flight) -> str:
-    """Return what became of a flight in one sentence."""
+    """Return the result of a flight in one sentence."""
     end = "arrived" if has_arrived(flight) else "did not arrive"
     confirmed = "confirmed" if flight.is_verified else "not confirmed"
     why = f": {flight.doubt}" if flight.doubt else ""

@@ -1,4 +1,4 @@
-"""Commands around a scenario: begin one, look at it before it is solved, and at what it led to."""
+"""Commands around a scenario: `init`, `check`, `library` and `schema`, `export` and `plot`."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -235,43 +235,27 @@ def _schema_text(model: type[BaseModel], kind: str, required: tuple[str, ...]) -
     return f"{json.dumps(schema, indent=1)}\n"
 
 
-_README = f"""# Scenarios and studies
-
-A scenario is one mission, run with `pyomo-quad run FILE`; a study varies fields of one, run with
-`pyomo-quad sweep FILE`. Any field of a scenario can also be set with `--set PATH=VALUE`. A field
-without a default must be given, by the file or by the entry of the library that a table names with
-`use`; `pyomo-quad check FILE` shows every value and where it came from, `pyomo-quad library` the
-entries. Editors that know JSON Schema complete and check these files by their first line.
-
-A `use` that ends with `.toml` is a file of one's own, beside the scenario, with the sections
-`[fields]` and, for a vehicle, `[limits]`: each number bare, or as a table of `value` and `source`.
-A `use` at the top of that file names the entry of the library that gives the rest.
-
-{MARK}: `pyomo-quad schema --out scenarios` writes this page and both schemas.
-"""
-_COLUMNS = ("field", "unit", "default", "allowed", "meaning")
-
-
 def schema(
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Where the three files go.")
     ] = Path(),
 ) -> int:
     """Write the JSON Schemas of scenarios and studies, and a page that lists every field."""
-    from pyomo_quad.sweep.study_file import Study  # noqa: PLC0415  NumPy takes a moment
+    from pyomo_quad.report.render import render_markdown  # noqa: PLC0415  takes a second
+    from pyomo_quad.sweep.study_file import Study  # noqa: PLC0415
 
     kinds: dict[str, tuple[type[BaseModel], tuple[str, ...]]] = {
         "scenario": (Scenario, _REQUIRED),
         "study": (Study, ("name", "scenario", "axis")),
     }
-    pages = {"README.md": _README}
+    fields = {kind: list(writable_fields(model)) for kind, (model, _) in kinds.items()}
+    pages = {"README.md": render_markdown("cli/schema.md.j2", mark=MARK, kinds=fields)}
     for kind, (model, required) in kinds.items():
         pages[f"{kind}.schema.json"] = _schema_text(model, kind, required)
-        pages["README.md"] += f"\n## Fields of a {kind}\n\n" + "\n".join(_field_rows(model)) + "\n"
     if not out.is_dir():
         raise ScenarioError(f"--out {out}: is no folder; make it first.")
     with ExitStack() as files:
-        # All three are free to be written before the first is.
+        # Check that all three files may be written before the first is written.
         asides = {name: files.enter_context(output_file(out / name)) for name in pages}
         for name, aside in asides.items():
             aside.write_text(pages[name], encoding="utf-8")
@@ -280,16 +264,8 @@ def schema(
     return ExitCode.VERIFIED
 
 
-def _field_rows(model: type[BaseModel]) -> Iterator[str]:
-    yield f"| {' | '.join(_COLUMNS)} |"
-    yield "|---" * len(_COLUMNS) + "|"
-    for field in writable_fields(model):
-        cells = (f"`{field.path}`", field.unit, field.default, field.allowed, field.meaning)
-        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
-
-
 class Reader(StrEnum):
-    """Who reads a plan; the formats of `pyomo_quad.exports`, which take a second to import."""
+    """Programs that read plans: the formats of `pyomo_quad.exports`, which import slowly."""
 
     QGROUNDCONTROL = "qgroundcontrol"
     PX4 = "px4"
@@ -305,8 +281,7 @@ def export(
     *,
     to: Annotated[Reader, typer.Option("--to", help="Who reads it.")],
     out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="FILE", help="What to write; for ros2 a folder."),
+        Path | None, typer.Option("--out", metavar="FILE", help="What to write; for ros2 a folder.")
     ] = None,
     origin: Annotated[
         str | None,
@@ -419,7 +394,7 @@ def _flight(run: Path) -> "tuple[StyledFlight, float, Scenario | None]":
 
 
 def _mission(summary: dict[str, Any]) -> Scenario | None:
-    """Return the mission with its passing times, None where another version wrote it."""
+    """Return a report's scenario with its passing times, None where this version cannot read it."""
     try:
         scenario = Scenario.model_validate(summary["scenario_resolved"])
         return scenario.lasting(summary["duration_s"], summary.get("passing_times_s", ()))

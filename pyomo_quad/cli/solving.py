@@ -1,4 +1,4 @@
-"""What the commands that solve have in common; it imports the engine, which takes a while."""
+"""Common parts of the commands that solve; importing them imports the engine, which is slow."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from pyomo_quad.study.run import RunResult
 
-# An iterate that breaks the equations by less, relative, is worth keeping.
+# An interrupted solve keeps its best iterate if the relative violation of equations is below.
 _WORTH_KEEPING = 1e-4
 
 _EXIT_CODES = {
@@ -42,7 +42,7 @@ _EXIT_CODES = {
 
 
 class _CommandPlanner(Planner):
-    """Shows its progress, stops at a signal, and blames what it cannot solve on the model."""
+    """A planner that shows progress, stops at a signal and reports model errors as bad input."""
 
     def __init__(self, builder: Builder, *, is_quiet: bool) -> None:
         super().__init__(builder)
@@ -79,7 +79,7 @@ class _CommandPlanner(Planner):
 
 
 def planner_for(scenario: Scenario, *, is_code_allowed: bool, is_quiet: bool) -> Planner:
-    """Return a planner for the scenario's model, which shows its progress and heeds signals.
+    """Return a planner for the scenario's model that shows progress and stops at signals.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def planner_for(scenario: Scenario, *, is_code_allowed: bool, is_quiet: bool) ->
 
 @contextmanager
 def report_folder(folder: Path) -> Iterator[Path]:
-    """Give a folder to write a report into; a solve that is stopped leaves the old report alone.
+    """Yield a folder for a report; a solve that is stopped leaves the old report unchanged.
 
     Yields
     ------
@@ -114,7 +114,7 @@ def report_folder(folder: Path) -> Iterator[Path]:
 
 
 def _kept(plan: Plan, folder: Path) -> str:
-    """Write the best iterate beside the report, if it is worth it, and say where."""
+    """Write an iterate that nearly satisfies the equations beside the report, and return where."""
     best = min((line.infeasibility for line in plan.iterations), default=1.0)
     if plan.solution is None or best > _WORTH_KEEPING:
         return "no report was written"
@@ -126,7 +126,7 @@ def _kept(plan: Plan, folder: Path) -> str:
 
 
 def exit_code_of(plan: Plan) -> ExitCode:
-    """Return the exit status that tells how a solve ended."""
+    """Return the exit status for the status of a plan."""
     return _EXIT_CODES[plan.status]
 
 
@@ -148,18 +148,18 @@ _SHOWN = {
     ComparisonColumn.SAVING_OF_EXCESS: ("excess\nsaved %", "z.1f"),
     ComparisonColumn.TERMINAL_MISS: ("miss\nm", ".1e"),
 }
-# What keeps a flight from being compared, the first that there is.
+# Reasons why a flight is not compared; the first that applies is shown.
 _AMISS = {
     ComparisonColumn.ARRIVED: "missed",
     ComparisonColumn.LIMITS_KEPT: "limits",
     ComparisonColumn.VERIFIED: "unverified",
 }
-# What the flights have in common stands in the lines above their table.
+# Columns with one value for all flights are left out: the lines above the table give it.
 _TOLD_ABOVE = (ComparisonColumn.SCENARIO, ComparisonColumn.DURATION)
 
 
 def verdict_lines(plan: Plan) -> Iterator[str]:
-    """Yield the answer, or what is known of a failure besides its causes."""
+    """Yield the lines on a plan: its energy, or the worst equations and limits of a failure."""
     if plan.is_verified:
         beside = against_hovering(plan.energy - plan.hover_energy_J, digits=3)
         yield (
@@ -178,7 +178,7 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
 
 
 def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
-    """Write on standard error what is wrong with a plan, one line for each matter."""
+    """Write the causes of a failed plan and all cautions to standard error, one line each."""
     name = plan.scenario.name
     if not plan.is_verified:
         causes = () if plan.failure is None else tuple(plan.failure.causes())
@@ -191,7 +191,7 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
 
 
 def run_lines(result: "RunResult") -> Iterator[str | Table]:
-    """Yield the answer of a run: the optimum, the flights beside it, and the certificate."""
+    """Yield the lines on a run: optimum, table of flights, and certificate."""
     yield from verdict_lines(result.plan)
     if not result.comparison.empty:
         yield comparison_table(result.comparison)
@@ -213,12 +213,12 @@ def _certificate_lines(result: "RunResult") -> Iterator[str]:
 
 
 def comparison_table(comparison: "pd.DataFrame") -> Table:
-    """Return the flights beside each other, for a terminal.
+    """Return the flights of a comparison as a table for a terminal.
 
     Returns
     -------
     Table
-        The columns that answer what the optimum saves, and that say something of these flights.
+        The columns on what the optimum saves, without columns that are empty for these flights.
     """
     shown = {
         column: how
@@ -245,7 +245,7 @@ def answer(
     is_quiet: bool,
     as_json: bool,
 ) -> None:
-    """Print the answer of a command in the form that was asked for."""
+    """Print the result of a command: as JSON, as lines, or not at all."""
     if as_json:
         print(summary_text(summary), end="")
     elif not is_quiet:

@@ -9,8 +9,8 @@ import importlib
 import os
 import sys
 
-# New objects before Python looks for cycles to break: by its own count of 700 it looks at all that
-# the imports make again and again, a tenth of the time of a whole command. A run makes fewer.
+# New objects between two searches for reference cycles. At Python's default of 700 the searches
+# during imports take a tenth of the time of a whole command. A run makes fewer objects than this.
 _MANY = 1_000_000
 _PYOMO_WATCHERS = "pyomo.common.dependencies"
 _is_own = False

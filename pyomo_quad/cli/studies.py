@@ -1,4 +1,4 @@
-"""Studies that write a report: the paper, polars, other simulators, vehicles from their flights."""
+"""Commands of studies with a report: paper, polar, RotorPy, and vehicles from measured flights."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -26,6 +26,8 @@ from pyomo_quad.scenario.messages import printable
 if TYPE_CHECKING:
     import pandas as pd
 
+    from pyomo_quad.identification.fitting import Scores
+
 _PAPER_FOLDER = Path("reports/paper")
 _OUTSIDE_FOLDER = Path("reports/outside_plant")
 
@@ -48,18 +50,32 @@ def paper(
     from pyomo_quad.paper.report import write_paper_report  # noqa: PLC0415
     from pyomo_quad.paper.study import run_paper_study  # noqa: PLC0415
 
-    with output_folder(out) as aside:
+    with _report_folder(out, is_quiet=quiet) as (aside, _):
         with _follow(is_quiet=quiet) as step:
             study = run_paper_study(is_quick=quick, step=step)
         write_paper_report(aside, study, figures)
-    if not quiet:
-        print(f"Written to {out}.")
     return ExitCode.VERIFIED
 
 
 @contextmanager
+def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list[str]]]:
+    """Yield a folder for a study's report; at the end print the study's lines and the folder.
+
+    Yields
+    ------
+    Path, list of str
+        The folder to write into, and the list that takes the lines.
+    """
+    lines: list[str] = []
+    with output_folder(folder) as aside:
+        yield aside, lines
+    if not is_quiet:
+        print(*lines, f"Written to {folder}.", sep="\n")
+
+
+@contextmanager
 def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
-    """Show how many results there are while the block runs."""
+    """Show the number of finished results while the block runs."""
     console = error_console()
     if is_quiet or not console.is_terminal:
         yield None
@@ -97,20 +113,18 @@ def polar(
     from pyomo_quad.polar.polar import find_polar  # noqa: PLC0415  takes a second
     from pyomo_quad.polar.report import write_polar  # noqa: PLC0415
 
-    with raise_on_interrupt(), output_folder(folder) as aside:
+    with raise_on_interrupt(), _report_folder(folder, is_quiet=quiet) as (aside, lines):
         found = find_polar(resolved)
         write_polar(aside, found, figures)
-    if not quiet:
         own = found.own
         slow, best = own.speed_of_least_power, own.best_over_ground()
         minutes = float(own.endurance(slow)) / 60.0
-        print(
+        lines.append(
             f"hover {own.powers[0]:.1f} W; least power {float(own.power(slow)):.1f} W at "
             f"{slow:.2f} m/s ({minutes:.1f} min); least energy per metre "
             f"{best.energy_per_metre:.2f} J/m at {best.ground_speed:.2f} m/s "
             f"({best.range_m / 1e3:.2f} km)"
         )
-        print(f"Written to {folder}.")
     return ExitCode.VERIFIED
 
 
@@ -132,10 +146,8 @@ def outside_plant(
         write_outside_report,
     )
 
-    with output_folder(out) as aside:
+    with _report_folder(out, is_quiet=quiet) as (aside, _):
         write_outside_report(aside, run_outside_study(), figures)
-    if not quiet:
-        print(f"Written to {out}.")
     return ExitCode.VERIFIED
 
 
@@ -159,7 +171,7 @@ def rotorpy_vehicle(
     return ExitCode.VERIFIED
 
 
-# Of a list of flights, and what stands there for those that are read.
+# Column of a list of flights, and its value for flights that are read.
 _SPLIT, _READ = "split", "fit"
 
 Logs = Annotated[
@@ -217,26 +229,27 @@ def identify(
         if name not in FITTABLE:
             raise ScenarioError(f"--fit {name[:60]}: must be one of {', '.join(FITTABLE)}.")
     scenario, frame = _read(logs, base, flights)
-    with raise_on_interrupt(), output_folder(folder) as aside:
+    with raise_on_interrupt(), _report_folder(folder, is_quiet=quiet) as (aside, lines):
         found = identify(scenario, frame, fit or FITTED)
         write_identification(aside, found, base, figures)
-    if not quiet:
         for one in found.parameters:
             kept = "" if one.is_determined else " (kept: the flights do not determine it)"
             edge = " (at the end of its range)" if one.is_at_bound and one.is_determined else ""
-            print(f"vehicle.{one.name} = {one.value:.4g} +- {one.deviation:.2g}{kept}{edge}")
-        judged = [("cross-validated by flight", scores(frame, found.cross_validated))]
-        judged += [
-            (f"fitted on {t.fitted_on}, tried on {t.tried_on}", t.scores) for t in found.trials
+            lines.append(f"vehicle.{one.name} = {one.value:.4g} +- {one.deviation:.2g}{kept}{edge}")
+        lines.append(f"cross-validated by flight: {_said(scores(frame, found.cross_validated))}")
+        lines += [
+            f"fitted on {t.fitted_on}, tried on {t.tried_on}: {_said(t.scores)}"
+            for t in found.trials
         ]
-        for words, trial in judged:
-            print(
-                f"{words}: {trial.mean_absolute_error_percent:.2f} % mean error of a flight's "
-                f"energy, bias {trial.bias_percent:+.2f} %, {trial.power_rmse_W:.1f} W in a "
-                f"second, {trial.flights} flights"
-            )
-        print(f"Written to {folder}.")
     return ExitCode.VERIFIED
+
+
+def _said(scores: "Scores") -> str:
+    return (
+        f"{scores.mean_absolute_error_percent:.2f} % mean error of a flight's energy, bias "
+        f"{scores.bias_percent:+.2f} %, {scores.power_rmse_W:.1f} W in a second, "
+        f"{scores.flights} flights"
+    )
 
 
 def predict(logs: Logs, *, vehicle: Vehicle, out: NewFolder = None, quiet: Quiet = False) -> int:
@@ -247,14 +260,8 @@ def predict(logs: Logs, *, vehicle: Vehicle, out: NewFolder = None, quiet: Quiet
     from pyomo_quad.identification.report import write_predictions  # noqa: PLC0415
 
     scenario, frame = _read(logs, vehicle, None)
-    with raise_on_interrupt(), output_folder(folder) as aside:
-        found = write_predictions(aside, frame, LoggedMotion(scenario, frame).power())
-    if not quiet:
-        print(
-            f"{found.flights} flights: {found.mean_absolute_error_percent:.2f} % mean error of a "
-            f"flight's energy, bias {found.bias_percent:+.2f} %, {found.power_rmse_W:.1f} W in a "
-            f"second. Written to {folder}."
-        )
+    with raise_on_interrupt(), _report_folder(folder, is_quiet=quiet) as (aside, lines):
+        lines.append(_said(write_predictions(aside, frame, LoggedMotion(scenario, frame).power())))
     return ExitCode.VERIFIED
 
 

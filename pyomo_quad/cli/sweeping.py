@@ -1,21 +1,15 @@
-"""`pyomo-quad sweep` and `sweep-report`: many cases of a scenario, and how they go."""
+"""`pyomo-quad sweep` and `sweep-report`: many cases of a scenario, with progress on a terminal."""
 
 import os
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pyomo_quad.cli.endings import ExitCode, raise_on_interrupt
 from pyomo_quad.cli.terminal import FigureChoice, complain, error_console, positive_count
@@ -24,16 +18,9 @@ from pyomo_quad.report.folder import final_folder, output_folder, refuse_output_
 from pyomo_quad.scenario.messages import OutputError
 
 if TYPE_CHECKING:
-    from pyomo_quad.sweep import (
-        SweepDesign,
-        SweepEstimate,
-        SweepListener,
-        SweepSummary,
-        Workers,
-    )
+    from pyomo_quad.sweep import SweepDesign, SweepEstimate, SweepListener, SweepSummary
     from pyomo_quad.sweep.case import CaseOutcome
     from pyomo_quad.sweep.design import Case
-    from pyomo_quad.sweep.study_file import LoadedStudy
 
 _REPORT_FOLDER = "report"
 
@@ -82,24 +69,27 @@ def sweep(
         try:
             refuse_output_folder(report)
         except OutputError:
-            if out.is_dir() and not os.access(out, os.W_OK):
-                from pyomo_quad.sweep.store import refuse_kept_results  # noqa: PLC0415  a second
+            from pyomo_quad.sweep.store import refuse_kept_results  # noqa: PLC0415  a second
 
-                refuse_kept_results(out)
+            refuse_kept_results(out)
             raise
-    from pyomo_quad.sweep import design_sweep, load_study  # noqa: PLC0415  takes a second
+    from pyomo_quad import sweep as sweeps  # noqa: PLC0415  takes a second
 
-    loaded = load_study(study)
-    design = design_sweep(loaded, is_large_allowed=yes)
+    loaded = sweeps.load_study(study)
+    design = sweeps.design_sweep(loaded, is_large_allowed=yes)
     folder = out or Path("reports") / design.name
     count = workers or len(os.sched_getaffinity(0))
     if dry_run:
-        from pyomo_quad.sweep import estimate_sweep  # noqa: PLC0415
-
-        print(_estimate_line(design, estimate_sweep(design, loaded.base, folder), count))
+        print(_estimate_line(design, sweeps.estimate_sweep(design, loaded.base, folder), count))
         return ExitCode.VERIFIED
-    with raise_on_interrupt(), _workers(count, scheduler) as crew:
-        summary = _run(loaded, design, folder, crew, is_fresh=fresh, is_verbose=verbose)
+    crew = sweeps.process_workers(count) if scheduler is None else sweeps.cluster_workers(scheduler)
+    writing = sweeps.ResultStore.writing(folder, design, is_fresh=fresh)
+    with raise_on_interrupt(), crew as workforce, writing as store:
+        for change in sweeps.adopt_design(store, design):
+            complain(f"{folder}: extended: {change}")
+        complain(f"{design.name}: {design.case_count} cases on {workforce.description}")
+        with follow_sweep(is_verbose=verbose) as listener:
+            summary = sweeps.Sweep(design, loaded.base, store, listener).run(workforce)
     print(_summary_line(design, summary, folder))
     if summary.is_interrupted:
         return ExitCode.INTERRUPTED
@@ -112,47 +102,18 @@ def sweep_report(
     folder: SweepFolder, *, out: ReportOutput = None, figures: FigureChoice = Figures.SVG
 ) -> int:
     """Write tables and figures of a sweep from its store; nothing is solved."""
-    from pyomo_quad.sweep import (  # noqa: PLC0415
-        ResultStore,
-        results_frame,
-        write_sweep_report,
-    )
+    from pyomo_quad import sweep as sweeps  # noqa: PLC0415
 
-    with ResultStore.reading(folder) as store:
-        design, frame = store.design, results_frame(store)
+    with sweeps.ResultStore.reading(folder) as store:
+        design, frame = store.design, sweeps.results_frame(store)
     if frame.empty:
         complain(f"{folder}: holds no finished case yet; run the sweep first.")
         return ExitCode.BAD_INPUT
     target = out or folder / _REPORT_FOLDER
     with output_folder(target) as aside:
-        write_sweep_report(aside, design, frame, figures)
+        sweeps.write_sweep_report(aside, design, frame, figures)
     print(f"Report written to {target}.")
     return ExitCode.VERIFIED
-
-
-def _workers(count: int, scheduler: str | None) -> AbstractContextManager["Workers"]:
-    from pyomo_quad.sweep import cluster_workers, process_workers  # noqa: PLC0415
-
-    return process_workers(count) if scheduler is None else cluster_workers(scheduler)
-
-
-def _run(
-    loaded: "LoadedStudy",
-    design: "SweepDesign",
-    folder: Path,
-    workers: "Workers",
-    *,
-    is_fresh: bool,
-    is_verbose: bool,
-) -> "SweepSummary":
-    from pyomo_quad.sweep import ResultStore, Sweep, adopt_design  # noqa: PLC0415
-
-    with ResultStore.writing(folder, design, is_fresh=is_fresh) as store:
-        for change in adopt_design(store, design):
-            complain(f"{folder}: extended: {change}")
-        complain(f"{design.name}: {design.case_count} cases on {workers.description}")
-        with follow_sweep(is_verbose=is_verbose) as listener:
-            return Sweep(design, loaded.base, store, listener).run(workers)
 
 
 def _estimate_line(design: "SweepDesign", estimate: "SweepEstimate", workers: int) -> str:
@@ -180,13 +141,13 @@ def _summary_line(design: "SweepDesign", summary: "SweepSummary", folder: Path) 
 
 
 _SECONDS_BETWEEN_LINES = 10.0
-# The time left is judged by so many seconds of the past: early cases wait for each other.
+# The time left is estimated from the last minute: early cases wait for their parents.
 _SECONDS_OF_MEMORY = 60.0
 
 
 @contextmanager
 def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
-    """Show how a sweep goes on while the block runs."""
+    """Show the progress of a sweep while the block runs: a bar on a terminal, else lines."""
     console = error_console()
     if not console.is_terminal:
         yield _Lines(console, is_verbose=is_verbose)
@@ -202,63 +163,57 @@ def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
         yield _Bar(progress, is_verbose=is_verbose)
 
 
-class _Counter:
-    """Counts cases, and writes a line for each if asked."""
+class _Listener:
+    """Counts the cases of a sweep and shows the counts, with a line for each case if asked."""
+
+    total = done = failed = _solved = 0
 
     def __init__(self, console: Console, *, is_verbose: bool) -> None:
         self._console = console
         self._is_verbose = is_verbose
         self._began = monotonic()
-        self.total = self.done = self.failed = self._solved = 0
 
     def start(self, total: int, already_ended: int) -> None:
-        """Hear how many cases there are, and how many need not be solved any more."""
+        """Take the number of cases, and of those which have ended before."""
         self.total, self.done = total, already_ended
+        self._show()
 
     def case_ended(self, case: "Case", outcome: "CaseOutcome", done: int) -> None:
-        """Hear that a case's row has been committed, and how many cases are done now."""
+        """Count a case whose row has been committed."""
         self.done = done
         self._solved += 1
         self.failed += not outcome.is_finished
         if self._is_verbose:
             self._console.print(_line(case, outcome), markup=False, soft_wrap=True)
+        self._show()
 
     @property
     def rate(self) -> float:
         """Cases per second since the start."""
         return self._solved / max(monotonic() - self._began, 1e-9)
 
+    def _show(self) -> None:
+        raise NotImplementedError
 
-class _Bar(_Counter):
+
+class _Bar(_Listener):
     def __init__(self, progress: Progress, *, is_verbose: bool) -> None:
         super().__init__(progress.console, is_verbose=is_verbose)
         self._progress = progress
         self._bar = progress.add_task("", total=None, failed=0, rate=0.0)
 
-    def start(self, total: int, already_ended: int) -> None:
-        super().start(total, already_ended)
-        self._progress.update(self._bar, total=total, completed=already_ended)
-
-    def case_ended(self, case: "Case", outcome: "CaseOutcome", done: int) -> None:
-        super().case_ended(case, outcome, done)
-        self._progress.update(self._bar, completed=done, failed=self.failed, rate=self.rate)
+    def _show(self) -> None:
+        shown: dict[str, Any] = {"failed": self.failed, "rate": self.rate}
+        self._progress.update(self._bar, total=self.total, completed=self.done, **shown)
 
 
-class _Lines(_Counter):
-    _written_at = 0.0
+class _Lines(_Listener):
+    _next_at = 0.0
 
-    def start(self, total: int, already_ended: int) -> None:
-        super().start(total, already_ended)
-        self._write()
-
-    def case_ended(self, case: "Case", outcome: "CaseOutcome", done: int) -> None:
-        super().case_ended(case, outcome, done)
-        is_due = monotonic() - self._written_at > _SECONDS_BETWEEN_LINES
-        if is_due or self.done == self.total:
-            self._write()
-
-    def _write(self) -> None:
-        self._written_at = monotonic()
+    def _show(self) -> None:
+        if monotonic() < self._next_at and self.done < self.total:
+            return
+        self._next_at = monotonic() + _SECONDS_BETWEEN_LINES
         left = f", {(self.total - self.done) / self.rate:.0f} s left" if self.rate > 0.0 else ""
         self._console.print(
             f"{self.done} of {self.total} cases, {self.failed} failed, "

@@ -1,4 +1,4 @@
-"""What every command shares: arguments, consoles, the live line, the stopwatch."""
+"""Common parts of all commands: options, consoles, progress line and stopwatch."""
 
 import errno
 import os
@@ -42,7 +42,7 @@ def complain(message: str) -> None:
     try:
         print(" ".join(message.split()), file=sys.stderr, flush=True)
     except OSError:
-        _send_to_nowhere(2)  # nobody is left to complain to
+        _send_to_nowhere(2)  # standard error is closed: no message can be seen
 
 
 def claim_streams() -> bool:
@@ -51,7 +51,7 @@ def claim_streams() -> bool:
         try:
             os.fstat(descriptor)
         except OSError:
-            # Else the next file to be opened, a report perhaps, would get what is printed.
+            # Otherwise the next file to be opened, such as a report, would take the printed text.
             os.open(os.devnull, os.O_RDWR)
     has_output = sys.stdout is not None
     for name in ("stdout", "stderr"):
@@ -62,7 +62,7 @@ def claim_streams() -> bool:
 
 
 def gives_up_output(error: OSError) -> bool:
-    """Say whether an error is one of writing to standard output, and if so write no more to it."""
+    """Return whether standard output failed; if so, discard all further output."""
     if error.filename is not None or error.errno not in _LOST:
         return False
     _send_to_nowhere(1)  # Python itself flushes once more at the end
@@ -76,12 +76,12 @@ def _send_to_nowhere(descriptor: int) -> None:
 
 
 _REFRESHES_PER_SECOND = 8
-_SECONDS_BETWEEN_LINES = 10.0  # in a log; of a solve that is shorter it says nothing
+_SECONDS_BETWEEN_LINES = 10.0  # in a log file; a shorter solve writes no line
 
 
 @contextmanager
 def live_line(*, is_quiet: bool) -> Iterator[Callable[["Iteration"], None] | None]:
-    """Show a line on the terminal that follows the solver.
+    """Show the solver's progress in one line on the terminal.
 
     Where standard error is no terminal, a plain line follows it every few seconds instead.
 
@@ -148,17 +148,17 @@ AllowCode = Annotated[
 
 
 def folder_of(scenario: Scenario, output: Path | None) -> Path:
-    """Return where the report of a scenario goes."""
+    """Return the output folder of a scenario's report."""
     return output or Path("reports") / scenario.name
 
 
 def real_number(text: str) -> float:
-    """Read an option that is a number.
+    """Read the value of an option as a real number.
 
     Raises
     ------
     BadParameter
-        If the text is something else.
+        If the text is no such number.
     """
     try:
         return number_in_text(text)
@@ -167,12 +167,12 @@ def real_number(text: str) -> float:
 
 
 def positive_count(text: str) -> int:
-    """Read an option that counts something, from 1 on.
+    """Read the value of an option as a whole number of at least 1.
 
     Raises
     ------
     BadParameter
-        If the text is something else.
+        If the text is no such number.
     """
     digits = text.strip()
     if digits.isascii() and digits.isdecimal() and 1 <= len(digits) <= _MOST_DIGITS and int(digits):

@@ -1,4 +1,4 @@
-"""Plans as autopilots, swarms, simulators and ROS read them, each within a stated error."""
+"""Export of plans to autopilots, swarms, simulators and ROS, with the error of each export."""
 
 from pyomo_quad.exports.formats import Export, Format, export_plan
 from pyomo_quad.exports.motion import Motion, PolynomialTrajectory

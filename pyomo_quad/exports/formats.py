@@ -1,4 +1,4 @@
-"""The formats that a plan can go to, what each may be asked, and the file that each becomes.
+"""Export formats of plans: their options, their files, and their deviation from the plan.
 
 A stream of setpoints is for PX4's offboard mode and, as a trajectory message, for ROS 2; few
 waypoints with speeds, on the globe, are a mission of QGroundControl.
@@ -89,7 +89,7 @@ def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
 
 
 def offboard_deviation(motion: Motion, stream: pd.DataFrame) -> tuple[float, float]:
-    """Return how far a stream leaves the plan between and at its rows: place [m], yaw [rad]."""
+    """Return the largest deviation of a stream from the plan: position [m] and yaw [rad]."""
     t = stream["time_boot_ms"].to_numpy() / _MS_PER_S
     place = _north_east_down(stream[["x", "y", "z"]].to_numpy(dtype=float))
     velocity = _north_east_down(stream[["vx", "vy", "vz"]].to_numpy(dtype=float))
@@ -136,26 +136,17 @@ def write_bag(motion: Motion, rate_hz: float, folder: Path) -> int:
 
 
 def _points(motion: Motion, t: FloatArray, make: dict[str, type]) -> list[object]:
-    vector, twist = make["geometry_msgs/msg/Vector3"], make["geometry_msgs/msg/Twist"]
-    quaternion, transform = (
-        make["geometry_msgs/msg/Quaternion"],
-        make["geometry_msgs/msg/Transform"],
-    )
+    names = ("Vector3", "Twist", "Quaternion", "Transform")
+    vector, twist, quaternion, transform = (make[f"geometry_msgs/msg/{name}"] for name in names)
     duration = make["builtin_interfaces/msg/Duration"]
     point = make["trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"]
-    turning, turning_faster = motion.values(t, RATE_STATES), motion.slopes(t, RATE_STATES)
-    rows = zip(
-        t.tolist(),
-        motion.position(t).tolist(),
-        motion.quaternions(t).tolist(),
-        motion.velocity(t).tolist(),
-        turning.tolist(),
-        motion.acceleration(t).tolist(),
-        turning_faster.tolist(),
-        strict=True,
+    columns = (
+        *(motion.position(t), motion.quaternions(t), motion.velocity(t)),
+        *(motion.values(t, RATE_STATES), motion.acceleration(t), motion.slopes(t, RATE_STATES)),
     )
     points = []
-    for time, place, attitude, velocity, rates, acceleration, rates_slope in rows:
+    for time, *row in zip(t.tolist(), *(column.tolist() for column in columns), strict=True):
+        place, attitude, velocity, rates, acceleration, rates_slope = row
         seconds, nanoseconds = divmod(round(time * _NS_PER_S), _NS_PER_S)
         points.append(
             point(
@@ -169,13 +160,13 @@ def _points(motion: Motion, t: FloatArray, make: dict[str, type]) -> list[object
 
 
 def sampled_deviation(motion: Motion, rate_hz: float) -> float:
-    """Return how far a stream of exact numbers leaves the plan between its points [m]."""
+    """Return the largest distance from the plan between the points of an exact stream [m]."""
     t = motion.samples(rate_hz)
     return _between(motion, t, motion.position(t), motion.velocity(t))
 
 
 def _between(motion: Motion, t: FloatArray, place: FloatArray, velocity: FloatArray) -> float:
-    """Return the distance from the plan of the cubics that a consumer draws between rows [m]."""
+    """Return the largest distance from the plan of a cubic Hermite spline through rows [m]."""
     between = np.unique(np.concatenate([t, t[:-1] + np.diff(t) / 2.0]))
     drawn = CubicHermiteSpline(t, place, velocity)(between)
     return float(np.linalg.norm(drawn - motion.position(between), axis=1).max())
@@ -197,14 +188,18 @@ _FLATTENING = 1.0 / 298.257223563
 _ECCENTRICITY_2 = _FLATTENING * (2.0 - _FLATTENING)
 _LATITUDE_STEPS = 6  # each gains more than two digits; near the ground three suffice
 
-# Degrees, degrees, and metres from below the Dead Sea to above the highest summit.
-_GLOBE = ((-90.0, 90.0), (-180.0, 180.0), (-500.0, 9000.0))
+# Altitudes are from below the Dead Sea to above the highest summit.
+_GLOBE = {
+    "latitude": (-90.0, 90.0, "deg"),
+    "longitude": (-180.0, 180.0, "deg"),
+    "altitude": (-500.0, 9000.0, "m"),
+}
 
-# Below, a leg is a pause: the autopilot is told to wait and not to creep [m/s].
+# A slower leg becomes a pause of the mission: autopilots do not hold such a speed [m/s].
 _SLOWEST = 0.05
 #: Items of a mission that PX4 holds on its smaller boards.
 MOST_ITEMS = 500
-_CHECKED = 4001
+_CHECKED = 4001  # samples of a flight at which the distance of the legs is checked
 # MAVLink's commands and frame, and the autopilot and vehicle that the file names.
 _NAV_WAYPOINT, _DO_CHANGE_SPEED = 16, 178
 _GLOBAL_RELATIVE_ALTITUDE, _MISSION = 3, 2
@@ -213,8 +208,8 @@ _GROUND_SPEED = 1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Origin:
-    """Where on the globe the plan's origin lies: degrees on WGS 84, metres above the sea."""
+class GeodeticOrigin:
+    """Position of the plan's origin on the globe: degrees on WGS 84, metres above the sea."""
 
     latitude: float
     longitude: float
@@ -249,7 +244,7 @@ class Legs:
 
 
 def thin(motion: Motion, path_error_m: float) -> Legs:
-    """Return the legs of a plan: at no time is one further from it than the path error.
+    """Approximate a plan by straight legs, at no time further from it than the path error.
 
     The plan is split where it is furthest from where a flight at even speed would be at that time,
     until it is near enough everywhere (the top-down time-ratio algorithm of Meratnia and de By,
@@ -272,7 +267,7 @@ def thin(motion: Motion, path_error_m: float) -> Legs:
     return Legs(times=t[rows], places=place[rows])
 
 
-def mission(legs: Legs, origin: Origin, name: str, path_error_m: float) -> dict[str, Any]:
+def mission(legs: Legs, origin: GeodeticOrigin, name: str, path_error_m: float) -> dict[str, Any]:
     """Return a QGroundControl plan file: heights are over the origin, which is the home.
 
     Raises
@@ -302,7 +297,7 @@ def mission(legs: Legs, origin: Origin, name: str, path_error_m: float) -> dict[
     return {
         "fileType": "Plan",
         "version": 1,
-        # Whoever wrote the file, as QGroundControl says of this entry; it reads any text.
+        # QGroundControl reads any text here, which names the program that wrote the file.
         "groundStation": MARK,
         "geoFence": {"circles": [], "polygons": [], "version": 2},
         "rallyPoints": {"points": [], "version": 2},
@@ -343,7 +338,7 @@ def _normal_radius(latitude: FloatArray) -> FloatArray:
 
 
 def _geodetic(place: FloatArray) -> FloatArray:
-    """Return latitude [deg], longitude [deg] and height over the ellipsoid [m] of earth-centred."""
+    """Convert earth-centred places to latitude, longitude [deg] and ellipsoidal height [m]."""
     x, y, z = place.T
     across = np.hypot(x, y)
     latitude = np.arctan2(z, across * (1.0 - _ECCENTRICITY_2))
@@ -351,7 +346,7 @@ def _geodetic(place: FloatArray) -> FloatArray:
         normal = _normal_radius(latitude)
         latitude = np.arctan2(z + normal * _ECCENTRICITY_2 * np.sin(latitude), across)
     normal = _normal_radius(latitude)
-    # Of the two ways to the height that which does not divide by nothing at poles or equator.
+    # This formula of the height divides by zero neither at the poles nor at the equator.
     height = (
         across * np.cos(latitude)
         + z * np.sin(latitude)
@@ -360,7 +355,7 @@ def _geodetic(place: FloatArray) -> FloatArray:
     return np.column_stack([np.degrees(latitude), np.degrees(np.arctan2(y, x)), height])
 
 
-def origin_of(text: str) -> Origin:
+def origin_of(text: str) -> GeodeticOrigin:
     """Read LAT,LON,ALT in degrees and metres above the sea.
 
     Raises
@@ -368,32 +363,24 @@ def origin_of(text: str) -> Origin:
     ScenarioError
         If it is not three numbers, or no place on the globe.
     """
-    numbers = [_number(part) for part in text.split(",")]
-    if len(numbers) != 3 or None in numbers:
+    try:
+        given = dict(zip(_GLOBE, map(number_in_text, text.split(",")), strict=True))
+    except ValueError:
         raise ScenarioError(
             f"--origin {shown(text)}: must be LAT,LON,ALT in degrees and metres above the sea, "
             "such as 47.3977,8.5456,488."
-        )
-    for name, value, (low, high), unit in zip(
-        ("latitude", "longitude", "altitude"), numbers, _GLOBE, ("deg", "deg", "m"), strict=True
-    ):
-        if value is None or not low <= value <= high:
+        ) from None
+    for name, (low, high, unit) in _GLOBE.items():
+        if not low <= given[name] <= high:
             raise ScenarioError(
-                f"--origin: {name} = {value:g} {unit}; must be from {low:g} to {high:g} {unit}."
+                f"--origin: {name} = {given[name]:g} {unit}; must be from {low:g} to {high:g} "
+                f"{unit}."
             )
-    latitude, longitude, altitude = (float(value or 0.0) for value in numbers)
-    return Origin(latitude=latitude, longitude=longitude, altitude=altitude)
-
-
-def _number(text: str) -> float | None:
-    try:
-        return number_in_text(text)
-    except ValueError:
-        return None
+    return GeodeticOrigin(**given)
 
 
 class Format(StrEnum):
-    """Who reads a plan."""
+    """Programs and autopilots that read an exported plan."""
 
     QGROUNDCONTROL = "qgroundcontrol"
     PX4 = "px4"
@@ -404,20 +391,20 @@ class Format(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """What was written.
+    """Result of an export: its file and its deviation from the plan.
 
     Attributes
     ----------
     path : str
-        Of the file, or of the folder of a bag.
+        Path of the file, or of the folder of a bag.
     parts : int
-        How many waypoints, setpoints, points or pieces it holds.
+        Number of waypoints, setpoints, points or pieces.
     what : str
-        The word for these.
+        Name of the parts, such as "setpoints".
     position_error_m : float
-        The largest distance from the plan at any time, as its reader would fly it.
+        Largest distance from the plan at any time of a vehicle that follows the export.
     yaw_error_rad : float or None
-        The same of the heading; None where the format leaves it to the autopilot.
+        Largest deviation of the heading; None where the autopilot chooses the heading.
     """
 
     path: str
@@ -427,7 +414,7 @@ class Export:
     yaw_error_rad: float | None
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return all of it by name."""
+        """Return the result as a mapping, by the names of its fields."""
         return asdict(self)
 
 
@@ -435,21 +422,23 @@ _Written = tuple[int, str, float, float | None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Options:
-    origin: Origin | None
-    path_error_m: float | None
-    rate_hz: float | None
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Writer:
-    """How a format is written, the end of its name, and what it may be asked."""
+    """How a format is written, the end of its file's name, and the options that it takes.
 
-    write: Callable[[Motion, Path, _Options], _Written]
+    ``option`` is a number with a default, the second argument of ``write`` after the path; a
+    format on the globe takes an origin beside it.
+    """
+
+    write: Callable[..., _Written]
     ending: str
-    takes: tuple[str, ...]
-    path_error_m: float = 0.0
-    rate_hz: float = 0.0
+    option: str
+    default: float
+    is_on_globe: bool = False
+
+    @property
+    def takes(self) -> tuple[str, ...]:
+        """Options that the format can be given."""
+        return ("--origin", self.option) if self.is_on_globe else (self.option,)
 
 
 _DIGITS = "%.9g"  # of a number of 32 bits, none is lost
@@ -472,14 +461,14 @@ def export_plan(
 ) -> Export:
     """Write a verified plan as an autopilot, a swarm, a simulator or ROS 2 reads it.
 
-    It is flown once more before: what a file says of its own proof counts nothing.
+    The plan is flown again before: a file's own claim to be verified is not believed.
 
     Parameters
     ----------
     plan : Plan, str or Path
         A plan, the file of one, or the report folder of a run.
     to : Format or str
-        Who reads it.
+        Format of the export.
     out : str or Path, optional
         The file to write, for ROS 2 a folder; named after the scenario in the working folder by
         default.  An earlier export is replaced, any other file that is there is not; a device or
@@ -490,7 +479,7 @@ def export_plan(
     path_error_m : float, optional
         The largest distance from the plan that waypoints and pieces may have.
     rate_hz : float, optional
-        Of setpoints.
+        Setpoints per second.
     is_code_allowed : bool, optional
         Whether the builder that the plan's scenario names may be run, to fly it.
 
@@ -521,11 +510,7 @@ def export_plan(
             f"--path-error = {path_error_m:g} m; must be from {_SMALLEST_PATH_ERROR_M:g} to "
             f"{_LARGEST_PATH_ERROR_M:g} m."
         )
-    options = _Options(
-        origin=None if origin is None else origin_of(origin),
-        path_error_m=path_error_m or writer.path_error_m,
-        rate_hz=writer.rate_hz if rate_hz is None else rate_hz,
-    )
+    place = () if origin is None else (origin_of(origin),)
     if isinstance(plan, Plan):
         motion = Motion.of(plan, is_code_allowed=is_code_allowed)
     else:
@@ -533,8 +518,11 @@ def export_plan(
     path = Path(out) if out is not None else Path(f"{motion.name}{writer.ending}")
     if not isinstance(plan, Plan):
         _refuse_source(path, Path(plan))
-    parts, what, place, yaw = writer.write(motion, path, options)
-    return Export(path=str(path), parts=parts, what=what, position_error_m=place, yaw_error_rad=yaw)
+    amount = path_error_m if rate_hz is None else rate_hz
+    parts, what, far, yaw = writer.write(
+        motion, path, writer.default if amount is None else amount, *place
+    )
+    return Export(path=str(path), parts=parts, what=what, position_error_m=far, yaw_error_rad=yaw)
 
 
 def _refuse_options(to: Format, writer: _Writer, given: list[str]) -> None:
@@ -552,7 +540,7 @@ def _refuse_options(to: Format, writer: _Writer, given: list[str]) -> None:
 
 
 def _refuse_source(path: Path, source: Path) -> None:
-    """Refuse to write where the plan is read from."""
+    """Refuse an output path that holds the plan to export."""
     read, written = final_folder(source), final_folder(path)
     if written == read or written in read.parents:
         raise ScenarioError(f"--out {path}: holds the plan that is exported; choose another --out.")
@@ -563,10 +551,9 @@ def _write_text(path: Path, text: str, mark: str = MARK) -> None:
         aside.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _write_qgroundcontrol(motion: Motion, path: Path, options: _Options) -> _Written:
-    error_m, origin = options.path_error_m or 0.0, options.origin
-    if origin is None:
-        raise ScenarioError("--to qgroundcontrol needs --origin LAT,LON,ALT.")
+def _write_qgroundcontrol(
+    motion: Motion, path: Path, error_m: float, origin: GeodeticOrigin
+) -> _Written:
     legs = thin(motion, error_m)
     text = json.dumps(mission(legs, origin, motion.name, error_m), indent=1, allow_nan=False)
     _write_text(path, f"{text}\n")
@@ -575,15 +562,14 @@ def _write_qgroundcontrol(motion: Motion, path: Path, options: _Options) -> _Wri
     return len(legs.times), "waypoints", float(found), None
 
 
-def _write_px4(motion: Motion, path: Path, options: _Options) -> _Written:
-    stream = offboard(motion, options.rate_hz or 0.0)
+def _write_px4(motion: Motion, path: Path, rate_hz: float) -> _Written:
+    stream = offboard(motion, rate_hz)
     text = stream.to_csv(index=False, float_format=_DIGITS, lineterminator="\n")
     _write_text(path, text, mark=",".join(stream.columns))
     return len(stream), "setpoints", *offboard_deviation(motion, stream)
 
 
-def _write_ros2(motion: Motion, path: Path, options: _Options) -> _Written:
-    rate_hz = options.rate_hz or 0.0
+def _write_ros2(motion: Motion, path: Path, rate_hz: float) -> _Written:
     with output_folder(path) as aside:
         bag = aside / (path.resolve().name or motion.name)
         points = write_bag(motion, rate_hz, bag)
@@ -593,12 +579,12 @@ def _write_ros2(motion: Motion, path: Path, options: _Options) -> _Written:
     return points, "points", sampled_deviation(motion, rate_hz), 0.0
 
 
-def _write_crazyflie(motion: Motion, path: Path, options: _Options) -> _Written:
-    durations, coefficients = fit_pieces(motion, options.path_error_m or 0.0, MOST_CRAZYFLIE_PIECES)
-    # The vehicle holds numbers of 32 bits: what is lost by them belongs to the error.
+def _write_crazyflie(motion: Motion, path: Path, error_m: float) -> _Written:
+    durations, coefficients = fit_pieces(motion, error_m, MOST_CRAZYFLIE_PIECES)
+    # The vehicle holds numbers of 32 bits: the deviation includes their rounding.
     rows = np.column_stack([durations, coefficients.reshape(len(durations), -1)])
     rows = rows.astype(np.float32)
-    # Readers pass over the names. Those of other programs have no unit of the duration.
+    # Readers skip the names. Files of other programs give no unit of the duration.
     names = ["duration_s"]
     names += [f"{axis}^{power}" for axis in ("x", "y", "z", "yaw") for power in range(8)]
     header = ",".join(names)
@@ -609,8 +595,8 @@ def _write_crazyflie(motion: Motion, path: Path, options: _Options) -> _Written:
     return len(rows), "pieces", *found
 
 
-def _write_rotorpy(motion: Motion, path: Path, options: _Options) -> _Written:
-    durations, coefficients = fit_pieces(motion, options.path_error_m or 0.0, _MOST_ROTORPY_PIECES)
+def _write_rotorpy(motion: Motion, path: Path, error_m: float) -> _Written:
+    durations, coefficients = fit_pieces(motion, error_m, _MOST_ROTORPY_PIECES)
     _write_text(
         path,
         _ROTORPY_MODULE.format(
@@ -624,7 +610,7 @@ def _write_rotorpy(motion: Motion, path: Path, options: _Options) -> _Written:
     return len(durations), "pieces", *piece_deviation(motion, durations, coefficients)
 
 
-# Of the plan there are only numbers in it, no text: it is a program.
+# The file is a program: it takes numbers of the plan and no text.
 _ROTORPY_TITLE = "A trajectory for RotorPy: from NAME import trajectory. It needs NumPy."
 _ROTORPY_MODULE = '''"""{title}"""
 
@@ -644,18 +630,16 @@ _WRITERS = {
     Format.QGROUNDCONTROL: _Writer(
         write=_write_qgroundcontrol,
         ending=".plan",
-        takes=("--origin", "--path-error"),
-        path_error_m=0.25,
+        option="--path-error",
+        default=0.25,
+        is_on_globe=True,
     ),
-    Format.PX4: _Writer(write=_write_px4, ending="_px4.csv", takes=("--rate",), rate_hz=50.0),
-    Format.ROS2: _Writer(write=_write_ros2, ending="_ros2", takes=("--rate",), rate_hz=50.0),
+    Format.PX4: _Writer(write=_write_px4, ending="_px4.csv", option="--rate", default=50.0),
+    Format.ROS2: _Writer(write=_write_ros2, ending="_ros2", option="--rate", default=50.0),
     Format.CRAZYFLIE: _Writer(
-        write=_write_crazyflie,
-        ending="_crazyflie.csv",
-        takes=("--path-error",),
-        path_error_m=0.001,
+        write=_write_crazyflie, ending="_crazyflie.csv", option="--path-error", default=0.001
     ),
     Format.ROTORPY: _Writer(
-        write=_write_rotorpy, ending="_rotorpy.py", takes=("--path-error",), path_error_m=0.0001
+        write=_write_rotorpy, ending="_rotorpy.py", option="--path-error", default=0.0001
     ),
 }

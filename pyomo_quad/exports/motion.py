@@ -1,6 +1,6 @@
-"""What a plan says of the vehicle's motion, at any time: read from a plan or from its report.
+"""Motion of a verified plan at any time, from a plan or from its report.
 
-Pieces of degree 7 approach it, as Crazyflie swarms read them and as an object that RotorPy follows.
+Polynomials of degree 7 approximate the motion for Crazyflie swarms and for RotorPy.
 """
 
 from collections.abc import Iterator, Sequence
@@ -43,14 +43,14 @@ class Motion:
     Attributes
     ----------
     name : str
-        Of the scenario.
+        Name of the scenario.
     times : ndarray, shape (n_nodes,)
         Times of the mesh's nodes [s], strictly increasing.
     states : ndarray, shape (n_nodes, n_states)
     names : tuple of str
         States, as the model names them.
     degrees : tuple of int
-        Of the elements, in order; their sum is n_nodes - 1.
+        Degrees of the elements, in order; their sum is n_nodes - 1.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Motion:
 
     @classmethod
     def of(cls, plan: Plan, *, is_code_allowed: bool = False) -> Self:
-        """Return the motion of a verified plan, which is flown once more.
+        """Return the motion of a verified plan after flying it again.
 
         Raises
         ------
@@ -83,7 +83,7 @@ class Motion:
 
     @classmethod
     def read(cls, path: str | Path, *, is_code_allowed: bool = False) -> Self:
-        """Read the motion of a file of `Plan.save`, or of the report folder of a run.
+        """Read a plan's motion from a file of `Plan.save` or from the report folder of a run.
 
         What is read is flown once more; a builder that its scenario names is run where allowed.
 
@@ -144,11 +144,11 @@ class Motion:
 
     @property
     def duration(self) -> float:
-        """Of the flight [s]."""
+        """Duration of the flight [s]."""
         return float(self.times[-1] - self.times[0])
 
     def require(self, needed: Sequence[str], reader: str) -> None:
-        """Refuse a plan that lacks states which a format cannot do without.
+        """Refuse a plan that lacks states which a format needs.
 
         Raises
         ------
@@ -172,7 +172,7 @@ class Motion:
         return slopes / self.duration
 
     def position(self, t: FloatArray) -> FloatArray:
-        """Return places [m], shape (n, 3)."""
+        """Return positions [m], shape (n, 3)."""
         return self.values(t, POSITION_STATES)
 
     def velocity(self, t: FloatArray) -> FloatArray:
@@ -216,7 +216,7 @@ def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
 
 
 def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectories:
-    """Return what a report's table says at the nodes of a mesh.
+    """Return the trajectories of a report's table at the nodes of a mesh.
 
     All of its columns stand as states and as controls: which they are, the equations know.
     """
@@ -249,22 +249,22 @@ def _refuse_unverified(name: str, status: str) -> None:
 
 DEGREE = 7
 _FIRST_PIECES = 4
-# Of the flight: over it the jerk at an end is taken.
+# Share of the flight over which the jerk at an end is a finite difference.
 _END_STEP = 1e-3
 _CHECKED_PER_PIECE = 16
 _MOST_CHECKED = 20_001
 
 
 class PolynomialTrajectory:
-    """A trajectory in pieces of polynomials, for RotorPy and whoever asks for flat outputs.
+    """Piecewise polynomial trajectory of the flat outputs, as RotorPy reads trajectories.
 
     Parameters
     ----------
     durations : array, shape (n_pieces,)
-        Of the pieces [s].
+        Durations of the pieces [s].
     coefficients : array, shape (n_pieces, 4, n_coefficients)
-        Of x, y, z [m] and yaw [rad] as polynomials of the time since the piece began [s], the
-        constant first.
+        Coefficients of x, y, z [m] and yaw [rad] as polynomials of the time since the piece
+        began [s], the constant first.
     """
 
     def __init__(self, durations: ArrayLike, coefficients: ArrayLike) -> None:
@@ -300,7 +300,7 @@ class PolynomialTrajectory:
 def fit_pieces(
     motion: Motion, path_error_m: float, most_pieces: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return durations and coefficients of the fewest equal pieces that keep to a plan.
+    """Fit equal pieces to a plan within the path error, as few as possible.
 
     The pieces are those of a spline of degree 7 through the plan, which has the plan's velocity,
     acceleration and jerk at both ends; all but its last derivative are continuous.
@@ -327,7 +327,7 @@ def fit_pieces(
 def piece_deviation(
     motion: Motion, durations: FloatArray, coefficients: FloatArray
 ) -> tuple[float, float]:
-    """Return how far pieces leave a plan at any time: place [m] and yaw [rad]."""
+    """Return the largest deviation of pieces from a plan: position [m] and yaw [rad]."""
     t = np.linspace(
         0.0, motion.duration, min(_MOST_CHECKED, _CHECKED_PER_PIECE * len(motion.times))
     )

@@ -1,13 +1,11 @@
 """Output folders and files that appear whole or not at all."""
 
-import ctypes
 import errno
 import fcntl
 import os
 import re
 import shutil
 import stat
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -16,43 +14,15 @@ from typing import NoReturn
 
 from pyomo_quad.scenario.messages import OutputError
 
-_AT_FDCWD = -100
-_RENAME_EXCHANGE = 2
-
-
-def exchange_folders(one: Path, other: Path) -> bool:
-    """Let two folders of one file system swap their names atomically.
-
-    Returns
-    -------
-    bool
-        False, with nothing changed, where the system or the file system cannot do it.
-
-    Notes
-    -----
-    Linux offers it as renameat2 with RENAME_EXCHANGE, which Python does not wrap.
-    """
-    if not sys.platform.startswith("linux"):
-        return False
-    try:
-        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
-    except AttributeError:
-        return False
-    result = renameat2(
-        _AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), ctypes.c_uint(_RENAME_EXCHANGE)
-    )
-    return int(result) == 0
-
-
 MANIFEST_NAME = ".pyomo_quad_files"
 
-# What this process has made beside its output folders, while it is at work on them.
+# Files and folders that this process has begun beside its outputs and not yet finished.
 _unfinished: set[Path] = set()
 
 
 @contextmanager
 def output_folder(path: str | Path) -> Iterator[Path]:
-    """Give a folder to write into that takes its place when the block ends well.
+    """Yield a folder to write into, which becomes the final folder when the block succeeds.
 
     Yields
     ------
@@ -71,25 +41,21 @@ def output_folder(path: str | Path) -> Iterator[Path]:
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
         with _lock(final, path):
-            _finish_swap(final, path)
+            _finish_swap(final, path, aside)
             _remove_leftovers(final)
             _refuse_foreign_files(final, path)
             aside.mkdir()
-            _unfinished.add(aside)
-            try:
+            with _until_finished(aside):
                 (aside / MANIFEST_NAME).touch()
                 yield aside
                 _write_manifest(aside)
-                _swap(aside, final, path)
-            finally:
-                with suppress(OSError):
-                    _remove(aside)
-                _unfinished.discard(aside)
+                aside.rename(_hidden(final, "ready") if final.exists() else final)
+                _finish_swap(final, path, aside)
     except OSError as error:
         _refuse(path, error)
 
 
-#: What a single file says of itself, by which a later command knows that it may replace it.
+#: Text in each single file, by which a later command knows that it may replace the file.
 MARK = "Written by pyomo_quad"
 # The mark is looked for so near to either end of a file: a PDF names its creator last.
 _MARKED_WITHIN_BYTES = 65_536
@@ -97,7 +63,7 @@ _MARKED_WITHIN_BYTES = 65_536
 
 @contextmanager
 def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
-    """Give a file to write that takes its place, whole, when the block ends well.
+    """Yield a file to write, which becomes the final file when the block succeeds.
 
     A character device or a FIFO gets the bytes instead, and stays what it is.
 
@@ -115,43 +81,29 @@ def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
     final = final_folder(path)
     try:
         if _is_stream(path):
-            with _scratch_folder() as folder:
+            folder = Path(tempfile.mkdtemp(prefix="pyomo_quad-"))
+            with _until_finished(folder):
                 yield folder / final.name
                 _copy(folder / final.name, path)
             return
         aside = _hidden(final, f"new-{os.getpid()}")
         _refuse_foreign_file(final, path, mark)
         final.parent.mkdir(parents=True, exist_ok=True)
-        _unfinished.add(aside)
-        try:
+        with _until_finished(aside):
             yield aside
             _refuse_foreign_file(final, path, mark)
             aside.replace(final)
-        finally:
-            aside.unlink(missing_ok=True)
-            _unfinished.discard(aside)
     except OSError as error:
         _refuse(path, error)
 
 
 def _is_stream(path: str | Path) -> bool:
-    """Say whether a path leads to something that takes bytes without holding any."""
+    """Return whether a path leads to a character device or a FIFO."""
     # The links of /dev/stdout end in no name that could be opened, but can be followed.
     with suppress(FileNotFoundError):
         mode = os.stat(path).st_mode  # noqa: PTH116  a path may be a text
         return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode)
     return False
-
-
-@contextmanager
-def _scratch_folder() -> Iterator[Path]:
-    folder = Path(tempfile.mkdtemp(prefix="pyomo_quad-"))
-    _unfinished.add(folder)
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        _unfinished.discard(folder)
 
 
 def _copy(file: Path, stream: str | Path) -> None:
@@ -182,12 +134,12 @@ def _is_marked(file: Path, mark: str) -> bool:
 
 
 def refuse_output_folder(path: str | Path) -> None:
-    """Refuse a folder that `output_folder` would refuse, without making anything.
+    """Refuse a folder that `output_folder` would refuse, without writing.
 
     Raises
     ------
     OutputError
-        If no report can go there; what else may happen until then is found out then.
+        If no report can be written there now.
     """
     final = final_folder(path)
     try:
@@ -202,32 +154,29 @@ def refuse_output_folder(path: str | Path) -> None:
 
 
 def discard_unfinished() -> None:
-    """Remove what this process has begun and will not finish."""
+    """Remove the files and folders that this process has begun and not finished."""
     for begun in _unfinished:
-        with suppress(OSError):
-            (_remove if begun.is_dir() else Path.unlink)(begun)
+        _discard(begun)
 
 
-def recover_folder(path: str | Path) -> None:
-    """Finish a swap that a killed run left half done.
+def _discard(begun: Path) -> None:
+    with suppress(OSError):
+        (_remove if begun.is_dir() else Path.unlink)(begun)
 
-    Raises
-    ------
-    OutputError
-        If the swap cannot be finished.
-    """
-    final = final_folder(path)
-    if not _hidden(final, "ready").exists():
-        return
+
+@contextmanager
+def _until_finished(begun: Path) -> Iterator[None]:
+    """Remove a file or folder at the end of the block, also if the process is ended in it."""
+    _unfinished.add(begun)
     try:
-        with _lock(final, path):
-            _finish_swap(final, path)
-    except OSError as error:
-        _refuse(path, error)
+        yield
+    finally:
+        _discard(begun)
+        _unfinished.discard(begun)
 
 
 def final_folder(path: str | Path) -> Path:
-    """Return where a path leads; no report goes to the root of all folders."""
+    """Resolve all links of an output path, and refuse the root of all folders."""
     # Unlike `Path.resolve`, `realpath` lets a loop of links be found out by whoever opens it.
     final = Path(os.path.realpath(path))
     if final == final.parent:
@@ -259,30 +208,25 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
     if os.fstat(descriptor).st_size > 0:
         os.close(descriptor)
         raise OutputError(f"{path}: needs the name {file.name!r} beside it; move that file away.")
-    _unfinished.add(file)
     try:
-        yield
+        with _until_finished(file):
+            yield
     finally:
-        file.unlink(missing_ok=True)
-        _unfinished.discard(file)
         os.close(descriptor)
 
 
-def _swap(aside: Path, final: Path, path: str | Path) -> None:
-    if not final.exists():
-        aside.rename(final)
-    elif not exchange_folders(aside, final):
-        aside.rename(_hidden(final, "ready"))
-        _finish_swap(final, path)
+def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
+    """Replace the final folder by the folder that is ready, if a run has left one.
 
-
-def _finish_swap(final: Path, path: str | Path) -> None:
+    The old folder keeps the name `aside` until it is removed.  Between two renames there is no
+    final folder: a run killed there leaves the new folder ready, which the next run puts in place.
+    """
     ready = _hidden(final, "ready")
     if not _is_of_a_run(ready):
         return
     _refuse_foreign_files(final, path)
     if final.exists():
-        _remove(final)
+        final.rename(aside)
     ready.rename(final)
 
 
@@ -300,12 +244,12 @@ def _remove_leftovers(final: Path) -> None:
 
 
 def _is_of_a_run(folder: Path) -> bool:
-    """Say whether a folder of a hidden name was made by a run and not by a stranger."""
+    """Return whether a run made a folder of a hidden name, by its manifest."""
     return not folder.is_symlink() and (folder / MANIFEST_NAME).is_file()
 
 
 def _remove(folder: Path) -> None:
-    """Delete a folder, its manifest last, so that what a kill leaves is still known."""
+    """Delete a folder, its manifest last, which marks the rest if the process is killed."""
     for entry in folder.iterdir():
         if entry.name == MANIFEST_NAME:
             continue
@@ -317,7 +261,7 @@ def _remove(folder: Path) -> None:
 
 
 def _files(folder: Path) -> Iterator[str]:
-    """Yield all that is not a folder, links to folders included, and fail where it cannot look."""
+    """Yield all files of a folder, links to folders included; raise where it cannot be read."""
 
     def fail(error: OSError) -> NoReturn:
         raise error

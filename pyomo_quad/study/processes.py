@@ -1,4 +1,4 @@
-"""Other processes of this machine: workers that are spawned, and copies that share one job."""
+"""Other processes of this machine: spawned workers, and copies of the process for one job."""
 
 import multiprocessing
 import os
@@ -7,16 +7,14 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager, suppress
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import ForkingPickler
 from time import monotonic
 from typing import Any
 
-# Read by numerical libraries and by Python when they start, so set before a worker does.  Python's
-# own watcher of shared resources outlives a killed sweep, and would tell the terminal about it.
+# Numerical libraries and Python read these when a worker starts.  Python's tracker of shared
+# resources outlives a killed sweep, and would warn on the terminal.
 _WARNINGS = "PYTHONWARNINGS"
 _ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
@@ -27,28 +25,26 @@ _ENVIRONMENT = {
 }
 
 
-# A copy is waited for so many times as long as this process was at the job, and a minute.
+# Copies get a minute, and this many times the seconds that this process spent on the job.
 _PATIENCE = 10.0
 _PLACES = 256  # a place in the queue is one byte
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-# A terminal sends them to all processes of a command at once.
-_OF_TERMINALS = {signal.SIGINT, signal.SIGHUP}
+_SIGNALS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 
 
 @contextmanager
 def side_by_side(
     tasks: Sequence[Callable[[], Any]], *, use_blas: bool = True
 ) -> Iterator[Callable[[], tuple[Any, ...]]]:
-    """Let copies of this process, one per further core, begin tasks that it then helps to end.
+    """Run tasks in copies of this process, one per further core, and then in this process too.
 
-    A copy has all libraries and data already, and ends with this process. What it fails at, or
-    cannot send back, is done here, where what goes wrong is raised. Where copies are not safe, as
-    beside threads of BLAS that tasks would wait for, all is done here.
+    A copy has all libraries and data already, and ends with this process. A task that a copy fails
+    at, or whose result it cannot send back, is done here, where its error is raised. Where copies
+    are not safe, as beside threads of BLAS that tasks would wait for, all tasks are done here.
 
     Yields
     ------
     callable
-        Does what is left, and returns what each task gave, in their order.
+        Does the tasks that are left, and returns the result of each task, in their order.
     """
     began = monotonic()
     queue, entrance = os.pipe()
@@ -59,79 +55,38 @@ def side_by_side(
         while place := os.read(queue, 1):
             yield from range(place[0], len(tasks), _PLACES)
 
-    def work_apart(answer: Connection) -> None:
+    def work_apart() -> dict[int, bytes]:
         sent = {}
         for at in taken():
             with suppress(Exception):
                 sent[at] = ForkingPickler.dumps(tasks[at]()).tobytes()
-        answer.send(sent)
+        sys.stdout.flush()
+        return sent
 
     def finish() -> tuple[Any, ...]:
         done = {at: tasks[at]() for at in taken()}
-        deadline = monotonic() + 60.0 + _PATIENCE * (monotonic() - began)
-        for _, answer in copies:
+        patience_s = 60.0 + _PATIENCE * (monotonic() - began)
+        for answer in wait(answers, patience_s).done:
             with suppress(Exception):
-                sent = answer.recv() if answer.poll(max(deadline - monotonic(), 0.0)) else {}
-                done.update((at, ForkingPickler.loads(result)) for at, result in sent.items())
+                done.update(
+                    (at, ForkingPickler.loads(sent)) for at, sent in answer.result().items()
+                )
         return tuple(done[at] if at in done else task() for at, task in enumerate(tasks))
 
-    copies: list[tuple[BaseProcess, Connection]] = []
+    copies = _cores(len(tasks), use_blas=use_blas) - 1
+    pool = _pool(max(copies, 1), "fork", work_apart)
+    answers: list[Future[dict[int, bytes]]] = []
     try:
-        # What no copy can be made for is done here.
-        with suppress(OSError):
-            copies.extend(
-                _copy(work_apart) for _ in range(_cores(len(tasks), use_blas=use_blas) - 1)
-            )
+        with suppress(OSError):  # without memory or leave for a copy, all tasks are done here
+            answers += [pool.submit(_at_work) for _ in range(copies)]
         yield finish
     finally:
         os.close(queue)
-        for process, answer in copies:
-            process.kill()
-            process.join()
-            answer.close()
-
-
-def _copy(work: Callable[[Connection], None]) -> tuple[BaseProcess, Connection]:
-    """Copy this process, and return the copy and the end of a pipe that it answers through."""
-    context = multiprocessing.get_context("fork")
-    ours, theirs = context.Pipe(duplex=False)
-    # A daemon, so that an end of this process which nobody foresaw is not held up by it.
-    process = context.Process(target=_at_work, args=(work, theirs, ours), daemon=True)
-    # A signal must not find the copy with the handlers of this process, which clear away after it.
-    held = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which lie idle
-            process.start()
-    except OSError:
-        ours.close()
-        raise
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, held)
-        theirs.close()
-    return process, ours
-
-
-def _at_work(
-    work: Callable[[Connection], None], answer: Connection, others_end: Connection
-) -> None:
-    """Be a copy: work, answer, and end without what a process does at its end."""
-    try:
-        for number in _SIGNALS:
-            if signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, signal.SIG_DFL)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
-        others_end.close()  # else nobody would tell it that the other end is gone
-        _end_with_parent()
-        work(answer)
-        for stream in (sys.stdout, sys.stderr):
-            stream.flush()
-    finally:
-        os._exit(0)
+        end_processes(pool)
 
 
 def _cores(most: int, *, use_blas: bool) -> int:
-    """Return how many processes share a job: one alone where copies are unsafe or forbidden.
+    """Return the number of processes for a job: 1 where copies are unsafe or forbidden.
 
     A copy does not have the threads that BLAS or OpenMP wait for; a worker is one of many already.
     """
@@ -144,7 +99,7 @@ def _cores(most: int, *, use_blas: bool) -> int:
 
 @contextmanager
 def process_pool(count: int) -> Iterator[Executor]:
-    """Give a pool of processes, of which none is left after the block."""
+    """Yield a pool of processes, and end them all after the block."""
     with environment_of_workers():
         pool = pool_of(count)
         try:
@@ -153,36 +108,59 @@ def process_pool(count: int) -> Iterator[Executor]:
             end_processes(pool)
 
 
-class _SpawningPool(ProcessPoolExecutor):
-    """Spawns its processes deaf to what a terminal sends, which is the parent's to hear."""
+class _QuietPool(ProcessPoolExecutor):
+    """A pool whose processes ignore the signals of a terminal, which the parent handles."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # noqa: ANN401
-        # A process inherits what is held back when it is spawned, so that it hears nothing while it
-        # still imports; the parent hears of it right after.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, _OF_TERMINALS)
+        # A process inherits the mask with which it starts: it neither ends while it still imports,
+        # nor runs the handlers of its parent. The parent receives the signals right after.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
         try:
-            return super().submit(fn, *args, **kwargs)
+            with warnings.catch_warnings():
+                # Of a fork beside threads: `_cores` allows a fork only where these lie idle.
+                warnings.simplefilter("ignore", DeprecationWarning)
+                return super().submit(fn, *args, **kwargs)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+def _pool(count: int, method: str, work: Callable[[], Any] | None = None) -> Executor:
+    context = multiprocessing.get_context(method)
+    return _QuietPool(count, mp_context=context, initializer=_begin, initargs=(work,))
+
+
+_work: Callable[[], Any] | None = None
+
+
+def _begin(work: Callable[[], Any] | None) -> None:
+    """Initialise a process of a pool, with its work if it is a copy."""
+    global _work  # noqa: PLW0603  a copy inherits its work, which cannot be pickled
+    _work = work
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
+    threading.Thread(target=_follow_parent, daemon=True).start()
+
+
+def _at_work() -> Any:  # noqa: ANN401  the answer of any work
+    return _work() if _work is not None else None
+
+
 def pool_of(count: int) -> Executor:
-    """Return a pool of so many processes."""
+    """Return a pool of spawned processes."""
     # Spawned, not forked: Ipopt and BLAS do not survive a fork with threads.
-    context = multiprocessing.get_context("spawn")
-    return _SpawningPool(count, mp_context=context, initializer=_end_with_parent)
+    return _pool(count, "spawn")
 
 
 def end_processes(pool: Executor) -> None:
-    """End a pool and what it runs, now."""
+    """Kill the processes of a pool and shut it down."""
     for process in multiprocessing.active_children():
-        process.terminate()
+        process.kill()
     pool.shutdown(wait=True, cancel_futures=True)
 
 
 @contextmanager
 def environment_of_workers() -> Iterator[None]:
-    """Let processes that start in this block find one thread for numerics, and be silent."""
+    """Set one thread for numerics and no warnings for processes that start in the block."""
     before = {name: os.environ.get(name) for name in _ENVIRONMENT}
     os.environ.update(_ENVIRONMENT)
     os.environ[_WARNINGS] = ",".join(filter(None, (before[_WARNINGS], _ENVIRONMENT[_WARNINGS])))
@@ -194,10 +172,6 @@ def environment_of_workers() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-
-
-def _end_with_parent() -> None:
-    threading.Thread(target=_follow_parent, daemon=True).start()
 
 
 def _follow_parent() -> None:

@@ -1,21 +1,19 @@
-"""Sweeps: many cases of one scenario, on many workers, into a store that loses nothing."""
+"""Sweeps: many cases of one scenario, solved by many workers, with each result kept in a store."""
 
+from pyomo_quad.sweep.cluster import cluster_workers
 from pyomo_quad.sweep.design import SweepDesign
 from pyomo_quad.sweep.report import write_sweep_report
 from pyomo_quad.sweep.runner import (
-    ClusterError,
     SilentListener,
     Sweep,
     SweepEstimate,
     SweepListener,
     SweepSummary,
-    Workers,
-    cluster_workers,
     estimate_sweep,
-    process_workers,
 )
 from pyomo_quad.sweep.store import ResultStore, StoreError, adopt_design, results_frame
 from pyomo_quad.sweep.study_file import StudyError, design_sweep, load_study
+from pyomo_quad.sweep.workers import ClusterError, Workers, process_workers
 
 __all__ = [
     "ClusterError",

@@ -1,4 +1,4 @@
-"""One case: how it travels to a worker, is solved there, and what is read off its flights."""
+"""A case of a sweep: its task for a worker, its solution, and the outputs of its flights."""
 
 import importlib
 import math
@@ -22,20 +22,20 @@ from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.study.comparison import is_comparable, settled_energy
 from pyomo_quad.version import __version__
 
-_LONGEST_REASON = 500
-# Of any column, in its SI unit: beyond it no sum or square of a report overflows or means anything.
+_LONGEST_REASON = 500  # characters of a stored reason: one line of a report
+# Largest output of any column, in SI units: sums and squares of such outputs do not overflow.
 LARGEST_OUTPUT = 1e15
 
 
 class StudyTask(StrEnum):
-    """What is done in each case."""
+    """Task of each case: solve a plan, or fly the plan of the base case."""
 
     OPTIMISE = "optimise"
     FLY_PLAN = "fly_plan"
 
 
 class CaseStatus(StrEnum):
-    """How a case ended."""
+    """End of a case: with a result, without one, or with the death of its worker."""
 
     FINISHED = "finished"
     FAILED = "failed"
@@ -44,26 +44,26 @@ class CaseStatus(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class CaseTask:
-    """What a worker needs to solve one case.
+    """Data by which a worker solves one case.
 
     Attributes
     ----------
     position : int
-        The case's place in the row order.
+        Row number of the case.
     key : str
         The case's key.
     solver : str
-        The case solver as ``module:function``; it is chosen by the program, not by its input.
+        Case solver as ``module:function``; the program chooses it, never an input file.
     scenario : str
         The complete scenario, JSON.
     base : str
         The complete base scenario, JSON.
     task : StudyTask
-        What is done.
+        Task of the study.
     baselines : tuple of Reference
         References that the controller flies.
     warm_start : bytes or None
-        What the parent case left for its children.
+        Packed warm start from the parent case.
     """
 
     position: int
@@ -75,21 +75,17 @@ class CaseTask:
     baselines: tuple[Reference, ...]
     warm_start: bytes | None = None
 
-    def for_scenario(self, scenario: str) -> "CaseTask":
-        """Return the task with a scenario filled in."""
-        return replace(self, scenario=scenario)
-
 
 @dataclass(frozen=True, kw_only=True)
 class CaseResult:
-    """What a case solver returns.
+    """Result of a case solver.
 
     Attributes
     ----------
     values : mapping
         Column -> number.
     warm_start : bytes or None
-        For the children of this case.
+        Packed warm start for the children of this case.
     reason : str
         Why the case failed, empty when it did not; the values are kept either way.
     """
@@ -109,15 +105,15 @@ class CaseOutcome:
     Attributes
     ----------
     position, key : int, str
-        The case.
+        Row number and key of the case.
     status : CaseStatus
         Finished, failed by its numbers, or lost with its worker.
     reason : str
-        Why it did not finish.
+        Why the case did not finish.
     values : mapping
         Column -> number.
     warm_start : bytes or None
-        For the children of this case.
+        Packed warm start for the children of this case.
     seconds : float
         Wall time of the solve.
     worker : str
@@ -139,41 +135,40 @@ class CaseOutcome:
         return self.status is CaseStatus.FINISHED
 
     @classmethod
-    def failure(cls, task: CaseTask, reason: str) -> "CaseOutcome":
-        """Make the row of a case that gave no result."""
+    def of(cls, task: CaseTask, result: CaseResult) -> "CaseOutcome":
+        """Make the row of a case from the result of its solver."""
+        # A cell without a number stays empty: NaN is no answer, and JSON has none.
+        finite = {n: float(v) for n, v in result.values.items() if abs(v) <= LARGEST_OUTPUT}
         return cls(
             position=task.position,
             key=task.key,
-            status=CaseStatus.FAILED,
-            reason=" ".join(reason.split())[:_LONGEST_REASON],
-            values={},
-            warm_start=task.warm_start,
+            status=CaseStatus.FAILED if result.reason else CaseStatus.FINISHED,
+            reason=" ".join(result.reason.split())[:_LONGEST_REASON],
+            values=finite,
+            warm_start=result.warm_start if result.warm_start is not None else task.warm_start,
         )
 
     @classmethod
+    def failure(cls, task: CaseTask, reason: str) -> "CaseOutcome":
+        """Make the row of a case that gave no numbers."""
+        return cls.of(task, CaseResult(values={}, reason=reason))
+
+    @classmethod
     def loss(cls, task: CaseTask) -> "CaseOutcome":
-        """Make the row of a case whose worker died each time; it is tried again on resume."""
+        """Make the row of a case whose worker died each time; a resumed sweep retries it."""
         reason = "its worker died, also when it was tried alone; run the same command to try again"
         return replace(cls.failure(task, reason), status=CaseStatus.LOST)
 
 
 def perform(task: CaseTask) -> CaseOutcome:
-    """Solve one case in the present process; what goes wrong is a failed row, not an exception."""
+    """Solve one case in the present process; an exception becomes a failed row."""
     started = time.perf_counter()
+    module, _, function = task.solver.partition(":")
     try:
-        result = _case_solver(task.solver)(task)
+        solver: CaseSolver = getattr(importlib.import_module(module), function)
+        outcome = CaseOutcome.of(task, solver(task))
     except Exception as error:  # noqa: BLE001  a fault in one case must not end the sweep
         outcome = CaseOutcome.failure(task, f"{type(error).__name__}: {error}")
-    else:
-        status = CaseStatus.FAILED if result.reason else CaseStatus.FINISHED
-        outcome = CaseOutcome(
-            position=task.position,
-            key=task.key,
-            status=status,
-            reason=" ".join(result.reason.split())[:_LONGEST_REASON],
-            values=_finite(result.values),
-            warm_start=result.warm_start if result.warm_start is not None else task.warm_start,
-        )
     return replace(
         outcome,
         seconds=time.perf_counter() - started,
@@ -186,30 +181,18 @@ def worker_version() -> str:
     return __version__
 
 
-def _finite(values: Mapping[str, float]) -> dict[str, float]:
-    # A cell without a number stays empty: NaN is no answer, and JSON has none.
-    return {name: float(held) for name, held in values.items() if abs(held) <= LARGEST_OUTPUT}
-
-
-def _case_solver(name: str) -> CaseSolver:
-    module, _, function = name.partition(":")
-    solver: CaseSolver = getattr(importlib.import_module(module), function)
-    return solver
-
-
 ENERGY = "energy_J"
 HOVER_ENERGY = "hover_energy_J"
 EXCESS_ENERGY = "excess_energy_J"
 MEAN_POWER = "mean_power_W"
-# Of the case's own flight; those of the controller's end in it.
+# Column of the case's own flight; columns of controlled flights end in this name.
 TERMINAL_MISS = "terminal_miss_m"
-# The scenario's field that the figures over time look for.
+# Scenario field for which figures over duration are drawn.
 DURATION_FIELD = "mission.duration"
 
-_EMPTY = 0.0
-_SAMPLES = 501
-# A solve is good to six digits, and rounding differs between machines: what is stored has the
-# digits that mean something, and is the same wherever it was solved.
+_SAMPLES = 501  # rows of a plan's flight: its peaks and lowest voltage are read at these times
+# Stored outputs keep nine digits: a solve is accurate to six, and rounding in further digits
+# differs between machines.
 _DIGITS = 9
 _SMALLEST_RESIDUAL = 1e-7
 _RESIDUALS = ("max_violation", TERMINAL_MISS)
@@ -219,7 +202,7 @@ _ERROR_DIGITS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class _Flown:
-    """What the columns are read off: a flight, the plan beside it, and the world flown in."""
+    """A flight, its plan and its scenario, from which the output columns are read."""
 
     flight: Flight
     plan: Plan
@@ -227,17 +210,17 @@ class _Flown:
 
     @property
     def charge_used(self) -> float:
-        """What the flight takes of the charge, in percent."""
+        """Charge used by the flight, in percent."""
         charge = self.flight.frame["state_of_charge_percent"]
         return float(charge.iloc[0] - charge.iloc[-1])
 
     @property
     def repeats(self) -> float:
-        """How often the mission can be flown on one charge.
+        """Number of times that the mission can be flown on one charge.
 
-        At the voltage of the first time: a battery that sags makes it a little less often.
+        At the voltage of the first flight: the number is a little lower as the voltage falls.
         """
-        least = self.scenario.limits.state_of_charge_min or _EMPTY
+        least = self.scenario.limits.state_of_charge_min or 0.0
         usable = self.scenario.battery.initial_state_of_charge - least
         return usable / self.charge_used if self.charge_used > 0.0 else np.nan
 
@@ -256,7 +239,7 @@ class _Flown:
 
     @property
     def distance(self) -> float:
-        """From start to goal, in m."""
+        """Distance from start to goal, in m."""
         mission = self.scenario.mission
         return math.dist(mission.start.position, mission.goal.position)
 
@@ -310,29 +293,16 @@ def output_columns(task: StudyTask, baselines: Iterable[Reference]) -> tuple[str
 def unknown_column(
     names: Iterable[str], task: StudyTask, baselines: Iterable[Reference]
 ) -> str | None:
-    """Return the first name that is none of a study's columns."""
+    """Return the first name that is no output column of a study, None if all are."""
     known = output_columns(task, baselines)
     return next((name for name in names if name not in known), None)
 
 
-def plan_outputs(plan: Plan) -> dict[str, float]:
-    """Return the numbers of a case's plan, verified or not; not finite where it has none."""
-    flight = plan.flight(samples=_SAMPLES)
-    return _read(_OF_A_PLAN, _Flown(flight=flight, plan=plan, scenario=plan.scenario))
-
-
-def baseline_outputs(reference: Reference, flight: Flight, plan: Plan) -> dict[str, float]:
-    """Return the numbers of a controlled flight beside the plan of the same case."""
-    flown = _Flown(flight=flight, plan=plan, scenario=plan.scenario)
-    return _read(_of_a_baseline(reference), flown)
-
-
-def flown_outputs(flight: Flight, plan: Plan, scenario: Scenario) -> dict[str, float]:
-    """Return the numbers of a plan flown by the controller in another world than planned."""
-    return _read(_OF_A_PLAN_FLOWN, _Flown(flight=flight, plan=plan, scenario=scenario))
-
-
-def _read(columns: _Columns, flown: _Flown) -> dict[str, float]:
+def _read(
+    columns: _Columns, flight: Flight, plan: Plan, scenario: Scenario | None = None
+) -> dict[str, float]:
+    """Return the numbers of a flight in the plan's world or another; NaN where there is none."""
+    flown = _Flown(flight=flight, plan=plan, scenario=scenario or plan.scenario)
     return {name: _meaningful(name, read(flown)) for name, read in columns.items()}
 
 
@@ -344,14 +314,14 @@ def _meaningful(name: str, value: float) -> float:
 
 
 def pack(start: WarmStart) -> bytes:
-    """Write down where another solve can start."""
+    """Pack a warm start into bytes."""
     target = BytesIO()
     np.savez(target, allow_pickle=False, **start.arrays())
     return target.getvalue()
 
 
 def unpack(packed: bytes) -> WarmStart | None:
-    """Read where a solve can start.
+    """Unpack a warm start.
 
     Returns
     -------
@@ -376,13 +346,13 @@ def solve_case(task: CaseTask) -> CaseResult:
 
 def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
     plan = _BENCH.plan(scenario, task.warm_start)
-    values = plan_outputs(plan)
+    values = _read(_OF_A_PLAN, plan.flight(samples=_SAMPLES), plan)
     if not plan.is_verified:
         return CaseResult(values=values, reason=f"{plan.status}: {plan.message}")
     reason = ""
     for reference in task.baselines:
         flight = fly_baseline(plan.mission_flown, reference, dynamics=plan.dynamics, plan=plan)
-        values |= baseline_outputs(reference, flight, plan)
+        values |= _read(_of_a_baseline(reference), flight, plan)
         if not flight.is_verified:
             reason = f"{flight.name}: two integrators disagree on this flight"
     warm_start = pack(plan.warm_start) if plan.warm_start is not None else None
@@ -390,7 +360,7 @@ def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
 
 
 def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
-    """Let the controller, which believes in the base case, fly its plan in the case's world."""
+    """Fly the plan of the base case in the case's scenario, with the base case's controller."""
     base = Scenario.model_validate_json(task.base)
     plan = _BENCH.base_plan(base, task.base)
     if not plan.is_verified:
@@ -400,19 +370,20 @@ def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
         plan.mission_flown, Reference.PLAN, dynamics=_BENCH.planner.dynamics(world), plan=plan
     )
     reason = "" if flight.is_verified else "two integrators disagree on this flight"
-    return CaseResult(values=flown_outputs(flight, plan, scenario), reason=reason)
+    values = _read(_OF_A_PLAN_FLOWN, flight, plan, scenario)
+    return CaseResult(values=values, reason=reason)
 
 
 @dataclass
 class _Bench:
-    """What this process keeps; MUMPS serves one thread at a time."""
+    """Planner and base plan that a worker keeps; MUMPS serves one thread at a time."""
 
     lock: threading.Lock = field(default_factory=threading.Lock)
     planner: Planner = field(default_factory=Planner)
     _base_plans: dict[str, Plan] = field(default_factory=dict)
 
     def plan(self, scenario: Scenario, warm_start: bytes | None) -> Plan:
-        """Solve from a parent's point, and from nothing where that leads nowhere."""
+        """Solve from the parent's warm start; retry without it if the plan is not verified."""
         parent = unpack(warm_start) if warm_start is not None else None
         if parent is not None:
             plan = self.planner.solve(scenario, warm_start=parent)

@@ -1,4 +1,4 @@
-"""The design of a sweep: every axis value spelled out, and the cases in their order."""
+"""The design of a sweep: all values of its axes, and its cases in the order of rows."""
 
 import hashlib
 import json
@@ -210,6 +210,11 @@ class Dimension:
         is_plain = all(len(found) == 1 and None not in found for found in kinds)
         return len(columns) == len(self.paths) and is_whole and is_plain
 
+    @property
+    def is_numeric(self) -> bool:
+        """Whether the first field holds numbers."""
+        return all(kind_of(step[0]) is float for step in self.steps)
+
     def values(self, path: str) -> list[Any]:
         """Return the values that one field takes along the steps."""
         column = self.paths.index(path)
@@ -218,14 +223,14 @@ class Dimension:
 
 @dataclass(frozen=True, kw_only=True)
 class SweepDesign:
-    """Everything that decides the rows of a sweep.
+    """All data on which the rows of a sweep depend.
 
     Attributes
     ----------
     name, title, about : str
         As in the study file.
     task : StudyTask
-        What is done in each case.
+        Task of each case.
     baselines : tuple of Reference
         References that the controller flies.
     outputs, report_on : tuple of str
@@ -298,7 +303,7 @@ class SweepDesign:
             raise ValueError(f"not a sweep design: outputs: none is called {shown(wrong)}")
 
     def changes_since(self, older: "SweepDesign") -> Iterator[str]:
-        """Say what differs from an older design in a way that makes its rows unusable."""
+        """Yield the changes since an older design that make its rows unusable."""
         for name in ("task", "baselines"):
             before, after = getattr(older, name), getattr(self, name)
             if before != after:
@@ -306,7 +311,7 @@ class SweepDesign:
         yield from _differences(older.base, self.base, "scenario")
 
     def axis_changes_since(self, older: "SweepDesign") -> Iterator[str]:
-        """Say how the axes differ from those of an older design."""
+        """Yield the changes of axes since an older design."""
         before = {path: one.values(path) for one in older.dimensions for path in one.paths}
         after = {path: one.values(path) for one in self.dimensions for path in one.paths}
         for path in sorted(before.keys() | after.keys()):
@@ -376,7 +381,7 @@ class Case:
 
 
 def expand(design: SweepDesign) -> tuple[Case, ...]:
-    """Spell out all cases of a design."""
+    """Return all cases of a design, in the order of rows."""
     parents = [_step_parents(dimension) for dimension in design.dimensions]
     sizes = [len(dimension.steps) for dimension in design.dimensions]
     is_solved = design.task == StudyTask.OPTIMISE
@@ -433,7 +438,7 @@ def _step_parents(dimension: Dimension) -> list[int | None]:
 
 
 def _sorted_steps(steps: Sequence[tuple[Any, ...]]) -> list[int]:
-    # Neighbours in the first field are neighbours; texts and lists keep the order of the file.
+    # Numbers are sorted by the first field; texts and lists keep the order of the file.
     is_numeric = all(isinstance(step[0], int | float) for step in steps)
     indices = range(len(steps))
     return sorted(indices, key=lambda index: steps[index][0]) if is_numeric else list(indices)

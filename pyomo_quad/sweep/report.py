@@ -1,4 +1,4 @@
-"""The report of a sweep: numbers for its templates, tables and files."""
+"""The report of a sweep: the numbers for its templates, its tables and its files."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -8,42 +8,29 @@ import pandas as pd
 
 from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M
 from pyomo_quad.report import Figures
-from pyomo_quad.report.document import REPORT_NAME, save_drawings, wanted_drawings
-from pyomo_quad.report.render import render_markdown
-from pyomo_quad.report.tables import write_table
+from pyomo_quad.report.document import write_study, write_text
 from pyomo_quad.sweep.case import DURATION_FIELD, TERMINAL_MISS, StudyTask
 from pyomo_quad.sweep.design import Dimension, SweepDesign
 from pyomo_quad.sweep.figures import sweep_drawings
-from pyomo_quad.sweep.store import CASE_COLUMN, REASON_COLUMN, STATUS_COLUMN
-from pyomo_quad.sweep.views import (
+from pyomo_quad.sweep.quantities import (
     Quantity,
-    best_along,
     case_name,
-    central_case,
-    curves_along,
     field_quantity,
-    finished_rows,
-    is_numeric,
-    linear_note,
     number,
     output_quantity,
-    sensitivities,
     setting,
-    spread_of,
 )
-from pyomo_quad.version import __version__
+from pyomo_quad.sweep.statistics import SweepResults, best_along
+from pyomo_quad.sweep.store import CASE_COLUMN, REASON_COLUMN, STATUS_COLUMN
 
 _MOST_REASONS = 10
 _QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 _TABLE, _PARQUET, _CASES = "results.csv", "results.parquet", "results.md"
-_PRINTED = {"number": number, "setting": setting, "field_quantity": field_quantity}
+_PRINTED: dict[str, Any] = {"number": number, "setting": setting, "field_quantity": field_quantity}
 
 
 def write_sweep_report(
-    folder: Path,
-    design: SweepDesign,
-    frame: pd.DataFrame,
-    figures: Figures = Figures.SVG,
+    folder: Path, design: SweepDesign, frame: pd.DataFrame, figures: Figures = Figures.SVG
 ) -> None:
     """Write tables (CSV, Parquet, Markdown), figures and the report.
 
@@ -52,69 +39,56 @@ def write_sweep_report(
     folder : Path
         An empty folder.
     """
-    design = design.in_cells()
+    results = SweepResults(design.in_cells(), frame)
+    design, finished = results.design, results.finished
     title = design.title or design.name
-    write_table(frame, folder / _TABLE)
-    frame.to_parquet(folder / _PARQUET, index=False)
-    cases = render_markdown("sweep/cases.md.j2", title=title, **_cases(design, frame), **_PRINTED)
-    (folder / _CASES).write_text(cases, encoding="utf-8")
-    finished = finished_rows(frame)
-    told = {} if finished.empty else _results(design, frame)
-    drawings = () if finished.empty else wanted_drawings(sweep_drawings(design, frame), figures)
-    save_drawings(drawings, folder)
+    columns = [CASE_COLUMN, *design.paths, STATUS_COLUMN, *design.report_on]
     failed = frame.drop(finished.index)
-    text = render_markdown(
+    frame.to_parquet(folder / _PARQUET, index=False)
+    write_text(
+        folder / _CASES,
+        "sweep/cases.md.j2",
+        title=title,
+        columns=columns,
+        settings=len(columns) - len(design.report_on),
+        rows=frame.reindex(columns=columns).to_numpy(object).tolist(),
+        **_PRINTED,
+    )
+    write_study(
+        folder,
         "sweep/report.md.j2",
+        tables={_TABLE: frame},
+        drawings=() if finished.empty else sweep_drawings(results),
+        figures=figures,
         title=title,
         design=design,
         finished=len(finished),
         failed=len(failed),
         missing=design.case_count - len(frame),
         axes=[_axis(one, path) for one in design.dimensions for path in one.paths],
-        drawings=drawings,
         reasons=_reasons(failed),
-        version=__version__,
-        TABLE=_TABLE,
-        PARQUET=_PARQUET,
-        CASES=_CASES,
-        **told,
+        other_tables=(_PARQUET, _CASES),
+        **({} if finished.empty else _outcome(results)),
         **_PRINTED,
     )
-    (folder / REPORT_NAME).write_text(text, encoding="utf-8")
 
 
-def _cases(design: SweepDesign, frame: pd.DataFrame) -> dict[str, Any]:
-    """Return the table of all rows: fields, status, and what the study reports on."""
-    columns = [CASE_COLUMN, *design.paths, STATUS_COLUMN, *design.report_on]
+def _outcome(results: SweepResults) -> dict[str, Any]:
+    """Return the results in print: arrivals, extremes, best durations and sensitivities."""
+    quantities = [output_quantity(column) for column in results.design.report_on]
+    spans = [one.of(results.finished).dropna().quantile(_QUANTILES) for one in quantities]
     return {
-        "columns": columns,
-        "settings": len(columns) - len(design.report_on),
-        "rows": frame.reindex(columns=columns).to_numpy(object).tolist(),
-    }
-
-
-def _results(design: SweepDesign, frame: pd.DataFrame) -> dict[str, Any]:
-    """Return what came out: arrivals, extremes, best durations and sensitivities."""
-    rows = finished_rows(frame)
-    quantities = [output_quantity(column) for column in design.report_on]
-    has_durations = any(DURATION_FIELD in one.paths for one in design.dimensions)
-    return {
-        "arrivals": list(_arrivals(design, rows)),
+        "arrivals": list(_arrivals(results)),
         "arrival_m": ARRIVAL_DISTANCE_M,
-        "extremes": [
-            {"label": one.label, "quantiles": one.of(rows).dropna().quantile(_QUANTILES).tolist()}
-            for one in quantities
-        ],
+        "extremes": [(one.label, list(span)) for one, span in zip(quantities, spans, strict=True)],
         "best_of": quantities[0].label,
-        "best_durations": list(_best_durations(design, frame, quantities[0]))
-        if has_durations
-        else [],
-        "sensitivities": list(_sensitivities(design, frame, quantities)),
+        "best_durations": list(_best_durations(results, quantities[0])),
+        "sensitivities": list(_sensitivities(results, quantities)),
     }
 
 
 def _reasons(failed: pd.DataFrame) -> list[tuple[str, list[Any]]]:
-    """Return why cases failed, the most frequent reason first, each with its cases."""
+    """Return the reasons of failed cases, each with its cases, the most frequent first."""
     grouped = failed.groupby(REASON_COLUMN)[CASE_COLUMN]
     reasons = sorted(grouped, key=lambda pair: len(pair[1]), reverse=True)
     return [(str(reason), cases.tolist()) for reason, cases in reasons[:_MOST_REASONS]]
@@ -122,9 +96,8 @@ def _reasons(failed: pd.DataFrame) -> list[tuple[str, list[Any]]]:
 
 def _axis(dimension: Dimension, path: str) -> dict[str, Any]:
     quantity, values = field_quantity(path), dimension.values(path)
-    is_scale = is_numeric(dimension) and all(isinstance(value, int | float) for value in values)
     ends: Sequence[Any] = (values[0], values[-1])
-    if is_scale:
+    if dimension.is_numeric and all(isinstance(value, int | float) for value in values):
         ends = [end * quantity.scale for end in (min(values), max(values))]
     return {
         "path": path,
@@ -136,10 +109,11 @@ def _axis(dimension: Dimension, path: str) -> dict[str, Any]:
     }
 
 
-def _arrivals(design: SweepDesign, rows: pd.DataFrame) -> Iterator[dict[str, Any]]:
+def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
     """Count the controlled flights that end too far from the goal to have arrived."""
+    rows = results.finished
     for column in map(str, rows.columns):
-        is_planned = column == TERMINAL_MISS and design.task != StudyTask.FLY_PLAN
+        is_planned = column == TERMINAL_MISS and results.design.task != StudyTask.FLY_PLAN
         if is_planned or not column.endswith(TERMINAL_MISS):
             continue
         misses = rows[column].dropna()
@@ -153,36 +127,35 @@ def _arrivals(design: SweepDesign, rows: pd.DataFrame) -> Iterator[dict[str, Any
 
 
 def _sensitivities(
-    design: SweepDesign, frame: pd.DataFrame, quantities: Sequence[Quantity]
+    results: SweepResults, quantities: Sequence[Quantity]
 ) -> Iterator[dict[str, Any]]:
-    """Yield by how much each quantity changes with one field at a time, where many vary."""
+    """Yield the sensitivities of each quantity, where more than one field varies."""
     for quantity in quantities:
-        found = sensitivities(design, frame, quantity.column)
+        found = results.sensitivities(quantity.column)
         if len(found) > 1:
-            spread = spread_of(design, frame, quantity.column)
             yield {
                 "label": quantity.label,
                 "scale": quantity.scale,
-                "centre": case_name(central_case(design)),
-                "note": linear_note(spread),
-                "spread": spread,
+                "centre": case_name(results.central_case),
+                "spread": results.spread(quantity.column),
                 "found": found,
             }
 
 
-def _best_durations(
-    design: SweepDesign, frame: pd.DataFrame, quantity: Quantity
-) -> Iterator[dict[str, Any]]:
-    """Yield where along the duration a quantity is least, for each set of the other fields."""
-    tried = next(
-        one.values(DURATION_FIELD) for one in design.dimensions if DURATION_FIELD in one.paths
-    )
-    for curve in curves_along(design, frame, DURATION_FIELD):
-        base = curve.rows[curve.rows[DURATION_FIELD] == design.base["mission"]["duration"]]
+def _best_durations(results: SweepResults, quantity: Quantity) -> Iterator[dict[str, Any]]:
+    """Yield the best duration for each combination of the other fields."""
+    along = results.dimension_of(DURATION_FIELD)
+    if along is None:
+        return
+    for curve in results.curves_along(DURATION_FIELD):
+        durations = curve.rows[DURATION_FIELD]
+        base = curve.rows[durations == results.design.base["mission"]["duration"]]
         yield {
             "fixed": curve.fixed,
-            "best": best_along(curve, DURATION_FIELD, quantity.column, tried),
+            "best": best_along(
+                curve, DURATION_FIELD, quantity.column, along.values(DURATION_FIELD)
+            ),
             "scale": quantity.scale,
             "at_base": float("nan") if base.empty else float(base[quantity.column].iloc[0]),
-            "shortest": float(curve.rows[DURATION_FIELD].min()),
+            "shortest": float(durations.min()),
         }

@@ -1,4 +1,4 @@
-"""The result store: an SQLite database in the output folder that loses nothing."""
+"""The result store: an SQLite database in the output folder, committed after each case."""
 
 import errno
 import fcntl
@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, Json, Strict, ValidationError
 
 from pyomo_quad.scenario.messages import OutputError, printable, shown
 from pyomo_quad.sweep.case import LARGEST_OUTPUT, CaseOutcome, CaseStatus
-from pyomo_quad.sweep.design import Case, SweepDesign, case_key, cell_of, expand
+from pyomo_quad.sweep.design import SweepDesign, case_key, cell_of, expand
 from pyomo_quad.version import __version__
 
 STORE_NAME = "sweep.sqlite"
@@ -27,10 +27,10 @@ _STORE_FORMAT = 1
 _APPLICATION_ID = 0x50515357
 _LOCK_NAME = ".sweep.lock"
 _LOCK_SECONDS = 5.0
-# A cell of a million cases' design is smaller; a stranger's store can claim gigabytes.
+# Largest cell [bytes]: a design of a million cases is smaller; a damaged store may claim more.
 _LARGEST_CELL = 2**28
 _BUSY = ("SQLITE_BUSY", "SQLITE_LOCKED")
-# How SQLite says that it cannot write a database, or what it keeps beside one to read it.
+# SQLite's error names where it cannot write a database, or the log beside a database.
 _UNWRITABLE = ("SQLITE_CANTOPEN", "SQLITE_READONLY")
 _UNUSABLE = (*_UNWRITABLE, "SQLITE_FULL", "SQLITE_IOERR", "SQLITE_PERM")
 
@@ -46,7 +46,7 @@ _TABLES = {
 
 
 class StoreError(OutputError):
-    """A result store cannot be used for what was asked."""
+    """A result store cannot be read, or takes no rows of this sweep."""
 
 
 @contextmanager
@@ -78,7 +78,7 @@ def locked_folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[sqlite3.Connection]:
-    """Connect to a database for the length of a block; messages call it by another name if given.
+    """Connect to a database for the length of a block; `called` is its name in messages.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[
     try:
         connection = sqlite3.connect(_address(file, mode), timeout=_LOCK_SECONDS, uri=True)
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LARGEST_CELL)
-        # A store may come from a stranger: what its schema says is not to be trusted.
+        # A store may come from a stranger: SQL in its schema must not run.
         connection.execute("PRAGMA trusted_schema = OFF")
         yield connection
     except sqlite3.DatabaseError as error:
@@ -123,7 +123,7 @@ def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
 
 
 def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> None:
-    """Make the tables of a store in an empty database, and make sure that it can be written."""
+    """Create the tables of a store in an empty database, and check that it can be written."""
     (count,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     if not count:
         connection.execute("PRAGMA journal_mode = WAL")
@@ -140,7 +140,7 @@ def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> N
 
 
 def check_format(connection: sqlite3.Connection, file: Path) -> None:
-    """Refuse a database that is no store, a store of another format, and other tables than ours."""
+    """Refuse a database that is no store, has another format or other tables."""
     if _application_of(connection) != _APPLICATION_ID:
         raise _not_a_store(file)
     (found,) = connection.execute("PRAGMA user_version").fetchone()
@@ -150,7 +150,7 @@ def check_format(connection: sqlite3.Connection, file: Path) -> None:
             f"{_STORE_FORMAT}; use the version that made it, choose another --out, or start anew "
             f"with --fresh."
         )
-    # Compared to the letter: a view, a trigger or another type would bring in what is not checked.
+    # Exact comparison: no check covers a view, a trigger or another column type.
     query = "SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"
     declared = {name: f"CREATE TABLE {name} {columns}" for name, columns in _TABLES.items()}
     for name, text in connection.execute(query):
@@ -161,14 +161,14 @@ def check_format(connection: sqlite3.Connection, file: Path) -> None:
 
 
 def damaged(file: Path, what: str) -> StoreError:
-    """Return the error for a store that holds what no sweep wrote."""
+    """Return the error for a store whose content no sweep wrote."""
     return StoreError(
         f"{file}: is damaged ({printable(what)}); restore it from a copy, or choose another --out."
     )
 
 
 def discard(file: Path) -> None:
-    """Delete a store, if there is one, with what SQLite keeps beside it; nothing else."""
+    """Delete a store, if there is one, with SQLite's log and index beside it."""
     if file.exists():
         with connected(file, mode="rw") as connection:
             is_own = _application_of(connection) == _APPLICATION_ID
@@ -224,7 +224,7 @@ def _not_a_store(file: Path) -> StoreError:
 
 
 def _name_of(error: sqlite3.DatabaseError) -> str:
-    # Errors of Python's own, such as of text that is not UTF-8, have no name.
+    # Errors of Python itself, such as for text that is not UTF-8, have no name.
     return getattr(error, "sqlite_errorname", None) or ""
 
 
@@ -243,7 +243,7 @@ _Output = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST_OUTPUT, le=LAR
 
 
 class StoredCase(BaseModel):
-    """A row of the store, as it must be whoever wrote it."""
+    """A row of the store, validated when it is read."""
 
     model_config = ConfigDict(strict=True, frozen=True)
 
@@ -320,7 +320,7 @@ class ResultStore:
             )
 
     def replace_design(self, design: SweepDesign, *, is_extended: bool) -> None:
-        """Note that the rows belong to another design that holds all their cases.
+        """Store another design, which contains all cases of the rows.
 
         In an extended one the cases have other parents: what those left before is forgotten, so
         that no result hangs on how far the older design had come.
@@ -334,7 +334,7 @@ class ResultStore:
         self._design = design
 
     def statuses(self) -> dict[str, CaseStatus]:
-        """Return how each case that has a row ended, by its key."""
+        """Return the status of each case that has a row, by its key."""
         return {key: row.status for key, row in self.rows().items()}
 
     def rows(self) -> dict[str, StoredCase]:
@@ -412,12 +412,12 @@ class ResultStore:
             ) from error
 
     def warm_start(self, key: str) -> bytes | None:
-        """Return what a finished case left for its children.
+        """Return the packed warm start that a finished case left for its children.
 
         Returns
         -------
         bytes or None
-            None when it left nothing.
+            None when the case left no warm start.
         """
         query = "SELECT arrays FROM warm_start WHERE case_key = ?"
         found = self._connection.execute(query, (key,)).fetchone()
@@ -462,33 +462,27 @@ def results_frame(store: ResultStore) -> pd.DataFrame:
     """
     design, rows = store.design, store.rows()
     ended = [(case, rows[case.key]) for case in expand(design) if case.key in rows]
-    outputs = _output_columns(design, [row for _, row in ended])
-    frame = pd.DataFrame([_record(case, row, outputs) for case, row in ended])
+    kept = design.outputs or [name for _, row in ended for name in row.outputs]
+    outputs = dict.fromkeys((*kept, *design.report_on))
+    frame = pd.DataFrame(
+        {
+            CASE_COLUMN: case.position,
+            **{path: cell_of(value) for path, value in case.overrides.items()},
+            STATUS_COLUMN: row.status.value,
+            REASON_COLUMN: row.reason,
+            **row.outputs,
+        }
+        for case, row in ended
+    )
     columns = [CASE_COLUMN, *design.paths, STATUS_COLUMN, REASON_COLUMN, *outputs]
     return frame.reindex(columns=columns)
-
-
-def _record(case: Case, row: StoredCase, outputs: list[str]) -> dict[str, Any]:
-    fields = {path: cell_of(value) for path, value in case.overrides.items()}
-    return {
-        CASE_COLUMN: case.position,
-        **fields,
-        STATUS_COLUMN: row.status.value,
-        REASON_COLUMN: row.reason,
-        **{name: row.outputs[name] for name in outputs if name in row.outputs},
-    }
-
-
-def _output_columns(design: SweepDesign, rows: list[StoredCase]) -> list[str]:
-    kept = design.outputs or [name for row in rows for name in row.outputs]
-    return list(dict.fromkeys((*kept, *design.report_on)))
 
 
 _MOST_CHANGES = 5
 
 
 def adopt_design(store: ResultStore, design: SweepDesign) -> list[str]:
-    """Let a store go on with a design, if its rows fit.
+    """Continue a store with a design, if its rows fit.
 
     Rows fit when all of them are cases of the design and were solved in the same way.
 

@@ -1,4 +1,4 @@
-"""The study file: a base scenario, the axes over it, and what is wanted of each case."""
+"""The study file: a base scenario, axes over its fields, and the outputs of each case."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -36,14 +36,14 @@ class StudyError(ScenarioError):
 
 
 class SamplingMethod(StrEnum):
-    """How the unit cube is filled."""
+    """Method by which points of the unit cube are drawn."""
 
     RANDOM = "random"
     LATIN_HYPERCUBE = "latin_hypercube"
 
 
 class Sampling(Part):
-    """How many samples are drawn, and how."""
+    """Number, seed and method of random samples."""
 
     count: WholeNumber = quantity("1", "number of samples", ge=1, le=_MOST_SAMPLES)
     seed: WholeNumber = quantity("1", "seed of the generator", ge=0)
@@ -78,7 +78,7 @@ _DEFAULT_QUANTITY = "energy_J"
 
 
 class Study(Part):
-    """A study as its file says it, without the axes' values."""
+    """Content of a study file, before the values of axes are computed."""
 
     name: Text = quantity("", "short name, also of the output folder", pattern=_NAME_PATTERN)
     title: Text = quantity("", "title of the report", "", max_length=200)
@@ -121,7 +121,7 @@ class LoadedStudy:
     source : str
         Name of the study file for messages.
     study : Study
-        What the file says.
+        Content of the file.
     base : Scenario
         The base scenario with the fixed fields set.
     """
@@ -218,12 +218,12 @@ def _fixed_values(tables: Mapping[str, Any], source: str) -> dict[FieldPath, Any
     return assignments
 
 
-# More cases than this are more often a slip of the pen than a wish.
+# More cases need --yes: they are more often a mistake in the study file than intended.
 CASE_LIMIT = 1_000
 
 
 def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> SweepDesign:
-    """Spell out and check the axes of a study.
+    """Compute and check the values of all axes of a study.
 
     Raises
     ------
@@ -365,5 +365,5 @@ def _check_steps(dimension: Dimension, base: Scenario, source: str) -> None:
         try:
             base.with_values(dict(zip(dimension.paths, step, strict=True)))
         except FeasibilityError:
-            # Whether the vehicle can hover is a result of the case: its row will say so.
+            # Whether the vehicle can hover is a result of the case, given in its row.
             continue

@@ -12,7 +12,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pyomo_quad.exports import Format, Motion, export_plan
-from pyomo_quad.exports.formats import MOST_CRAZYFLIE_PIECES, Legs, Origin, mission, offboard
+from pyomo_quad.exports.formats import (
+    MOST_CRAZYFLIE_PIECES,
+    GeodeticOrigin,
+    Legs,
+    mission,
+    offboard,
+)
 from pyomo_quad.flight import PlanStatus
 from pyomo_quad.flight.columns import TIME
 from pyomo_quad.report import Figures
@@ -238,7 +244,7 @@ def test_items_are_what_mavlink_can_carry(tmp_path):
 
 
 def test_a_pause_is_a_wait_and_too_many_items_are_refused():
-    origin = Origin(latitude=47.0, longitude=8.0, altitude=400.0)
+    origin = GeodeticOrigin(latitude=47.0, longitude=8.0, altitude=400.0)
     places = np.array([[0, 0, 5], [4, 0, 5], [4, 0, 5.01], [4, 4, 5]], dtype=float)
     legs = Legs(times=np.array([0.0, 2.0, 12.0, 14.0]), places=places)
     items = mission(legs, origin, "survey", 0.1)["mission"]["items"]
@@ -256,13 +262,13 @@ def test_a_pause_is_a_wait_and_too_many_items_are_refused():
 
 def test_the_globe_is_an_ellipsoid():
     # A degree of latitude and of longitude at 45 degrees on WGS 84: 111.132 and 78.847 km.
-    origin = Origin(latitude=45.0, longitude=10.0, altitude=0.0)
+    origin = GeodeticOrigin(latitude=45.0, longitude=10.0, altitude=0.0)
     steps = np.array([[100.0, 0, 0], [0, 100.0, 0], [0, 0, 100.0]])
     moved = origin.geodetic(steps) - np.array([45.0, 10.0, 0.0])
     assert moved[0, 1] == pytest.approx(100 / 78_846.8, rel=1e-4)
     assert moved[1, 0] == pytest.approx(100 / 111_132.0, rel=1e-4)
     assert moved[2] == pytest.approx([0.0, 0.0, 100.0], abs=1e-6)
-    pole = Origin(latitude=90.0, longitude=0.0, altitude=0.0).geodetic(steps)
+    pole = GeodeticOrigin(latitude=90.0, longitude=0.0, altitude=0.0).geodetic(steps)
     assert np.isfinite(pole).all()
     assert pole[2, 2] == pytest.approx(100.0, abs=1e-6)
 

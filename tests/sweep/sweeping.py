@@ -25,7 +25,7 @@ from pyomo_quad.sweep import (
 )
 from pyomo_quad.sweep.case import CaseOutcome
 from pyomo_quad.sweep.design import Case
-from pyomo_quad.sweep.runner import Crew
+from pyomo_quad.sweep.workers import Crew
 from tests.sweep.stand_in import SOLVER
 
 

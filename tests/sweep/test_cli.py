@@ -27,14 +27,8 @@ def study(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def plain(monkeypatch):
-    """Draw nothing."""
-    monkeypatch.setattr("pyomo_quad.sweep.report.save_drawings", lambda *_: None)
-
-
-@pytest.fixture
-def quick(plain, monkeypatch):
-    """Solve in this process and draw nothing."""
+def quick(monkeypatch):
+    """Solve in this process."""
     monkeypatch.setattr("pyomo_quad.sweep.process_workers", in_this_process)
 
 
@@ -47,10 +41,10 @@ def rewrite(study: Path, before: str, after: str) -> None:
 
 
 def run(study: Path, folder: Path, *options: str) -> int:
-    return main(["sweep", str(study), "--workers", "1", "--out", str(folder), *options])
+    where = ["--workers", "1", "--out", str(folder)]
+    return main(["sweep", str(study), *where, "--figures", "none", *options])
 
 
-@pytest.mark.usefixtures("plain")
 def test_a_sweep_writes_store_tables_and_report_and_goes_on_when_run_again(
     study, tmp_path, capsys, monkeypatch
 ):
@@ -105,7 +99,7 @@ def test_a_scheduler_that_is_not_there_ends_the_command_in_one_line(
     study, tmp_path, capsys, monkeypatch
 ):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("pyomo_quad.sweep.runner._CONNECT_SECONDS", 0.3)
+    monkeypatch.setattr("pyomo_quad.sweep.cluster._CONNECT_SECONDS", 0.3)
     assert run(study, tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9") == 1
     shown = capsys.readouterr().err.strip()
     assert "--scheduler tcp://127.0.0.1:9: cannot be reached" in shown

@@ -95,7 +95,7 @@ def test_a_scheduler_that_dies_leaves_one_line_and_no_traceback(study, tmp_path)
 
 
 def test_dask_says_nothing_itself(monkeypatch):
-    monkeypatch.setattr("pyomo_quad.sweep.runner._CONNECT_SECONDS", 0.1)
+    monkeypatch.setattr("pyomo_quad.sweep.cluster._CONNECT_SECONDS", 0.1)
     with pytest.raises(ClusterError), cluster_workers("tcp://127.0.0.1:9"):
         pass
     for name in ("distributed", "distributed.client", "tornado.application", "asyncio"):
@@ -103,7 +103,7 @@ def test_dask_says_nothing_itself(monkeypatch):
 
 
 def test_a_scheduler_that_is_not_there_is_said_in_one_line(monkeypatch):
-    monkeypatch.setattr("pyomo_quad.sweep.runner._CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr("pyomo_quad.sweep.cluster._CONNECT_SECONDS", 0.5)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"

@@ -15,7 +15,7 @@ import pytest
 from pyomo_quad.sweep import Workers, design_sweep, load_study
 from pyomo_quad.sweep.case import perform
 from pyomo_quad.sweep.design import expand
-from pyomo_quad.sweep.runner import Crew
+from pyomo_quad.sweep.workers import Crew
 from tests.sweep import stand_in
 from tests.sweep.studies import write_study
 from tests.sweep.sweeping import AfterCases, Here, press_ctrl_c, rows, sweep

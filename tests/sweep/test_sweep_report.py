@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from pyomo_quad.cli.commands import main
+from pyomo_quad.report import Figures
 from pyomo_quad.sweep import (
     ResultStore,
     design_sweep,
@@ -14,8 +15,9 @@ from pyomo_quad.sweep import (
     results_frame,
     write_sweep_report,
 )
-from pyomo_quad.sweep.figures import draw_wind_rose
-from pyomo_quad.sweep.views import Curve, Sensitivity, Spread, draw_tornado, output_quantity
+from pyomo_quad.sweep.charts import draw_tornado, draw_wind_rose
+from pyomo_quad.sweep.quantities import output_quantity
+from pyomo_quad.sweep.statistics import Curve, Sensitivity, Spread
 from tests.sweep.studies import DURATION_AXIS, PAYLOAD_AXIS, write_study
 from tests.sweep.sweeping import Here, rows, sweep
 
@@ -43,11 +45,6 @@ normal = { mean = 4.0, standard_deviation = 0.5 }
 """
 
 
-@pytest.fixture
-def _no_figures(monkeypatch):
-    monkeypatch.setattr("pyomo_quad.sweep.report.save_drawings", lambda *_: None)
-
-
 @pytest.mark.parametrize(
     ("axes", "figures"),
     [
@@ -72,10 +69,9 @@ def test_each_design_gets_the_figures_that_fit_it(tmp_path, axes, figures):
     assert all(f"figures/{name}.svg" in text for name in figures)
 
 
-@pytest.mark.usefixtures("_no_figures")
 def test_tables_hold_every_row_in_three_formats(tmp_path):
     sweep(write_study(tmp_path), tmp_path / "out", Here())
-    assert main(["sweep-report", str(tmp_path / "out")]) == 0
+    assert main(["sweep-report", str(tmp_path / "out"), "--figures", "none"]) == 0
     report, expected = tmp_path / "out" / "report", rows(tmp_path / "out")
     pd.testing.assert_frame_equal(pd.read_parquet(report / "results.parquet"), expected)
     read = pd.read_csv(report / "results.csv", keep_default_na=False)
@@ -96,12 +92,11 @@ def test_report_is_equal_byte_for_byte_when_made_again(tmp_path):
     assert contents[0] == contents[1]
 
 
-@pytest.mark.usefixtures("_no_figures")
 def test_report_names_the_best_duration_and_the_failures(tmp_path):
     # The stand-in's energy is P T + 4000 / T^2, least at T = (8000 / P)^(1/3), P = 70 x 1.3^1.5.
     axes = '[[axis]]\npath = "mission.duration"\nvalues = [2.5, 3.0, 4.0, 4.25, 5.0, 10.0]\n'
     sweep(write_study(tmp_path, axes), tmp_path / "out", Here())
-    assert main(["sweep-report", str(tmp_path / "out")]) == 0
+    assert main(["sweep-report", str(tmp_path / "out"), "--figures", "none"]) == 0
     text = (tmp_path / "out" / "report" / "report.md").read_text()
     assert "5 of 6 cases finished" in text
     assert "2.5 s is too short" in text
@@ -114,7 +109,6 @@ def test_an_empty_folder_and_an_empty_store_are_said_in_one_line(tmp_path, capsy
     assert "holds no sweep.sqlite; give the folder of a sweep" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("_no_figures")
 @pytest.mark.parametrize(
     ("durations", "place"),
     [
@@ -130,13 +124,12 @@ def test_report_says_when_the_best_duration_is_only_the_edge_of_what_was_tried(
     # As above, the least energy of the stand-in is at 4.25 s.
     axes = f'[[axis]]\npath = "mission.duration"\nvalues = [{durations}]\n'
     sweep(write_study(tmp_path, axes), tmp_path / "out", Here())
-    assert main(["sweep-report", str(tmp_path / "out")]) == 0
+    assert main(["sweep-report", str(tmp_path / "out"), "--figures", "none"]) == 0
     text = (tmp_path / "out" / "report" / "report.md").read_text()
     best = next(line for line in text.splitlines() if line.startswith("| all |"))
     assert best.split("|")[-2].strip() == place
 
 
-@pytest.mark.usefixtures("_no_figures")
 @pytest.mark.parametrize(
     ("task", "column", "miss_m", "said"),
     [
@@ -153,7 +146,7 @@ def test_report_counts_the_flights_that_did_not_arrive(tmp_path, task, column, m
     frame = frame.assign(status="finished", reason="")
     frame[column] = [0.01] * 8 + [miss_m] * 2
     (tmp_path / "report").mkdir()
-    write_sweep_report(tmp_path / "report", replace(design, task=task), frame)
+    write_sweep_report(tmp_path / "report", replace(design, task=task), frame, Figures.NONE)
     text = (tmp_path / "report" / "report.md").read_text()
     assert ("flights" in text) == (said is not None)
     if said is not None:
@@ -199,12 +192,11 @@ def test_the_colours_of_a_tornado_meet_at_the_base_case(base, parts):
         assert len(colors) == len(set(colors.values())) == parts
 
 
-@pytest.mark.usefixtures("_no_figures")
 def test_a_field_that_is_a_list_can_vary(tmp_path):
     goals = (
         '[[axis]]\npath = "mission.goal.position"\nvalues = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]\n'
     )
     sweep(write_study(tmp_path, goals + DURATION_AXIS), tmp_path / "out", Here())
-    assert main(["sweep-report", str(tmp_path / "out")]) == 0
+    assert main(["sweep-report", str(tmp_path / "out"), "--figures", "none"]) == 0
     text = (tmp_path / "out" / "report" / "report.md").read_text()
     assert "20 of 20 cases finished" in text

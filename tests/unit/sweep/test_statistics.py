@@ -7,14 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pyomo_quad.sweep.design import Dimension
-from pyomo_quad.sweep.views import (
-    best_along,
-    curves_along,
-    pareto_front,
-    plane_of,
-    sensitivities,
-    spread_of,
-)
+from pyomo_quad.sweep.statistics import SweepResults, best_along, pareto_front
 from tests.sweep.studies import made_design
 
 A = Dimension(paths=("a",), steps=((1.0,), (2.0,), (3.0,)))
@@ -49,7 +42,7 @@ def test_no_row_beats_a_row_of_the_front_and_every_other_row_is_beaten(points):
 
 
 def test_curves_are_one_for_each_combination_of_the_rest():
-    curves = curves_along(design(A, B, NAME), grid(), "a")
+    curves = SweepResults(design(A, B, NAME), grid()).curves_along("a")
     assert len(curves) == 6
     assert curves[1].fixed == {"b": 0.0, "name": "windy"}
     assert list(curves[1].rows["y"]) == [105.0, 205.0, 305.0]
@@ -58,13 +51,13 @@ def test_curves_are_one_for_each_combination_of_the_rest():
 def test_plane_leaves_a_hole_where_a_case_failed():
     frame = grid()
     frame.loc[(frame["a"] == 3.0) & (frame["b"] == 20.0), "status"] = "failed"
-    plane = plane_of(design(A, B, NAME), frame, A, B, "y")
+    plane = SweepResults(design(A, B, NAME), frame).plane(A, B, "y")
     expected = [[105, 205, 305], [115, 215, 315], [125, 225, np.nan]]
     np.testing.assert_array_equal(plane.to_numpy(), expected)
 
 
 def test_sensitivities_of_a_grid_are_its_range_through_the_middle():
-    first, second = sensitivities(design(A, B, NAME), grid(), "y")
+    first, second = SweepResults(design(A, B, NAME), grid()).sensitivities("y")
     assert (first.field, first.least, first.greatest) == ("a", 115.0, 315.0)
     assert (second.field, second.least_at, second.greatest_at) == ("b", 0.0, 20.0)
     assert second.swing == 20.0
@@ -74,7 +67,7 @@ def test_sensitivity_to_an_angle_does_not_hang_on_where_the_circle_was_cut():
     angles = [0.0, 90.0, 180.0, 270.0]
     around = Dimension(paths=("angle",), steps=tuple((angle,) for angle in angles))
     frame = pd.DataFrame({"angle": angles, "y": [5.0, 9.0, 5.0, 1.0]}).assign(status="finished")
-    (found,) = sensitivities(design(around), frame, "y")
+    (found,) = SweepResults(design(around), frame).sensitivities("y")
     assert (found.least, found.least_at, found.greatest, found.greatest_at) == (1, 270, 9, 90)
 
 
@@ -84,7 +77,7 @@ def test_sensitivities_of_random_fields_are_the_slopes_of_a_linear_quantity():
     drawn = Dimension(paths=("a", "b"), steps=tuple(map(tuple, draws.tolist())), is_random=True)
     frame = pd.DataFrame(draws, columns=["a", "b"]).assign(status="finished")
     frame["y"] = 7.0 + 3.0 * frame["a"] - 0.5 * frame["b"]
-    found = sensitivities(design(drawn), frame, "y")
+    found = SweepResults(design(drawn), frame).sensitivities("y")
     assert [one.field for one in found] == ["a", "b"]
     slopes = [one.swing / (one.greatest_at - one.least_at) for one in found]
     assert slopes == pytest.approx([3.0, -0.5])
@@ -92,19 +85,21 @@ def test_sensitivities_of_random_fields_are_the_slopes_of_a_linear_quantity():
 
 def test_sensitivities_and_maps_go_through_the_base_case_where_the_grid_holds_it():
     based = design(A, B, NAME, base={"a": 1.0, "b": 20.0, "name": "windy"})
-    first, second = sensitivities(based, grid(), "y")
+    first, second = SweepResults(based, grid()).sensitivities("y")
     assert (first.least, first.greatest, second.least) == (125.0, 325.0, 105.0)
     assert first.base == second.base == 125.0
-    plane = plane_of(based, grid(), A, B, "y")
+    plane = SweepResults(based, grid()).plane(A, B, "y")
     assert plane.loc[20.0, 1.0] == 125.0
     half = design(A, B, NAME, base={"a": 1.5, "b": 20.0, "name": "windy"})
-    assert sensitivities(half, grid(), "y")[0].base == 225.0
+    assert SweepResults(half, grid()).sensitivities("y")[0].base == 225.0
 
 
 def test_a_base_case_that_failed_has_no_value():
     frame = grid()
     frame.loc[(frame["a"] == 2.0) & (frame["b"] == 10.0), "status"] = "failed"
-    assert all(np.isnan(one.base) for one in sensitivities(design(A, B, NAME), frame, "y"))
+    assert all(
+        np.isnan(one.base) for one in SweepResults(design(A, B, NAME), frame).sensitivities("y")
+    )
 
 
 def test_the_spread_is_that_of_the_cases_and_its_linear_share_that_of_a_regression():
@@ -113,13 +108,13 @@ def test_the_spread_is_that_of_the_cases_and_its_linear_share_that_of_a_regressi
     drawn = Dimension(paths=("a", "b"), steps=tuple(map(tuple, draws.tolist())), is_random=True)
     frame = pd.DataFrame(draws, columns=["a", "b"]).assign(status="finished", case=range(300))
     frame["y"] = frame["a"] + frame["b"] ** 2
-    spread = spread_of(design(drawn), frame, "y")
+    spread = SweepResults(design(drawn), frame).spread("y")
     assert (spread.least, spread.greatest) == (frame["y"].min(), frame["y"].max())
     assert spread.greatest_case == frame["y"].argmax()
     # Share explained = 1 - 1 / (K^-1)_00 of the correlations K of y with the fields.
     inverse = np.linalg.inv(frame[["y", "a", "b"]].corr().to_numpy())
     assert spread.linear_share == pytest.approx(1.0 - 1.0 / inverse[0, 0])
-    (straight, _) = sensitivities(design(drawn), frame, "y")
+    (straight, _) = SweepResults(design(drawn), frame).sensitivities("y")
     assert straight.swing < 0.7 * (spread.greatest - spread.least)
 
 
@@ -136,6 +131,6 @@ def test_the_spread_is_that_of_the_cases_and_its_linear_share_that_of_a_regressi
 def test_the_best_is_inside_only_where_dearer_cases_lie_on_both_sides(energies, place):
     frame = pd.DataFrame({"a": [1.0, 2.0, 3.0], "y": energies})
     frame["status"] = ["failed" if energy is None else "finished" for energy in energies]
-    (curve,) = curves_along(design(A), frame, "a")
+    (curve,) = SweepResults(design(A), frame).curves_along("a")
     best = best_along(curve, "a", "y", A.values("a"))
     assert (best.at, best.below, best.above, best.is_inside) == place

@@ -1,0 +1,114 @@
+"""Connection to the workers of a Dask cluster."""
+
+import logging
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from pyomo_quad.sweep.case import worker_version
+from pyomo_quad.sweep.workers import WATCH_SECONDS, ClusterError, Crew, Workers
+from pyomo_quad.version import __version__
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_CONNECT_SECONDS = 10.0
+_DASK_LOGGERS = ("distributed", "tornado", "asyncio")
+
+
+@contextmanager
+def cluster_workers(address: str) -> Iterator[Workers]:
+    """Stay connected to a Dask cluster for the length of a block.
+
+    Dask itself gives the cases of a lost worker to another one, and gives a case up that was lost
+    several times.  When the scheduler goes, nothing can be saved but what is committed.
+
+    Raises
+    ------
+    ClusterError
+        If it cannot be reached, or its workers cannot do this work.
+    """
+    client = _connect(address)
+    try:
+        _check_workers(client, address)
+        threads = _Threads(client, address)
+        workers = Workers(
+            Crew(
+                description=f"Dask cluster {address}",
+                start=lambda: client.get_executor(pure=False),
+                stop=lambda executor: executor.shutdown(wait=False),
+                count=threads.count,
+            )
+        )
+        yield workers
+        workers.stop()
+    finally:
+        client.close(timeout=WATCH_SECONDS)
+
+
+def _silence_dask() -> None:
+    """Silence Dask's loggers, as a lost cluster is reported in one line here.
+
+    The loggers set their own levels when Dask is imported, and would write tracebacks.
+    """
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] in _DASK_LOGGERS:
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+
+
+class _Threads:
+    """Number of threads of a cluster's workers, asked for every `WATCH_SECONDS` at most."""
+
+    def __init__(self, client: "Client", address: str) -> None:
+        self._client = client
+        self._address = address
+        self._found = 0
+        self._counted_at = -WATCH_SECONDS
+
+    def count(self) -> int:
+        if time.monotonic() - self._counted_at >= WATCH_SECONDS:
+            gone = ClusterError(f"Dask cluster {self._address}: no longer answers.")
+            if self._client.status != "running":
+                raise gone
+            try:
+                self._found = sum(self._client.nthreads().values())
+            except (OSError, TimeoutError):
+                raise gone from None
+            self._counted_at = time.monotonic()
+        return self._found
+
+
+def _connect(address: str) -> "Client":
+    try:
+        from distributed import Client  # noqa: PLC0415  an extra that few users need
+    except ImportError:
+        raise ClusterError(
+            "--scheduler needs dask.distributed; install it with: pip install "
+            '"pyomo_quad[cluster]".'
+        ) from None
+    _silence_dask()
+    try:
+        return Client(address, timeout=_CONNECT_SECONDS, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise ClusterError(
+            f"--scheduler {address}: cannot be reached ({reason}); start it with `dask "
+            f"scheduler`, or leave --scheduler out to use this machine."
+        ) from None
+
+
+def _check_workers(client: "Client", address: str) -> None:
+    try:
+        versions = client.run(worker_version)
+    except Exception as error:  # noqa: BLE001  whatever a foreign worker raises, it cannot serve
+        raise ClusterError(
+            f"--scheduler {address}: a worker cannot run pyomo_quad ({type(error).__name__}: "
+            f"{error}); install pyomo_quad {__version__} on all workers."
+        ) from None
+    for worker, version in versions.items():
+        if version != __version__:
+            raise ClusterError(
+                f"--scheduler {address}: worker {worker} has pyomo_quad {version}, this is "
+                f"{__version__}; install the same version on all workers."
+            )

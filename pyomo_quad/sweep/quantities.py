@@ -1,0 +1,121 @@
+"""Quantities of a sweep in print: names, units, and numbers as cells of a table."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import degrees
+from typing import Any
+
+import pandas as pd
+
+from pyomo_quad.report.render import NOTHING
+from pyomo_quad.scenario import field_unit
+
+# The name of an output column ends in its unit; a name without a unit is dimensionless.
+_SUFFIXES = {
+    "_m_per_s": "m/s",
+    "_percent": "%",
+    "_rad": "rad",
+    "_J": "J",
+    "_W": "W",
+    "_V": "V",
+    "_m": "m",
+    "_s": "s",
+}
+_PRINTED = {"kg": "kg", "m/s^2": "m/s²", "percent": "%", "A*hr": "A h", "1/A/hr": "1/(A h)"}
+_LARGE, _SIGNIFICANT = 1e5, 4
+# Of these and of savings the least is the worst, of all other results the greatest.
+_BETTER_LARGE = ("range_m", "endurance_s", "lowest_voltage_V")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """A column in print: its name, its unit, and the factor that turns its values into it."""
+
+    column: str
+    name: str
+    unit: str
+    scale: float = 1.0
+
+    def of(self, frame: pd.DataFrame) -> pd.Series:
+        """Return the column in the printed unit."""
+        return frame[self.column] * self.scale
+
+    def worst_row(self, frame: pd.DataFrame) -> pd.Series:
+        """Return the row of a table where the quantity is worst."""
+        is_rising = not (self.column in _BETTER_LARGE or self.column.startswith("saving_"))
+        return frame.sort_values(
+            self.column, ascending=is_rising, na_position="first", kind="stable"
+        ).iloc[-1]
+
+    @property
+    def label(self) -> str:
+        """Label of an axis: name and unit."""
+        return f"{self.name[:1].upper()}{self.name[1:]}" + (f" ({self.unit})" if self.unit else "")
+
+
+def field_quantity(path: str) -> Quantity:
+    """Return name, unit and scale of a scenario field in print."""
+    unit = field_unit(path)
+    name = " ".join(path.split(".")[-2:]).replace("_", " ")
+    return _quantity(path, name, _PRINTED.get(unit, unit))
+
+
+def output_quantity(column: str) -> Quantity:
+    """Return name, unit and scale of an output column in print."""
+    endings = (pair for pair in _SUFFIXES.items() if column.endswith(pair[0]))
+    suffix, unit = next(endings, ("", ""))
+    return _quantity(column, column.removesuffix(suffix).replace("_", " "), unit)
+
+
+def _quantity(column: str, name: str, unit: str) -> Quantity:
+    if unit == "rad":
+        return Quantity(column=column, name=name, unit="°", scale=degrees(1.0))
+    return Quantity(column=column, name=name, unit=unit)
+
+
+def number(value: object) -> str:
+    """Return a result as a cell of a table."""
+    if not isinstance(value, float):
+        return str(value)
+    if pd.isna(value):
+        return NOTHING
+    if 1.0 <= abs(value) < _LARGE:
+        whole = len(f"{abs(value):.0f}")
+        return f"{value:.{max(0, _SIGNIFICANT - whole)}f}"
+    return f"{value:.{_SIGNIFICANT}g}"
+
+
+def setting(value: object) -> str:
+    """Return the value of a field, without trailing zeros."""
+    text = number(value)
+    is_padded = isinstance(value, float) and "." in text and "e" not in text
+    return text.rstrip("0").rstrip(".") if is_padded else text
+
+
+def settings_name(fixed: Mapping[str, Any]) -> str:
+    """Return the name of a curve, from the fields that are the same along it."""
+    parts = [
+        value.replace("_", " ")
+        if isinstance(value, str)
+        else f"{path.rsplit('.', maxsplit=1)[-1].replace('_', ' ')} {_with_unit(path, value)}"
+        for path, value in fixed.items()
+    ]
+    return ", ".join(parts) or "all cases"
+
+
+def case_name(fields: Mapping[str, Any]) -> str:
+    """Return the name of the case through which maps and sensitivities go.
+
+    Parameters
+    ----------
+    fields : mapping
+        Scenario field -> value; empty where all fields are random.
+    """
+    parts = [f"{path} = {_with_unit(path, value)}" for path, value in fields.items()]
+    return ", ".join(parts) or "the middle of the draws"
+
+
+def _with_unit(path: str, value: Any) -> str:  # noqa: ANN401  a value of any field
+    shown = field_quantity(path)
+    size = setting(value * shown.scale if isinstance(value, float) else value)
+    return f"{size} {shown.unit}".strip()

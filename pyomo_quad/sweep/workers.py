@@ -1,0 +1,166 @@
+"""The workers of a sweep: the cases under way on processes of this machine or on a cluster.
+
+Each crew works behind an Executor of `concurrent.futures`, which leaves two duties to its user: a
+broken executor is replaced, and a case whose worker died is retried alone, so that a case that
+kills its worker loses no other case.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    wait,
+)
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from pyomo_quad.scenario.messages import PyomoQuadError
+from pyomo_quad.study.processes import end_processes, environment_of_workers, pool_of
+from pyomo_quad.sweep.case import CaseOutcome, CaseTask, perform
+
+# One task waits behind each running one, so that no worker idles while its result travels.
+_TASKS_PER_WORKER = 2
+# Seconds between two checks of whether a silent executor works, and of its workers.
+WATCH_SECONDS = 2.0
+
+
+class ClusterError(PyomoQuadError, RuntimeError):
+    """A Dask cluster cannot be reached or was lost; finished cases are kept."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crew:
+    """Functions that start, stop and count the workers of an executor.
+
+    Attributes
+    ----------
+    description : str
+        Name of the workers in messages.
+    start : callable
+        Starts an executor.
+    stop : callable
+        Stops an executor without waiting for its running tasks.
+    count : callable
+        Number of tasks that run at a time; raises ClusterError if the cluster is lost.
+    """
+
+    description: str
+    start: Callable[[], Executor]
+    stop: Callable[[Executor], None]
+    count: Callable[[], int]
+
+
+class Workers:
+    """The running cases of a crew's executor."""
+
+    def __init__(self, crew: Crew) -> None:
+        self.description = crew.description
+        self._crew = crew
+        self._executor: Executor | None = None
+        self._under_way: dict[Future[CaseOutcome], CaseTask] = {}
+        # Cases to retry alone, and keys of all cases that were running when a worker died.
+        self._suspects: deque[CaseTask] = deque()
+        self._accused: set[str] = set()
+        self._is_alone = False
+
+    @property
+    def room(self) -> int:
+        """Number of tasks that can be submitted now."""
+        if self._suspects or self._is_alone:
+            return 0
+        # Without any worker, one task waits for the first worker to connect.
+        return max(1, _TASKS_PER_WORKER * self._crew.count()) - len(self._under_way)
+
+    def submit(self, task: CaseTask) -> None:
+        """Submit a task to the executor."""
+        if self._executor is None:
+            self._executor = self._crew.start()
+        try:
+            self._under_way[self._executor.submit(perform, task)] = task
+        except BrokenExecutor:
+            self._suspects.append(task)
+            self._suspect_all()
+
+    def wait(self) -> list[CaseOutcome]:
+        """Wait until at least one task has ended, and return all outcomes."""
+        outcomes: list[CaseOutcome] = []
+        while not outcomes:
+            if self._suspects and not self._under_way:
+                self._is_alone = True
+                self.submit(self._suspects.popleft())
+            done, _ = wait(self._under_way, WATCH_SECONDS, FIRST_COMPLETED)
+            if not done:
+                self._crew.count()
+            for future in [one for one in self._under_way if one in done]:
+                outcomes += self._collect(future)
+            self._is_alone = self._is_alone and bool(self._under_way)
+        return outcomes
+
+    def stop(self) -> list[CaseOutcome]:
+        """Stop all running tasks, and return the outcomes of those that have ended."""
+        outcomes = [
+            future.result()
+            for future in self._under_way
+            if future.done() and not future.cancelled() and future.exception() is None
+        ]
+        self._under_way.clear()
+        self._suspects.clear()
+        self._abandon()
+        return outcomes
+
+    def _collect(self, future: Future[CaseOutcome]) -> list[CaseOutcome]:
+        task = self._under_way.pop(future, None)
+        if task is None:
+            return []
+        try:
+            return [future.result()]
+        except CancelledError:
+            raise ClusterError(f"{self.description}: no longer answers.") from None
+        # `perform` raises nothing: an exception instead of an outcome says that a worker is gone.
+        except Exception as error:  # noqa: BLE001
+            # A case that was not running at an earlier death may be retried alone once more.
+            is_lost = self._is_alone and task.key in self._accused
+            if not is_lost:
+                self._accuse(task)
+            if isinstance(error, BrokenExecutor):
+                self._suspect_all()
+            return [CaseOutcome.loss(task)] if is_lost else []
+
+    def _accuse(self, task: CaseTask) -> None:
+        self._suspects.append(task)
+        self._accused.add(task.key)
+
+    def _suspect_all(self) -> None:
+        """Set aside all running cases of a broken executor, any of which may have broken it."""
+        for future, task in list(self._under_way.items()):
+            if not future.done() or future.exception() is not None:
+                self._accuse(task)
+                del self._under_way[future]
+        self._abandon()
+
+    def _abandon(self) -> None:
+        if self._executor is not None:
+            self._crew.stop(self._executor)
+            self._executor = None
+
+
+@contextmanager
+def process_workers(count: int) -> Iterator[Workers]:
+    """Yield workers in processes of this machine, which end with the block."""
+    with environment_of_workers():
+        workers = Workers(
+            Crew(
+                description=f"{count} worker process{'es' if count > 1 else ''}",
+                start=lambda: pool_of(count),
+                stop=end_processes,
+                count=lambda: count,
+            )
+        )
+        try:
+            yield workers
+        finally:
+            workers.stop()
