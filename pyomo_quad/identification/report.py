@@ -49,9 +49,8 @@ from pyomo_quad.identification.logs import (
     TIME,
 )
 from pyomo_quad.report import Figures
-from pyomo_quad.report.gallery import Drawing, save_drawings, wanted_drawings
+from pyomo_quad.report.document import REPORT_NAME, Drawing, save_drawings, wanted_drawings
 from pyomo_quad.report.render import render_markdown
-from pyomo_quad.report.report import REPORT_NAME
 from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, PALE, SERIES_STYLES
 from pyomo_quad.report.tables import write_summary, write_table
 from pyomo_quad.scenario.resolution import read_toml

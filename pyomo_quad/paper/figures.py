@@ -15,6 +15,7 @@ from pyomo_quad.flight.flight import ROTORS, TIME
 from pyomo_quad.paper.experiments import Experiment, PaperFlight, Reading
 from pyomo_quad.paper.study import EfficiencyMap, PaperStudy
 from pyomo_quad.paper.tables import OPTIMAL_ENERGY, find_flight
+from pyomo_quad.report.document import Drawing
 from pyomo_quad.report.flight_figures import (
     draw_battery,
     draw_controls,
@@ -22,7 +23,7 @@ from pyomo_quad.report.flight_figures import (
     draw_states,
     draw_wind,
 )
-from pyomo_quad.report.gallery import Drawing, left_out
+from pyomo_quad.report.gallery import left_out
 from pyomo_quad.report.paths import distinct_paths, draw_path
 from pyomo_quad.report.style import (
     FULL_WIDTH,

@@ -37,9 +37,9 @@ from pyomo_quad.paper.tables import (
     paper_tables,
 )
 from pyomo_quad.report import Figures
-from pyomo_quad.report.gallery import save_drawings, wanted_drawings
+from pyomo_quad.report.document import REPORT_NAME, save_drawings, wanted_drawings
 from pyomo_quad.report.render import render_markdown
-from pyomo_quad.report.report import REPORT_NAME, climb_of
+from pyomo_quad.report.report import climb_of
 from pyomo_quad.report.style import BATTERY, POWER
 from pyomo_quad.report.tables import write_table
 from pyomo_quad.scenario import PowerModel, Reference, WindCoupling

@@ -25,27 +25,27 @@ from pyomo_quad.polar.polar import (
     SteadyCurve,
 )
 from pyomo_quad.report import Figures
-from pyomo_quad.report.gallery import Drawing, save_drawings, wanted_drawings
-from pyomo_quad.report.render import render_markdown
-from pyomo_quad.report.report import REPORT_NAME
+from pyomo_quad.report.document import Drawing, write_study
 from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, SERIES_STYLES
-from pyomo_quad.report.tables import write_summary, write_table
 from pyomo_quad.version import __version__
 
-_NAMES = {"POLAR_NAME": "polar.csv", "WIND_NAME": "wind.csv", "REACH_NAME": "reach.csv"}
+_POLAR_NAME, _WIND_NAME, _REACH_NAME = "polar.csv", "wind.csv", "reach.csv"
 
 
 def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.SVG) -> None:
     """Write tables (CSV), summary, figures and the report into an empty folder."""
-    write_table(pd.concat(map(_table, polar.curves)), folder / _NAMES["POLAR_NAME"])
-    write_table(polar.winds, folder / _NAMES["WIND_NAME"])
-    write_table(polar.reach, folder / _NAMES["REACH_NAME"])
-    write_summary(folder, polar_summary(polar))
-    drawings = wanted_drawings(polar_drawings(polar), figures)
-    save_drawings(drawings, folder)
     ends = polar.winds[polar.winds[ANGLE].isin((0.0, 90.0, 180.0))]
-    text = render_markdown(
+    write_study(
+        folder,
         "polar/report.md.j2",
+        tables={
+            _POLAR_NAME: pd.concat(map(_table, polar.curves)),
+            _WIND_NAME: polar.winds,
+            _REACH_NAME: polar.reach,
+        },
+        summary=polar_summary(polar),
+        drawings=polar_drawings(polar),
+        figures=figures,
         polar=polar,
         curves=[_facts(curve) for curve in polar.curves],
         ends=ends.to_dict("records"),
@@ -54,11 +54,8 @@ def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.SVG) -> N
         wind_columns=(WIND, ANGLE, GROUND_SPEED, AIRSPEED, POWER, ENERGY_PER_METRE, RANGE),
         REACH=REACH,
         COURSE=COURSE,
-        drawings=drawings,
-        version=__version__,
-        **_NAMES,
+        WIND_NAME=_WIND_NAME,
     )
-    (folder / REPORT_NAME).write_text(text, encoding="utf-8")
 
 
 def polar_summary(polar: Polar) -> dict[str, Any]:

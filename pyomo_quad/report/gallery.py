@@ -1,17 +1,13 @@
 """Which figures a report holds, in which order, and what stands under them."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from pyomo_quad.report import Figures
+from pyomo_quad.report.document import Drawing, wanted_drawings
 from pyomo_quad.report.energy_bars import (
     draw_energy_by_scenario,
     draw_energy_split,
@@ -45,7 +41,7 @@ from pyomo_quad.report.paths import (
     view_data,
     view_markup,
 )
-from pyomo_quad.report.render import FIGURE_FOLDER, fixed
+from pyomo_quad.report.render import fixed
 from pyomo_quad.report.style import (
     BATTERY,
     ENERGY,
@@ -60,12 +56,10 @@ from pyomo_quad.report.style import (
     StyledFlight,
     fair_pair,
     plan_flight,
-    save_figure,
     styled_flights,
     take_one_time,
 )
 from pyomo_quad.study.comparison import ComparisonColumn
-from pyomo_quad.study.processes import side_by_side
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
@@ -74,26 +68,6 @@ if TYPE_CHECKING:
 
 PATH_NAME = "path"
 FRONT_FIGURE = "front"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Drawing:
-    """A figure that can be drawn, and how the report presents it.
-
-    ``needs`` names the columns that it shows, ``formats`` the endings of its files.
-    """
-
-    name: str
-    title: str
-    caption: str
-    needs: tuple[str, ...] = ()
-    draw: Callable[[], Figure]
-    formats: tuple[str, ...] = Figures.SVG.formats
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """Its files; the first is what a report shows."""
-        return tuple(f"{self.name}.{ending}" for ending in self.formats)
 
 
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
@@ -265,39 +239,6 @@ def _comparison(result: "RunResult", flights: tuple[StyledFlight, ...]) -> tuple
     absent = frozenset(comparison.loc[~arrived, ComparisonColumn.FLIGHT])
     mission = result.plan.mission_flown
     return comparison_drawings(flights, result.plan.hover_energy_J, absent, mission)
-
-
-def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Drawing, ...]:
-    """Return what is to be drawn, in the formats that are wanted, or nothing."""
-    if figures is Figures.NONE:
-        return ()
-    return tuple(replace(drawing, formats=figures.formats) for drawing in drawings)
-
-
-def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
-    """Draw figures, on all cores, into a folder of their own in that of the report."""
-    with drawn_meanwhile(drawings, folder):
-        pass
-
-
-@contextmanager
-def drawn_meanwhile(drawings: Iterable[Drawing], folder: Path) -> Iterator[None]:
-    """Draw figures as `save_drawings` does, on other cores while the block is at work."""
-    wanted = tuple(drawings)
-    if not wanted:
-        yield
-        return
-    target = folder / FIGURE_FOLDER
-    target.mkdir(exist_ok=True)
-
-    def save(drawing: Drawing) -> None:
-        paths = [target / file for file in drawing.files]
-        save_figure(drawing.draw, dict(zip(drawing.formats, paths, strict=True)))
-
-    tasks = [partial(save, drawing) for drawing in wanted]
-    with side_by_side(tasks, use_blas=False) as finish:
-        yield
-        finish()
 
 
 def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> tuple[Drawing]:

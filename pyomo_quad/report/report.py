@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from itertools import chain
 from math import inf
@@ -26,7 +25,8 @@ from pyomo_quad.flight.verification import (
     MISS_TOLERANCE,
 )
 from pyomo_quad.report import Figures
-from pyomo_quad.report.render import FIGURE_FOLDER, STATUS_WORDS, render_markdown
+from pyomo_quad.report.document import REPORT_NAME, Drawing, drawn_meanwhile, write_text
+from pyomo_quad.report.render import FIGURE_FOLDER, STATUS_WORDS
 from pyomo_quad.report.tables import (
     FRONT_NAME,
     PLAN_NAME,
@@ -56,7 +56,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from pyomo_quad.flight import Plan
-    from pyomo_quad.report.gallery import Drawing
     from pyomo_quad.scenario import Scenario
     from pyomo_quad.study.run import RunResult
 
@@ -64,7 +63,6 @@ _COLUMN_OF = {column.component: column.name for column in COLUMNS if column.inde
 _CHARGE = _COLUMN_OF["battery.state_of_charge"]
 _SHORTEST_PATH_M = 0.1  # below, a flight stays where it is and has no range
 
-REPORT_NAME = "report.md"
 PAGE_NAME = "report.html"
 COMPARISON_NAME = "comparison.csv"
 COMPARISON_REPORT_NAME = "comparison.md"
@@ -85,12 +83,15 @@ def write_solve_report(
     second.
     """
     drawings = () if figures is Figures.NONE else _gallery().drawings_of_solve(plan, figures)
-    with _drawn_meanwhile(drawings, folder):
+    with drawn_meanwhile(drawings, folder):
         write_plan_table(folder, plan, rate_hz)
-        text = render_markdown(
-            "report/solve.md.j2", **_of_plan(plan), drawings=drawings, warnings=warnings
+        write_text(
+            folder / REPORT_NAME,
+            "report/solve.md.j2",
+            **_of_plan(plan),
+            drawings=drawings,
+            warnings=warnings,
         )
-        (folder / REPORT_NAME).write_text(text, encoding="utf-8")
 
 
 def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figures.SVG) -> None:
@@ -103,13 +104,16 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
     if figures is not Figures.NONE:
         parts = _gallery().drawings_of_run(result, figures)
     drawings = tuple(chain(*parts))
-    with _drawn_meanwhile(drawings, folder):
+    with drawn_meanwhile(drawings, folder):
         _write_tables(folder, result)
         shown = dict(zip(("beside", "studied", "drawings"), parts, strict=True))
-        text = render_markdown(
-            "report/run.md.j2", **_of_plan(result.plan), **_of_run(result), **shown
+        text = write_text(
+            folder / REPORT_NAME,
+            "report/run.md.j2",
+            **_of_plan(result.plan),
+            **_of_run(result),
+            **shown,
         )
-        (folder / REPORT_NAME).write_text(text, encoding="utf-8")
     page = _page(folder, text, result, drawings)
     (folder / PAGE_NAME).write_text(page, encoding="utf-8")
 
@@ -129,10 +133,19 @@ def write_comparison(folder: Path, comparison: "pd.DataFrame", title: str = "Com
     """Write a comparison, one row per flight, as CSV and under its title as Markdown."""
     write_table(comparison, folder / COMPARISON_NAME)
     if not comparison.empty:
-        text = render_markdown(
-            "report/comparison.md.j2", title=title, **_of_flights(comparison), drawings=()
-        )
-        (folder / COMPARISON_REPORT_NAME).write_text(text, encoding="utf-8")
+        _write_comparison_text(folder, comparison, title)
+
+
+def _write_comparison_text(
+    folder: Path, comparison: "pd.DataFrame", title: str, drawings: Sequence[Drawing] = ()
+) -> str:
+    return write_text(
+        folder / COMPARISON_REPORT_NAME,
+        "report/comparison.md.j2",
+        title=title,
+        **_of_flights(comparison),
+        drawings=drawings,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,14 +207,8 @@ def write_compare_report(
     drawings: tuple[Drawing, ...] = ()
     if figures is not Figures.NONE:
         drawings = _gallery().drawings_of_comparison(comparison, figures)
-    with _drawn_meanwhile(drawings, folder):
-        text = render_markdown(
-            "report/comparison.md.j2",
-            title="Comparison",
-            **_of_flights(comparison),
-            drawings=drawings,
-        )
-        (folder / COMPARISON_REPORT_NAME).write_text(text, encoding="utf-8")
+    with drawn_meanwhile(drawings, folder):
+        text = _write_comparison_text(folder, comparison, "Comparison", drawings)
     from pyomo_quad.report.page import render_html  # noqa: PLC0415  a solve writes no page
 
     page = render_html(
@@ -374,10 +381,6 @@ def prepare_figures(figures: Figures) -> None:
         _gallery()
 
 
-def _drawn_meanwhile(drawings: "Sequence[Drawing]", folder: Path) -> AbstractContextManager[None]:
-    return _gallery().drawn_meanwhile(drawings, folder) if drawings else nullcontext()
-
-
 def _gallery() -> ModuleType:
     """Import matplotlib, which takes longer than a solve, where there is something to draw."""
     from pyomo_quad.report import gallery  # noqa: PLC0415
@@ -385,7 +388,7 @@ def _gallery() -> ModuleType:
     return gallery
 
 
-def _page(folder: Path, text: str, result: "RunResult", drawings: "Sequence[Drawing]") -> str:
+def _page(folder: Path, text: str, result: "RunResult", drawings: Sequence[Drawing]) -> str:
     views: dict[str, str] = {}
     data = ""
     if drawings and _gallery().PATH_NAME in [drawing.name for drawing in drawings]:
@@ -401,5 +404,5 @@ def _page(folder: Path, text: str, result: "RunResult", drawings: "Sequence[Draw
     )
 
 
-def _pictures(folder: Path, drawings: "Sequence[Drawing]") -> dict[str, bytes]:
+def _pictures(folder: Path, drawings: Sequence[Drawing]) -> dict[str, bytes]:
     return {d.name: (folder / FIGURE_FOLDER / d.files[0]).read_bytes() for d in drawings}

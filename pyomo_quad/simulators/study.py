@@ -37,9 +37,8 @@ from pyomo_quad.flight.outside_plant import (
 )
 from pyomo_quad.flight.references import ReferencePath, Setpoint
 from pyomo_quad.report import Figures
-from pyomo_quad.report.gallery import Drawing, save_drawings, wanted_drawings
+from pyomo_quad.report.document import REPORT_NAME, Drawing, save_drawings, wanted_drawings
 from pyomo_quad.report.render import render_markdown
-from pyomo_quad.report.report import REPORT_NAME
 from pyomo_quad.report.style import LEGEND_COLUMNS, SERIES_STYLES, label_time, panel_grid
 from pyomo_quad.report.tables import write_table
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError, load_scenario

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from pyomo_quad.report.gallery import Drawing
+from pyomo_quad.report.document import Drawing
 from pyomo_quad.report.style import (
     FULL_WIDTH,
     INK,

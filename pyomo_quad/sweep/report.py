@@ -8,9 +8,8 @@ import pandas as pd
 
 from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M
 from pyomo_quad.report import Figures
-from pyomo_quad.report.gallery import save_drawings, wanted_drawings
+from pyomo_quad.report.document import REPORT_NAME, save_drawings, wanted_drawings
 from pyomo_quad.report.render import render_markdown
-from pyomo_quad.report.report import REPORT_NAME
 from pyomo_quad.report.tables import write_table
 from pyomo_quad.sweep.case import DURATION_FIELD, TERMINAL_MISS, StudyTask
 from pyomo_quad.sweep.design import Dimension, SweepDesign

@@ -9,7 +9,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from pyomo_quad.report import Figures, gallery
-from pyomo_quad.report.gallery import Drawing, plan_drawings, save_drawings
+from pyomo_quad.report.document import Drawing, save_drawings
+from pyomo_quad.report.gallery import plan_drawings
 from pyomo_quad.report.report import write_run_report, write_solve_report
 from pyomo_quad.report.style import styled_flights
 from pyomo_quad.study import processes

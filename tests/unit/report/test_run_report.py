@@ -14,7 +14,8 @@ from pyomo_quad.flight import PlanStatus
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.flight.flight import TIME, Resolve
 from pyomo_quad.report import Figures
-from pyomo_quad.report.gallery import adaptation_drawing, plan_drawings, save_drawings
+from pyomo_quad.report.document import save_drawings
+from pyomo_quad.report.gallery import adaptation_drawing, plan_drawings
 from pyomo_quad.report.page import render_html
 from pyomo_quad.report.paths import leaving_paths
 from pyomo_quad.report.report import write_comparison, write_run_report
@@ -57,7 +58,7 @@ def report(tmp_path_factory):
 @pytest.fixture
 def _no_figures(monkeypatch):
     # Drawing is tested once above; here only the text counts.
-    monkeypatch.setattr("pyomo_quad.report.gallery.drawn_meanwhile", lambda *_: nullcontext())
+    monkeypatch.setattr("pyomo_quad.report.report.drawn_meanwhile", lambda *_: nullcontext())
     monkeypatch.setattr("pyomo_quad.report.report._page", lambda *_: "")
 
 

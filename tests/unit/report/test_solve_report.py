@@ -7,8 +7,9 @@ import pandas as pd
 import pytest
 
 from pyomo_quad.flight import PlanStatus
-from pyomo_quad.report import gallery
-from pyomo_quad.report.gallery import plan_drawings, save_drawings
+from pyomo_quad.report import style
+from pyomo_quad.report.document import save_drawings
+from pyomo_quad.report.gallery import plan_drawings
 from pyomo_quad.report.paths import distinct_paths
 from pyomo_quad.report.render import environment
 from pyomo_quad.report.report import write_solve_report
@@ -36,16 +37,16 @@ def report(run, tmp_path_factory):
         else:
             files["svg"].touch()
 
-    folder, save_figure = tmp_path_factory.mktemp("report"), gallery.save_figure
+    folder, save_figure = tmp_path_factory.mktemp("report"), style.save_figure
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(gallery, "save_figure", save)
+        patch.setattr(style, "save_figure", save)
         write_solve_report(folder, run.plan, ("the wind is strong",))
     return folder
 
 
 @pytest.fixture
 def _no_figures(monkeypatch):
-    monkeypatch.setattr("pyomo_quad.report.gallery.drawn_meanwhile", lambda *_: nullcontext())
+    monkeypatch.setattr("pyomo_quad.report.report.drawn_meanwhile", lambda *_: nullcontext())
 
 
 def test_every_figure_is_drawn_and_linked(report):

@@ -11,7 +11,7 @@ from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.flight import Planner, outside_plant
 from pyomo_quad.flight.outside_plant import ACROSS, MASSLESS_ROTORS, OutsidePlant, Pilot
-from pyomo_quad.report.report import REPORT_NAME
+from pyomo_quad.report.document import REPORT_NAME
 from pyomo_quad.scenario import Reference, ScenarioError, load_scenario
 from pyomo_quad.simulators.study import (
     BREEZE,

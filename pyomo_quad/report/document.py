@@ -1,0 +1,132 @@
+"""A report's document: tables, summary, figures and text, written together.
+
+Nothing here needs matplotlib until a figure is drawn.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pyomo_quad.report import Figures
+from pyomo_quad.report.render import FIGURE_FOLDER, render_markdown
+from pyomo_quad.report.tables import write_summary, write_table
+from pyomo_quad.study.processes import side_by_side
+from pyomo_quad.version import __version__
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+REPORT_NAME = "report.md"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawing:
+    """A figure that can be drawn, and how the report presents it.
+
+    ``needs`` names the columns that the figure shows, ``formats`` the endings of its files.
+    """
+
+    name: str
+    title: str
+    caption: str
+    needs: tuple[str, ...] = ()
+    draw: Callable[[], "Figure"]
+    formats: tuple[str, ...] = Figures.SVG.formats
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of the figure's files; the report shows the first."""
+        return tuple(f"{self.name}.{ending}" for ending in self.formats)
+
+
+def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Drawing, ...]:
+    """Return the drawings in the formats that are wanted, none for `Figures.NONE`."""
+    if figures is Figures.NONE:
+        return ()
+    return tuple(replace(drawing, formats=figures.formats) for drawing in drawings)
+
+
+def write_study(
+    folder: Path,
+    template: str,
+    *,
+    tables: "Mapping[str, pd.DataFrame] | None" = None,
+    summary: Mapping[str, Any] | None = None,
+    drawings: Iterable[Drawing] = (),
+    figures: Figures = Figures.SVG,
+    **values: object,
+) -> None:
+    """Write the report of a study: tables, summary, figures and `report.md`.
+
+    Parameters
+    ----------
+    folder : Path
+        An existing folder, empty of reports.
+    template : str
+        The template of `report.md`, a path below the package.  Beside ``values`` it is given
+        ``tables`` (the names of the files), ``drawings`` (those that are wanted, in the wanted
+        formats) and ``version``.
+    tables : mapping of str to DataFrame, optional
+        What is written as CSV, by the file's name.
+    summary : mapping, optional
+        What is written as `summary.json`.
+    drawings : iterable of Drawing, optional
+        The figures, in the order of the report.
+    figures : Figures, optional
+        Whether figures are drawn, and in which formats.
+    **values
+        What the template prints.
+    """
+    wanted, tables = wanted_drawings(drawings, figures), tables or {}
+    with drawn_meanwhile(wanted, folder):
+        for name, table in tables.items():
+            write_table(table, folder / name)
+        if summary is not None:
+            write_summary(folder, summary)
+        write_text(
+            folder / REPORT_NAME,
+            template,
+            tables=tuple(tables),
+            drawings=wanted,
+            version=__version__,
+            **values,
+        )
+
+
+def write_text(file: Path, template: str, **values: object) -> str:
+    """Fill in a template below the package, write the Markdown to a file and return it."""
+    text = render_markdown(template, **values)
+    file.write_text(text, encoding="utf-8")
+    return text
+
+
+def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
+    """Draw figures, on all cores, into the subfolder `FIGURE_FOLDER` of a report's folder."""
+    with drawn_meanwhile(drawings, folder):
+        pass
+
+
+@contextmanager
+def drawn_meanwhile(drawings: Iterable[Drawing], folder: Path) -> Iterator[None]:
+    """Draw figures as `save_drawings` does, on other cores while the block is at work."""
+    wanted = tuple(drawings)
+    if not wanted:
+        yield
+        return
+    from pyomo_quad.report.style import save_figure  # noqa: PLC0415  matplotlib takes a second
+
+    target = folder / FIGURE_FOLDER
+    target.mkdir(exist_ok=True)
+
+    def save(drawing: Drawing) -> None:
+        paths = [target / file for file in drawing.files]
+        save_figure(drawing.draw, dict(zip(drawing.formats, paths, strict=True)))
+
+    tasks = [partial(save, drawing) for drawing in wanted]
+    with side_by_side(tasks, use_blas=False) as finish:
+        yield
+        finish()
