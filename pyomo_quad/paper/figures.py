@@ -12,8 +12,10 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from pyomo_quad.flight.flight import ROTORS, TIME
-from pyomo_quad.paper.experiments import Experiment, PaperFlight, Reading
-from pyomo_quad.paper.study import EfficiencyMap, PaperStudy
+from pyomo_quad.paper.experiments import Experiment, PaperFlight
+from pyomo_quad.paper.readings import Reading
+from pyomo_quad.paper.rotor_map import EfficiencyMap
+from pyomo_quad.paper.study import PaperStudy
 from pyomo_quad.paper.tables import OPTIMAL_ENERGY, find_flight
 from pyomo_quad.report.document import Drawing
 from pyomo_quad.report.flight_figures import (
@@ -313,7 +315,7 @@ def floor_drawing(study: PaperStudy) -> Drawing:
         "rotor acceleration. The literal curve falls without end toward the dotted region; below "
         f"{LOWEST_SHOWN:g} kJ it is not shown.",
         draw=lambda: draw_floors(
-            study.floors, hovering, OPTIMAL_ENERGY[1].value, study.critical_acceleration
+            study.floors, hovering, OPTIMAL_ENERGY[1], study.critical_acceleration
         ),
     )
 
