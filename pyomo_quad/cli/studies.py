@@ -209,9 +209,9 @@ def identify(
         FITTABLE,
         FITTED,
         identify,
-        scores,
     )
     from pyomo_quad.identification.report import write_identification  # noqa: PLC0415
+    from pyomo_quad.identification.validation import scores  # noqa: PLC0415
 
     for name in fit or ():
         if name not in FITTABLE:
