@@ -127,10 +127,8 @@ def outside_plant(
     from pyomo_quad.flight.outside_plant import MULTIROTOR, rotorpy_module  # noqa: PLC0415  heavy
 
     rotorpy_module(MULTIROTOR)
-    from pyomo_quad.simulators.study import (  # noqa: PLC0415  heavy
-        run_outside_study,
-        write_outside_report,
-    )
+    from pyomo_quad.simulators.report import write_outside_report  # noqa: PLC0415  heavy
+    from pyomo_quad.simulators.study import run_outside_study  # noqa: PLC0415  heavy
 
     with output_folder(out) as aside:
         write_outside_report(aside, run_outside_study(), figures)

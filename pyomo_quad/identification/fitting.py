@@ -155,7 +155,7 @@ class Fit:
         return _robust(residual, self.base if start is None else start, self.bounds)
 
     def slopes(self, values: FloatArray, rows: Rows) -> FloatArray:
-        """Return the derivatives of the windows' power by the parameters, as difference quotients."""
+        """Return the difference quotients of the windows' power by each parameter."""
         at, _ = self.windows(self.power(values), rows)
         columns = []
         for k in range(len(self.names)):
