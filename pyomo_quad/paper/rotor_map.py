@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 #: Bounds on the rotor acceleration for which the floors are computed, rad/s².
 BOUNDS = (10, 30, 100, 200, 300, 500, 600, 700, 800, 900, 1000, 1100, 1150, 1250, 1500, 2000, 3000)
 _HIGHER_BOUNDS = (5000, 7500, 10000, 20000)
-# Samples of the floors: a mesh twice as fine moves no floor by more than their tolerance.
+# Samples of the floors: twice as many move a floor by 0.6 % at most.
 _SPEEDS, _ACCELERATIONS = 141, 90
 _SMALLEST_ACCELERATION = 1.0  # rad/s², of the logarithmic samples
 # Samples of the figure of f_r.
