@@ -1,4 +1,4 @@
-"""The vehicle handed to RotorPy [1]_: dynamics that others wrote, under our controller and theirs.
+"""The vehicle in the simulator RotorPy [1]_, under the package's controller and RotorPy's own.
 
 here | RotorPy
 mass, inertias, thrust and drag torque over rotor speed squared | mass, Ixx.., k_eta, k_m
@@ -86,7 +86,7 @@ _SIZE = 20
 
 
 class Pilot(StrEnum):
-    """Controllers of the outside plant: ours, RotorPy's, or the plan's own controls."""
+    """Controllers of the outside plant: adaptive, RotorPy's SE3, or the plan's own controls."""
 
     ADAPTIVE = "adaptive"
     SE3 = "se3"
@@ -95,7 +95,7 @@ class Pilot(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class BodyFrame:
-    """Orientation of RotorPy's body in ours: a turn about the vertical, and the rotors' order."""
+    """Orientation of RotorPy's body axes in the declared ones, and the order of its rotors."""
 
     turn: float = 0.0
     """Angle from our body x to theirs [rad]."""
@@ -173,7 +173,7 @@ def quad_parameters(scenario: Scenario, dynamics: Dynamics) -> dict[str, Any]:
 
 
 class OutsidePlant:
-    """RotorPy's multirotor, told in the states of the declared model.
+    """RotorPy's multirotor, with the states of the declared model.
 
     Its joint state is RotorPy's vector, the declared states that RotorPy lacks (the charge drawn
     from the pack), the states of a law, and the energy.
@@ -232,7 +232,7 @@ class OutsidePlant:
         self._wind = _wind_of(scenario, dynamics)
 
     def started(self, x: FloatArray, own: Sequence[float]) -> FloatArray:
-        """Return the joint state of declared states and of a law's own."""
+        """Return the joint state of declared states and the states of a law."""
         s = np.zeros(_SIZE)
         s[:6] = x[self._place]
         attitude = Rotation.from_euler("ZYX", x[self._angles][::-1]) * self._turn
@@ -254,7 +254,7 @@ class OutsidePlant:
         return x
 
     def turned_back(self, vector: FloatArray) -> FloatArray:
-        """Return a vector of RotorPy's body in ours, shape (3,)."""
+        """Turn a vector from RotorPy's body axes to the declared ones, shape (3,)."""
         return np.asarray(self._turn.apply(vector))
 
     def seen(self, x: FloatArray) -> dict[str, FloatArray]:
@@ -269,13 +269,13 @@ class OutsidePlant:
         }
 
     def ours(self, theirs: FloatArray) -> FloatArray:
-        """Return numbers of RotorPy's rotors in our order."""
+        """Return a number per rotor of RotorPy in the order of the declared rotors."""
         ordered = np.empty_like(theirs)
         ordered[self._order] = theirs
         return ordered
 
     def own(self, joint: FloatArray) -> list[float]:
-        """Return the law's own states of a joint state."""
+        """Return the states of the law in a joint state."""
         return joint[_SIZE + len(self._others) : -1].tolist()
 
     def rates(self, t: float, joint: FloatArray, law: OutsideLaw) -> FloatArray:
@@ -355,7 +355,7 @@ class OutsidePlant:
     def _slope(
         self, law: OutsideLaw, inside: float, last: float
     ) -> Callable[[float, FloatArray], FloatArray]:
-        """Return the derivative of the joint state in a part of a flight, tumbling refused."""
+        """Return the derivative of the joint state in a part of a flight; it ends a tumble."""
         guard = TumblingGuard("RotorPy", last - inside)
 
         def slope(t: float, joint: FloatArray) -> FloatArray:
@@ -455,7 +455,10 @@ def fly_under(
     own: Sequence[float] = (),
     borders: Sequence[float] | None = None,
 ) -> Flight:
-    """Fly RotorPy's vehicle under a law: with borders [s] between its smooth parts, open loop."""
+    """Fly RotorPy's vehicle under a law.
+
+    `borders`, s, separate the smooth parts of a law without feedback.
+    """
     began = perf_counter()
     scenario, dynamics, habits = plant.scenario, plant.dynamics, plant.habits
     methods: tuple[str, ...] = _STIFF if borders is None else tuple(Integrator)

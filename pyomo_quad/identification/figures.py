@@ -1,4 +1,4 @@
-"""Figures of an identification: its flights, their power over time, and the power curve."""
+"""Figures of an identification: energies, power over time, and the power curve."""
 
 import numpy as np
 import pandas as pd

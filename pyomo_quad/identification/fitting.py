@@ -59,7 +59,7 @@ _NEAR_BOUND = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifiedParameter:
-    """A field of the vehicle as identified, beside its value in the base.
+    """Identified value of a vehicle's field, with its uncertainty and the base's value.
 
     `deviation` is its standard deviation over flights drawn anew, 0 where the base's value was
     kept.  `first_half` and `second_half` are fits to one half of the flights each, with no flight
@@ -318,7 +318,7 @@ def _base_source(scenario: Scenario, field: str) -> str:
 
 
 def changes(identification: Identification) -> Mapping[str, tuple[float, str]]:
-    """Return the fields that the flights determine: value and source."""
+    """Return value and source of each field that the flights determine."""
     count = identification.frame[FLIGHT].nunique()
     return {
         one.name: (

@@ -94,7 +94,7 @@ _CURRENTS, _VOLTAGES = ("current_a", "current_average_a"), ("voltage_v", "voltag
 
 
 def read_logs(file: Path) -> pd.DataFrame:
-    """Return the flying rows of all flights of a log, with the columns of `COLUMNS`.
+    """Read the rows in flight of a log, with the columns of `COLUMNS`.
 
     Raises
     ------

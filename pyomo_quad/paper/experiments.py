@@ -100,7 +100,7 @@ def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
 
 @cache
 def full_speed_energy(experiment: Experiment) -> float:
-    """Return the energy, J, of all rotors at their greatest speed through an experiment, under f_r.
+    """Return the energy under f_r, J, of all rotors at full speed throughout an experiment.
 
     To spend more, rotors must accelerate and brake all the time.
     """

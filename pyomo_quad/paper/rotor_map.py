@@ -183,7 +183,7 @@ def _last_zero(braking: FloatArray, efficiency: FloatArray) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class EfficiencyMap:
-    """f_r without floors over speed and torque.
+    """Samples of f_r without floors over speed and torque.
 
     Attributes
     ----------

@@ -48,14 +48,14 @@ _PACKS: tuple[tuple[str, dict[str, int]], ...] = (
 
 @dataclass(frozen=True, kw_only=True)
 class PackFacts:
-    """Energy and power of a pack, and of the hover that it has to feed.
+    """Energy and power of a battery pack, and of the hover that it feeds.
 
     Attributes
     ----------
     stored_energy_J : float
         Down to one hundredth of the charge, without load.
     shortfalls : tuple of str
-        What the pack lacks for hovering through the mission, one line each.
+        Shortfalls of the pack for hovering through the mission, one line each.
     """
 
     battery: str
@@ -70,7 +70,7 @@ class PackFacts:
 
 
 def pack_facts() -> tuple[PackFacts, ...]:
-    """Return the packs under the motors' power and under f_r."""
+    """Return each pack's energy and power, under the motors' power and under f_r."""
     planner = Planner()
     cases = product((PowerModel.MOTOR, PowerModel.EFFICIENCY), _PACKS)
     return tuple(_facts(planner, model, name, cells) for model, (name, cells) in cases)
@@ -100,7 +100,7 @@ WORKERS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class PaperStudy:
-    """Everything that the report shows.
+    """Results of the paper's study.
 
     Attributes
     ----------

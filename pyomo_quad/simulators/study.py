@@ -185,7 +185,7 @@ def arrivals(flights: pd.DataFrame, controller: str) -> Arrivals:
 
 
 class Flown(NamedTuple):
-    """A flight to be flown, and the row that it belongs to."""
+    """A flight to fly: its plant, controller and reference."""
 
     plant: Plant
     controller: str
@@ -222,7 +222,7 @@ class _Mission:
         pilot: Pilot,
         followed: Reference = Reference.PLAN,
     ) -> Flown:
-        """Return a flight of a vehicle of RotorPy's."""
+        """Return a flight in RotorPy."""
         return Flown(at, pilot, followed, partial(fly_outside, plant, pilot, followed, self.plan))
 
     def under(
@@ -234,7 +234,7 @@ class _Mission:
         followed: Reference,
         stiffness: float = 1.0,
     ) -> Flown:
-        """Return a flight of a vehicle of RotorPy's under a variant of SE3."""
+        """Return a flight in RotorPy under a variant of SE3."""
         law = se3_law(plant, path, stiffness=stiffness)
         return Flown(at, name, followed, partial(fly_under, plant, name, law, self.plan))
 
@@ -277,7 +277,7 @@ def _track(flight: Flight, plan: Plan) -> Track:
 
 
 def _small(paper: Scenario, name: str) -> Scenario:
-    """Return a short mission of a vehicle of RotorPy's, of least shaft power."""
+    """Return a short mission of one of RotorPy's small vehicles, for least shaft energy."""
     said = {
         path.replace("fields.", "vehicle.", 1): value
         for path, (value, _) in vehicle_fields(name).items()
