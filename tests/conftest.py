@@ -18,16 +18,7 @@ settings.load_profile("untimed")
 
 @pytest.fixture(scope="session", autouse=True)
 def _compiled_once():
-    """Let all planners of a test process share what they compile from the declared model."""
-    from pyomo_quad.flight import Planner, planning
-    from pyomo_quad.model import build_model
+    """Keep every problem that a test process compiles, where a program keeps the last few."""
+    from pyomo_quad.flight.planning import PROBLEMS
 
-    shared, problem_for = Planner(), Planner.problem_for
-
-    def from_shared(planner, scenario):
-        return problem_for(shared if planner.builder is build_model else planner, scenario)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planning, "_KEPT", 1000)
-        patch.setattr(Planner, "problem_for", from_shared)
-        yield
+    PROBLEMS.most = 1000

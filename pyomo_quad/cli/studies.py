@@ -27,7 +27,7 @@ from pyomo_quad.scenario.messages import printable
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pyomo_quad.identification.fitting import Scores
+    from pyomo_quad.identification.validation import Scores
 
 _PAPER_FOLDER = Path("reports/paper")
 _OUTSIDE_FOLDER = Path("reports/outside_plant")
@@ -137,10 +137,8 @@ def outside_plant(
     from pyomo_quad.flight.outside_plant import MULTIROTOR, rotorpy_module  # noqa: PLC0415  heavy
 
     rotorpy_module(MULTIROTOR)
-    from pyomo_quad.simulators.study import (  # noqa: PLC0415  heavy
-        run_outside_study,
-        write_outside_report,
-    )
+    from pyomo_quad.simulators.report import write_outside_report  # noqa: PLC0415  heavy
+    from pyomo_quad.simulators.study import run_outside_study  # noqa: PLC0415  heavy
 
     with _report_folder(out, is_quiet=quiet) as (aside, _):
         write_outside_report(aside, run_outside_study(), figures)
@@ -217,9 +215,9 @@ def identify(
         FITTABLE,
         FITTED,
         identify,
-        scores,
     )
     from pyomo_quad.identification.report import write_identification  # noqa: PLC0415
+    from pyomo_quad.identification.validation import scores  # noqa: PLC0415
 
     for name in fit or ():
         if name not in FITTABLE:

@@ -1,4 +1,4 @@
-"""The vehicle handed to RotorPy [1]_: dynamics that others wrote, under our controller and theirs.
+"""The vehicle in the simulator RotorPy [1]_, under the package's controller and RotorPy's own.
 
 here | RotorPy
 mass, inertias, thrust and drag torque over rotor speed squared | mass, Ixx.., k_eta, k_m
@@ -8,9 +8,9 @@ quadratic drag | added to c_Dx = c_Dy = c_Dz, on body axes
 linear drag | added to k_d = k_z, times four rotors at the speed of hover, at the rotors
 
 RotorPy's rotors have no inertia: the gyroscopic moment and the reaction of the body to their
-acceleration are added beside its own moments.  Its motors follow a command with a lag; the command
-is the one under which they accelerate as wanted, at every moment.  Energy is the declared power at
-RotorPy's rotor speeds.  `Habits` brings back, one by one, what RotorPy does otherwise.
+acceleration are added to its own moments.  Its motors follow a command with a lag; at every moment
+the command is chosen that gives them the acceleration wanted.  Energy is the declared power at
+RotorPy's rotor speeds.  `Habits` restores, one by one, the behaviour of RotorPy's own simulation.
 
 .. [1] Folk, Paulos and Kumar, "RotorPy: A Python-based Multirotor Simulator with Aerodynamics for
    Education and Research", arXiv 2306.04485.
@@ -58,32 +58,35 @@ from pyomo_quad.scenario import Reference, Scenario, ScenarioError
 from pyomo_quad.scenario.wind import WindAxis, WindCoupling
 
 FloatArray = NDArray[np.float64]
-Law = Callable[[float, FloatArray, Sequence[float]], tuple[Sequence[float], Sequence[float]]]
-"""Time, the states that the declared model names, own states -> rotor accelerations, own rates."""
+Answer = tuple[Sequence[float], Sequence[float]]
+"""Rotor accelerations of a law, and the rates of its own states."""
+OutsideLaw = Callable[[float, FloatArray, Sequence[float]], Answer]
+"""A law: its answer to time, declared states and its own states."""
 
 PLANT = "rotorpy"
 MULTIROTOR = "vehicles.multirotor"
 _MISSING = "RotorPy is not installed; install it with pip install 'pyomo_quad[rotorpy]'."
-# Of controlled flights, and of the plan's own controls, whose errors nothing corrects.
+# Tolerance of controlled flights, and of the plan's own controls, whose errors nothing corrects.
 _TOLERANCE, _TIGHT = 1e-7, 1e-11
-# Absolute, of SciPy's integrators where nothing is said, as RotorPy says nothing.
+# Default absolute tolerance of SciPy's integrators, which RotorPy leaves as it is.
 _ABSOLUTE = 1e-6
-# The yaw reaction answers a command at once, SE3's at thousands per second: explicit steps would
-# be a third of a millisecond.
+# The yaw reaction couples body rates and commands at thousands of 1/s under SE3: explicit
+# integrators would take steps of a third of a millisecond.
 _STIFF: tuple[str, str] = ("Radau", Integrator.MULTISTEP)
-# Held commands make parts of milliseconds, each of a step or two.
+# Held commands divide a flight into parts of milliseconds, each of one or two steps.
 _EXPLICIT: tuple[str, str] = ("RK45", Integrator.RUNGE_KUTTA)
-# Share of a part of a flight after which the law is that of the part.
+# Share of a part of a flight after its start at which its law is evaluated.
 _INSIDE = 1e-9
+# Samples of the wind per second, between which a cubic spline interpolates.
 _WIND_RATE_HZ = 1000.0
-# Where RotorPy keeps them in its vector.
+# Places in RotorPy's state vector.
 _POSITION, _VELOCITY, _QUATERNION = slice(0, 3), slice(3, 6), slice(6, 10)
 _BODY_RATES, _WIND, _SPEEDS = slice(10, 13), slice(13, 16), slice(16, 20)
 _SIZE = 20
 
 
 class Pilot(StrEnum):
-    """What moves the rotors of the outside plant."""
+    """Controllers of the outside plant: adaptive, RotorPy's SE3, or the plan's own controls."""
 
     ADAPTIVE = "adaptive"
     SE3 = "se3"
@@ -92,43 +95,43 @@ class Pilot(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class BodyFrame:
-    """How RotorPy's body lies in ours: turned about the vertical, with rotors numbered anew."""
+    """Orientation of RotorPy's body axes in the declared ones, and the order of its rotors."""
 
     turn: float = 0.0
-    """From our body x to theirs [rad]."""
+    """Angle from our body x to theirs [rad]."""
     order: tuple[int, ...] = (0, 1, 2, 3)
-    """Which of our rotors each of theirs is."""
+    """Number of our rotor for each of theirs."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Habits:
-    """What RotorPy does in its own way; by default nothing, so that equations are compared."""
+    """Deviations of RotorPy's own simulation from the declared equations, by default none."""
 
     gravity: float | None = None
-    """Other than the scenario's [m/s^2]."""
+    """Gravity [m/s^2] in place of the scenario's."""
     has_gyroscopic_moment: bool = True
     has_yaw_reaction: bool = True
     command_rate_hz: float | None = None
-    """How often a command changes, which the motors then follow with their lag."""
+    """Rate of commands that are held meanwhile and followed by the motors with their lag."""
     tolerance: float | None = None
-    """Relative, of the integrator that RotorPy steps with."""
+    """Relative tolerance of RotorPy's integrator."""
 
 
 MASSLESS_ROTORS = Habits(has_gyroscopic_moment=False, has_yaw_reaction=False)
 AS_IT_COMES = replace(MASSLESS_ROTORS, command_rate_hz=100.0, tolerance=1e-3)
-"""All that RotorPy's own simulation does by default."""
+"""Defaults of RotorPy's own simulation."""
 
 ACROSS = BodyFrame(turn=-pi / 4, order=(0, 3, 2, 1))
-"""That of a vehicle with two rotors ahead, numbered clockwise from the left one."""
+"""Body of a vehicle with two rotors ahead, numbered clockwise from the left one."""
 
 
 def rotorpy_module(name: str) -> ModuleType:
-    """Import a part of RotorPy.
+    """Import a module of RotorPy.
 
     Raises
     ------
     ScenarioError
-        If it is not installed.
+        If RotorPy is not installed.
     """
     try:
         return import_module(f"rotorpy.{name}")
@@ -170,10 +173,10 @@ def quad_parameters(scenario: Scenario, dynamics: Dynamics) -> dict[str, Any]:
 
 
 class OutsidePlant:
-    """RotorPy's multirotor, told in the states of the declared model.
+    """RotorPy's multirotor, with the states of the declared model.
 
-    Its joint state is RotorPy's vector, the declared states that RotorPy has not (the charge drawn
-    from the pack), those of a law, and the energy.
+    Its joint state is RotorPy's vector, the declared states that RotorPy lacks (the charge drawn
+    from the pack), the states of a law, and the energy.
 
     Parameters
     ----------
@@ -185,7 +188,7 @@ class OutsidePlant:
     frame : BodyFrame, optional
         Of these parameters.
     habits : Habits, optional
-        RotorPy's own ways that it is flown in.
+        Deviations from the declared equations.
     """
 
     def __init__(
@@ -229,7 +232,7 @@ class OutsidePlant:
         self._wind = _wind_of(scenario, dynamics)
 
     def started(self, x: FloatArray, own: Sequence[float]) -> FloatArray:
-        """Return the joint state of declared states and of a law's own."""
+        """Return the joint state of declared states and the states of a law."""
         s = np.zeros(_SIZE)
         s[:6] = x[self._place]
         attitude = Rotation.from_euler("ZYX", x[self._angles][::-1]) * self._turn
@@ -251,7 +254,7 @@ class OutsidePlant:
         return x
 
     def turned_back(self, vector: FloatArray) -> FloatArray:
-        """Return a vector of RotorPy's body in ours, shape (3,)."""
+        """Turn a vector from RotorPy's body axes to the declared ones, shape (3,)."""
         return np.asarray(self._turn.apply(vector))
 
     def seen(self, x: FloatArray) -> dict[str, FloatArray]:
@@ -266,23 +269,23 @@ class OutsidePlant:
         }
 
     def ours(self, theirs: FloatArray) -> FloatArray:
-        """Return numbers of RotorPy's rotors in our order."""
+        """Return a number per rotor of RotorPy in the order of the declared rotors."""
         ordered = np.empty_like(theirs)
         ordered[self._order] = theirs
         return ordered
 
     def own(self, joint: FloatArray) -> list[float]:
-        """Return the law's own states of a joint state."""
+        """Return the states of the law in a joint state."""
         return joint[_SIZE + len(self._others) : -1].tolist()
 
-    def rates(self, t: float, joint: FloatArray, law: Law) -> FloatArray:
+    def rates(self, t: float, joint: FloatArray, law: OutsideLaw) -> FloatArray:
         """Return the derivative of the joint state under a law."""
         x = self.read(joint)
         alpha, own_rates = law(t, x, self.own(joint))
         declared, power = self.dynamics.rates_and_integrand(t, x, np.asarray(alpha, dtype=float))
         s = joint[:_SIZE].copy()
         s[_WIND] = self._wind(t, x)
-        # Whatever the lag, under this command the rotors accelerate as wanted.
+        # Under this command the rotors accelerate as wanted, whatever their lag.
         theirs = np.asarray(alpha, dtype=float)[self._order]
         command = s[_SPEEDS] + self.parameters["tau_m"] * theirs
         # RotorPy's public step integrates with a tolerance of 1e-3 and holds the command.
@@ -291,7 +294,7 @@ class OutsidePlant:
         return np.array([*slope, *declared[self._others], *own_rates, power])
 
     def _of_rotors(self, s: FloatArray, alpha: FloatArray) -> FloatArray:
-        """Return what spinning rotors do to the body: minus the rate of their momentum [N m]."""
+        """Return the moment of the rotors on the body, minus the rate of their momentum [N m]."""
         directions = self._vehicle.rotor_dir
         spin, gathering = directions @ s[_SPEEDS], directions @ alpha
         p, q, _ = s[_BODY_RATES]
@@ -300,7 +303,7 @@ class OutsidePlant:
 
     def fly(
         self,
-        law: Law,
+        law: OutsideLaw,
         start: FloatArray,
         own: Sequence[float],
         borders: Sequence[float],
@@ -308,7 +311,7 @@ class OutsidePlant:
         integrator: str,
         tolerance: float,
     ) -> Flown:
-        """Fly under a law, which is smooth between borders [s].
+        """Fly under a law that is smooth between borders [s].
 
         Raises
         ------
@@ -324,13 +327,12 @@ class OutsidePlant:
         for first, last in pairwise(borders):
             inside = first + _INSIDE * (last - first)
             now = law if rate is None else self._held(law, inside, joint)
-            part = even_times(first, last, RATE_HZ)
             flown = solve_ivp(
                 self._slope(now, inside, last),
                 (first, last),
                 joint,
                 method=integrator,
-                t_eval=part,
+                t_eval=even_times(first, last, RATE_HZ),
                 rtol=tolerance,
                 atol=min(tolerance, _ABSOLUTE),
                 max_step=LONGEST_STEP,
@@ -338,22 +340,22 @@ class OutsidePlant:
             if not flown.success:
                 raise SolveError(f"RotorPy: {flown.message} Check the gains of the scenario.")
             joint = flown.y[:, -1]
-            for t, row in list(zip(part.tolist(), flown.y.T, strict=True))[bool(times) :]:
+            # Each part but the first starts where the last one ended.
+            for t, row in list(zip(flown.t.tolist(), flown.y.T, strict=True))[bool(times) :]:
                 times.append(t)
                 rows.append(row)
                 applied.append(now(t, self.read(row), self.own(row))[0])
-        joints = np.array(rows)
         return Flown(
             t=np.array(times),
             states=np.array([self.read(row) for row in rows]),
             controls=np.array(applied),
-            energy=joints[:, -1],
+            energy=np.array(rows)[:, -1],
         )
 
     def _slope(
-        self, law: Law, inside: float, last: float
+        self, law: OutsideLaw, inside: float, last: float
     ) -> Callable[[float, FloatArray], FloatArray]:
-        """Return the derivative of the joint state in a part of a flight, tumbling refused."""
+        """Return the derivative of the joint state in a part of a flight; it ends a tumble."""
         guard = TumblingGuard("RotorPy", last - inside)
 
         def slope(t: float, joint: FloatArray) -> FloatArray:
@@ -362,14 +364,12 @@ class OutsidePlant:
 
         return slope
 
-    def _held(self, law: Law, t: float, joint: FloatArray) -> Law:
-        """Return a law that holds the command of one moment, which motors follow with a lag."""
+    def _held(self, law: OutsideLaw, t: float, joint: FloatArray) -> OutsideLaw:
+        """Return a law that holds the command of a moment; the motors follow it with their lag."""
         x, lag = self.read(joint), self.parameters["tau_m"]
         command = x[self._rotors] + lag * np.asarray(law(t, x, self.own(joint))[0], dtype=float)
 
-        def held(
-            t: float, x: FloatArray, own: Sequence[float]
-        ) -> tuple[Sequence[float], Sequence[float]]:
+        def held(t: float, x: FloatArray, own: Sequence[float]) -> Answer:
             own_rates = law(t, x, own)[1] if own else ()
             return ((command - x[self._rotors]) / lag).tolist(), own_rates
 
@@ -398,10 +398,10 @@ def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatAr
 
 
 def refuse_pushing_wind(scenario: Scenario) -> None:
-    """Refuse a wind that pushes without drag; RotorPy's acts on the airspeed."""
+    """Refuse a wind that acts as an acceleration; RotorPy's wind acts on the airspeed."""
     wind = scenario.wind
-    measured = wind.series is not None
-    blows = wind.speed or wind.vertical or measured or _blows(wind.x) or _blows(wind.y)
+    is_steady = bool(wind.speed or wind.vertical)
+    blows = is_steady or wind.series is not None or _blows(wind.x) or _blows(wind.y)
     if wind.coupling is WindCoupling.ACCELERATION and blows:
         raise ScenarioError(
             f"{scenario.name}: wind.coupling = acceleration has no counterpart in RotorPy, whose "
@@ -423,40 +423,42 @@ def fly_outside(
 ) -> Flight:
     """Fly RotorPy's vehicle along a reference, or under the plan's own controls.
 
-    It is verified as every controlled flight is, by a second integrator.
+    Like every controlled flight it is verified by a second integrator.
 
     Raises
     ------
     ScenarioError
-        If the plan is needed and there is none.
+        If the reference or the pilot needs a plan and none is given.
     SolveError
         If the flight is out of control.
     """
     scenario = plant.scenario
     own: Sequence[float] = ()
     borders = None
-    match pilot:
-        case Pilot.ADAPTIVE:
-            law, own = _adaptive(plant, reference, plan)
-        case Pilot.SE3:
-            law = se3_law(plant, reference_path(scenario, reference, plan))
-        case Pilot.OPEN_LOOP:
-            if plan is None:
-                raise ScenarioError(f"{scenario.name}: open loop needs a plan; solve it first.")
-            law, borders = _open_loop(plan, plant)
+    if pilot is Pilot.OPEN_LOOP:
+        if plan is None:
+            raise ScenarioError(f"{scenario.name}: open loop needs a plan; solve it first.")
+        law, borders = _open_loop(plan, plant)
+    elif pilot is Pilot.ADAPTIVE:
+        law, own = _adaptive(plant, reference, plan)
+    else:
+        law = se3_law(plant, reference_path(scenario, reference, plan))
     return fly_under(plant, outside_name(pilot, reference), law, plan, own=own, borders=borders)
 
 
 def fly_under(
     plant: OutsidePlant,
     name: str,
-    law: Law,
+    law: OutsideLaw,
     plan: Plan | None = None,
     *,
     own: Sequence[float] = (),
     borders: Sequence[float] | None = None,
 ) -> Flight:
-    """Fly RotorPy's vehicle under a law; one with borders is without feedback."""
+    """Fly RotorPy's vehicle under a law.
+
+    `borders`, s, separate the smooth parts of a law without feedback.
+    """
     began = perf_counter()
     scenario, dynamics, habits = plant.scenario, plant.dynamics, plant.habits
     methods: tuple[str, ...] = _STIFF if borders is None else tuple(Integrator)
@@ -465,15 +467,10 @@ def fly_under(
         methods = _EXPLICIT
     if habits.command_rate_hz is not None:
         methods, tight = _EXPLICIT, _TOLERANCE
+    start = start_state(scenario, dynamics, plan)
+    borders = borders or (0.0, scenario.mission.fixed_duration)
     first, second = (
-        plant.fly(
-            law,
-            start_state(scenario, dynamics, plan),
-            own,
-            borders or (0.0, scenario.mission.fixed_duration),
-            integrator=method,
-            tolerance=tolerance,
-        )
+        plant.fly(law, start, own, borders, integrator=method, tolerance=tolerance)
         for method, tolerance in zip(methods, (habits.tolerance or tight, tight), strict=True)
     )
     return assembled_flight(name, scenario, dynamics, ((first, second),), plan, began)
@@ -481,14 +478,12 @@ def fly_under(
 
 def _adaptive(
     plant: OutsidePlant, reference: Reference, plan: Plan | None
-) -> tuple[Law, list[float]]:
+) -> tuple[OutsideLaw, list[float]]:
     path = reference_path(plant.scenario, reference, plan)
     controller = AdaptiveController(plant.scenario, mixer_matrix(plant.dynamics))
     feedback = feedback_law(controller, plant.dynamics)
 
-    def law(
-        t: float, x: FloatArray, own: Sequence[float]
-    ) -> tuple[Sequence[float], Sequence[float]]:
+    def law(t: float, x: FloatArray, own: Sequence[float]) -> Answer:
         return feedback(controller.command(path, t), x.tolist(), own)
 
     body = [plant.dynamics.state_names.index(name) for name in MEASURED_STATES]
@@ -496,23 +491,24 @@ def _adaptive(
     return law, controller.started(path(0.0), start.tolist())
 
 
-def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0) -> Law:
-    """Return RotorPy's own controller, stiffer in place; its commands keep the rotors' limits."""
+def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0) -> OutsideLaw:
+    """Return RotorPy's own controller, with its position gains times a factor.
+
+    Its commands are clipped to the limits of the rotors.
+    """
     control = rotorpy_module("controllers.quadrotor_control").SE3Control(plant.parameters)
     control.kp_pos *= stiffness
     control.kd_pos *= sqrt(stiffness)
     limits, lag = plant.scenario.limits, plant.parameters["tau_m"]
     rotors = rotor_columns(plant.dynamics)
 
-    def law(
-        t: float, x: FloatArray, _own: Sequence[float]
-    ) -> tuple[Sequence[float], Sequence[float]]:
+    def law(t: float, x: FloatArray, _own: Sequence[float]) -> Answer:
         place, rate, acceleration = path(t)
         flat = {
             "x": np.array(place[:3]),
             "x_dot": np.array(rate[:3]),
             "x_ddot": np.array(acceleration[:3]),
-            # It is their body that it turns.
+            # The controller turns RotorPy's body, not ours.
             "yaw": place[3] + plant.turn,
             "yaw_dot": rate[3],
         }
@@ -524,10 +520,10 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
     return law
 
 
-def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[Law, list[float]]:
+def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]]:
     """Return the plan's own controls and the borders of its elements.
 
-    Commands that are held are of the planned speeds, whatever the speeds at hand.
+    A held command is the planned rotor speed, independent of the actual speed.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon
@@ -538,9 +534,7 @@ def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[Law, list[float]]:
         for k in range(held.mesh.elements)
     ]
 
-    def law(
-        t: float, x: FloatArray, _own: Sequence[float]
-    ) -> tuple[Sequence[float], Sequence[float]]:
+    def law(t: float, x: FloatArray, _own: Sequence[float]) -> Answer:
         k = int(np.clip(np.searchsorted(borders, t, side="left") - 1, 0, len(pieces) - 1))
         alpha = pieces[k](t)
         if plant.habits.command_rate_hz is not None:

@@ -29,6 +29,7 @@ from pyomo_quad.collocation import (
 from pyomo_quad.flight.deadline import Deadline
 from pyomo_quad.flight.flight import HELD_BREACH, VIOLATION_TOLERANCE
 from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
+from pyomo_quad.flight.recent import Recent
 from pyomo_quad.flight.rescue import (
     Effort,
     Rescuer,
@@ -81,8 +82,14 @@ _TIGHTENINGS = 3
 _TIGHTER = 0.1
 # Fewest elements on which the flights along all routes are compared.
 _ROUTE_ELEMENTS = 20
-# The wind that the optimiser is told, and the one that blows.
-_KEPT = 2
+# Problems of the wind that the optimiser is told and of the wind that blows, and as many for a
+# second planner beside.
+_MOST_PROBLEMS = 4
+# Steady flights in each of these winds.
+_MOST_STEADY = 2
+#: Problems compiled from the declared model, for all planners of the process: scenario and problem
+#: by the scenario's structure.
+PROBLEMS: Recent[tuple[Scenario, Problem]] = Recent(_MOST_PROBLEMS)
 # The verification allows twice as much.
 _ALLOWANCE = Allowance(
     control_breach=HELD_BREACH,
@@ -98,9 +105,10 @@ _STATUS = {
 
 
 class Planner:
-    """Keeps the compiled problems of the last scenarios, and compiles another only where none fits.
+    """Solves scenarios, and compiles a problem only where none that is kept fits.
 
-    Guess and scales are those of the scenario at hand: no answer depends on what was solved before.
+    Planners of the declared model share `PROBLEMS`.  Guess and scales are those of the scenario at
+    hand: no answer depends on what was solved before.
 
     Parameters
     ----------
@@ -112,8 +120,8 @@ class Planner:
 
     def __init__(self, builder: Builder = build_model) -> None:
         self._builder = builder
-        self._problems: dict[Hashable, tuple[Scenario, Problem]] = {}
-        self._steady: dict[Scenario, SteadyFlight] = {}
+        self._problems = PROBLEMS if builder is build_model else Recent(_MOST_PROBLEMS)
+        self._steady: Recent[SteadyFlight] = Recent(_MOST_STEADY)
 
     @property
     def builder(self) -> Builder:
@@ -123,18 +131,17 @@ class Planner:
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
         """Return a compiled problem for a scenario, and the seconds that took."""
         key = self._key(scenario)
-        built_for, problem = self._problems.get(key, (scenario, None))
+        built_for, problem = self._problems.get(key) or (scenario, None)
         if problem is not None and guess_key(built_for) == guess_key(scenario):
             return problem, {"build": 0.0, "compile": 0.0}
         started = time.perf_counter()
         model = self._builder(scenario)
         built = time.perf_counter()
         if problem is None:
-            _make_room(self._problems)
             problem = compile(model, times=declared_free_times(model, scenario))
         else:
             problem = problem.holding(model)
-        self._problems[key] = scenario, problem
+        self._problems.store(key, (scenario, problem))
         return problem, {"build": built - started, "compile": time.perf_counter() - built}
 
     def _key(self, scenario: Scenario) -> Hashable:
@@ -142,7 +149,7 @@ class Planner:
 
     def model(self, scenario: Scenario) -> Any:
         """Return the Pyomo model of a scenario, with the scenario's own numbers in it."""
-        built_for, problem = self._problems.get(self._key(scenario), (None, None))
+        built_for, problem = self._problems.get(self._key(scenario)) or (None, None)
         if problem is None or built_for != scenario:
             return self._builder(scenario)
         return problem.model
@@ -154,13 +161,13 @@ class Planner:
 
         `known` gives states at the start that only a plan knows.
         """
-        if scenario not in self._steady:
+        steady = self._steady.get(scenario)
+        if steady is None:
             problem, _ = self.problem_for(scenario)
             numbers = (self.parameters(scenario) or {}) | still_air(problem.model)
             still = problem.dynamics(parameters=numbers, horizon=_horizon(scenario))
-            _make_room(self._steady)
-            self._steady[scenario] = SteadyFlight(scenario, still, known)
-        return self._steady[scenario]
+            steady = self._steady.store(scenario, SteadyFlight(scenario, still, known))
+        return steady
 
     def parameters(self, scenario: Scenario) -> dict[str, float] | None:
         """Return the numbers a compiled problem is solved with."""
@@ -571,11 +578,6 @@ def _energy(scenario: Scenario, solution: Solution) -> float:
     if not scenario.mission.is_free:
         return solution.objective
     return float(solution.running_objective[-1])
-
-
-def _make_room(kept: dict[Any, Any]) -> None:
-    while len(kept) >= _KEPT:
-        kept.pop(next(iter(kept)))
 
 
 def _verified(plan: Plan, solution: Solution) -> Plan:

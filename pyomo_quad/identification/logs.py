@@ -1,17 +1,16 @@
-"""Logs of flights: the columns they need, and what is refused before anything is computed.
+"""Logs of flights: required columns, and refusal of damaged or implausible ones.
 
-A log is a table, Parquet or CSV, of one row a second or so, or a PX4 `.ulg`.  Its columns are
+A log is a table, Parquet or CSV, of about one row a second, or a PX4 `.ulg`.  Its columns are
 those of `COLUMNS`; others are not read.  World axes here are north, east and up.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
-from dataclasses import dataclass
 from hashlib import sha256
 from io import StringIO
 from os import SEEK_END
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -26,9 +25,8 @@ from pyomo_quad.scenario.vehicle import CARRIED
 from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 
 
-@dataclass(frozen=True, kw_only=True)
-class Column:
-    """One column of a log: its unit, what else it may be called, and what it holds."""
+class LogColumn(NamedTuple):
+    """A column of a log: its unit, its meaning, and its other names."""
 
     unit: str
     meaning: str
@@ -40,45 +38,38 @@ PAYLOAD, DENSITY = "payload_kg", "air_density_kg_m3"
 VELOCITY = ("vel_north_m_s", "vel_east_m_s", "vel_up_m_s")
 AIR_VELOCITY = ("air_vel_north_m_s", "air_vel_east_m_s")
 VOLTAGE, CURRENT = "voltage_V", "current_A"
-COLUMNS: Mapping[str, Column] = {
-    FLIGHT: Column(unit="", meaning="number or name of the flight", other_names=("flight_id",)),
-    TIME: Column(unit="s", meaning="time, rising within a flight", other_names=("time", "t")),
-    PHASE: Column(unit="", meaning="1 take-off, 2 cruise, 3 landing; other rows are passed over"),
-    PAYLOAD: Column(unit="kg", meaning="mass carried", other_names=("payload",)),
-    DENSITY: Column(unit="kg/m^3", meaning="density of the air", other_names=("air_density",)),
-    POWER: Column(
-        unit="W",
-        meaning="power drawn from the pack",
-        other_names=("power", f"{VOLTAGE} with {CURRENT}"),
-    ),
-    VELOCITY[0]: Column(unit="m/s", meaning="velocity over ground", other_names=("vn_m_s",)),
-    VELOCITY[1]: Column(unit="m/s", meaning="velocity over ground", other_names=("ve_m_s",)),
-    VELOCITY[2]: Column(unit="m/s", meaning="climb", other_names=("vu_m_s",)),
-    AIR_VELOCITY[0]: Column(
-        unit="m/s", meaning="velocity through the air as read, times vehicle.anemometer_factor"
-    ),
-    AIR_VELOCITY[1]: Column(
-        unit="m/s", meaning="velocity through the air as read, times vehicle.anemometer_factor"
-    ),
+_AIR_READ = "velocity through the air as read, times vehicle.anemometer_factor"
+COLUMNS: Mapping[str, LogColumn] = {
+    FLIGHT: LogColumn("", "number or name of the flight", ("flight_id",)),
+    TIME: LogColumn("s", "time, rising within a flight", ("time", "t")),
+    PHASE: LogColumn("", "1 take-off, 2 cruise, 3 landing; other rows are passed over"),
+    PAYLOAD: LogColumn("kg", "mass carried", ("payload",)),
+    DENSITY: LogColumn("kg/m^3", "density of the air", ("air_density",)),
+    POWER: LogColumn("W", "power drawn from the pack", ("power", f"{VOLTAGE} with {CURRENT}")),
+    VELOCITY[0]: LogColumn("m/s", "velocity over ground", ("vn_m_s",)),
+    VELOCITY[1]: LogColumn("m/s", "velocity over ground", ("ve_m_s",)),
+    VELOCITY[2]: LogColumn("m/s", "climb", ("vu_m_s",)),
+    **dict.fromkeys(AIR_VELOCITY, LogColumn("m/s", _AIR_READ)),
 }
-# Where there is no power, it is made of these.
+# Power is their product where a log has no column of it.
 _ELECTRIC = (VOLTAGE, CURRENT)
 FLYING = (1, 2, 3)
 CRUISE = 2
 _TEXTS = (FLIGHT,)
-# A row this many times later than usual has lost the flight between.
+# Longest gap between two rows of a flight, over the median of its steps.
 _LONGEST_GAP = 10.0
-# Sensors read a few watts below nought with all off.
+# Least power of a row: sensors read a few watts below zero when nothing is drawn.
 _LEAST_POWER_W = -20.0
-# Beyond these a number is in thousandths of its unit, whatever flies.
+# Greatest medians, and the unit that a greater one must have.
 _MOST: Mapping[str, tuple[float, str]] = {
     VOLTAGE: (1e3, "millivolts"),
     CURRENT: (2e3, "milliamperes"),
 }
+# Bounds on a flight's median power, W/kg: a multirotor hovers on 100 to 300.
 _MOST_POWER_PER_KG, _LEAST_POWER_PER_KG = 5e3, 5.0
-# Payload over the vehicle's own mass: what carries more than some times itself carries grams.
+# Payload over the vehicle's own mass: beyond this the column must hold grams.
 _MOST_PAYLOAD = 20.0
-# Beyond these nothing flies on earth.
+# Ranges that every row must keep.
 _SPEED = Sound(-1e3, 1e3, "the fastest aeroplane had 981 m/s")
 _SOUND: Mapping[str, Sound] = {
     PAYLOAD: CARRIED,
@@ -86,8 +77,9 @@ _SOUND: Mapping[str, Sound] = {
     POWER: Sound(-1e8, 1e8, "the largest helicopter has 2e7 W"),
     **dict.fromkeys((*VELOCITY, *AIR_VELOCITY), _SPEED),
 }
-# s; rows farther apart than this tell no flight.
+# Longest step between rows, s: with greater ones the motion between is unknown.
 _LONGEST_STEP_S = 60.0
+# A file within these fits into the memory of a small computer, unpacked.
 _LARGEST_FILE_BYTES, _MOST_ROWS = 500_000_000, 2_000_000
 _LONGEST_NAME, _LONGEST_HEADER_BYTES = 200, 1_000_000
 _BATCH_ROWS = 65_536
@@ -102,7 +94,7 @@ _CURRENTS, _VOLTAGES = ("current_a", "current_average_a"), ("voltage_v", "voltag
 
 
 def read_logs(file: Path) -> pd.DataFrame:
-    """Return the flying rows of all flights of a log, with the columns of `COLUMNS`.
+    """Read the rows in flight of a log, with the columns of `COLUMNS`.
 
     Raises
     ------
@@ -130,21 +122,22 @@ def read_logs(file: Path) -> pd.DataFrame:
 
 
 def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
-    """Return the flights of several logs as one; where names meet, each log's own stands before.
+    """Return the flights of several logs in one frame.
+
+    If two logs share a name of a flight, the name of each log precedes those of its flights.
 
     Raises
     ------
     ScenarioError
-        If one flight is there twice.
+        If a flight is given twice.
     """
     held = [frame for _, frame in logs]
-    flights = pd.concat([frame[FLIGHT].drop_duplicates() for frame in held])
-    if not flights.is_unique or len({frame[FLIGHT].dtype for frame in held}) > 1:
+    if not _names(held).is_unique or len({frame[FLIGHT].dtype for frame in held}) > 1:
         held = [
             frame.assign(**{FLIGHT: f"{file.stem} " + frame[FLIGHT].astype(str)})
             for file, frame in logs
         ]
-    flights = pd.concat([frame[FLIGHT].drop_duplicates() for frame in held])
+    flights = _names(held)
     if not flights.is_unique:
         twice = printable(str(flights[flights.duplicated()].iloc[0]))
         raise ScenarioError(
@@ -153,11 +146,15 @@ def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
     return pd.concat(held, ignore_index=True)
 
 
-def once_each(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Return flights without those that are there under another name, and these by that name.
+def _names(frames: Sequence[pd.DataFrame]) -> "pd.Series[Any]":
+    return pd.concat([frame[FLIGHT].drop_duplicates() for frame in frames])
 
-    Flights are the same whose rows are, times from the start on, in single precision: a copy in
-    decimals may miss the last digits.
+
+def once_each(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
+    """Return the flights without copies under other names, and the original's name by the copy's.
+
+    Two flights are the same if their rows agree in single precision, with times counted from the
+    first row: a copy in decimals may lack the last digits.
     """
     numbers = frame[[name for name in COLUMNS if name not in _TEXTS]]
     first: dict[bytes, str] = {}
@@ -187,7 +184,7 @@ def _read(file: Path, source: str) -> pd.DataFrame:
     except ScenarioError as error:
         raise ScenarioError(f"{source}: {error}") from None
     except MemoryError:
-        raise  # which Arrow counts among what is wrong with a file
+        raise  # Arrow's own errors, caught below, include it
     except OSError as error:
         reason = error.strerror or "not whole"
         raise ScenarioError(f"{source}: cannot be read ({printable(reason)}).") from None
@@ -196,17 +193,17 @@ def _read(file: Path, source: str) -> pd.DataFrame:
 
 
 def _wanted(names: Iterable[str]) -> dict[str, str]:
-    """Return which columns of a log are needed, and the names that they have here.
+    """Return the required columns of a log, and their names in `COLUMNS`.
 
     Raises
     ------
     ScenarioError
-        If one is missing.
+        If a column is missing.
     """
-    there = set(names)
-    found = {name: name for name in _ELECTRIC if name in there}
+    held = set(names)
+    found = {name: name for name in _ELECTRIC if name in held}
     for own, column in COLUMNS.items():
-        called = next((name for name in (own, *column.other_names) if name in there), None)
+        called = next((name for name in (own, *column.other_names) if name in held), None)
         if called is not None:
             found[called] = own
         elif own != POWER or len(found.keys() & set(_ELECTRIC)) < len(_ELECTRIC):
@@ -219,7 +216,7 @@ def _wanted(names: Iterable[str]) -> dict[str, str]:
 
 
 def _read_parquet(file: Path) -> pd.DataFrame:
-    # A small file may unpack to more than any memory holds, and its description may lie.
+    # A small file may unpack to more than fits into memory, and its header may state less.
     with parquet.ParquetFile(file) as packed:
         about = packed.metadata
         groups = [about.row_group(k) for k in range(about.num_row_groups)]
@@ -236,7 +233,7 @@ def _read_parquet(file: Path) -> pd.DataFrame:
         )
     if unpacked > _LARGEST_FILE_BYTES:
         raise ScenarioError(f"unpacks to more than {_LARGEST_FILE_BYTES} bytes; split it.")
-    # Each text is held once, however often it is there.
+    # As a dictionary, each distinct text takes memory once.
     texts = [name for name, kind in kinds.items() if not _is_number(kind)]
     with parquet.ParquetFile(file, read_dictionary=texts) as packed:
         batches, rows = [], 0
@@ -260,7 +257,7 @@ def _is_number(kind: pa.DataType) -> bool:
 
 
 def _refuse_kind(name: str, kind: pa.DataType, *, is_text: bool) -> None:
-    """Refuse a column that holds neither numbers nor, where these may stand, texts."""
+    """Refuse a column that holds neither numbers nor, where allowed, texts."""
     held = kind.value_type if types.is_dictionary(kind) else kind
     is_string = types.is_string(held) or types.is_large_string(held)
     if _is_number(kind) or (is_text and is_string):
@@ -291,7 +288,7 @@ def _read_csv(file: Path) -> pd.DataFrame:
         if stream.read() not in b"\r\n":
             raise ScenarioError("ends within a line; copy it anew, or end its last line.")
     wanted = _wanted(map(str, pd.read_csv(file, nrows=0)))
-    # Types are told of whole columns: part by part, pandas would warn of those that mix.
+    # Read as a whole: in parts, pandas warns of columns whose parts differ in type.
     options: dict[str, Any] = {"usecols": list(wanted), "nrows": _MOST_ROWS + 1}
     frame = pd.read_csv(file, low_memory=False, **options).rename(columns=wanted)
     _refuse_rows(len(frame))
@@ -301,7 +298,7 @@ def _read_csv(file: Path) -> pd.DataFrame:
 
 
 def _complaints(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield what is wrong with the rows, the plainest first."""
+    """Yield the faults of the rows, the most basic first."""
     for name in frame:
         missing = frame[name].isna() if name in _TEXTS else ~np.isfinite(frame[name])
         if missing.any():
@@ -310,7 +307,7 @@ def _complaints(frame: pd.DataFrame) -> Iterator[str]:
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         yield from _time_complaints(str(flight), rows[TIME].to_numpy(float))
     yield from _unit_complaints(frame)
-    usual = frame[POWER].groupby(frame[FLIGHT], sort=False).median()
+    usual = frame.groupby(FLIGHT, sort=False)[POWER].median()
     if usual.min() <= 0.0:
         yield (
             f"{POWER} of flight {usual.idxmin()} has a median of {usual.min():.4g} W; must be "
@@ -329,7 +326,7 @@ def _complaints(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield which flight has a quantity in thousandths of its unit."""
+    """Yield the flights that have a quantity in thousandths of its unit."""
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         for name, (most, thousandths) in _MOST.items():
             usual = float(rows[name].median()) if name in frame else 0.0
@@ -341,7 +338,7 @@ def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def _unsound(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield what nothing on earth has."""
+    """Yield the values beyond the ranges of all vehicles and of the air."""
     for name, sound in _SOUND.items():
         values = frame[name].to_numpy()
         is_beyond = (values < sound.low) | (values > sound.high)
@@ -382,7 +379,7 @@ def _time_complaints(flight: str, times: np.ndarray) -> Iterator[str]:
 
 
 def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None:
-    """Refuse a flight whose power is a thousand times what carries its weight, or a thousandth.
+    """Refuse a flight whose power, per mass, or payload must be in another unit.
 
     Raises
     ------
@@ -410,9 +407,9 @@ def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None
 def _read_ulog(file: Path) -> pd.DataFrame:
     """Return a PX4 log averaged over seconds, in the columns of `COLUMNS`.
 
-    It is one flight, named as its file.  All of it that is not on the ground counts as cruise; the
-    payload is nought, and the air that of sea level where there is no barometer.  The wind is that
-    of the autopilot's estimator.
+    The log is one flight, named as its file.  All rows that are not on the ground count as cruise;
+    the payload is 0, and without a barometer the air has the density of sea level.  The wind is
+    the estimate of the autopilot.
 
     Raises
     ------
@@ -426,14 +423,14 @@ def _read_ulog(file: Path) -> pd.DataFrame:
             "PX4 logs need the package pyulog; pip install 'pyomo_quad[logs]'."
         ) from None
     try:
-        # The reader prints what it finds broken.
+        # The reader prints the faults that it finds.
         with file.open("rb") as stream, redirect_stdout(StringIO()):
             read = ULog(stream, message_name_filter_list=list(_TOPICS)).data_list
             topics = {d.name: d.data for d in read if d.multi_id == 0}
     except (OSError, MemoryError):
         raise
     except Exception as error:
-        # A damaged log fails in as many ways as its reader has.
+        # The reader raises exceptions of many types for damaged logs.
         raise ScenarioError("is no whole PX4 log; copy it anew.") from error
     battery = topics.get(_BATTERY, {})
     currents = [name for name in _CURRENTS if name in battery and np.any(battery[name] > 0.0)]
@@ -445,7 +442,7 @@ def _read_ulog(file: Path) -> pd.DataFrame:
 
 
 def _field(topics: dict[str, Topic], topic: str, *names: str) -> NDArray[np.float64]:
-    """Return the field of a topic that has the first of some names."""
+    """Return the field of a topic under the first of the names that it has."""
     if topic not in topics:
         raise ScenarioError(f"has no topic {topic}; log it.")
     for name in names:

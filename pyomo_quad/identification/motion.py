@@ -1,10 +1,10 @@
-"""The declared equations at the states of a log: which attitude and thrust flew it, for what power.
+"""Attitude, thrust and power of a logged flight, by the declared equations.
 
 Method: see docs/theory/identification.md, eq. (1).
 
-No formula of the vehicle stands here.  Airspeed and acceleration come from the log; attitude and
-rotor speed are those at which the compiled equations give that acceleration, and power is what
-they say of it.
+This file holds no formula of the vehicle.  Airspeed and acceleration come from the log; attitude
+and rotor speed are those at which the compiled equations give that acceleration, and the same
+equations give the power.
 """
 
 from collections.abc import Mapping
@@ -33,18 +33,17 @@ FloatArray = NDArray[np.float64]
 _MASS, _DENSITY = "vehicle.mass", "power.air_density"
 _TURNED = ("rigid_body.phi", "rigid_body.theta")
 _ROTOR = "rotors.omega["
-_ACCELERATIONS = (
-    ("rigid_body.dvx_dt", None),
-    ("rigid_body.dvy_dt", None),
-    ("rigid_body.dvz_dt", None),
-)
+_ACCELERATIONS = tuple((f"rigid_body.dv{axis}_dt", None) for axis in "xyz")
 _POWER = (("power.total", None),)
 # Steps of the difference quotients: radians, and shares of the rotor speed.
 _STEP = 1e-6
+# Newton's method takes a few where there is a solution.
 _MOST_ITERATIONS = 30
-# Acceleration, m/s^2, that a state may miss of the log's.
+# Tolerance of the acceleration, m/s^2.
 _ACCURACY = 1e-8
-_STEEPEST = 1.2  # rad, where a guess stays while it is sought
+_STEEPEST = 1.2  # rad, bound on roll and pitch during the iterations
+# A change of a parameter, and the rows, that show whether the motion depends on the parameter.
+_OTHER_VALUE, _FEW = 1.7, slice(0, 50)
 
 
 def vehicle_scenario(base: str) -> Scenario:
@@ -88,7 +87,7 @@ class LoggedMotion:
         self._rotors = [k for k, name in enumerate(names) if name.startswith(_ROTOR)]
         vehicle = scenario.vehicle
         air = frame[list(AIR_VELOCITY)].to_numpy() * vehicle.anemometer_factor
-        # In still air the vehicle moves as it does through the air; nothing else reads its speed.
+        # The equations are those of still air, so that the velocity is the one through the air.
         velocity = np.column_stack([air, frame[VELOCITY[2]]])
         self._states[:, [names.index(name) for name in VELOCITY_STATES]] = velocity
         self._wanted = _accelerations(frame)
@@ -99,31 +98,26 @@ class LoggedMotion:
     def power(self, numbers: Mapping[str, float] | None = None) -> FloatArray:
         """Return the power of each row, W, with some parameters changed, by component name."""
         changed = dict(numbers or {})
-        deciding = {name: value for name, value in changed.items() if self._is_moving(name)}
-        own = {name: value for name, value in changed.items() if name not in deciding}
+        deciding = {name: value for name, value in changed.items() if name not in self._powerless}
+        own = {name: value for name, value in changed.items() if name in self._powerless}
         return self._instants(deciding).table(_POWER, own)[:, 0]
-
-    def _is_moving(self, name: str) -> bool:
-        """Say whether attitude, rotor speed or an algebraic variable depends on a parameter."""
-        return name not in self._powerless
 
     @cached_property
     def _powerless(self) -> frozenset[str]:
-        """Parameters that only the power reads."""
-        instants = self._instants({})
-        rates, _, algebraics, _, _ = instants.inputs
-        few = slice(0, 50)
-        found = []
-        for name in self._dynamics.parameter_names:
-            if not name.startswith("power."):
-                continue
-            again = self._evaluate(self._states_found[few], few, {name: 1.7})
-            same_rates = np.array_equal(
-                again.inputs[0][:, : len(VELOCITY_STATES)], rates[few, : len(VELOCITY_STATES)]
-            )
-            if np.array_equal(again.inputs[2], algebraics[few]) and same_rates:
-                found.append(name)
-        return frozenset(found)
+        """Parameters on which the power depends and the motion does not."""
+        self._instants({})
+        states = self._states_found[_FEW]
+
+        def motion(numbers: Mapping[str, float]) -> FloatArray:
+            rates, _, algebraics, _, _ = self._evaluate(states, _FEW, numbers).inputs
+            return np.column_stack([rates[:, : len(VELOCITY_STATES)], algebraics])
+
+        known = motion({})
+        return frozenset(
+            name
+            for name in self._dynamics.parameter_names
+            if name.startswith("power.") and np.array_equal(motion({name: _OTHER_VALUE}), known)
+        )
 
     def _instants(self, numbers: Mapping[str, float]) -> Instants:
         key = tuple(sorted(numbers.items()))
@@ -145,7 +139,7 @@ class LoggedMotion:
         return self._dynamics.solved(times, states, controls, {_MASS: mass, **told, **own})
 
     def _trimmed(self, numbers: Mapping[str, float]) -> FloatArray:
-        """Return the states whose acceleration is that of the log, by Newton's method."""
+        """Return the states that give the accelerations of the log, by Newton's method."""
         states = self._states.copy()
         open_rows = np.ones(len(states), dtype=bool)
         for _ in range(_MOST_ITERATIONS):
@@ -167,7 +161,7 @@ class LoggedMotion:
             try:
                 steps = np.linalg.solve(np.stack(slopes, axis=2), missing[:, :, None])[:, :, 0]
             except np.linalg.LinAlgError:
-                break  # one of them has no slope left to go along
+                break  # the acceleration of a row no longer depends on its state
             for column, step in zip(self._angles, steps.T, strict=False):
                 at[:, column] = np.clip(at[:, column] + step, -_STEEPEST, _STEEPEST)
             at[:, self._rotors] *= np.clip(1.0 + steps[:, 2:], 0.5, 2.0)

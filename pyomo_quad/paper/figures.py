@@ -1,19 +1,16 @@
 """The counterparts of the paper's figures 1 to 7, and the figure of the floors."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
 
-from pyomo_quad.flight.flight import ROTORS, TIME
-from pyomo_quad.paper.experiments import Experiment, PaperFlight, Reading
-from pyomo_quad.paper.study import EfficiencyMap, PaperStudy
+from pyomo_quad.paper.experiments import Experiment
+from pyomo_quad.paper.loss_chain import draw_loss_chain, energy_chain
+from pyomo_quad.paper.readings import Reading
+from pyomo_quad.paper.study import PaperStudy
 from pyomo_quad.paper.tables import OPTIMAL_ENERGY, find_flight
 from pyomo_quad.report.document import Drawing
 from pyomo_quad.report.flight_figures import (
@@ -25,67 +22,31 @@ from pyomo_quad.report.flight_figures import (
 )
 from pyomo_quad.report.gallery import left_out
 from pyomo_quad.report.paths import distinct_paths, draw_path
-from pyomo_quad.report.style import (
-    FULL_WIDTH,
-    INK,
-    MOTOR,
-    MUTED,
-    PALE,
-    POWER,
-    ROTOR_SPEED,
-    ROTOR_STYLES,
-    SERIES_STYLES,
-    TORQUE,
-    panel_grid,
-    styled_flights,
-)
+from pyomo_quad.report.style import INK, MUTED, SERIES_STYLES, panel_grid, styled_flights
 from pyomo_quad.scenario import FrequencyUnit, PowerModel, WindCoupling
 from pyomo_quad.scenario.tables import Battery
 
 _KILO = 1e3
-LOWEST_SHOWN = -2.0  # kJ: far enough down to see that the literal curve falls without end
-_HEADROOM = 0.6  # kJ
+LOWEST_SHOWN = -2.0  # kJ: low enough to show that the literal curve falls without end
+_HEADROOM = 0.6  # kJ above hovering
 
 
-def draw_floors(
-    floors: dict[Reading, NDArray[np.float64]],
-    hover_energy: float,
-    printed_energy: float,
-    critical: float,
-) -> Figure:
-    """Draw the least energy of any flight for both readings of f_r.
-
-    Parameters
-    ----------
-    floors : dict
-        Reading -> bounds [rad/s²] and energies [J].
-    hover_energy : float
-        Of hovering for as long as the mission lasts, J.
-    printed_energy : float
-        The paper's optimum, J.
-    critical : float
-        Bound from which f_r passes zero, rad/s².
-    """
+def draw_floors(study: PaperStudy) -> Figure:
+    """Draw the least energy of any flight for both readings of f_r."""
+    hovering = find_flight(study.flights, Experiment.CALM, PowerModel.EFFICIENCY).hover_energy_J
     figure, panels = panel_grid(1, 1, panel_height=2.9, left=0.6, legend_entries=12)
     axes = panels[0, 0]
-    styles = dict(zip(Reading, SERIES_STYLES, strict=False))
-    for reading, pairs in floors.items():
+    for reading, style in zip(Reading, SERIES_STYLES, strict=False):
+        pairs = study.floors[reading]
         bounds, energies = pairs[np.isfinite(pairs[:, 1])].T
-        style = styles[reading]
         label = f"least energy of any flight, {reading.value} $f_r$"
-        axes.semilogx(
-            bounds, energies / _KILO, label=label, marker=style.marker, markersize=3.5, **style.line
-        )
-    axes.axhline(hover_energy / _KILO, color=MUTED, linewidth=1.2, label="hovering")
-    axes.axhline(
-        printed_energy / _KILO,
-        color=INK,
-        linewidth=1.2,
-        linestyle=(0, (6, 2)),
-        label="the paper's optimum",
-    )
+        look = {"marker": style.marker, "markersize": 3.5, **style.line}
+        axes.semilogx(bounds, energies / _KILO, label=label, **look)
+    axes.axhline(hovering / _KILO, color=MUTED, linewidth=1.2, label="hovering")
+    dashed = {"color": INK, "linewidth": 1.2, "linestyle": (0, (6, 2))}
+    axes.axhline(OPTIMAL_ENERGY[1] / _KILO, label="the paper's optimum", **dashed)
     axes.axvspan(
-        critical,
+        study.critical_acceleration,
         axes.get_xlim()[1],
         facecolor="none",
         edgecolor=MUTED,
@@ -93,201 +54,14 @@ def draw_floors(
         linewidth=0.0,
         label="no minimum with literal $f_r$",
     )
-    axes.set_xlim(floors[Reading.LITERAL][0, 0], floors[Reading.LITERAL][-1, 0])
-    axes.set_ylim(LOWEST_SHOWN, hover_energy / _KILO + _HEADROOM)
+    bounds = study.floors[Reading.LITERAL][:, 0]
+    axes.set_xlim(bounds[0], bounds[-1])
+    axes.set_ylim(LOWEST_SHOWN, hovering / _KILO + _HEADROOM)
     axes.set_xlabel(r"Bound on the rotor acceleration $|\alpha|$ (rad/s²)")
     axes.set_ylabel("Energy in 10 s (kJ)")
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=2)
     return figure
-
-
-_MAP_COLORS = "YlGnBu"
-_LEVELS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
-_BAR = 0.62
-# The chain's axis begins where its losses can be seen, this share of them below the last stage.
-_CHAIN_MARGIN = 0.45
-_MILLI = 1e3
-_ZOOM_MARGIN = 0.15
-
-
-@dataclass(frozen=True, kw_only=True)
-class EnergyChain:
-    """Energies of a flight from the battery to the air, J.
-
-    ``constant_product`` is k_t k_v, one for a motor that conserves energy.
-    """
-
-    drawn: float
-    battery_loss: float
-    electrical: float
-    copper_loss: float
-    shaft: float
-    constant_product: float
-
-    @property
-    def created(self) -> float:
-        """What the shaft gets beyond what the windings pass on, J.
-
-        The power tau omega exceeds the electromotive force times the current as k_t exceeds 1/k_v.
-        """
-        return self.shaft - (self.electrical - self.copper_loss)
-
-
-def energy_chain(flown: PaperFlight) -> EnergyChain:
-    """Integrate the links of the chain over a flight under the motors' electrical power."""
-    frame, scenario = flown.flight.frame, flown.case.scenario
-    time = frame[TIME].to_numpy()
-    pack = scenario.battery
-    resistance = pack.cell_resistance * pack.cells_series / pack.cells_parallel
-    current = frame["battery_current_A"].to_numpy()
-    motor_current = np.stack([signal.of(frame) for signal in MOTOR[2]])
-    shaft = sum(
-        torque.of(frame) / _MILLI * speed.of(frame)
-        for torque, speed in zip(TORQUE, ROTOR_SPEED, strict=True)
-    )
-    battery_loss = float(np.trapezoid(resistance * current**2, time))
-    electrical = float(np.trapezoid(POWER.of(frame), time))
-    copper = scenario.vehicle.motor_resistance * (motor_current**2).sum(axis=0)
-    return EnergyChain(
-        drawn=electrical + battery_loss,
-        battery_loss=battery_loss,
-        electrical=electrical,
-        copper_loss=float(np.trapezoid(copper, time)),
-        shaft=float(np.trapezoid(shaft, time)),
-        constant_product=scenario.vehicle.torque_constant * scenario.vehicle.voltage_constant,
-    )
-
-
-def draw_loss_chain(
-    chain: EnergyChain, sampled: EfficiencyMap, flown: PaperFlight, bound: float
-) -> Figure:
-    """Draw the chain of losses above the efficiency map with the optimal flight on it.
-
-    Parameters
-    ----------
-    bound : float
-        Acceleration at which f_r first passes zero, rad/s².
-    """
-    figure = Figure(figsize=(FULL_WIDTH, 5.4))
-    _draw_chain(figure.add_axes((0.36, 0.735, 0.6, 0.225)), chain)
-    whole = figure.add_axes((0.08, 0.12, 0.42, 0.5))
-    near = figure.add_axes((0.6, 0.12, 0.29, 0.5))
-    box = _flight_box(flown)
-    for axes in (whole, near):
-        filled = _draw_map(axes, sampled)
-        _draw_flight(axes, flown)
-    colors = figure.colorbar(filled, cax=figure.add_axes((0.91, 0.12, 0.018, 0.5)))
-    colors.set_label("Efficiency function $f_r$ (1)")
-    inertia = flown.case.scenario.vehicle.rotor_inertia
-    braking = (sampled.steady_torque - inertia * bound) * _MILLI
-    whole.plot(sampled.speed, braking, color=INK, linewidth=1.0, linestyle=(0, (1, 1.5)))
-    whole.set_ylim(sampled.torque[0] * _MILLI, sampled.torque[-1] * _MILLI)
-    whole.add_patch(
-        Rectangle((box[0], box[2]), box[1] - box[0], box[3] - box[2], fill=False, edgecolor=INK)
-    )
-    whole.set_title("Over all speeds allowed; the box is shown on the right")
-    near.set(xlim=box[:2], ylim=box[2:])
-    near.set_title("Around the optimal flight")
-    for axes in (whole, near):
-        axes.set_xlabel(r"Rotor speed $\omega$ (rad/s)")
-        axes.set_ylabel(r"Motor torque $\tau$ (mN m)")
-        axes.grid(visible=False)
-    handles, labels = near.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=5)
-    return figure
-
-
-def _draw_chain(axes: Axes, chain: EnergyChain) -> None:
-    """Draw stages as bars from the left edge, and between them what is lost or does not add up."""
-    lowest = min(chain.electrical - chain.copper_loss, chain.shaft)
-    left = lowest - _CHAIN_MARGIN * (chain.drawn - lowest)
-    passed = chain.electrical - chain.copper_loss
-    rows = (
-        ("Drawn from the cells", left, chain.drawn, PALE, f"{chain.drawn:.2f} J"),
-        (
-            "Lost in the pack's resistance",
-            chain.electrical,
-            chain.drawn,
-            MUTED,
-            f"{-chain.battery_loss:+.2f} J",
-        ),
-        (
-            r"To the motors, $V_\mathrm{bat}\, i_\mathrm{bat}$",
-            left,
-            chain.electrical,
-            PALE,
-            f"{chain.electrical:.2f} J",
-        ),
-        ("Lost in the windings", passed, chain.electrical, MUTED, f"{-chain.copper_loss:+.2f} J"),
-        (
-            f"Remainder: $k_t k_v$ = {chain.constant_product:.4f}, not 1",
-            passed,
-            chain.shaft,
-            INK,
-            f"{chain.created:+.2f} J",
-        ),
-        (r"To the rotors, $\tau\,\omega$", left, chain.shaft, PALE, f"{chain.shaft:.2f} J"),
-    )
-    for row, (_, start, end, color, text) in enumerate(rows):
-        axes.barh(row, end - start, left=start, height=_BAR, color=color, edgecolor=MUTED, lw=0.6)
-        axes.annotate(
-            text, (max(start, end), row), (4, 0), textcoords="offset points", va="center", color=INK
-        )
-    axes.set_yticks(range(len(rows)), [name for name, *_ in rows])
-    axes.tick_params(axis="y", length=0)
-    axes.invert_yaxis()
-    axes.grid(visible=False, axis="y")
-    axes.set_xlim(left, chain.drawn + _CHAIN_MARGIN * (chain.drawn - lowest))
-    axes.set_title(f"Energy (J); the axis begins at {left:.0f} J")
-
-
-def _draw_map(axes: Axes, sampled: EfficiencyMap) -> ContourSet:
-    torque = sampled.torque * _MILLI
-    shown = sampled.efficiency.T
-    filled = axes.contourf(
-        sampled.speed,
-        torque,
-        shown,
-        levels=np.linspace(0.0, 0.35, 15),
-        cmap=_MAP_COLORS,
-        extend="max",
-    )
-    axes.contourf(sampled.speed, torque, shown, levels=[-1.0, 0.0], colors="none", hatches=["////"])
-    lines = axes.contour(
-        sampled.speed,
-        torque,
-        shown,
-        levels=_LEVELS,
-        colors=INK,
-        linewidths=[1.6] + [0.5] * (len(_LEVELS) - 1),
-    )
-    axes.clabel(lines, fontsize=6.5, fmt="%.2g")
-    axes.plot(
-        sampled.speed,
-        sampled.steady_torque * _MILLI,
-        color=MUTED,
-        linewidth=0.9,
-        label=r"steady, $\kappa\omega^2$",
-    )
-    return filled
-
-
-def _draw_flight(axes: Axes, flown: PaperFlight) -> None:
-    frame = flown.flight.frame
-    signals = zip(ROTORS, ROTOR_SPEED, TORQUE, ROTOR_STYLES, strict=True)
-    for rotor, speed, torque, style in signals:
-        axes.plot(speed.of(frame), torque.of(frame), label=f"rotor {rotor}", **style.line)
-
-
-def _flight_box(flown: PaperFlight) -> tuple[float, float, float, float]:
-    frame = flown.flight.frame
-    edges: list[float] = []
-    for signals in (ROTOR_SPEED, TORQUE):
-        values = np.concatenate([signal.of(frame) for signal in signals])
-        margin = _ZOOM_MARGIN * np.ptp(values)
-        edges += [float(values.min() - margin), float(values.max() + margin)]
-    return edges[0], edges[1], edges[2], edges[3]
 
 
 _MOTION_FIGURES = {Experiment.CALM: (3, 4), Experiment.WIND: (5, 6)}
@@ -305,16 +79,13 @@ def paper_drawings(study: PaperStudy) -> tuple[Drawing, ...]:
 
 def floor_drawing(study: PaperStudy) -> Drawing:
     """Return the figure of the least energy under f_r."""
-    hovering = find_flight(study.flights, Experiment.CALM, PowerModel.EFFICIENCY).hover_energy_J
     return Drawing(
         name="floors",
         title="Least energy under f_r",
         caption="Least energy of any flight of the mission under f_r against the bound on the "
         "rotor acceleration. The literal curve falls without end toward the dotted region; below "
         f"{LOWEST_SHOWN:g} kJ it is not shown.",
-        draw=lambda: draw_floors(
-            study.floors, hovering, OPTIMAL_ENERGY[1].value, study.critical_acceleration
-        ),
+        draw=partial(draw_floors, study),
     )
 
 
@@ -331,8 +102,8 @@ def _power(study: PaperStudy) -> Iterator[Drawing]:
         "rounded apart. Below: f_r over speed and torque, with the same flight on it; torques "
         "beyond the axis are not shown. Hatched: f_r below zero; dotted line: the braking torque "
         "at which it first gets there.",
-        draw=lambda: draw_loss_chain(
-            chain, study.efficiency_map, optimum, study.critical_acceleration
+        draw=partial(
+            draw_loss_chain, chain, study.efficiency_map, optimum, study.critical_acceleration
         ),
     )
     packs = styled_flights(

@@ -2,57 +2,47 @@
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from pyomo_quad.model import build_model
-from pyomo_quad.model.typeset import EQUATION_TABLE, TypesetEquation, typeset_equations
+from pyomo_quad.model.typeset import EQUATION_TABLE, typeset_equations
 from pyomo_quad.paper.experiments import (
     POWER_MODELS,
-    BaselineFlight,
     Experiment,
-    PaperFlight,
-    Reading,
     full_speed_energy,
     paper_scenario,
 )
 from pyomo_quad.paper.figures import floor_drawing, paper_drawings
+from pyomo_quad.paper.readings import Reading
 from pyomo_quad.paper.study import PaperStudy
 from pyomo_quad.paper.tables import (
     ADAPTIVE_ENERGY,
     OPTIMAL_ENERGY,
     SAVING,
     TABLES,
-    baseline_saving,
+    baseline_row,
     corrections,
     find_baseline,
     find_flight,
-    implied_wind_optimum,
     kilojoules,
     metres,
     paper_tables,
 )
 from pyomo_quad.report import Figures
-from pyomo_quad.report.document import REPORT_NAME, save_drawings, wanted_drawings
-from pyomo_quad.report.render import render_markdown
+from pyomo_quad.report.document import write_study
 from pyomo_quad.report.report import climb_of
-from pyomo_quad.report.style import BATTERY, POWER
-from pyomo_quad.report.tables import write_table
 from pyomo_quad.scenario import PowerModel, Reference, WindCoupling
-from pyomo_quad.study.comparison import settled_energy
 
 _OTHER_POWERS = tuple(model for model in POWER_MODELS if model is not PowerModel.MOTOR)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Tolerance:
-    """Largest relative difference between a committed and a regenerated number.
+class Tolerance(NamedTuple):
+    """Largest relative difference between a committed and a regenerated number of a table.
 
-    ``scope`` says to whom it applies, ``columns`` names the columns of the table.
+    `scope` names the rows that it applies to.
     """
 
     table: str
@@ -61,32 +51,14 @@ class Tolerance:
     scope: str
 
 
+_CONVERGED = "every flight whose solve converged, also on a coarse mesh"
+_PACK_COLUMNS = ("stored_energy_J", "hover_power_W", "greatest_power_W")
 TOLERANCES = (
-    Tolerance(
-        table="experiments",
-        columns=("energy_J", "hover_energy_J"),
-        relative=1e-4,
-        scope="every flight whose solve converged, also on a coarse mesh",
-    ),
-    Tolerance(
-        table="wind",
-        columns=("energy_J", "hover_energy_J"),
-        relative=1e-4,
-        scope="every flight whose solve converged, also on a coarse mesh",
-    ),
-    Tolerance(
-        table="baselines",
-        columns=("energy_J", "optimum_J"),
-        relative=1e-4,
-        scope="every flight",
-    ),
-    Tolerance(
-        table="batteries",
-        columns=("stored_energy_J", "hover_power_W", "greatest_power_W"),
-        relative=1e-6,
-        scope="every pack",
-    ),
-    Tolerance(table="floors", columns=("floor_J",), relative=1e-3, scope="every finite floor"),
+    Tolerance("experiments", ("energy_J", "hover_energy_J"), 1e-4, _CONVERGED),
+    Tolerance("wind", ("energy_J", "hover_energy_J"), 1e-4, _CONVERGED),
+    Tolerance("baselines", ("energy_J", "optimum_J"), 1e-4, "every flight"),
+    Tolerance("batteries", _PACK_COLUMNS, 1e-6, "every pack"),
+    Tolerance("floors", ("floor_J",), 1e-3, "every finite floor"),
 )
 
 
@@ -103,133 +75,61 @@ def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figur
     study : PaperStudy
         The results.
     figures : Figures, optional
-        What is drawn.
+        Formats of the figures.
 
     Notes
     -----
-    Two runs write the same bytes, but for the times, which have a file of their own.
+    Two runs write the same bytes, apart from the wall times, which have a file of their own.
     """
     tables = paper_tables(study)
-    for name, frame in tables.items():
-        write_table(frame, folder / f"{name}.csv")
-    drawings = wanted_drawings(paper_drawings(study), figures)
-    floors = wanted_drawings([floor_drawing(study)], figures)
-    save_drawings((*drawings, *floors), folder)
-    text = render_markdown(
+    optimum = find_flight(study.flights, Experiment.CALM, PowerModel.MOTOR)
+    write_study(
+        folder,
         "paper/report.md.j2",
-        **{**examination(study), **corrections(study), **_flights(study)},
-        floor_drawings=floors,
-        drawings=drawings,
-        parameters=_by_place(tables["parameters"]),
+        tables={f"{name}.csv": frame for name, frame in tables.items()},
+        drawings=(*paper_drawings(study), floor_drawing(study)),
+        figures=figures,
+        **{**examination(study), **corrections(study)},
+        rows={name: frame.to_dict("records") for name, frame in tables.items()},
+        optimum=optimum,
+        climb_J=climb_of(optimum.case.scenario)[1],
         equations=list(_equations()),
         EQUATION_TABLE=EQUATION_TABLE,
+        OPTIMAL_ENERGY=OPTIMAL_ENERGY,
+        ADAPTIVE_ENERGY=ADAPTIVE_ENERGY,
+        SAVING=SAVING,
         TOLERANCES=TOLERANCES,
         TABLES=TABLES,
         TIMES_NAME=TIMES_NAME,
     )
-    (folder / REPORT_NAME).write_text(text, encoding="utf-8")
     seconds = {name: round(taken, 3) for name, taken in study.seconds.items()}
     (folder / TIMES_NAME).write_text(json.dumps(seconds, indent=2) + "\n", encoding="utf-8")
 
 
-def _flights(study: PaperStudy) -> dict[str, Any]:
-    """Return the flights of the experiments, in every wind, and under control."""
-    optimum = find_flight(study.flights, Experiment.CALM, PowerModel.MOTOR)
-    _, climb_J = climb_of(optimum.case.scenario)
-    return {
-        "optimum": optimum,
-        "climb_J": climb_J,
-        "experiments": [_experiment(study, experiment) for experiment in Experiment],
-        "wind_flights": [_planned(flown) for flown in study.wind_flights],
-        "baselines": [_controlled(study, flown) for flown in study.baselines],
-    }
-
-
-def _experiment(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
-    is_printed = experiment.value in OPTIMAL_ENERGY
-    return {
-        "number": experiment.value,
-        "is_printed": is_printed,
-        "optimum_J": OPTIMAL_ENERGY[experiment.value].value
-        if is_printed
-        else implied_wind_optimum(),
-        "saving_percent": SAVING[experiment.value].value,
-        "adaptive_J": ADAPTIVE_ENERGY[experiment.value].value,
-        "flights": [_planned(one) for one in study.flights if one.case.experiment is experiment],
-    }
-
-
-def _planned(flown: PaperFlight) -> dict[str, Any]:
-    charge = BATTERY[-1].of(flown.flight.frame)
-    return {
-        "case": flown.case,
-        "energy_J": flown.flight.energy_J,
-        "hover_energy_J": flown.hover_energy_J,
-        "peak_power_W": POWER.of(flown.flight.frame).max(),
-        "battery_percent": charge[0] - charge[-1],
-        "status": flown.status.value,
-        "is_verified": flown.flight.is_verified,
-        "miss_m": flown.flight.terminal_miss_m,
-    }
-
-
-def _controlled(study: PaperStudy, flown: BaselineFlight) -> dict[str, Any]:
-    case = flown.case
-    optimum = find_flight(study.flights, case.experiment, case.power_model)
-    saving, of_excess = baseline_saving(study, flown)
-    return {
-        "case": case,
-        "name": flown.flight.name,
-        "spent_J": settled_energy(flown.priced_by(optimum)),
-        "optimum_J": optimum.flight.energy_J,
-        "hover_J": optimum.hover_energy_J,
-        "saving_percent": saving,
-        "of_excess_percent": of_excess,
-        "printed_J": ADAPTIVE_ENERGY[case.experiment.value].value,
-        "printed_percent": SAVING[case.experiment.value].value,
-    }
-
-
-def _by_place(parameters: pd.DataFrame) -> list[tuple[str, list[dict[Any, Any]]]]:
-    """Return the paper's numbers by the place where it prints them."""
-    places = parameters.groupby("place", sort=False)
-    return [(str(place), numbers.to_dict("records")) for place, numbers in places]
-
-
 def _equations() -> Iterator[dict[str, Any]]:
-    """Yield the declared equations in groups, each equation once."""
+    """Yield the declared equations of the second experiment in groups, each equation once."""
     seen: set[str] = set()
-    for group in _groups():
-        fresh = [equation for equation in group["equations"] if equation.latex not in seen]
-        seen.update(equation.latex for equation in fresh)
-        yield group | {"equations": fresh}
-
-
-def _groups() -> Iterator[dict[str, Any]]:
-    yield {
-        "title": "The second experiment, under the electrical power of the motors",
-        "power": None,
-        "equations": _typeset(),
-    }
-    for power in _OTHER_POWERS:
-        equations = [one for one in _typeset("power.model", power) if one.name.startswith("power.")]
-        yield {"power": power, "equations": equations}
-    yield {
-        "title": "Wind through drag on the relative airspeed",
-        "power": None,
-        "equations": _typeset("wind.coupling", WindCoupling.DRAG),
-    }
-
-
-def _typeset(field: str = "", value: object = None) -> tuple[TypesetEquation, ...]:
-    """Return the equations of the second experiment, with the named field of it changed."""
-    return typeset_equations(
-        build_model(paper_scenario(Experiment.WIND, {field: value} if field else {}))
+    groups: tuple[tuple[str | None, PowerModel | None, dict[str, Any]], ...] = (
+        ("The second experiment, under the electrical power of the motors", None, {}),
+        *((None, power, {"power.model": power}) for power in _OTHER_POWERS),
+        (
+            "Wind through drag on the relative airspeed",
+            None,
+            {"wind.coupling": WindCoupling.DRAG},
+        ),
     )
+    for title, power, values in groups:
+        equations = [
+            equation
+            for equation in typeset_equations(build_model(paper_scenario(Experiment.WIND, values)))
+            if equation.latex not in seen and (power is None or equation.name.startswith("power."))
+        ]
+        seen.update(equation.latex for equation in equations)
+        yield {"title": title, "power": power, "equations": equations}
 
 
 def examination(study: PaperStudy) -> dict[str, Any]:
-    """Return the numbers of the templates of the conclusion and of the examination."""
+    """Return the values of the templates of the conclusion and of the examination."""
     bound, least = map(float, study.floors[Reading.REGULARISED][-1])
     regularised, literal = study.floors[Reading.REGULARISED], study.floors[Reading.LITERAL]
     trials = [outcome for outcome in study.trials if outcome.trial.reading is Reading.LITERAL]
@@ -241,7 +141,7 @@ def examination(study: PaperStudy) -> dict[str, Any]:
         "flown": len(flown),
         "confirmed": sum(flight.flight.is_verified for flight in flown),
         "best": find_flight(study.flights, Experiment.CALM, PowerModel.EFFICIENCY),
-        "printed_J": OPTIMAL_ENERGY[1].value,
+        "printed_J": OPTIMAL_ENERGY[1],
         "printed_bound": _bound_of_printed_optimum(study),
         "largest_bound": bound,
         "least_J": least,
@@ -263,20 +163,22 @@ def _bound_of_printed_optimum(study: PaperStudy) -> float:
     """Return the rotor acceleration, rad/s², up to which the literal f_r has the printed floor."""
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
-    return float(np.interp(-OPTIMAL_ENERGY[1].value, -energies[finite], bounds[finite]))
+    return float(np.interp(-OPTIMAL_ENERGY[1], -energies[finite], bounds[finite]))
 
 
 def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
-    """Return what a printed adaptive flight is judged by."""
-    printed = ADAPTIVE_ENERGY[experiment.value].value
+    """Return the numbers that a printed adaptive flight is compared with."""
+    has_jump = any(flown.case.reference is Reference.STEP for flown in study.baselines)
+    references = Reference.QUINTIC, Reference.STEP if has_jump else Reference.QUINTIC
     smooth, jump = (
         find_baseline(study, experiment, PowerModel.EFFICIENCY, reference).flight.energy_J
-        for reference in _references(study)
+        for reference in references
     )
     optimum = find_flight(study.flights, experiment, PowerModel.EFFICIENCY)
+    printed = ADAPTIVE_ENERGY[experiment.value]
     return {
         "printed_J": printed,
-        "saving_percent": SAVING[experiment.value].value,
+        "saving_percent": SAVING[experiment.value],
         "hover_J": optimum.hover_energy_J,
         "smooth_J": smooth,
         "jump_J": jump,
@@ -286,27 +188,10 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     }
 
 
-def _references(study: PaperStudy) -> tuple[Reference, Reference]:
-    has_jump = any(flown.case.reference is Reference.STEP for flown in study.baselines)
-    return Reference.QUINTIC, Reference.STEP if has_jump else Reference.QUINTIC
-
-
 def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
-    """Return what the optimum saves against the stand-in on a smooth reference."""
-    motor, efficiency = (
-        find_baseline(study, experiment, model, Reference.QUINTIC)
+    """Return the saving of the optimum against the stand-in on a smooth reference."""
+    by_motor, by_efficiency = (
+        baseline_row(study, find_baseline(study, experiment, model, Reference.QUINTIC))
         for model in (PowerModel.MOTOR, PowerModel.EFFICIENCY)
     )
-    by_motor, of_excess = baseline_saving(study, motor)
-    by_efficiency, _ = baseline_saving(study, efficiency)
-    optimum = find_flight(study.flights, experiment, PowerModel.MOTOR)
-    return {
-        "experiment": experiment.value,
-        "printed_percent": SAVING[experiment.value].value,
-        "by_motor_percent": by_motor,
-        "of_excess_percent": of_excess,
-        "by_efficiency_percent": by_efficiency,
-        "spent_J": settled_energy(motor.priced_by(optimum)),
-        "optimum_J": optimum.flight.energy_J,
-        "hover_J": optimum.hover_energy_J,
-    }
+    return by_motor | {"by_efficiency_percent": by_efficiency["saving_percent"]}

@@ -1,1 +1,1 @@
-"""The outside plant: what other people's dynamics make of our plans, and their vehicles here."""
+"""Plans and controllers flown in RotorPy, and RotorPy's vehicles as vehicle files."""

@@ -1,14 +1,12 @@
-"""Missions flown by the declared vehicle and by RotorPy's, and the report of their differences."""
+"""Missions flown by the declared vehicle and by RotorPy's, and why their flights differ."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
-from importlib.metadata import version
-from math import ceil, dist
-from pathlib import Path
+from functools import cached_property, partial
+from math import dist
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -16,18 +14,13 @@ from scipy.constants import g as standard_gravity
 
 from pyomo_quad.collocation import Dynamics, SolveError
 from pyomo_quad.flight import Flight, Plan, Planner
-from pyomo_quad.flight.baselines import (
-    fly_baseline,
-    fly_open_loop,
-    reference_path,
-    start_state,
-)
-from pyomo_quad.flight.flight import AIR_FORCE, COLUMNS, POSITION_STATES, TIME, VELOCITY_STATES
+from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop, reference_path, start_state
+from pyomo_quad.flight.columns import COLUMNS, TIME
+from pyomo_quad.flight.flight import AIR_FORCE, POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.outside_plant import (
     ACROSS,
     AS_IT_COMES,
     MASSLESS_ROTORS,
-    PLANT,
     Habits,
     OutsidePlant,
     Pilot,
@@ -36,68 +29,49 @@ from pyomo_quad.flight.outside_plant import (
     se3_law,
 )
 from pyomo_quad.flight.references import ReferencePath, Setpoint
-from pyomo_quad.report import Figures
-from pyomo_quad.report.document import REPORT_NAME, Drawing, save_drawings, wanted_drawings
-from pyomo_quad.report.render import render_markdown
-from pyomo_quad.report.style import LEGEND_COLUMNS, SERIES_STYLES, label_time, panel_grid
-from pyomo_quad.report.tables import write_table
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError, load_scenario
 from pyomo_quad.scenario.description import shipped_scenarios
 from pyomo_quad.simulators.vehicles import NAMES, rotorpy_parameters, vehicle_fields
 from pyomo_quad.study.comparison import has_arrived
-from pyomo_quad.version import __version__
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-TABLE_NAME = "flights.csv"
 
 _EXACT = {"vehicle.attitude": "euler"}
-_BREEZE = {
-    "wind.use": "constant",
-    "wind.speed": 3.0,
-    "wind.direction": 1.0,
-    "wind.coupling": "drag",
-}
-_DRAG = {
-    "wind.coupling": "drag",
-    "vehicle.drag_linear": 0.25,
-    "vehicle.drag_quadratic": 0.02,
-}
+_BREEZE = {"wind.use": "constant", "wind.speed": 3.0, "wind.direction": 1.0}
+_DRAG = {"wind.coupling": "drag", "vehicle.drag_linear": 0.25, "vehicle.drag_quadratic": 0.02}
+_IN_AIR = _EXACT | _DRAG | _BREEZE
 
 PRINTED, EXACT, BREEZE = "printed", "exact", "breeze"
 LONGER, WINDIER = "breeze_longer", "breeze_windier"
-#: Name of a case -> what it is, and the settings that make it of the paper's first mission.
+#: Name of a case -> its description, and its changes to the paper's first mission.
 CASES: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
     {
         PRINTED: ("Euler rates equal to body rates, as the paper prints", {}),
         EXACT: ("exact kinematics and the rotors' yaw reaction", _EXACT),
-        BREEZE: ("as exact, with drag, in 3 m/s of wind", _EXACT | _DRAG | _BREEZE),
+        BREEZE: ("as exact, with drag, in 3 m/s of wind", _IN_AIR),
         LONGER: (
             "as breeze, in twice the time",
-            _EXACT | _DRAG | _BREEZE | {"mission.duration": 20.0},
+            _IN_AIR | {"mission.duration": 20.0},
         ),
-        WINDIER: ("as breeze, in 6 m/s of wind", _EXACT | _DRAG | _BREEZE | {"wind.speed": 6.0}),
+        WINDIER: ("as breeze, in 6 m/s of wind", _IN_AIR | {"wind.speed": 6.0}),
     }
 )
-#: Cases that show where the difference that the drag's place makes holds.
+#: Cases that show how the difference due to the drag's place depends on time and wind.
 DRAG_CASES = (BREEZE, LONGER, WINDIER)
-# Shaft power hardly prices the rotors' acceleration: a plan of light rotors to more digits takes
-# minutes, and this one ends less than a tenth of a millimetre off.
+# Shaft power hardly penalises the acceleration of light rotors: a tighter tolerance takes minutes,
+# and with this one the flight ends less than a tenth of a millimetre off its plan.
 _PRICED = {"power.model": "shaft", "solver.tolerance": 1e-3}
+# Mission of RotorPy's small vehicles, m and s.
 _GOAL, _DURATION = [3.0, 2.0, 1.5], 6.0
+# More than any command asks for, rad/s².
 _NO_SLEW_LIMIT = {"limits.rotor_acceleration_max": 1e7}
+# Samples of a flight in the figure.
 _MOST_SAMPLES = 250
-# Distances that are told apart [m].
-_LEAST_SHOWN, _LEAST_LED = 1e-9, 1e-4
-_CAUSES_ABREAST = 3
 
 Track = tuple[np.ndarray, np.ndarray]
 """Times [s] and distances [m], shape (n,) each."""
 
 
 class Plant(StrEnum):
-    """What flew."""
+    """Vehicles that fly: the declared one, and RotorPy's in its variants."""
 
     DECLARED = "declared"
     ROTORPY = "rotorpy"
@@ -112,7 +86,7 @@ class Plant(StrEnum):
     WITHOUT_SLEW_LIMIT = "rotorpy, rotors as fast as asked"
 
 
-#: What RotorPy does in each of its own ways, one by one and all at once.
+#: Variants of RotorPy's vehicle: each of its habits alone, and all at once.
 HABITS: Mapping[Plant, Habits] = MappingProxyType(
     {
         Plant.ROTORPY: Habits(),
@@ -127,7 +101,7 @@ HABITS: Mapping[Plant, Habits] = MappingProxyType(
     }
 )
 
-#: What makes flights differ -> the case and the plant that show it.
+#: Reason for a difference between flights -> the case and the plant that show it.
 CAUSES: Mapping[str, tuple[str, Plant]] = MappingProxyType(
     {
         "nothing: attitude and rotors agree": (EXACT, Plant.ROTORPY),
@@ -145,12 +119,13 @@ CAUSES: Mapping[str, tuple[str, Plant]] = MappingProxyType(
     }
 )
 
-#: Controllers made of SE3 that show why it misses or spends.
+#: Variants of the controller SE3 that show why it misses the goal or spends energy.
 TOLD, STIFF, OUR_HEADING = "se3, told the air's force", "se3, stiffer", "se3, told our heading"
-_STIFFNESS = 4.0
+#: Factor on the gains of the stiffer variant.
+STIFFNESS = 4.0
 
 
-class Column(StrEnum):
+class OutsideColumn(StrEnum):
     """Columns of the table of flights, in order."""
 
     CASE = "case"
@@ -165,31 +140,33 @@ class Column(StrEnum):
     VERIFIED = "verified"
 
 
+_IDENTITY = [
+    OutsideColumn.CASE,
+    OutsideColumn.PLANT,
+    OutsideColumn.CONTROLLER,
+    OutsideColumn.FOLLOWED,
+]
+
+
 @dataclass(frozen=True, kw_only=True)
 class OutsideStudy:
-    """All flights, in the columns of `Column`, and how far those along plans were from them."""
+    """All flights, in the columns of `OutsideColumn`; distances of some from their plans."""
 
     flights: pd.DataFrame
     tracks: Mapping[tuple[str, Plant, str], Track]
     lag_s: float
-    """Of the motors of the paper's vehicle in RotorPy."""
+    """Lag of the motors of the paper's vehicle in RotorPy."""
 
     def row(
         self, case: str, plant: Plant, controller: str, followed: Reference = Reference.PLAN
     ) -> dict[str, Any]:
-        """Return a flight's row; a flight that was lost has no numbers."""
-        held = self.flights
-        chosen = (
-            (held[Column.CASE] == case)
-            & (held[Column.PLANT] == plant)
-            & (held[Column.CONTROLLER] == controller)
-            & (held[Column.FOLLOWED] == followed)
-        )
-        return {str(name): value for name, value in held[chosen].iloc[0].items()}
+        """Return the row of a flight; a flight out of control has no numbers."""
+        is_it = (self.flights[_IDENTITY] == [case, plant, controller, followed]).all(axis=1)
+        return {str(name): value for name, value in self.flights[is_it].iloc[0].items()}
 
 
 class Arrivals(NamedTuple):
-    """How many flights arrive, of those that both integrators confirm, and how many they do not."""
+    """Counts of flights: arrived and confirmed by two integrators, confirmed, and unconfirmed."""
 
     arrived: int
     confirmed: int
@@ -197,17 +174,74 @@ class Arrivals(NamedTuple):
 
 
 def arrivals(flights: pd.DataFrame, controller: str) -> Arrivals:
-    """Count the flights of a controller on every plant that is not declared, in `flights.csv`."""
-    is_outside = (flights[Column.CONTROLLER] == controller) & (
-        flights[Column.PLANT] != Plant.DECLARED
-    )
-    outside = flights[is_outside]
-    is_confirmed = outside[Column.VERIFIED].astype(bool)
+    """Count the flights of a controller on all plants of RotorPy, in `flights.csv`."""
+    is_own = flights[OutsideColumn.CONTROLLER] == controller
+    outside = flights[is_own & (flights[OutsideColumn.PLANT] != Plant.DECLARED)]
+    is_confirmed = outside[OutsideColumn.VERIFIED].astype(bool)
     return Arrivals(
-        arrived=int(outside[Column.ARRIVED][is_confirmed].sum()),
+        arrived=int(outside[OutsideColumn.ARRIVED][is_confirmed].sum()),
         confirmed=int(is_confirmed.sum()),
         unconfirmed=int((~is_confirmed).sum()),
     )
+
+
+class Flown(NamedTuple):
+    """A flight to fly: its plant, controller and reference."""
+
+    plant: Plant
+    controller: str
+    followed: Reference
+    fly: Callable[[], Flight]
+
+
+@dataclass(frozen=True)
+class _Mission:
+    """A planned mission, and the flights that can be made of it."""
+
+    case: str
+    scenario: Scenario
+    planner: Planner
+    plan: Plan
+
+    @cached_property
+    def dynamics(self) -> Dynamics:
+        return self.planner.dynamics(self.scenario)
+
+    def declared(self, pilot: Pilot, followed: Reference = Reference.PLAN) -> Flown:
+        """Return a flight of the declared vehicle."""
+        fly: Callable[[], Flight] = partial(
+            fly_baseline, self.scenario, followed, dynamics=self.dynamics, plan=self.plan
+        )
+        if pilot is Pilot.OPEN_LOOP:
+            fly = partial(fly_open_loop, self.scenario, self.plan, self.dynamics)
+        return Flown(Plant.DECLARED, pilot, followed, fly)
+
+    def outside(
+        self,
+        at: Plant,
+        plant: OutsidePlant,
+        pilot: Pilot,
+        followed: Reference = Reference.PLAN,
+    ) -> Flown:
+        """Return a flight in RotorPy."""
+        return Flown(at, pilot, followed, partial(fly_outside, plant, pilot, followed, self.plan))
+
+    def under(
+        self,
+        at: Plant,
+        plant: OutsidePlant,
+        name: str,
+        path: ReferencePath,
+        followed: Reference,
+        stiffness: float = 1.0,
+    ) -> Flown:
+        """Return a flight in RotorPy under a variant of SE3."""
+        law = se3_law(plant, path, stiffness=stiffness)
+        return Flown(at, name, followed, partial(fly_under, plant, name, law, self.plan))
+
+    def path(self, followed: Reference) -> ReferencePath:
+        """Return a reference of the mission."""
+        return reference_path(self.scenario, followed, self.plan)
 
 
 def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
@@ -221,20 +255,19 @@ def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
     for case, scenario in cases.items():
         plan = planner.solve(scenario)
         flights = _FLIGHTS_OF.get(case, _flights)
-        for row, flight in _rows(case, flights(case, scenario, plan, planner)):
+        for row, flown, flight in _rows(case, flights(_Mission(case, scenario, planner, plan))):
             rows.append(row)
-            if flight is not None and row[Column.FOLLOWED] == Reference.PLAN:
-                key = case, Plant(row[Column.PLANT]), row[Column.CONTROLLER]
-                tracks[key] = _track(flight, plan)
+            if flight is not None and flown.followed is Reference.PLAN:
+                tracks[case, flown.plant, str(flown.controller)] = _track(flight, plan)
     return OutsideStudy(
-        flights=pd.DataFrame(rows, columns=[column.value for column in Column]),
+        flights=pd.DataFrame(rows, columns=[column.value for column in OutsideColumn]),
         tracks=tracks,
         lag_s=1.0 / paper.baseline.gains.rotor,
     )
 
 
 def _track(flight: Flight, plan: Plan) -> Track:
-    """Return how far a flight is from its plan over time."""
+    """Return the distance of a flight from its plan over time."""
     step = max(1, len(flight.frame) // _MOST_SAMPLES)
     shown = flight.frame.iloc[::step]
     t = shown[TIME].to_numpy()
@@ -245,7 +278,7 @@ def _track(flight: Flight, plan: Plan) -> Track:
 
 
 def _small(paper: Scenario, name: str) -> Scenario:
-    """Return a short mission of a RotorPy vehicle, priced by what its rotors take."""
+    """Return a short mission of one of RotorPy's small vehicles, for least shaft energy."""
     said = {
         path.replace("fields.", "vehicle.", 1): value
         for path, (value, _) in vehicle_fields(name).items()
@@ -254,60 +287,46 @@ def _small(paper: Scenario, name: str) -> Scenario:
     return paper.with_values(said | _EXACT | mission | _PRICED)
 
 
-Flown = tuple[Plant, str, Reference, Callable[[], Flight]]
-
-
-def _flights(case: str, scenario: Scenario, plan: Plan, planner: Planner) -> Iterator[Flown]:
-    dynamics = planner.dynamics(scenario)
-    alone, plant = Pilot.OPEN_LOOP, OutsidePlant(scenario, dynamics)
-    yield Plant.DECLARED, alone, Reference.PLAN, partial(fly_open_loop, scenario, plan, dynamics)
+def _flights(mission: _Mission) -> Iterator[Flown]:
+    plant = OutsidePlant(mission.scenario, mission.dynamics)
+    yield mission.declared(Pilot.OPEN_LOOP)
     for reference in (Reference.QUINTIC, Reference.PLAN):
-        ours = partial(fly_baseline, scenario, reference, dynamics=dynamics, plan=plan)
-        yield Plant.DECLARED, Pilot.ADAPTIVE, reference, ours
+        yield mission.declared(Pilot.ADAPTIVE, reference)
         for pilot in (Pilot.ADAPTIVE, Pilot.SE3):
-            theirs = partial(fly_outside, plant, pilot, reference, plan)
-            yield Plant.ROTORPY, pilot, reference, theirs
-    shown = {at for of, at in CAUSES.values() if of == case}
+            yield mission.outside(Plant.ROTORPY, plant, pilot, reference)
+    shown = {at for case, at in CAUSES.values() if case == mission.case}
     for at in (which for which in HABITS if which in shown):
-        flown = OutsidePlant(scenario, dynamics, habits=HABITS[at])
-        yield at, alone, Reference.PLAN, partial(fly_outside, flown, alone, Reference.PLAN, plan)
+        flown = OutsidePlant(mission.scenario, mission.dynamics, habits=HABITS[at])
+        yield mission.outside(at, flown, Pilot.OPEN_LOOP)
         if at is not Plant.ROTORPY:
-            followed = partial(fly_outside, flown, Pilot.ADAPTIVE, Reference.PLAN, plan)
-            yield at, Pilot.ADAPTIVE, Reference.PLAN, followed
-    if case == EXACT:
-        yield from _leaps(scenario, plan, dynamics)
-    if case == BREEZE:
-        yield from _why_se3_misses(plant, plan)
+            yield mission.outside(at, flown, Pilot.ADAPTIVE)
+    if mission.case == EXACT:
+        yield from _leaps(mission, plant)
+    if mission.case == BREEZE:
+        yield from _why_se3_misses(mission, plant)
 
 
-def _leaps(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Iterator[Flown]:
-    """Yield flights to a goal given all at once, their rotors within their limit and beyond it."""
-    limited = OutsidePlant(scenario, dynamics)
-    unlimited = OutsidePlant(scenario.with_values(_NO_SLEW_LIMIT), dynamics)
-    ours = partial(fly_baseline, scenario, Reference.STEP, dynamics=dynamics, plan=plan)
-    yield Plant.DECLARED, Pilot.ADAPTIVE, Reference.STEP, ours
+def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
+    """Yield flights to a goal given as a step, with and without the limit of the rotors."""
+    unlimited = OutsidePlant(mission.scenario.with_values(_NO_SLEW_LIMIT), mission.dynamics)
+    yield mission.declared(Pilot.ADAPTIVE, Reference.STEP)
     for pilot in (Pilot.ADAPTIVE, Pilot.SE3):
-        for at, plant in ((Plant.ROTORPY, limited), (Plant.WITHOUT_SLEW_LIMIT, unlimited)):
-            yield (
-                at,
-                pilot,
-                Reference.STEP,
-                partial(fly_outside, plant, pilot, Reference.STEP, plan),
-            )
+        yield mission.outside(Plant.ROTORPY, limited, pilot, Reference.STEP)
+        yield mission.outside(Plant.WITHOUT_SLEW_LIMIT, unlimited, pilot, Reference.STEP)
 
 
-def _why_se3_misses(plant: OutsidePlant, plan: Plan) -> Iterator[Flown]:
-    for reference in (Reference.QUINTIC, Reference.PLAN):
-        path = reference_path(plant.scenario, reference, plan)
-        stiffer = se3_law(plant, path, stiffness=_STIFFNESS)
-        yield Plant.ROTORPY, STIFF, reference, partial(fly_under, plant, STIFF, stiffer, plan)
-        if reference is Reference.QUINTIC:
-            told = se3_law(plant, _against_the_air(path, plant))
-            yield Plant.ROTORPY, TOLD, reference, partial(fly_under, plant, TOLD, told, plan)
+def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
+    """Yield flights of SE3 with greater gains, and with the air's force fed forward."""
+    for followed in (Reference.QUINTIC, Reference.PLAN):
+        path = mission.path(followed)
+        yield mission.under(Plant.ROTORPY, plant, STIFF, path, followed, STIFFNESS)
+        if followed is Reference.QUINTIC:
+            path = _against_the_air(path, plant)
+            yield mission.under(Plant.ROTORPY, plant, TOLD, path, followed)
 
 
 def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
-    """Return a reference that also asks for what holds the vehicle against the air, level."""
+    """Return a reference with the acceleration added that balances the air's force when level."""
     dynamics, mass = plant.dynamics, plant.scenario.vehicle.total_mass
     moving = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     forces = tuple((name, None) for name in AIR_FORCE)
@@ -323,44 +342,34 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
     return told
 
 
-def _flights_of_set(name: str, scenario: Scenario, plan: Plan, planner: Planner) -> Iterator[Flown]:
-    """Yield flights of RotorPy's vehicle as it comes, beside the one made of its numbers."""
-    dynamics = planner.dynamics(scenario)
+def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
+    """Yield flights of RotorPy's vehicle as it comes, beside the declared one with its numbers."""
     theirs = OutsidePlant(
-        scenario,
-        dynamics,
-        parameters=rotorpy_parameters(name),
+        mission.scenario,
+        mission.dynamics,
+        parameters=rotorpy_parameters(mission.case),
         frame=ACROSS,
         habits=MASSLESS_ROTORS,
     )
-    followed, outside = Reference.PLAN, Plant.WITHOUT_ROTOR_INERTIA
-    alone = partial(fly_open_loop, scenario, plan, dynamics)
-    yield Plant.DECLARED, Pilot.OPEN_LOOP, followed, alone
-    ours = partial(fly_baseline, scenario, followed, dynamics=dynamics, plan=plan)
-    yield Plant.DECLARED, Pilot.ADAPTIVE, followed, ours
+    yield mission.declared(Pilot.OPEN_LOOP)
+    yield mission.declared(Pilot.ADAPTIVE)
     for pilot in Pilot:
-        yield outside, pilot, followed, partial(fly_outside, theirs, pilot, followed, plan)
-    path = reference_path(scenario, followed, plan)
+        yield mission.outside(Plant.WITHOUT_ROTOR_INERTIA, theirs, pilot)
+    path = mission.path(Reference.PLAN)
 
     def turned(t: float) -> Setpoint:
         place, rate, acceleration = path(t)
         return Setpoint([*place[:3], place[3] - theirs.turn], rate, acceleration)
 
-    law = se3_law(theirs, turned)
-    yield outside, OUR_HEADING, followed, partial(fly_under, theirs, OUR_HEADING, law, plan)
+    yield mission.under(Plant.WITHOUT_ROTOR_INERTIA, theirs, OUR_HEADING, turned, Reference.PLAN)
 
 
-def _flights_by_drag(_: str, scenario: Scenario, plan: Plan, planner: Planner) -> Iterator[Flown]:
+def _flights_by_drag(mission: _Mission) -> Iterator[Flown]:
     """Yield the flights along a plan that tell RotorPy's drag from the declared one."""
-    dynamics, followed = planner.dynamics(scenario), Reference.PLAN
-    plant = OutsidePlant(scenario, dynamics)
-    ours = {
-        Pilot.OPEN_LOOP: partial(fly_open_loop, scenario, plan, dynamics),
-        Pilot.ADAPTIVE: partial(fly_baseline, scenario, followed, dynamics=dynamics, plan=plan),
-    }
-    for pilot, fly in ours.items():
-        yield Plant.DECLARED, pilot, followed, fly
-        yield Plant.ROTORPY, pilot, followed, partial(fly_outside, plant, pilot, followed, plan)
+    plant = OutsidePlant(mission.scenario, mission.dynamics)
+    for pilot in (Pilot.OPEN_LOOP, Pilot.ADAPTIVE):
+        yield mission.declared(pilot)
+        yield mission.outside(Plant.ROTORPY, plant, pilot)
 
 
 _FLIGHTS_OF = dict.fromkeys((LONGER, WINDIER), _flights_by_drag) | dict.fromkeys(
@@ -368,103 +377,32 @@ _FLIGHTS_OF = dict.fromkeys((LONGER, WINDIER), _flights_by_drag) | dict.fromkeys
 )
 
 
-def _rows(case: str, flights: Iterator[Flown]) -> Iterator[tuple[dict[str, Any], Flight | None]]:
-    """Yield a row for each flight, against that of the declared vehicle flown before it."""
+def _rows(
+    case: str, flights: Iterator[Flown]
+) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
+    """Yield the row of each flight, compared with the declared vehicle's, which flies before it."""
     declared: dict[tuple[str, Reference], Flight] = {}
-    for plant, pilot, followed, fly in flights:
-        named: dict[str, Any] = {
-            Column.CASE: case,
-            Column.PLANT: plant.value,
-            Column.CONTROLLER: str(pilot),
-            Column.FOLLOWED: followed.value,
-        }
+    for flown in flights:
+        identity = case, flown.plant.value, str(flown.controller), flown.followed.value
+        row: dict[str, Any] = dict(zip(_IDENTITY, identity, strict=True))
         try:
-            flight = fly()
+            flight = flown.fly()
         except (SolveError, ScenarioError):
-            yield named | {Column.ARRIVED: False, Column.VERIFIED: False}, None
+            lost = {OutsideColumn.ARRIVED: False, OutsideColumn.VERIFIED: False}
+            yield row | lost, flown, None
             continue
-        if plant is Plant.DECLARED:
-            declared[pilot, followed] = flight
-        ours = declared.get((pilot, followed)) or declared.get((Pilot.ADAPTIVE, followed))
-        told: dict[str, Any] = {
-            Column.ENERGY: flight.energy_J,
-            Column.ENERGY_DIFFERENCE: _percent(flight, ours),
-            Column.MISS: flight.terminal_miss_m,
-            Column.ARRIVED: has_arrived(flight),
-            Column.APART: _apart(flight, ours),
-            Column.VERIFIED: flight.is_verified,
+        key = flown.controller, flown.followed
+        if flown.plant is Plant.DECLARED:
+            declared[key] = flight
+        ours = declared.get(key) or declared.get((Pilot.ADAPTIVE, flown.followed))
+        row |= {
+            OutsideColumn.ENERGY: flight.energy_J,
+            OutsideColumn.MISS: flight.terminal_miss_m,
+            OutsideColumn.ARRIVED: has_arrived(flight),
+            OutsideColumn.VERIFIED: flight.is_verified,
         }
-        yield named | told, flight
-
-
-def _percent(flight: Flight, ours: Flight | None) -> float:
-    return np.nan if ours is None else 100.0 * (flight.energy_J / ours.energy_J - 1.0)
-
-
-def _apart(flight: Flight, ours: Flight | None) -> float:
-    if ours is None:
-        return np.nan
-    here, there = ([f.terminal_miss[name] for name in POSITION_STATES] for f in (flight, ours))
-    return dist(here, there)
-
-
-def draw_causes(study: OutsideStudy) -> "Figure":
-    """Draw how far flights are from their plan over time, by what makes them differ."""
-    # The labels are long, so that the legend takes more lines than usual.
-    lines = ceil(len(CAUSES) / _CAUSES_ABREAST)
-    figure, (panels,) = panel_grid(1, 2, panel_height=2.6, legend_entries=lines * LEGEND_COLUMNS)
-    for axes, pilot, title, least in (
-        (panels[0], Pilot.OPEN_LOOP, "Without feedback: distance from the plan (m)", _LEAST_SHOWN),
-        (panels[1], Pilot.ADAPTIVE, "Under our controller: distance from the plan (m)", _LEAST_LED),
-    ):
-        for (cause, (case, plant)), style in zip(CAUSES.items(), SERIES_STYLES, strict=True):
-            track = study.tracks.get((case, plant, pilot))
-            if track is not None:
-                t, distance = track
-                axes.plot(t, np.maximum(distance, least), label=cause, **style.line)
-        axes.set_yscale("log")
-        axes.set_title(title)
-    label_time(panels, max(t[-1] for t, _ in study.tracks.values()))
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=_CAUSES_ABREAST)
-    return figure
-
-
-def write_outside_report(folder: Path, study: OutsideStudy, figures: Figures = Figures.SVG) -> None:
-    """Write the table and `report.md` into an existing folder."""
-    write_table(study.flights, folder / TABLE_NAME)
-    drawing = Drawing(
-        name="causes",
-        title="Over time",
-        caption="How far each flight is from its plan, one cause at a time; what is nearer than "
-        f"{_LEAST_SHOWN:g} m, or {_LEAST_LED:g} m under feedback, is drawn there.",
-        draw=lambda: draw_causes(study),
-    )
-    drawings = wanted_drawings([drawing], figures)
-    save_drawings(drawings, folder)
-    text = render_markdown(
-        "simulators/outside_plant.md.j2",
-        study=study,
-        drawings=drawings,
-        causes=CAUSES,
-        drag_cases=DRAG_CASES,
-        arrivals={pilot: arrivals(study.flights, pilot) for pilot in (Pilot.ADAPTIVE, Pilot.SE3)},
-        pilot=Pilot,
-        plant=Plant,
-        reference=Reference,
-        breeze=BREEZE,
-        exact=EXACT,
-        told=TOLD,
-        stiff=STIFF,
-        our_heading=OUR_HEADING,
-        stiffness=_STIFFNESS,
-        lag_ms=1e3 * study.lag_s,
-        rows=study.flights.to_dict("records"),
-        column=Column,
-        cases=CASES,
-        sets=NAMES,
-        TABLE_NAME=TABLE_NAME,
-        version=__version__,
-        version_of_rotorpy=version(PLANT),
-    )
-    (folder / REPORT_NAME).write_text(text, encoding="utf-8")
+        if ours is not None:
+            ends = ([f.terminal_miss[name] for name in POSITION_STATES] for f in (flight, ours))
+            percent = 100.0 * (flight.energy_J / ours.energy_J - 1.0)
+            row |= {OutsideColumn.ENERGY_DIFFERENCE: percent, OutsideColumn.APART: dist(*ends)}
+        yield row, flown, flight

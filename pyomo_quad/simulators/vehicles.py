@@ -1,8 +1,8 @@
-"""Vehicles of RotorPy's parameter sets as vehicle files of ours.
+"""Vehicle files made of RotorPy's parameter sets.
 
-Their rotors stand ahead to both sides and behind; ours along body x and y.  So the vehicle is
-turned by 45 degrees: its first rotor is ahead, its fourth to the left.  A cross of two inertias
-that differ gets a product of inertia thereby, half their difference, which is left out.
+RotorPy's rotors stand diagonally, two ahead and two behind; declared rotors stand on body x and y.
+So the vehicle is turned by 45 degrees: its first rotor is ahead, its fourth to the left.  Where
+Ixx and Iyy differ, the turn creates a product of inertia, half their difference, which is left out.
 """
 
 import json
@@ -21,19 +21,19 @@ _BASE = "dji_phantom_2"
 
 
 class Said(NamedTuple):
-    """A field's value and where it comes from."""
+    """Value and source of a field."""
 
     value: float | str | list[float]
     source: str
 
 
 def rotorpy_parameters(name: str) -> dict[str, Any]:
-    """Return one of RotorPy's parameter sets.
+    """Return a parameter set of RotorPy by name.
 
     Raises
     ------
     ScenarioError
-        If there is none of the name, or RotorPy is not installed.
+        If RotorPy has no such set or is not installed.
     """
     if name not in NAMES:
         raise ScenarioError(f"NAME = {shown(name)}; must be one of {', '.join(NAMES)}.")

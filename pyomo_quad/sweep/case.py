@@ -244,30 +244,31 @@ class _Flown:
         return math.dist(mission.start.position, mission.goal.position)
 
 
-_Columns = Mapping[str, Callable[[_Flown], float]]
+# Unit and reading of a column, by its name.
+_Columns = Mapping[str, tuple[str, Callable[[_Flown], float]]]
 
 _OF_A_FLIGHT: _Columns = {
-    MEAN_POWER: lambda one: one.flight.energy_J / one.flight.duration_s,
-    "peak_power_W": lambda one: float(one.flight.frame["power_W"].max()),
-    "peak_tilt_rad": lambda one: one.peak_tilt,
-    "battery_used_percent": lambda one: one.charge_used,
-    "lowest_voltage_V": lambda one: float(one.flight.frame["battery_voltage_V"].min()),
-    "range_m": lambda one: one.repeats * one.distance,
-    "endurance_s": lambda one: one.repeats * one.flight.duration_s,
-    "max_violation": lambda one: one.flight.max_violation,
-    TERMINAL_MISS: lambda one: one.flight.terminal_miss_m,
+    MEAN_POWER: ("W", lambda one: one.flight.energy_J / one.flight.duration_s),
+    "peak_power_W": ("W", lambda one: float(one.flight.frame["power_W"].max())),
+    "peak_tilt_rad": ("rad", lambda one: one.peak_tilt),
+    "battery_used_percent": ("percent", lambda one: one.charge_used),
+    "lowest_voltage_V": ("V", lambda one: float(one.flight.frame["battery_voltage_V"].min())),
+    "range_m": ("m", lambda one: one.repeats * one.distance),
+    "endurance_s": ("s", lambda one: one.repeats * one.flight.duration_s),
+    "max_violation": ("", lambda one: one.flight.max_violation),
+    TERMINAL_MISS: ("m", lambda one: one.flight.terminal_miss_m),
 }
 _OF_A_PLAN: _Columns = {
-    ENERGY: lambda one: one.plan.energy,
-    HOVER_ENERGY: lambda one: one.plan.hover_energy_J,
-    EXCESS_ENERGY: lambda one: one.plan.energy - one.plan.hover_energy_J,
+    ENERGY: ("J", lambda one: one.plan.energy),
+    HOVER_ENERGY: ("J", lambda one: one.plan.hover_energy_J),
+    EXCESS_ENERGY: ("J", lambda one: one.plan.energy - one.plan.hover_energy_J),
     **_OF_A_FLIGHT,
-    _ERROR_ESTIMATE: lambda one: one.plan.error_estimate,
+    _ERROR_ESTIMATE: ("", lambda one: one.plan.error_estimate),
 }
 _OF_A_PLAN_FLOWN: _Columns = {
-    ENERGY: lambda one: one.flight.energy_J,
-    "planned_energy_J": lambda one: one.plan.energy,
-    "energy_above_plan_J": lambda one: one.flight.energy_J - one.plan.energy,
+    ENERGY: ("J", lambda one: one.flight.energy_J),
+    "planned_energy_J": ("J", lambda one: one.plan.energy),
+    "energy_above_plan_J": ("J", lambda one: one.flight.energy_J - one.plan.energy),
     **_OF_A_FLIGHT,
 }
 
@@ -275,11 +276,17 @@ _OF_A_PLAN_FLOWN: _Columns = {
 def _of_a_baseline(reference: Reference) -> _Columns:
     name = reference.value
     return {
-        f"{name}_energy_J": lambda one: one.flight.energy_J,
-        f"{name}_owed_energy_J": lambda one: one.flight.owed_energy_J,
-        f"{name}_{TERMINAL_MISS}": lambda one: one.flight.terminal_miss_m,
-        f"saving_over_{name}_percent": lambda one: 100.0 * one.saved,
+        f"{name}_energy_J": ("J", lambda one: one.flight.energy_J),
+        f"{name}_owed_energy_J": ("J", lambda one: one.flight.owed_energy_J),
+        f"{name}_{TERMINAL_MISS}": ("m", lambda one: one.flight.terminal_miss_m),
+        f"saving_over_{name}_percent": ("percent", lambda one: 100.0 * one.saved),
     }
+
+
+def unit_of_column(name: str) -> str:
+    """Return the unit of an output column of any study, as its name has it; "" without one."""
+    tables = (_OF_A_PLAN, _OF_A_PLAN_FLOWN, *map(_of_a_baseline, Reference))
+    return next((table[name][0] for table in tables if name in table), "")
 
 
 def output_columns(task: StudyTask, baselines: Iterable[Reference]) -> tuple[str, ...]:
@@ -303,7 +310,7 @@ def _read(
 ) -> dict[str, float]:
     """Return the numbers of a flight in the plan's world or another; NaN where there is none."""
     flown = _Flown(flight=flight, plan=plan, scenario=scenario or plan.scenario)
-    return {name: _meaningful(name, read(flown)) for name, read in columns.items()}
+    return {name: _meaningful(name, read(flown)) for name, (_, read) in columns.items()}
 
 
 def _meaningful(name: str, value: float) -> float:

@@ -9,18 +9,8 @@ import pandas as pd
 
 from pyomo_quad.report.render import NOTHING
 from pyomo_quad.scenario import field_unit
+from pyomo_quad.sweep.case import unit_of_column
 
-# The name of an output column ends in its unit; a name without a unit is dimensionless.
-_SUFFIXES = {
-    "_m_per_s": "m/s",
-    "_percent": "%",
-    "_rad": "rad",
-    "_J": "J",
-    "_W": "W",
-    "_V": "V",
-    "_m": "m",
-    "_s": "s",
-}
 _PRINTED = {"kg": "kg", "m/s^2": "m/s²", "percent": "%", "A*hr": "A h", "1/A/hr": "1/(A h)"}
 _LARGE, _SIGNIFICANT = 1e5, 4
 # Of these and of savings the least is the worst, of all other results the greatest.
@@ -62,9 +52,9 @@ def field_quantity(path: str) -> Quantity:
 
 def output_quantity(column: str) -> Quantity:
     """Return name, unit and scale of an output column in print."""
-    endings = (pair for pair in _SUFFIXES.items() if column.endswith(pair[0]))
-    suffix, unit = next(endings, ("", ""))
-    return _quantity(column, column.removesuffix(suffix).replace("_", " "), unit)
+    unit = unit_of_column(column)
+    name = column.removesuffix(f"_{unit}").replace("_", " ")
+    return _quantity(column, name, _PRINTED.get(unit, unit))
 
 
 def _quantity(column: str, name: str, unit: str) -> Quantity:

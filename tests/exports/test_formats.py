@@ -20,7 +20,7 @@ from pyomo_quad.exports.formats import (
     offboard,
 )
 from pyomo_quad.flight import PlanStatus
-from pyomo_quad.flight.flight import TIME
+from pyomo_quad.flight.columns import TIME
 from pyomo_quad.report import Figures
 from pyomo_quad.report.report import write_solve_report
 from pyomo_quad.report.tables import plan_summary, write_summary

@@ -9,13 +9,14 @@ from pyomo_quad.paper.experiments import (
     BaselineCase,
     Experiment,
     FlightCase,
-    Reading,
     fly_baseline_case,
     fly_case,
     wind_cases,
 )
+from pyomo_quad.paper.readings import Reading
 from pyomo_quad.paper.report import TOLERANCES
-from pyomo_quad.paper.study import chattering_floors, pack_facts
+from pyomo_quad.paper.rotor_map import chattering_floors
+from pyomo_quad.paper.study import pack_facts
 from pyomo_quad.scenario import PowerModel, Reference
 
 FOLDER = Path("reports/paper")

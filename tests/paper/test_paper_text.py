@@ -13,13 +13,13 @@ from pyomo_quad.paper.experiments import (
     BaselineFlight,
     Experiment,
     FlightCase,
-    Reading,
     flight_cases,
     full_speed_energy,
     paper_scenario,
     wind_cases,
 )
-from pyomo_quad.paper.figures import energy_chain
+from pyomo_quad.paper.loss_chain import energy_chain
+from pyomo_quad.paper.readings import Reading
 from pyomo_quad.paper.report import examination
 from pyomo_quad.paper.tables import baseline_saving, corrections, find_baseline, find_flight
 from pyomo_quad.report.render import render_markdown

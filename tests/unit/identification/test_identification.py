@@ -10,10 +10,12 @@ import pandas as pd
 import pytest
 
 from pyomo_quad.cli import main
-from pyomo_quad.identification.fitting import FITTABLE, identify, scores
+from pyomo_quad.identification.fitting import FITTABLE, identify
 from pyomo_quad.identification.logs import read_logs
 from pyomo_quad.identification.motion import LoggedMotion, vehicle_scenario
-from pyomo_quad.identification.report import measures, write_identification
+from pyomo_quad.identification.report import write_identification
+from pyomo_quad.identification.rivals import measures
+from pyomo_quad.identification.validation import scores
 from pyomo_quad.report import Figures
 from pyomo_quad.scenario import load_scenario
 from tests.agreement import plain_quadrotor as plain

@@ -13,6 +13,7 @@ from pyomo_quad.flight import Planner, outside_plant
 from pyomo_quad.flight.outside_plant import ACROSS, MASSLESS_ROTORS, OutsidePlant, Pilot
 from pyomo_quad.report.document import REPORT_NAME
 from pyomo_quad.scenario import Reference, ScenarioError, load_scenario
+from pyomo_quad.simulators.report import write_outside_report
 from pyomo_quad.simulators.study import (
     BREEZE,
     CASES,
@@ -22,11 +23,10 @@ from pyomo_quad.simulators.study import (
     OUR_HEADING,
     STIFF,
     TOLD,
-    Column,
+    OutsideColumn,
     OutsideStudy,
     Plant,
     arrivals,
-    write_outside_report,
 )
 from pyomo_quad.simulators.vehicles import NAMES, rotorpy_parameters, vehicle_file
 from tests.scenario_files import write_scenario
@@ -92,7 +92,12 @@ def test_flights_are_counted_that_two_integrators_confirm():
         (Plant.ROTORPY, "se3", False, False),
         (Plant.ROTORPY, STIFF, True, True),
     ]
-    names = (Column.PLANT, Column.CONTROLLER, Column.ARRIVED, Column.VERIFIED)
+    names = (
+        OutsideColumn.PLANT,
+        OutsideColumn.CONTROLLER,
+        OutsideColumn.ARRIVED,
+        OutsideColumn.VERIFIED,
+    )
     flights = pd.DataFrame(rows, columns=[name.value for name in names])
     assert arrivals(flights, "adaptive") == (1, 2, 1)
     assert arrivals(flights, "se3") == (0, 0, 1)
@@ -117,16 +122,16 @@ def test_the_report_says_how_far_apart_flights_end(tmp_path):
     )
     rows = [
         {
-            Column.CASE: case,
-            Column.PLANT: plant.value,
-            Column.CONTROLLER: str(controller),
-            Column.FOLLOWED: followed.value,
-            Column.APART: 1e-6 * (k + 1),
-            Column.ENERGY: 700.0 + k,
-            Column.ENERGY_DIFFERENCE: 0.1,
-            Column.MISS: 0.5,
-            Column.ARRIVED: case == EXACT,
-            Column.VERIFIED: (plant, controller) not in UNCONFIRMED,
+            OutsideColumn.CASE: case,
+            OutsideColumn.PLANT: plant.value,
+            OutsideColumn.CONTROLLER: str(controller),
+            OutsideColumn.FOLLOWED: followed.value,
+            OutsideColumn.APART: 1e-6 * (k + 1),
+            OutsideColumn.ENERGY: 700.0 + k,
+            OutsideColumn.ENERGY_DIFFERENCE: 0.1,
+            OutsideColumn.MISS: 0.5,
+            OutsideColumn.ARRIVED: case == EXACT,
+            OutsideColumn.VERIFIED: (plant, controller) not in UNCONFIRMED,
         }
         for k, (case, plant, controller, followed) in enumerate(flights)
     ]

@@ -1,0 +1,153 @@
+"""Figures of an identification: energies, power over time, and the power curve."""
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from pyomo_quad.flight import Planner
+from pyomo_quad.identification.fitting import Identification
+from pyomo_quad.identification.logs import CRUISE, DENSITY, FLIGHT, PAYLOAD, PHASE, POWER, TIME
+from pyomo_quad.identification.validation import (
+    ERROR,
+    MEASURED_ENERGY,
+    PREDICTED_ENERGY,
+    FloatArray,
+    cruise_speeds,
+    energies,
+)
+from pyomo_quad.report.document import Drawing
+from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, PALE, SERIES_STYLES
+
+# Flights drawn over time.
+_SHOWN = 3
+# Airspeed at which the power curve ends at the latest: beyond it few flights have data.
+_FASTEST_M_S = 17.0
+# Rows of an airspeed that give it a mean.
+_FEWEST_ROWS = 20
+_IN_KILOJOULES = 1e-3
+
+
+def identification_drawings(found: Identification) -> tuple[Drawing, ...]:
+    """List the figures of an identification."""
+    return (
+        Drawing(
+            name="energies",
+            title="Energy of each flight",
+            caption="Left: computed against measured energy, each flight by a fit that had not "
+            "seen it. Right: the error over the measured energy, with the band of two per cent.",
+            draw=lambda: draw_energies(found),
+        ),
+        Drawing(
+            name="power_over_time",
+            title="Power over time",
+            caption="Three flights, slow, usual and fast: measured power of each second, and "
+            "computed by a fit that had not seen the flight. Between the dotted lines is cruise.",
+            draw=lambda: draw_power(found),
+        ),
+        Drawing(
+            name="power_curve",
+            title="The power curve, with the data in it",
+            caption="Lines: power of level, steady flight by the declared equations in the mean "
+            "density of the flights. Dots: mean measured power of the seconds of cruise at each "
+            "airspeed, with half of them inside the bar; gusts and turns are in it.",
+            draw=lambda: draw_curve(found),
+        ),
+    )
+
+
+def draw_energies(found: Identification) -> Figure:
+    """Draw computed against measured energies, and their errors."""
+    table = energies(found.frame, found.cross_validated)
+    payload = found.frame.groupby(FLIGHT, sort=False)[PAYLOAD].first().to_numpy()
+    figure = Figure(figsize=(FULL_WIDTH, 3.3))
+    left, right = figure.subplots(1, 2)
+    figure.subplots_adjust(left=0.09, right=0.98, top=0.92, bottom=0.15, wspace=0.28)
+    measured = table[MEASURED_ENERGY] * _IN_KILOJOULES
+    computed = table[PREDICTED_ENERGY] * _IN_KILOJOULES
+    ends = [measured.min(), measured.max()]
+    left.plot(ends, ends, color=MUTED, linewidth=0.8)
+    right.axhspan(-2.0, 2.0, color=PALE, linewidth=0)
+    for value, style in zip(np.unique(payload), SERIES_STYLES, strict=False):
+        chosen = payload == value
+        look = {"linestyle": "none", "marker": style.marker, "color": style.color}
+        left.plot(measured[chosen], computed[chosen], label=f"{value:g} kg", markersize=3.5, **look)
+        right.plot(measured[chosen], table[ERROR][chosen], markersize=3.5, **look)
+    left.set(xlabel="Measured energy (kJ)", ylabel="Computed energy (kJ)", title="Energy")
+    right.set(xlabel="Measured energy (kJ)", ylabel="Computed less measured (%)", title="Error")
+    left.legend(title="Payload", frameon=False)
+    return figure
+
+
+def shown_flights(frame: pd.DataFrame) -> list[object]:
+    """Return the names of a slow, a usual and a fast flight."""
+    speeds = pd.Series(cruise_speeds(frame), index=frame[FLIGHT].to_numpy())
+    each = speeds.groupby(level=0, sort=False).first().sort_values(kind="stable")
+    places = np.linspace(0, len(each) - 1, min(_SHOWN, len(each))).round().astype(int)
+    return [each.index[place] for place in places]
+
+
+def draw_power(found: Identification) -> Figure:
+    """Draw measured and computed power of three flights over time."""
+    chosen = shown_flights(found.frame)
+    figure = Figure(figsize=(FULL_WIDTH, 1.7 * len(chosen) + 0.6))
+    panels = np.atleast_1d(figure.subplots(len(chosen), 1))
+    figure.subplots_adjust(left=0.09, right=0.98, top=0.94, bottom=0.12, hspace=0.55)
+    speeds, color = cruise_speeds(found.frame), SERIES_STYLES[0].color
+    for flight, panel in zip(chosen, panels, strict=True):
+        is_own = (found.frame[FLIGHT] == flight).to_numpy()
+        rows, computed = found.frame[is_own], found.cross_validated[is_own]
+        times = rows[TIME] - rows[TIME].iloc[0]
+        panel.plot(times, rows[POWER], color=MUTED, linewidth=0.9, label="measured")
+        panel.plot(times, computed, color=color, linewidth=1.3, label="computed")
+        cruise = times[(rows[PHASE] == CRUISE).to_numpy()]
+        for edge in () if cruise.empty else (cruise.iloc[0], cruise.iloc[-1]):
+            panel.axvline(edge, color=INK, linestyle=":", linewidth=0.8)
+        title = f"Flight {flight}: {speeds[is_own][0]:g} m/s, {rows[PAYLOAD].iloc[0]:g} kg"
+        panel.set(ylabel="Power (W)", title=title)
+    panels[-1].set_xlabel("Time (s)")
+    panels[0].legend(frameon=False, ncols=2, loc="lower center")
+    return figure
+
+
+def draw_curve(found: Identification) -> Figure:
+    """Draw steady power over airspeed for each payload, with the data."""
+    is_cruise = (found.frame[PHASE] == CRUISE).to_numpy()
+    frame, airspeed = found.frame[is_cruise], found.airspeeds[is_cruise]
+    speeds = np.linspace(0.0, min(_FASTEST_M_S, float(airspeed.max())), 35)
+    density = float(found.frame[DENSITY].mean())
+    figure = Figure(figsize=(FULL_WIDTH, 3.6))
+    axes = figure.subplots()
+    figure.subplots_adjust(left=0.09, right=0.98, top=0.96, bottom=0.14)
+    for place, payload in enumerate(np.unique(frame[PAYLOAD])[: len(SERIES_STYLES)]):
+        style = SERIES_STYLES[place]
+        power = steady_power(found, float(payload), density, speeds)
+        axes.plot(speeds, power, color=style.color, label=f"{payload:g} kg")
+        chosen = (frame[PAYLOAD] == payload).to_numpy()
+        groups = frame[POWER][chosen].groupby(np.round(airspeed[chosen]))
+        binned = groups.describe()[["mean", "25%", "75%"]][groups.size() >= _FEWEST_ROWS]
+        mean, low, high = binned.to_numpy().T
+        axes.errorbar(
+            # Set aside, so that no series hides another.
+            binned.index + 0.12 * (place - 1),
+            mean,
+            yerr=np.abs(np.stack([mean - low, high - mean])),
+            linestyle="none",
+            marker=style.marker,
+            markersize=4,
+            color=style.color,
+            elinewidth=0.7,
+        )
+    axes.set(xlabel="Airspeed (m/s)", ylabel="Power (W)")
+    axes.legend(title="Payload", frameon=False)
+    return figure
+
+
+def steady_power(
+    found: Identification, payload: float, density: float, speeds: FloatArray
+) -> FloatArray:
+    """Return the power, W, of level flight at each of the airspeeds, m/s."""
+    scenario = found.scenario.with_values(
+        {"vehicle.payload": payload, "power.air_density": density}
+    )
+    steady = Planner().steady_flight(scenario)
+    return np.array([steady.trim([float(speed), 0.0, 0.0]).power_W for speed in speeds])

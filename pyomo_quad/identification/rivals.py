@@ -1,0 +1,110 @@
+"""Published ways to guess a flight's power, fitted and judged like the declared equations.
+
+name | power
+constant power | one number
+constant efficiency | ideal power of hover over one number, P = c (m g)^1.5 / sqrt(rho)
+regression by phase | P = a + b (m g)^1.5 / sqrt(rho) in each phase of the flight
+
+The last is the form of Rodrigues et al., "Drone flight data reveal energy and greenhouse gas
+emissions savings for very small package delivery", Patterns 3 (2022), fitted anew.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import pandas as pd
+
+from pyomo_quad.identification.fitting import Identification
+from pyomo_quad.identification.logs import DENSITY, FLYING, PAYLOAD, PHASE, POWER
+from pyomo_quad.identification.validation import (
+    FloatArray,
+    Rows,
+    Scores,
+    Trial,
+    cross_validated,
+    scores,
+    trials,
+)
+
+_OURS = "momentum theory, declared"
+
+
+def model_table(found: Identification) -> pd.DataFrame:
+    """Return numbers fitted and errors of each rival and, last, of the declared equations."""
+    frame, measured = found.frame, found.frame[POWER].to_numpy()
+    rows = []
+    for name, columns in _regressors(frame, found.scenario.vehicle.mass).items():
+
+        def fitted(rows: Rows, columns: FloatArray = columns) -> FloatArray:
+            return columns @ np.linalg.lstsq(columns[rows], measured[rows], rcond=None)[0]
+
+        judged = scores(frame, cross_validated(frame, fitted))
+        rows.append(_row(name, columns.shape[1], judged, trials(frame, fitted)))
+    count = sum(one.is_determined for one in found.parameters)
+    own = scores(frame, found.cross_validated)
+    return pd.DataFrame([*rows, _row(_OURS, count, own, found.trials)])
+
+
+def _regressors(frame: pd.DataFrame, mass: float) -> dict[str, FloatArray]:
+    """Return the regressors of each rival, shape (rows, numbers fitted)."""
+    hovering = ((mass + frame[PAYLOAD]) ** 1.5 / np.sqrt(frame[DENSITY])).to_numpy()[:, None]
+    phases = (frame[[PHASE]].to_numpy() == FLYING).astype(float)
+    return {
+        "constant power": np.ones((len(frame), 1)),
+        "constant efficiency": hovering,
+        "regression by phase": np.hstack([phases, phases * hovering]),
+    }
+
+
+def _row(name: str, count: int, judged: Scores, tried: Sequence[Trial]) -> dict[str, object]:
+    errors = asdict(judged)
+    del errors["flights"]
+    beyond = {
+        _extrapolation(number): trial.scores.mean_absolute_error_percent
+        for number, trial in enumerate(tried, start=1)
+    }
+    return {"model": name, "numbers_fitted": count, **errors, **beyond}
+
+
+def _extrapolation(number: int) -> str:
+    return f"extrapolation_{number}_error_percent"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measure:
+    """An error of the declared equations, beside that of the best rival."""
+
+    name: str
+    unit: str
+    own: float
+    rival: str
+    best: float
+
+    @property
+    def is_gain(self) -> bool:
+        """Whether the declared equations err less than every rival."""
+        return self.own < self.best
+
+
+def measures(models: pd.DataFrame, tried: Sequence[Trial]) -> tuple[Measure, ...]:
+    """Return the errors by which the models are compared, from `model_table`."""
+    *rivals, own = models.to_dict("records")
+    columns = {
+        "mean_absolute_error_percent": ("energy of a flight", "%"),
+        "power_rmse_W": ("power of a second", "W"),
+    }
+    for number, trial in enumerate(tried, start=1):
+        said = f"energy when fitted at {trial.fitted_on} and tried at {trial.tried_on}"
+        columns[_extrapolation(number)] = (said, "%")
+    best = {column: min(rivals, key=lambda row: float(row[column])) for column in columns}
+    return tuple(
+        Measure(
+            name=name,
+            unit=unit,
+            own=float(own[column]),
+            rival=str(best[column]["model"]),
+            best=float(best[column][column]),
+        )
+        for column, (name, unit) in columns.items()
+    )

@@ -1,0 +1,164 @@
+"""The readings of f_r, and the optimiser on fixed meshes under each.
+
+The paper does not print f_r.  Recovered from public re-implementations it passes zero under braking
+torques, so that the literal problem has no minimum once the rotors may brake hard enough.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pyomo_quad.collocation import Dynamics, Mesh, Solution, SolverOptions, Status
+from pyomo_quad.flight import Planner
+from pyomo_quad.flight.columns import ROTORS
+from pyomo_quad.flight.flight import POSITION_STATES
+from pyomo_quad.flight.verification import fly_controls
+from pyomo_quad.model import build_model
+from pyomo_quad.paper.experiments import Experiment, paper_scenario
+from pyomo_quad.scenario import PowerModel, Scenario
+
+if TYPE_CHECKING:
+    from pyomo.core import ConcreteModel
+
+# A floor so far below every torque [N m] and every value of f_r that smoothing it changes nothing.
+_NO_FLOOR = -1e3
+
+
+class Reading(StrEnum):
+    """Treatment of f_r where it is small or negative."""
+
+    REGULARISED = "regularised"
+    LITERAL = "literal"
+
+    def values(self) -> dict[str, Any]:
+        """Return the fields of a scenario that choose this reading."""
+        return {
+            "power.model": PowerModel.EFFICIENCY,
+            "power.regeneration": self is Reading.LITERAL,
+        }
+
+    def planner(self) -> Planner:
+        """Return a planner whose model reads f_r in this way."""
+        return Planner(literal_model if self is Reading.LITERAL else model_without_battery)
+
+
+def model_without_battery(scenario: Scenario) -> "ConcreteModel":
+    """Declare a mission without its battery, which has no current for some powers under f_r."""
+    m = build_model(scenario)
+    m.del_component(m.battery)
+    return m
+
+
+def literal_model(scenario: Scenario) -> "ConcreteModel":
+    """Declare a mission whose f_r is the recovered polynomial everywhere, without floors.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        With `Reading.LITERAL.values`.
+    """
+    m = model_without_battery(scenario)
+    m.power.torque_floor.set_value(_NO_FLOOR)
+    m.power.efficiency_floor.set_value(_NO_FLOOR)
+    return m
+
+
+# Meshes of the trials, and the bounds on the rotor acceleration [rad/s²]: the literal floor passes
+# the paper's optimum between the first two, and has no value beyond the second.
+_DEGREE, _ELEMENTS = 4, (5, 10, 20)
+_BOUNDS = (300.0, 1000.0, 3000.0, 10000.0)
+# Samples for the energy of a flown trial, whose power jumps within an element.
+_SAMPLES_PER_ELEMENT = 400
+# Looser than the planner's: a problem without a minimum meets no tolerance for long.
+_OPTIONS = SolverOptions(tolerance=1e-6, max_iterations=100)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshTrial:
+    """A reading of f_r, a bound on the rotor acceleration [rad/s²], and a mesh."""
+
+    reading: Reading
+    bound: float
+    elements: int
+    degree: int = _DEGREE
+
+    @property
+    def title(self) -> str:
+        """Name of the trial in a progress display."""
+        return f"{self.reading.value} f_r, {self.bound:g} rad/s², {self.elements} elements"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialOutcome:
+    """Result of a trial: the solver's verdict, and the flight under its controls.
+
+    Attributes
+    ----------
+    energy_J : float
+        By the quadrature on the mesh.
+    flown_energy_J : float
+        Energy when the controls are flown; NaN where f_r passes zero during the flight.
+    miss_m : float
+        Distance from the goal when the controls are flown.
+    """
+
+    trial: MeshTrial
+    has_converged: bool
+    energy_J: float
+    flown_energy_J: float
+    miss_m: float
+
+
+def mesh_trials(*, is_quick: bool = False) -> tuple[MeshTrial, ...]:
+    """List the solves on fixed meshes."""
+    trials = product(Reading, _BOUNDS, _ELEMENTS[:1] if is_quick else _ELEMENTS)
+    return tuple(MeshTrial(reading=r, bound=bound, elements=count) for r, bound, count in trials)
+
+
+def run_trial(trial: MeshTrial) -> TrialOutcome:
+    """Solve on one mesh, without refinement, and fly the controls found."""
+    scenario = paper_scenario(
+        Experiment.CALM,
+        trial.reading.values() | {"limits.rotor_acceleration_max": trial.bound},
+    )
+    planner = trial.reading.planner()
+    problem, _ = planner.problem_for(scenario)
+    solution = problem.solve(
+        mesh=Mesh.uniform(trial.elements, trial.degree),
+        parameters=planner.parameters(scenario),
+        horizon=(0.0, scenario.mission.fixed_duration),
+        options=_OPTIONS,
+    )
+    flown_energy, miss = _fly(scenario, solution, planner.dynamics(scenario))
+    return TrialOutcome(
+        trial=trial,
+        has_converged=solution.status is Status.CONVERGED,
+        energy_J=solution.objective,
+        flown_energy_J=flown_energy,
+        miss_m=miss,
+    )
+
+
+def _fly(scenario: Scenario, solution: Solution, priced: Dynamics) -> tuple[float, float]:
+    """Return energy and miss of the solution's controls when flown."""
+    # The motion does not depend on the power model; the motors' power is finite everywhere.
+    steerable = scenario.with_values({"power.model": PowerModel.MOTOR, "power.regeneration": True})
+    flown = fly_controls(
+        Planner(model_without_battery).dynamics(steerable),
+        solution.mesh,
+        solution.trajectory.algebraics,
+        solution.trajectory.states[0],
+        solution.horizon,
+        samples_per_element=_SAMPLES_PER_ELEMENT,
+    )
+    efficiencies = tuple(("power.drive_efficiency", rotor) for rotor in ROTORS)
+    keys = (("power.total", None), *efficiencies)
+    table = priced.table(keys, flown.t, flown.states, flown.controls)
+    energy = float(np.trapezoid(table[:, 0], flown.t))
+    position = [priced.state_names.index(name) for name in POSITION_STATES]
+    miss = flown.states[-1, position] - scenario.mission.goal.position
+    is_priced = bool(np.all(table[:, 1:] > 0.0))
+    return energy if is_priced else np.nan, float(np.linalg.norm(miss))

@@ -1,0 +1,98 @@
+"""The report of missions flown in RotorPy: table, figure and text."""
+
+from importlib.metadata import version
+from math import ceil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pyomo_quad.flight.outside_plant import PLANT, Pilot
+from pyomo_quad.report import Figures
+from pyomo_quad.report.document import Drawing, write_study
+from pyomo_quad.report.style import LEGEND_COLUMNS, SERIES_STYLES, label_time, panel_grid
+from pyomo_quad.scenario import Reference
+from pyomo_quad.simulators.study import (
+    BREEZE,
+    CASES,
+    CAUSES,
+    DRAG_CASES,
+    EXACT,
+    OUR_HEADING,
+    STIFF,
+    STIFFNESS,
+    TOLD,
+    OutsideColumn,
+    OutsideStudy,
+    Plant,
+    arrivals,
+)
+from pyomo_quad.simulators.vehicles import NAMES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TABLE_NAME = "flights.csv"
+# Least distances drawn, m: without feedback the integrators' rounding, with feedback a tenth of a
+# millimetre.
+_LEAST_SHOWN, _LEAST_LED = 1e-9, 1e-4
+# Columns of the legend, whose labels are long.
+_CAUSES_ABREAST = 3
+
+
+def draw_causes(study: OutsideStudy) -> "Figure":
+    """Draw the distances of flights from their plan over time, one line per cause."""
+    lines = ceil(len(CAUSES) / _CAUSES_ABREAST)
+    figure, (panels,) = panel_grid(1, 2, panel_height=2.6, legend_entries=lines * LEGEND_COLUMNS)
+    for axes, pilot, title, least in (
+        (panels[0], Pilot.OPEN_LOOP, "Without feedback: distance from the plan (m)", _LEAST_SHOWN),
+        (panels[1], Pilot.ADAPTIVE, "Under our controller: distance from the plan (m)", _LEAST_LED),
+    ):
+        for (cause, (case, plant)), style in zip(CAUSES.items(), SERIES_STYLES, strict=True):
+            track = study.tracks.get((case, plant, pilot))
+            if track is not None:
+                t, distance = track
+                axes.plot(t, np.maximum(distance, least), label=cause, **style.line)
+        axes.set_yscale("log")
+        axes.set_title(title)
+    label_time(panels, max(t[-1] for t, _ in study.tracks.values()))
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=_CAUSES_ABREAST)
+    return figure
+
+
+def write_outside_report(folder: Path, study: OutsideStudy, figures: Figures = Figures.SVG) -> None:
+    """Write the table, the figure and `report.md` into an existing folder."""
+    drawing = Drawing(
+        name="causes",
+        title="Over time",
+        caption="How far each flight is from its plan, one cause at a time; what is nearer than "
+        f"{_LEAST_SHOWN:g} m, or {_LEAST_LED:g} m under feedback, is drawn there.",
+        draw=lambda: draw_causes(study),
+    )
+    write_study(
+        folder,
+        "simulators/outside_plant.md.j2",
+        tables={TABLE_NAME: study.flights},
+        drawings=[drawing],
+        figures=figures,
+        study=study,
+        causes=CAUSES,
+        drag_cases=DRAG_CASES,
+        arrivals={pilot: arrivals(study.flights, pilot) for pilot in (Pilot.ADAPTIVE, Pilot.SE3)},
+        pilot=Pilot,
+        plant=Plant,
+        reference=Reference,
+        breeze=BREEZE,
+        exact=EXACT,
+        told=TOLD,
+        stiff=STIFF,
+        our_heading=OUR_HEADING,
+        stiffness=STIFFNESS,
+        lag_ms=1e3 * study.lag_s,
+        rows=study.flights.to_dict("records"),
+        column=OutsideColumn,
+        cases=CASES,
+        sets=NAMES,
+        version_of_rotorpy=version(PLANT),
+    )
