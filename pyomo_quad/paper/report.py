@@ -1,4 +1,4 @@
-"""The report on the paper: what is reproduced, what is not, and why, in the run's own numbers."""
+"""The report on the paper: results reproduced or not, and why, in the numbers of the run."""
 
 import json
 from collections.abc import Iterator
