@@ -9,7 +9,7 @@ from pyomo_quad.flight.baselines import fly_baseline
 from pyomo_quad.flight.flight import POSITION_STATES
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.study.certificate import certify
-from pyomo_quad.study.check import diagnose
+from pyomo_quad.study.check import check_mission
 from tests.command import SCENARIOS
 
 # What it has compiled serves the next test whose vehicle is declared alike.
@@ -53,4 +53,4 @@ def certified(told):
 
 
 def diagnosed(told):
-    return diagnose(told, planner=PLANNER)
+    return check_mission(told, planner=PLANNER)

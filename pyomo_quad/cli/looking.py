@@ -79,9 +79,9 @@ def check(
     builder = model_builder(resolved, is_code_allowed=allow_code)
     inspection = inspect_model(builder(resolved))
     if as_json or not quiet:
-        from pyomo_quad.study.check import diagnose  # noqa: PLC0415
+        from pyomo_quad.study.check import check_mission  # noqa: PLC0415
 
-        findings = diagnose(resolved, builder=builder)
+        findings = check_mission(resolved, builder=builder)
         if as_json:
             print(json.dumps(_as_mapping(resolved, inspection, findings), indent=2))
         else:

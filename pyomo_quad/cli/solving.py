@@ -20,7 +20,7 @@ from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.planning import Builder
 from pyomo_quad.model import model_builder
 from pyomo_quad.report.folder import output_folder
-from pyomo_quad.report.tables import summary_text, write_plan_table
+from pyomo_quad.report.tables import PLAN_NAME, plan_table, summary_text, write_table
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.study.comparison import ComparisonColumn, against_hovering
 
@@ -121,7 +121,7 @@ def _kept(plan: Plan, folder: Path) -> str:
     beside = folder.with_name(f"{folder.name}-interrupted")
     with output_folder(beside) as aside:
         plan.save(aside / "plan.npz")
-        write_plan_table(aside, plan)
+        write_table(plan_table(plan), aside / PLAN_NAME)
     return f"its best iterate is in {beside}, and {folder} is as it was"
 
 

@@ -17,13 +17,13 @@ from scipy.spatial.transform import Rotation
 
 from pyomo_quad.collocation import Mesh, TranscriptionError, interpolate, interpolate_rates
 from pyomo_quad.flight import Plan, PlanStatus
-from pyomo_quad.flight.flight import POSITION_STATES, TIME, VELOCITY_STATES, columns_of
+from pyomo_quad.flight.columns import ALL_COLUMNS, TIME
+from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.plan import Trajectories
 from pyomo_quad.flight.proof import EXACT, TABLE, refuse_unproven
 from pyomo_quad.report.tables import PLAN_NAME, SUMMARY_NAME, read_report, refuse_report
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.messages import PyomoQuadError, printable, shown
-from pyomo_quad.scenario.vehicle import MOST_ROTORS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -221,8 +221,8 @@ def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectori
     All of its columns stand as states and as controls: which they are, the equations know.
     """
     times = frame[TIME].to_numpy(dtype=float)
-    columns = [c for c in columns_of(range(1, MOST_ROTORS + 1)) if c.name in frame]
-    names = tuple(c.component if c.index is None else f"{c.component}[{c.index}]" for c in columns)
+    columns = [c for c in ALL_COLUMNS if c.name in frame]
+    names = tuple(c.variable for c in columns)
     values = frame[[c.name for c in columns]].to_numpy(dtype=float)
     points = len(times) - 1
     return Trajectories(

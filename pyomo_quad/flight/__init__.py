@@ -1,6 +1,7 @@
 """Flights: plans, their verification by SciPy, controllers and references."""
 
-from pyomo_quad.flight.flight import COLUMNS, Flight, flight_frame
+from pyomo_quad.flight.columns import COLUMNS, flight_frame
+from pyomo_quad.flight.flight import Flight
 from pyomo_quad.flight.plan import Plan, PlanStatus
 from pyomo_quad.flight.planning import Planner, solve_scenario
 from pyomo_quad.flight.verification import Verification

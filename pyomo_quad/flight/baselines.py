@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from pyomo_quad.collocation import ClosedLoop, Dynamics, SolveError
+from pyomo_quad.flight.columns import flight_frame
 from pyomo_quad.flight.controller import (
     COMMAND_SIZE,
     CONTROLLER_STATES,
@@ -28,7 +29,6 @@ from pyomo_quad.flight.flight import (
     VELOCITY_STATES,
     Flight,
     Flown,
-    flight_frame,
 )
 from pyomo_quad.flight.plan import Plan, Trajectories
 from pyomo_quad.flight.references import ReferencePath, SampledPath, minimum_snap, quintic, step

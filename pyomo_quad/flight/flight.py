@@ -1,4 +1,4 @@
-"""A flown flight and the columns of its table: what comparison and report read of it."""
+"""A flown flight: its table, energy, end and broken limits."""
 
 from __future__ import annotations
 
@@ -20,109 +20,6 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation import Dynamics, Violation
 
 FloatArray = NDArray[np.float64]
-
-TIME = "time_s"
-ENERGY = "energy_J"
-ROTORS = (1, 2, 3, 4)
-_ROTOR_CONTROL = "rotors.alpha["
-WIND = ("wind_x_m_per_s", "wind_y_m_per_s")
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column's name and the model component (with its index beside time) it shows."""
-
-    name: str
-    component: str
-    index: int | None = None
-
-
-def rotor_columns(pattern: str, component: str, rotors: Sequence[int]) -> tuple[Column, ...]:
-    """Return one column for each rotor."""
-    return tuple(Column(pattern.format(j), component, j) for j in rotors)
-
-
-def columns_of(rotors: Sequence[int]) -> tuple[Column, ...]:
-    """Return every column after the time of a vehicle with these rotors, in order."""
-    return (
-        *_OF_THE_BODY,
-        *rotor_columns("omega_{}_rad_per_s", "rotors.omega", rotors),
-        *rotor_columns("alpha_{}_rad_per_s2", "rotors.alpha", rotors),
-        *_OF_THE_WHOLE,
-        *rotor_columns("motor_{}_current_A", "rotors.motor_current", rotors),
-        *rotor_columns("motor_{}_voltage_V", "rotors.motor_voltage", rotors),
-        *rotor_columns("motor_{}_torque_N_m", "rotors.motor_torque", rotors),
-    )
-
-
-_OF_THE_BODY = (
-    Column("x_m", "rigid_body.x"),
-    Column("y_m", "rigid_body.y"),
-    Column("z_m", "rigid_body.z"),
-    Column("vx_m_per_s", "rigid_body.vx"),
-    Column("vy_m_per_s", "rigid_body.vy"),
-    Column("vz_m_per_s", "rigid_body.vz"),
-    Column("phi_rad", "rigid_body.phi"),
-    Column("theta_rad", "rigid_body.theta"),
-    Column("psi_rad", "rigid_body.psi"),
-    Column("p_rad_per_s", "rigid_body.p"),
-    Column("q_rad_per_s", "rigid_body.q"),
-    Column("r_rad_per_s", "rigid_body.r"),
-)
-_OF_THE_WHOLE = (
-    Column("thrust_N", "rotors.total_thrust"),
-    Column("power_W", "power.total"),
-    Column(ENERGY, ""),
-    Column(WIND[0], "wind.velocity_x"),
-    Column(WIND[1], "wind.velocity_y"),
-    Column("battery_current_A", "battery.current"),
-    Column("battery_voltage_V", "battery.voltage"),
-    Column("state_of_charge_percent", "battery.state_of_charge"),
-)
-
-#: Those of a quadrotor; the energy is the integral of the flight's power.
-COLUMNS = columns_of(ROTORS)
-
-
-def flight_columns(
-    dynamics: Dynamics, t: FloatArray, states: FloatArray, controls: FloatArray, energy: FloatArray
-) -> dict[str, FloatArray]:
-    """Return the columns of a flight's table.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Of the model that was flown; columns whose component it lacks are left out.
-    t : ndarray, shape (n,)
-        Times [s].
-    states : ndarray, shape (n, n_states)
-    controls : ndarray, shape (n, n_controls)
-    energy : ndarray, shape (n,)
-        Energy spent since the start [J].
-
-    Returns
-    -------
-    dict
-        `TIME` first, then `COLUMNS`.
-    """
-    count = sum(name.startswith(_ROTOR_CONTROL) for name in dynamics.control_names)
-    columns_here = columns_of(range(1, count + 1)) if count else COLUMNS
-    shown = [c for c in columns_here if c.name == ENERGY or dynamics.has(c.component)]
-    keys = tuple((c.component, c.index) for c in shown if c.name != ENERGY)
-    values = dynamics.table(keys, t, states, controls)
-    held = iter(values.T)
-    columns = {c.name: energy if c.name == ENERGY else next(held) for c in shown}
-    return {TIME: t} | columns
-
-
-def flight_frame(
-    dynamics: Dynamics, t: FloatArray, states: FloatArray, controls: FloatArray, energy: FloatArray
-) -> pd.DataFrame:
-    """Return the table of a flight, with the columns of `flight_columns`."""
-    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
-
-    return pd.DataFrame(flight_columns(dynamics, t, states, controls, energy))
-
 
 ARRIVAL_DISTANCE_M = 0.05
 """Miss beyond which a flight has not arrived: a seventh of the paper's vehicle from rotor to

@@ -24,14 +24,8 @@ from pyomo_quad.collocation import (
     real_array,
     split_algebraics,
 )
-from pyomo_quad.flight.flight import (
-    HELD_BREACH,
-    TIME,
-    Flight,
-    Flown,
-    flight_columns,
-    flight_frame,
-)
+from pyomo_quad.flight.columns import TIME, flight_columns, flight_frame
+from pyomo_quad.flight.flight import HELD_BREACH, Flight, Flown
 from pyomo_quad.flight.routes import TriedRoute  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.verification import Passage, Verification, split_at_breaches
 from pyomo_quad.scenario import Scenario, ScenarioError
@@ -530,7 +524,7 @@ class Plan(Summarised):
         Returns
         -------
         DataFrame
-            Columns as in `flight.COLUMNS`.
+            Columns as in `columns.COLUMNS`.
 
         Raises
         ------

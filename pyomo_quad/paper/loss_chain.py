@@ -8,20 +8,11 @@ from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from pyomo_quad.flight.flight import ROTORS, TIME
+from pyomo_quad.flight.columns import ROTORS, TIME
 from pyomo_quad.paper.experiments import PaperFlight
 from pyomo_quad.paper.rotor_map import EfficiencyMap
-from pyomo_quad.report.style import (
-    FULL_WIDTH,
-    INK,
-    MOTOR,
-    MUTED,
-    PALE,
-    POWER,
-    ROTOR_SPEED,
-    ROTOR_STYLES,
-    TORQUE,
-)
+from pyomo_quad.report.signals import MOTOR, POWER, ROTOR_SPEED, TORQUE
+from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, PALE, ROTOR_STYLES
 
 _MAP_COLORS = "YlGnBu"
 _LEVELS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)

@@ -13,7 +13,8 @@ import numpy as np
 
 from pyomo_quad.collocation import Dynamics, Mesh, Solution, SolverOptions, Status
 from pyomo_quad.flight import Planner
-from pyomo_quad.flight.flight import POSITION_STATES, ROTORS
+from pyomo_quad.flight.columns import ROTORS
+from pyomo_quad.flight.flight import POSITION_STATES
 from pyomo_quad.flight.verification import fly_controls
 from pyomo_quad.model import build_model
 from pyomo_quad.paper.experiments import Experiment, paper_scenario

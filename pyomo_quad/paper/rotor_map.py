@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Dynamics
-from pyomo_quad.flight.flight import ROTORS
+from pyomo_quad.flight.columns import ROTORS
 from pyomo_quad.paper.experiments import Experiment, paper_scenario
 from pyomo_quad.paper.readings import Reading
 from pyomo_quad.scenario import Scenario

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from pyomo_quad.flight import Planner
-from pyomo_quad.flight.flight import ENERGY
+from pyomo_quad.flight.columns import ENERGY
 from pyomo_quad.paper.experiments import (
     PAPER_CELL,
     POWER_MODELS,
@@ -25,7 +25,7 @@ from pyomo_quad.paper.experiments import (
 )
 from pyomo_quad.paper.study import PackFacts, PaperStudy
 from pyomo_quad.report.render import NOTHING, fixed, rough
-from pyomo_quad.report.style import BATTERY, POWER
+from pyomo_quad.report.signals import BATTERY, POWER
 from pyomo_quad.scenario import PowerModel, Reference, describe_fields
 from pyomo_quad.study.comparison import settled_energy
 

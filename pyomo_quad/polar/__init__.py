@@ -1,1 +1,1 @@
-"""The polar of a vehicle: what steady flight costs at each airspeed, payload and wind."""
+"""Polar of a vehicle: power of steady flight at each airspeed, payload and wind."""

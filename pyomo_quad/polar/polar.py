@@ -1,4 +1,4 @@
-"""Steady flight at each airspeed, and what follows of it: best speeds, range, endurance, reach.
+"""Steady flight at each airspeed, and the best speeds, range, endurance and reach from it.
 
 Each point is a trim: the declared equations solved for the attitude and the rotor speeds that keep
 level flight at that airspeed, and the power they then give.  In a wind the airspeed is the ground
@@ -30,19 +30,19 @@ COURSE, REACH = "course_deg", "reach_m"
 #: Columns of these and of the table of airspeeds.
 AIRSPEED, POWER, RANGE = "airspeed_m_s", "power_W", "range_m"
 
-_STEP_M_S = 0.5
-_FASTEST_M_S = 40.0
-# Shares of the scenario's mass that are carried besides its own payload.
+_STEP_M_S = 0.5  # between trims; a cubic spline runs through them
+_FASTEST_M_S = 40.0  # of the trims, if no limit of the vehicle ends them before
+# Payloads compared, in addition to the scenario's own: shares of the vehicle's mass.
 _MORE_PAYLOAD = (0.0, 0.1, 0.2)
-# Speeds of the winds that are compared, m/s; the scenario's own comes besides.
+# Speeds of the winds that are compared, m/s, in addition to the scenario's own.
 _WINDS_M_S = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0)
-_DIRECTIONS = 36
-# What stays in a pack whose scenario sets no limit.
+_DIRECTIONS = 36  # every 10 degrees
+# Share of the charge that stays in the pack if the scenario sets no limit: usual practice.
 _LEAST_CHARGE = 0.2
-_SAMPLES = 60
-_SLOWEST_GROUND_SPEED = 0.05
-_NO_WIND = 1e-9
-_TRIALS = 200
+_SAMPLES = 60  # of the state of charge, in the integral of the endurance
+_SLOWEST_GROUND_SPEED = 0.05  # m/s; below, the wind holds the vehicle on the spot
+_NO_WIND = 1e-9  # m/s
+_TRIALS = 200  # ground speeds before the bounded search
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,11 +58,11 @@ class SteadyCurve:
     endurances: FloatArray
 
     def power(self, airspeed: FloatArray | float) -> FloatArray:
-        """Return the power at airspeeds between those solved for, W; infinite beyond the last."""
+        """Interpolate the power at airspeeds [W]; infinite above the greatest airspeed."""
         return self._between(self.powers, airspeed, np.inf)
 
     def endurance(self, airspeed: FloatArray | float) -> FloatArray:
-        """Return the endurance at airspeeds, s; nought beyond the last."""
+        """Interpolate the endurance at airspeeds [s]; zero above the greatest airspeed."""
         return self._between(self.endurances, airspeed, 0.0)
 
     def _between(
@@ -113,7 +113,7 @@ class SteadyCurve:
 
 
 def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray) -> float:
-    """Return where a cost is least: between the neighbours of the best of some trials."""
+    """Return the argument of least cost, between the neighbours of the best trial."""
     best = int(np.argmin(cost(trials)))
     low, high = trials[max(0, best - 1)], trials[min(len(trials) - 1, best + 1)]
     found = minimize_scalar(
@@ -124,9 +124,9 @@ def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray)
 
 @dataclass(frozen=True, kw_only=True)
 class GroundSpeed:
-    """Flight at one ground speed, m/s: airspeed, power [W], endurance [s].
+    """Steady flight at a ground speed [m/s]: airspeed [m/s], power [W], endurance [s].
 
-    The ground speed is nought where the wind lets none be kept.
+    The ground speed is zero if the wind is too strong for the course.
     """
 
     ground_speed: float
@@ -210,7 +210,7 @@ def find_polar(scenario: Scenario) -> Polar:
 
 
 def mean_wind(scenario: Scenario) -> tuple[float, float]:
-    """Return the mean of a wind along world x and y, m/s: that of a profile's reference height."""
+    """Return the mean wind along world x and y [m/s], at the reference height of a profile."""
     wind = scenario.wind
     if wind.series is not None:
         heights = wind.series.heights or (USUAL_HEIGHT,)

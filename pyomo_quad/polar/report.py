@@ -1,8 +1,9 @@
-"""What `polar` writes: tables, a summary, figures and a report.
+"""Report of a polar: tables, summary, figures and text.
 
-The figures are power over airspeed, best speeds over the direction of the wind, the reach map.
+The figures are power over airspeed, best speeds over the direction of the wind, and the reach map.
 """
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,7 @@ def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.SVG) -> N
 
 
 def polar_summary(polar: Polar) -> dict[str, Any]:
-    """Return the speeds, ranges and reaches of a polar, as only JSON can hold them."""
+    """Return the speeds, ranges and reaches of a polar as values for JSON."""
     facts = _facts(polar.own)
     best = facts.pop("best")
     price = polar.scenario.mission.price_of_time
@@ -110,37 +111,32 @@ def _table(curve: SteadyCurve) -> pd.DataFrame:
     )
 
 
-# Slower, the energy per metre grows beyond any axis.
+# Below this airspeed the energy per metre, which grows without bound, is not drawn.
 _SLOWEST_M_S = 2.0
 _KILO = 1e-3
 
 
 def polar_drawings(polar: Polar) -> tuple[Drawing, ...]:
     """List the figures of a polar."""
+    power = (
+        "Level, steady flight in still air for each mass carried. The dots mark the speeds of "
+        "least power, left, and of least energy per metre, right."
+    )
+    wind = (
+        "Over the angle between the course and the direction the wind blows to (0 is a tail wind, "
+        "180 a head wind), for each speed of the wind: the ground speed of least energy per metre "
+        "over the ground, and that energy."
+    )
+    reach = (
+        "Distance out and back on one charge on each course (km), each leg at its best speed, in "
+        "the scenario's mean wind and in still air. The arrow points where the wind blows to; 0 "
+        "degrees is along world x."
+    )
+    title = "Power and energy per metre over airspeed"
     return (
-        Drawing(
-            name="polar",
-            title="Power and energy per metre over airspeed",
-            caption="Level, steady flight in still air for each mass carried. The dots mark the "
-            "speeds of least power, left, and of least energy per metre, right.",
-            draw=lambda: draw_polar(polar),
-        ),
-        Drawing(
-            name="wind",
-            title="The best speeds in wind",
-            caption="Over the angle between the course and where the wind blows to (0 is a tail "
-            "wind, 180 a head wind), for each speed of the wind: the ground speed of least energy "
-            "per metre over the ground, and that energy.",
-            draw=lambda: draw_winds(polar),
-        ),
-        Drawing(
-            name="reach",
-            title="The reach map",
-            caption="How far the pack carries out and back on each course (km), each leg at its "
-            "best speed, in the scenario's mean wind and in still air. "
-            "The arrow points where the wind blows to; 0 degrees is along world x.",
-            draw=lambda: draw_reach(polar),
-        ),
+        Drawing("polar", title, power, partial(draw_polar, polar)),
+        Drawing("wind", "The best speeds in wind", wind, partial(draw_winds, polar)),
+        Drawing("reach", "The reach map", reach, partial(draw_reach, polar)),
     )
 
 
@@ -190,7 +186,7 @@ def draw_winds(polar: Polar) -> Figure:
 
 
 def draw_reach(polar: Polar) -> Figure:
-    """Draw how far out and back the pack carries in every direction."""
+    """Draw the distance out and back on one charge in every direction."""
     figure = Figure(figsize=(FULL_WIDTH, 4.2))
     axes = figure.add_axes((0.25, 0.08, 0.5, 0.84), projection="polar")
     courses = np.radians(polar.reach[COURSE].to_numpy())

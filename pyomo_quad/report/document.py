@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 from pyomo_quad.report import Figures
 from pyomo_quad.report.render import FIGURE_FOLDER, render_markdown
-from pyomo_quad.report.tables import write_summary, write_table
+from pyomo_quad.report.tables import Table, write_summary, write_table
 from pyomo_quad.study.processes import side_by_side
 from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 REPORT_NAME = "report.md"
+PAGE_NAME = "report.html"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Drawing:
     """A figure that can be drawn, and how the report presents it.
 
@@ -33,8 +33,8 @@ class Drawing:
     name: str
     title: str
     caption: str
-    needs: tuple[str, ...] = ()
     draw: Callable[[], "Figure"]
+    needs: tuple[str, ...] = ()
     formats: tuple[str, ...] = Figures.SVG.formats
 
     @property
@@ -54,54 +54,87 @@ def write_study(
     folder: Path,
     template: str,
     *,
-    tables: "Mapping[str, pd.DataFrame] | None" = None,
+    tables: "Mapping[str, Table] | None" = None,
     summary: Mapping[str, Any] | None = None,
     drawings: Iterable[Drawing] = (),
     figures: Figures = Figures.SVG,
+    name: str = REPORT_NAME,
     **values: object,
-) -> None:
-    """Write the report of a study: tables, summary, figures and `report.md`.
+) -> tuple[Drawing, ...]:
+    """Write the report of a study: tables, summary, figures and text.
 
     Parameters
     ----------
     folder : Path
         An existing folder, empty of reports.
     template : str
-        The template of `report.md`, a path below the package.  Beside ``values`` it is given
+        The template of the text, a path below the package.  Beside ``values`` it is given
         ``tables`` (the names of the files), ``drawings`` (those that are wanted, in the wanted
         formats) and ``version``.
-    tables : mapping of str to DataFrame, optional
-        What is written as CSV, by the file's name.
+    tables : mapping of str to DataFrame or mapping, optional
+        Tables to write as CSV, by the file's name.
     summary : mapping, optional
-        What is written as `summary.json`.
+        Values to write as `summary.json`.
     drawings : iterable of Drawing, optional
-        The figures, in the order of the report.
+        The figures, in the order of the report; not iterated if no figures are wanted.
     figures : Figures, optional
         Whether figures are drawn, and in which formats.
+    name : str, optional
+        File of the text.
     **values
-        What the template prints.
+        Values of the template.
+
+    Returns
+    -------
+    tuple of Drawing
+        The figures that were drawn.
     """
     wanted, tables = wanted_drawings(drawings, figures), tables or {}
     with drawn_meanwhile(wanted, folder):
-        for name, table in tables.items():
-            write_table(table, folder / name)
+        for file, table in tables.items():
+            write_table(table, folder / file)
         if summary is not None:
             write_summary(folder, summary)
         write_text(
-            folder / REPORT_NAME,
+            folder / name,
             template,
             tables=tuple(tables),
             drawings=wanted,
             version=__version__,
             **values,
         )
+    return wanted
 
 
-def write_text(file: Path, template: str, **values: object) -> str:
-    """Fill in a template below the package, write the Markdown to a file and return it."""
-    text = render_markdown(template, **values)
-    file.write_text(text, encoding="utf-8")
-    return text
+def write_page(
+    folder: Path,
+    name: str,
+    drawn: Iterable[Drawing],
+    *,
+    is_good: bool,
+    views: Mapping[str, str],
+    data: str,
+) -> None:
+    """Write the text of a report, the file ``name``, and its figures as one HTML file.
+
+    ``is_good``, ``views`` and ``data`` are those of `page.render_html`.
+    """
+    from pyomo_quad.report.page import render_html  # noqa: PLC0415  a solve writes no page
+
+    figures = folder / FIGURE_FOLDER
+    page = render_html(
+        (folder / name).read_text(encoding="utf-8"),
+        is_good=is_good,
+        pictures={one.name: (figures / one.files[0]).read_bytes() for one in drawn},
+        views=views,
+        data=data,
+    )
+    (folder / PAGE_NAME).write_text(page, encoding="utf-8")
+
+
+def write_text(file: Path, template: str, **values: object) -> None:
+    """Fill in a template below the package and write the Markdown to a file."""
+    file.write_text(render_markdown(template, **values), encoding="utf-8")
 
 
 def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:

@@ -30,10 +30,10 @@ _NUMBER_ROOM = 1.28  # the axis goes on past the longest bar for the numbers bes
 def draw_energy_split(
     flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
 ) -> Figure:
-    """Draw bars of the whole energy from zero, and beside it of where the flights differ.
+    """Draw bars of the total energy from zero, and bars of the differences between flights.
 
-    That is the energy above the hover floor, or, where flights take other times and the floors
-    differ too, the energy that each takes more than the first.
+    The difference is the energy above the hover floor; if durations, and so hover floors, differ,
+    it is the energy above that of the first flight.
     """
     height = _EDGES + _ROW * len(flights)
     figure = Figure(figsize=(FULL_WIDTH, height))
@@ -65,7 +65,7 @@ def draw_bars(
     absent: frozenset[str],
     marks: Sequence[float] = (),
 ) -> None:
-    """Draw one bar per flight, the first on top, with its value beside it and beside its mark."""
+    """Draw a bar for each flight, the first on top, with its value to the right of bar and mark."""
     for row, (flight, value) in enumerate(zip(flights, values, strict=True)):
         axes.barh(row, value, **bar_look(flight))
     annotate_bars(axes, values, marks)
@@ -75,15 +75,15 @@ def draw_bars(
 
 
 def absence_note(absent: frozenset[str]) -> str:
-    """Return what the stars behind names mean, if there are any."""
+    """Return the explanation of the stars behind names, empty without any."""
     return ", * did not arrive" if absent else ""
 
 
 def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
-    """Draw one bar per flight for its energy, a panel per scenario, one scale.
+    """Draw the energy of each flight as a bar, in one panel for each scenario, on one scale.
 
-    It is the energy above hovering where the flights of every scenario take one time, else the
-    whole energy: above different hover floors it would rank flights by their time.
+    Bars show the energy above hovering if the flights of each scenario have equal durations, else
+    the total energy: above different hover floors they would rank flights by duration.
     """
     is_above = takes_one_time_each(comparison)
     energies = comparison[ComparisonColumn.EXCESS_ENERGY].astype(float)
@@ -114,13 +114,13 @@ def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
 
 
 def takes_one_time_each(comparison: pd.DataFrame) -> bool:
-    """Say whether the flights of each scenario of a comparison take equal times."""
+    """Return whether the flights of each scenario of a comparison have equal durations."""
     times = comparison.groupby(ComparisonColumn.SCENARIO)[ComparisonColumn.DURATION]
     return bool((times.max() <= times.min() * (1.0 + SAME_TIME)).all())
 
 
 def bar_look(flight: StyledFlight) -> dict[str, Any]:
-    """Return how the bar of a flight looks in every figure."""
+    """Return the keyword arguments of a flight's bar, the same in every figure."""
     style = flight.style
     return {
         "color": style.color,
@@ -132,7 +132,7 @@ def bar_look(flight: StyledFlight) -> dict[str, Any]:
 
 
 def annotate_bars(axes: Axes, values: Sequence[float], marks: Sequence[float] = ()) -> None:
-    """Write each value beside its bar, and beside its mark where that lies further out."""
+    """Write each value to the right of its bar, or of its mark if that lies further out."""
     beside = [max(ends) for ends in zip_longest(values, marks, fillvalue=0.0)]
     _write_values(axes, values, beside)
     _make_room(axes, [*values, *marks])

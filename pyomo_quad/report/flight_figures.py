@@ -1,6 +1,7 @@
-"""The figures of a plan or a run, one function each; of several flights the optimum is first."""
+"""Figures of a plan or a run, one function each; the first of several flights is the optimum."""
 
 from collections.abc import Sequence
+from itertools import chain
 from math import ceil, isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from pyomo_quad.flight.flight import ROTORS
+from pyomo_quad.flight.columns import ROTORS
 from pyomo_quad.report.energy_bars import (
     BAR_WIDTH,
     absence_note,
@@ -19,31 +20,33 @@ from pyomo_quad.report.energy_bars import (
     draw_bars,
 )
 from pyomo_quad.report.paths import distinct_paths, draw_space
-from pyomo_quad.report.style import (
+from pyomo_quad.report.signals import (
     ATTITUDE,
     BATTERY,
     BODY_RATE,
     ENERGY,
-    FULL_WIDTH,
-    INK,
-    LEGEND_COLUMNS,
     MOTOR,
-    MUTED,
     POSITION,
     POWER,
     ROTOR_ACCELERATION,
     ROTOR_SPEED,
-    ROTOR_STYLES,
-    SERIES_STYLES,
     STATE_GRID,
-    TICK_STEPS,
     TIME,
     VELOCITY,
     WIND,
+)
+from pyomo_quad.report.style import (
+    FULL_WIDTH,
+    INK,
+    LEGEND_COLUMNS,
+    MUTED,
+    ROTOR_STYLES,
+    SERIES_STYLES,
+    TICK_STEPS,
     LineStyle,
-    Signal,
     StyledFlight,
     draw_over_time,
+    draw_panels,
     flight_styles,
     keep_span,
     label_time,
@@ -72,7 +75,7 @@ if TYPE_CHECKING:
 _CENTIMETRES = 100.0
 _SMALLEST_ERROR = 1.0  # cm
 _SMALLEST_DISTURBANCE = 0.1  # m/s^2
-# With adaptation it is the flight of that name in the other figures.
+# The flight with adaptation has its style of the other figures.
 _WITH = flight_styles((FAIR_BASELINE,))[FAIR_BASELINE]
 _WITHOUT = LineStyle(color=MUTED, dashes=(4.5, 1.6))
 
@@ -107,13 +110,9 @@ def _draw_disturbance(
 
 
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw what the flights ask of the pack."""
+    """Draw voltage, current and state of charge of the battery."""
     figure, panels = panel_grid(1, 3, panel_height=1.7, legend_entries=len(flights))
-    for axes, signal in zip(panels.flat, BATTERY, strict=True):
-        for flight in flights:
-            draw_over_time(axes, flight.frame, signal, flight.style, flight.name)
-        axes.set_title(signal.title)
-        keep_span([axes], signal.smallest_span)
+    draw_panels(panels.flat, BATTERY, flights)
     label_time(panels.flat, last_end(flights))
     legend_below(figure, panels[0, 0])
     return figure
@@ -122,10 +121,8 @@ def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
 def draw_controls(flights: Sequence[StyledFlight]) -> Figure:
     """Draw the acceleration of each rotor in its own panel, all on one scale."""
     figure, panels = panel_grid(2, 2, panel_height=1.25, legend_entries=len(flights))
-    for axes, signal in zip(panels.flat, ROTOR_ACCELERATION, strict=True):
-        for flight in flights:
-            draw_over_time(axes, flight.frame, signal, flight.style, flight.name)
-        axes.set_title(signal.title)
+    draw_panels(panels.flat, ROTOR_ACCELERATION, flights)
+    for axes in panels.flat:
         axes.axhline(0.0, color=MUTED, linewidth=0.6, zorder=1)
     keep_span(panels.flat, ROTOR_ACCELERATION[0].smallest_span)
     label_time(panels[-1], last_end(flights))
@@ -143,7 +140,7 @@ _GROUPS = (
     (ROTOR_SPEED, "Rotors", "mJ s/rad", 1e3),
 )
 _SMALLEST_PRICE = 1e-2
-# In the line of the title, so that it hides nothing.
+# In the line of the title, where no curve is.
 _LEGEND: dict[str, Any] = {
     "loc": "lower right",
     "bbox_to_anchor": (1.0, 0.98),
@@ -156,14 +153,9 @@ _LEGEND: dict[str, Any] = {
 _SMALLEST_POWER = 0.1  # W
 
 
-def costate_name(state: Signal) -> str:
-    """Return the name of a state in the plan's table of costates."""
-    return state.component if state.index is None else f"{state.component}[{state.index}]"
-
-
 #: Columns of the plan's table of costates that the figure shows.
 COSTATES = (
-    *(costate_name(state) for group in _GROUPS for state in group[0]),
+    *(state.variable for group in _GROUPS for state in group[0]),
     HAMILTONIAN,
 )
 
@@ -174,46 +166,38 @@ def draw_costates(costates: pd.DataFrame, duration: float) -> Figure:
     time = TIME.of(costates)
     for axes, (states, title, unit, scale) in zip(panels.flat, _GROUPS, strict=False):
         for state, style in zip(states, ROTOR_STYLES, strict=False):
-            price = costates[costate_name(state)].to_numpy() * scale
+            price = costates[state.variable].to_numpy() * scale
             axes.plot(time, price, label=f"${state.symbol}$", **style.line)
-        _finish(axes, f"{title} ({unit})", _SMALLEST_PRICE)
+        axes.set_title(f"{title} ({unit})")
+        keep_span([axes], _SMALLEST_PRICE)
         axes.legend(**_LEGEND)
     last = panels[-1, -1]
     last.plot(time, costates[HAMILTONIAN].to_numpy(), **ROTOR_STYLES[0].line)
-    _finish(last, "Hamiltonian $H$ (W)", _SMALLEST_POWER)
+    last.set_title("Hamiltonian $H$ (W)")
+    keep_span([last], _SMALLEST_POWER)
     label_time(panels[-1], duration)
     return figure
 
 
-def _finish(axes: Axes, title: str, smallest_span: float) -> None:
-    axes.set_title(title)
-    keep_span([axes], smallest_span)
-
-
 _ABOVE_HOVER_TITLE = r"$E - P_\mathrm{hover}\,t$, energy above hovering (J)"
-# Peaks are what a flight spends less than this share of its time in.
+# Values of power outside these quantiles are peaks.
 _PEAK_SHARE = 0.05
 _WORTH_CUTTING = 2.0
 _PEAK_MARGIN = 0.1
-# Curves nearer than this share of their range cannot be told apart.
+# Difference of two curves, relative to their range, below which they look like one.
 _COINCIDENT = 0.01
 _HOVER_LINE: dict[str, Any] = {"color": MUTED, "linewidth": 1.0, "linestyle": (0, (1, 1))}
 
 
 def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
-    """Draw power, energy, and energy above hovering, over each other, to the last flight's end."""
+    """Draw power, energy, and energy above hovering, in three panels with one time axis."""
     figure, panels = panel_grid(3, 1, panel_height=1.5, legend_entries=1 + len(flights))
     hover_power, end = hover_energy_J / flights[0].duration_s, last_end(flights)
     power, energy, above = panels[:, 0]
     power.axhline(hover_power, label="hovering", **_HOVER_LINE)
     energy.plot([0.0, end], [0.0, hover_power * end], **_HOVER_LINE)
-    for flight in flights:
-        draw_over_time(power, flight.frame, POWER, flight.style, flight.name)
-        draw_over_time(energy, flight.frame, ENERGY, flight.style, flight.name)
+    draw_panels((power, energy), (POWER, ENERGY), flights)
     draw_above_hover(above, flights, hover_power)
-    for axes, signal in ((power, POWER), (energy, ENERGY)):
-        axes.set_title(signal.title)
-        keep_span([axes], signal.smallest_span)
     _cut_peaks(power, flights)
     label_time(panels[-1], end)
     legend_below(figure, power)
@@ -221,7 +205,7 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
 
 
 def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W: float) -> None:
-    """Draw the energy spent until each time, less what hovering until then takes."""
+    """Draw the energy spent until each time, less the energy of hovering until then."""
     axes.axhline(0.0, **_HOVER_LINE)
     for flight in flights:
         time, energy = TIME.of(flight.frame), ENERGY.of(flight.frame)
@@ -231,7 +215,7 @@ def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W:
 
 
 def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights whose short peaks leave the panel of the power."""
+    """Return the flights whose short peaks exceed the panel of power."""
     window = _power_window(flights)
     if window is None:
         return ()
@@ -263,7 +247,10 @@ def coinciding_flights(
 
 
 def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None:
-    """Return what the panel of the power shows where a baseline's peaks would flatten all else."""
+    """Return the range of the panel of power [W] if peaks of a baseline would flatten the rest.
+
+    None if the panel can show all values.
+    """
     optimum, *others = powers = [POWER.of(flight.frame) for flight in flights]
     ends = [optimum.min(), optimum.max()]
     for power in others:
@@ -278,7 +265,7 @@ def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None
 
 
 def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
-    """Let the short peaks of a baseline leave the panel, where they would flatten all else."""
+    """Cut the short peaks of a baseline off if they would flatten the other curves."""
     window = _power_window(flights)
     if window is not None:
         axes.set_ylim(*window)
@@ -349,10 +336,10 @@ def draw_overview(
     absent: frozenset[str],
     mission: "Scenario",
 ) -> Figure:
-    """Draw the paths in space beside the energy over time, to each flight's end, and in total.
+    """Draw the paths in space, the energy of each flight over time, and the total energies.
 
-    Over time it is the energy above hovering, which tells more apart, but only where all flights
-    take one time: at the ends of different times lie different hover floors.
+    Over time the figure shows the energy above hovering, which separates the curves better, if all
+    durations are equal; otherwise the hover floors differ, and it shows the energy.
     """
     figure = Figure(figsize=(FULL_WIDTH, _HEIGHT))
     space = figure.add_axes((0.0, 0.12, 0.46, 0.88), projection="3d")
@@ -383,9 +370,9 @@ _LEG_ROW = 0.2  # inches
 
 
 def draw_way(flights: Sequence[StyledFlight], mission: "Scenario") -> Figure:
-    """Draw the speed over the way flown, and the energy of each leg of the first flight.
+    """Draw the speed over the path length, and the energy of each leg of the first flight.
 
-    The mission has the times at which that flight passes its waypoints.
+    ``mission`` has the passing times of that flight.
     """
     optimum, legs = flights[0], leg_table(mission, flights[0].frame)
     below = 0.45 + 0.2 * ceil(len(flights) / LEGEND_COLUMNS)
@@ -460,12 +447,7 @@ def draw_states(flights: Sequence[StyledFlight]) -> Figure:
     figure, panels = panel_grid(
         4, 4, panel_height=1.15, gap=0.52, left=0.42, legend_entries=len(flights)
     )
-    for row, signals in zip(panels, STATE_GRID, strict=True):
-        for axes, signal in zip(row, signals, strict=True):
-            for flight in flights:
-                draw_over_time(axes, flight.frame, signal, flight.style, flight.name)
-            axes.set_title(signal.title)
-            keep_span([axes], signal.smallest_span)
+    draw_panels(panels.flat, chain(*STATE_GRID), flights)
     keep_span(panels[:, -1], STATE_GRID[0][-1].smallest_span)
     label_time(panels[-1], last_end(flights))
     legend_below(figure, panels[0, 0])
@@ -482,13 +464,13 @@ def draw_column(flight: StyledFlight, column: str) -> Figure:
     return figure
 
 
-# The wind is no flight: it has none of their colours.
+# Wind has other colours than flights.
 _WIND = LineStyle(color=INK, width=1.9)
 _FORECAST = LineStyle(color=MUTED, dashes=(4.5, 1.6))
 
 
 def draw_wind(told: StyledFlight, flown: StyledFlight | None = None) -> Figure:
-    """Draw both components of the wind, and the forecast where one differs from it."""
+    """Draw both components of the wind, and of the forecast if there is one."""
     figure, panels = panel_grid(1, 2, panel_height=1.5, legend_entries=0 if flown is None else 2)
     forecast = [] if flown is None else [("forecast", told, _FORECAST)]
     winds = [("wind", told if flown is None else flown, _WIND), *forecast]
@@ -505,5 +487,5 @@ def draw_wind(told: StyledFlight, flown: StyledFlight | None = None) -> Figure:
 
 
 def is_calm(*flights: StyledFlight) -> bool:
-    """Return whether no wind blows in any of the flights, so that there is nothing to draw."""
+    """Return whether all flights are in calm air."""
     return not any(signal.of(flight.frame).any() for flight in flights for signal in WIND)

@@ -1,13 +1,14 @@
-"""Which figures a report holds, in which order, and what stands under them."""
+"""Lists of the figures of a report, in order, with their captions."""
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from pyomo_quad.report import Figures
-from pyomo_quad.report.document import Drawing, wanted_drawings
+from pyomo_quad.flight.columns import Column
+from pyomo_quad.report.document import Drawing
 from pyomo_quad.report.energy_bars import (
     draw_energy_by_scenario,
     draw_energy_split,
@@ -39,10 +40,9 @@ from pyomo_quad.report.paths import (
     leaving_paths,
     script_json,
     view_data,
-    view_markup,
 )
-from pyomo_quad.report.render import fixed
-from pyomo_quad.report.style import (
+from pyomo_quad.report.render import environment, fixed
+from pyomo_quad.report.signals import (
     BATTERY,
     ENERGY,
     MOTOR,
@@ -52,7 +52,8 @@ from pyomo_quad.report.style import (
     STATE_GRID,
     VELOCITY,
     WIND,
-    Signal,
+)
+from pyomo_quad.report.style import (
     StyledFlight,
     fair_pair,
     plan_flight,
@@ -71,26 +72,22 @@ FRONT_FIGURE = "front"
 
 
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
-    """List the figures of a plan, whose flight comes first, with what else was flown beside it.
+    """List the figures of a plan, whose flight comes first, with those flown beside it.
 
-    Left out is what a model of the user's own does not declare, what a failed solve left without a
-    number, and a wind that does not blow.
+    Figures are left out if a user's model does not declare their columns, if a failed solve left
+    no numbers for them, and for a wind that does not blow.
     """
     has_forecast = plan.scenario.wind.forecast is not None
     blowing = flights[1] if has_forecast and len(flights) > 1 else None
-    mission = plan.mission_flown
+    mission, tolerance = plan.mission_flown, plan.scenario.solver.tolerance
+    way = (_way(flights, mission),) if _has_way(plan.scenario) else ()
+    mesh = partial(draw_mesh, plan.history, plan.mesh, tolerance, flights[0].duration_s)
+    caption = "Left: the error estimate on each mesh. Right: the last mesh."
     return (
         *flight_drawings(flights, plan.hover_energy_J, blowing, mission),
-        *(_way(flights, mission) if _has_way(plan.scenario) else ()),
+        *(one for one in way if set(one.needs) <= set(flights[0].frame)),
         *(_costates(plan) if plan.verification is not None else ()),
-        Drawing(
-            name="mesh",
-            title="Mesh",
-            caption="Left: the error estimate on each mesh. Right: the last mesh.",
-            draw=lambda: draw_mesh(
-                plan.history, plan.mesh, plan.scenario.solver.tolerance, flights[0].duration_s
-            ),
-        ),
+        Drawing("mesh", "Mesh", caption, mesh),
     )
 
 
@@ -102,12 +99,13 @@ def flight_drawings(
 ) -> tuple[Drawing, ...]:
     """List the figures that the tables of flights hold.
 
-    ``blowing`` met another wind than told; ``mission`` has the passing times of its plan.
+    ``blowing`` is a flight in another wind than the plan's forecast; ``mission`` has the passing
+    times of its plan.
     """
     frame = flights[0].frame
     finite = {name for name in frame if np.isfinite(frame[name]).all()}
     drawings = (
-        *(_path(flights, mission) if finite.issuperset(_columns(POSITION)) else ()),
+        *((_path(flights, mission),) if finite.issuperset(_columns(POSITION)) else ()),
         *_motion(flights),
         *_supply(flights, hover_energy_J),
         *_wind(flights[0], blowing),
@@ -117,7 +115,7 @@ def flight_drawings(
 
 def column_drawing(flight: StyledFlight, column: str) -> Drawing:
     """Return the figure of one column of a flight's table against time."""
-    return Drawing(name=column, title=column, caption="", draw=lambda: draw_column(flight, column))
+    return Drawing(column, column, "", partial(draw_column, flight, column))
 
 
 def comparison_drawings(
@@ -126,105 +124,100 @@ def comparison_drawings(
     absent: frozenset[str],
     mission: "Scenario",
 ) -> tuple[Drawing, ...]:
-    """List the figures that set flights against each other, the optimum first.
+    """List the figures that compare flights, the optimum first.
 
-    ``absent`` names those that did not arrive; ``mission`` has the zones. A model of the
-    user's own without positions has no such figures.
+    ``absent`` names the flights that did not arrive; ``mission`` has the zones.  A user's model
+    without positions has no such figures.
     """
     if not set(_columns(POSITION)) <= set(flights[0].frame):
         return ()
     is_timed_alike = take_one_time(flights)
     over_time = "the energy that each flight has spent"
+    beyond = f"how much more energy each takes than {flights[0].name}, whatever their times"
     if is_timed_alike:
         over_time += " more than hovering until then"
+        beyond = "the energy above the hover floor"
+    overview = (
+        "Left: the paths, from start (dot) to goal (star), to one scale along all "
+        f"axes.{_zones(mission)} Right: {over_time}, and below the total energy, with what its "
+        "end state owes; the line in a bar is the energy of hovering for as long."
+        f"{left_out(flights)}{_coinciding(flights, hover_energy_J if is_timed_alike else 0.0)}"
+    )
+    split = (
+        "Left: energy of each flight with what its end state owes, split at the energy of "
+        f"hovering for as long.{_undercut(flights, hover_energy_J)} Right: {beyond}."
+    )
+    given = flights, hover_energy_J, absent
+    draw_glance = partial(draw_overview, *given, mission)
+    draw_split = partial(draw_energy_split, *given)
     return (
-        Drawing(
-            name="overview",
-            title="The run at a glance",
-            caption="Left: the paths, from start (dot) to goal (star), to one scale along all "
-            f"axes.{_zones(mission)} Right: {over_time}, and below the total energy, with what its "
-            "end state owes; the line in a bar is what hovering for as long takes."
-            f"{left_out(flights)}"
-            f"{_coinciding(flights, hover_energy_J if is_timed_alike else 0.0)}",
-            draw=lambda: draw_overview(flights, hover_energy_J, absent, mission),
-        ),
-        Drawing(
-            name="energy_split",
-            title="Energy of each flight",
-            caption="Left: energy of each flight with what its end state owes, split at what "
-            f"hovering for as long takes.{_undercut(flights, hover_energy_J)} Right: "
-            + ("what lies above that." if is_timed_alike else f"{_more_than(flights[0])}."),
-            draw=lambda: draw_energy_split(flights, hover_energy_J, absent),
-        ),
+        Drawing("overview", "The run at a glance", overview, draw_glance),
+        Drawing("energy_split", "Energy of each flight", split, draw_split),
     )
 
 
 def adaptation_drawing(study: pd.DataFrame) -> Drawing:
-    """Return the figure of what adaptation is worth, from an `adaptation_study`."""
-    return Drawing(
-        name="adaptation",
-        title="Adaptation to the wind",
-        caption="The adaptive controller is not told the wind. Left: its distance from its "
-        "reference, with adaptation and without. Right: the force of the wind over the mass, and "
-        "what adaptation made of it.",
-        draw=lambda: draw_adaptation(study),
+    """Return the figure of the effect of adaptation, from an `adaptation_study`."""
+    caption = (
+        "The adaptive controller is not told the wind. Left: its distance from its reference, with "
+        "adaptation and without. Right: the force of the wind over the mass, and its estimate by "
+        "the adaptation."
     )
+    return Drawing("adaptation", "Adaptation to the wind", caption, partial(draw_adaptation, study))
 
 
 def front_drawing(front: pd.DataFrame) -> Drawing:
     """Return the figure of an energy-time front."""
-    return Drawing(
-        name=FRONT_FIGURE,
-        title="Energy against time",
-        caption="The least energy for each price of a second, with the plan marked (star): no "
-        "flight on the plan's route is both shorter and cheaper.",
-        draw=lambda: draw_front(front),
+    caption = (
+        "The least energy for each price of a second, with the plan marked (star): no flight on "
+        "the plan's route is both shorter and cheaper."
     )
+    return Drawing(FRONT_FIGURE, "Energy against time", caption, partial(draw_front, front))
 
 
-def drawings_of_solve(plan: "Plan", figures: Figures) -> tuple[Drawing, ...]:
-    """List what the report of a plan alone shows."""
-    return wanted_drawings(plan_drawings(plan, styled_flights([plan_flight(plan)])), figures)
+def drawings_of_solve(plan: "Plan") -> tuple[Drawing, ...]:
+    """List the figures in the report of a plan alone."""
+    return plan_drawings(plan, styled_flights([plan_flight(plan)]))
 
 
-def drawings_of_run(result: "RunResult", figures: Figures) -> tuple[tuple[Drawing, ...], ...]:
-    """List what the report of a run shows.
+def drawings_of_run(result: "RunResult") -> tuple[Drawing, ...]:
+    """List the figures in the report of a run.
 
-    That is the flights beside each other, what adaptation and time are worth, and the plan.
+    First come those of the flights beside each other, then those of the effect of adaptation and
+    of the price of time, then those of the plan.
     """
     flights = _styled(result)
-    return tuple(
-        wanted_drawings(part, figures)
-        for part in (
-            _comparison(result, flights),
-            (
-                *(() if result.adaptation is None else (adaptation_drawing(result.adaptation),)),
-                *((front_drawing(result.front),) if len(result.front) > 1 else ()),
-            ),
-            plan_drawings(result.plan, flights),
-        )
+    return (
+        *_comparison(result, flights),
+        *(() if result.adaptation is None else (adaptation_drawing(result.adaptation),)),
+        *((front_drawing(result.front),) if len(result.front) > 1 else ()),
+        *plan_drawings(result.plan, flights),
     )
 
 
-def drawings_of_comparison(comparison: pd.DataFrame, figures: Figures) -> tuple[Drawing, ...]:
-    """List what the comparison of many scenarios shows: the energies of their flights."""
-    energy = "Energy above hovering for the same time, with what"
+def drawings_of_comparison(comparison: pd.DataFrame) -> tuple[Drawing]:
+    """List the figures in the comparison of many scenarios: the energies of their flights."""
+    energy = "Energy above hovering for the same time"
     if not takes_one_time_each(comparison):
-        energy = "Total energy, with what"
-    drawing = Drawing(
-        name="energy_compared",
-        title="Energy of each flight",
-        caption=f"{energy} the end state owes: one panel for each scenario. A flight that did not "
-        "arrive is pale.",
-        draw=lambda: draw_energy_by_scenario(comparison),
+        energy = "Total energy"
+    caption = (
+        f"{energy}, with what the end state owes: one panel for each scenario. A flight that did "
+        "not arrive is pale."
     )
-    return wanted_drawings([drawing], figures)
+    draw = partial(draw_energy_by_scenario, comparison)
+    return (Drawing("energy_compared", "Energy of each flight", caption, draw),)
 
 
-def view_of_paths(result: "RunResult") -> tuple[dict[str, str], str]:
-    """Return the player of the flight, by the picture that it stands above, and what it plays."""
+def view_of_paths(result: "RunResult", drawn: Sequence[Drawing]) -> tuple[dict[str, str], str]:
+    """Return the player of the flights, by the figure it stands above, and its data as JSON.
+
+    Both are empty if the figure of the paths is not among those drawn.
+    """
+    if PATH_NAME not in [drawing.name for drawing in drawn]:
+        return {}, ""
     played = view_data(_styled(result), result.plan.scenario.airspace)
-    return {PATH_NAME: view_markup()}, script_json(played)
+    markup = environment().get_template("report/view.html.j2").render()
+    return {PATH_NAME: markup}, script_json(played)
 
 
 def _styled(result: "RunResult") -> tuple[StyledFlight, ...]:
@@ -241,24 +234,18 @@ def _comparison(result: "RunResult", flights: tuple[StyledFlight, ...]) -> tuple
     return comparison_drawings(flights, result.plan.hover_energy_J, absent, mission)
 
 
-def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> tuple[Drawing]:
-    optimum, distinct = flights[0], distinct_paths(flights)
-    beat = optimum.duration_s / BEAT_COUNT
-    course = "" if mission is None else _course(mission)
-    return (
-        Drawing(
-            name=PATH_NAME,
-            title="Path",
-            caption="Paths from start (dot) to goal (star), to one scale along all axes of a view, "
-            f"with a mark every {beat:.3g} s."
-            f"{course}{left_out(flights)}",
-            draw=lambda: draw_path(distinct, mission),
-        ),
+def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> Drawing:
+    distinct, beat = distinct_paths(flights), flights[0].duration_s / BEAT_COUNT
+    caption = (
+        "Paths from start (dot) to goal (star), to one scale along all axes of a view, with a mark "
+        f"every {beat:.3g} s.{'' if mission is None else _course(mission)}{left_out(flights)}"
     )
+    draw = partial(draw_path, distinct, mission)
+    return Drawing(PATH_NAME, "Path", caption, draw, _columns(POSITION))
 
 
 def _course(mission: "Scenario") -> str:
-    """Say what of a mission stands in the picture of its paths, and what lies beyond."""
+    """Return the words on waypoints, zones and limits in the figure of the paths."""
     airspace, said = mission.airspace, ""
     if mission.mission.waypoints:
         said += " Crosses: the waypoints, with the times at which the plan passes them."
@@ -271,37 +258,33 @@ def _course(mission: "Scenario") -> str:
 
 
 def _zones(mission: "Scenario") -> str:
-    """Name the keep-outs of a picture in space; empty where there are none."""
+    """Return the words that name the keep-outs in a figure, empty without any."""
     named = ", ".join(zone.name for zone in mission.airspace.keep_out)
     return f" Red: the keep-outs ({named})." if named else ""
 
 
 def _has_way(scenario: "Scenario") -> bool:
-    """Say whether a mission asks for more than to get from start to goal in a given time."""
+    """Return whether a mission has a free duration, waypoints, zones or a speed limit."""
     mission, airspace = scenario.mission, scenario.airspace
     has_more = mission.is_free or mission.waypoints or airspace.keep_out
     return bool(has_more or scenario.limits.speed_max)
 
 
-def _way(flights: Sequence[StyledFlight], mission: "Scenario") -> tuple[Drawing, ...]:
-    if not set(_columns(POSITION, VELOCITY, (ENERGY,))) <= set(flights[0].frame):
-        return ()
-    waypoints = mission.mission.waypoints
-    legs = " Right: what each leg of the optimal flight takes." if waypoints else ""
-    marks = " Dotted: where the optimal flight passes the waypoints." if waypoints else ""
-    return (
-        Drawing(
-            name="way",
-            title="Speed and energy over the way",
-            caption=f"{'Left: s' if waypoints else 'S'}peed over the way flown.{marks}{legs}"
-            f"{left_out(flights)}",
-            draw=lambda: draw_way(distinct_paths(flights), mission),
-        ),
-    )
+def _way(flights: Sequence[StyledFlight], mission: "Scenario") -> Drawing:
+    caption = "Speed over the way flown."
+    if mission.mission.waypoints:
+        caption = (
+            "Left: speed over the way flown. Dotted: where the optimal flight passes the "
+            "waypoints. Right: energy of each leg of the optimal flight."
+        )
+    needs = _columns(POSITION, VELOCITY, (ENERGY,))
+    draw = partial(draw_way, distinct_paths(flights), mission)
+    title = "Speed and energy over the way"
+    return Drawing("way", title, f"{caption}{left_out(flights)}", draw, needs)
 
 
 def left_out(flights: Sequence[StyledFlight]) -> str:
-    """Say under a picture of paths which of them are not, or not all, in it; empty if all are."""
+    """Return the words that name paths left out of a figure or cut off; empty without any."""
     said = ""
     distinct, astray = distinct_paths(flights), leaving_paths(flights)
     near = [flight for flight in flights if flight not in distinct]
@@ -314,52 +297,38 @@ def left_out(flights: Sequence[StyledFlight]) -> str:
 
 def _motion(flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
     pair = fair_pair(flights)
-    optimum = flights[0]
+    states = f"The sixteen states: {_listed(pair)}.{_not_drawn(flights, pair)}"
+    controls = f"The four controls, accelerations of the rotors: {_optimum_alone(flights)}"
     return (
+        Drawing("states", "States", states, partial(draw_states, pair), _columns(*STATE_GRID)),
         Drawing(
-            name="states",
-            title="States",
-            caption=f"The sixteen states: {_listed(pair)}.{_not_drawn(flights, pair)}",
-            needs=_columns(*STATE_GRID),
-            draw=lambda: draw_states(pair),
-        ),
-        Drawing(
-            name="controls",
-            title="Controls",
-            caption=f"The four controls, accelerations of the rotors: {optimum.name}."
-            f"{_not_drawn(flights, flights[:1])}",
-            needs=_columns(ROTOR_ACCELERATION),
-            draw=lambda: draw_controls([optimum]),
+            "controls",
+            "Controls",
+            controls,
+            partial(draw_controls, flights[:1]),
+            _columns(ROTOR_ACCELERATION),
         ),
     )
 
 
 def _supply(flights: Sequence[StyledFlight], hover_energy_J: float) -> tuple[Drawing, ...]:
-    optimum, pair = flights[0], fair_pair(flights)
-    return (
-        Drawing(
-            name="energy",
-            title="Power and energy",
-            caption="Power, energy, and energy above what hovering until then would have taken."
-            f"{_own_floors(flights)}{_cut(flights)}{_coinciding(flights, hover_energy_J)}",
-            needs=_columns((POWER, ENERGY)),
-            draw=lambda: draw_energy(flights, hover_energy_J),
-        ),
-        Drawing(
-            name="motors",
-            title="Motors",
-            caption=f"The four motors: {optimum.name}.{_not_drawn(flights, flights[:1])}",
-            needs=_columns(*MOTOR),
-            draw=lambda: draw_rotors(optimum),
-        ),
-        Drawing(
-            name="battery",
-            title="Battery",
-            caption=f"The battery: {_listed(pair)}.{_not_drawn(flights, pair)}",
-            needs=_columns(BATTERY),
-            draw=lambda: draw_battery(pair),
-        ),
+    pair = fair_pair(flights)
+    energy = (
+        "Power, energy, and energy above hovering until then."
+        f"{_own_floors(flights)}{_cut(flights)}{_coinciding(flights, hover_energy_J)}"
     )
+    motors = f"The four motors: {_optimum_alone(flights)}"
+    battery = f"The battery: {_listed(pair)}.{_not_drawn(flights, pair)}"
+    draw_energies = partial(draw_energy, flights, hover_energy_J)
+    return (
+        Drawing("energy", "Power and energy", energy, draw_energies, _columns((POWER, ENERGY))),
+        Drawing("motors", "Motors", motors, partial(draw_rotors, flights[0]), _columns(*MOTOR)),
+        Drawing("battery", "Battery", battery, partial(draw_battery, pair), _columns(BATTERY)),
+    )
+
+
+def _optimum_alone(flights: Sequence[StyledFlight]) -> str:
+    return f"{flights[0].name}.{_not_drawn(flights, flights[:1])}"
 
 
 def _wind(optimum: StyledFlight, blowing: StyledFlight | None) -> tuple[Drawing, ...]:
@@ -367,19 +336,12 @@ def _wind(optimum: StyledFlight, blowing: StyledFlight | None) -> tuple[Drawing,
     is_declared = all(set(_columns(WIND)) <= set(flight.frame) for flight in shown)
     if not is_declared or is_calm(*shown):
         return ()
-    return (
-        Drawing(
-            name="wind",
-            title="Wind",
-            caption="The wind over the flight, in world axes.",
-            needs=_columns(WIND),
-            draw=lambda: draw_wind(optimum, blowing),
-        ),
-    )
+    caption = "The wind over the flight, in world axes."
+    return (Drawing("wind", "Wind", caption, partial(draw_wind, optimum, blowing), _columns(WIND)),)
 
 
 def _own_floors(flights: Sequence[StyledFlight]) -> str:
-    """Warn of comparing the ends of curves above hovering where they lie at different times."""
+    """Return the warning that flights of different durations have different hover floors."""
     if take_one_time(flights):
         return ""
     return (
@@ -388,13 +350,9 @@ def _own_floors(flights: Sequence[StyledFlight]) -> str:
     )
 
 
-def _more_than(flight: StyledFlight) -> str:
-    return f"how much more each takes than {flight.name}, whatever their times"
-
-
 def _cut(flights: Sequence[StyledFlight]) -> str:
-    """Say whose peaks the panel of the power leaves out, and how far they go."""
-    if POWER.column not in flights[0].frame:
+    """Return the words that name the flights with cut-off peaks of power, and their ranges."""
+    if POWER.name not in flights[0].frame:
         return ""
     peaks = [
         f"{flight.name} ({fixed(power.min(), 1)} to {fixed(power.max(), 1)} W)"
@@ -405,8 +363,8 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
 
 
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
-    """Say whose energy cannot be told from the optimum's."""
-    if ENERGY.column not in flights[0].frame:
+    """Return the words that name the flights whose energy curve lies on the optimum's."""
+    if ENERGY.name not in flights[0].frame:
         return ""
     same = coinciding_flights(flights, hover_energy_J / flights[0].duration_s)
     if not same:
@@ -415,14 +373,14 @@ def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
 
 
 def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
-    """Say what the bars show of flights below the hover floor, where there are any."""
+    """Return the explanation of bars below the hover floor, empty without any."""
     hover_power = hover_energy_J / flights[0].duration_s
     is_below = any(flight.energy_J < hover_power * flight.duration_s for flight in flights)
     return " Colour within the grey is what a flight takes less." if is_below else ""
 
 
 def _not_drawn(flights: Sequence[StyledFlight], drawn: Sequence[StyledFlight]) -> str:
-    """Say which flights of a run a figure leaves to the table."""
+    """Return the words that name the flights that a figure leaves out."""
     rest = [flight for flight in flights if flight not in drawn]
     return f" Not drawn: {_listed(rest)}." if rest else ""
 
@@ -431,19 +389,16 @@ def _costates(plan: "Plan") -> tuple[Drawing, ...]:
     costates = plan.costate_frame()
     if not set(COSTATES) <= set(costates):
         return ()
-    return (
-        Drawing(
-            name="costates",
-            title="Costates and Hamiltonian",
-            caption="Costates: what a small change of each state would cost from there on. The "
-            "Hamiltonian varies only as the wind does; in calm air it is constant.",
-            draw=lambda: draw_costates(costates, plan.duration_s),
-        ),
+    caption = (
+        "Costates: the change of the least energy from there on with a small change of each state. "
+        "The Hamiltonian varies only as the wind does; in calm air it is constant."
     )
+    draw = partial(draw_costates, costates, plan.duration_s)
+    return (Drawing("costates", "Costates and Hamiltonian", caption, draw),)
 
 
-def _columns(*groups: Iterable[Signal]) -> tuple[str, ...]:
-    return tuple(signal.column for group in groups for signal in group)
+def _columns(*groups: Iterable[Column]) -> tuple[str, ...]:
+    return tuple(signal.name for group in groups for signal in group)
 
 
 def _listed(flights: Sequence[StyledFlight]) -> str:

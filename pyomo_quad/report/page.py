@@ -1,4 +1,4 @@
-"""A report's Markdown as one self-contained HTML file."""
+"""Conversion of a report's Markdown into one self-contained HTML file."""
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
@@ -70,7 +70,7 @@ def _label(inline: Token) -> str:
 
 
 def _role(tokens: Sequence[Token], at: int) -> str:
-    """Say what the paragraph that starts here is for: a picture, its caption, or a table's."""
+    """Return the role of a paragraph: figure, caption of a figure or a table, or text."""
     if [child.type for child in tokens[at + 1].children or ()] == ["image"]:
         return "picture"
     if at >= 3 and tokens[at - 3].type == "paragraph_open" and _role(tokens, at - 3) == "picture":
@@ -79,16 +79,16 @@ def _role(tokens: Sequence[Token], at: int) -> str:
 
 
 def _scrolled(label: str) -> str:
-    # What is wider than a phone scrolls by itself, also with the keyboard.
+    # Content wider than a phone scrolls on its own, also with the keyboard.
     return f'<div class="scroll" tabindex="0" role="group" aria-label="{label}">'
 
 
-# Where a long name may go on in the next line of a narrow column: behind its dots and the like.
+# Where a long name may break in a narrow column: after dots, underscores and brackets.
 _JOINT = pattern(r"(?<=\w[._\]])(?=\w)(?<!\d.)")
 
 
 class _PageRenderer(RendererHTML):
-    """Writes captions into their tables and figures, and sets the verdict apart.
+    """Renderer of captions inside tables and figures, and of the verdict as a box.
 
     The methods are markdown-it's rules: one for each kind of token, named after it.
     """
@@ -101,7 +101,7 @@ class _PageRenderer(RendererHTML):
         if role == "caption":
             return f"{_scrolled(_label(inline))}<table><caption>"
         if role == "figcaption":
-            # The link to the file beside the report would lead nowhere once the page is sent.
+            # A link to a file of the report would be broken once the page is sent.
             end = [child.type for child in children].index("em_close")
             del children[end + 1 :]
         return f"<{role}>"

@@ -1,6 +1,6 @@
-"""The paths in space: the paper's figures 4 and 6, and the interactive view of the page.
+"""Paths in space: the paper's figures 4 and 6, and the data of the page's interactive view.
 
-The optimum is the first of the flights.
+The first of the flights is the optimum.
 """
 
 import json
@@ -16,25 +16,27 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 
-from pyomo_quad.report.style import (
+from pyomo_quad.flight.columns import Column
+from pyomo_quad.report.signals import (
     ATTITUDE,
     BATTERY,
     BODY_RATE,
     ENERGY,
-    FULL_WIDTH,
-    INK,
     MOTOR,
-    MUTED,
-    PALE,
     POSITION,
     POWER,
     ROTOR_ACCELERATION,
     ROTOR_SPEED,
-    TICK_STEPS,
     TIME,
     VELOCITY,
     WIND,
-    Signal,
+)
+from pyomo_quad.report.style import (
+    FULL_WIDTH,
+    INK,
+    MUTED,
+    PALE,
+    TICK_STEPS,
     StyledFlight,
     legend_below,
 )
@@ -44,16 +46,16 @@ from pyomo_quad.scenario.airspace import Airspace, KeepOut
 
 _PROJECTIONS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
 BEAT_COUNT = 5  # markers at equal times along each path: wide apart means fast
-# As shares of the size of the optimum's path: nearer, two lines cannot be told apart; further, a
-# flight leaves the picture.
+# Relative to the size of the optimum's path: distance below which two lines look like one, and
+# distance above which a flight is left out of the limits of the figure.
 COINCIDENT, ASTRAY = 0.02, 1.0
 _MARGIN = 0.08
 _MOST_TICKS = 9
-# Beside sides so much shorter, the name of the longest one's axis comes to lie on its numbers.
+# Ratio of the shortest to the longest side below which the label of the longest axis must move.
 _FLAT = 0.3
 _SMALLEST_SIDE = 0.2  # m
 _SEEN_THROUGH = 0.18  # opacity of a zone's faces in space, of which two lie behind each other
-# As shares of the largest side of all paths: of zones, floor and ceiling no more is shown.
+# Margin around all paths, relative to their largest side: zones and limits beyond are cut off.
 _AROUND = 0.25
 _UP = 2
 _AT_LEFT: Any = ("axes fraction", "data")
@@ -64,19 +66,19 @@ _BESIDE: dict[str, Any] = {
     "fontsize": 7,
     "zorder": 5,
 }
-# Ends nearer than this share of the way stand at one place in every picture.
+# Distance of start and goal, relative to the path length, below which they share a marker.
 _SAME_PLACE = 0.01
 
 
 def distinct_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Leave out the flights that stay on the optimum's path all the time."""
+    """Return the optimum and the flights whose path differs visibly from it."""
     return (flights[0], *_further(flights, COINCIDENT))
 
 
 def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) -> Figure:
-    """Draw all paths in space, and seen along each axis with what the mission has on the way.
+    """Draw all paths in space, and as seen along each axis with zones and waypoints.
 
-    The mission has the passing times of its plan.
+    ``mission`` has the passing times of its plan.
     """
     figure = Figure(figsize=(FULL_WIDTH, FULL_WIDTH))
     limits = _limits(flights, mission)
@@ -95,7 +97,7 @@ def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) 
 def draw_space(
     axes: Axes3D, flights: Sequence[StyledFlight], mission: Scenario | None = None
 ) -> None:
-    """Draw all paths in space with the keep-outs beside them, to one scale along all axes."""
+    """Draw all paths and the keep-outs in space, to one scale along all axes."""
     limits = _limits(flights, mission)
     floor = limits[2, 0]
     for zone in () if mission is None else mission.airspace.keep_out:
@@ -113,7 +115,7 @@ def draw_space(
     for end, name, shape in _ends(flights[0]):
         axes.plot([end[0]] * 2, [end[1]] * 2, [floor, end[2]], color=MUTED, linewidth=0.6)
         axes.plot(*end[:, None], marker=shape, color=INK, markersize=6, linestyle="none")
-        # In one line the name of both would leave the picture.
+        # In one line the two names would leave the figure.
         lines = name.replace(" and ", "  \nand ")
         axes.text(*end, f"{lines}  ", va="bottom", ha="right")
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
@@ -134,7 +136,7 @@ def draw_space(
 
 
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights that go so far astray that showing all of them would hide the others."""
+    """Return the flights that go so far astray that the figure cuts them off."""
     return _further(flights, ASTRAY)
 
 
@@ -146,7 +148,7 @@ def _further(flights: Sequence[StyledFlight], share: float) -> tuple[StyledFligh
 
 
 def _limits(flights: Sequence[StyledFlight], mission: Scenario | None) -> np.ndarray:
-    """Return low and high of what a picture shows along each axis, shape (3, 2), m."""
+    """Return the limits of a figure along each axis, shape (3, 2), m."""
     astray = leaving_paths(flights)
     points = np.concatenate([_track(flight) for flight in flights if flight not in astray])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -161,7 +163,7 @@ def _track(flight: StyledFlight) -> np.ndarray:
 
 
 def _distance(flight: StyledFlight, time: np.ndarray, track: np.ndarray) -> float:
-    """Return the largest distance of two flights at one time, m."""
+    """Return the largest distance between two flights at equal times, m."""
     own_time = TIME.of(flight.frame)
     own = np.column_stack([np.interp(time, own_time, axis) for axis in _track(flight).T])
     return float(np.linalg.norm(own - track, axis=1).max())
@@ -174,7 +176,7 @@ def _beats(flight: StyledFlight) -> np.ndarray:
 
 
 def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Return points with those left out that a view in space would draw outside its axes."""
+    """Return points with NaN for those outside the limits, which 3-D axes would not clip."""
     is_inside = np.all((limits[:, 0] <= points) & (points <= limits[:, 1]), axis=1)
     return np.where(is_inside[:, None], points, np.nan)
 
@@ -223,7 +225,7 @@ def _draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) ->
         place = waypoint.position[directions[0]], waypoint.position[directions[1]]
         if waypoint.radius:
             axes.add_patch(Circle(place, waypoint.radius, fill=False, ec=MUTED, linewidth=0.6))
-        # The view from above has the times; from aside one place may hide another.
+        # Only the view from above shows the times: from the side one waypoint may hide another.
         has_time = waypoint.at is not None and directions[1] != _UP
         label = f"{number}: {waypoint.at:.1f} s" if has_time else str(number)
         passed.setdefault(place, []).append(label)
@@ -262,7 +264,7 @@ def _draw_projection(
 
 
 def _ends(optimum: StyledFlight) -> tuple[tuple[np.ndarray, str, str], ...]:
-    """Return place, name and marker of start and goal, as one where a flight comes home."""
+    """Return place, name and marker of start and goal, joined if a flight returns to its start."""
     track = _track(optimum)
     way = np.linalg.norm(np.diff(track, axis=0), axis=1).sum()
     if np.linalg.norm(track[-1] - track[0]) <= _SAME_PLACE * way:
@@ -282,11 +284,9 @@ def _marker(flight: StyledFlight) -> dict[str, Any]:
     }
 
 
-def _axis_label(signal: Signal) -> str:
+def _axis_label(signal: Column) -> str:
     return f"${signal.symbol}$ ({signal.unit})"
 
-
-VIEW_ELEMENT = "flight-view"
 
 _SAMPLES = 201
 _DIGITS = 6
@@ -304,41 +304,21 @@ _SERIES = (
 )
 
 
-def view_markup() -> str:
-    """Return the elements that the flight is played in."""
-    return (
-        f'<div class="screen player"><div id="{VIEW_ELEMENT}" class="view screen" role="img" '
-        'aria-label="The flight in space; the next figure shows the same paths."></div>'
-        '<div class="controls"><button type="button" id="flight-play">Play</button>'
-        '<input type="range" id="flight-time" min="0" step="any" value="0" aria-label="Time">'
-        '<output id="flight-clock"></output>'
-        '<button type="button" id="flight-further" aria-label="Further">−</button>'
-        '<button type="button" id="flight-nearer" aria-label="Nearer">+</button></div>'
-        '<div id="flight-names" class="names"></div>'
-        '<p class="note">Drag to turn. The dark arm is the front, the thin arrow the thrust, the '
-        "blue arrow the wind. Point at a chart to read all of them at that time.</p>"
-        '<details open><summary>Every quantity over time</summary><div id="flight-charts"></div>'
-        "</details></div>"
-        "<noscript><p>The moving view needs JavaScript; the next figure shows the same "
-        "paths.</p></noscript>"
-    )
-
-
 def view_data(flights: Sequence[StyledFlight], airspace: Airspace) -> dict[str, Any]:
-    """Return what the page's program plays: flights, their quantities, zones and ends."""
+    """Return the data of the page's interactive view: flights, their columns, zones and ends."""
     framed = [flight for flight in flights if flight not in leaving_paths(flights)]
     shown = [flight for flight in distinct_paths(flights) if flight in framed]
     optimum = flights[0].frame
-    winds = np.array([signal.of(optimum) for signal in WIND if signal.column in optimum])
+    winds = np.array([signal.of(optimum) for signal in WIND if signal.name in optimum])
     return {
         "flights": [
             _played(flight, is_shown=flight in shown, is_framed=flight in framed)
             for flight in flights
         ],
         "groups": [
-            (name, [_described(s, signals) for s in signals if s.column in optimum])
+            (name, [_described(s, signals) for s in signals if s.name in optimum])
             for name, signals in _SERIES
-            if any(signal.column in optimum for signal in signals)
+            if any(signal.name in optimum for signal in signals)
         ],
         "zones": [
             {"name": zone.name, "shape": zone.shape.value, **_extent(zone)}
@@ -362,26 +342,26 @@ def _played(flight: StyledFlight, *, is_shown: bool, is_framed: bool) -> dict[st
         "t": _rounded(TIME.of(kept) - TIME.of(kept)[0]),
         **{axis: _rounded(signal.of(kept)) for axis, signal in zip("xyz", POSITION, strict=True)},
         "series": {
-            signal.column: _rounded(signal.of(kept))
+            signal.name: _rounded(signal.of(kept))
             for _, signals in _SERIES
             for signal in signals
-            if signal.column in kept
+            if signal.name in kept
         },
     }
-    if all(signal.column in kept for signal in ATTITUDE):
+    if all(signal.name in kept for signal in ATTITUDE):
         for angle, signal in zip(("phi", "theta", "psi"), ATTITUDE, strict=True):
-            played[angle] = _rounded(kept[signal.column].to_numpy(dtype=float))
-    if all(signal.column in kept for signal in WIND):
+            played[angle] = _rounded(kept[signal.name].to_numpy(dtype=float))
+    if all(signal.name in kept for signal in WIND):
         played["wind"] = [_rounded(signal.of(kept)) for signal in WIND]
     return played
 
 
-def _described(signal: Signal, group: Sequence[Signal]) -> dict[str, Any]:
+def _described(signal: Column, group: Sequence[Column]) -> dict[str, Any]:
     which = signal.index or signal.symbol.removeprefix("v_")
-    is_alone = [other.name for other in group].count(signal.name) == 1
+    is_alone = [other.words for other in group].count(signal.words) == 1
     return {
-        "key": signal.column,
-        "name": signal.name if is_alone else f"{signal.name} {which}",
+        "key": signal.name,
+        "name": signal.words if is_alone else f"{signal.words} {which}",
         "unit": signal.unit,
         "span": signal.smallest_span,
     }
@@ -398,5 +378,5 @@ def _rounded(values: np.ndarray) -> list[Any]:
 
 
 def script_json(value: object) -> str:
-    """Return JSON that may stand in a page: no text can end the script or start a comment in it."""
+    """Return JSON that is safe inside a script element: no text can end the script."""
     return json.dumps(value, allow_nan=False).replace("<", "\\u003c").replace(">", "\\u003e")

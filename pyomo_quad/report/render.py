@@ -49,7 +49,7 @@ def fixed(value: float, digits: int = 2) -> str:
 
 
 def rough(value: float, digits: int = 2) -> str:
-    """Return a number with so many significant digits, `NOTHING` if it is not finite."""
+    """Return a number with ``digits`` significant digits, `NOTHING` if it is not finite."""
     return f"{value:.{digits}g}" if isfinite(value) else NOTHING
 
 
@@ -69,7 +69,7 @@ _BLANK = re.compile(
 
 
 def visible(text: str) -> str:
-    """Spell out what a reader would not see, as Python escapes.
+    """Return text with invisible characters spelled out as Python escapes.
 
     Blanks and line breaks are kept; control characters, marks of direction, characters of no width
     and halves of surrogate pairs are spelled out.
@@ -88,18 +88,18 @@ def _is_seen(letter: str) -> bool:
 
 _ENTITIES = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 _SPECIAL = re.compile(r"([\\`*_\[\]#|~$])")
-# What would start a list or draw a line.
+# Text that Markdown would read as a list item or a rule.
 _LINE_START = re.compile(r"^([-+](?=\s|$)|-{3,}$|\d+(?=[.)](?:\s|$)))")
 
 
 def escape_markdown(text: str) -> str:
-    """Return text that Markdown prints as it stands, line breaks as spaces.
+    """Return text escaped for Markdown and HTML, with line breaks as spaces.
 
-    What Markdown or HTML would act on is escaped, and what would not be seen spelled out.
+    Invisible characters are spelled out.
     """
     one_line = visible(" ".join(text.split()))
     escaped = _SPECIAL.sub(r"\\\1", one_line.translate(_ENTITIES))
-    # No address becomes a link that the author of this report did not make.
+    # Addresses in a text must not become links.
     unlinked = escaped.replace("://", ":&#47;&#47;").replace("www.", "www&#46;")
     return _LINE_START.sub(lambda found: _entities(found[0]), unlinked)
 
@@ -109,20 +109,20 @@ def _entities(text: str) -> str:
 
 
 def written(text: str) -> Markup:
-    """Mark text as written for the reader's program, to be escaped no more."""
+    """Mark text as Markdown or HTML, which is not escaped again."""
     return Markup(text)  # noqa: S704  every caller has escaped what is not its own
 
 
 def _code(text: str) -> Markup:
     """Return a name from a program: of a flight, a file, a field, a command."""
-    # Inside a code span nothing can be escaped: a text that would end it stands outside one.
+    # A code span has no escapes: text that would end the span is printed without one.
     if set(visible(text)) & set("`|\\\n\r") or text != text.strip() or not text:
         return written(escape_markdown(text))
     return written(f"`{text}`")
 
 
 def _finalize(value: object) -> Markup:
-    """Escape what a template prints, unless a template or a filter made it."""
+    """Escape a printed value, unless a template or a filter made it."""
     return value if isinstance(value, Markup) else written(escape_markdown(str(value)))
 
 
@@ -131,7 +131,7 @@ def environment() -> Environment:
     """Return Jinja's settings: every value escaped for Markdown, none missing."""
     made = Environment(
         loader=FileSystemLoader(Path(__file__).parents[1]),
-        # With it, what a macro or a block returns is known as written by a template.
+        # Marks the results of macros and blocks as written by a template.
         autoescape=True,
         finalize=_finalize,
         undefined=StrictUndefined,
@@ -162,9 +162,9 @@ def environment() -> Environment:
 
 
 def render_markdown(template: str, **values: object) -> str:
-    """Return a template below the package filled in, with one blank line between blocks.
+    """Fill in a template below the package, with one blank line between blocks.
 
-    It prints every text among the values so that Markdown does not act on it.
+    Texts among the values are escaped for Markdown.
     """
     text = environment().get_template(template).render(values)
     return re.sub(r"\n{3,}", "\n\n", text).strip() + "\n"

@@ -1,9 +1,8 @@
-"""The reports of a solve, of a run and of a comparison: their numbers, templates and files."""
+"""Reports of a solve, a run and a comparison: their numbers, templates and files."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from math import inf
 from pathlib import Path
 from types import ModuleType
@@ -12,12 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
-from pyomo_quad.flight.flight import (
-    ARRIVAL_DISTANCE_M,
-    ARRIVAL_SPEED_M_PER_S,
-    COLUMNS,
-    VIOLATION_TOLERANCE,
-)
+from pyomo_quad.flight.columns import column_of
+from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, ARRIVAL_SPEED_M_PER_S, VIOLATION_TOLERANCE
 from pyomo_quad.flight.plan import FLIGHT_SAMPLES
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
@@ -25,15 +20,22 @@ from pyomo_quad.flight.verification import (
     MISS_TOLERANCE,
 )
 from pyomo_quad.report import Figures
-from pyomo_quad.report.document import REPORT_NAME, Drawing, drawn_meanwhile, write_text
-from pyomo_quad.report.render import FIGURE_FOLDER, STATUS_WORDS
+from pyomo_quad.report.document import (
+    PAGE_NAME,
+    REPORT_NAME,
+    Drawing,
+    write_page,
+    write_study,
+    write_text,
+)
+from pyomo_quad.report.render import STATUS_WORDS
 from pyomo_quad.report.tables import (
     FRONT_NAME,
     PLAN_NAME,
     SUMMARY_NAME,
     installed_versions,
+    plan_table,
     run_summary,
-    write_plan_table,
     write_table,
 )
 from pyomo_quad.scenario import PowerModel, Reference
@@ -50,7 +52,6 @@ from pyomo_quad.study.comparison import (
     way_flown,
 )
 from pyomo_quad.study.front import FrontColumn
-from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -59,13 +60,12 @@ if TYPE_CHECKING:
     from pyomo_quad.scenario import Scenario
     from pyomo_quad.study.run import RunResult
 
-_COLUMN_OF = {column.component: column.name for column in COLUMNS if column.index is None}
-_CHARGE = _COLUMN_OF["battery.state_of_charge"]
+_CHARGE = column_of("battery.state_of_charge").name
 _SHORTEST_PATH_M = 0.1  # below, a flight stays where it is and has no range
 
-PAGE_NAME = "report.html"
 COMPARISON_NAME = "comparison.csv"
 COMPARISON_REPORT_NAME = "comparison.md"
+_COMPARISON_TEMPLATE = "report/comparison.md.j2"
 REPLANNING_NAME = "replanning.csv"
 
 
@@ -76,81 +76,55 @@ def write_solve_report(
     rate_hz: float | None = None,
     figures: Figures = Figures.SVG,
 ) -> None:
-    """Write what there is to say of a plan of any status into a folder empty of reports.
+    """Write the report of a plan of any status into a folder empty of reports.
 
-    A plan that is not verified is called so in title and text; ``warnings`` are what a reader
-    should know beside the numbers. The table has a row per node of the mesh, or ``rate_hz`` a
-    second.
+    The title and the text say if the plan is not verified; ``warnings`` are cautions to print with
+    the numbers.  The table has a row per node of the mesh, or ``rate_hz`` rows a second.
     """
-    drawings = () if figures is Figures.NONE else _gallery().drawings_of_solve(plan, figures)
-    with drawn_meanwhile(drawings, folder):
-        write_plan_table(folder, plan, rate_hz)
-        write_text(
-            folder / REPORT_NAME,
-            "report/solve.md.j2",
-            **_of_plan(plan),
-            drawings=drawings,
-            warnings=warnings,
-        )
+    write_study(
+        folder,
+        "report/solve.md.j2",
+        tables={PLAN_NAME: plan_table(plan, rate_hz)},
+        drawings=_from_gallery(lambda gallery: gallery.drawings_of_solve(plan)),
+        figures=figures,
+        warnings=warnings,
+        **_plan_values(plan),
+    )
 
 
 def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figures.SVG) -> None:
-    """Write all there is to say of a run of any status into a folder empty of reports.
+    """Write the report of a run of any status into a folder empty of reports.
 
-    That is tables, figures, `report.md` and `report.html`; without figures the page has no paths to
-    turn either.
+    It has tables, figures, `report.md` and `report.html`; without figures the page has no view of
+    the paths.
     """
-    parts: tuple[tuple[Drawing, ...], ...] = ((), (), ())
-    if figures is not Figures.NONE:
-        parts = _gallery().drawings_of_run(result, figures)
-    drawings = tuple(chain(*parts))
-    with drawn_meanwhile(drawings, folder):
-        _write_tables(folder, result)
-        shown = dict(zip(("beside", "studied", "drawings"), parts, strict=True))
-        text = write_text(
-            folder / REPORT_NAME,
-            "report/run.md.j2",
-            **_of_plan(result.plan),
-            **_of_run(result),
-            **shown,
-        )
-    page = _page(folder, text, result, drawings)
-    (folder / PAGE_NAME).write_text(page, encoding="utf-8")
-
-
-def _write_tables(folder: Path, result: "RunResult") -> None:
-    write_plan_table(folder, result.plan)
-    if not result.comparison.empty:
-        write_comparison(folder, result.comparison, _title(result.plan))
-    if not result.front.empty:
-        write_table(result.front, folder / FRONT_NAME)
     replanned = _replanned(result)
-    if not replanned.empty:
-        write_table(replanned, folder / REPLANNING_NAME)
-
-
-def write_comparison(folder: Path, comparison: "pd.DataFrame", title: str = "Comparison") -> None:
-    """Write a comparison, one row per flight, as CSV and under its title as Markdown."""
-    write_table(comparison, folder / COMPARISON_NAME)
-    if not comparison.empty:
-        _write_comparison_text(folder, comparison, title)
-
-
-def _write_comparison_text(
-    folder: Path, comparison: "pd.DataFrame", title: str, drawings: Sequence[Drawing] = ()
-) -> str:
-    return write_text(
-        folder / COMPARISON_REPORT_NAME,
-        "report/comparison.md.j2",
-        title=title,
-        **_of_flights(comparison),
-        drawings=drawings,
+    optional = {
+        COMPARISON_NAME: result.comparison,
+        FRONT_NAME: result.front,
+        REPLANNING_NAME: replanned,
+    }
+    tables = {name: table for name, table in optional.items() if not table.empty}
+    drawn = write_study(
+        folder,
+        "report/run.md.j2",
+        tables={PLAN_NAME: plan_table(result.plan), **tables},
+        drawings=_from_gallery(lambda gallery: gallery.drawings_of_run(result)),
+        figures=figures,
+        **_plan_values(result.plan),
+        **_run_values(result, replanned),
     )
+    if not result.comparison.empty:
+        values = _comparison_values(result.comparison)
+        file, title = folder / COMPARISON_REPORT_NAME, _title(result.plan)
+        write_text(file, _COMPARISON_TEMPLATE, title=title, drawings=(), **values)
+    views, data = _gallery().view_of_paths(result, drawn) if drawn else ({}, "")
+    write_page(folder, REPORT_NAME, drawn, is_good=_is_good(result), views=views, data=data)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunRecord:
-    """What is kept of a run: its summary, and its flights beside each other."""
+    """Record of a run: its summary and the comparison of its flights."""
 
     summary: Mapping[str, Any]
     comparison: "pd.DataFrame"
@@ -162,10 +136,10 @@ class RunRecord:
 
 
 def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
-    """Return the verified run of exactly this scenario that a folder holds, if it does.
+    """Return the verified run of exactly this scenario in a folder, None without one.
 
-    A run by other versions may differ in its numbers, and the code of a model of one's own may
-    have changed since: neither is taken.
+    A run by other versions is ignored, since its numbers may differ; so is a run of a user's model,
+    whose code may have changed since.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -197,39 +171,39 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
 def write_compare_report(
     folder: Path, comparison: "pd.DataFrame", *, is_good: bool, figures: Figures = Figures.SVG
 ) -> None:
-    """Write the flights of many scenarios beside each other: tables, a figure and a page.
+    """Write the comparison of the flights of many scenarios: a table, a figure and a page.
 
     ``is_good`` says whether every plan was verified.
     """
-    write_table(comparison, folder / COMPARISON_NAME)
     if comparison.empty:
+        write_table(comparison, folder / COMPARISON_NAME)
         return
-    drawings: tuple[Drawing, ...] = ()
-    if figures is not Figures.NONE:
-        drawings = _gallery().drawings_of_comparison(comparison, figures)
-    with drawn_meanwhile(drawings, folder):
-        text = _write_comparison_text(folder, comparison, "Comparison", drawings)
-    from pyomo_quad.report.page import render_html  # noqa: PLC0415  a solve writes no page
-
-    page = render_html(
-        text, is_good=is_good, pictures=_pictures(folder, drawings), views={}, data=""
+    drawn = write_study(
+        folder,
+        _COMPARISON_TEMPLATE,
+        tables={COMPARISON_NAME: comparison},
+        drawings=_from_gallery(lambda gallery: gallery.drawings_of_comparison(comparison)),
+        figures=figures,
+        name=COMPARISON_REPORT_NAME,
+        title="Comparison",
+        **_comparison_values(comparison),
     )
-    (folder / PAGE_NAME).write_text(page, encoding="utf-8")
+    write_page(folder, COMPARISON_REPORT_NAME, drawn, is_good=is_good, views={}, data="")
 
 
 def _title(plan: "Plan") -> str:
-    """Return the report's title, which says so when the plan is not verified."""
+    """Return the report's title, with the status of a plan that is not verified."""
     title = plan.scenario.title or plan.scenario.name
     return title if plan.is_verified else f"{STATUS_WORDS[plan.status]}: {title}"
 
 
-def _of_plan(plan: "Plan") -> dict[str, Any]:
-    """Return what the templates say of a plan."""
+def _plan_values(plan: "Plan") -> dict[str, Any]:
+    """Return the values of a plan for the templates."""
     columns = plan.columns(np.linspace(*plan.trajectories.horizon, FLIGHT_SAMPLES))
     return {
         "title": _title(plan),
         "plan": plan,
-        "asked_energy": _asked_energy(plan, columns),
+        "asked_energy": _battery_use(plan, columns),
         "free_climb": _free_climb(plan),
         "legs": leg_rows(plan.mission_flown, columns),
         "leg": LegColumn,
@@ -241,25 +215,25 @@ def _of_plan(plan: "Plan") -> dict[str, Any]:
         },
         "PLAN_NAME": PLAN_NAME,
         "SUMMARY_NAME": SUMMARY_NAME,
-        "version": __version__,
     }
 
 
 @dataclass(frozen=True, kw_only=True)
 class FreeClimb:
-    """A climb that the power model gives away."""
+    """A climb that costs less energy than it adds, because the power model does not price it."""
 
     height_m: float
     potential_J: float
     spent_J: float
-    """Energy above hovering, in which the climb would have to be."""
+    """Energy above hovering, which would have to cover the climb."""
 
 
 def _free_climb(plan: "Plan") -> FreeClimb | None:
-    """Return the mission's climb where the flight spends less on it than its potential energy.
+    """Return the mission's climb if the flight spends less than its potential energy on it.
 
     Of the declared power models only `momentum` depends on the airspeed and so prices a climb; a
-    model of the user's own may.  A parcel left on the way does not climb to the goal.
+    user's model may.  Parcels released on the way do not climb to the goal, so missions with them
+    are left out.
     """
     scenario = plan.scenario
     height, potential = climb_of(scenario)
@@ -274,14 +248,14 @@ def _free_climb(plan: "Plan") -> FreeClimb | None:
 
 
 def climb_of(scenario: "Scenario") -> tuple[float, float]:
-    """Return how far a mission climbs, m, and the potential energy that this adds, J."""
+    """Return the height that a mission climbs [m] and the potential energy it adds [J]."""
     mission = scenario.mission
     height = mission.goal.position[2] - mission.start.position[2]
     return height, scenario.vehicle.total_mass * scenario.gravity * height
 
 
-def _asked_energy(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, float | None]:
-    """Return the plan's energy as people ask for it, and what a whole charge is good for."""
+def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, float | None]:
+    """Return the plan's path length and battery use, and time and distance on a full charge."""
     if plan.verification is None:
         return {"path_m": 0.0, "battery_percent": None}
     path = float(way_flown(columns)[-1])
@@ -298,8 +272,8 @@ def _asked_energy(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, 
     }
 
 
-def _of_flights(comparison: "pd.DataFrame") -> dict[str, Any]:
-    """Return what the templates say of flights beside each other."""
+def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
+    """Return the values of a comparison for the templates."""
     return {
         "column": ComparisonColumn,
         "rows": comparison.to_dict("records"),
@@ -312,19 +286,19 @@ def _of_flights(comparison: "pd.DataFrame") -> dict[str, Any]:
     }
 
 
-def _of_run(result: "RunResult") -> dict[str, Any]:
-    """Return what the template of a run says beyond its plan."""
+def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any]:
+    """Return the values of a run for its template, besides those of its plan."""
     comparison, certificate = result.comparison, result.certificate
     by_name = comparison.set_index(ComparisonColumn.FLIGHT, drop=False).to_dict("index")
     names = comparison[ComparisonColumn.FLIGHT]
     is_cruise = names.str.startswith(baseline_name(Reference.CRUISE)).astype(bool)
     followed, fair = by_name.get(baseline_name(Reference.PLAN)), by_name.get(FAIR_BASELINE)
     return {
-        **_of_flights(comparison),
+        **_comparison_values(comparison),
         "certificate": certificate,
         "gap_percent": certificate.gap_percent(result.plan.energy),
         "warnings": result.warnings,
-        "replanned": _replanned(result).to_dict("records"),
+        "replanned": replanned.to_dict("records"),
         "replanning": result.scenario.baseline.mpc,
         "replanning_column": ReplanningColumn,
         "REPLANNING_NAME": REPLANNING_NAME,
@@ -352,7 +326,10 @@ def _replanned(result: "RunResult") -> "pd.DataFrame":
 
 
 def _rival(comparison: "pd.DataFrame") -> dict[Any, Any] | None:
-    """Return the arrived baseline to measure against: the smooth one, or the cheapest."""
+    """Return the baseline to compare with, among those that arrived.
+
+    That is the smooth baseline, or else the baseline of least energy.
+    """
     has_saving = comparison[ComparisonColumn.SAVING].notna()
     is_own = comparison[ComparisonColumn.FLIGHT] == OPEN_LOOP
     rivals = comparison[comparison[ComparisonColumn.ARRIVED].astype(bool) & has_saving & ~is_own]
@@ -364,45 +341,30 @@ def _rival(comparison: "pd.DataFrame") -> dict[Any, Any] | None:
 
 
 def _spent(row: dict[Any, Any]) -> float:
-    """Return the energy by which flights are compared, what the end owes included, J."""
+    """Return the energy of a flight plus its owed energy, by which flights are compared [J]."""
     return float(row[ComparisonColumn.HOVER_ENERGY] + row[ComparisonColumn.EXCESS_ENERGY])
 
 
 def _is_good(result: "RunResult") -> bool:
-    """Say whether the plan holds, and in a wind that it was not told whether all flights arrive."""
+    """Return whether the plan is verified and, with a forecast, all flights arrive."""
     is_untold = result.plan.scenario.wind.forecast is not None
     arrived = result.comparison[ComparisonColumn.ARRIVED].astype(bool)
     return result.plan.is_verified and (not is_untold or bool(arrived.all()))
 
 
 def prepare_figures(figures: Figures) -> None:
-    """Import now what figures of a report need, if any are wanted."""
+    """Import matplotlib and the gallery now, if figures are wanted."""
     if figures is not Figures.NONE:
         _gallery()
 
 
 def _gallery() -> ModuleType:
-    """Import matplotlib, which takes longer than a solve, where there is something to draw."""
+    """Return the gallery; its import of matplotlib takes longer than a solve."""
     from pyomo_quad.report import gallery  # noqa: PLC0415
 
     return gallery
 
 
-def _page(folder: Path, text: str, result: "RunResult", drawings: Sequence[Drawing]) -> str:
-    views: dict[str, str] = {}
-    data = ""
-    if drawings and _gallery().PATH_NAME in [drawing.name for drawing in drawings]:
-        views, data = _gallery().view_of_paths(result)
-    from pyomo_quad.report.page import render_html  # noqa: PLC0415  only for a page
-
-    return render_html(
-        text,
-        is_good=_is_good(result),
-        pictures=_pictures(folder, drawings),
-        views=views,
-        data=data,
-    )
-
-
-def _pictures(folder: Path, drawings: Sequence[Drawing]) -> dict[str, bytes]:
-    return {d.name: (folder / FIGURE_FOLDER / d.files[0]).read_bytes() for d in drawings}
+def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator[Drawing]:
+    """Yield figures that the gallery lists, which is imported for the first of them."""
+    yield from listed(_gallery())

@@ -1,9 +1,9 @@
-"""How every figure looks: colours, panels, signals, and files that are equal from run to run."""
+"""House style of all figures: colours, panels, and files with the same bytes at each run."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
-from math import ceil, degrees, isclose
+from math import ceil, isclose
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,141 +17,16 @@ from matplotlib.ticker import MaxNLocator
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from pyomo_quad.flight import flight
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
+from pyomo_quad.flight.columns import Column
 from pyomo_quad.flight.replanning import replanned_name
+from pyomo_quad.report.signals import ENERGY, TIME
 from pyomo_quad.scenario.tables import MISSION_TIMED, Knowledge
 from pyomo_quad.study.certificate import SAME_TIME
 from pyomo_quad.study.comparison import FAIR_BASELINE, OPTIMAL, settled_energy
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Flight, Plan
-
-_COLUMN_OF = {(shown.component, shown.index): shown.name for shown in flight.COLUMNS}
-_IN_DEGREES = degrees(1.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Signal:
-    """One printed quantity.
-
-    ``smallest_span`` keeps an axis from blowing up rounding noise: it never shows less than that.
-    """
-
-    column: str
-    symbol: str
-    name: str
-    unit: str
-    component: str = ""
-    index: int | None = None
-    scale: float = 1.0
-    smallest_span: float = 0.0
-
-    def of(self, frame: pd.DataFrame) -> np.ndarray:
-        """Return the values of a flight in the printed unit, one per row."""
-        return frame[self.column].to_numpy(dtype=float) * self.scale
-
-    @property
-    def title(self) -> str:
-        """Symbol, name and unit, as over a panel."""
-        return f"${self.symbol}$, {self.name} ({self.unit})"
-
-    @property
-    def label(self) -> str:
-        """Name and unit, as beside an axis."""
-        return f"{self.name[0].upper()}{self.name[1:]} ({self.unit})"
-
-
-def _signal(
-    component: str,
-    symbol: str,
-    name: str,
-    unit: str,
-    *,
-    span: float,
-    rotor: int | None = None,
-    scale: float = 1.0,
-) -> Signal:
-    return Signal(
-        column=_COLUMN_OF[component, rotor],
-        symbol=symbol,
-        name=name,
-        unit=unit,
-        component=component,
-        index=rotor,
-        scale=scale,
-        smallest_span=span,
-    )
-
-
-def _per_rotor(
-    component: str, symbol: str, name: str, unit: str, *, span: float, scale: float = 1.0
-) -> tuple[Signal, ...]:
-    return tuple(
-        _signal(
-            component,
-            f"{symbol}_{rotor}",
-            name.format(rotor),
-            unit,
-            span=span,
-            rotor=rotor,
-            scale=scale,
-        )
-        for rotor in flight.ROTORS
-    )
-
-
-def _angle(state: str, symbol: str, name: str, unit: str = "°") -> Signal:
-    return _signal(f"rigid_body.{state}", symbol, name, unit, span=0.5, scale=_IN_DEGREES)
-
-
-TIME = Signal(column=flight.TIME, symbol="t", name="time", unit="s")
-ENERGY = Signal(column=flight.ENERGY, symbol="E", name="energy", unit="J", smallest_span=1.0)
-POWER = _signal("power.total", "P", "power", "W", span=1.0)
-
-POSITION = tuple(_signal(f"rigid_body.{a}", a, "position", "m", span=0.1) for a in "xyz")
-VELOCITY = tuple(_signal(f"rigid_body.v{a}", f"v_{a}", "velocity", "m/s", span=0.1) for a in "xyz")
-ATTITUDE = (
-    _angle("phi", r"\phi", "roll"),
-    _angle("theta", r"\theta", "pitch"),
-    _angle("psi", r"\psi", "yaw"),
-)
-BODY_RATE = (
-    _angle("p", "p", "roll rate", "°/s"),
-    _angle("q", "q", "pitch rate", "°/s"),
-    _angle("r", "r", "yaw rate", "°/s"),
-)
-ROTOR_SPEED = _per_rotor("rotors.omega", r"\omega", "rotor speed", "rad/s", span=5.0)
-ROTOR_ACCELERATION = _per_rotor(
-    "rotors.alpha", r"\alpha", "acceleration of rotor {}", "rad/s²", span=1.0
-)
-TORQUE = _per_rotor("rotors.motor_torque", r"\tau", "motor torque", "mN m", span=0.05, scale=1e3)
-
-# Rows: place, velocity, attitude, body rates.  The last column holds the rotors.
-STATE_GRID = tuple(
-    (*row, speed)
-    for row, speed in zip((POSITION, VELOCITY, ATTITUDE, BODY_RATE), ROTOR_SPEED, strict=True)
-)
-
-# One tuple per panel, one signal per rotor in it.
-MOTOR = (
-    ROTOR_SPEED,
-    TORQUE,
-    _per_rotor("rotors.motor_current", "i", "motor current", "A", span=0.05),
-    _per_rotor("rotors.motor_voltage", "v", "motor voltage", "V", span=0.05),
-)
-
-BATTERY = (
-    _signal("battery.voltage", r"V_\mathrm{bat}", "voltage", "V", span=0.1),
-    _signal("battery.current", r"i_\mathrm{bat}", "current", "A", span=0.1),
-    _signal("battery.state_of_charge", r"\mathrm{SoC}", "state of charge", "%", span=0.1),
-)
-
-WIND = tuple(
-    _signal(f"wind.velocity_{a}", f"v_{a}^\\mathrm{{wind}}", f"wind along {a}", "m/s", span=0.1)
-    for a in "xy"
-)
-
 
 FULL_WIDTH = 7.2  # inches: the text width of an A4 page, and of the HTML report
 _DOTS_PER_INCH = 160
@@ -214,7 +89,7 @@ _RC: Any = {
 
 @dataclass(frozen=True, kw_only=True)
 class LineStyle:
-    """Colour, dashes and marker that together stand for one flight or one rotor."""
+    """Colour, dashes and marker of a flight or a rotor."""
 
     color: str
     dashes: tuple[float, ...] = ()
@@ -229,7 +104,7 @@ class LineStyle:
         return {"color": self.color, "linestyle": pattern, "linewidth": self.width}
 
 
-#: For curves that are no flights, as those of a sweep.
+#: Styles of curves that are not flights, such as those of a sweep.
 SERIES_STYLES = (
     LineStyle(color=_BLUE, marker="o", width=1.9),
     LineStyle(color=_VERMILION, dashes=(4.5, 1.6), marker="s", hatch="///"),
@@ -249,8 +124,8 @@ _FLIGHTS = (
     *(OPTIMAL, *(baseline_name(reference) for reference in MISSION_TIMED), OPEN_LOOP),
     *(replanned_name(knowledge) for knowledge in Knowledge),
 )
-# Every flight that the program can fly has a style of its own in every report; the rest is for
-# what a caller names in another way.
+# Every flight of the program has one style in every report; the others are for names that a caller
+# chooses.
 _FLIGHT_STYLES = dict(zip(_FLIGHTS, SERIES_STYLES, strict=False))
 _OTHER_STYLES = SERIES_STYLES[len(_FLIGHTS) :]
 
@@ -263,9 +138,9 @@ ROTOR_STYLES = (
 
 
 def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
-    """Give each flight, by name, the style that it keeps in every figure of every report.
+    """Return the style of each flight by name, the same in every figure of every report.
 
-    Names of no known flight share the styles left over.
+    Other names share the remaining styles.
     """
     others = cycle(_OTHER_STYLES)
     return {
@@ -276,10 +151,9 @@ def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
 def save_figure(
     draw: Callable[[], Figure], files: Mapping[str, Path], creator: str | None = None
 ) -> None:
-    """Make a figure once, in the house style, and write it in each format (png, svg, pdf).
+    """Draw a figure once, in the house style, and write it in each format (png, svg, pdf).
 
-    ``draw`` makes the figure; it is called with the style in force.  ``creator`` is what the files
-    say of who wrote them.
+    ``draw`` is called under the house style; ``creator`` is written into the files' metadata.
     """
     with mpl.rc_context(_RC):
         figure = _drawn(draw)
@@ -292,7 +166,7 @@ def save_figure(
 
 
 def _drawn(draw: Callable[[], Figure]) -> Figure:
-    """Draw a figure whose axes without a label look for no place to put it: a tenth of the time."""
+    """Draw a figure; axes without a label skip its placement, which takes a tenth of the time."""
     figure = draw()
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
@@ -302,8 +176,8 @@ def _drawn(draw: Callable[[], Figure]) -> Figure:
 
 
 def _save_png(figure: Figure, path: Path, creator: str | None) -> None:
-    # A palette picture is a third of the size, and lines and labels need few colours; so few that a
-    # thin line gets the colour of a thicker one are too few.
+    # A palette image has a third of the size.  With fewer colours than these a thin line takes the
+    # colour of a thicker one.
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
@@ -332,10 +206,10 @@ def panel_grid(
     legend_entries: int = 1,
     share_time: bool = True,
 ) -> tuple[Figure, np.ndarray]:
-    """Lay out a figure of equal panels with titles above them and a legend below.
+    """Return a figure of equal panels, with room for titles above them and a legend below.
 
-    Heights and gaps are in inches; ``left`` is the room for tick labels, and a legend of a single
-    entry is not needed.
+    Heights and gaps are in inches; ``left`` is the room for tick labels.  A legend of a single
+    entry is left out.
     """
     right, top = 0.12, 0.28
     gap_y = 0.36 if share_time else 0.72
@@ -357,14 +231,25 @@ def panel_grid(
 
 
 def draw_over_time(
-    axes: Axes, frame: pd.DataFrame, signal: Signal, style: LineStyle, label: str
+    axes: Axes, frame: pd.DataFrame, shown: Column, style: LineStyle, label: str
 ) -> None:
-    """Draw one signal of one flight against time, under its name in the legend."""
-    axes.plot(TIME.of(frame), signal.of(frame), label=label, **style.line)
+    """Draw a column of a flight against time, with a legend entry."""
+    axes.plot(TIME.of(frame), shown.of(frame), label=label, **style.line)
+
+
+def draw_panels(
+    panels: Iterable[Axes], shown: Iterable[Column], flights: Sequence["StyledFlight"]
+) -> None:
+    """Draw a column of all flights against time in each panel, with title and vertical scale."""
+    for axes, column in zip(panels, shown, strict=True):
+        for flight in flights:
+            draw_over_time(axes, flight.frame, column, flight.style, flight.name)
+        axes.set_title(column.title)
+        keep_span([axes], column.smallest_span)
 
 
 def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
-    """Give drawn panels one vertical scale, which does not blow up what hardly varies.
+    """Set a common vertical scale of panels, with a least span against magnified noise.
 
     ``smallest_span`` is the least difference between the ends of the axis, in the printed unit.
     """
@@ -378,7 +263,7 @@ def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
 
 
 def label_time(panels: Iterable[Axes], duration: float) -> None:
-    """Name the time axis of the lowest panels and end it where the last flight ends, s."""
+    """Label the time axis of the lowest panels and end it at a duration [s]."""
     for axes in panels:
         axes.set_xlabel(TIME.label)
         axes.set_xlim(0.0, duration)
@@ -386,7 +271,7 @@ def label_time(panels: Iterable[Axes], duration: float) -> None:
 
 
 def legend_below(figure: Figure, axes: Axes) -> None:
-    """Put one legend under all panels, of the lines of one, if there is anything to tell apart."""
+    """Draw a legend of the lines of one panel below all panels, if there are several lines."""
     handles, labels = axes.get_legend_handles_labels()
     if len(labels) > 1:
         figure.legend(handles, labels, loc="lower center", ncols=min(LEGEND_COLUMNS, len(labels)))
@@ -397,7 +282,7 @@ _FAILED_PLAN = "best iterate"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StyledFlight:
-    """A flight with the look that it keeps in every figure; its energy is with what it owes."""
+    """A flight with its style in all figures; the energy includes the owed energy."""
 
     name: str
     frame: pd.DataFrame
@@ -407,12 +292,12 @@ class StyledFlight:
 
 
 def plan_flight(plan: "Plan") -> "Flight":
-    """Return a plan as a flight, named "best iterate" if the solve failed."""
+    """Return the flight of a plan, named "best iterate" if the solve failed."""
     return plan.flight() if plan.verification is not None else plan.flight(_FAILED_PLAN)
 
 
 def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
-    """Give each flight its style, in the same order, the optimum first."""
+    """Return flights with their styles in the same order, the optimum first."""
     styles = flight_styles(tuple(flight.name for flight in flights))
     return tuple(
         StyledFlight(
@@ -427,9 +312,9 @@ def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
 
 
 def flight_of_table(name: str, frame: pd.DataFrame) -> StyledFlight:
-    """Return a flight of which nothing but its table is left."""
+    """Return a flight that is read from its table."""
     time = TIME.of(frame)
-    has_energy = ENERGY.column in frame
+    has_energy = ENERGY.name in frame
     return StyledFlight(
         name=name,
         frame=frame,
@@ -440,19 +325,19 @@ def flight_of_table(name: str, frame: pd.DataFrame) -> StyledFlight:
 
 
 def last_end(flights: Sequence[StyledFlight]) -> float:
-    """Return when the last of some flights ends, s."""
+    """Return the largest duration of several flights [s]."""
     return max(flight.duration_s for flight in flights)
 
 
 def take_one_time(flights: Sequence[StyledFlight]) -> bool:
-    """Say whether flights take equal times, so that hovering takes as much for each."""
+    """Return whether flights have equal durations, and so equal hover floors."""
     return all(isclose(f.duration_s, flights[0].duration_s, rel_tol=SAME_TIME) for f in flights)
 
 
 def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the optimum, which is first, and the baseline that flies the same mission smoothly.
+    """Return the optimum, which is first, and the smooth baseline `FAIR_BASELINE`.
 
-    The optimum is alone when that baseline was not flown.
+    The optimum is alone if that baseline was not flown.
     """
     return tuple(
         flight for index, flight in enumerate(flights) if index == 0 or flight.name == FAIR_BASELINE

@@ -1,4 +1,4 @@
-"""Tables as CSV files and summaries for programs: the same bytes from run to run."""
+"""CSV tables and JSON summaries, with the same bytes at each run."""
 
 import csv
 import json
@@ -9,7 +9,7 @@ from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from pyomo_quad.scenario.messages import ScenarioError, printable
 from pyomo_quad.version import __version__
@@ -23,19 +23,23 @@ if TYPE_CHECKING:
     from pyomo_quad.study.run import RunResult
 
 _NUMBER_FORMAT = "%.12g"
-# A cell that starts with one of these, full-width forms included, is a formula to a spreadsheet.
+# Spreadsheets read a cell that starts with one of these, or its full-width form, as a formula.
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
 
 
 def neutral_cell(value: object) -> object:
-    """Return a cell that a spreadsheet shows and does not run."""
+    """Return a cell that a spreadsheet does not run as a formula."""
     if isinstance(value, str) and value.lstrip(" ").startswith(_FORMULA_STARTS):
         return f"'{value}"
     return value
 
 
-def write_table(table: "pd.DataFrame | Mapping[str, Iterable[object]]", path: Path) -> None:
-    """Write as CSV a frame, or columns by name, which spare a solve the 0.3 s of pandas."""
+#: A frame, or columns by name, which spare a solve the 0.3 s of importing pandas.
+Table: TypeAlias = "pd.DataFrame | Mapping[str, Iterable[object]]"
+
+
+def write_table(table: Table, path: Path) -> None:
+    """Write a table as CSV."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([neutral_cell(name) for name, _ in table.items()])
@@ -83,13 +87,13 @@ PLAN_NAME = "plan.csv"
 _STATUS_COLUMN = "status"
 
 
-def write_plan_table(folder: Path, plan: "Plan", rate_hz: float | None = None) -> None:
-    """Write a plan's table: a row per node of the mesh, or so many a second."""
+def plan_table(plan: "Plan", rate_hz: float | None = None) -> dict[str, Iterable[object]]:
+    """Return the columns of a plan: a row per node of the mesh, or ``rate_hz`` rows a second."""
     columns = plan.columns(plan.times(rate_hz))
     status: dict[str, Iterable[object]] = {}
     if plan.verification is None:
         status[_STATUS_COLUMN] = [plan.status.value] * len(next(iter(columns.values())))
-    write_table({**columns, **status}, folder / PLAN_NAME)
+    return {**columns, **status}
 
 
 SUMMARY_NAME = "summary.json"
@@ -109,7 +113,7 @@ _PHASES = ("import", "build", "compile", "solve", "verify", "report")
 def plan_summary(
     plan: "Plan", *, wall_s: Mapping[str, float], warnings: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Summarise a plan in what JSON can hold, None where there is no number.
+    """Summarise a plan for JSON, with None for numbers that are not finite.
 
     ``wall_s`` has the seconds of the phases that the plan's own timings do not hold.
     """
@@ -147,7 +151,7 @@ def plan_summary(
 
 
 def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str, Any]:
-    """Summarise a run: its plan, and what was flown and proven beside it.
+    """Summarise a run: its plan, its flights and its lower bound.
 
     ``wall_s`` has the seconds of the phases that the result's own timings do not hold.
     """
@@ -205,7 +209,7 @@ def _number(value: float | None) -> float | None:
 
 
 def installed_versions() -> dict[str, str]:
-    """Return the versions of all that can change a number, by distribution."""
+    """Return the versions of the distributions that can change a number."""
     found = {name: _version(names) for name, names in _DISTRIBUTIONS.items()}
     return {"pyomo_quad": __version__, "python": platform.python_version(), **found}
 
@@ -220,12 +224,12 @@ def _version(names: Sequence[str]) -> str:
 
 
 FLIGHT_NAME = "flight.csv"
-# Of a table or a summary: what a run of a day would write is far below.
+# Bytes of a table or a summary; the reports of the longest runs are far smaller.
 _LARGEST_FILE = 256 * 1024 * 1024
 
 
 def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "pd.DataFrame"]:
-    """Read the summary and a table of a report that may come from a stranger.
+    """Read the summary and a table of a report, which may be untrusted.
 
     Parameters
     ----------
@@ -235,14 +239,14 @@ def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "
     Returns
     -------
     dict
-        The summary, as it is there.
+        The summary, unchecked.
     DataFrame
-        `TIME`, which increases, and what `columns_of` names of the table; all are finite.
+        `TIME`, which increases, and the columns of `ALL_COLUMNS` in the table; all are finite.
 
     Raises
     ------
     ScenarioError
-        If one is missing, too large, damaged or no flight.
+        If a file is missing, too large, damaged or no flight.
     """
     file = folder / SUMMARY_NAME
     content = _content(file)
@@ -257,7 +261,7 @@ FRONT_NAME = "front.csv"
 
 
 def read_front(folder: Path) -> "pd.DataFrame | None":
-    """Read the energy-time front of a report that may come from a stranger, None without one.
+    """Read the energy-time front of a report, which may be untrusted; None without one.
 
     Raises
     ------
@@ -280,7 +284,7 @@ def read_front(folder: Path) -> "pd.DataFrame | None":
 
 
 def refuse_report(file: Path, what: str) -> NoReturn:
-    """Say in one line what is wrong with a report.
+    """Refuse a damaged report with a one-line message.
 
     Raises
     ------
@@ -294,8 +298,7 @@ def _read_table(file: Path) -> "pd.DataFrame":
     import numpy as np  # noqa: PLC0415  see `write_table`
     import pandas as pd  # noqa: PLC0415
 
-    from pyomo_quad.flight.flight import TIME, columns_of  # noqa: PLC0415
-    from pyomo_quad.scenario.vehicle import MOST_ROTORS  # noqa: PLC0415
+    from pyomo_quad.flight.columns import ALL_COLUMNS, TIME  # noqa: PLC0415
 
     content = _content(file)
     try:
@@ -304,8 +307,7 @@ def _read_table(file: Path) -> "pd.DataFrame":
         refuse_report(file, "is not a CSV table")
     if TIME not in frame:
         refuse_report(file, f"has no column {TIME}")
-    known = columns_of(range(1, MOST_ROTORS + 1))
-    numbers = frame[[TIME, *(column.name for column in known if column.name in frame)]]
+    numbers = frame[[TIME, *(column.name for column in ALL_COLUMNS if column.name in frame)]]
     if any(kind.kind not in "fi" for kind in numbers.dtypes):
         refuse_report(file, "holds texts among its numbers")
     if len(numbers) < 2 or not np.isfinite(numbers.to_numpy(dtype=float)).all():

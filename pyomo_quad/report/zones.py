@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 
 def outline(zone: KeepOut, directions: tuple[int, int], clearance: float = 0.0) -> Patch:
-    """Return the shape of a zone, its clearance around it, as seen along an axis."""
+    """Return the outline of a zone, grown by its clearance, as seen along an axis."""
     for ball in zone.balls:
         if set(directions) <= set(ball.axes):
             middle = [ball.centre[ball.axes.index(axis)] for axis in directions]

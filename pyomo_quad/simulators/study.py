@@ -15,7 +15,8 @@ from scipy.constants import g as standard_gravity
 from pyomo_quad.collocation import Dynamics, SolveError
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import fly_baseline, fly_open_loop, reference_path, start_state
-from pyomo_quad.flight.flight import AIR_FORCE, COLUMNS, POSITION_STATES, TIME, VELOCITY_STATES
+from pyomo_quad.flight.columns import COLUMNS, TIME
+from pyomo_quad.flight.flight import AIR_FORCE, POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.outside_plant import (
     ACROSS,
     AS_IT_COMES,

@@ -6,7 +6,6 @@ Derivation, proof and variants: see docs/theory/bound.md, eqs. (1) to (11).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import count
 from math import inf, sqrt
 from typing import TYPE_CHECKING
 
@@ -29,17 +28,15 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-_GAUSS_NODES = 6
-# For integrals of the price of thrust, which is smooth.
-_PANELS = 16
-# For those of the wind, doubled until they agree.
-_FEWEST_PANELS = 2
-_MOST_PANELS = 4096
+_GAUSS_NODES = 6  # of each panel
+_PANELS = 16  # for integrals of the conjugate over the flight, which is smooth but for corners
+# Panels for integrals of the wind: doubled until two results agree to this, relative.
+_PANEL_COUNTS = [2**doubling for doubling in range(1, 13)]
 _QUADRATURE_ERROR = 1e-10
 
 
 class ThrustMoments:
-    """Integrals of the thrust over the flight that the boundary conditions fix.
+    """Integrals of the thrust over a flight, which the boundary conditions determine.
 
     Parameters
     ----------
@@ -58,7 +55,7 @@ class ThrustMoments:
         Weights of docs/theory/bound.md, eq. (2), and of a combination of eqs. (2) and (4), at the
         nodes of the quadrature.
     demanded : ndarray, shape (2, 3)
-        What the integrals of the weights times the thrust must be, N s.
+        Values of the integrals of the weights times the thrust, N s.
     mean_thrust : ndarray, shape (3,)
         Mean thrust vector, N.
     """
@@ -67,7 +64,7 @@ class ThrustMoments:
         rate = demand.drag / demand.mass
         times, self.widths = _gauss(duration, _PANELS)
         plain, lever = _weights(times, rate, duration)
-        # Any basis of the two weights will do; in a centred one the second is of zero mean.
+        # Any basis of the two weights will do; centred, the second has zero mean.
         middle = self.widths @ lever / duration
         self.weights = np.stack([plain, (lever - middle) / duration])
         standing, levered = _standing_moments(demand, rate, duration)
@@ -77,17 +74,17 @@ class ThrustMoments:
         self.mean_thrust = total / duration
 
     def price(self, multipliers: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return size, shape (n,), and direction, shape (n, 3), of weighted multipliers."""
+        """Return length, shape (n,), and direction, shape (n, 3), of the price of thrust."""
         vector = np.einsum("ki,kti->ti", multipliers, self.weights)
         size = np.linalg.norm(vector, axis=1)
         return size, vector / np.maximum(size, np.finfo(float).tiny)[:, None]
 
     def supplied(self, thrust: FloatArray) -> FloatArray:
-        """Return the weighted integrals, shape (2, 3), of thrust vectors, shape (n, 3)."""
+        """Return the weighted integrals, shape (2, 3), of thrust vectors of shape (n, 3)."""
         return np.einsum("kti,ti->ki", self.weights, self.widths[:, None] * thrust)
 
     def least_peak(self, axes: tuple[int, ...] = (0, 1, 2)) -> float:
-        """Return a thrust that every flight of the mission must reach at some time.
+        """Return a lower bound on the peak thrust of every flight of the mission.
 
         Returns
         -------
@@ -98,8 +95,8 @@ class ThrustMoments:
         -----
         With thrust never above u, multipliers x give x.demanded <= u integral |price(x)|; of the
         multipliers with x.demanded = 1 those of least integral give the largest bound on u.
-        Where full thrust reverses, |price| has a corner that costs the quadrature some 1e-4 of
-        the result.
+        Where full thrust reverses, |price| has a corner: the quadrature errs by some 1e-4 of the
+        result.
         """
         counted = np.zeros((2, 3), dtype=bool)
         counted[:, axes] = True
@@ -140,62 +137,59 @@ def _standing_moments(
     demand: MomentumDemand, rate: FloatArray, duration: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the integrals over the flight of the standing force, plain and with the lever."""
-    previous = None
-    for panels in _panel_counts():
+    previous = np.full((2, 3), np.nan)
+    for panels in _PANEL_COUNTS:
         times, widths = _gauss(duration, panels)
         standing = np.array([demand.thrust(float(t)) for t in times])
-        moments = [widths @ (weight * standing) for weight in _weights(times, rate, duration)]
-        found = np.stack(moments)
-        if previous is not None:
-            scale = np.max(np.abs(found), axis=1, keepdims=True)
-            if np.all(np.abs(found - previous) <= _QUADRATURE_ERROR * scale):
-                break
+        found = np.stack(
+            [widths @ (weight * standing) for weight in _weights(times, rate, duration)]
+        )
+        scale = np.max(np.abs(found), axis=1, keepdims=True)
+        if np.all(np.abs(found - previous) <= _QUADRATURE_ERROR * scale):
+            break
         previous = found
     return found[0], found[1]
 
 
-def _panel_counts() -> Iterator[int]:
-    for doubling in count():
-        panels = _FEWEST_PANELS * 2**doubling
-        yield panels
-        if panels >= _MOST_PANELS:
-            return
-
-
-_ROUNDING = 1e-10
-# Every declared power is a polynomial of the rotor speed in steady flight, of degree four at
-# most; the fit has room to spare, and a power that it misses is refused.
+_ROUNDING = 1e-10  # relative
+# Times at which standing force and wind are compared with themselves, to see if they change.
+_STANDING_SAMPLES = 101
+# Degree of the fit of thrust and power by the rotor speed, and Chebyshev nodes for it: declared
+# powers are polynomials of degree four at most in steady flight; others fail the fit's tolerance.
 _DEGREE = 8
 _READINGS = 24
+_FIT_ERROR = 1e-10  # relative to the largest reading
+# Samples of the fit up to twice the speed of hover, the range of usual flights, and beyond.
 _SAMPLES = 3001
-# The speed, over that of hover, up to which the power is sampled finely.
 _USUAL_SPEED = 2.0
-_FIT_ERROR = 1e-10
-_ITERATIONS = 200
+_ITERATIONS = 200  # of L-BFGS
 
 _IMPOSSIBLE = "no flight meets the mission within the rotor speed limits, so none is bounded."
+_WITH_DRAG = "with drag"
+# A bound [J], None if there is none, and the reason in words.
+_Found = tuple[float | None, str]
 
 
-#: Durations that differ by less, relative, are the same.
+#: Relative difference below which two durations are equal.
 SAME_TIME = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """The lower bound of a mission, or why there is none.
+    """Lower bound on the energy of a mission, or the reason why there is none.
 
     Attributes
     ----------
     lower_bound_J : float or None
-        No flight of the mission spends less; None where no bound exists.
+        Least energy that a flight of the mission can spend; None if no bound is known.
     hover_energy_J : float
         Energy of hovering in still air for the same time.
     applies : bool
         Whether there is a bound.
     reason : str
-        What the bound rests on, or why there is none.
+        Basis of the bound, or why there is none.
     durations_s : tuple of float
-        Least and greatest duration of the flights that are bounded [s].
+        Least and greatest duration of the flights that the bound covers [s].
     """
 
     lower_bound_J: float | None
@@ -205,17 +199,17 @@ class Certificate:
     durations_s: tuple[float, float] = (0.0, inf)
 
     def is_of(self, duration_s: float) -> bool:
-        """Say whether the bound is one on flights of a duration."""
+        """Return whether the bound covers flights of a duration."""
         least, greatest = self.durations_s
         return least * (1 - SAME_TIME) <= duration_s <= greatest * (1 + SAME_TIME)
 
     def gap_percent(self, energy_J: float) -> float | None:
-        """Return by how much any flight could undercut an energy, in per cent of it.
+        """Return the largest possible saving over an energy, in per cent of that energy.
 
         Returns
         -------
         float or None
-            None where no bound exists.
+            None if no bound is known.
         """
         if self.lower_bound_J is None:
             return None
@@ -223,7 +217,7 @@ class Certificate:
 
 
 def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificate:
-    """Bound the energy of every flight of a mission from below, in the wind that really blows."""
+    """Return a lower bound on the energy of every flight of a mission in the actual wind."""
     planner = planner or Planner()
     hover_energy = planner.steady_flight(scenario).hover_power * scenario.nominal_duration
     bound, reason = _bound(scenario, planner)
@@ -236,7 +230,7 @@ def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificat
     )
 
 
-def _bound(scenario: Scenario, planner: Planner) -> tuple[float | None, str]:
+def _bound(scenario: Scenario, planner: Planner) -> _Found:
     reason = next(_obstacles(scenario), "")
     if reason:
         return None, reason
@@ -256,12 +250,8 @@ def _bound(scenario: Scenario, planner: Planner) -> tuple[float | None, str]:
     return max(bounds, key=lambda found: -inf if found[0] is None else found[0])
 
 
-_Found = tuple[float | None, str]
-_WITH_DRAG = "with drag"
-
-
 def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
-    """Say why passages and a free duration cannot be bounded; nothing where they can."""
+    """Return why waypoints and a free duration cannot be bounded; empty if they can."""
     times = np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES)
     standing = np.array([demand.thrust(float(t)) for t in times])
     if np.ptp(standing, axis=0).max() > _ROUNDING * np.abs(standing).max():
@@ -276,7 +266,7 @@ def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
 def _bound_as_a_whole(
     scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, uncounted: str
 ) -> _Found:
-    """Bound the flights of a fixed duration from start to goal, whatever they pass on the way."""
+    """Bound the flights of a fixed duration from start to goal, without regard to waypoints."""
     mission = scenario.mission
     if mission.released > 0.0:
         return None, f"no bound is known for a mass that changes on the way {uncounted}."
@@ -284,7 +274,7 @@ def _bound_as_a_whole(
         return None, f"no bound is known for a free duration {uncounted}."
     displacement = np.subtract(mission.goal.position, mission.start.position)
     duration = mission.fixed_duration
-    # A bound above what full power for the whole flight would spend proves that there is none.
+    # A bound above the energy of full power for the whole flight proves that no flight exists.
     ceiling = float(np.max(power.power)) * duration * (1 + _ROUNDING)
     found = _best_bound(ThrustMoments(demand, displacement, duration), power, ceiling)
     if found > ceiling:
@@ -302,7 +292,7 @@ def _bound_as_a_whole(
 def _bound_by_legs(
     scenario: Scenario, planner: Planner, demand: MomentumDemand, power: _SteadyPower
 ) -> _Found:
-    """Bound the flights that pass the waypoints, at any times and of any duration allowed."""
+    """Bound the flights through the waypoints, for all passing times and durations allowed."""
     mission = scenario.mission
     standing = demand.thrust(0.0)
     thrust = float(np.linalg.norm(standing))
@@ -329,12 +319,11 @@ def _bound_by_legs(
     )
 
 
-# Where the standing force is compared with itself to see if it changes.
-_STANDING_SAMPLES = 101
-
-
 def _given_back(scenario: Scenario, planner: Planner) -> float:
-    """Return what the rotors give back that turn slower at the goal, with less to carry [J]."""
+    """Return the energy that the rotors give back on slowing to hover at the goal [J].
+
+    They hover slower there after the release of parcels.
+    """
     if not scenario.mission.released:
         return 0.0
     steady = planner.steady_flight(scenario)
@@ -346,7 +335,7 @@ def _given_back(scenario: Scenario, planner: Planner) -> float:
 
 
 def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
-    """Bound the flights whose power or drag depends on the airspeed, by `pairs`."""
+    """Bound the flights whose power or drag depends on the airspeed, by `pairs.bound_of_pairs`."""
     mission, dynamics = scenario.mission, planner.dynamics(scenario)
     if scenario.power.model is PowerModel.MOTOR_WITH_FRICTION:
         return (
@@ -390,7 +379,7 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
 
 
 def _less_room(scenario: Scenario) -> str:
-    """Say why an airspace leaves the bound what it is, where there is one."""
+    """Return the words that extend a bound to flights within an airspace, if there is one."""
     airspace = scenario.airspace
     if not airspace.keep_out and airspace.floor is None and airspace.ceiling is None:
         return ""
@@ -398,7 +387,7 @@ def _less_room(scenario: Scenario) -> str:
 
 
 def _obstacles(scenario: Scenario) -> Iterator[str]:
-    """Yield why no bound is known, the plainest first."""
+    """Yield the reasons why no bound is known, the simplest first."""
     if scenario.model is not None:
         yield f"no bound is known for a model of one's own ({scenario.model})."
     if scenario.power.model is PowerModel.EFFICIENCY:
@@ -418,9 +407,9 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
 
 
 def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> float:
-    """Return the largest bound found, at least that of Jensen's inequality.
+    """Return the largest bound found, never less than the bound by Jensen's inequality.
 
-    `ceiling` is where the search may stop, since no flight spends so much.
+    The search stops above ``ceiling`` [J], the energy of full power throughout.
     """
 
     def negative(multipliers: FloatArray) -> tuple[float, FloatArray]:
@@ -452,21 +441,21 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
 class _SteadyPower:
     """Thrust and power with all rotors at one constant speed, over the speeds allowed.
 
-    Power is that before anything is said of braking: one that earns nothing is the larger.
+    Power is taken without credit for braking, which makes it the larger.
 
     Attributes
     ----------
     thrust, power : ndarray, shape (n,)
         Total thrust [N], rising, and total power [W] at equal steps of the rotor speed.
     is_polynomial : bool
-        Whether the readings of the declared model are met to rounding.
+        Whether the fit meets the readings of the declared model to rounding.
     """
 
     def __init__(self, scenario: Scenario, steady: SteadyFlight) -> None:
         slowest, fastest = scenario.limits.rotor_speed_min, scenario.limits.rotor_speed_max
         between = 0.5 * (1 - np.cos(np.pi * np.arange(_READINGS) / (_READINGS - 1)))
         speeds = slowest + (fastest - slowest) * between
-        # Close together where vehicles fly, however high the limit is.
+        # Dense in the range of usual flights, however high the limit is.
         usual = np.clip(_USUAL_SPEED * steady.hover_speed, slowest, fastest)
         samples = np.union1d(
             np.linspace(slowest, usual, _SAMPLES), np.linspace(usual, fastest, _SAMPLES)
@@ -484,26 +473,25 @@ class _SteadyPower:
         return float(np.interp(thrust, self.thrust[1:], self._slope))
 
     def conjugate(self, price: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the largest of price * thrust - power over the thrusts allowed.
+        """Return the maximum of price * thrust - power over the thrusts allowed.
 
         Parameters
         ----------
         price : ndarray, shape (n,)
-            Worth of thrust, not negative, W/N.
+            Price of thrust, not negative, W/N.
 
         Returns
         -------
         value : ndarray, shape (n,)
-            Never less than the true maximum, W.
+            Upper bound on the maximum, W.
         thrust : ndarray, shape (n,)
-            Where it is reached, to the spacing of the samples, N.
+            Thrust of the maximum, to the spacing of the samples, N.
 
         Notes
         -----
-        Between two samples the power lies above their chord where it is concave, and above
-        the chord before them, extended, where it is convex: the samples are lowered to the
-        lesser of the two, so that their maximum is an upper bound of the maximum over all
-        thrusts.
+        Between two samples the power lies above their chord if it is concave, and above the
+        previous chord, extended, if it is convex.  The samples are lowered to the lesser of the
+        two, so the maximum over the samples is an upper bound on the maximum over all thrusts.
         """
         best = np.searchsorted(self._chords, price)
         return price * self._thrust[best] - self._floor[best], self._thrust[best]
@@ -512,7 +500,7 @@ class _SteadyPower:
 def _fit(
     readings: FloatArray, speeds: FloatArray, samples: FloatArray
 ) -> tuple[Chebyshev, FloatArray, bool]:
-    """Return a polynomial of the rotor speed, its samples, and whether it meets the readings."""
+    """Return a polynomial of the rotor speed, its samples, and whether it fits the readings."""
     domain = [speeds[0], speeds[-1]]
     polynomial = Chebyshev.fit(speeds, readings, _DEGREE, domain=domain)
     error = float(np.max(np.abs(polynomial(speeds) - readings)))
@@ -520,7 +508,7 @@ def _fit(
 
 
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Return samples whose polygon nowhere lies above the power."""
+    """Return lowered samples of the power, whose polygon lies nowhere above it."""
     chords = np.diff(power) / np.diff(thrust)
     # The power rises with thrust, so the first step extends a level line.
     extended = power[:-1] + np.concatenate([[0.0], chords[:-1]]) * np.diff(thrust)
@@ -528,7 +516,7 @@ def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
 
 
 def _corners(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Return the points, shape (2, n), that are the cheapest at some price of thrust."""
+    """Return the vertices of the lower convex hull of thrust and power, shape (2, n)."""
     kept: list[tuple[float, float]] = []
     for x, y in zip(thrust.tolist(), power.tolist(), strict=True):
         while len(kept) > 1:

@@ -1,4 +1,4 @@
-"""What is wrong or doubtful about a mission or its plan, and whether it can be flown at all."""
+"""Checks of a mission and of its plan: impossible demands, and cautions about the results."""
 
 from collections.abc import Iterator
 from math import acos, atan2, cos, hypot, inf, pi, radians, sin
@@ -8,7 +8,8 @@ import numpy as np
 
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
-from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, ROTORS, position_miss, terminal_miss_of
+from pyomo_quad.flight.columns import ROTORS
+from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, position_miss, terminal_miss_of
 from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight, battery_shortfalls
 from pyomo_quad.flight.verification import fly_controls
 from pyomo_quad.model import build_model
@@ -23,8 +24,16 @@ if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
 
 
+def _impossible(subject: str, message: str) -> Finding:
+    return Finding(severity=Severity.IMPOSSIBLE, subject=subject, message=f"{subject} = {message}")
+
+
+def _caution(subject: str, message: str) -> Finding:
+    return Finding(severity=Severity.CAUTION, subject=subject, message=f"{subject} = {message}")
+
+
 def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
-    """Yield what the battery cannot give, and which of its limits the flight must break.
+    """Yield demands on the battery that it cannot meet, and limits that every flight must break.
 
     Yields
     ------
@@ -32,91 +41,76 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
         A caution where the pack is too small, since its equations stay finite beyond empty;
         impossible where a limit must be broken.
     """
-    steady = planner.steady_flight(scenario)
+    steady, limits = planner.steady_flight(scenario), scenario.limits
     for line in battery_shortfalls(scenario, steady):
         yield Finding(severity=Severity.CAUTION, subject="battery.use", message=line)
-    yield from _charge_at_start(scenario)
-    limits = scenario.limits
-    is_limited = any(
-        limit is not None
-        for limit in (
-            limits.state_of_charge_min,
-            limits.battery_current_max,
-            limits.battery_voltage_min,
-            limits.battery_power_share_max,
+    lowest, initial = limits.state_of_charge_min, scenario.battery.initial_state_of_charge
+    if lowest is not None and initial < lowest:
+        yield _impossible(
+            "limits.state_of_charge_min",
+            f"{lowest:.4g} percent; must be at most battery.initial_state_of_charge, "
+            f"{initial:.4g} percent.",
         )
+    of_the_pack = (
+        lowest,
+        limits.battery_current_max,
+        limits.battery_voltage_min,
+        limits.battery_power_share_max,
     )
-    if is_limited:
+    if any(limit is not None for limit in of_the_pack):
         bound = certify(scenario, planner=planner).lower_bound_J
         if bound is not None:
             yield from _limits_broken(scenario, steady, bound)
 
 
-def _impossible_pack(subject: str, message: str) -> Finding:
-    return Finding(severity=Severity.IMPOSSIBLE, subject=subject, message=f"{subject} = {message}")
-
-
-def _charge_at_start(scenario: Scenario) -> Iterator[Finding]:
-    lowest, initial = scenario.limits.state_of_charge_min, scenario.battery.initial_state_of_charge
-    if lowest is not None and initial < lowest:
-        yield _impossible_pack(
-            "limits.state_of_charge_min",
-            f"{lowest:.4g} percent; must be at most battery.initial_state_of_charge, "
-            f"{initial:.4g} percent.",
-        )
-
-
 def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> Iterator[Finding]:
+    """Yield limits of the pack that break under the mean power of the lower bound [J]."""
     limits, duration = scenario.limits, scenario.mission.fixed_duration
     current, voltage, charge_rate = steady.pack_under(bound / duration)
-    taken = charge_rate * duration
-    drawn = 100.0 * taken / steady.pack_capacity
-    left = scenario.battery.initial_state_of_charge - drawn
-    lowest = limits.state_of_charge_min
-    if lowest is not None and left < lowest <= scenario.battery.initial_state_of_charge:
-        yield _impossible_pack(
+    taken, initial = charge_rate * duration, scenario.battery.initial_state_of_charge
+    left = initial - 100.0 * taken / steady.pack_capacity
+    share = bound / duration / steady.greatest_pack_power
+    lowest, most = limits.state_of_charge_min, limits.battery_current_max
+    least, greatest = limits.battery_voltage_min, limits.battery_power_share_max
+    if lowest is not None and left < lowest <= initial:
+        yield _impossible(
             "limits.state_of_charge_min",
             f"{lowest:.4g} percent: the flight takes at least {taken:.4g} Ah and leaves at most "
             f"{left:.4g} percent; lower the limit or add cells.",
         )
-    if limits.battery_current_max is not None and current > limits.battery_current_max:
-        yield _impossible_pack(
+    if most is not None and current > most:
+        yield _impossible(
             "limits.battery_current_max",
-            f"{limits.battery_current_max:.4g} A: the mean current of any flight is at least "
-            f"{current:.4g} A; raise the limit or add cells in series.",
+            f"{most:.4g} A: the mean current of any flight is at least {current:.4g} A; raise the "
+            "limit or add cells in series.",
         )
-    if limits.battery_voltage_min is not None and voltage < limits.battery_voltage_min:
-        yield _impossible_pack(
+    if least is not None and voltage < least:
+        yield _impossible(
             "limits.battery_voltage_min",
-            f"{limits.battery_voltage_min:.4g} V: under the mean current the pack has at most "
-            f"{voltage:.4g} V; lower the limit or add cells in series.",
+            f"{least:.4g} V: under the mean current the pack has at most {voltage:.4g} V; lower "
+            "the limit or add cells in series.",
         )
-    most, share = limits.battery_power_share_max, bound / duration / steady.greatest_pack_power
-    if most is not None and share > most:
-        yield _impossible_pack(
+    if greatest is not None and share > greatest:
+        yield _impossible(
             "limits.battery_power_share_max",
-            f"{most:.4g}: the mean power of any flight is at least {share:.4g} of what the pack "
-            "can give; raise the limit or add cells in series.",
+            f"{greatest:.4g}: the mean power of any flight is at least {share:.4g} of what the "
+            "pack can give; raise the limit or add cells in series.",
         )
 
 
-# Rotor speeds of a usual flight over that of hover, and how finely they are searched.
+# Rotor speeds of usual flights, relative to hover: the range searched.
 _SLOWEST, _FASTEST = 0.6, 1.1
-_SPEEDS = 11
-_ACCELERATIONS = 16
-# A saving below this share of the power is within the rounding of the floors.
+_SPEEDS = 11  # samples of that range: 5 % of the hover speed apart
+_ACCELERATIONS = 16  # samples from rest to the limit, for each sign
+# A saving below this share of the power is within the smoothing of the floors of f_r.
 _SAVING = 1e-3
 
 
 def power_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
-    """Yield where the power model leaves its sound range near the mission's hover."""
+    """Yield cautions if the power model leaves its valid range near the mission's hover."""
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield from _efficiency_findings(scenario, steady)
     yield from _voltage_findings(scenario, steady)
-
-
-def _caution(subject: str, message: str) -> Finding:
-    return Finding(severity=Severity.CAUTION, subject=subject, message=f"{subject} = {message}")
 
 
 def _efficiency_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
@@ -153,10 +147,13 @@ def _efficiency_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[F
 
 
 def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
-    """Return the highest usual rotor speed at which changing speed is cheaper than keeping it."""
+    """Return the highest rotor speed at which alternating speeds take less power than a steady one.
+
+    None if there is no such speed in the range searched.
+    """
     hover = steady.hover_speed
     for speed in np.linspace(_FASTEST * hover, _SLOWEST * hover, _SPEEDS):
-        # The chord from braking to speeding up, where it passes the steady speed.
+        # Mean power while speeding up and braking in turn: the chord at zero acceleration.
         up = np.linspace(0.0, limit, _ACCELERATIONS)[1:]
         faster = steady.rotor_value("power.rotor_power", speed, up)
         slower = steady.rotor_value("power.rotor_power", speed, -up)
@@ -170,7 +167,7 @@ def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
 def _voltage_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
     hovering = steady.hover
     if hovering.power_W > hovering.greatest_battery_power_W:
-        return  # the pack has no voltage under such a load, which is a finding of its own
+        return  # the pack has no voltage under this load: `battery_shortfalls` reports it
     pack = hovering.battery_voltage_V
     motor = steady.rotor_value("rotors.motor_voltage", steady.hover_speed)
     if motor > pack:
@@ -181,15 +178,16 @@ def _voltage_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Find
         )
 
 
-# Durations tried, in doublings and then in halvings, to say how long a mission needs.
+# Search for the duration that a mission needs: it is doubled up to 4096 times the given one, then
+# bisected to 1/256 of the last step.
 _DOUBLINGS = 12
 _HALVINGS = 8
-# The bounds are computed to better than this, relative.
+# Relative margin beyond which a demand exceeds a limit; quadrature of the bounds errs by some 1e-4.
 _MARGIN = 1e-3
 
 
 def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
-    """Yield what rules the flight out for want of thrust, tilt, rotor speed or yaw moment."""
+    """Yield demands for thrust, tilt, rotor speed or yaw moment that exceed the limits."""
     steady = planner.steady_flight(scenario)
     if scenario.limits.rotor_speed_min > steady.hover_speed:
         yield _impossible(
@@ -200,37 +198,32 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
         return
     yield from _yaw_findings(scenario, steady)
     if scenario.wind.varies_with_height:
-        return  # what the wind asks for depends on the heights that the plan chooses
+        return  # the thrust needed depends on the heights that the plan chooses
     demand = MomentumDemand(planner.dynamics(scenario))
     if demand.is_linear:
         yield from _thrust_findings(scenario, steady, demand)
 
 
-def _impossible(subject: str, message: str) -> Finding:
-    return Finding(severity=Severity.IMPOSSIBLE, subject=subject, message=f"{subject} = {message}")
-
-
 def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, float]:
-    """Return the field that limits the thrust most, with its value, and that thrust."""
+    """Return the limit that allows the least thrust, as "field = value", and that thrust [N]."""
     limits = scenario.limits
-    # Half way through the flight the rotors are furthest from the hover speed of both ends.
+    # Rotors start and end at hover speed, so they can be fastest half way through the flight.
     gain = limits.rotor_acceleration_max * scenario.mission.fixed_duration / 2
-    candidates = {
-        f"limits.rotor_speed_max = {limits.rotor_speed_max:.4g} rad/s": float(
-            steady.thrust(limits.rotor_speed_max)
+    speed, acceleration = limits.rotor_speed_max, limits.rotor_acceleration_max
+    candidates = (
+        (f"limits.rotor_speed_max = {speed:.4g} rad/s", float(steady.thrust(speed))),
+        (f"limits.thrust_max = {limits.thrust_max:.4g} N", limits.thrust_max),
+        (
+            f"limits.rotor_acceleration_max = {acceleration:.4g} rad/s^2",
+            float(steady.thrust(steady.hover_speed + gain)),
         ),
-        f"limits.thrust_max = {limits.thrust_max:.4g} N": limits.thrust_max,
-        f"limits.rotor_acceleration_max = {limits.rotor_acceleration_max:.4g} rad/s^2": (
-            float(steady.thrust(steady.hover_speed + gain))
-        ),
-    }
-    return min(candidates.items(), key=lambda item: item[1])
+    )
+    return min(candidates, key=lambda candidate: candidate[1])
 
 
-def _moments(scenario: Scenario, demand: MomentumDemand, duration: float) -> ThrustMoments:
+def _way(scenario: Scenario) -> np.ndarray:
     mission = scenario.mission
-    displacement = np.subtract(mission.goal.position, mission.start.position)
-    return ThrustMoments(demand, displacement, duration)
+    return np.subtract(mission.goal.position, mission.start.position)
 
 
 def _thrust_findings(
@@ -238,14 +231,13 @@ def _thrust_findings(
 ) -> Iterator[Finding]:
     field, available = _available_thrust(scenario, steady)
     duration = scenario.mission.fixed_duration
-    moments = _moments(scenario, demand, duration)
-    against_wind = float(
-        np.linalg.norm(moments.mean_thrust - demand.drag * _mean_velocity(scenario))
-    )
-    if against_wind > available * (1 + _MARGIN):
+    moments = ThrustMoments(demand, _way(scenario), duration)
+    against_wind = moments.mean_thrust - demand.drag * _way(scenario) / duration
+    holding = float(np.linalg.norm(against_wind))
+    if holding > available * (1 + _MARGIN):
         yield _impossible(
             "wind.use",
-            f"{scenario.wind.use}: holding against the mean wind needs {against_wind:.4g} N of "
+            f"{scenario.wind.use}: holding against the mean wind needs {holding:.4g} N of "
             f"thrust, {field} allows {available:.4g} N; raise the limit or calm the wind.",
         )
         return
@@ -254,11 +246,6 @@ def _thrust_findings(
         yield _too_short(scenario, demand, field, available, needed)
         return
     yield from _tilt_findings(scenario, moments, available)
-
-
-def _mean_velocity(scenario: Scenario) -> np.ndarray:
-    mission = scenario.mission
-    return np.subtract(mission.goal.position, mission.start.position) / mission.fixed_duration
 
 
 def _too_short(
@@ -281,12 +268,15 @@ def _too_short(
 
 
 def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float) -> float:
-    """Return a duration in which the thrust available is not enough yet, inf if none is."""
+    """Return the longest duration found for which the available thrust [N] is too little [s].
+
+    Infinite if no duration suffices, or the wind after the mission is unknown.
+    """
     if scenario.wind.series is not None:
-        return inf  # the wind beyond the mission is not known
+        return inf
 
     def is_enough(duration: float) -> bool:
-        return _moments(scenario, demand, duration).least_peak() <= available
+        return ThrustMoments(demand, _way(scenario), duration).least_peak() <= available
 
     short = long = scenario.mission.fixed_duration
     for _ in range(_DOUBLINGS):
@@ -305,7 +295,7 @@ def _tilt_findings(
     scenario: Scenario, moments: ThrustMoments, available: float
 ) -> Iterator[Finding]:
     limits = scenario.limits
-    # Of all attitudes allowed, both angles at their limit tilt the thrust furthest.
+    # Of all attitudes allowed, roll and pitch at their limits tilt the thrust furthest.
     largest = acos(cos(limits.roll_max) * cos(limits.pitch_max))
     across, up = hypot(*moments.mean_thrust[:2]), float(moments.mean_thrust[2])
     tilt = atan2(across, up)
@@ -331,11 +321,11 @@ def _tilt_findings(
 def _yaw_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
     vehicle, limits, mission = scenario.vehicle, scenario.limits, scenario.mission
     if vehicle.Ix != vehicle.Iy:
-        return  # roll and pitch rates together turn the vehicle as well
+        return  # the product of roll and pitch rates turns the vehicle in yaw as well
     moment = min(
         limits.yaw_moment_max, steady.yaw_moment(limits.rotor_speed_max, limits.rotor_speed_min)
     )
-    # Full moment one way for half of the time, the other way for the rest.
+    # The fastest turn from rest to rest: full moment one way for half of the time, then the other.
     reachable = moment / vehicle.Iz * mission.fixed_duration**2 / 4
     turn = abs(mission.goal.yaw - mission.start.yaw)
     if turn > reachable * (1 + _MARGIN):
@@ -348,19 +338,20 @@ def _yaw_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]
         )
 
 
+# Relative excess over a derived limit that is rounding.
 _ROUNDING = 1e-9
 
 
-def diagnose(
+def check_mission(
     scenario: Scenario, *, builder: Builder = build_model, planner: Planner | None = None
 ) -> tuple[Finding, ...]:
-    """List what the mission must break and what deserves a second look.
+    """List impossible demands of a mission, and doubtful values of its scenario.
 
     Parameters
     ----------
     builder : callable, optional
-        Makes the Pyomo model. Of a model of the user's own the declarations alone are looked at:
-        what its vehicle can do is not known.
+        Makes the Pyomo model.  Of a user's model only the declarations are screened, since the
+        limits of its vehicle are unknown.
 
     Returns
     -------
@@ -371,7 +362,7 @@ def diagnose(
     findings = list(_angles_in_degrees(scenario))
     planner = planner or Planner(builder)
     if planner.builder is build_model:
-        if not told.mission.is_free:  # what only more time would mend is the plan's to choose
+        if not told.mission.is_free:  # a plan of free duration takes the time that it needs
             findings += reach_findings(told, planner)
             findings += pack_findings(told, planner)
         findings += power_findings(told, planner.steady_flight(told))
@@ -382,46 +373,41 @@ def diagnose(
 
 
 def _angles_in_degrees(scenario: Scenario) -> Iterator[Finding]:
-    """Yield angles of more than a turn."""
+    """Yield angles of more than a turn, which were probably meant in degrees."""
     for field in describe_fields(scenario):
         if field.unit == "rad" and isinstance(field.value, float) and abs(field.value) > 2 * pi:
             degrees = field.value
-            yield Finding(
-                severity=Severity.CAUTION,
-                subject=field.path,
-                message=f"{field.path} = {degrees:g} rad is {abs(degrees) / (2 * pi):.3g} turns; "
-                f"were degrees meant? {degrees:g} degrees are {radians(degrees):.4g} rad.",
+            yield _caution(
+                field.path,
+                f"{degrees:g} rad is {abs(degrees) / (2 * pi):.3g} turns; were degrees meant? "
+                f"{degrees:g} degrees are {radians(degrees):.4g} rad.",
             )
 
 
 def _beyond_measured_heights(scenario: Scenario) -> Iterator[Finding]:
-    """Say of a wind measured over heights where the mission goes beyond them."""
+    """Yield a caution if the mission leaves the heights at which its wind was measured."""
     series = scenario.wind.series
     heights = () if series is None else series.heights
     flown = [place[2] for place in scenario.mission.positions]
     if heights and not heights[0] <= min(flown) <= max(flown) <= heights[-1]:
-        yield Finding(
-            severity=Severity.CAUTION,
-            subject="wind.file",
-            message=f"wind.file = {scenario.wind.file} is of {heights[0]:g} to {heights[-1]:g} m, "
-            f"the mission goes from {min(flown):g} to {max(flown):g} m; beyond, the wind is held "
-            "as it is at the nearest height: give the heights that are flown.",
+        yield _caution(
+            "wind.file",
+            f"{scenario.wind.file} is of {heights[0]:g} to {heights[-1]:g} m, the mission goes "
+            f"from {min(flown):g} to {max(flown):g} m; beyond, the wind is held as it is at the "
+            "nearest height: give the heights that are flown.",
         )
 
 
 def _idle_limits(scenario: Scenario) -> Iterator[Finding]:
-    """Yield limits that the rotors cannot reach."""
+    """Yield limits above the values that the rotors can reach."""
     limits = scenario.limits
-    reachable = derived_limits(scenario.vehicle, limits.rotor_speed_max)
-    for name, greatest in reachable.items():
-        limit = getattr(limits, name)
+    for name, greatest in derived_limits(scenario.vehicle, limits.rotor_speed_max).items():
+        limit, unit = getattr(limits, name), unit_of(type(limits), name).replace("*", " ")
         if limit > greatest * (1 + _ROUNDING):
-            unit = unit_of(type(limits), name).replace("*", " ")
-            yield Finding(
-                severity=Severity.CAUTION,
-                subject=f"limits.{name}",
-                message=f"limits.{name} = {limit:.4g} {unit}: never reached, rotors at "
-                f"limits.rotor_speed_max give {greatest:.4g} {unit}; leave it out.",
+            yield _caution(
+                f"limits.{name}",
+                f"{limit:.4g} {unit}: never reached, rotors at limits.rotor_speed_max give "
+                f"{greatest:.4g} {unit}; leave it out.",
             )
 
 
@@ -430,21 +416,26 @@ _EFFICIENCY = "power.efficiency_polynomial"
 
 
 def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[str, ...]:
-    """Say what stands between a plan and its being taken at its word."""
+    """Return cautions about a plan: its mission, its solve, and the validity of its models."""
     has_flown = plan.verification is not None
-    findings = diagnose(plan.mission_flown if has_flown else plan.scenario, planner=planner)
-    told = tuple(finding.message for finding in findings)
-    solved = () if plan.solution is None else plan.solution.warnings
-    doubts = (*_efficiency_map_cautions(plan.scenario, plan), *_attitude_cautions(plan, planner))
-    return (*told, *solved, *doubts)
+    findings = check_mission(plan.mission_flown if has_flown else plan.scenario, planner=planner)
+    return (
+        *(finding.message for finding in findings),
+        *(() if plan.solution is None else plan.solution.warnings),
+        *_efficiency_map_cautions(plan),
+        *_attitude_cautions(plan, planner),
+    )
 
 
-def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> tuple[str, ...]:
-    """Say where a plan ends that takes body rates for Euler rates, if it does not arrive."""
+def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]:
+    """Yield how far from the goal a plan of the paper's attitude ends under exact attitude.
+
+    The paper takes body rates for Euler rates.
+    """
     told = plan.scenario.as_forecast()
     is_printed = told.vehicle.attitude is Attitude.PAPER
     if not is_printed or plan.solution is None or plan.verification is None:
-        return ()
+        return
     vehicle = told.vehicle.model_copy(update={"attitude": Attitude.EULER})
     exact = (planner or Planner()).dynamics(told.model_copy(update={"vehicle": vehicle}))
     held = plan.trajectories
@@ -455,32 +446,28 @@ def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> tuple[str, ..
         miss = inf
     else:
         miss = position_miss(terminal_miss_of(exact, flown.states[-1], planned))
-    if miss <= ARRIVAL_DISTANCE_M:
-        return ()
-    astray = (
-        f'vehicle.attitude = "paper": its body rates taken for Euler rates hold for this plan no '
-        f"longer: flown with exact attitude it ends {miss:.3g} m astray, more than "
-        f'{ARRIVAL_DISTANCE_M:g} m; set vehicle.attitude = "euler".'
-    )
-    return (astray,)
+    if miss > ARRIVAL_DISTANCE_M:
+        yield (
+            'vehicle.attitude = "paper": its body rates taken for Euler rates hold for this plan '
+            f"no longer: flown with exact attitude it ends {miss:.3g} m astray, more than "
+            f'{ARRIVAL_DISTANCE_M:g} m; set vehicle.attitude = "euler".'
+        )
 
 
-def _efficiency_map_cautions(scenario: Scenario, plan: "Plan") -> tuple[str, ...]:
-    is_read = scenario.power.model is PowerModel.EFFICIENCY and plan.dynamics.has(_EFFICIENCY)
-    if not is_read:
-        return ()
+def _efficiency_map_cautions(plan: "Plan") -> Iterator[str]:
+    """Yield the share of a plan that lies outside the valid range of the efficiency map f_r."""
+    floors = plan.scenario.power
+    if floors.model is not PowerModel.EFFICIENCY or not plan.dynamics.has(_EFFICIENCY):
+        return
     held = plan.trajectories
-    times = held.node_times[1:]
     keys = tuple((name, rotor) for name in (_TORQUE, _EFFICIENCY) for rotor in ROTORS)
-    values = plan.dynamics.table(keys, times, held.states[1:], held.controls)
+    values = plan.dynamics.table(keys, held.node_times[1:], held.states[1:], held.controls)
     torque, efficiency = np.hsplit(values, 2)
-    floors = scenario.power
     outside = (torque < floors.torque_floor) | (efficiency < floors.efficiency_floor)
-    if not outside.any():
-        return ()
-    caution = (
-        f"power.model efficiency: {100 * outside.mean():.0f} % of the plan's rotor states lie "
-        f"outside f_r's sound range (torque below {floors.torque_floor:g} N m or f_r below "
-        f"{floors.efficiency_floor:g}); the energy there is that of the floors, not of the paper."
-    )
-    return (caution,)
+    if outside.any():
+        yield (
+            f"power.model efficiency: {100 * outside.mean():.0f} % of the plan's rotor states lie "
+            f"outside f_r's sound range (torque below {floors.torque_floor:g} N m or f_r below "
+            f"{floors.efficiency_floor:g}); the energy there is that of the floors, not of the "
+            "paper."
+        )

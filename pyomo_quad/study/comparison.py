@@ -1,4 +1,4 @@
-"""The flights of a mission beside each other, one row each, and what adaptation is worth."""
+"""Comparison of the flights of a mission, one row each, and the effect of adaptation."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
@@ -16,22 +16,18 @@ from pyomo_quad.flight.baselines import (
     fly_reference,
     reference_path,
 )
+from pyomo_quad.flight.columns import ALL_COLUMNS, ENERGY, ROTORS, TIME, column_of
 from pyomo_quad.flight.controller import CONTROLLER_STATES
 from pyomo_quad.flight.flight import (
     AIR_FORCE,
     ARRIVAL_DISTANCE_M,
     ARRIVAL_SPEED_M_PER_S,
-    ENERGY,
     POSITION_STATES,
-    ROTORS,
-    TIME,
     VELOCITY_STATES,
     Flight,
-    columns_of,
 )
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Reference, Replanning
-from pyomo_quad.scenario.vehicle import MOST_ROTORS
 from pyomo_quad.study.certificate import SAME_TIME, Certificate
 
 if TYPE_CHECKING:
@@ -88,13 +84,11 @@ def _error(
 
 OPTIMAL = "optimal"
 FAIR_BASELINE = baseline_name(Reference.QUINTIC)
-"""Flies the same mission smoothly, and needs no plan."""
+"""The baseline for savings: a smooth reference for the same mission, made without a plan."""
 INSIDE_DISTANCE_M = 0.1
-"""Distance from the goal that counts as being there."""
+"""Distance from the goal below which `time_inside_0p1_m_s` counts."""
 
-_EVERY_ROTOR = range(1, MOST_ROTORS + 1)
-_COLUMN_OF = {(shown.component, shown.index): shown.name for shown in columns_of(_EVERY_ROTOR)}
-_HAS_LEGS = {ENERGY, *(_COLUMN_OF[name, None] for name in POSITION_STATES)}
+_PLACE = tuple(column_of(state).name for state in POSITION_STATES)
 
 
 class ComparisonColumn(StrEnum):
@@ -124,12 +118,12 @@ class ComparisonColumn(StrEnum):
 
 
 RESERVE = "reserve_percent"
-"""Share of rotor speed and of thrust, the lesser, that a flight leaves unused throughout; a column
-only where the scenario asks plans for a reserve."""
+"""Unused share of the limits of rotor speed and thrust, the lesser, at its least over the flight; a
+column only if the scenario sets `limits.reserve`."""
 
 
 def has_arrived(flight: Flight) -> bool:
-    """Say whether a flight ends at the goal and at rest."""
+    """Return whether a flight ends at the goal and at rest."""
     speed = np.linalg.norm([flight.terminal_miss.get(name, 0.0) for name in VELOCITY_STATES])
     return bool(flight.terminal_miss_m <= ARRIVAL_DISTANCE_M and speed <= ARRIVAL_SPEED_M_PER_S)
 
@@ -145,24 +139,24 @@ def compare_flights(
     Returns
     -------
     DataFrame
-        One row per flight, columns of `ComparisonColumn`.  Where there is no number there is NaN.
+        One row per flight, columns of `ComparisonColumn`; NaN where there is no number.
 
     Notes
     -----
-    Flights are compared at the same end: what a flight's end state still owes is added to its
-    energy, and excess, gap and savings are of the sum (`Plan.owed_energy` says why no flight then
-    lies below the optimum).  The savings in a row are those of the optimum over that row's flight,
-    in per cent of its sum and of its sum above hover.
+    Flights are compared at the same end state.  The energy needed to complete the manoeuvre from a
+    flight's end state (the owed energy, `Plan.owed_energy`) is added to its energy; excess, gap
+    and savings refer to the sum.  Saving = (flight - optimum) / flight, in per cent, of the sum and
+    of the sum above hover.
 
-    A flight that did not arrive, broke a limit or has no price on its end takes no part: it has no
-    saving, and neither bound nor gap, since the bound is one on flights that arrive within the
-    limits.  A scenario with a forecast has no savings and its optimum no bound: it was made for
-    another wind than the others flew in.
+    A flight that did not arrive, broke a limit or has no price on its end state has no saving,
+    bound or gap, since the bound covers flights that arrive within the limits.  A scenario with a
+    forecast has no savings, and its optimum no bound: it was planned for another wind than the
+    others flew in.
 
-    ``hover_energy_J`` is of the mission's duration; a flight that took another has its own hover
-    floor, a bound only where the certificate is one of its duration, and no saving above hover:
-    the two would be above different floors.  Nor is there one where the optimum takes less than
-    hovering, which would save more than all of what another flight takes above it.
+    ``hover_energy_J`` is the hover floor of the mission's duration.  A flight of another duration
+    has its own hover floor, a bound only if the certificate covers its duration, and no saving
+    above hover, since the two floors differ.  There is no saving above hover either if the optimum
+    takes less energy than hovering: it would exceed 100 %.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -170,15 +164,11 @@ def compare_flights(
     optimum = next((f for f in flights if f.name == OPTIMAL and is_comparable(f)), None)
     rows = []
     for flight in flights:
-        is_optimum = flight.name == OPTIMAL
-        arrived = has_arrived(flight)
-        settled = settled_energy(flight)
-        is_bounded = (
-            is_comparable(flight)
-            and (is_told_the_wind or not is_optimum)
-            and certificate.is_of(flight.duration_s)
-        )
-        is_rival = is_comparable(flight) and is_told_the_wind and not is_optimum
+        is_optimum, arrived = flight.name == OPTIMAL, has_arrived(flight)
+        settled, is_valid = settled_energy(flight), is_comparable(flight)
+        is_bounded = is_valid and (is_told_the_wind or not is_optimum)
+        is_bounded = is_bounded and certificate.is_of(flight.duration_s)
+        is_rival = is_valid and is_told_the_wind and not is_optimum
         hover = _hover_energy(scenario, flight, hover_energy_J)
         excess = settled - hover
         saved = saved_of_excess = nan
@@ -217,12 +207,12 @@ def compare_flights(
 
 
 def against_hovering(excess_J: float, digits: int = 2) -> str:
-    """Return in words how an energy differs from hovering's: "3.20 J less than hovering"."""
+    """Return an energy above hovering in words, such as "3.20 J less than hovering"."""
     return f"{abs(excess_J):.{digits}f} J {'less' if excess_J < 0.0 else 'more'} than hovering"
 
 
 def has_own_time(scenario: Scenario, duration_s: float) -> bool:
-    """Say whether a flight took another time than the mission."""
+    """Return whether the duration of a flight differs from the mission's."""
     return not isclose(duration_s, scenario.mission.fixed_duration, rel_tol=SAME_TIME)
 
 
@@ -252,21 +242,21 @@ def leg_table(mission: Scenario, frame: "pd.DataFrame") -> "pd.DataFrame":
 def leg_rows(
     mission: Scenario, flown: "Mapping[str, FloatArray] | pd.DataFrame"
 ) -> list[dict[str, str | float]]:
-    """Return what each leg of a flight took, between waypoints and while held at one.
+    """Return times, length and energy of each leg of a flight, and of each hold at a waypoint.
 
     Parameters
     ----------
     mission : Scenario
-        With the times at which the flight passes its waypoints (`Plan.mission_flown`).
+        The mission with the passing times of the flight (`Plan.mission_flown`).
     flown : mapping or DataFrame
-        The flight, with the columns `flight.COLUMNS`.
+        Table of the flight, with the columns `columns.COLUMNS`.
 
     Returns
     -------
     list of dict
         Values by `LegColumn`; none for a mission without waypoints.
     """
-    if not mission.mission.waypoints or not _HAS_LEGS.issubset(flown):
+    if not mission.mission.waypoints or not {ENERGY, *_PLACE}.issubset(flown):
         return []
     time, way = np.asarray(flown[TIME], dtype=float), way_flown(flown)
     rows: list[dict[str, str | float]] = []
@@ -287,7 +277,7 @@ def leg_rows(
 
 
 def _legs(mission: Scenario, duration_s: float) -> Iterator[tuple[str, float, float]]:
-    """Yield name, begin and end [s] of every leg, and of what is held between two."""
+    """Yield name, begin and end [s] of every leg and of every hold between two legs."""
     left, place = 0.0, "start"
     for number, waypoint in enumerate(mission.mission.waypoints, start=1):
         reached = duration_s if waypoint.at is None else waypoint.at
@@ -299,12 +289,11 @@ def _legs(mission: Scenario, duration_s: float) -> Iterator[tuple[str, float, fl
 
 
 def way_flown(flown: "Mapping[str, FloatArray] | pd.DataFrame") -> FloatArray:
-    """Return the length of the way flown until each row of a flight's table, m.
+    """Return the path length flown until each row of a flight's table [m].
 
-    Axes that a model of the user's own does not have count for nothing.
+    Axes that a user's model does not declare are left out.
     """
-    names = [_COLUMN_OF[state, None] for state in POSITION_STATES]
-    held = [np.asarray(flown[name], dtype=float) for name in names if name in flown]
+    held = [np.asarray(flown[name], dtype=float) for name in _PLACE if name in flown]
     places = np.reshape(held, (-1, len(flown[TIME]))).T
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
@@ -327,10 +316,10 @@ class ReplanningColumn(StrEnum):
 
 
 def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.DataFrame":
-    """Return what became of each re-planned flight, and how long its solves took here.
+    """Return the outcome of each re-planned flight, and the times of its solves on this machine.
 
-    Late are the solves that took longer here than ``solve_time`` allows, whatever the flight was
-    charged for them; some of them may have taken longer than the interval to the next.
+    A solve is late if it took longer on this machine than ``solve_time``, whatever delay the flight
+    simulated; it may also have taken longer than the interval to the next solve.
 
     Returns
     -------
@@ -364,19 +353,19 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
 
 
 def is_comparable(flight: Flight) -> bool:
-    """Say whether a flight did what the mission asks, so that its energy answers the question."""
+    """Return whether a flight arrived, kept all limits and has a price on its end state."""
     is_priced = isfinite(flight.owed_energy_J)
     return has_arrived(flight) and not flight.broken_limits and is_priced
 
 
 def settled_energy(flight: Flight) -> float:
-    """Return the energy with what the end state owes, which is said only of a flight near it."""
+    """Return the energy of a flight plus the energy its end state owes, if it arrived [J]."""
     is_priced = has_arrived(flight) and isfinite(flight.owed_energy_J)
     return flight.energy_J + (flight.owed_energy_J if is_priced else 0.0)
 
 
 def combine(frames: "Sequence[pd.DataFrame]") -> "pd.DataFrame":
-    """Put the comparisons of many scenarios under each other."""
+    """Return the comparisons of many scenarios as one table."""
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
     if not frames:
@@ -389,12 +378,12 @@ def _number(value: float | None, is_meaningful: bool) -> float:
 
 
 def _percent(part: float, whole: float) -> float:
-    """Return a share in per cent, NaN of a whole that is not positive."""
+    """Return a share in per cent; NaN if the whole is not positive."""
     return 100.0 * part / whole if whole > 0.0 else nan
 
 
 def _measured(scenario: Scenario, frame: "pd.DataFrame") -> dict[ComparisonColumn, float]:
-    """Return what is read off a flight's table; NaN where a user's model lacks the column."""
+    """Return peaks and totals of a flight's table; NaN if a user's model lacks the column."""
     alpha = _rotor_values(frame, "rotors.alpha")
     tilt = np.cos(_values(frame, "rigid_body.phi")) * np.cos(_values(frame, "rigid_body.theta"))
     charge = _values(frame, "battery.state_of_charge")
@@ -416,7 +405,10 @@ def _reserve_percent(scenario: Scenario, frame: "pd.DataFrame") -> float:
 
 
 def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
-    """Return the time spent near the goal; half an interval where only one end of it is near."""
+    """Return the time spent near the goal [s].
+
+    An interval between two rows counts half if only one of its ends is near.
+    """
     position = np.column_stack([_values(frame, name) for name in POSITION_STATES])
     distance = np.linalg.norm(position - scenario.mission.goal.position, axis=1)
     if np.isnan(distance).any():
@@ -426,13 +418,16 @@ def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
 
 
 def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
-    """Return a column for each rotor, four at least; NaN where a user's model lacks one."""
-    rotors = [j for j in _EVERY_ROTOR if j in ROTORS or _COLUMN_OF[component, j] in frame]
-    return np.column_stack([_values(frame, component, rotor) for rotor in rotors])
+    """Return one column for each rotor, at least four; NaN where a user's model lacks a rotor."""
+    shown = [one for one in ALL_COLUMNS if one.component == component]
+    return np.column_stack(
+        [_values(frame, one.variable) for one in shown if one.index in ROTORS or one.name in frame]
+    )
 
 
-def _values(frame: "pd.DataFrame", component: str, index: int | None = None) -> FloatArray:
-    name = _COLUMN_OF[component, index]
+def _values(frame: "pd.DataFrame", variable: str) -> FloatArray:
+    """Return the values of a variable of the model; NaN if the table lacks its column."""
+    name = column_of(variable).name
     if name not in frame:
         return np.full(len(frame), nan)
     return frame[name].to_numpy(dtype=float)

@@ -1,8 +1,8 @@
-"""The energy-time front: what a mission of free duration takes where its time is dearer or cheaper.
+"""Energy-time front: least energy of a mission of free duration, over the price of time.
 
-Flights of least energy plus price times duration are those of which none is both shorter and
-cheaper: where the least energy is convex in the duration, each price picks one of them, and the
-slope of the front there is minus the price.
+A flight that minimises energy + price * duration is on the front: no other flight is both shorter
+and cheaper.  Where the least energy is convex in the duration, each price selects one flight, and
+the slope of the front there is minus the price.
 """
 
 from enum import StrEnum
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 # Prices of time, as shares of the power of hovering, beside the mission's own.
 _PRICES = (0.0, 0.3, 1.0, 3.0)
-# Durations that differ by less than this share are those of one flight, at one of its limits.
+# Relative difference below which two durations are one flight, at a limit of the duration.
 _SAME_TIME = 1e-4
 
 
@@ -36,8 +36,8 @@ def energy_time_front(
 ) -> "pd.DataFrame":
     """Return energy and duration of a mission's flights at a few prices of time.
 
-    Each starts from the plan, so that it passes zones on the plan's sides, and is solved on the
-    plan's mesh alone: the mesh gives their energies to many digits, but not their limits.
+    Each solve starts from the plan, and so passes zones on the plan's sides.  It keeps the plan's
+    mesh, which is fine enough for energies, but limits between its points are not checked.
 
     Parameters
     ----------
@@ -48,8 +48,8 @@ def energy_time_front(
     Returns
     -------
     DataFrame
-        Columns of `FrontColumn`, the shortest first; no rows where the plan is not verified or
-        its duration was not free.  The plan's price is NaN where its aim is the least time.
+        Columns of `FrontColumn`, the shortest flight first; empty if the plan is not verified or
+        its duration is fixed.  The plan's price is NaN if its aim is the least time.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 

@@ -1,29 +1,27 @@
-"""The bound on a flight in legs: prices of thrust at its passages and of time, chosen together.
+"""Lower bound on a flight in legs, by prices of momentum at its passages and a price of time.
 
 Derivation: see docs/theory/bound.md, eqs. (12) and (13).
 
 symbol | meaning
-d_k, T_k, m_k | way of leg k, its duration, and the mass that flies it
-r_k | how far both its ends together may lie from where they are meant to be
-s_k | thrust that holds the vehicle still on leg k: weight, and a steady wind's acceleration
-y | price of momentum, J per N s: on each leg it runs in a straight line over time
-P* | conjugate of the power: the largest of price times thrust less power
+d_k, T_k, m_k | displacement of leg k, its duration, and the mass on it
+r_k | sum of the distances that both its ends may lie from their nominal places
+s_k | thrust that holds the vehicle still on leg k: weight and the acceleration by a steady wind
+y | price of momentum, J per N s: linear in time on each leg
+P* | conjugate of the power: maximum of price times thrust minus power
 
 The thrust is u = m_k a + s_k, and power is at least p . u - P*(|p|) at any price p.  With
-p = y / m_k the acceleration integrates by parts: what is left at the passages cancels, since the
-velocity does not jump there and y does not either, and at rest there is none.  So every flight
-spends at least
+p = y / m_k the acceleration integrates by parts: the boundary terms cancel at the passages, where
+neither velocity nor y jumps, and vanish at rest.  So every flight spends at least
 
 sum over k of  A_k / T_k + G_k T_k,   A_k = -(change of y) . d_k - r_k |change of y|,
 G_k = mean over the leg of p . s_k - P*(|p|).
 
-At a passage that limits the speed y may jump, for the price of that speed times the jump.
+At a passage with a speed limit y may jump; this lowers the bound by the limit times the jump.
 
-Where the T_k are free, and only their sum is known to lie between two durations, a price of time mu
-makes that, for A_k >= 0 and mu < G_k, at least  sum of 2 sqrt(A_k (G_k - mu)) + mu (sum of T_k):
-a closed form, so the bound holds at every passing time and duration at once, not at those tried.
-Nothing is lost by it where the bound of fixed times is least: there both have the same slope in
-every T_k.
+If the T_k are free and only their sum is limited, a price of time mu < G_k with A_k >= 0 gives the
+lower bound  sum of 2 sqrt(A_k (G_k - mu)) + mu (sum of T_k):  a closed form, which holds for all
+passing times and durations.  It equals the least bound over fixed times, since both have the same
+slope in every T_k there.
 """
 
 from __future__ import annotations
@@ -44,34 +42,34 @@ if TYPE_CHECKING:
     from pyomo_quad.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
-_NODES = 48
-_ITERATIONS = 200
-# Lengths of price vectors are rounded by so much, N s/J upwards: a norm has no slope at nought.
+_NODES = 48  # of the Gauss quadrature over a leg: the conjugate is piecewise linear
+_ITERATIONS = 200  # of L-BFGS in each search
+# Smoothing of the length of a price vector, which has no slope at zero, N s/J.
 _CORNER = 1e-6
-# Fall of the price of momentum over the way from which the search may begin, J s / (kg m^2).
+# Starts of the search: falls of the price of momentum along the way, J s / (kg m^2).
 _STIFFNESSES = np.geomspace(1e-3, 1e2, 26)
-_RESTARTS = 3
-_ROUNDING = 1e-9
-# J; where prices give no bound at all.
+_RESTARTS = 3  # L-BFGS discards a curvature that the kinks have spoiled
+_ROUNDING = 1e-9  # relative
+# Value for prices that give no bound: above any energy, J.
 _NONE = 1e12
 
 
 @dataclass(frozen=True, kw_only=True)
 class Leg:
-    """What is known of one leg of a flight, or of a hold.
+    """One leg of a flight, or a hold.
 
     Attributes
     ----------
     way : ndarray, shape (3,)
-        From where it is meant to begin to where it is meant to end, m.
+        Displacement between the nominal places of its ends, m.
     room : float
-        How far its ends, together, may lie from there, m.
+        Sum of the distances that its ends may lie from there, m.
     mass : float
         Share of the mass at the start.
     party : int
         Legs of one party share a time: see `Itinerary`.
     end_speed : float
-        Largest speed at its end, m/s; infinite where nothing limits it.
+        Largest speed at its end, m/s; infinite without a limit.
     """
 
     way: FloatArray
@@ -121,7 +119,7 @@ def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
 
 
 class Itinerary:
-    """Legs in their order, and the times that parties of them share.
+    """Legs in their order, grouped into parties that share a time.
 
     Parameters
     ----------
@@ -132,9 +130,9 @@ class Itinerary:
     standing : ndarray, shape (3,)
         Thrust that holds the whole mass at the start still, N.
     mass : float
-        That mass, kg.
+        Mass at the start, kg.
     conjugate : callable
-        Prices of thrust, shape (n,) -> the conjugate of the power and the thrust it is of.
+        Prices of thrust, shape (n,) -> the conjugate of the power, and the thrust of the maximum.
     """
 
     def __init__(
@@ -162,7 +160,7 @@ class Itinerary:
         self._size = int(self._last[-1]) + 1
 
     def _terms(self, prices: FloatArray) -> tuple[FloatArray, FloatArray, float, FloatArray]:
-        """Return A_k, G_k, the price of all jumps, and the slopes of the three by the prices.
+        """Return A_k, G_k, the (negative) price of all jumps, and their slopes by the prices.
 
         The slopes have shape (2 n_legs + 1, n_prices, 3).
         """
@@ -193,17 +191,17 @@ class Itinerary:
         return gained, spent, -float(self._jump_price @ jump), slopes
 
     def bound(self, price: FloatArray) -> float:
-        """Return a bound at every passing time and duration allowed.
+        """Return a lower bound for all passing times and durations allowed [J].
 
         Parameters
         ----------
         price : ndarray, shape (3,)
-            Price of thrust from which the search for the best begins, W/N.
+            Price of thrust at which the search begins, W/N.
         """
         places = np.zeros((self._size, 3))
         for first, last, way in zip(self._first, self._last, self._ways, strict=True):
             places[last : last + 2] = places[first] + way
-        # Prices that fall along the way have A_k > 0 on every leg, as the search needs.
+        # Prices that fall along the way have A_k > 0 on every leg, so the bound is finite.
         starts = (price * self._masses[0] - stiffness * places for stiffness in _STIFFNESSES)
         found = min(starts, key=lambda start: self._negative(start.ravel())[0]).ravel()
         for _ in range(_RESTARTS):
@@ -217,7 +215,7 @@ class Itinerary:
         return -self._negative(found)[0]
 
     def _negative(self, flat: FloatArray) -> tuple[float, FloatArray]:
-        """Return the bound of some prices, and its slope, with the sign turned."""
+        """Return minus the bound of given prices, and minus its slope."""
         gained, spent, jumped, slopes = self._terms(flat.reshape(-1, 3))
         bound, times = jumped, np.zeros(len(gained))
         for of, limits in zip(self._by_party(), self._shared, strict=True):
@@ -235,7 +233,7 @@ class Itinerary:
 
 
 def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return lengths of vectors, rounded upwards near nought, and their slopes."""
+    """Return lengths of vectors, smoothed upwards near zero, and their slopes."""
     length = np.sqrt(np.sum(vectors**2, axis=1) + _CORNER**2)
     return length, vectors / length[:, None]
 
@@ -243,9 +241,10 @@ def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _least_over_times(
     gained: FloatArray, spent: FloatArray, least: float, greatest: float
 ) -> tuple[float, FloatArray]:
-    """Return the least of sum of A_k / T_k + G_k T_k, over T_k > 0 of a sum within limits.
+    """Return the minimum of sum of A_k / T_k + G_k T_k over T_k > 0, and the T_k.
 
-    Beside it the T_k; minus infinity where there is none.
+    The sum of the T_k lies between ``least`` and ``greatest``.  The minimum is minus infinity if
+    an A_k is negative.
     """
     if least == greatest and gained.size == 1:
         return float(gained[0] / least + spent[0] * least), np.array([least])

@@ -1,32 +1,32 @@
-"""The bound on flights through air: over pairs of thrust and airspeed, where both cost power.
+"""Lower bound on flights through air: the least power over pairs of thrust and airspeed.
 
 Derivation: see docs/theory/bound.md, eqs. (14) to (19).
 
 symbol | meaning
 u, v, W | thrust, airspeed and the steady wind, world axes
 f(v) | force of the air, against the airspeed
-s | thrust that holds the mass still in no airspeed, its weight as a rule
-p, w, eta | prices of momentum per mass, of the way, and of energy of motion
+s | thrust that holds the mass still at zero airspeed, as a rule its weight
+p, w, eta | prices of momentum per mass, of displacement, and of kinetic energy
 T, a, r | size of the thrust, airspeed along it and across it
 
 Every flight from rest to rest has m dv/dt = u + f - s.  So over its duration the means of u + f - s
-and of v . (u + f - s) are nought, the latter because the airspeed ends as great as it began, and
-that of v + W is the displacement over the time.  Three prices make of that
+and of v . (u + f - s) are zero, the latter because the airspeed is equal at both ends, and the mean
+of v + W is the displacement over the time.  With three prices this gives
 
 energy >= w . displacement + duration * H,
 H = least of P - p . (u + f - s) - w . (v + W) - eta v . (u + f - s) over all pairs u, v.
 
-Whatever way the pair is turned in space, P depends on T, a and r alone, and the turn that earns
-most is known: what it earns is the sum of the singular values of (u + f) p' + v q', q = w - eta s.
-That leaves three numbers.  Their least is bounded from below by branch and bound: the declared
-equations, compiled, are enclosed over boxes with their slopes, and a box is halved until it is
-proven not to undercut the best point found by more than a tolerance.  Under `momentum` the first
-number is the induced velocity, of which the declared balance gives the thrust.
+P depends on T, a and r alone, not on the orientation of the pair in space, and the orientation with
+the largest sum of the price terms is known: that sum is the sum of the singular values of
+(u + f) p' + v q' with q = w - eta s.  Three numbers remain.  The least H over them is bounded from
+below by branch and bound: the compiled equations are enclosed over boxes with their slopes, and a
+box is halved until H is proven not to undercut the best point found by more than a tolerance.
+Under `momentum` the first number is the induced velocity; the declared balance gives the thrust.
 
-Rotors that share a thrust unequally draw no less than alike wherever a rotor's profile power over
-its thrust T rises.  Where it falls, at much airspeed and little thrust, they draw no less than its
-convex envelope: c T^1.5 + m T^0.5 touches its tangent from no thrust at all where both terms are
-equal, and lies (c^0.5 T^0.5 - m^0.5)^2 T^0.5 above it.
+If a rotor's profile power increases with its thrust T, rotors with unequal thrusts take no less
+power in all than rotors with equal thrusts.  If it decreases, at high airspeed and low thrust, they
+take no less than its convex envelope: c T^1.5 + m T^0.5 touches its tangent through zero thrust
+where both terms are equal, and lies (c^0.5 T^0.5 - m^0.5)^2 T^0.5 above it.
 
 The mass may change at a passage: p and eta times the mass are the same on all legs.
 """
@@ -59,28 +59,32 @@ _BALANCE = "power.induced_velocity_balance"
 _PROFILE = "power.profile_power"
 _UNCREDITED = "power.uncredited_power"
 _ROTOR_SPEED = "rotors.omega["
-# m/s or rad/s: beyond what flies or turns.
+# Upper end of searches for an airspeed [m/s] or a rotor speed [rad/s]: above any vehicle's.
 _FASTER = 1e4
-# Samples along each of the three numbers; how many of the cheapest are looked at more closely, and
-# how often each time from half as far.
+# `Pairs.cheapest`: samples along each of the three numbers, the count of local minima that are
+# refined, and refinements of each, every time with half the spacing (25 / 2^9: to 1e-4 of a range).
 _SAMPLES = 25
 _CANDIDATES = 8
 _ZOOMS = 9
+# `Pairs.least`: boxes along each of the three numbers before the first halving, and the count of
+# boxes after which the search ends with the bound that it has.
 _FIRST_BOXES = 8
+_MOST_BOXES = 500_000
+# `bound_of_pairs`: most linear programs, and headings at which each pair enters them.
 _ROUNDS = 60
 _HEADINGS = 8
+# Multiple of the tolerance by which a bound by samples is lowered before it is compared: the proof
+# lowers it by the tolerance, and by the error of the samples.
 _SURE = 1.5
-# Over what holds the vehicle still: no price of use is as large.
+# Largest price in the linear program, relative to hover: optimal prices are far below.
 _DEAREST = 6.0
-#: What is proven is so near to the least power, over that of hover.
+#: Tolerance of the proven least power, relative to the power of hover.
 POWER_TOLERANCE = 1e-3
-# Boxes looked at, at most.
-_MOST_BOXES = 500_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prices:
-    """Prices of momentum per mass [W/N], of the way [N], and of energy of motion [1]."""
+class MotionPrices:
+    """Prices of momentum per mass [W/N], of displacement [N], and of kinetic energy [1]."""
 
     momentum: FloatArray
     way: FloatArray
@@ -88,17 +92,17 @@ class Prices:
 
 
 class Pairs:
-    """Pairs of thrust and airspeed of a vehicle, as its compiled equations have them.
+    """Pairs of thrust and airspeed of a vehicle, with their power by its compiled equations.
 
     Parameters
     ----------
     scenario : Scenario
     dynamics : Dynamics
-        In the steady wind that blows.
+        Of the vehicle in the steady wind that blows.
     standing : ndarray, shape (3,)
-        Thrust that holds the vehicle still in no airspeed, N.
+        Thrust that holds the vehicle still at zero airspeed, N.
     most_thrust : float
-        Of all rotors, N.
+        Largest thrust of all rotors together, N.
     """
 
     def __init__(
@@ -114,7 +118,7 @@ class Pairs:
         speed, thrust, power, excess, margin = self._of_rotors(first, along, across)
         forward, upward = self._forces(along, across)
         drag = -(forward * across + upward * along)
-        # Both are plane, so that the sum of singular values is the length of a vector.
+        # Force and airspeed are coplanar: the sum of singular values is the length of a vector.
         level = momentum * forward + with_momentum * across - aside * along
         rising = momentum * (thrust + upward) + with_momentum * along + aside * across
         spent = power - (1 - alike) * excess
@@ -136,9 +140,10 @@ class Pairs:
         return self._dynamics.expressions(tuple(keys), self._dynamics.start, self._values(*at))
 
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
-        """Return rotor speed, thrust, power of rotors alike, its excess, and where that is none.
+        """Return rotor speed, thrust, power at equal rotor speeds, its excess, and a margin.
 
-        There the margin is positive.
+        The excess is over the least power of rotors with unequal speeds; it is zero where the
+        margin is positive.
         """
         each = range(1, len(self._rotors) + 1)
         powers: list[tuple[str, Any]] = [("power.total", None)]
@@ -153,10 +158,10 @@ class Pairs:
         squared = self._read([(_BALANCE, None)], along, across, 0.0, first)[0] / per_square
         speed = squared**0.5
         thrust, *power = self._read(keys, along, across, speed, first)
-        # Profile power is a cube of the speed and, in moving air, a multiple of it.
+        # Profile power: a cubic term of the speed and, in moving air, a linear term.
         cube = self._read([(_PROFILE, 1)], 0.0, 0.0, 1.0, 0.0)[0]
         multiple = self._read([(_PROFILE, 1)], along, across, 1.0, first)[0] - cube
-        # What alike they draw over the least of any share: the tangent from no thrust at all.
+        # Power at equal speeds less the convex envelope: the tangent through zero thrust.
         excess = len(each) * speed * (cube**0.5 * speed - multiple**0.5) ** 2
         return speed, thrust, sum(power), excess, cube * squared - multiple
 
@@ -168,13 +173,16 @@ class Pairs:
         return moving[0] - still[0], moving[1] - still[1]
 
     def _at(self, points: FloatArray, numbers: Sequence[float] = (0.0,) * 4) -> FloatArray:
-        """Return worth, thrust, speed, margin, both forces and power at points, shape (3, n)."""
+        """Return H, thrust, speed, margin, both forces and power at points of shape (3, n).
+
+        H lacks the terms of `_constant`.
+        """
         found = self._enclosure.at(points, (*numbers, 1.0))
         found[[0, 6]] -= np.where(found[3] >= 0.0, 0.0, found[7])
         return found
 
     def _fastest(self, scenario: Scenario) -> float:
-        """Return an airspeed that no flight from rest exceeds; infinite where there is none."""
+        """Return an airspeed that no flight from rest exceeds [m/s], infinite if there is none."""
         wind = float(np.linalg.norm(self.wind))
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max + wind
         most = self._most_thrust + float(np.linalg.norm(self.standing))
@@ -186,16 +194,16 @@ class Pairs:
         return min(allowed, max(terminal, wind))
 
     def _most_of_first(self) -> float:
-        """Return what the first number cannot exceed: a rotor speed, or an induced velocity."""
+        """Return the upper limit of the first number: rotor speed or induced velocity."""
 
         def excess(first: float) -> float:
             return float(self._at(np.array([[first], [0.0], [0.0]]))[1, 0]) - self._most_thrust
 
         still = float(brentq(excess, 0.0, _FASTER))
-        # Air through the disc is no slower than v_i less the airspeed.
+        # Air passes the disc no slower than v_i less the airspeed.
         return still + self.fastest if self._has_induced else still
 
-    def _numbers(self, prices: Prices, mass: float) -> tuple[float, ...]:
+    def _numbers(self, prices: MotionPrices, mass: float) -> tuple[float, ...]:
         way = prices.way - prices.motion * mass * self.standing
         size = float(np.linalg.norm(prices.momentum))
         if size == 0.0:
@@ -203,20 +211,20 @@ class Pairs:
         aside = float(np.linalg.norm(np.cross(prices.momentum, way)))
         return size, float(prices.momentum @ way) / size, aside / size, prices.motion
 
-    def _constant(self, prices: Prices, mass: float) -> float:
+    def _constant(self, prices: MotionPrices, mass: float) -> float:
         return float(prices.momentum @ self.standing * mass - prices.way @ self.wind)
 
-    def cheapest(self, prices: Prices, mass: float) -> tuple[float, list[FloatArray]]:
-        """Return H as far as samples tell, and the pairs of which none near is cheaper.
+    def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
+        """Return the least H by sampling, and the pairs at its local minima.
 
-        Each is power and slopes of H, shape (8,).
+        Each pair is an array of shape (8,): power, then the slopes of H by the prices.
         """
         from scipy.ndimage import minimum_filter  # noqa: PLC0415  not for every certificate
 
         numbers = self._numbers(prices, mass)
         edges = self._edges()
         axes = [np.linspace(edge[0], edge[1], _SAMPLES) for edge in edges]
-        # Fast air is hardly turned: of the first number the small ones count.
+        # Minima lie at small values of the first number, where samples are denser.
         axes[0] *= axes[0] / axes[0][-1]
         points = np.stack(np.meshgrid(*axes, indexing="ij"))
         worth = self._worth(points.reshape(3, -1), numbers).reshape(points.shape[1:])
@@ -240,8 +248,8 @@ class Pairs:
         found = self._at(points, numbers)
         return np.where(found[1] <= self._most_thrust, found[0], inf)
 
-    def _pair(self, at: FloatArray, prices: Prices, mass: float) -> FloatArray:
-        """Return power and slopes of H of a pair, turned as earns most."""
+    def _pair(self, at: FloatArray, prices: MotionPrices, mass: float) -> FloatArray:
+        """Return power and slopes of H of a pair in the orientation of least H."""
         momentum, way = prices.momentum, prices.way - prices.motion * mass * self.standing
         _, along, across = at
         _, thrust, _, _, forward, upward, power, _ = self._at(at[:, None])[:, 0]
@@ -252,9 +260,9 @@ class Pairs:
         return np.array([power, *-pushed, *-(moved + self.wind), -float(moved @ pushed)])
 
     def turned(self, pair: FloatArray) -> list[FloatArray]:
-        """Return a pair, as `cheapest` gives it, turned about the vertical; its power is the same.
+        """Return copies of a pair of `cheapest`, rotated about the vertical; power is unchanged.
 
-        Only where the vertical is the one direction in which something pulls.
+        If the standing thrust is not vertical, only the pair itself is returned.
         """
         if np.any(self.standing[:2]):
             return [pair]
@@ -266,8 +274,8 @@ class Pairs:
             found.append(np.array([pair[0], *(turn @ pair[1:4]), *moved, pair[7]]))
         return found
 
-    def least(self, prices: Prices, mass: float, tolerance: float) -> float:
-        """Return H, proven from below, to a tolerance [W] where the boxes suffice."""
+    def least(self, prices: MotionPrices, mass: float, tolerance: float) -> float:
+        """Return a proven lower bound on H, to a tolerance [W] if the boxes suffice."""
         numbers = self._numbers(prices, mass)
         best = self.cheapest(prices, mass)[0] - self._constant(prices, mass)
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
@@ -289,15 +297,15 @@ class Pairs:
     def _box(
         self, low: FloatArray, high: FloatArray, numbers: Sequence[float]
     ) -> tuple[FloatArray, float, NDArray[np.int_]]:
-        """Return what is proven of boxes, the least reached in them, and where to cut each.
+        """Return lower bounds of H in boxes, the least H found in them, and the axis to halve.
 
-        What is proven is infinite where no flight is in a box.
+        The bound is infinite if no flight reaches a box.
         """
         given = np.repeat(np.array([*numbers, 1.0])[:, None], low.shape[1], axis=1)
         (under, over), _ = self._enclosure.over(low, high, given)
         given[-1] = under[3] >= 0.0
         (under, over), slopes = self._enclosure.over(low, high, given)
-        # Where the slopes leave it open which end is lower, between the two (Baumann, 1988).
+        # Centre of the mean value form: its best place if the slope changes sign (Baumann, 1988).
         falls, rises = slopes
         with np.errstate(invalid="ignore"):
             share = np.clip(-falls / (rises - falls), 0.0, 1.0)
@@ -330,7 +338,7 @@ def _halved(
 
 
 def wind_of(dynamics: Dynamics, times: FloatArray) -> FloatArray:
-    """Return the wind at some times, m/s, world axes: shape (n, 3)."""
+    """Return the wind at given times in world axes [m/s], shape (n, 3)."""
     names = ("velocity_x", "velocity_y", "velocity_z")
     keys = tuple((f"wind.{n}", None) for n in names if dynamics.has(f"wind.{n}"))
     states = np.zeros((len(times), len(dynamics.state_names)))
@@ -343,17 +351,17 @@ def wind_of(dynamics: Dynamics, times: FloatArray) -> FloatArray:
 def bound_of_pairs(
     pairs: Pairs, legs: Sequence[Leg], shared: Sequence[tuple[float, float]], power: float
 ) -> float:
-    """Return a bound on the energy of a flight in legs, at every passing time and duration [J].
+    """Return a lower bound on the energy of a flight in legs, for all passing times allowed [J].
 
-    The prices are those of a linear program over the pairs that were cheapest at the prices
-    before (Kelley, 1960); what it says is then proven for its last prices.
+    The prices solve a linear program over the pairs of least power at the previous prices
+    (Kelley, 1960); the bound is then proven for the best prices found.
 
     Parameters
     ----------
     legs, shared
         As `legs.legs_of` gives them.
     power : float
-        What hover draws, the scale of powers, W.
+        Power of hover, the scale of powers, W.
     """
     tolerance = POWER_TOLERANCE * power
     program = _Program(legs, shared, power, pairs.standing)
@@ -367,14 +375,14 @@ def bound_of_pairs(
                 for turned in pairs.turned(pair):
                     program.add(k, turned)
             least.append(value)
-        # Less by what the proof may take away.
+        # Lowered by the most that the proof may take away.
         bound = program.bound(prices, np.array(least) - _SURE * tolerance)
         if bound > best:
             best, centre = bound, tried
         solution, promised = program.solve()
         if promised - best <= 4 * POWER_TOLERANCE * abs(promised):
             break
-        # Half way from the best: the program's own answer lies far off while it knows few pairs.
+        # Half way from the best: the optimum of a program with few pairs lies far off.
         tried = (centre + solution) / 2
     chosen = program.prices(centre)
     proven = [pairs.least(p, leg.mass, tolerance) for p, leg in zip(chosen, legs, strict=True)]
@@ -382,7 +390,7 @@ def bound_of_pairs(
 
 
 class _Program:
-    """The largest bound over prices, as far as the pairs found so far tell."""
+    """Linear program for the prices of the largest bound over the pairs found so far."""
 
     def __init__(
         self,
@@ -394,13 +402,14 @@ class _Program:
         self._legs, self._shared = legs, shared
         margin, weight = 2 * POWER_TOLERANCE * power, float(np.linalg.norm(standing))
         n = len(legs)
-        # In hover power grows as its thrust to the power of 3/2; what moves is worth what it did.
+        # In hover power grows with thrust to the power of 3/2, and kinetic energy is worth itself.
         self.start = np.zeros(4 + 7 * n + len(shared))
         self.start[:4] = *(1.5 * power / weight**2 * standing), 1.0
         scales = np.repeat([power / weight, 1.0, weight], [3, 1, 6 * n])
         self._dearest = _DEAREST * scales
-        # Prices of momentum and of motion for the whole mass; then of each leg's way, that price's
-        # size along each axis, and H; then what each party's time is worth.
+        # Unknowns: prices of momentum and of kinetic energy for the whole mass; for each leg the
+        # price of displacement, its absolute value along each axis, and H; for each party its time
+        # times the least H of its legs.
         self._way, self._length, self._least = 4, 4 + 3 * n, 4 + 6 * n
         self._worth = 4 + 7 * n
         self.size = self._worth + len(shared)
@@ -430,7 +439,7 @@ class _Program:
         self._limits.append(limit)
 
     def add(self, k: int, pair: FloatArray) -> None:
-        """Add that H of a leg is at most what a pair, by power and slopes of H, makes of it."""
+        """Add a row: H of leg ``k`` is at most its value at a pair, linear in the prices."""
         mass, line = self._legs[k].mass, np.zeros(self.size)
         line[:3], line[self._of(self._way, k)] = -pair[1:4] / mass, -pair[4:7]
         line[3], line[self._least + k] = -pair[7] / mass, 1.0
@@ -438,7 +447,7 @@ class _Program:
         self._limits.append(float(pair[0]))
 
     def solve(self) -> tuple[FloatArray, float]:
-        """Return the best prices within bounds, and the bound that the pairs allow."""
+        """Return the optimal prices within bounds, and the bound they give by the pairs known."""
         limits = np.full((self.size, 2), [-inf, inf])
         limits[: self._least] = np.stack([-self._dearest, self._dearest], axis=1)
         limits[3, 0] = 0.0
@@ -447,10 +456,10 @@ class _Program:
         )
         return found.x, -float(found.fun)
 
-    def prices(self, solution: FloatArray) -> list[Prices]:
-        """Return the prices on each leg."""
+    def prices(self, solution: FloatArray) -> list[MotionPrices]:
+        """Return the prices on each leg, from the unknowns of the program."""
         return [
-            Prices(
+            MotionPrices(
                 momentum=solution[:3] / leg.mass,
                 way=solution[self._of(self._way, k)],
                 motion=float(solution[3] / leg.mass),
@@ -458,8 +467,8 @@ class _Program:
             for k, leg in enumerate(self._legs)
         ]
 
-    def bound(self, prices: Sequence[Prices], least: FloatArray) -> float:
-        """Return the bound of prices with an H of each leg."""
+    def bound(self, prices: Sequence[MotionPrices], least: FloatArray) -> float:
+        """Return the lower bound [J] given by prices and the least H of each leg [W]."""
         found = sum(
             float(p.way @ leg.way) - leg.room * float(np.linalg.norm(p.way))
             for p, leg in zip(prices, self._legs, strict=True)

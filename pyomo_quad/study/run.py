@@ -1,4 +1,4 @@
-"""One run of a scenario: the optimum, every baseline, the comparison and the certificate."""
+"""Run of a scenario: the optimum, every baseline, their comparison and the certificate."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import pandas as pd
 from pyomo_quad.collocation import Dynamics, EngineError, Progress, Summarised
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name, fly_baseline, fly_open_loop
-from pyomo_quad.flight.flight import WIND
+from pyomo_quad.flight.columns import WIND
 from pyomo_quad.flight.replanning import fly_replanned, replanned_name
 from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
@@ -29,28 +29,28 @@ from pyomo_quad.study.processes import side_by_side
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class RunResult(Summarised):
-    """All there is to report of a scenario.
+    """Results of a scenario: plan, flights, comparison and certificate.
 
     Attributes
     ----------
     scenario : Scenario
     plan : Plan
-        Of any status.
+        The optimum, of any status.
     flights : tuple of Flight
-        The optimum first; empty where the solve failed.
+        The optimum first; empty if the solve failed.
     comparison : DataFrame
         One row per flight, see `study.comparison`.
     certificate : Certificate
-        Of the mission in the wind that really blows.
+        The lower bound of the mission in the actual wind.
     adaptation : DataFrame or None
-        Effect of the adaptation in that wind, see `comparison.adaptation_study`; None in calm air.
+        Effect of adaptation in that wind, see `comparison.adaptation_study`; None in calm air.
     front : DataFrame
-        Energy against time, see `study.front`; no rows where the mission fixes its duration.
+        Energy against time, see `study.front`; empty if the mission fixes its duration.
     timings : mapping
-        Seconds of the plan's phases, of the certificate and of the front, and those that flights
-        and cautions add to them.
+        Seconds of the plan's phases, of the certificate, of the front, and of flights and cautions
+        beyond these.
     warnings : tuple of str
-        What a reader should know beside the numbers, one line each.
+        Cautions about the results, one line each.
     """
 
     scenario: Scenario
@@ -76,9 +76,9 @@ class RunResult(Summarised):
 
     @property
     def gap_percent(self) -> float | None:
-        """By how much any flight could undercut the optimum, in per cent of it.
+        """Largest possible saving over the optimum, in per cent of its energy.
 
-        None where no bound is known, or the optimum was made for a wind that does not blow.
+        None if no bound is known, or if the optimum was planned for a forecast of the wind.
         """
         if not self.flights or self.scenario.wind.forecast is not None:
             return None
@@ -93,17 +93,17 @@ def run_scenario(
     progress: Progress | None = None,
     meanwhile: Callable[[], object] = lambda: None,
 ) -> RunResult:
-    """Solve, verify, fly every baseline, compare and certify; a failure of these is a result.
+    """Solve, verify, fly every baseline, compare and certify.
 
-    On Linux flights go on all cores if the environment keeps BLAS to one thread, by
-    `OMP_NUM_THREADS=1`, as the commands do: by copies of the process.
+    A solve or a flight that fails is part of the result, not an exception.  On Linux copies of the
+    process fly on all cores if BLAS has one thread (`OMP_NUM_THREADS=1`, as the commands set it).
 
     Parameters
     ----------
     progress : callable, optional
         Called at each Ipopt iteration; returning False stops the solve.
     meanwhile : callable, optional
-        Called once while others fly, such as to import what the report needs.
+        Called once during the flights, for instance to import modules of the report.
     """
     planner = planner or Planner()
     references = scenario.baseline.references if baselines is None else tuple(baselines)
@@ -112,9 +112,9 @@ def run_scenario(
     mission, dynamics = plan.mission_flown, planner.dynamics(plan.mission_flown)
     tried = [*_baselines(mission, plan, planner, references)] if plan.verification else []
     optimum = plan.flight(OPTIMAL) if plan.verification else None
-    # The flights that take longest are the last that are listed, and are begun first.
+    # The slowest flights are listed last, so tasks begin with them.
     tasks: tuple[Callable[[], object], ...] = (
-        *(partial(_flown_or_why_not, name, fly) for name, fly in reversed(tried)),
+        *(partial(_flight_or_reason, name, fly) for name, fly in reversed(tried)),
         partial(_adaptation, mission, optimum, dynamics),
         partial(plan_cautions, plan, planner=planner),
     )
@@ -128,8 +128,8 @@ def run_scenario(
         helping = perf_counter()
         *flown, adaptation, cautions = finish()
     flown.reverse()
-    came_about = tuple(flight for flight in flown if isinstance(flight, Flight))
-    flights = () if optimum is None else (optimum, *came_about)
+    completed = tuple(flight for flight in flown if isinstance(flight, Flight))
+    flights = () if optimum is None else (optimum, *completed)
     flights = _priced(flights, mission, planner, progress)
     ended = perf_counter()
     comparison = combine([])
@@ -160,10 +160,10 @@ def run_scenario(
 def _priced(
     flights: tuple[Flight, ...], scenario: Scenario, planner: Planner, progress: Progress | None
 ) -> tuple[Flight, ...]:
-    """Return the flights with what their ends owe in the wind that blows.
+    """Return the flights with the energy that their end states owe in the actual wind.
 
-    A plan made for a forecast prices the ends of flights in that forecast; the others need the
-    optimum of one who was told.
+    A plan for a forecast prices end states in that forecast; the other flights need the end prices
+    of a plan for the actual wind.
     """
     if scenario.wind.forecast is None or not flights:
         return flights
@@ -176,7 +176,7 @@ def _priced(
 def _adaptation(
     scenario: Scenario, optimum: Flight | None, dynamics: Dynamics
 ) -> pd.DataFrame | None:
-    """Return the flights with adaptation and without, where a wind blows and both come about."""
+    """Return the flights with and without adaptation; None in calm air or if one fails."""
     if optimum is None or not set(WIND) <= set(optimum.frame):
         return None
     if not optimum.frame[list(WIND)].to_numpy().any():
@@ -187,7 +187,7 @@ def _adaptation(
         return None
 
 
-def _flown_or_why_not(name: str, fly: Callable[[], Flight]) -> Flight | str:
+def _flight_or_reason(name: str, fly: Callable[[], Flight]) -> Flight | str:
     try:
         return fly()
     except (EngineError, ScenarioError) as error:
@@ -219,9 +219,10 @@ def _baselines(
 def fly_cruise(
     scenario: Scenario, speed: float | None, plan: Plan | None, planner: Planner
 ) -> Flight:
-    """Fly the mission as an autopilot would, at a speed or the one it has, in its own time.
+    """Fly the mission as an autopilot does: at a cruise speed, in the time that it takes.
 
-    It waits at the goal until it has arrived there, or has waited longest.
+    ``speed`` None is the cruise speed of the scenario.  The flight waits at the goal until it has
+    arrived, at most the last of `SETTLINGS_S`.
     """
     for settling_s in SETTLINGS_S:
         told = cruise_at(scenario, speed, settling_s)

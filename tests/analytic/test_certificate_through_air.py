@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pyomo_quad.flight.steady import MomentumDemand
-from pyomo_quad.study.pairs import POWER_TOLERANCE, Pairs, Prices
+from pyomo_quad.study.pairs import POWER_TOLERANCE, MotionPrices, Pairs
 from tests.declared_model import scenario
 from tests.flights import PLANNER, certified
 
@@ -36,7 +36,7 @@ def test_a_steady_flight_costs_what_its_trim_does(pairs):
     found, steady = pairs
     weight = found.standing[2]
     hover = steady.hover_power
-    prices = Prices(
+    prices = MotionPrices(
         momentum=np.array([0.0, 0.0, 1.4 * hover / weight]),
         way=np.array([3.0, 0.0, weight]),
         motion=1.05,
@@ -59,7 +59,7 @@ def test_what_is_proven_is_below_every_sample_and_near_the_least(pairs):
     found, steady = pairs
     generator, tolerance = np.random.default_rng(3), POWER_TOLERANCE * steady.hover_power
     for _ in range(3):
-        prices = Prices(
+        prices = MotionPrices(
             momentum=np.array([1.0, 0.5, 16.0]) * generator.uniform(0.9, 1.1, 3),
             way=np.array([20.0, 5.0, 40.0]) * generator.uniform(0.8, 1.2, 3),
             motion=1.1,

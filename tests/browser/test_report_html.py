@@ -7,7 +7,6 @@ from itertools import combinations
 import pytest
 
 from pyomo_quad.report import Figures
-from pyomo_quad.report.paths import VIEW_ELEMENT
 from pyomo_quad.report.report import PAGE_NAME, write_run_report
 from tests.synthetic_run import FLIGHTS, synthetic_run
 
@@ -26,6 +25,8 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 PHONE = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
 TABLET = {"width": 820, "height": 1180, "deviceScaleFactor": 2, "mobile": True}
 TIMEOUT = 60  # s; drawing in software on a busy machine is slow
+
+VIEW_ELEMENT = "flight-view"
 
 
 def _executable(*names):

@@ -9,12 +9,8 @@ import pytest
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.flight import baselines
-from pyomo_quad.flight.flight import (
-    ARRIVAL_DISTANCE_M,
-    ARRIVAL_SPEED_M_PER_S,
-    COLUMNS,
-    TIME,
-)
+from pyomo_quad.flight.columns import COLUMNS, TIME
+from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, ARRIVAL_SPEED_M_PER_S
 from pyomo_quad.flight.routes import SETTLINGS_S, speed_profile
 from tests.command import IMPOSSIBLE, PAPER_CALM, QUICK
 

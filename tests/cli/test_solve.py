@@ -8,7 +8,7 @@ import pytest
 
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
-from pyomo_quad.flight.flight import COLUMNS, TIME
+from pyomo_quad.flight.columns import COLUMNS, TIME
 from tests.command import IMPOSSIBLE, PAPER_CALM, QUICK, run_here, solve
 
 SUMMARY_KEYS = [

@@ -8,7 +8,7 @@ from pyomo.environ import Constraint, Var, units
 
 from pyomo_quad.model import build_model
 from pyomo_quad.model.screening import Severity, screen_model
-from pyomo_quad.study.check import diagnose
+from pyomo_quad.study.check import check_mission
 from tests.agreement.test_certificate_against_flights import random_mission
 from tests.declared_model import scenario
 from tests.flights import diagnosed
@@ -218,7 +218,7 @@ def own_model(_scenario=None):
 
 
 def test_screening_names_what_a_model_of_one_s_own_lacks():
-    lines = [str(finding) for finding in diagnose(scenario(), builder=own_model)]
+    lines = [str(finding) for finding in check_mission(scenario(), builder=own_model)]
     for expected in (
         "pull: has no scaling_factor",
         "pull: a control without a lower and an upper bound",

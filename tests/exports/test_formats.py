@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from pyomo_quad.exports import Format, Motion, export_plan
 from pyomo_quad.exports.formats import MOST_CRAZYFLIE_PIECES, Legs, Origin, mission, offboard
 from pyomo_quad.flight import PlanStatus
-from pyomo_quad.flight.flight import TIME
+from pyomo_quad.flight.columns import TIME
 from pyomo_quad.report import Figures
 from pyomo_quad.report.report import write_solve_report
 from pyomo_quad.report.tables import plan_summary, write_summary

@@ -1,4 +1,4 @@
-"""What a report says to whoever knows none of its words, and energy as people ask for it."""
+"""The opening of a report, in words of no field, and energies as charge, time and range."""
 
 import re
 from pathlib import Path
@@ -49,14 +49,17 @@ def test_a_run_opens_with_what_was_asked_found_and_meant(run, report):
     gap = 100 * (run.plan.energy - LOWER_BOUND_J) / run.plan.energy
     assert f"could save more than {gap:.2f} % of that (the gap)" in said
     floor = 100 * run.plan.hover_energy_J / run.plan.energy
-    assert f"and {floor:.1f} % is what hovering as long would take anyway (the hover floor)" in said
+    said_floor = f"and {floor:.1f} % of that is the energy of hovering for the same time"
+    assert f"{said_floor} (the hover floor)" in said
 
 
 def test_a_flight_that_takes_less_than_hovering_is_told_so(tmp_path):
     run = synthetic_run("scenarios/paper_calm.toml")
     run.plan.hover_energy_J = 1.25 * run.plan.energy
     write_run_report(tmp_path, run, Figures.NONE)
-    assert "and hovering as long would take 25.0 % more (the hover floor" in opening(tmp_path)
+    assert "and hovering for the same time would take 25.0 % more (the hover floor" in opening(
+        tmp_path
+    )
 
 
 def test_a_charge_is_told_in_minutes_and_metres(run, report):
@@ -70,7 +73,9 @@ def test_a_charge_is_told_in_minutes_and_metres(run, report):
 
 def test_energies_stand_beside_battery_hovering_and_range(run, report):
     text = (report / "report.md").read_text(encoding="utf-8")
-    table = text[text.index("**The same energies as people ask for them**") :].split("\n\n")[1]
+    table = text[text.index("**The same energies as charge, hover time and range**") :].split(
+        "\n\n"
+    )[1]
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()]
     assert rows[0] == ["Flight", "Energy (J)", "Battery (%)", "Hovering (min)", "Range (m)"]
     held = {row[0].strip("`"): [float(cell) for cell in row[1:]] for row in rows[2:]}
@@ -110,7 +115,7 @@ def test_a_solve_opens_with_its_outcome_in_plain_words(run, status, said, tmp_pa
 
 def test_a_wind_that_was_not_told_is_said_at_once(tmp_path):
     write_run_report(tmp_path, synthetic_run("scenarios/wind_untold.toml"), Figures.NONE)
-    assert "that is so in the wind that the plan was told; in the one that blows" in (
+    assert "this holds in the forecast that the plan was made for; the table below" in (
         opening(tmp_path)
     )
 

@@ -12,13 +12,14 @@ from PIL import Image
 
 from pyomo_quad.flight import PlanStatus
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
-from pyomo_quad.flight.flight import TIME, Resolve
+from pyomo_quad.flight.columns import TIME
+from pyomo_quad.flight.flight import Resolve
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import save_drawings
 from pyomo_quad.report.gallery import adaptation_drawing, plan_drawings
 from pyomo_quad.report.page import render_html
 from pyomo_quad.report.paths import leaving_paths
-from pyomo_quad.report.report import write_comparison, write_run_report
+from pyomo_quad.report.report import write_compare_report, write_run_report
 from pyomo_quad.report.style import flight_styles, styled_flights
 from pyomo_quad.scenario.tables import MISSION_TIMED
 from pyomo_quad.study.comparison import (
@@ -58,8 +59,8 @@ def report(tmp_path_factory):
 @pytest.fixture
 def _no_figures(monkeypatch):
     # Drawing is tested once above; here only the text counts.
-    monkeypatch.setattr("pyomo_quad.report.report.drawn_meanwhile", lambda *_: nullcontext())
-    monkeypatch.setattr("pyomo_quad.report.report._page", lambda *_: "")
+    monkeypatch.setattr("pyomo_quad.report.document.drawn_meanwhile", lambda *_: nullcontext())
+    monkeypatch.setattr("pyomo_quad.report.report.write_page", lambda *_, **__: None)
 
 
 def test_answer_comes_first(report):
@@ -95,7 +96,7 @@ def test_every_figure_is_drawn_in_both_formats_and_linked(report):
 
 @pytest.mark.parametrize("name", ["report.md", "report.html", "comparison.md"])
 def test_stand_in_is_called_one(report, name):
-    assert "it stands in for the controller that the paper cites" in (report / name).read_text()
+    assert "It stands in for the controller that the paper cites" in (report / name).read_text()
 
 
 def test_comparison_reads_back(report):
@@ -123,7 +124,7 @@ def test_no_certificate_is_said(tmp_path):
 @pytest.mark.parametrize("waypoints", ["[]", "[{position = [1.0, 2.0, 3.0], at = 5.0}]"])
 def test_a_bound_over_passing_times_is_explained_to_pilots(tmp_path, waypoints):
     text = write(tmp_path, synthetic_run(overrides=(f"mission.waypoints={waypoints}",)))
-    explained = "The bound is the least over all such choices at once"
+    explained = "The bound is the least over all these choices"
     assert (explained in text) == (waypoints != "[]")
 
 
@@ -131,7 +132,7 @@ def test_a_bound_over_passing_times_is_explained_to_pilots(tmp_path, waypoints):
 def test_a_bound_over_ways_of_flying_is_explained_to_pilots(tmp_path):
     of = ('vehicle.use="dji_matrice_100"', 'power.model="momentum"')
     text = write(tmp_path, synthetic_run(overrides=of))
-    assert "In place it may circle rather than hang, which costs less." in text
+    assert "it may circle instead of hovering, which costs less." in text
 
 
 @pytest.mark.usefixtures("_no_figures")
@@ -172,7 +173,8 @@ def test_adaptation_adds_its_figure(tmp_path):
 @pytest.mark.usefixtures("_no_figures")
 def test_comparison_of_many_scenarios_names_them(tmp_path):
     calm = synthetic_run("scenarios/paper_calm.toml").comparison
-    write_comparison(tmp_path, combine([calm, synthetic_run().comparison]))
+    compared = combine([calm, synthetic_run().comparison])
+    write_compare_report(tmp_path, compared, is_good=True, figures=Figures.NONE)
     text = (tmp_path / "comparison.md").read_text()
     assert "| Scenario | Flight | Duration (s) | Energy (J) |" in text
     assert "| `paper_calm` | `optimal` | 10.00 | 711.70 |" in text
@@ -229,8 +231,8 @@ def test_captions_name_what_their_figures_hide():
 
 
 UNTOLD = (
-    "> **Verified in the wind that it was told, not in the one that blows.** There the plan spends "
-    "711.70 J. In the wind that blows `open_loop/plan`, without feedback, misses the goal by 67 m; "
+    "> **Verified in the forecast wind, not in the actual one.** In the forecast the plan spends "
+    "711.70 J. In the actual wind `open_loop/plan`, without feedback, misses the goal by 67 m; "
     "`adaptive/plan`, under feedback, arrives 0.0084 m from the goal and spends {spent:.2f} "
     "J. Following it {outcome} over `adaptive/quintic` (723.80 J), which needs no plan."
 )
@@ -300,7 +302,7 @@ def test_solves_are_late_by_the_times_that_stand_beside_the_count(tmp_path):
     assert (row["solves"], row["late"], row["beyond_interval"]) == (5, 4, 2)
     assert row["solve_longest_s"] == 0.375
     assert "| Late: over 60 ms | Over the interval of 200 ms |" in text
-    assert "ask for a computer on which none is late" in text
+    assert "require a computer on which no solve is late" in text
 
 
 @pytest.mark.usefixtures("_no_figures")

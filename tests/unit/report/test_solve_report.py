@@ -46,7 +46,7 @@ def report(run, tmp_path_factory):
 
 @pytest.fixture
 def _no_figures(monkeypatch):
-    monkeypatch.setattr("pyomo_quad.report.report.drawn_meanwhile", lambda *_: nullcontext())
+    monkeypatch.setattr("pyomo_quad.report.document.drawn_meanwhile", lambda *_: nullcontext())
 
 
 def test_every_figure_is_drawn_and_linked(report):

@@ -32,7 +32,7 @@ def plan_with(acceleration, *overrides):
 
 @pytest.fixture(autouse=True)
 def _plan_alone(monkeypatch):
-    monkeypatch.setattr("pyomo_quad.study.check.diagnose", lambda *_, **__: ())
+    monkeypatch.setattr("pyomo_quad.study.check.check_mission", lambda *_, **__: ())
 
 
 def test_half_the_plan_brakes_below_the_torque_floor():

@@ -1,0 +1,193 @@
+"""Columns of a flight's table: name, model component, and how tables and figures print them.
+
+An angle is stored in rad and printed in degrees: ``scale`` turns a stored value into the printed
+unit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import degrees
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pyomo_quad.scenario.vehicle import MOST_ROTORS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    import pandas as pd
+
+    from pyomo_quad.collocation import Dynamics
+
+FloatArray = NDArray[np.float64]
+
+TIME = "time_s"
+ENERGY = "energy_J"
+WIND = ("wind_x_m_per_s", "wind_y_m_per_s")
+ROTORS = (1, 2, 3, 4)
+_ROTOR_CONTROL = "rotors.alpha["
+_IN_DEGREES = degrees(1.0)
+
+
+@dataclass(frozen=True)
+class Column:
+    """One quantity of a table.
+
+    Attributes
+    ----------
+    name : str
+        Heading in the table.
+    component, index : str, int or None
+        The component of the model that the column shows, and its index beside time.
+    words, symbol, unit : str
+        Name in words, symbol (LaTeX) and unit in print.
+    scale : float
+        Printed value of a stored value of 1.
+    smallest_span : float
+        Least difference between the ends of an axis [printed unit], which keeps rounding noise
+        from filling a panel.
+    """
+
+    name: str
+    component: str = ""
+    words: str = ""
+    symbol: str = ""
+    unit: str = ""
+    smallest_span: float = 0.0
+    scale: float = 1.0
+    index: int | None = None
+
+    def of(self, frame: pd.DataFrame) -> FloatArray:
+        """Return the values of a flight in the printed unit, one per row."""
+        return frame[self.name].to_numpy(dtype=float) * self.scale
+
+    @property
+    def variable(self) -> str:
+        """Name of the shown variable in the model, with its index beside time."""
+        return self.component if self.index is None else f"{self.component}[{self.index}]"
+
+    @property
+    def title(self) -> str:
+        """Symbol, name and unit, as over a panel."""
+        return f"${self.symbol}$, {self.words} ({self.unit})"
+
+    @property
+    def label(self) -> str:
+        """Name and unit, as beside an axis."""
+        name = f"{self.words[:1].upper()}{self.words[1:]}"
+        return f"{name} ({self.unit})" if self.unit else name
+
+
+def _of(block: str) -> Callable[..., Column]:
+    """Return a constructor of the columns that show a block of the model."""
+    return lambda name, shown, *printed: Column(name, f"{block}.{shown}", *printed)
+
+
+_body, _rotor, _battery, _wind = map(_of, ("rigid_body", "rotors", "battery", "wind"))
+
+_OF_THE_BODY = (
+    *(_body(f"{axis}_m", axis, "position", axis, "m", 0.1) for axis in "xyz"),
+    *(_body(f"v{axis}_m_per_s", f"v{axis}", "velocity", f"v_{axis}", "m/s", 0.1) for axis in "xyz"),
+    _body("phi_rad", "phi", "roll", r"\phi", "°", 0.5, _IN_DEGREES),
+    _body("theta_rad", "theta", "pitch", r"\theta", "°", 0.5, _IN_DEGREES),
+    _body("psi_rad", "psi", "yaw", r"\psi", "°", 0.5, _IN_DEGREES),
+    _body("p_rad_per_s", "p", "roll rate", "p", "°/s", 0.5, _IN_DEGREES),
+    _body("q_rad_per_s", "q", "pitch rate", "q", "°/s", 0.5, _IN_DEGREES),
+    _body("r_rad_per_s", "r", "yaw rate", "r", "°/s", 0.5, _IN_DEGREES),
+)
+_OF_THE_WHOLE = (
+    _rotor("thrust_N", "total_thrust", "thrust", "T", "N", 0.1),
+    Column("power_W", "power.total", "power", "P", "W", 1.0),
+    Column(ENERGY, "", "energy", "E", "J", 1.0),
+    _wind(WIND[0], "velocity_x", "wind along x", r"v_x^\mathrm{wind}", "m/s", 0.1),
+    _wind(WIND[1], "velocity_y", "wind along y", r"v_y^\mathrm{wind}", "m/s", 0.1),
+    _battery("battery_current_A", "current", "current", r"i_\mathrm{bat}", "A", 0.1),
+    _battery("battery_voltage_V", "voltage", "voltage", r"V_\mathrm{bat}", "V", 0.1),
+    _battery(
+        "state_of_charge_percent", "state_of_charge", "state of charge", r"\mathrm{SoC}", "%", 0.1
+    ),
+)
+# Each stands for one column a rotor, whose number takes the place of the braces.
+_SPEEDS = (
+    _rotor("omega_{}_rad_per_s", "omega", "rotor speed", r"\omega_{}", "rad/s", 5.0),
+    _rotor("alpha_{}_rad_per_s2", "alpha", "acceleration of rotor {}", r"\alpha_{}", "rad/s²", 1.0),
+)
+_MOTORS = (
+    _rotor("motor_{}_current_A", "motor_current", "motor current", "i_{}", "A", 0.05),
+    _rotor("motor_{}_voltage_V", "motor_voltage", "motor voltage", "v_{}", "V", 0.05),
+    _rotor("motor_{}_torque_N_m", "motor_torque", "motor torque", r"\tau_{}", "mN m", 0.05, 1e3),
+)
+
+
+def _per_rotor(patterns: Sequence[Column], rotors: Sequence[int]) -> tuple[Column, ...]:
+    def of_rotor(shown: Column, rotor: int) -> Column:
+        texts = shown.name, shown.words, shown.symbol
+        name, words, symbol = (text.format(rotor) for text in texts)
+        return replace(shown, name=name, words=words, symbol=symbol, index=rotor)
+
+    return tuple(of_rotor(shown, rotor) for shown in patterns for rotor in rotors)
+
+
+def columns_of(rotors: Sequence[int]) -> tuple[Column, ...]:
+    """Return every column after the time of a vehicle with these rotors, in order."""
+    return (
+        *_OF_THE_BODY,
+        *_per_rotor(_SPEEDS, rotors),
+        *_OF_THE_WHOLE,
+        *_per_rotor(_MOTORS, rotors),
+    )
+
+
+#: Columns of a quadrotor; the energy is the integral of the flight's power.
+COLUMNS = columns_of(ROTORS)
+#: Columns of every vehicle that can be declared.
+ALL_COLUMNS = columns_of(range(1, MOST_ROTORS + 1))
+_COLUMN_OF = {shown.variable or shown.name: shown for shown in ALL_COLUMNS}
+
+
+def column_of(variable: str) -> Column:
+    """Return the column that shows a variable of the model, or the one named ``variable``."""
+    return _COLUMN_OF[variable]
+
+
+def flight_columns(
+    dynamics: Dynamics, t: FloatArray, states: FloatArray, controls: FloatArray, energy: FloatArray
+) -> dict[str, FloatArray]:
+    """Return the columns of a flight's table.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Of the model that was flown; columns whose component it lacks are left out.
+    t : ndarray, shape (n,)
+        Times [s].
+    states : ndarray, shape (n, n_states)
+    controls : ndarray, shape (n, n_controls)
+    energy : ndarray, shape (n,)
+        Energy spent since the start [J].
+
+    Returns
+    -------
+    dict
+        `TIME` first, then `COLUMNS`.
+    """
+    count = sum(name.startswith(_ROTOR_CONTROL) for name in dynamics.control_names)
+    columns_here = columns_of(range(1, count + 1)) if count else COLUMNS
+    shown = [c for c in columns_here if c.name == ENERGY or dynamics.has(c.component)]
+    keys = tuple((c.component, c.index) for c in shown if c.name != ENERGY)
+    values = dynamics.table(keys, t, states, controls)
+    held = iter(values.T)
+    columns = {c.name: energy if c.name == ENERGY else next(held) for c in shown}
+    return {TIME: t} | columns
+
+
+def flight_frame(
+    dynamics: Dynamics, t: FloatArray, states: FloatArray, controls: FloatArray, energy: FloatArray
+) -> pd.DataFrame:
+    """Return the table of a flight, with the columns of `flight_columns`."""
+    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
+    return pd.DataFrame(flight_columns(dynamics, t, states, controls, energy))
