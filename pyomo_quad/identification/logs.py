@@ -99,7 +99,7 @@ def read_logs(file: Path) -> pd.DataFrame:
     Raises
     ------
     ScenarioError
-        If the file cannot be read, lacks a column, or holds what no flight can have done.
+        If the file cannot be read, lacks a column, or holds values that no flight can have.
     """
     source = printable(str(file))
     whole = _read(file, source)

@@ -1,4 +1,4 @@
-"""The report on the paper: what is reproduced, what is not, and why, in the run's own numbers."""
+"""The report on the paper: results reproduced or not, and why, in the numbers of the run."""
 
 import json
 from collections.abc import Iterator
@@ -37,6 +37,7 @@ from pyomo_quad.report.report import climb_of
 from pyomo_quad.scenario import PowerModel, Reference, WindCoupling
 
 _OTHER_POWERS = tuple(model for model in POWER_MODELS if model is not PowerModel.MOTOR)
+_THROUGH_DRAG = {"wind.coupling": WindCoupling.DRAG}
 
 
 class Tolerance(NamedTuple):
@@ -112,11 +113,7 @@ def _equations() -> Iterator[dict[str, Any]]:
     groups: tuple[tuple[str | None, PowerModel | None, dict[str, Any]], ...] = (
         ("The second experiment, under the electrical power of the motors", None, {}),
         *((None, power, {"power.model": power}) for power in _OTHER_POWERS),
-        (
-            "Wind through drag on the relative airspeed",
-            None,
-            {"wind.coupling": WindCoupling.DRAG},
-        ),
+        ("Wind through drag on the relative airspeed", None, _THROUGH_DRAG),
     )
     for title, power, values in groups:
         equations = [

@@ -181,9 +181,8 @@ def _tasks(*, is_quick: bool) -> list[_Task]:
 
 
 def _study(parts: dict[str, list[Any]], seconds: dict[str, float]) -> PaperStudy:
-    (bound, speed), packs, sampled = (
-        parts.pop(part)[0] for part in ("critical", "packs", "efficiency_map")
-    )
+    single = ("critical", "packs", "efficiency_map")
+    (bound, speed), packs, sampled = (parts.pop(part)[0] for part in single)
     return PaperStudy(
         floors=dict(zip(Reading, parts.pop("floors"), strict=True)),
         critical_acceleration=bound,

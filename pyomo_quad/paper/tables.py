@@ -114,13 +114,13 @@ def metres(distance: float) -> str:
     return fixed(distance) if distance >= _SMALLEST_PLAIN else rough(distance)
 
 
-#: File name without suffix -> what the table shows.
+#: File name without suffix -> content of the table.
 TABLES = {
     "parameters": "the numbers of Tables 1 and 2 and of section IV, printed and used",
     "experiments": "both experiments under every power model",
     "wind": "the second experiment in every reading of the wind",
-    "baselines": "the controlled flights, and what the optimum saves against them",
-    "batteries": "what the packs hold and deliver",
+    "baselines": "the controlled flights, and the saving of the optimum against them",
+    "batteries": "stored energy and greatest power of the packs",
     "floors": "the least energy of any flight under f_r against the bound on alpha",
     "meshes": "the optimum under f_r against the bound on alpha and the mesh",
 }

@@ -66,8 +66,8 @@ def write_outside_report(folder: Path, study: OutsideStudy, figures: Figures = F
     drawing = Drawing(
         name="causes",
         title="Over time",
-        caption="How far each flight is from its plan, one cause at a time; what is nearer than "
-        f"{_LEAST_SHOWN:g} m, or {_LEAST_LED:g} m under feedback, is drawn there.",
+        caption="Distance of each flight from its plan, one cause at a time; distances below "
+        f"{_LEAST_SHOWN:g} m, or {_LEAST_LED:g} m under feedback, are drawn there.",
         draw=lambda: draw_causes(study),
     )
     write_study(

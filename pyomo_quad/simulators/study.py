@@ -140,12 +140,8 @@ class OutsideColumn(StrEnum):
     VERIFIED = "verified"
 
 
-_IDENTITY = [
-    OutsideColumn.CASE,
-    OutsideColumn.PLANT,
-    OutsideColumn.CONTROLLER,
-    OutsideColumn.FOLLOWED,
-]
+# Case, plant, controller and reference, which identify a flight.
+_IDENTITY = list(OutsideColumn)[:4]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -388,8 +384,7 @@ def _rows(
         try:
             flight = flown.fly()
         except (SolveError, ScenarioError):
-            lost = {OutsideColumn.ARRIVED: False, OutsideColumn.VERIFIED: False}
-            yield row | lost, flown, None
+            yield row | {OutsideColumn.ARRIVED: False, OutsideColumn.VERIFIED: False}, flown, None
             continue
         key = flown.controller, flown.followed
         if flown.plant is Plant.DECLARED:

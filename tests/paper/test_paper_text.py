@@ -119,8 +119,8 @@ def test_both_printed_adaptive_flights_are_judged():
 def test_the_floor_is_said_of_its_reading_and_its_bound_alone(floor_J, side):
     text = text_of("examination", examination(study(floor_J)))
     assert (
-        f"with f_r so regularised and |alpha| at most 20000 rad/s² the printed energy {side} what "
-        "any flight can do."
+        f"with f_r so regularised and |alpha| at most 20000 rad/s² the printed energy {side} the "
+        "energy of any flight."
     ) in text
 
 
