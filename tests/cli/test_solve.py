@@ -87,7 +87,8 @@ def test_plan_has_one_row_per_node_and_the_promised_columns(calm):
     frame = pd.read_csv(calm.folder / "plan.csv")
     assert list(frame.columns) == [TIME, *(column.name for column in COLUMNS)]
     assert len(frame) == calm.summary["mesh"]["points"] + 1
-    assert frame["energy_J"].iloc[-1] == pytest.approx(calm.summary["energy_J"], rel=1e-12)
+    # Tables have twelve digits.
+    assert frame["energy_J"].iloc[-1] == pytest.approx(calm.summary["energy_J"], rel=5e-12)
     assert frame[["x_m", "y_m", "z_m"]].iloc[-1].tolist() == pytest.approx([6, 7, 8], abs=1e-9)
 
 
