@@ -101,7 +101,7 @@ def test_nohup_outlives_its_terminal(tmp_path):
     process = start("schema", "--out", str(tmp_path), preexec_fn=ignore_the_terminal)
     while not handles(process, signal.SIGTERM):
         assert process.poll() is None
-    status, _, err, _ = interrupt(process, signal.SIGHUP)
+    status, _, err = interrupt(process, signal.SIGHUP)
     assert (status, err) == (ExitCode.VERIFIED, "")
     assert (tmp_path / "README.md").is_file()
 

@@ -1,4 +1,7 @@
-"""Where limits hold, and where they begin or cease to hold."""
+"""Where limits hold, and where they begin or cease to hold.
+
+The rule: see docs/theory/refinement.md, eq. (7).
+"""
 
 from __future__ import annotations
 

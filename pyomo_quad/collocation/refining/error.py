@@ -1,6 +1,6 @@
 """Error of a solution between its collocation points, and its effect on objective and final states.
 
-Derivations: see docs/theory/refinement.md, eqs. (1) to (3); active limits: eq. (7).
+Derivations: see docs/theory/refinement.md, eqs. (1) to (3).
 """
 
 from __future__ import annotations
