@@ -454,7 +454,8 @@ def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]
     try:
         flown = fly_controls(exact, held.mesh, held.controls, held.states[0], held.horizon)
     except TimeIsUpError as error:
-        return (f"the plan could not be flown with exact attitude: {error}",)
+        yield f"the plan could not be flown with exact attitude: {error}"
+        return
     except SolveError:
         miss = inf
     else:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pyomo_quad.collocation import Mesh
+from pyomo_quad.flight.deadline import TimeIsUpError
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.study.check import plan_cautions
 from tests.command import PAPER_CALM
@@ -47,3 +48,18 @@ def test_hover_is_sound():
     assert plan_cautions(plan_with(0.0)) == ()
     (caution,) = plan_cautions(plan_with(0.0, "power.efficiency_floor = 0.9"))
     assert "100 % of the plan's" in caution
+
+
+def test_a_plan_that_no_time_was_left_to_fly_with_exact_attitude(monkeypatch):
+    def time_is_up(*_):
+        raise TimeIsUpError("the time limit of 1 s ended the flight")
+
+    monkeypatch.setattr("pyomo_quad.study.check.fly_controls", time_is_up)
+    plan = plan_with(0.0, "power.model = 'motor'", "vehicle.attitude = 'paper'")
+    held = plan.trajectories
+    held.state_names, held.mesh, held.horizon = plan.dynamics.state_names, None, None
+    plan.mission_flown, plan.verification = plan.scenario, object()
+    plan.solution = SimpleNamespace(warnings=())
+    assert plan_cautions(plan, planner=PLANNER) == (
+        "the plan could not be flown with exact attitude: the time limit of 1 s ended the flight",
+    )
