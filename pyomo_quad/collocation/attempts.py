@@ -157,7 +157,9 @@ class FirstSolve:
             if reduced is not None and not reduced.status.has_failed:
                 return reduced
         first = self.finish(self.solve_on, self.mesh, self.warm_start)
-        if not first.status.has_failed:
+        # Fewer iterations than one attempt may take: an answer is wanted soon, as in flight.
+        is_hasty = self.options.max_iterations < _PATIENCE
+        if is_hasty or not first.status.has_failed:
             return _noted(first)
         return _unbounded(first) if first.ipopt_code == DIVERGED_CODE else self._again(first)
 

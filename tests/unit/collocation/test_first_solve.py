@@ -79,6 +79,15 @@ def test_where_the_first_mesh_fails_others_are_tried(monkeypatch):
     assert solution.objective == pytest.approx(4.0, rel=2e-6)
 
 
+@pytest.mark.parametrize("most", [0, 15])
+def test_a_solve_of_few_iterations_is_not_tried_again(monkeypatch, most):
+    seen = failing_where(monkeypatch, lambda *_: True)
+    options = SolverOptions(max_iterations=most)
+    solution = compile(bryson_denham.build()).solve(mesh=Mesh.uniform(10, 4), options=options)
+    assert solution.status is Status.NOT_CONVERGED
+    assert len(seen) == 1
+
+
 def test_a_guess_is_put_on_an_equation_among_states_and_its_controls_follow():
     """A chord lies inside the spheroid; without help the search ends in zigzags."""
     solution = compile(geodesic()).solve(mesh=Mesh.uniform(10, 4))
