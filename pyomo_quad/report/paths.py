@@ -101,11 +101,11 @@ def draw_space(
     limits = _limits(flights, mission)
     floor = limits[2, 0]
     for zone in () if mission is None else mission.airspace.keep_out:
-        axes.add_collection3d(
-            Poly3DCollection(
-                faces(zone, limits), facecolor=ZONE_COLOR, alpha=_SEEN_THROUGH, linewidth=0.0
+        surface = faces(zone, limits)
+        if len(surface):
+            axes.add_collection3d(
+                Poly3DCollection(surface, facecolor=ZONE_COLOR, alpha=_SEEN_THROUGH, linewidth=0.0)
             )
-        )
     for flight in flights:
         track, beats = (_inside(points, limits) for points in (_track(flight), _beats(flight)))
         shadow = np.full(len(track), floor)

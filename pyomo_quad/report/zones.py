@@ -40,13 +40,17 @@ def box_around(zone: KeepOut) -> FloatArray:
     return np.array([sides[axis] for axis in range(3)]).T
 
 
-def faces(zone: KeepOut, limits: FloatArray) -> list[FloatArray]:
-    """Return the surface of a zone inside a box: polygons, each with corners of shape (n, 3).
+def faces(zone: KeepOut, limits: FloatArray) -> FloatArray:
+    """Return the surface of a zone inside a box: polygons, shape (n_faces, n_corners, 3).
 
-    ``limits`` has a row of low and high for each axis; the faces are cut off there.
+    ``limits`` has a row of low and high for each axis; the faces are cut off there.  A polygon of
+    fewer corners repeats its last: matplotlib fills faces of unequal length up with memory that
+    nothing was written to, and scales its axes by that.
     """
-    cut = (_clipped(face, limits) for face in _whole_faces(zone))
-    return [face for face in cut if len(face)]
+    cut = [face for face in (_clipped(face, limits) for face in _whole_faces(zone)) if len(face)]
+    most = max(map(len, cut), default=0)
+    padded = [np.vstack([face, np.repeat(face[-1:], most - len(face), axis=0)]) for face in cut]
+    return np.reshape(padded, (len(cut), most, 3))
 
 
 def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:

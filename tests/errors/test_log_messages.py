@@ -326,7 +326,7 @@ def test_the_same_flights_under_two_names_count_once(tmp_path, capsys):
     )
     assert main(alone) == ExitCode.VERIFIED
     said = capsys.readouterr()
-    assert (said.out.splitlines()[0].endswith(", 3 flights"), said.err) == (True, "")
+    assert ("3 flights" in said.out, said.err) == (True, "")
     assert main(both) == ExitCode.VERIFIED
     again = capsys.readouterr()
     assert again.out == said.out
