@@ -5,6 +5,7 @@ Expressions inside other data become text, which can be kept and read in another
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
@@ -398,18 +399,49 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
     if not (below or above):
         return [equation]
     body, none = equation.expression, casadi.SX(casadi.inf)
-    zero = casadi.SX(0)
     found = []
     if below:
-        found.append(replace(equation, expression=body - equation.lower, lower=zero, upper=none))
+        side, unbounded = _moving_side(equation.lower)
+        found.append(
+            replace(equation, expression=body - side, lower=_unless(unbounded, -none), upper=none)
+        )
     if above:
-        found.append(replace(equation, expression=body - equation.upper, lower=-none, upper=zero))
+        side, unbounded = _moving_side(equation.upper)
+        found.append(
+            replace(equation, expression=body - side, lower=-none, upper=_unless(unbounded, none))
+        )
     rest = replace(
         equation,
         lower=-none if below else equation.lower,
         upper=none if above else equation.upper,
     )
     return found if is_unbounded(rest.lower, rest.upper) else [*found, rest]
+
+
+def _unless(unbounded: Any, none: Any) -> Any:
+    """Return a side of zero, or none where there is no limit."""
+    zero = casadi.SX(0)
+    return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)
+
+
+def _moving_side(side: Any) -> tuple[Any, Any]:
+    """Return a side of a limit, zero where it has none, and whether it has none.
+
+    A rule that skips a limit for a part of the horizon has an infinite side there: a sum of
+    alternatives, each of which is zero where another one holds.
+    """
+    zero = casadi.SX(0)
+    if side.is_constant():
+        is_infinite = math.isinf(float(side))
+        return (zero, casadi.SX(1)) if is_infinite else (side, zero)
+    if side.op() == casadi.OP_IF_ELSE_ZERO:
+        kept, unbounded = _moving_side(side.dep(1))
+        holds = side.dep(0)
+        return casadi.if_else(holds, kept, zero), casadi.if_else(holds, unbounded, zero)
+    if side.op() == casadi.OP_ADD:
+        (first, no_first), (second, no_second) = (_moving_side(side.dep(k)) for k in range(2))
+        return first + second, no_first + no_second
+    return side, zero
 
 
 def _table_arguments(

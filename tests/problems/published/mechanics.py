@@ -2,7 +2,8 @@
 
 import numpy as np
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
-from pyomo.environ import ConcreteModel, Constraint, Var, cos, exp, log, sin
+from pyomo.environ import ConcreteModel, Constraint, RangeSet, Var, cos, exp, log, sin
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, minimize_scalar
 
 from tests.problems.published.statement import (
@@ -427,6 +428,65 @@ def singular_control():
     return minimised(m, total(m, running))
 
 
+# Three equal masses on a figure of eight, with the digits of C. Simo.
+PERIOD = 6.32591398
+PLACE, SPEED = np.array([0.97000436, -0.24308753]), np.array([-0.93240737, -0.86473146])
+PLACES = np.array([PLACE, -PLACE, 0 * PLACE])
+SPEEDS = np.array([-SPEED / 2, -SPEED / 2, SPEED])
+
+
+def three_bodies(start, duration):
+    """Return the path of three equal masses over shares of a duration."""
+
+    def rates(_, y):
+        q, a = y[:6].reshape(3, 2), np.zeros((3, 2))
+        for b in range(3):
+            for o in {0, 1, 2} - {b}:
+                a[b] += (q[o] - q[b]) / np.linalg.norm(q[o] - q[b]) ** 3
+        return np.concatenate([y[6:], a.ravel()])
+
+    path = solve_ivp(rates, (0, duration), start, rtol=1e-9, atol=1e-9, dense_output=True).sol
+    return lambda share: path(duration * share)
+
+
+def figure_eight():
+    """The period of the orbit that begins at the published places, each end condition written out.
+
+    Two bodies begin at the same speed.  Of the end conditions, two follow from the conserved
+    momentum, others nearly from energy and angular momentum.
+    """
+    m = ConcreteModel(name="figure of eight")
+    m.t = ContinuousSet(bounds=(0, 1))
+    # Another closed orbit begins at these places, and takes 6.2908.
+    m.T = Var(bounds=(6.3, 6.4), initialize=6.33)
+    m.body, m.axis = RangeSet(0, 2), RangeSet(0, 1)
+    path = three_bodies(np.concatenate([PLACES.ravel(), SPEEDS.ravel()]), PERIOD)
+    m.q = Var(m.body, m.axis, m.t, initialize=lambda m, b, a, t: path(t)[2 * b + a])
+    m.p = Var(m.body, m.axis, m.t, initialize=lambda m, b, a, t: path(t)[6 + 2 * b + a])
+    m.dq, m.dp = DerivativeVar(m.q, wrt=m.t), DerivativeVar(m.p, wrt=m.t)
+
+    @m.Constraint(m.body, m.axis, m.t)
+    def motion(m, b, a, t):
+        return m.dq[b, a, t] == m.p[b, a, t]
+
+    @m.Constraint(m.body, m.axis, m.t)
+    def gravity(m, b, a, t):
+        def cubed(o):
+            return sum((m.q[b, k, t] - m.q[o, k, t]) ** 2 for k in m.axis) ** 1.5
+
+        others = (o for o in m.body if o != b)
+        return m.dp[b, a, t] == sum((m.q[o, a, t] - m.q[b, a, t]) / cubed(o) for o in others)
+
+    for name, state in (("q", m.q), ("p", m.p)):
+        closed = Constraint(m.body, m.axis, rule=lambda m, b, a, s=state: s[b, a, 1] == s[b, a, 0])
+        m.add_component(f"closed_{name}", closed)
+    m.alike = Constraint(m.axis, rule=lambda m, a: m.p[0, a, 0] == m.p[1, a, 0])
+    for b in m.body:
+        for a in m.axis:
+            m.q[b, a, 0].fix(PLACES[b, a])
+    return minimised(m, m.T)
+
+
 CASES = (
     Case(
         name="oscillator",
@@ -522,6 +582,14 @@ CASES = (
         build=singular_control,
         published="0.1192",
         source="Luus (2002), stated as PSOPT 5 does in examples/singular5: 0.119262 there",
+    ),
+    Case(
+        name="figure_eight",
+        build=figure_eight,
+        published="6.3259140",
+        source="Chenciner and Montgomery (2000), Annals of Mathematics 152, with Simo's digits: "
+        "6.32591398, of which a place of eight digits determines these",
+        times=lambda m: {1: m.T},
     ),
     Case(name="interior_point", build=interior_point, published=_interior_cost(), source=PSOPT),
     Case(

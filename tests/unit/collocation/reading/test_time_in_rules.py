@@ -521,6 +521,40 @@ def test_a_bound_by_a_rule_may_hold_a_free_time():
     assert solve(m, final_time=m.T).objective == pytest.approx(2.0, rel=2e-6)
 
 
+# Limits of the first of two phases.
+PHASE_LIMITS = {
+    "an upper limit": lambda m, t: m.x[t] <= t if t <= 1 else Constraint.Skip,
+    "a lower limit": lambda m, t: -t <= -m.x[t] if t <= 1 else Constraint.Skip,
+    "a range": lambda m, t: (-t - 1, m.x[t], t) if t <= 1 else Constraint.Skip,
+    "a range that loses a side": lambda m, t: (-t - 1, m.x[t], t if t <= 1 else None),
+}
+
+
+def two_phases(limit, **bounds):
+    """A way of 5 at a speed of 3 at most, after a first phase of 1 at least."""
+    m = ConcreteModel()
+    m.t = ContinuousSet(initialize=[0, 1, 2])
+    m.turn, m.T = Var(bounds=(1, 5), initialize=2), Var(bounds=(1, 9), initialize=4)
+    m.x, m.u = Var(m.t, **bounds), Var(m.t, bounds=(-1, 3))
+    m.dx = DerivativeVar(m.x, wrt=m.t)
+    m.motion = Constraint(m.t, rule=lambda m, t: m.dx[t] == m.u[t])
+    m.limit = Constraint(m.t, rule=limit)
+    m.x[0].fix(0)
+    m.goal = Constraint(expr=m.x[2] == 5)
+    m.cost = Objective(expr=m.T)
+    return compile(m, times={1: m.turn, 2: m.T}).solve(tolerance=1e-7)
+
+
+@pytest.mark.parametrize("kind", PHASE_LIMITS)
+def test_a_limit_with_the_time_on_one_side_may_be_skipped_in_a_free_phase(kind):
+    assert two_phases(PHASE_LIMITS[kind]).objective == pytest.approx(1 + 4 / 3, rel=1e-6)
+
+
+def test_a_bound_with_the_time_in_it_may_be_missing_in_a_free_phase():
+    solution = two_phases(plain_limit, bounds=lambda m, t: (-1, t if t <= 1 else None))
+    assert solution.objective == pytest.approx(1 + 4 / 3, rel=1e-6)
+
+
 def plain_limit(m, t):
     return m.u[t] <= 30
 
