@@ -301,7 +301,7 @@ def refine(
             ended, better = _ended_or_better(met, reached, _IMPROVEMENTS - improvements, tolerance)
             if better is None:
                 return ended
-            reached = _Reached(met)
+            reached = _Reached(met, earned=0.0 if reached is None else reached.gain(met))
             improvements += 1
             chosen, warm_start, before = _meshes(solution), better.warm_start, (None,)
             weight = firmness * refinement.damping * tolerance
@@ -310,6 +310,8 @@ def refine(
         is_stuck = finer == _meshes(solution) and error > tolerance
         if is_stuck or len(records) >= refinement.max_meshes or _is_lost(records):
             ended = _given_up(solution, before, error, tolerance)
+            if reached is not None and reached.earned > tolerance and not is_stuck:
+                return _cut_off(reached)
             return _lost(_with_state_error(ended, errors, before, tolerance), reached, tolerance)
         settled += is_damped and _has_settled(solution, tolerance)
         is_stalled = settled >= _MANY_SETTLED
@@ -428,10 +430,13 @@ class _Reached(Generic[S]):
     shown : float, optional
         What the restart has shown to be gained, relative to the objective: by how much any of its
         solutions is better, less that one's own error; None before there is one.
+    earned : float
+        What it gained over the solution before it, relative to the objective.
     """
 
     solution: S
     shown: float | None = None
+    earned: float = 0.0
 
     def gain(self, other: S) -> float:
         """Return by how much another solution is better, relative to the objective."""
@@ -461,6 +466,15 @@ def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
         return ended
     is_refuted = reached.shown is None or reached.shown > tolerance
     return _doubted(reached.solution) if is_refuted else reached.solution
+
+
+def _cut_off(reached: _Reached[S]) -> S:
+    """Return what was reached by a restart, where the next one ran out of meshes.
+
+    It may be off by as much as that restart earned.
+    """
+    own = reached.solution.parts[0].error_estimate
+    return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))
 
 
 def _ended_or_better(
