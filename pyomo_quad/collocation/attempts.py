@@ -1,4 +1,4 @@
-"""What is tried where a first solve fails, in order, and what is said of one that must fail."""
+"""Ordered attempts at a first solve, and the verdict where all of them fail."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ class FirstSolve:
         return _unbounded(first) if first.ipopt_code == DIVERGED_CODE else self._again(first)
 
     def _again(self, first: Solution) -> Solution:
-        """Return what other attempts find after a first failure, else that and its verdict."""
+        """Return the first solution of the further attempts, else the failure with its verdict."""
         simulated = self._tried(SIMULATED, first)
         if simulated is not None and not simulated.status.has_failed:
             return simulated
@@ -179,7 +179,7 @@ class FirstSolve:
         return failed
 
     def _ways(self, failed: Solution) -> tuple[Attempt, ...]:
-        """Return what is worth trying: nothing more on a mesh that is infeasible."""
+        """Return the further attempts; an infeasible mesh is not tried again."""
         is_square = failed.bounds.surplus == 0
         reduced = REDUCED[: 1 + self.is_mesh_free] if is_square else ()
         own = () if failed.status is Status.INFEASIBLE else ON_THE_MESH
@@ -242,7 +242,7 @@ class FirstSolve:
 
 
 def _unbounded(solution: Solution) -> Solution:
-    """Return a solution that names what grows without end."""
+    """Return a solution whose message names the variable that diverges."""
     program, sizes = solution.program, np.abs(solution.unknowns) * solution.scaling.unknowns
     name = unknown_place(program, int(np.nanargmax(sizes))).name
     objective = program.compiled.declared.objective_name
@@ -306,7 +306,7 @@ def violation(failed: Solution, row: int, slack: float) -> tuple[str, str]:
 
 
 def verdict(violated: list[tuple[str, str]]) -> str:
-    """Return what a positive least violation says: the equations that it leaves, the worst first.
+    """Return the message of a positive least violation: its violated equations, the worst first.
 
     Each equation is named once.
     """

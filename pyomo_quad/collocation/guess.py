@@ -98,7 +98,7 @@ def _with_defined_algebraics(
     given: Mapping[str, Any] | pd.DataFrame,
     z: FloatArray,
 ) -> FloatArray:
-    """Return a point whose algebraic variables without a guess are what equations define."""
+    """Return a point whose algebraic variables without a guess satisfy their defining equations."""
     columns = program.layout.algebraic_columns
     unknown = [
         k

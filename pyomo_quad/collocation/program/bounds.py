@@ -1,4 +1,4 @@
-"""Bounds and scales of unknowns and rows, and what they alone show to be unsolvable.
+"""Bounds and scales of unknowns and rows, and refusals of programs that these show unsolvable.
 
 Scaling: see docs/theory/refinement.md, eqs. (12) to (15).
 """
