@@ -148,8 +148,8 @@ def outside_tables(solution: Solution) -> str:
                 when = f" at time {solution.times[k + 1]:.6g}" if len(arguments) > 1 else ""
                 line = (
                     f"{use.name} is {arguments[k]:.6g}{when}, outside its range "
-                    f"[{use.lower:g}, {use.upper:g}]; extend the table, or bound the variables in its "
-                    "argument."
+                    f"[{use.lower:g}, {use.upper:g}]; extend the table, or bound the variables "
+                    "in its argument."
                 )
     return line
 
