@@ -70,10 +70,10 @@ _MOST_POWER_PER_KG, _LEAST_POWER_PER_KG = 5e3, 5.0
 # Payload over the vehicle's own mass: beyond this the column must hold grams.
 _MOST_PAYLOAD = 20.0
 # Ranges that every row must keep.
-_SPEED = Sound(-1e3, 1e3, "the fastest aeroplane had 981 m/s")
+_SPEED = Sound(-1e3, 1e3, "multirotors fly far below 1000 m/s")
 _SOUND: Mapping[str, Sound] = {
     PAYLOAD: CARRIED,
-    DENSITY: Sound(1e-2, 2.0, "the air on earth has 1.5 at its densest and 0.02 at 30 km"),
+    DENSITY: Sound(1e-2, 2.0, "air has about 1.5 at most, and 0.02 at 30 km"),
     POWER: Sound(-1e8, 1e8, "the largest helicopter has 2e7 W"),
     **dict.fromkeys((*VELOCITY, *AIR_VELOCITY), _SPEED),
 }

@@ -1,4 +1,4 @@
-"""What is wrong with a user's input, in one line: where, what was found, what is allowed."""
+"""Messages about a user's input, in one line: field, value found, values allowed."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
@@ -19,7 +19,7 @@ from pyomo_quad.scenario.fields import (
 
 _LONGEST_VALUE = 60
 
-# pydantic's error type -> what is allowed; {name} comes from the error's context.
+# pydantic's error type -> the allowed values; {name} comes from the error's context.
 _ALLOWED: Mapping[str, str] = {
     "greater_than": "must be > {gt}",
     "greater_than_equal": "must be >= {ge}",
@@ -47,9 +47,9 @@ _ALLOWED: Mapping[str, str] = {
 def complaint(
     error: ValidationError, model: type[BaseModel], prefix: FieldPath = ()
 ) -> tuple[FieldPath, str]:
-    """Describe the first thing wrong with a scenario.
+    """Describe the most important error of a scenario.
 
-    Unknown keys come first, since a misspelt key also leaves a key missing.
+    Unknown keys come first, because a misspelt key also leaves a key missing.
     """
     order = {"extra_forbidden": 0, "missing": 2}
     details = min(error.errors(), key=lambda found: order.get(found["type"], 1))
@@ -58,7 +58,7 @@ def complaint(
 
 
 def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
-    """Return a path without pydantic's name for the branch of a field that may be a word."""
+    """Return a path without pydantic's name for the branch of a field that accepts words."""
     table, _ = declared_place(model, path[:-1])
     last = path[-1] if path else None
     is_branch = len(path) > 1 and bool(words_of(table, str(path[-2]))) and isinstance(last, str)
@@ -66,7 +66,7 @@ def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
 
 
 def words_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
-    """Return the words that a field takes in place of a number."""
+    """Return the words that a field accepts in place of a number."""
     field = model.model_fields.get(name)
     annotation: Any = field.annotation if field is not None else None
     literals = [part for part in get_args(annotation) if get_origin(part) is Literal]
@@ -74,7 +74,7 @@ def words_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def shown(value: object) -> str:
-    """Write a value as TOML does, shortened, on one line.
+    """Write a value as in TOML, shortened, on one line.
 
     Returns
     -------
@@ -96,13 +96,13 @@ def printable(text: str) -> str:
     Returns
     -------
     str
-        Of the same length.
+        Text of the same length.
     """
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[FieldPath]:
-    """Walk over the paths of all fields of a table and of the tables in it."""
+    """Yield the paths of all fields of a table and of the tables in it."""
     for name in model.model_fields:
         yield (*prefix, name)
         nested = _table_of(model, name)
@@ -114,7 +114,7 @@ def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[Fiel
 def declared_place(
     model: type[BaseModel], place: Sequence[str | int]
 ) -> tuple[type[BaseModel], str]:
-    """Find the table that holds a place, and the unit of the field there.
+    """Find the table that holds a path, and the unit of the field there.
 
     Returns
     -------
@@ -196,7 +196,7 @@ def _unknown_key(
 
 
 def _example(model: type[BaseModel], name: str) -> str:
-    """Return what a field could be: its own example, or a table of what its table needs."""
+    """Return an example of a field: its own, or a table with the required fields of its table."""
     nested = _table_of(model, name)
     if nested is None:
         return example_of(model, name)
@@ -219,16 +219,16 @@ def _table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
 
 
 class PyomoQuadError(Exception):
-    """Base of every error that pyomo_quad raises on purpose."""
+    """Base class of all errors that pyomo_quad raises deliberately."""
 
 
 class ScenarioError(PyomoQuadError, ValueError):
-    """A scenario, library or wind file says something that is not allowed."""
+    """A scenario, library or wind file has a value that is not allowed."""
 
 
 class FeasibilityError(PyomoQuadError, ValueError):
-    """A valid scenario asks for something that the vehicle cannot physically do."""
+    """A valid scenario requires more than the vehicle is physically capable of."""
 
 
 class OutputError(PyomoQuadError, RuntimeError):
-    """The results cannot be written where they were asked for."""
+    """The results cannot be written to the requested folder."""

@@ -1,6 +1,6 @@
-"""Default, library, files, scenario and overrides laid over each other, with their origin.
+"""Layers of a scenario: defaults, library, files, scenario and overrides, with their origin.
 
-A TOML document comes from a stranger: data only, bounded in size and depth.
+A TOML document may come from an untrusted source: it is data only, bounded in size and depth.
 """
 
 import csv
@@ -54,11 +54,11 @@ from pyomo_quad.scenario.wind import (
 
 LARGEST_FILE_BYTES = 1_000_000
 DEEPEST_NESTING = 8
-# More brackets open at once, or a key of more parts, is an attack on the parser: it takes them one
-# inside the other, or all anew for each.
+# Limit on open brackets and on the parts of a key. The parser recurses into brackets and re-reads
+# every key, so that more of them would exhaust its stack or time.
 _MOST_OPEN = 64
 _MOST_KEY_PARTS = 32
-# Comments, texts closed or not, and the signs that nest or join; no part is read twice.
+# Matches comments, closed or unclosed texts, and the signs that nest or join; reads each part once.
 _SIGNS = re.compile(
     r"""#[^\n]*+|\"{3}(?:[^"\\]++|\\.|"(?!""))*+(?:\"{3})?|'{3}(?:[^']++|'(?!''))*+(?:'{3})?"""
     r"""|"(?:[^"\\\n]++|\\.)*+"?|'[^'\n]*+'?|[\[\]{}.,=\n]""",
@@ -67,12 +67,12 @@ _SIGNS = re.compile(
 
 
 def read_toml(file: Path) -> dict[str, Any]:
-    """Read a TOML file that may come from a stranger.
+    """Read an untrusted TOML file.
 
     Raises
     ------
     ScenarioError
-        If it is missing, too large, nested too deep or not TOML.
+        If the file is missing, too large, nested too deep or not TOML.
     """
     source = printable(str(file))
     try:
@@ -97,7 +97,7 @@ def read_toml(file: Path) -> dict[str, Any]:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML, once it is known not to nest so deep that the parser would suffer."""
+    """Parse TOML, after a check that its nesting is not too deep for the parser."""
     open_brackets, key_parts = 0, 1
     for sign in _SIGNS.finditer(text):
         match sign[0]:
@@ -115,7 +115,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def refuse_deep(tables: Mapping[str, Any], source: str) -> None:
-    """Refuse tables that nest deeper than any scenario."""
+    """Refuse tables that are nested deeper than any scenario."""
     if depth(tables, DEEPEST_NESTING) > DEEPEST_NESTING:
         raise ScenarioError(
             f"{source}: nested deeper than {DEEPEST_NESTING} levels; a scenario is a shallow file."
@@ -130,7 +130,7 @@ LIBRARY_KINDS: Mapping[str, str] = MappingProxyType(
 _FIELDS, _VALUE, _SOURCE = "fields", "value", "source"
 _LABELS = (_VALUE, _SOURCE)
 _SECTIONS: Mapping[str, tuple[str, ...]] = {"vehicles": (_FIELDS, "limits")}
-# What tells a file of one's own from a name of the library.
+# Suffix that distinguishes a user's own file from a name of the library.
 _SUFFIX = ".toml"
 
 
@@ -145,9 +145,9 @@ class LibraryEntry:
     tables : mapping
         Scenario tables that the entry fills, ``{"vehicle": {...}, "limits": {...}}``.
     sources : mapping
-        Dotted scenario field -> where its number comes from.
+        Dotted scenario field -> source of its number.
     base : LibraryEntry or None
-        The set that gives what a file of one's own leaves out.
+        The library entry that completes a user's own file.
     """
 
     kind: str
@@ -237,9 +237,9 @@ def library_entry(kind: str, name: str) -> LibraryEntry:
 def _entry(
     kind: str, name: str, written: Mapping[str, Any], base: LibraryEntry | None
 ) -> LibraryEntry:
-    """Return the entry of sections of numbers, bare or with their sources.
+    """Return the entry made of sections of numbers, each bare or with its source.
 
-    Only its own tables are in it; those of the base lie below.
+    The entry holds its own tables only; `base` completes them.
     """
     table = LIBRARY_KINDS[kind]
     tables: dict[str, Any] = {table: {"use": name}}
@@ -263,15 +263,15 @@ def _entry(
 
 
 def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
-    """Read a set of one's own from a file written as the library's are.
+    """Read a user's own set from a file with the structure of the library's files.
 
-    It has the sections `fields` and, for a vehicle, `limits`, with each number bare or as a table
-    of `value` and `source`; `use` at its top names the set of the library that gives the rest.
+    It has the sections `fields` and, for a vehicle, `limits`. Each number is bare or a table of
+    `value` and `source`. `use` at its top names the library entry that gives all other numbers.
 
     Raises
     ------
     ScenarioError
-        If the file cannot be read, or has anything else in it.
+        If the file cannot be read or has other content.
     """
     written = dict(read_toml(folder / name))
     use = written.pop("use", None)
@@ -291,7 +291,7 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
 
 
 def _refuse_labels(name: str, table: Mapping[str, Any], place: FieldPath) -> None:
-    """Refuse numbers with a label other than their value and source."""
+    """Refuse numbers with keys other than `value` and `source`."""
     is_labelled = len(place) > 1 and not set(_LABELS).isdisjoint(table)
     for key, content in table.items():
         where = shown(spell((*place, key)))[1:-1]
@@ -315,7 +315,7 @@ def _listed(names: object) -> str:
 WIND_COLUMNS = ("time_s", "wind_x_m_per_s", "wind_y_m_per_s")
 HEIGHT_COLUMN = "height_m"
 _TIME_COLUMN, *_WIND_SPEEDS = WIND_COLUMNS
-# What a row says beside the wind: when, at what height, or both.
+# Columns of a row besides the wind: time, height, or both.
 _KEYS = ((_TIME_COLUMN,), (HEIGHT_COLUMN,), (_TIME_COLUMN, HEIGHT_COLUMN))
 
 _LARGEST_FILE_BYTES = 20_000_000
@@ -323,7 +323,7 @@ _MOST_ROWS = 200_000
 _FEWEST_ROWS = 4  # a cubic spline needs as many
 _FEWEST_HEIGHTS, _MOST_HEIGHTS = 2, 40
 _FARTHEST_HEIGHT = 1e5
-# A step this many times longer than the usual one is a gap that a spline would make up wind for.
+# A step longer than the usual step by this factor is a gap, in which a spline would invent wind.
 _GAP_STEPS = 5.0
 _Rows = list[tuple[float, ...]]
 
@@ -337,18 +337,18 @@ def read_wind_file(
     ----------
     file : Path
         CSV file with the columns `WIND_COLUMNS`, with `HEIGHT_COLUMN` in place of or after the
-        first; over both, every time has the same heights.
+        first; with both, every time has the same heights.
     longest : tuple of str and object
         The field that says how long the mission may take, and its value, s.
     time_offset : object
-        Wind time at the start of the mission, s; anything that is not a number is left to the
-        schema to refuse, here and in `longest`.
+        Wind time at the start of the mission, s. A value that is not a number, here or in
+        `longest`, is left to the schema to refuse.
 
     Returns
     -------
     dict
         `times` where the file has them, `wind_x` and `wind_y`, and `heights` where it has them:
-        then the winds run over the heights first.
+        the heights are then the inner index of the winds.
 
     Raises
     ------
@@ -373,7 +373,7 @@ def read_wind_file(
 
 
 def _heights(columns: Mapping[str, tuple[float, ...]], place: str) -> tuple[float, ...]:
-    """Return the heights of a wind, the same at every time, rising."""
+    """Return the heights of a wind, rising and the same at every time."""
     every = columns[HEIGHT_COLUMN]
     times = columns.get(_TIME_COLUMN, (0.0,) * len(every))
     heights = every[: times.count(times[0])]
@@ -422,7 +422,7 @@ def _check_cover(
 
 
 def _read_rows(file: Path, place: str) -> tuple[tuple[str, ...], _Rows]:
-    """Return what the rows say beside the wind, and the rows."""
+    """Return the key columns of the rows, and the rows."""
     try:
         if file.stat().st_size > _LARGEST_FILE_BYTES:
             _refuse(place, f"larger than {_LARGEST_FILE_BYTES} bytes; thin the series out")
@@ -481,37 +481,37 @@ def _refuse(place: str, reason: str) -> NoReturn:
     raise ScenarioError(f"{place}; {reason}.") from None
 
 
-# The named sets that a scenario gets when it names none.
+# Library entries of a scenario that names none.
 DEFAULT_LIBRARY: Mapping[str, str] = {
     "vehicle": "dji_phantom_2",
     "battery": "phantom_2_pack",
     "wind": "calm",
 }
 
-# How long a free duration may be, and the shortest that there is, in s.
+# Field with the greatest length of a free duration, and the shortest duration, in s.
 _LONGEST: FieldPath = ("mission", "duration_max")
 _SHORTEST_S = 1e-3
 
-# A forecast is a wind of its own, told to the same vehicle.
+# A forecast is a separate wind, but for the same vehicle: it inherits these fields.
 _INHERITED_BY_FORECAST = ("acceleration_coefficient", "frequency_unit")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Origin:
-    """What a scenario was made from.
+    """The sources of a scenario.
 
     Attributes
     ----------
     source : str
-        Name of the scenario for messages, its file as a rule.
+        Name of the scenario in messages, usually its file.
     folder : Path
-        Where relative file names start.
+        Folder to which relative file names refer.
     document : mapping
         The scenario's own tables, before library and overrides.
     assignments : mapping
         Path -> value, the overrides in order.
     label : str
-        What the overrides are called in messages and provenance.
+        Name of the overrides in messages and provenance.
     """
 
     source: str
@@ -524,14 +524,14 @@ class Origin:
 
 @dataclass(frozen=True, kw_only=True)
 class Resolution:
-    """Complete tables, ready to validate, and where each value came from."""
+    """Complete tables, ready for validation, and the origin of each value."""
 
     tables: Mapping[str, Any]
     provenance: Mapping[str, str]
 
 
 def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
-    """Complete the tables of a scenario, whose fields the model declares, from the library.
+    """Complete the tables of a scenario from the library; the model declares the fields.
 
     Raises
     ------
@@ -555,7 +555,7 @@ def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
 
 
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
-    """Return what files mean that say nothing, where stored scenarios mean something else."""
+    """Return the initial values of scenario files that differ from the defaults of records."""
     tables: dict[str, Any] = {}
     for path in field_paths(model):
         table, _ = declared_place(model, path[:-1])
@@ -566,7 +566,7 @@ def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def whose(origin: Origin, provenance: Mapping[str, str], path: FieldPath) -> str:
-    """Name the source that a message about a field starts with."""
+    """Return the name of the source with which a message about a field starts."""
     for length in range(len(path), 0, -1):
         said = provenance.get(spell(path[:length]))
         if said is not None:
@@ -608,7 +608,7 @@ def _add_library(
     is_named = isinstance(written, Mapping) and "use" in written
     name = written["use"] if is_named else DEFAULT_LIBRARY[LIBRARY_KINDS[kind]]
     if not isinstance(name, str):
-        return tables  # validation says it better
+        return tables  # validation gives a better message
     use = (*place, "use")
     if origin.is_resolved and use not in origin.assignments:
         return tables
@@ -661,14 +661,14 @@ def _add_wind_series(
         if series["times"] and isinstance(offset, int | float):
             known.append((series["times"][-1] - offset, said))
     if field == _LONGEST and longest is None and known:
-        # A free duration ends where the wind is not known any more.
+        # A free duration ends at the end of the known wind.
         last, provenance[spell(field)] = min(known)
         tables = set_value(tables, field, last)
     return tables
 
 
 def _longest(tables: Mapping[str, Any]) -> tuple[FieldPath, object]:
-    """Return the field that says how long a mission may take, and what it says."""
+    """Return the field that limits the duration of a mission, and its value."""
     mission = tables.get("mission")
     told = mission if isinstance(mission, Mapping) else {}
     field = _LONGEST if told.get("duration") == FREE else ("mission", "duration")

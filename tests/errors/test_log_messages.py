@@ -118,13 +118,13 @@ SPOILT = {
     "no_such_air": (
         lambda: with_value("air_density_kg_m3", 12.0),
         (
-            "air_density_kg_m3 = 12 kg/m^3 at 15 s of flight 1; must be from 0.01 to 2: the air on "
-            "earth has 1.5 at its densest"
+            "air_density_kg_m3 = 12 kg/m^3 at 15 s of flight 1; must be from 0.01 to 2: air has "
+            "about 1.5 at most"
         ),
     ),
     "no_such_speed": (
         lambda: with_value("air_vel_east_m_s", -1e200),
-        "air_vel_east_m_s = -1e+200 m/s at 15 s of flight 1; must be from -1000 to 1000: the",
+        "air_vel_east_m_s = -1e+200 m/s at 15 s of flight 1; must be from -1000 to 1000: multirotors",
     ),
     "no_such_power": (
         lambda: with_value("power_W", 1e12),
@@ -132,7 +132,7 @@ SPOILT = {
     ),
     "no_such_payload": (
         lambda: three().assign(payload_kg=1e30),
-        "payload_kg = 1e+30 kg at 0 s of flight 1; must be from 0 to 10000: flying machines weigh",
+        "payload_kg = 1e+30 kg at 0 s of flight 1; must be from 0 to 10000: multirotors weigh",
     ),
     "grams": (
         lambda: three().assign(payload_kg=lambda f: 500.0 * (f.flight == 2)),
