@@ -124,7 +124,7 @@ SPOILT = {
     ),
     "no_such_speed": (
         lambda: with_value("air_vel_east_m_s", -1e200),
-        "air_vel_east_m_s = -1e+200 m/s at 15 s of flight 1; must be from -1000 to 1000: multirotors",
+        "air_vel_east_m_s = -1e+200 m/s at 15 s of flight 1; must be from -1000 to 1000",
     ),
     "no_such_power": (
         lambda: with_value("power_W", 1e12),
