@@ -45,7 +45,7 @@ SPOILT = {
     ),
     "nan": (
         lambda: with_value("vel_up_m_s", np.nan),
-        "vel_up_m_s is no number at 15 s of flight 1; drop the row or fill it.",
+        "vel_up_m_s is not a number at 15 s of flight 1; drop the row or fill it.",
     ),
     "text": (
         lambda: three().astype({"power_W": str}).assign(power_W="much"),
@@ -64,7 +64,7 @@ SPOILT = {
     ),
     "no_phase": (
         lambda: with_value("phase", np.nan),
-        "phase is no number at 15 s of flight 1; drop the row or fill it.",
+        "phase is not a number at 15 s of flight 1; drop the row or fill it.",
     ),
     "milliseconds": (
         lambda: three().assign(time_s=lambda f: 1e3 * f.time_s),
@@ -101,7 +101,7 @@ SPOILT = {
     ),
     "one_flight": (
         lambda: recorded.flight(1, 5.0, 0.0, seconds=30),
-        "one flight only; identification needs two at least",
+        "one flight only; identification needs at least two",
     ),
     "single_row": (
         lambda: pd.concat([three(), recorded.flight(4, 5.0, 0.0, seconds=30).head(1)]),
@@ -193,7 +193,7 @@ def test_files_that_are_no_logs(tmp_path, capsys, monkeypatch):
     assert "cannot be read (No such file" in refused(capsys, tmp_path / "none.csv")
     other = tmp_path / "log.xlsx"
     other.write_text("x")
-    assert "is no log; give a .parquet, .csv or .ulg file." in refused(capsys, other)
+    assert "is not a log; give a .parquet, .csv or .ulg file." in refused(capsys, other)
     whole = tmp_path / "whole.parquet"
     three().to_parquet(whole)
     half = tmp_path / "half.parquet"
@@ -331,7 +331,7 @@ def test_the_same_flights_under_two_names_count_once(tmp_path, capsys):
     again = capsys.readouterr()
     assert again.out == said.out
     assert again.err.splitlines() == [
-        f"logs: flight {k + 10} is flight {k} again; it counts once." for k in (1, 2, 3)
+        f"logs: flight {k + 10} duplicates flight {k}; it counts once." for k in (1, 2, 3)
     ]
 
 
