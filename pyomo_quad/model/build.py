@@ -122,7 +122,7 @@ def _vehicle_in_the_wind(scenario: Scenario) -> ConcreteModel:
     # Its place among the blocks is before those that it may depend on.
     m.wind = Block(doc="wind, eq. (11)-(12)")
     rotors.declare_rotors(m, scenario)
-    rotors.declare_motors(m)
+    rotors.declare_motors(m, scenario)
     declare_motion(m, scenario)
     wind.declare_wind(m, scenario)
     return m
@@ -202,6 +202,7 @@ def structure_key(scenario: Scenario) -> Hashable:
     longest = scenario.mission.duration_limits[1] if scenario.mission.is_free else None
     return (
         scenario.model,
+        tuple(row.name for row in vehicle.parameters_of(scenario)),
         scenario.vehicle.attitude,
         scenario.power.model,
         scenario.power.regeneration,
