@@ -58,7 +58,8 @@ class Failure:
         The least time in which the mission can be flown within its limits; None where none was
         found.
     diagnosis : Diagnosis
-        The engine's: worst equations, active limits, what has to give way together.
+        The engine's: worst equations, active limits, and declarations that must be relaxed
+        together.
     remedies : tuple of Relaxation
         Single limits whose change alone would make the mission possible.
     """

@@ -353,9 +353,7 @@ def test_coupling_at_a_time_that_is_no_boundary():
 def test_a_value_of_another_horizon_over_time():
     m = least_effort()
     m.follow = Constraint(m.first.t, rule=lambda m, t: m.first.x[t] <= m.second.x[0])
-    refused(
-        m, r"^second.x\[0\]: a value over second.t cannot stand in what is declared over first.t"
-    )
+    refused(m, r"^second.x\[0\]: a value over second.t cannot stand in a component over first.t")
 
 
 def test_a_parameter_of_one_horizon_in_what_couples():
