@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.program.compiled import MappedFunction
-from pyomo_quad.collocation.reading.schedules import BESIDE
+from pyomo_quad.collocation.reading.schedules import BESIDE, Steps
 from pyomo_quad.collocation.reading.writer import symbol_names
 
 if TYPE_CHECKING:
@@ -154,6 +154,19 @@ class Dynamics:
         Where they jump, t itself belongs to the left.
         """
         return t + 2.0 * BESIDE * float(self.timeline.spans.max()) if self._instance.jumps else t
+
+    def steps_between(self, start: float, end: float) -> list[float]:
+        """Return when parameters given as `Steps` step between two times, rising."""
+        given = [v for v in self._instance.overrides.values() if isinstance(v, Steps)]
+        return sorted({edge for steps in given for edge in steps.edges(start, end)})
+
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        """Parameters over time, by full name, as they follow the share of the horizon in `moment`.
+
+        Signals of rules that branch on time follow them.
+        """
+        return tuple(slot.name for slot in self._formulation.compiled.declared.signals)
 
     def moment(self, t: float) -> list[float]:
         """Return the time-dependent inputs of the equations: fraction and signals."""

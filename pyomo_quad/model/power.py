@@ -93,7 +93,7 @@ _CONSTANT_EFFICIENCY = Parameter(
 
 
 def _efficiency_map(scenario: Scenario) -> dict[tuple[str, str], float]:
-    rows = scenario.vehicle.efficiency_map
+    rows = scenario.vehicle.efficiency_map  # given, or no scenario under this model is loaded
     return {
         (row, column): number
         for row in _ROWS

@@ -51,8 +51,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     return (*((ahead, aside) if has_places else ()), *((sense,) if vehicle.has_own_rotors else ()))
 
 
-def declare_motors(m: ConcreteModel) -> None:
-    """Declare torque, current and voltage of each motor in block `rotors`.
+def declare_motors(m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare torque, and where its electrics are known current and voltage, of each motor.
 
     Parameters
     ----------
@@ -66,6 +66,9 @@ def declare_motors(m: ConcreteModel) -> None:
         vehicle = b.parent_block().vehicle
         propeller_drag = vehicle.drag_torque_coefficient * b.omega[j, t] ** 2
         return vehicle.rotor_inertia * b.alpha[j, t] + propeller_drag
+
+    if scenario.vehicle.motor is None:
+        return
 
     @b.Expression(b.rotor, m.time, doc="eq. (2): motor current [A]")
     def motor_current(b: Block, j: int, t: float) -> NumericExpression:

@@ -6,6 +6,7 @@ Fields are arranged in nested tables, as in TOML; they have dotted paths, layers
 import re
 from collections.abc import Iterator, Mapping
 from functools import partial
+from math import pi
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import (
@@ -25,6 +26,9 @@ WholeNumber = Annotated[int, Strict()]
 Text = Annotated[str, Strict()]
 Flag = Annotated[bool, Strict()]
 Triple = tuple[Number, Number, Number]
+
+#: Ending of keys that give an angle in degrees.
+DEGREES = "_deg"
 
 # Numbers that a table or a command line may hold. Python's own `float` also accepts "2_0" and the
 # digits of any script.
@@ -99,6 +103,7 @@ def quantity(
     sound: Sound | None = None,
     is_late: bool = False,
     initial: object = None,
+    unit_keys: Mapping[str, float] | None = None,
     **limits: Any,  # noqa: ANN401
 ) -> Any:  # noqa: ANN401
     """Declare a field with its unit.
@@ -117,6 +122,8 @@ def quantity(
     initial : object, optional
         Value implied by a scenario file without the field, if it differs from the default of
         records.
+    unit_keys : mapping, optional
+        Keys by which a file may give the field in another unit, and that unit in ``unit``.
     """
     declared: dict[str, Any] = {} if initial is None else {"default": initial}
     field = Field(
@@ -129,6 +136,7 @@ def quantity(
             "other_names": list(other_names),
             "sound": None if sound is None else sound._asdict(),
             "is_late": is_late,
+            "unit_keys": dict(unit_keys or {}),
             **declared,
         },
         **limits,
@@ -173,6 +181,20 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
     """Return the value implied by a file without the field, None if it is the default."""
     return _declared_with(model, name, "default") or None
+
+
+def unit_keys_of(model: type[BaseModel]) -> dict[str, tuple[str, float]]:
+    """Return the keys by which a table takes numbers in other units: field and factor of each.
+
+    An angle NAME in radians is also taken in degrees, as NAME_deg.
+    """
+    keys: dict[str, tuple[str, float]] = {}
+    for name in model.model_fields:
+        if unit_of(model, name) == "rad":
+            keys[f"{name}{DEGREES}"] = (name, pi / 180)
+        told: Any = _declared_with(model, name, "unit_keys") or {}
+        keys |= {key: (name, factor) for key, factor in told.items()}
+    return keys
 
 
 def _declared_with(model: type[BaseModel], name: str, item: str) -> Any:  # noqa: ANN401

@@ -334,7 +334,7 @@ def test_a_final_time_of_several():
         m, "^final_time: the model has several horizons, first.t, second.t; give", final_time=m.T
     )
     refused(
-        m, "^times: the model has several ContinuousSets, first.t, second.t; say", times={1: m.T}
+        m, "^times: the model has several ContinuousSets, first.t, second.t; name", times={1: m.T}
     )
     refused(
         m, "^times: third is not a Con.* which has first.t, second.t", times={"third": {1: m.T}}
