@@ -51,13 +51,13 @@ def complaints(
     prefix: FieldPath = (),
     spared: Sequence[FieldPath] = (),
 ) -> list[tuple[FieldPath, str]]:
-    """Describe everything wrong with a scenario: the place of each fault, and a line.
+    """Describe all errors of a scenario: the path of each, and a line.
 
-    Unknown keys come first, since a misspelt key also leaves a key missing, which is then not
-    told.  In the `spared` places nothing is told missing or contradictory: what fills them has
-    failed before.
+    Unknown keys come first, because a misspelt key also leaves a key missing, which is then not
+    reported. In the `spared` paths, missing and contradictory fields are not reported, because the
+    source of their values has failed before.
     """
-    # pydantic calls a list too short as well that has an item at fault.
+    # pydantic also reports a list as too short if one of its items is invalid.
     order = {"extra_forbidden": 0, "missing": 2, "too_short": 3}
     found: dict[FieldPath, str] = {}
     misspelt: set[FieldPath] = set()
@@ -81,12 +81,12 @@ def complaints(
     return [((*prefix, *path), line) for path, line in found.items()]
 
 
-#: Lines of one message; a file with more faults is not a scenario.
+#: Largest number of lines in a message; a file with more errors is not a scenario.
 _MOST_LINES = 20
 
 
 def listed(lines: Sequence[str]) -> str:
-    """Return one line for each fault, the first of them if they are many."""
+    """Return one line per error, only the first of them if there are many."""
     more = len(lines) - _MOST_LINES
     left_out = [f"... and {more} more."] if more > 0 else []
     return "\n".join([*lines[:_MOST_LINES], *left_out])

@@ -122,7 +122,7 @@ LIBRARY_KINDS: Mapping[str, str] = MappingProxyType(
     {"vehicles": "vehicle", "batteries": "battery", "winds": "wind"}
 )
 
-#: Table of a scenario that the library fills -> what declares its fields.
+#: Table of a scenario that the library completes -> model that declares its fields.
 _TABLES: Mapping[str, type[BaseModel]] = MappingProxyType(
     {"vehicle": Vehicle, "limits": Limits, "battery": Battery, "wind": Wind}
 )
@@ -373,9 +373,9 @@ class Origin:
 
 @dataclass(frozen=True, kw_only=True)
 class Resolution:
-    """Complete tables, ready to validate, and where each value came from.
+    """Complete tables, ready for validation, and the origin of each value.
 
-    `complaints` has a line for everything that could not be filled in, and `unfilled` the places
+    `complaints` has a line for each value that could not be determined, and `unfilled` the paths
     that lack fields because of it.
     """
 
@@ -461,7 +461,7 @@ def _with_assignments(
 
 @dataclass
 class _Filled:
-    """Tables of a scenario while the library fills them, and what could not be filled in."""
+    """Tables of a scenario while the library completes them, and the errors found on the way."""
 
     origin: Origin
     own: Mapping[str, Any]
@@ -473,12 +473,12 @@ class _Filled:
     _pack: tuple[str, str] | None = None
 
     def complain(self, line: str, *places: FieldPath) -> None:
-        """Keep a line for the message about the whole file, and the places that it leaves open."""
+        """Record a line of the message on the whole file, and the paths left incomplete."""
         self.complaints.append(line)
         self.unfilled.extend(places)
 
     def add_library(self, place: FieldPath, kind: str) -> None:
-        """Lay a named set below the scenario's own fields."""
+        """Add a library entry below the scenario's own fields."""
         written: Any = self.own
         for step in place:
             written = written.get(step, {}) if isinstance(written, Mapping) else {}
@@ -490,7 +490,7 @@ class _Filled:
         left_open = (place, *((("battery",), ("limits",)) if kind == _VEHICLES else ()))
         if not isinstance(name, str):
             self.unfilled.extend(left_open)
-            return  # validation says it better
+            return  # validation gives a better message
         is_file = name.endswith(_SUFFIX)
         folder = self.origin.folder
         try:
@@ -533,7 +533,7 @@ class _Filled:
 
 
 def _beside(file: str, pack: str) -> str:
-    """Return the pack of a vehicle's file as a scenario names it, in whose folder the file is."""
+    """Return a pack that a vehicle's file names, with a path relative to the scenario's folder."""
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 
 
@@ -609,5 +609,5 @@ def _add_derived_limits(tables: dict[str, Any]) -> dict[str, Any]:
     try:
         vehicle = Vehicle.model_validate(tables.get("vehicle"))
     except ValidationError:
-        return tables  # validation of the whole says it better
+        return tables  # validation of the scenario gives a better message
     return {**tables, "limits": {**derived_limits(vehicle, float(speed)), **limits}}

@@ -315,7 +315,7 @@ class Scenario(Part):
         return tuple(remarks(self.vehicle, self.power, self.gravity))
 
     def _check(self, source: str) -> None:
-        """Refuse fields that are allowed one by one and do not go together, all at once."""
+        """Refuse fields that are valid separately but contradict each other, all in one message."""
         lines = [
             *self._power_complaints(),
             *self._airspace_complaints(),
@@ -404,13 +404,13 @@ class Scenario(Part):
 
 
 def _meaning(name: str) -> str:
-    """Return what a field of the vehicle is, without its model and its default."""
+    """Return the description of a vehicle's field, without its model and its default."""
     meaning = (Vehicle.model_fields[name].description or name).rpartition(": ")[2]
     return meaning.partition(",")[0]
 
 
 def _in_declared_units(origin: Origin, model: type[BaseModel]) -> tuple[Origin, Rewritten]:
-    """Return an origin whose keys are the declared fields, and what was rewritten for that."""
+    """Return an origin with declared fields only, and the conversions made."""
     document = in_declared_units(origin.document, model)
     assignments, told = paths_in_declared_units(origin.assignments, model)
     both = Rewritten(
