@@ -19,7 +19,13 @@ from pyomo_quad.collocation.guess import (
     with_consistent_algebraics,
 )
 from pyomo_quad.collocation.mesh import Mesh, Summarised
-from pyomo_quad.collocation.problem import Problem, limited, load_values, within_budget
+from pyomo_quad.collocation.problem import (
+    Problem,
+    keeping,
+    limited,
+    load_values,
+    within_budget,
+)
 from pyomo_quad.collocation.program.bounds import (
     Scaling,
     bounds_of,
@@ -237,7 +243,8 @@ class JointProblem(Summarised):
         instances = [part.instance(parameters) for part in self._parts]
         start = warm_start.warm_start if isinstance(warm_start, JointSolution) else warm_start
         solve_on = partial(self._solve_on, instances=instances, guesses=self._guesses(guess))
-        chosen = refinement or RefinementOptions()
+        finished: list[JointSolution] = []
+        chosen = keeping(finished, refinement or RefinementOptions())
 
         def solved(
             options: SolverOptions, progress: Progress | None, tolerance: float | None
@@ -278,6 +285,7 @@ class JointProblem(Summarised):
             progress=progress,
             tolerance=tolerance,
             has_mesh=mesh is not None,
+            finished=finished,
         )
 
     def _refuse_of_one_horizon(self, horizon: tuple[float, float] | None, starts: int) -> None:
