@@ -35,6 +35,7 @@ from pyomo_quad.collocation.problem import Problem
 from pyomo_quad.collocation.program.ipopt import Iteration, Progress, SolverOptions, Status
 from pyomo_quad.collocation.pyomo_solver import PyomoSolver
 from pyomo_quad.collocation.reading.copy import FreeTimes
+from pyomo_quad.collocation.reading.schedules import Steps
 from pyomo_quad.collocation.reading.tables import Table
 from pyomo_quad.collocation.refining.error import Allowance
 from pyomo_quad.collocation.refining.remeshing import RefinementOptions
@@ -75,6 +76,7 @@ __all__ = [
     "Status",
     "SteppedFlights",
     "SteppedLoops",
+    "Steps",
     "Summarised",
     "Table",
     "Timeline",

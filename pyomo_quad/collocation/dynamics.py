@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.program.compiled import MappedFunction
-from pyomo_quad.collocation.reading.schedules import BESIDE
+from pyomo_quad.collocation.reading.schedules import BESIDE, Steps
 from pyomo_quad.collocation.reading.writer import symbol_names
 
 if TYPE_CHECKING:
@@ -170,6 +170,11 @@ class Dynamics:
         Where they jump, t itself belongs to what is before.
         """
         return t + 2.0 * BESIDE * float(self.timeline.spans.max()) if self._instance.jumps else t
+
+    def steps_between(self, start: float, end: float) -> list[float]:
+        """Return when parameters given as `Steps` step between two times, rising."""
+        given = [v for v in self._instance.overrides.values() if isinstance(v, Steps)]
+        return sorted({edge for steps in given for edge in steps.edges(start, end)})
 
     @property
     def signal_names(self) -> tuple[str, ...]:
@@ -413,8 +418,8 @@ class Dynamics:
             tuple(
                 sorted(
                     (
-                        _worst(name, *(column[own] for column in columns), t)
-                        for name, *columns in limits
+                        _worst(name, x[own], least[own], most[own], t)
+                        for name, x, least, most in limits
                     ),
                     key=lambda v: -v.relative,
                 )

@@ -8,7 +8,6 @@ from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from pyomo_quad.collocation import ClosedLoop, Dynamics, SolveError, Violation
 from pyomo_quad.flight.columns import flight_frame
@@ -32,6 +31,7 @@ from pyomo_quad.flight.flight import (
     Flown,
     is_broken,
 )
+from pyomo_quad.flight.integration import integrate
 from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.plan import Plan, Trajectories
 from pyomo_quad.flight.references import ReferencePath, SampledPath, minimum_snap, quintic, step
@@ -45,6 +45,7 @@ from pyomo_quad.flight.verification import (
     voltage_lacking,
 )
 from pyomo_quad.model.mission import HOVERING_M, HOVERING_M_PER_S
+from pyomo_quad.model.turbulence import FILTER_STATES
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.mission import Hover
 from pyomo_quad.scenario.tables import Reference
@@ -77,6 +78,7 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
         known = dict(zip(held.state_names, held.states[0].tolist(), strict=True))
     else:
         known = declared_start(scenario, dynamics)
+    known |= _filters_at_start(dynamics)
     unknown = next((name for name in dynamics.state_names if name not in known), None)
     if unknown is not None:
         raise ScenarioError(
@@ -84,6 +86,14 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
             "with a plan."
         )
     return np.array([known[name] for name in dynamics.state_names])
+
+
+def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
+    """Return the states of the turbulence at take-off, none where there is no turbulence."""
+    if not set(FILTER_STATES) <= set(dynamics.state_names):
+        return {}
+    begun = dynamics.initial_states()
+    return {name: begun[name] for name in FILTER_STATES}
 
 
 def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
@@ -195,17 +205,19 @@ def fly(
         the vehicle must be tumbling.
     """
     loop = _Loop(dynamics, controller, reference, duration=times[-1] - times[0])
-    solution = solve_ivp(
+    span = float(times[0]), float(times[-1])
+    solution = integrate(
         loop.rates,
-        (times[0], times[-1]),
+        span,
         loop.started(times[0], initial_state),
+        times,
+        dynamics.steps_between(*span),
         method=integrator.value,
-        t_eval=times,
         rtol=_TOLERANCE,
         atol=_TOLERANCE,
         max_step=LONGEST_STEP,
     )
-    if not solution.success:
+    if solution.stopped_at is not None:
         raise SolveError(
             f"controlled flight: {solution.message} Check the gains and limits of the scenario."
         )

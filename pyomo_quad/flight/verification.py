@@ -9,7 +9,6 @@ from math import ceil, inf
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from pyomo_quad.collocation import ClosedLoop, Dynamics, Mesh, SolveError, control_polynomial
 from pyomo_quad.flight.deadline import keep_time
@@ -23,6 +22,7 @@ from pyomo_quad.flight.flight import (
     position_miss,
     terminal_miss_of,
 )
+from pyomo_quad.flight.integration import integrate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -84,6 +84,7 @@ class OpenLoop:
     def __init__(self, dynamics: Dynamics) -> None:
         n_controls = len(dynamics.control_names)
         self._just_after = dynamics.just_after
+        self._steps_between = dynamics.steps_between
         self._limits = dynamics.control_limits(HELD_BREACH)
         self._flow = ClosedLoop(
             dynamics, lambda command, _x, _own: (command, ()), n_command=n_controls, n_own=0
@@ -125,6 +126,7 @@ class OpenLoop:
                 state,
                 self._just_after(first),
                 (first, *samples),
+                self._steps_between(first, last),
                 method=method,
                 rtol=tolerance,
                 max_step=step * (borders[element + 1] - borders[element]),
@@ -150,6 +152,7 @@ def _integrate(
     state: FloatArray,
     inside: float,
     times: Sequence[float],
+    edges: Sequence[float],
     **options: float | str,
 ) -> FloatArray:
     """Return states, the energy last, at the times of one element but the first.
@@ -161,20 +164,21 @@ def _integrate(
         keep_time()
         return flow.rates(max(t, inside), y, control(t))
 
-    flown = solve_ivp(
+    flown = integrate(
         rates,
         (times[0], times[-1]),
         state,
-        t_eval=times[1:],
+        times[1:],
+        edges,
         atol=ABSOLUTE_TOLERANCE,
         **options,
     )
-    if not flown.success:
+    if flown.stopped_at is not None:
         raise SolveError(
-            f"flight: the integration stopped at {flown.t[-1] if flown.t.size else times[0]:.4g} "
-            f"s: {flown.message} Look at the plan's controls there."
+            f"flight: the integration stopped at {flown.stopped_at:.4g} s: {flown.message} Look at "
+            "the plan's controls there."
         )
-    return np.asarray(flown.y)
+    return flown.y
 
 
 #: Largest miss of any final state: metres, metres per second, radians, or, for what is

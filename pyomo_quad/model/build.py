@@ -17,6 +17,7 @@ from pyomo_quad.model import (
     mission,
     power,
     rotors,
+    turbulence,
     vehicle,
     wind,
 )
@@ -52,7 +53,29 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     ...     model.time, rule=lambda m, t: m.rigid_body.z[t] <= 8.5 * units.m
     ... )  # doctest: +SKIP
     """
-    m = _vehicle_in_the_air(scenario)
+    m = _vehicle_in_the_wind(scenario)
+    aerodynamics.declare_aerodynamics(m, scenario)
+    _declare_flight(m, scenario)
+    return m
+
+
+def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
+    """Declare the mission as it is flown, in the turbulence of the scenario's wind.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        With ``wind.turbulence``.
+
+    Returns
+    -------
+    ConcreteModel
+        As `build_model`, with the shaping filters of block `wind.turbulence`, whose states and
+        noise are dimensionless; its wind is the mean wind and the turbulence.
+    """
+    m = _vehicle_in_the_wind(scenario)
+    turbulence.declare_turbulence(m, scenario)
+    aerodynamics.declare_aerodynamics(m, scenario)
     _declare_flight(m, scenario)
     return m
 
@@ -72,7 +95,8 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
         and for the mutable acceleration `aerodynamics.unexplained`, nought until something is
         known of it.
     """
-    m = _vehicle_in_the_air(scenario)
+    m = _vehicle_in_the_wind(scenario)
+    aerodynamics.declare_aerodynamics(m, scenario)
     aerodynamics.declare_unexplained(m)
     _declare_flight(m, scenario)
     mission.start_where_measured(m)
@@ -80,8 +104,8 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
     return m
 
 
-def _vehicle_in_the_air(scenario: Scenario) -> ConcreteModel:
-    """Declare time, the vehicle's states and the forces of rotors and air."""
+def _vehicle_in_the_wind(scenario: Scenario) -> ConcreteModel:
+    """Declare time, the vehicle's states, the forces of its rotors and the mean wind."""
     m = ConcreteModel(name=scenario.name)
     *passages, duration = scenario.nominal_times
     inside = sorted(set(passages)) or [duration / 2]
@@ -101,7 +125,6 @@ def _vehicle_in_the_air(scenario: Scenario) -> ConcreteModel:
     rotors.declare_motors(m)
     declare_motion(m, scenario)
     wind.declare_wind(m, scenario)
-    aerodynamics.declare_aerodynamics(m, scenario)
     return m
 
 

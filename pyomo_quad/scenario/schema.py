@@ -128,6 +128,7 @@ class Scenario(Part):
         scenario._check_airspace(origin.source)  # noqa: SLF001
         scenario._check_payload(origin.source)  # noqa: SLF001
         scenario._check_yaw(origin.source)  # noqa: SLF001
+        scenario._check_turbulence(origin.source)  # noqa: SLF001
         return scenario
 
     def __eq__(self, other: object) -> bool:
@@ -334,6 +335,13 @@ class Scenario(Part):
                 f'{source}: mission.yaw = "kept" under vehicle.attitude = '
                 f'"{self.vehicle.attitude.value}"; must be "free" where rotors that gather speed '
                 'do not turn the body: leave it out, or give vehicle.attitude = "euler".'
+            )
+
+    def _check_turbulence(self, source: str) -> None:
+        if self.model is not None and self.wind.turbulence is not None:
+            raise ScenarioError(
+                f"{source}: wind.turbulence acts on the declared model only, model = "
+                f"{self.model!r}; leave one of them out."
             )
 
     def _check_hover(self, source: str) -> None:

@@ -14,6 +14,7 @@ from bisect import bisect_left, bisect_right
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from itertools import pairwise
+from math import ceil, floor
 from typing import TYPE_CHECKING, Any
 
 import casadi
@@ -333,6 +334,36 @@ def one_sided(fraction: float, jumps_at: Sequence[float]) -> float:
     if nearest < len(jumps_at) and jumps_at[nearest] <= inside + BESIDE:
         return jumps_at[nearest] - BESIDE
     return inside
+
+
+@dataclass(frozen=True, kw_only=True)
+class Steps:
+    """A number that is constant over each of many equal steps, and held after the last.
+
+    Parameters
+    ----------
+    start : float
+        Time at which the first step begins.
+    step : float
+        Duration of each.
+    values : tuple of float
+        One for each step.
+    """
+
+    start: float
+    step: float
+    values: tuple[float, ...]
+
+    def __call__(self, time: float) -> float:
+        """Return the number at a time."""
+        step = int((time - self.start) / self.step)
+        return self.values[min(max(step, 0), len(self.values) - 1)]
+
+    def edges(self, start: float, end: float) -> list[float]:
+        """Return where steps begin between two times."""
+        first = floor((start - self.start) / self.step) + 1
+        last = min(ceil((end - self.start) / self.step), len(self.values))
+        return [self.start + k * self.step for k in range(max(first, 1), last)]
 
 
 _DEGREE = 12

@@ -17,6 +17,7 @@ from pyomo_quad.collocation.reading.model_source import as_reading
 from pyomo_quad.collocation.reading.schedules import (
     BESIDE,
     Interpolant,
+    Steps,
     interpolant,
     jumps,
     one_sided,
@@ -54,8 +55,10 @@ class Instance:
         """Return itself: it never changes, and its functions are the caller's."""
         return self
 
-    def _kept(self, name: str, given: float | Callable[[float], float]) -> float | Interpolant:
-        if not callable(given) or isinstance(given, Interpolant):
+    def _kept(
+        self, name: str, given: float | Callable[[float], float]
+    ) -> float | Interpolant | Steps:
+        if not callable(given) or isinstance(given, Interpolant | Steps):
             return given
         start, end = self.horizon
         at = [start + (end - start) * fraction for fraction in self.jumps]
@@ -154,7 +157,9 @@ class ModelValues:
         declared = [t for t in self._source.times[1:-1] if start < t < end]
         asked = probes([start, *declared, end])
         readings = [s.reading for s in self._source.schedules] + [
-            partial(as_reading, signal) for signal in self._signal_functions(overrides)
+            partial(as_reading, signal)
+            for signal in self._signal_functions(overrides)
+            if not isinstance(signal, Steps)  # flights begin anew at its steps
         ]
         found = {t for reading in readings for t in jumps(reading, asked)}
         fractions = sorted((t - start) / (end - start) for t in found.union(declared))
@@ -175,6 +180,8 @@ class ModelValues:
     def _signal(self, slot: Slot, named: dict[str, Any]) -> Callable[[float], float]:
         if slot.name in named:
             given = named[slot.name]
+            if isinstance(given, Steps):
+                return given
             return (lambda t: float(given(t))) if callable(given) else (lambda _t: float(given))
         return self._source.signal(slot)
 
