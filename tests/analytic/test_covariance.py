@@ -162,4 +162,4 @@ def test_flights_in_light_turbulence_spread_as_the_linear_covariance_says():
 
 @pytest.mark.slow
 def test_a_thousand_flights_in_light_turbulence_spread_within_15_percent():
-    compare_with_flights(8.0, (12.0, 3.0, 11.0), count=1000, within=0.15)
+    compare_with_flights(12.0, (30.0, 8.0, 12.0), count=1000, within=0.15)
