@@ -40,6 +40,7 @@ from pyomo_quad.collocation.reading.tables import Table
 from pyomo_quad.collocation.refining.error import Allowance
 from pyomo_quad.collocation.refining.remeshing import RefinementOptions
 from pyomo_quad.collocation.solution import MeshRecord, Solution
+from pyomo_quad.collocation.stepping import SteppedFlights, SteppedLoops
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -73,6 +74,8 @@ __all__ = [
     "SolveError",
     "SolverOptions",
     "Status",
+    "SteppedFlights",
+    "SteppedLoops",
     "Steps",
     "Summarised",
     "Table",

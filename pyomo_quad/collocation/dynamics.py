@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 
 # Residual at which Newton's method stops.
 _NEWTON_TOLERANCE = 1e-13
+# Steps where their count is fixed, from nought as well.  The first may lead 2^12 times too far, as
+# a hovering rotor's induced velocity does, which later steps halve before they converge.
+_NEWTON_STEPS = 20
 
 
 @dataclass(frozen=True)
@@ -129,14 +132,28 @@ class Dynamics:
             casadi.vertcat(*declared.path_data),
         ]
         rest = casadi.vertcat(_objective_density(self._formulation), declared.clock.span)
-        jacobian = casadi.jacobian(rows, unknowns)
-        if not symbol_names(jacobian) & symbol_names(unknowns):
-            zero = casadi.DM.zeros(unknowns.shape[0])
-            offset = casadi.substitute(rows, unknowns, zero)
-            solved = _solve_linear(jacobian, -offset)
-            outputs = casadi.substitute([unknowns, rest], [unknowns], [solved])
-            return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
-        return _implicit(rows, unknowns, inputs, rest)
+        if symbol_names(casadi.jacobian(rows, unknowns)) & symbol_names(unknowns):
+            return self._implicit_side(_Core.of(rows, unknowns, inputs, rest), inputs)
+        solved = _solved_for(rows, unknowns)
+        outputs = casadi.substitute([unknowns, rest], [unknowns], [solved])
+        return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
+
+    def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
+        """Return the right-hand side of implicit equations, by Newton's method to its tolerance."""
+        newton = casadi.rootfinder("slopes", "newton", core.residual, {"abstol": _NEWTON_TOLERANCE})
+        symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
+        stacked = casadi.vertcat(*symbols)
+        found = newton(casadi.MX.zeros(core.inner.shape[0]), stacked)
+        return casadi.Function("right_hand_side", symbols, list(core.known(found, stacked)))
+
+    def without_iterations(self) -> Dynamics:
+        """Return the same vehicle with a fixed count of Newton steps, in CasADi's fast symbols.
+
+        Where equations are implicit, their iteration costs ten times as much as all others.
+        """
+        if self._right_hand_side.is_a("SXFunction"):
+            return self
+        return _WithoutIterations(self._formulation, self._instance, self._statics)
 
     def control_limits(self, breach: float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Return constant lower and upper limits of the controls, shape (n_controls,) each.
@@ -178,9 +195,25 @@ class Dynamics:
         is_explicit = self._right_hand_side.is_a("SXFunction")
         return (casadi.SX if is_explicit else casadi.MX).sym(name, size)
 
-    def written(self, moment: Any, x: Any, u: Any) -> tuple[Any, Any]:
-        """Return dx/dt and the objective's integrand as CasADi expressions of the given symbols."""
-        data = casadi.vertcat(moment, self._instance.parameters)
+    def parameter_column(self, changed: Mapping[str, Any]) -> Any:
+        """Return all parameters as a column, some of them, by full name, replaced by symbols."""
+        pairs = zip(self.parameter_names, self._instance.parameters.tolist(), strict=True)
+        return casadi.vertcat(*(changed.get(name, value) for name, value in pairs))
+
+    def moment_column(self, moment: Any, changed: Mapping[str, Any]) -> Any:
+        """Return a moment with parameters over time, by full name, replaced by symbols."""
+        own = casadi.vertsplit(moment)
+        for k, name in enumerate(self.signal_names, start=1):
+            own[k] = changed.get(name, own[k])
+        return casadi.vertcat(*own)
+
+    def written(self, moment: Any, x: Any, u: Any, parameters: Any = None) -> tuple[Any, Any]:
+        """Return dx/dt and the objective's integrand as CasADi expressions of their symbols.
+
+        `parameters` is a column of `parameter_column`; without it they are the vehicle's own.
+        """
+        numbers = self._instance.parameters if parameters is None else parameters
+        data = casadi.vertcat(moment, numbers)
         unknowns, rest = self._right_hand_side(x, u, self._statics, data)
         return unknowns[: x.shape[0]] / rest[1], rest[0] / rest[1]
 
@@ -245,8 +278,10 @@ class Dynamics:
         `numbers` gives parameters by full name, each as one number or a column of n.
         """
         n = len(t)
-        fractions = self.timeline.fraction(np.asarray(t, dtype=float))
-        signals = self._formulation.signals(self._instance, fractions)
+        # Flights side by side share their times, and signals are read one by one.
+        times, which = np.unique(np.asarray(t, dtype=float), return_inverse=True)
+        fractions = self.timeline.fraction(times)
+        signals = self._formulation.signals(self._instance, fractions)[which]
         parameters = np.tile(self._instance.parameters, (n, 1))
         data = self._with_numbers(np.hstack([signals, parameters]), numbers or {})
         statics = np.broadcast_to(self._statics, (n, self._statics.size))
@@ -354,27 +389,44 @@ class Dynamics:
 
         Limits are path inequalities and bounds; a limit that is met has size 0.
         """
+        (found,) = self.violations_of(self.solved(t, states, controls), t)
+        return found
+
+    def violations_of(self, instants: Instants, t: FloatArray) -> list[tuple[Violation, ...]]:
+        """Return `violations` of flights at the same times t, one after the other in `instants`."""
         compiled = self._formulation.compiled
         declared, n_states = compiled.declared, len(compiled.declared.states)
-        rates, all_states, algebraics, statics, data = self._inputs(t, states, controls)
+        rates, all_states, algebraics, statics, data = instants.inputs
+        n = len(data)
         inner = all_states[:, :n_states]
         variables = np.hstack([rates[:, :n_states], inner, algebraics, statics])
-        rows = MappedFunction(compiled.path.values, len(t))(variables, data)[0]
-        lower, upper = MappedFunction(compiled.path_bounds, len(t))(data)
-        low, high, simple_low, simple_high = MappedFunction(compiled.variable_limits, len(t))(data)
+        rows = MappedFunction(compiled.path.values, n)(variables, data)[0]
+        lower, upper = MappedFunction(compiled.path_bounds, n)(data)
+        low, high, simple_low, simple_high = MappedFunction(compiled.variable_limits, n)(data)
         values = np.hstack([inner, algebraics])
         names = [s.name for s in (*declared.states, *declared.algebraics)]
-        found = [
-            _worst(e.name, rows[:, k], lower[:, k], upper[:, k], t)
+        limits = [
+            (e.name, rows[:, k], lower[:, k], upper[:, k])
             for k, e in enumerate(declared.equations)
             if not e.is_equality
         ]
-        found += [_worst(n, values[:, k], low[:, k], high[:, k], t) for k, n in enumerate(names)]
+        limits += [(name, values[:, k], low[:, k], high[:, k]) for k, name in enumerate(names)]
         for k, bound in enumerate(compiled.simple_path_bounds):
             held = values[:, names.index(bound.variable)]
-            sides = simple_low[:, k], simple_high[:, k]
-            found.append(_worst(bound.name, held, *sides, t))
-        return tuple(sorted(found, key=lambda v: -v.relative))
+            limits.append((bound.name, held, simple_low[:, k], simple_high[:, k]))
+        flights = (slice(k, k + len(t)) for k in range(0, n, len(t)))
+        return [
+            tuple(
+                sorted(
+                    (
+                        _worst(name, x[own], least[own], most[own], t)
+                        for name, x, least, most in limits
+                    ),
+                    key=lambda v: -v.relative,
+                )
+            )
+            for own in flights
+        ]
 
 
 def _worst(
@@ -455,32 +507,62 @@ def _solve_linear(matrix: Any, right: Any) -> Any:
     return casadi.solve(matrix, right)
 
 
-def _implicit(rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> Any:
-    """Return the right-hand side of equations that are nonlinear in the slopes or algebraics.
+def _solved_for(rows: Any, unknowns: Any) -> Any:
+    """Return the unknowns of equations that are linear in them."""
+    offset = casadi.substitute(rows, unknowns, casadi.DM.zeros(unknowns.shape[0]))
+    return _solve_linear(casadi.jacobian(rows, unknowns), -offset)
 
-    Newton's method solves only those equations on which the others depend. Equations that are
-    linear in the remaining unknowns are solved symbolically.
+
+@dataclass(frozen=True, kw_only=True)
+class _Core:
+    """Implicit equations: the core that Newton's method solves, and all unknowns given the core's.
+
+    `inner` are its unknowns, `residual` takes them and all inputs as one column, and `known`
+    returns all unknowns, the integrand and the span of the same.
     """
-    core, others = _nonlinear_core(rows, unknowns)
-    parameters = casadi.vertcat(*inputs)
-    inner = casadi.vertcat(*[unknowns[k] for k in core[1]])
-    residual = casadi.Function(
-        "residual", [inner, parameters], [casadi.vertcat(*[rows[k] for k in core[0]])]
-    )
-    newton = casadi.rootfinder("slopes", "newton", residual, {"abstol": _NEWTON_TOLERANCE})
-    solved, left = unknowns, casadi.vertcat(*[unknowns[k] for k in others[1]])
-    if others[0]:
-        linear = casadi.vertcat(*[rows[k] for k in others[0]])
-        offset = casadi.substitute(linear, left, casadi.DM.zeros(len(others[1])))
-        outer = _solve_linear(casadi.jacobian(linear, left), -offset)
-        solved = casadi.substitute(unknowns, left, outer)
-        rest = casadi.substitute(rest, left, outer)
-    outputs = [casadi.densify(solved), casadi.densify(rest)]
-    known = casadi.Function("known", [inner, parameters], outputs)
-    symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
-    stacked = casadi.vertcat(*symbols)
-    found = newton(casadi.MX.zeros(inner.shape[0]), stacked)
-    return casadi.Function("right_hand_side", symbols, list(known(found, stacked)))
+
+    inner: Any
+    residual: Any
+    known: Any
+
+    @classmethod
+    def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
+        """Split equations that are nonlinear in the slopes or algebraics.
+
+        Newton's method solves only those equations on which the others depend. Equations that are
+        linear in the remaining unknowns are solved symbolically.
+        """
+        core, others = _nonlinear_core(rows, unknowns)
+        parameters = casadi.vertcat(*inputs)
+        inner = casadi.vertcat(*[unknowns[k] for k in core[1]])
+        residual = casadi.Function(
+            "residual", [inner, parameters], [casadi.vertcat(*[rows[k] for k in core[0]])]
+        )
+        solved, left = unknowns, casadi.vertcat(*[unknowns[k] for k in others[1]])
+        if others[0]:
+            outer = _solved_for(casadi.vertcat(*[rows[k] for k in others[0]]), left)
+            solved = casadi.substitute(unknowns, left, outer)
+            rest = casadi.substitute(rest, left, outer)
+        outputs = [casadi.densify(solved), casadi.densify(rest)]
+        known = casadi.Function("known", [inner, parameters], outputs)
+        return cls(inner=inner, residual=residual, known=known)
+
+
+class _WithoutIterations(Dynamics):
+    """Implicit equations with `_NEWTON_STEPS` steps written out."""
+
+    def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
+        stacked = casadi.vertcat(*inputs)
+        residual = core.residual(core.inner, stacked)
+        slope = casadi.Function(
+            "slope", [core.inner, stacked], [casadi.jacobian(residual, core.inner)]
+        )
+        found = casadi.SX.zeros(core.inner.shape[0])
+        for _ in range(_NEWTON_STEPS):
+            step = _solve_linear(slope(found, stacked), core.residual(found, stacked))
+            found = found - step
+        known = list(core.known(found, stacked))
+        return casadi.Function("right_hand_side", inputs, known, {"cse": True})
 
 
 def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:
@@ -571,12 +653,38 @@ class Law(Protocol):
         """
 
 
+def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> Any:
+    """Return a law as a function (joint, command) -> controls, rates of its own states.
+
+    Sizes are those of moment, joint state and command.
+
+    Raises
+    ------
+    TranscriptionError
+        If the law returns another number of controls or rates than there are.
+    """
+    n_states = len(dynamics.state_names)
+    joint, command = casadi.SX.sym("joint", sizes[1]), casadi.SX.sym("command", sizes[2])
+    symbols = [Symbol(s) for s in casadi.vertsplit(joint)]
+    results = law(
+        [Symbol(s) for s in casadi.vertsplit(command)], symbols[:n_states], symbols[n_states:-1]
+    )
+    expected = len(dynamics.control_names), sizes[1] - n_states - 1
+    found = tuple(len(result) for result in results)
+    if found != expected:
+        raise TranscriptionError(
+            f"control law: returns {found[0]} controls and {found[1]} rates of its own states; "
+            f"the vehicle has {expected[0]} controls, and the law {expected[1]} states."
+        )
+    columns = [casadi.vertcat(casadi.SX(0, 1), *map(_expression, result)) for result in results]
+    return casadi.Function("law", [joint, command], columns)
+
+
 class ClosedLoop:
     """The right-hand side of a vehicle under a control law.
 
     The joint state consists of the vehicle's states, the law's own states, and the integral of the
     objective's integrand.
-    integrand.
 
     Parameters
     ----------
@@ -614,7 +722,7 @@ class ClosedLoop:
 
     def _compiled(self, law: Law, sizes: tuple[int, int, int]) -> Any:
         """Return the function (moment, joint, command) -> rates of the joint state, controls."""
-        written = self._written(law, sizes)
+        written = written_law(self._dynamics, law, sizes)
         moment, joint, command = (
             self._dynamics.symbol(name, size)
             for name, size in zip(("moment", "joint", "command"), sizes, strict=True)
@@ -628,25 +736,6 @@ class ClosedLoop:
             {"cse": True},
         )
 
-    def _written(self, law: Law, sizes: tuple[int, int, int]) -> Any:
-        """Return the law as a function (joint, command) -> controls, rates of its own states."""
-        joint, command = casadi.SX.sym("joint", sizes[1]), casadi.SX.sym("command", sizes[2])
-        symbols = [Symbol(s) for s in casadi.vertsplit(joint)]
-        results = law(
-            [Symbol(s) for s in casadi.vertsplit(command)],
-            symbols[: self._n_states],
-            symbols[self._n_states : -1],
-        )
-        expected = len(self._dynamics.control_names), sizes[1] - self._n_states - 1
-        found = tuple(len(result) for result in results)
-        if found != expected:
-            raise TranscriptionError(
-                f"control law: returns {found[0]} controls and {found[1]} rates of its own states; "
-                f"the vehicle has {expected[0]} controls, and the law {expected[1]} states."
-            )
-        columns = [casadi.vertcat(casadi.SX(0, 1), *map(_expression, result)) for result in results]
-        return casadi.Function("law", [joint, command], columns)
-
     def rates(
         self, t: float, joint: FloatArray, command: Sequence[float] | FloatArray
     ) -> FloatArray:
@@ -656,6 +745,29 @@ class ClosedLoop:
         self._command[:] = command
         self._evaluate()
         return self._rates.copy()
+
+    def slopes(
+        self, t: FloatArray, joint: FloatArray, command: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return derivatives of the joint state's rates at n times, by moment and by joint state.
+
+        Shapes (n, n_joint, n_moment) and (n, n_joint, n_joint); where the law has a corner, those
+        of one side.
+        """
+        names = self._function.name_in()
+        jacobians = [f"jac:{self._function.name_out(0)}:{names[k]}" for k in (0, 1)]
+        written = self._function.factory("slopes", names, jacobians)
+        symbols = written.mx_in()
+        columns = [casadi.vec(casadi.densify(out)) for out in written.call(symbols)]
+        mapped = MappedFunction(casadi.Function("slopes", symbols, columns), len(t))
+        moments = np.array([self._dynamics.moment(float(time)) for time in t])
+        by_moment, by_joint = mapped(moments, joint, command)
+        # CasADi keeps matrices by columns.
+        shape = len(t), -1, joint.shape[1]
+        return (
+            by_moment.reshape(shape).transpose(0, 2, 1),
+            by_joint.reshape(shape).transpose(0, 2, 1),
+        )
 
     def controls(self, t: FloatArray, joint: FloatArray, command: FloatArray) -> FloatArray:
         """Return the controls that the law applies at n times, shape (n, n_controls)."""

@@ -193,6 +193,10 @@ BALANCE_TOLERANCE = 1e-3
 
 _VOLTAGE = "battery.voltage"
 _BALANCE = ("power.total", _VOLTAGE, "battery.current", "battery.state_of_charge")
+#: Components along a flight from which `balance_lacking` tells what the pack cannot give.
+BALANCE_KEYS = tuple((name, None) for name in _BALANCE)
+#: Place of the state of charge [percent] among them.
+CHARGE_KEY = len(_BALANCE) - 1
 _MOTOR_VOLTAGE = "power.terminal_voltage"
 # The motors of standing rotors need no voltage, of which no share can be told.
 _STANDSTILL_V = 1e-3
@@ -283,10 +287,19 @@ def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
     The declared equations stay finite beyond what a pack delivers and beyond empty; a flight
     there is no flight.  A model without a battery lacks nothing.
     """
-    if not all(dynamics.has(name) for name in _BALANCE):
+    if not has_balance(dynamics):
         return 0.0, 0.0
-    keys = tuple((name, None) for name in _BALANCE)
-    power, voltage, current, charge = dynamics.table(keys, flown.t, flown.states, flown.controls).T
+    return balance_lacking(dynamics.table(BALANCE_KEYS, flown.t, flown.states, flown.controls))
+
+
+def has_balance(dynamics: Dynamics) -> bool:
+    """Say whether a model has a battery whose balance can be read."""
+    return all(dynamics.has(name) for name in _BALANCE)
+
+
+def balance_lacking(balance: FloatArray) -> tuple[float, float]:
+    """Return `shares_lacking` of the `BALANCE_KEYS` along a flight."""
+    power, voltage, current, charge = balance.T
     lacking = np.abs(power - voltage * current) / np.maximum(1.0, np.abs(power))
     return float(np.max(lacking)), float(-np.min(charge) / 100.0)
 

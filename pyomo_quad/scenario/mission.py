@@ -15,8 +15,8 @@ _TURNS = Sound(-1e4, 1e4, "headings are in radians, a turn is 6.283")
 _ALOFT = Sound(1e-3, 86_400, "flights last from 1 ms to one day")
 _NEAR = "distances within a mission are below 10 km"
 FREE = "free"
-#: Largest number of waypoints for which dynamic programming finds the best order.
-MOST_ORDERED = 10
+#: Waypoints whose best order is looked for.
+MOST_ORDERED = 30
 
 
 class Hover(Part):
@@ -143,7 +143,10 @@ class Mission(Part):
         "", "places to pass between start and goal", (), max_length=64, is_late=True
     )
     order: Order = quantity(
-        "", "order of the waypoints: as given, or that of least energy", Order.GIVEN, is_late=True
+        "",
+        f"order of the waypoints: as given, or that of least energy (up to {MOST_ORDERED})",
+        Order.GIVEN,
+        is_late=True,
     )
     yaw: Yaw | None = quantity(
         "",

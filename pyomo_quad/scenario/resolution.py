@@ -342,7 +342,12 @@ _LONGEST: FieldPath = ("mission", "duration_max")
 _SHORTEST_S = 1e-3
 
 # A forecast is a separate wind, but for the same vehicle: it inherits these fields.
-_INHERITED_BY_FORECAST = ("acceleration_coefficient", "frequency_unit")
+_INHERITED_BY_FORECAST = (
+    "acceleration_coefficient",
+    "frequency_unit",
+    "speed_deviation",
+    "direction_deviation",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
