@@ -15,20 +15,20 @@ from pyomo_quad.model.limits import without_reserve
 from pyomo_quad.model.turbulence import Gusts, mean_wind, turbulence_values
 from pyomo_quad.scenario import Scenario
 
-# Of a mission as planned and as flown at a cruise speed, with a neighbour each.
+# Missions as planned and as flown at a cruise speed, with one neighbour each.
 _MOST = 4
 _PROBLEMS: Recent[Problem] = Recent(_MOST)
 
 
 def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
-    """Return the vehicle as `Planner.dynamics` does, in the turbulence of the scenario's wind.
+    """Return the vehicle of `Planner.dynamics` in the turbulence of the scenario's wind.
 
-    Where the wind has no turbulence they are the same.
+    Without turbulence the two are the same.
 
     Parameters
     ----------
     scenario : Scenario
-        Of a fixed duration.
+        A scenario with a fixed duration.
     """
     if scenario.wind.turbulence is None:
         return planner.dynamics(scenario)

@@ -1,4 +1,4 @@
-"""Read a scenario file, with what is set on the command line, into a scenario."""
+"""Load a scenario from a file and the settings of the command line."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ from pyomo_quad.scenario.resolution import (
 )
 from pyomo_quad.scenario.schema import Scenario
 
-# What messages call a scenario that no file holds.
+# Name in messages of a scenario that was not read from a file.
 _MAPPING = "scenario"
 _BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
@@ -31,7 +31,7 @@ def load_scenario(
     Parameters
     ----------
     path : str, Path or mapping
-        A TOML file, or nested mappings that say what one would.
+        A TOML file, or nested mappings with the same content.
     overrides : sequence of str or mapping, optional
         ``PATH=VALUE`` with a TOML value, as `--set` takes them; or dotted path -> value.
 
@@ -69,11 +69,11 @@ def scenario_from_mapping(
     Parameters
     ----------
     tables : mapping
-        What a TOML file would hold.
+        Content as in a TOML file.
     source : str, optional
-        What messages call it.
+        Name of the scenario in messages.
     folder : Path, optional
-        Where relative file names start, the working folder by default.
+        Folder to which relative file names refer; the working folder by default.
 
     Returns
     -------

@@ -39,7 +39,7 @@ def test_check_warns_of_what_the_mission_must_break(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "Mission, impossible: mission.duration = 0.3 s: to reach the goal and stop needs" in said
     assert main(["check", str(file)]) == ExitCode.VERIFIED
-    assert "Mission: nothing found that it must break" in capsys.readouterr().out
+    assert "Mission: no impossible demand and no doubtful value found." in capsys.readouterr().out
 
 
 def test_check_as_json(tmp_path, capsys):

@@ -40,7 +40,7 @@ def test_the_shipped_pages_are_those_of_the_command(tmp_path, capsys):
 
 def test_schemas_go_to_a_folder_that_is_there(tmp_path, capsys):
     assert main(["schema", "--out", str(tmp_path / "none")]) == 2
-    assert "is no folder; make it first." in capsys.readouterr().err
+    assert "is not a folder; create it first." in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
