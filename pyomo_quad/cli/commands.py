@@ -382,7 +382,8 @@ def _explain(error: Exception) -> ExitCode:
         )
         return ExitCode.FAULT
     if isinstance(error, ScenarioError | FeasibilityError):
-        complain(str(error))
+        for line in str(error).splitlines():
+            complain(line)
         return ExitCode.BAD_INPUT
     if isinstance(error, _UsageError):
         message = error.format_message()  # type: ignore[attr-defined]
