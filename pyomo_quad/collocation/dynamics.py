@@ -747,6 +747,29 @@ class ClosedLoop:
         self._evaluate()
         return self._rates.copy()
 
+    def slopes(
+        self, t: FloatArray, joint: FloatArray, command: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return derivatives of the joint state's rates at n times, by moment and by joint state.
+
+        Shapes (n, n_joint, n_moment) and (n, n_joint, n_joint); where the law has a corner, those
+        of one side.
+        """
+        names = self._function.name_in()
+        jacobians = [f"jac:{self._function.name_out(0)}:{names[k]}" for k in (0, 1)]
+        written = self._function.factory("slopes", names, jacobians)
+        symbols = written.mx_in()
+        columns = [casadi.vec(casadi.densify(out)) for out in written.call(symbols)]
+        mapped = MappedFunction(casadi.Function("slopes", symbols, columns), len(t))
+        moments = np.array([self._dynamics.moment(float(time)) for time in t])
+        by_moment, by_joint = mapped(moments, joint, command)
+        # CasADi keeps matrices by columns.
+        shape = len(t), -1, joint.shape[1]
+        return (
+            by_moment.reshape(shape).transpose(0, 2, 1),
+            by_joint.reshape(shape).transpose(0, 2, 1),
+        )
+
     def controls(self, t: FloatArray, joint: FloatArray, command: FloatArray) -> FloatArray:
         """Return the controls that the law applies at n times, shape (n, n_controls)."""
         moments = np.array([self._dynamics.moment(float(time)) for time in t])

@@ -70,13 +70,17 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        As `build_model`, with the shaping filters of block `wind.turbulence`, whose states and
-        noise are dimensionless; its wind is the mean wind and the turbulence.
+        As `build_model`, with the shaping filters of block `wind.turbulence`, and with what a
+        forecast and a power model may err by, nought until it is known: ``wind.error`` by axis
+        and ``power.error``.
     """
     m = _vehicle_in_the_wind(scenario)
     turbulence.declare_turbulence(m, scenario)
     aerodynamics.declare_aerodynamics(m, scenario)
-    _declare_flight(m, scenario)
+    declare_balances(m, scenario)
+    power.declare_power(m, scenario)
+    power.declare_error(m)
+    _declare_cost_and_limits(m, scenario)
     return m
 
 
@@ -132,6 +136,11 @@ def _declare_flight(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the balances, energy, limits, boundary conditions and objective."""
     declare_balances(m, scenario)
     power.declare_power(m, scenario)
+    _declare_cost_and_limits(m, scenario)
+
+
+def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare the battery, the limits, both ends of the flight and the objective."""
     battery.declare_battery(m, scenario)
     limits.declare_limits(m, scenario)
     airspace.declare_airspace(m, scenario)

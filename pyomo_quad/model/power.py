@@ -181,6 +181,25 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
         return of_rotors
 
 
+def declare_error(m: ConcreteModel) -> None:
+    """Let the power differ from the model's by a share, the mutable `power.error`.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With `power`, whose total nothing refers to yet.
+    """
+    b = m.power
+    b.error = Param(initialize=0.0, mutable=True, doc="share by which the power differs")
+    modelled = b.total
+    b.del_component(modelled)
+    b.modelled_total = modelled
+
+    @b.Expression(m.time, doc="eq. (8): power of the four rotors, with its error [W]")
+    def total(b: Block, t: float) -> NumericExpression:
+        return (1 + b.error) * b.modelled_total[t]
+
+
 def declare_motor_power(m: ConcreteModel, name: str) -> None:
     """Declare `motor`: terminal voltage times current, eq. (2)-(3).
 

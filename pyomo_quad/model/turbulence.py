@@ -46,6 +46,7 @@ from pyomo_quad.model.parameters import (
     parameter_items,
 )
 from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.wind import Wind
 
 FloatArray = NDArray[np.float64]
 
@@ -72,20 +73,24 @@ FILTER_STATES = tuple(
 # In the long run the states have the variances 1/2 of xi_1 and 1/4 of xi_2, and the covariance 1/4:
 # the factor of that covariance.
 _LAGGING = np.array([[sqrt(1 / 2), 0.0], [sqrt(1 / 8), sqrt(1 / 8)]])
-_LONG_RUN = np.zeros((5, 5))
-_LONG_RUN[0, 0] = sqrt(1 / 2)
-_LONG_RUN[1:3, 1:3] = _LONG_RUN[3:5, 3:5] = _LAGGING
+LONG_RUN_FACTOR = np.zeros((5, 5))
+LONG_RUN_FACTOR[0, 0] = sqrt(1 / 2)
+LONG_RUN_FACTOR[1:3, 1:3] = LONG_RUN_FACTOR[3:5, 3:5] = _LAGGING
+
+
+def mean_wind(wind: Wind) -> FloatArray:
+    """Return the mean of the horizontal wind as it is given, x and y [m/s]."""
+    if wind.series is not None:
+        return np.array([np.mean(wind.series.wind_x), np.mean(wind.series.wind_y)])
+    steady = wind.speed * np.array([np.cos(wind.direction), np.sin(wind.direction)])
+    return np.asarray(steady + np.array([wind.x.mean, wind.y.mean]))
 
 
 def _mean_direction(scenario: Scenario) -> float:
     """Return the direction of the wind less the mean velocity from start to goal."""
-    wind, mission = scenario.wind, scenario.mission
-    steady = wind.speed * np.array([np.cos(wind.direction), np.sin(wind.direction)])
-    blowing = steady + np.array([wind.x.mean, wind.y.mean])
-    if wind.series is not None:
-        blowing = np.array([np.mean(wind.series.wind_x), np.mean(wind.series.wind_y)])
+    mission = scenario.mission
     way = np.subtract(mission.goal.position, mission.start.position)[:2]
-    along, aside = (blowing - way / scenario.nominal_duration).tolist()
+    along, aside = (mean_wind(scenario.wind) - way / scenario.nominal_duration).tolist()
     return atan2(aside, along)
 
 
@@ -160,6 +165,9 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
     """
     b = m.wind.turbulence = Block(doc="turbulence, MIL-F-8785C at low altitude")
     declare_parameters(b, PARAMETERS, scenario)
+    m.wind.error = Param(
+        _WORLD[:2], initialize=0.0, mutable=True, units=_SPEED, doc="error of the forecast"
+    )
     for axis in _WORLD:
         mean = m.wind.component(f"velocity_{axis}")
         if mean is not None:
@@ -267,8 +275,16 @@ def _add_gusts(m: ConcreteModel) -> None:
     """Let the velocity of the wind be the mean wind and the gust, along each world axis."""
     b = m.wind.turbulence
     turned = {
-        "x": lambda t: cos(b.direction) * b.gust_along[t] - sin(b.direction) * b.gust_across[t],
-        "y": lambda t: sin(b.direction) * b.gust_along[t] + cos(b.direction) * b.gust_across[t],
+        "x": lambda t: (
+            cos(b.direction) * b.gust_along[t]
+            - sin(b.direction) * b.gust_across[t]
+            + m.wind.error["x"]
+        ),
+        "y": lambda t: (
+            sin(b.direction) * b.gust_along[t]
+            + cos(b.direction) * b.gust_across[t]
+            + m.wind.error["y"]
+        ),
         "z": lambda t: 1 * b.gust_upwards[t],
     }
     for axis, gust in turned.items():
@@ -308,7 +324,9 @@ class Gusts:
     @property
     def start(self) -> dict[str, float]:
         """The `FILTER_STATES` at take-off: a sample of those in the long run."""
-        drawn = _LONG_RUN @ np.random.default_rng(self._seed).standard_normal(len(FILTER_STATES))
+        drawn = LONG_RUN_FACTOR @ np.random.default_rng(self._seed).standard_normal(
+            len(FILTER_STATES)
+        )
         return dict(zip(FILTER_STATES, drawn.tolist(), strict=True))
 
     def noise(self, duration: float) -> FloatArray:

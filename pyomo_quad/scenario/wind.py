@@ -231,6 +231,22 @@ class Wind(Part):
         None,
         is_late=True,
     )
+    speed_deviation: Number = quantity(
+        "m/s",
+        "standard deviation of the error of its speed, of a wind that is forecast",
+        0.0,
+        ge=0,
+        sound=Sound(0, LARGEST_WIND, STRONGEST_GUST),
+        is_late=True,
+    )
+    direction_deviation: Number = quantity(
+        "rad",
+        "standard deviation of the error of its direction, of a wind that is forecast",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1.6, "with more than a quarter turn nothing is known of the direction"),
+        is_late=True,
+    )
     turbulence: Turbulence | None = quantity(
         "", "turbulence of the wind that flights meet, none when absent", None, is_late=True
     )
