@@ -18,6 +18,7 @@ from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import baseline_name, path_of, reference_path
 from pyomo_quad.flight.ensemble import TRACKS, Ending, FlownOften, Squadron
 from pyomo_quad.flight.plan import Trajectories
+from pyomo_quad.flight.proof import in_order
 from pyomo_quad.flight.references import ReferencePath
 from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at
 from pyomo_quad.flight.weather import draw
@@ -182,7 +183,7 @@ def fly_plan_often(
         The plan, made for the scenario's forecast.
     """
     told = planner.dynamics(scenario.as_forecast())
-    path = path_of(held, told, scenario.vehicle)
+    path = path_of(in_order(scenario, held, told), told, scenario.vehicle)
     name = baseline_name(Reference.PLAN)
     return _flown(name, scenario, path, planner=planner, flights=flights, seed=seed)
 
