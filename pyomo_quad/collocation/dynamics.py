@@ -508,14 +508,14 @@ def _solve_linear(matrix: Any, right: Any) -> Any:
 
 
 def _solved_for(rows: Any, unknowns: Any) -> Any:
-    """Return what unknowns are by equations that are linear in them."""
+    """Return the unknowns of equations that are linear in them."""
     offset = casadi.substitute(rows, unknowns, casadi.DM.zeros(unknowns.shape[0]))
     return _solve_linear(casadi.jacobian(rows, unknowns), -offset)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Core:
-    """Implicit equations: those that Newton's method solves, and what follows from them.
+    """Implicit equations: the core that Newton's method solves, and all unknowns given the core's.
 
     `inner` are its unknowns, `residual` takes them and all inputs as one column, and `known`
     returns all unknowns, the integrand and the span of the same.
@@ -529,8 +529,8 @@ class _Core:
     def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
         """Split equations that are nonlinear in the slopes or algebraics.
 
-        Newton's method solves only those that no others have to be solved for before; where the
-        others are linear in what is left, it is solved symbolically.
+        Newton's method solves only those equations on which the others depend. Equations that are
+        linear in the remaining unknowns are solved symbolically.
         """
         core, others = _nonlinear_core(rows, unknowns)
         parameters = casadi.vertcat(*inputs)
@@ -685,7 +685,6 @@ class ClosedLoop:
 
     The joint state consists of the vehicle's states, the law's own states, and the integral of the
     objective's integrand.
-    integrand.
 
     Parameters
     ----------

@@ -265,6 +265,11 @@ def shipped_scenarios() -> Mapping[str, Path]:
     return {short: found[name] for short, name in _SHORT_NAMES.items() if name in found} | found
 
 
+def is_name(text: str) -> bool:
+    """Return whether a text can name a scenario or a vehicle, and the files of it."""
+    return re.fullmatch(NAME_PATTERN, text) is not None
+
+
 def started_scenario(template: str, name: str) -> str:
     """Return the text of a shipped scenario under another name.
 
@@ -278,7 +283,7 @@ def started_scenario(template: str, name: str) -> str:
         raise ScenarioError(
             f"--from {shown(template)[1:-1]}: must be one of {', '.join(sorted(shipped))}."
         )
-    if not re.fullmatch(NAME_PATTERN, name):
+    if not is_name(name):
         raise ScenarioError(
             f"NAME = {shown(name)}; must be 1 to 64 letters, digits, '_', '-' or '.', starting "
             "with a letter or digit."
