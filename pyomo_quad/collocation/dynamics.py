@@ -208,7 +208,7 @@ class Dynamics:
         return casadi.vertcat(*own)
 
     def written(self, moment: Any, x: Any, u: Any, parameters: Any = None) -> tuple[Any, Any]:
-        """Return dx/dt and the objective's integrand as CasADi expressions of their symbols.
+        """Return dx/dt and the objective's integrand as CasADi expressions of the given symbols.
 
         `parameters` is a column of `parameter_column`; without it they are the vehicle's own.
         """

@@ -91,6 +91,18 @@ def scenario_from_mapping(
     return _from_written(Origin(source=source, folder=folder or FilePath(), document=tables))
 
 
+def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
+    """Return a scenario with ``PATH=VALUE`` fields changed, as `--set` takes them.
+
+    Raises
+    ------
+    ScenarioError
+        If a field or a value is not allowed.
+    """
+    parsed = _parsed(overrides)
+    return scenario.with_values({spell(p): v for p, v in parsed.items()}) if parsed else scenario
+
+
 def _from_written(origin: Origin) -> Scenario:
     written = (*(path for path, _ in leaves(origin.document)), *origin.assignments)
     for path in written:
