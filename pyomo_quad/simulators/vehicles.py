@@ -17,7 +17,6 @@ from pyomo_quad.scenario.messages import shown
 #: Sets of RotorPy whose four rotors stand across, with the mass [kg] and the length [m] of a rotor.
 _ROTORS = {"hummingbird": (6e-3, 0.2), "crazyflie": (2e-4, 0.046)}
 NAMES = tuple(_ROTORS)
-_BASE = "dji_phantom_2"
 
 
 class Said(NamedTuple):
@@ -80,10 +79,10 @@ def vehicle_fields(name: str) -> dict[str, Said]:
 def vehicle_file(name: str) -> str:
     """Return a vehicle file of a RotorPy parameter set, each number with its source."""
     lines = [
-        f"# {MARK}: the {name} of RotorPy. It has no motors' electrics: those of",
-        f'# {_BASE} stand here, so that power.model = "shaft" alone says something of it.',
+        f"# {MARK}: the {name} of RotorPy. It has no motors' electrics and no pack:",
+        "# those of the library's vehicle of that name, which are estimates, stand here.",
         "",
-        f'use = "{_BASE}"',
+        f'use = "{name}"',
     ]
     for path, (value, source) in vehicle_fields(name).items():
         written = json.dumps(value if isinstance(value, str | list) else float(value))
