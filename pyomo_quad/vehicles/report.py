@@ -2,6 +2,7 @@
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -95,7 +96,7 @@ def draw_held(held: Held, planner: Planner) -> Figure:
         )
         powers = level_powers(loaded, speeds.tolist(), planner)
         axes.plot(speeds, powers, color=style.color, label=f"{payload:g} kg")
-        look = {"color": style.color, "linestyle": "none", "marker": style.marker}
+        look: dict[str, Any] = {"color": style.color, "linestyle": "none", "marker": style.marker}
         axes.plot(rows[AIRSPEED], rows[POWER], markersize=4, **look)
     axes.set(xlabel="Airspeed (m/s)", ylabel="Power (W)")
     if not (points[PAYLOAD] == points[PAYLOAD].iloc[0]).all():
