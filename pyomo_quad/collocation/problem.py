@@ -172,7 +172,8 @@ class Problem(Summarised, Formulation):
             raise TranscriptionError(f"starts: {starts}; must be at least 1.")
         instance = self.instance(parameters, horizon)
         start = warm_start.warm_start if isinstance(warm_start, Solution) else warm_start
-        chosen = refinement or RefinementOptions()
+        finished: list[Solution] = []
+        chosen = keeping(finished, refinement or RefinementOptions())
 
         def solved(
             options: SolverOptions, progress: Progress | None, tolerance: float | None
@@ -198,6 +199,7 @@ class Problem(Summarised, Formulation):
             progress=progress,
             tolerance=tolerance,
             has_mesh=mesh is not None,
+            finished=finished,
         )
 
     def _attempt(
@@ -467,6 +469,16 @@ def within_budget(
     return cold.updated(cold_start=took, message=message)
 
 
+def keeping(finished: list[S], refinement: RefinementOptions) -> RefinementOptions:
+    """Return the refinement's options with a hook that keeps each finished mesh's solution."""
+
+    def kept(solution: S) -> bool | None:
+        finished.append(solution)
+        return refinement.on_mesh and refinement.on_mesh(solution)
+
+    return replace(refinement, on_mesh=kept)
+
+
 def limited(
     solve: Callable[[SolverOptions, Progress | None, float | None], S],
     *,
@@ -474,8 +486,12 @@ def limited(
     progress: Progress | None,
     tolerance: float | None,
     has_mesh: bool,
+    finished: list[S],
 ) -> S:
-    """Solve, to a tolerance where one is wanted, within a limit of time and of tables."""
+    """Solve, to a tolerance where one is wanted, within a limit of time and of tables.
+
+    A refinement that is interrupted or fails leaves the most accurate of its finished meshes.
+    """
     if tolerance is not None and not tolerance > 0.0:
         raise TranscriptionError(f"tolerance: {tolerance:g}; must be above 0.")
     options = options or SolverOptions()
@@ -484,8 +500,10 @@ def limited(
         progress = deadline = Deadline(limit_s=options.max_wall_s, progress=progress)
     if tolerance is None and not has_mesh:
         tolerance = DEFAULT_TOLERANCE
-    solution = _within_tables(_undoubted(_without_objective(solve(options, progress, tolerance))))
-    return solution if deadline is None else _in_time(solution, deadline)
+    solution = solve(options, progress, tolerance)
+    solution = solution if deadline is None else _in_time(solution, deadline)
+    solution = _finished_of(finished, solution)
+    return _within_tables(_undoubted(_without_objective(solution)))
 
 
 def load_values(*solutions: Solution) -> None:
@@ -540,6 +558,20 @@ def _within_tables(solution: S) -> S:
     if solution.status is not Status.CONVERGED:
         return solution.updated(message=f"{solution.message} {line}")
     return solution.updated(status=Status.NOT_CONVERGED, message=line)
+
+
+def _finished_of(finished: list[S], ended: S) -> S:
+    """Return the most accurate finished mesh's solution in place of an iterate of no optimum."""
+    whole = [solution for solution in finished if not solution.parts[0].instance.left_out]
+    if not whole or ended.status not in (Status.INTERRUPTED, Status.NOT_CONVERGED):
+        return ended
+    best = min(whole, key=lambda solution: solution.parts[0].error_estimate)
+    part, message = best.parts[0], ended.message.rstrip(".; ")
+    message = (
+        f"{message}; this is the solution of mesh {len(part.history)}, with an estimated error of "
+        f"{part.error_estimate:.3g}."
+    )
+    return best.updated(status=ended.status, message=message, ipopt_code=ended.ipopt_code)
 
 
 def _in_time(solution: S, deadline: Deadline) -> S:

@@ -24,7 +24,7 @@ def _by_rotor(
 
 
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the places and senses of the rotors, where the equations ask for them one by one."""
+    """Return the places and directions of rotation of rotors in a general layout."""
     vehicle, numbers = scenario.vehicle, _numbers(scenario)
     ahead = Parameter(
         name="ahead",
@@ -150,7 +150,7 @@ def _declare_mixer(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_mixer_of_places(b: Block, m: ConcreteModel) -> None:
-    """Declare the mixer of rotors anywhere in the plane, of which eq. (7) is that of a cross."""
+    """Declare the mixer of rotors anywhere in the plane; eq. (7) is the special case of a cross."""
 
     @b.Expression(b.rotor, m.time, doc="thrust of one rotor [N]")
     def rotor_thrust(b: Block, j: int, t: float) -> NumericExpression:

@@ -132,7 +132,7 @@ def declare_vehicle(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the numbers of a scenario's vehicle, and what it leaves on the way."""
+    """Return the numbers of a scenario's vehicle, and the payloads that it releases on the way."""
     loads = _loads(scenario)
     known = tuple(row for row in _PARAMETERS if row.value(scenario) is not None)
     if not loads:
@@ -150,12 +150,12 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def _loads(scenario: Scenario) -> tuple[int, ...]:
-    """Return which waypoints something is left at."""
+    """Return the indices of the waypoints at which a payload is released."""
     return tuple(k for k, waypoint in enumerate(scenario.mission.waypoints) if waypoint.release > 0)
 
 
 def mass_at(m: ConcreteModel, t: float) -> NumericExpression:
-    """Return the mass in flight at a time: what is left at a waypoint is gone when it is left."""
+    """Return the mass in flight at a time, without payloads of waypoints that have been left."""
     b = m.vehicle
     if b.component("released") is None:
         return b.mass

@@ -44,8 +44,8 @@ def output_folder(path: str | Path) -> Iterator[Path]:
             _finish_swap(final, path, aside)
             _remove_leftovers(final)
             _refuse_foreign_files(final, path)
-            aside.mkdir()
-            with _until_finished(aside):
+            with _until_finished(_unused(aside)):
+                aside.mkdir()
                 (aside / MANIFEST_NAME).touch()
                 yield aside
                 _write_manifest(aside)
@@ -182,6 +182,13 @@ def final_folder(path: str | Path) -> Path:
     if final == final.parent:
         raise OutputError(f"{path}: is the root of all folders; choose another --out.")
     return final
+
+
+def _unused(path: Path) -> Path:
+    """Return a path at which nothing is, so that whatever is there later is this process's own."""
+    if os.path.lexists(path):
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
+    return path
 
 
 def _hidden(final: Path, suffix: str) -> Path:

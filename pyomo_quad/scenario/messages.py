@@ -57,7 +57,8 @@ def complaints(
     told.  In the `spared` places nothing is told missing or contradictory: what fills them has
     failed before.
     """
-    order = {"extra_forbidden": 0, "missing": 2}
+    # pydantic calls a list too short as well that has an item at fault.
+    order = {"extra_forbidden": 0, "missing": 2, "too_short": 3}
     found: dict[FieldPath, str] = {}
     misspelt: set[FieldPath] = set()
     short: set[FieldPath] = set()
@@ -66,7 +67,10 @@ def complaints(
         follows = details["type"] in {"missing", "value_error"}
         is_spared = any(path[: len(place)] == place for place in spared)
         is_told = path in found or path in misspelt or path[:-1] in short
-        if is_told or (follows and is_spared):
+        is_by_item = details["type"] == "too_short" and any(
+            place[: len(path)] == path for place in found
+        )
+        if is_told or is_by_item or (follows and is_spared):
             continue
         if details["type"] == "missing" and isinstance(path[-1], int):
             short.add(path[:-1])

@@ -342,7 +342,12 @@ _LONGEST: FieldPath = ("mission", "duration_max")
 _SHORTEST_S = 1e-3
 
 # A forecast is a wind of its own, told to the same vehicle.
-_INHERITED_BY_FORECAST = ("acceleration_coefficient", "frequency_unit")
+_INHERITED_BY_FORECAST = (
+    "acceleration_coefficient",
+    "frequency_unit",
+    "speed_deviation",
+    "direction_deviation",
+)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -319,6 +319,7 @@ class Scenario(Part):
             *self._replanning_complaints(),
             *self._payload_complaints(),
             *self._yaw_complaints(),
+            *self._turbulence_complaints(),
         ]
         unable = list(self._hover_complaints())
         if lines or unable:
@@ -370,6 +371,13 @@ class Scenario(Part):
                 'mission.yaw = "kept" under vehicle.attitude = '
                 f'"{self.vehicle.attitude.value}"; must be "free" where rotors that gather speed '
                 'do not turn the body: leave it out, or give vehicle.attitude = "euler".'
+            )
+
+    def _turbulence_complaints(self) -> Iterator[str]:
+        if self.model is not None and self.wind.turbulence is not None:
+            yield (
+                f"wind.turbulence acts on the declared model only, model = {self.model!r}; leave "
+                "one of them out."
             )
 
     def _hover_complaints(self) -> Iterator[str]:

@@ -338,6 +338,15 @@ class Power(Part):
     regeneration: Flag = quantity(
         "", "whether braking earns energy back, default by power model", False
     )
+    hover_power_deviation: Number = quantity(
+        "W",
+        "standard deviation of the power of hover, where it is known roughly; that of all motion "
+        "errs by the same share",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e6, "what flies takes watts to megawatts"),
+        is_late=True,
+    )
     smoothing: Number = quantity(
         "W",
         "without regeneration: width of the smooth floor at 0 W",

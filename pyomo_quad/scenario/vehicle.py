@@ -103,6 +103,14 @@ class Vehicle(Part):
         ge=0,
         sound=CARRIED,
     )
+    mass_deviation: Number = quantity(
+        "kg",
+        "standard deviation of the mass in flight, where vehicle or payload are known roughly",
+        0.0,
+        ge=0,
+        sound=CARRIED,
+        is_late=True,
+    )
     arm_length: Number = quantity(
         "m",
         "centre of mass to rotor shaft (l)",

@@ -36,6 +36,7 @@ ENGINE = {
     "costates": 3,
     "guess": 3,
     "dynamics": 3,
+    "stepping": 3,
     "solution": 3,
     "refining": 4,
     "attempts": 4,

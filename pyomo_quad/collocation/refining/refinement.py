@@ -221,6 +221,10 @@ class Solved(Protocol):
         """How the solve ended."""
 
     @property
+    def ipopt_code(self) -> int:
+        """Ipopt's own return code."""
+
+    @property
     def iterations(self) -> tuple[Iteration, ...]:
         """Ipopt's progress."""
 
@@ -291,7 +295,8 @@ def refine(
         error = max(e.largest for e in errors)
         records.append(_record(solved, error))
         solution = solved.updated(error_estimate=error, history=tuple(records))
-        if solved.status is not Status.CONVERGED:
+        solution = _shown(solution, refinement)
+        if solution.status is not Status.CONVERGED:
             return _lost(solution, reached, tolerance) if solved.status.has_failed else solution
         if reached is not None:
             reached.compare(solution, error)
@@ -325,6 +330,14 @@ def refine(
         dampings = tuple(
             damping_of(part, weight, gap=left, is_still=is_stalled) for part in solution.parts
         )
+
+
+def _shown(solution: S, refinement: RefinementOptions) -> S:
+    """Show a finished solution to the caller, and return it: interrupted if the caller says so."""
+    is_finished = solution.status is Status.CONVERGED
+    if is_finished and refinement.on_mesh and refinement.on_mesh(solution) is False:
+        return solution.updated(status=Status.INTERRUPTED, message="stopped by the caller")
+    return solution
 
 
 def _firmer(firmness: float, settled: int) -> float:

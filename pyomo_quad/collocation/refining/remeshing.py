@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -17,6 +17,8 @@ from pyomo_quad.collocation.refining.activity import SAME, known_boundaries
 from pyomo_quad.collocation.refining.error import Allowance
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pyomo_quad.collocation.refining.error import ErrorEstimate
     from pyomo_quad.collocation.solution import Solution
 
@@ -48,6 +50,9 @@ class RefinementOptions:
         Where many limits begin and cease to hold, most such junctions cost nothing: split elements
         for their sake alone only once no error asks for it, and sharpen limits only as far as the
         last mesh knew the costs.
+    on_mesh : callable, optional
+        Called with the solution of each finished mesh, its error estimate and history included;
+        returning False ends the refinement, as interrupted, with the most accurate of them.
     """
 
     first_elements: int = 10
@@ -61,6 +66,7 @@ class RefinementOptions:
     allowance: Allowance = field(default_factory=Allowance)
     damping: float = 100.0
     limits_move: bool = False
+    on_mesh: Callable[[Any], bool | None] | None = None
 
     @property
     def breach_between_points(self) -> float:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from pathlib import Path
 
 import pytest
 
@@ -174,6 +175,20 @@ def test_full_disk_is_one_line_and_leaves_nothing(tmp_path):
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     with pytest.raises(OutputError, match=r"No space left on device"):
         fail_half_way(tmp_path / "report", full)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupt_as_the_folder_is_made_leaves_nothing(tmp_path, monkeypatch):
+    made = Path.mkdir
+
+    def interrupted(folder, *arguments, **options):
+        made(folder, *arguments, **options)
+        if ".new-" in folder.name:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "mkdir", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_generation(tmp_path / "report", "new")
     assert list(tmp_path.iterdir()) == []
 
 
