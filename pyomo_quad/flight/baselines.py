@@ -8,9 +8,8 @@ from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
-from pyomo_quad.collocation import ClosedLoop, Dynamics, SolveError
+from pyomo_quad.collocation import ClosedLoop, Dynamics, SolveError, Violation
 from pyomo_quad.flight.columns import flight_frame
 from pyomo_quad.flight.controller import (
     COMMAND_SIZE,
@@ -30,7 +29,10 @@ from pyomo_quad.flight.flight import (
     VELOCITY_STATES,
     Flight,
     Flown,
+    is_broken,
 )
+from pyomo_quad.flight.integration import integrate
+from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.plan import Plan, Trajectories
 from pyomo_quad.flight.references import ReferencePath, SampledPath, minimum_snap, quintic, step
 from pyomo_quad.flight.routes import cruise
@@ -43,6 +45,7 @@ from pyomo_quad.flight.verification import (
     voltage_lacking,
 )
 from pyomo_quad.model.mission import HOVERING_M, HOVERING_M_PER_S
+from pyomo_quad.model.turbulence import FILTER_STATES
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.mission import Hover
 from pyomo_quad.scenario.tables import Reference
@@ -75,6 +78,7 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
         known = dict(zip(held.state_names, held.states[0].tolist(), strict=True))
     else:
         known = declared_start(scenario, dynamics)
+    known |= _filters_at_start(dynamics)
     unknown = next((name for name in dynamics.state_names if name not in known), None)
     if unknown is not None:
         raise ScenarioError(
@@ -82,6 +86,14 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
             "with a plan."
         )
     return np.array([known[name] for name in dynamics.state_names])
+
+
+def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
+    """Return the states of the turbulence at take-off, none where there is no turbulence."""
+    if not set(FILTER_STATES) <= set(dynamics.state_names):
+        return {}
+    begun = dynamics.initial_states()
+    return {name: begun[name] for name in FILTER_STATES}
 
 
 def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
@@ -193,17 +205,19 @@ def fly(
         the vehicle must be tumbling.
     """
     loop = _Loop(dynamics, controller, reference, duration=times[-1] - times[0])
-    solution = solve_ivp(
+    span = float(times[0]), float(times[-1])
+    solution = integrate(
         loop.rates,
-        (times[0], times[-1]),
+        span,
         loop.started(times[0], initial_state),
+        times,
+        dynamics.steps_between(*span),
         method=integrator.value,
-        t_eval=times,
         rtol=_TOLERANCE,
         atol=_TOLERANCE,
         max_step=LONGEST_STEP,
     )
-    if not solution.success:
+    if solution.stopped_at is not None:
         raise SolveError(
             f"controlled flight: {solution.message} Check the gains and limits of the scenario."
         )
@@ -414,7 +428,7 @@ def assembled_flight(
         owed_energy_J=plan.owed_energy(final) if plan is not None and is_told else nan,
         allowed=_ALLOWED_UNDER_CONTROL,
     )
-    missed = tuple(_missed_waypoints(scenario, dynamics, flown))
+    missed = tuple(missed.words for missed in _missed_waypoints(scenario, dynamics, flown))
     return replace(flight, broken_limits=(*flight.broken_limits, *missed), doubt=doubt)
 
 
@@ -428,7 +442,33 @@ _ALLOWED_UNDER_CONTROL = {
 }
 
 
-def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> Iterator[str]:
+def broken_under_control(
+    scenario: Scenario, dynamics: Dynamics, flown: Flown, breaches: Sequence[Violation]
+) -> dict[str, float]:
+    """Return the limits that a flight under control breaks, in words, and by how much.
+
+    Each breach is relative to the larger of 1 and the limit; ``breaches`` are those of the declared
+    limits, as `Dynamics.violations` returns them.
+    """
+    broken = {
+        limit_words(breach.name): breach.relative
+        for breach in breaches
+        if is_broken(breach, _ALLOWED_UNDER_CONTROL)
+    }
+    missed = _missed_waypoints(scenario, dynamics, flown)
+    return broken | {limit_words(miss.limit): miss.relative for miss in missed}
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Missed:
+    """A limit at a waypoint that a flight breaks, by how much, and that in words."""
+
+    limit: str
+    relative: float
+    words: str
+
+
+def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> Iterator[_Missed]:
     """Yield what a flight does not keep of its waypoints, whose times are given."""
     states = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     for k, waypoint in enumerate(scenario.mission.waypoints):
@@ -439,10 +479,20 @@ def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> I
         off = float(np.linalg.norm(place - waypoint.position))
         near = max(waypoint.radius, HOVERING_M if waypoint.hold else 0.0)
         if off > near + ARRIVAL_DISTANCE_M:
-            yield f"mission.waypoints[{k}].radius = {waypoint.radius:g} m passed {off:.3g} m off"
+            yield _Missed(
+                limit=f"mission.passing_near[{k}]",
+                relative=(off - near) / max(1.0, near),
+                words=f"mission.waypoints[{k}].radius = {waypoint.radius:g} m passed "
+                f"{off:.3g} m off",
+            )
         speed, allowed = float(np.linalg.norm(velocity)), waypoint.speed_max
         if allowed is not None and speed > allowed + ARRIVAL_SPEED_M_PER_S:
-            yield f"mission.waypoints[{k}].speed_max = {allowed:g} m/s passed at {speed:.3g} m/s"
+            yield _Missed(
+                limit=f"mission.passing_speed[{k}]",
+                relative=(speed - allowed) / max(1.0, allowed),
+                words=f"mission.waypoints[{k}].speed_max = {allowed:g} m/s passed at "
+                f"{speed:.3g} m/s",
+            )
 
 
 def _planned_path(plan: Plan) -> SampledPath:

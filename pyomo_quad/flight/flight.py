@@ -174,8 +174,14 @@ def broken_limits(
     return tuple(
         breach_words(breach, dynamics.unit(breach.name))
         for breach in breaches
-        if breach.relative > VIOLATION_TOLERANCE
-        and breach.size > allowed.get(breach.name.partition("[")[0], 0.0)
+        if is_broken(breach, allowed)
+    )
+
+
+def is_broken(breach: Violation, allowed: Mapping[str, float]) -> bool:
+    """Say whether a limit is broken by more than rounding, and than is allowed of its name."""
+    return breach.relative > VIOLATION_TOLERANCE and breach.size > allowed.get(
+        breach.name.partition("[")[0], 0.0
     )
 
 

@@ -32,7 +32,7 @@ from pyomo_quad.flight.routes import TriedRoute  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.verification import Passage, Verification, split_at_breaches
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.fields import Part
-from pyomo_quad.scenario.messages import PyomoQuadError, complaint, printable
+from pyomo_quad.scenario.messages import PyomoQuadError, complaints, printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -59,7 +59,8 @@ class Failure:
         The least time in which the mission can be flown within its limits; None where none was
         found.
     diagnosis : Diagnosis
-        The engine's: worst equations, active limits, what has to give way together.
+        The engine's: worst equations, active limits, and declarations that must be relaxed
+        together.
     remedies : tuple of Relaxation
         Single limits whose change alone would make the mission possible.
     """
@@ -291,7 +292,7 @@ def _read_about(path: Path, text: NDArray[Any]) -> _About:
     try:
         about = _About.model_validate_json(text.tobytes(), strict=True)
     except ValidationError as error:
-        found, line = complaint(error, _About)
+        found, line = complaints(error, _About)[0]
         if found in {(), ("format",)}:
             raise ScenarioError(_not_a_plan(path)) from None
         _refuse(path, line)
@@ -320,7 +321,7 @@ def _read_scenario(path: Path, about: _About) -> Scenario:
     try:
         return Scenario.model_validate(about.scenario)
     except ValidationError as error:
-        _refuse(path, f"scenario: {complaint(error, Scenario)[1]}")
+        _refuse(path, f"scenario: {complaints(error, Scenario)[0][1]}")
     except PyomoQuadError as error:
         _refuse(path, f"scenario: {error}")
 

@@ -425,6 +425,15 @@ class _Aircraft:
         self._scenario, self._replanner = scenario, replanner
         # The controller knows the vehicle as it is believed, not as it flies.
         self._mixer = mixer_matrix(replanner.dynamics)
+        self._measured = [dynamics.state_names.index(n) for n in replanner.dynamics.state_names]
+
+    def measured(self, state: FloatArray) -> FloatArray:
+        """Return the states that a planner knows of, which are not those of the turbulence."""
+        return state[self._measured]
+
+    def seen(self, flown: Flown) -> Flown:
+        """Return a part of the flight in the states that a planner knows of."""
+        return replace(flown, states=flown.states[:, self._measured])
 
     def fly(self, leg: _Leg, state: FloatArray, integrator: Integrator) -> Flown:
         """Return a part of the flight."""
@@ -480,7 +489,7 @@ class _ReplannedFlight:
         self._aircraft = _Aircraft(scenario, replanner, dynamics)
         state = start_state(scenario, dynamics)
         self._t, self._state = 0.0, state
-        first = replanner.solve(0.0, state, replanner.belief)
+        first = replanner.solve(0.0, self._aircraft.measured(state), replanner.belief)
         if not first.is_converged:
             raise SolveError(f"re-planning: no plan before take-off: {first.message}")
         self._take(first, replanner.belief, np.zeros(3), 0.0)
@@ -510,9 +519,12 @@ class _ReplannedFlight:
         meant_for = measured_at + self._settings.solve_time
         estimate, belief = np.zeros(3), self._replanner.belief
         if self._is_observing:
-            estimate, belief = self._observer.estimate, self._observer.belief(self.parts[-1])
+            estimate, belief = (
+                self._observer.estimate,
+                self._observer.belief(self._aircraft.seen(self.parts[-1])),
+            )
         state = self._replanner.predicted(
-            self._course, measured_at, meant_for, self._state, estimate
+            self._course, measured_at, meant_for, self._aircraft.measured(self._state), estimate
         )
         began = process_time()
         solution = self._solved(meant_for, state, belief)
@@ -564,7 +576,7 @@ class _ReplannedFlight:
         self._state = flown.states[-1]
         self.legs.append(leg)
         self.parts.append(flown)
-        self._observer.watch(flown)
+        self._observer.watch(self._aircraft.seen(flown))
 
     def flown_twice(self) -> list[tuple[Flown, Flown]]:
         """Fly each part again, by the other integrator, from the state that it was flown from.

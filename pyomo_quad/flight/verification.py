@@ -9,7 +9,6 @@ from math import ceil, inf
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from pyomo_quad.collocation import ClosedLoop, Dynamics, Mesh, SolveError, control_polynomial
 from pyomo_quad.flight.deadline import keep_time
@@ -23,6 +22,7 @@ from pyomo_quad.flight.flight import (
     position_miss,
     terminal_miss_of,
 )
+from pyomo_quad.flight.integration import integrate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -84,6 +84,7 @@ class OpenLoop:
     def __init__(self, dynamics: Dynamics) -> None:
         n_controls = len(dynamics.control_names)
         self._just_after = dynamics.just_after
+        self._steps_between = dynamics.steps_between
         self._limits = dynamics.control_limits(HELD_BREACH)
         self._flow = ClosedLoop(
             dynamics, lambda command, _x, _own: (command, ()), n_command=n_controls, n_own=0
@@ -125,6 +126,7 @@ class OpenLoop:
                 state,
                 self._just_after(first),
                 (first, *samples),
+                self._steps_between(first, last),
                 method=method,
                 rtol=tolerance,
                 max_step=step * (borders[element + 1] - borders[element]),
@@ -150,6 +152,7 @@ def _integrate(
     state: FloatArray,
     inside: float,
     times: Sequence[float],
+    edges: Sequence[float],
     **options: float | str,
 ) -> FloatArray:
     """Return states, the energy last, at the times of one element but the first.
@@ -161,20 +164,21 @@ def _integrate(
         keep_time()
         return flow.rates(max(t, inside), y, control(t))
 
-    flown = solve_ivp(
+    flown = integrate(
         rates,
         (times[0], times[-1]),
         state,
-        t_eval=times[1:],
+        times[1:],
+        edges,
         atol=ABSOLUTE_TOLERANCE,
         **options,
     )
-    if not flown.success:
+    if flown.stopped_at is not None:
         raise SolveError(
-            f"flight: the integration stopped at {flown.t[-1] if flown.t.size else times[0]:.4g} "
-            f"s: {flown.message} Look at the plan's controls there."
+            f"flight: the integration stopped at {flown.stopped_at:.4g} s: {flown.message} Look at "
+            "the plan's controls there."
         )
-    return np.asarray(flown.y)
+    return flown.y
 
 
 #: Largest miss of any final state: metres, metres per second, radians, or, for what is
@@ -189,6 +193,10 @@ BALANCE_TOLERANCE = 1e-3
 
 _VOLTAGE = "battery.voltage"
 _BALANCE = ("power.total", _VOLTAGE, "battery.current", "battery.state_of_charge")
+#: Components along a flight from which `balance_lacking` tells what the pack cannot give.
+BALANCE_KEYS = tuple((name, None) for name in _BALANCE)
+#: Place of the state of charge [percent] among them.
+CHARGE_KEY = len(_BALANCE) - 1
 _MOTOR_VOLTAGE = "power.terminal_voltage"
 # The motors of standing rotors need no voltage, of which no share can be told.
 _STANDSTILL_V = 1e-3
@@ -279,10 +287,19 @@ def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
     The declared equations stay finite beyond what a pack delivers and beyond empty; a flight
     there is no flight.  A model without a battery lacks nothing.
     """
-    if not all(dynamics.has(name) for name in _BALANCE):
+    if not has_balance(dynamics):
         return 0.0, 0.0
-    keys = tuple((name, None) for name in _BALANCE)
-    power, voltage, current, charge = dynamics.table(keys, flown.t, flown.states, flown.controls).T
+    return balance_lacking(dynamics.table(BALANCE_KEYS, flown.t, flown.states, flown.controls))
+
+
+def has_balance(dynamics: Dynamics) -> bool:
+    """Say whether a model has a battery whose balance can be read."""
+    return all(dynamics.has(name) for name in _BALANCE)
+
+
+def balance_lacking(balance: FloatArray) -> tuple[float, float]:
+    """Return `shares_lacking` of the `BALANCE_KEYS` along a flight."""
+    power, voltage, current, charge = balance.T
     lacking = np.abs(power - voltage * current) / np.maximum(1.0, np.abs(power))
     return float(np.max(lacking)), float(-np.min(charge) / 100.0)
 

@@ -18,6 +18,7 @@ from pyomo_quad.scenario.fields import (
     Sound,
     Text,
     Triple,
+    WholeNumber,
     quantity,
     set_value,
     spell,
@@ -128,6 +129,54 @@ class WindSeries(Part):
     )
 
 
+class Intensity(StrEnum):
+    """How strong turbulence is, MIL-F-8785C, section 3.7.3.4."""
+
+    LIGHT = "light"
+    MODERATE = "moderate"
+    SEVERE = "severe"
+
+
+_KNOT = 1852.0 / 3600.0  # m/s
+#: m/s. Wind at 6 m (20 ft) that stands for an intensity, MIL-F-8785C, figure 7.
+WIND_AT_6_M = {
+    Intensity.LIGHT: 15.0 * _KNOT,
+    Intensity.MODERATE: 30.0 * _KNOT,
+    Intensity.SEVERE: 45.0 * _KNOT,
+}
+
+
+class Turbulence(Part):
+    """Turbulence of Dryden's form at low altitude, MIL-F-8785C; it acts on flights alone."""
+
+    intensity: Intensity | None = quantity(
+        "", "light, moderate or severe: a wind at 6 m of 7.7, 15.4 or 23.2 m/s", None
+    )
+    wind_at_6_m: Number | None = quantity(
+        "m/s",
+        "wind at 6 m (20 ft) above the ground, in place of intensity",
+        None,
+        ge=0,
+        sound=Sound(0, LARGEST_WIND, STRONGEST_GUST),
+    )
+    seed: WholeNumber = quantity("1", "seed of the noise that drives it", 0, ge=0)
+
+    @model_validator(mode="after")
+    def _has_one_strength(self) -> Self:
+        if (self.intensity is None) == (self.wind_at_6_m is None):
+            found = "neither is" if self.intensity is None else "both are"
+            raise ValueError(
+                f"{found} given of intensity and wind_at_6_m; give one: intensity = light, "
+                "moderate or severe, or wind_at_6_m in m/s"
+            )
+        return self
+
+    @property
+    def strength(self) -> float:
+        """Wind at 6 m that sets the intensity, m/s."""
+        return WIND_AT_6_M[self.intensity] if self.intensity else self.wind_at_6_m or 0.0
+
+
 class Wind(Part):
     """The wind in world axes."""
 
@@ -182,6 +231,25 @@ class Wind(Part):
         None,
         is_late=True,
     )
+    speed_deviation: Number = quantity(
+        "m/s",
+        "standard deviation of the error of its speed, of a wind that is forecast",
+        0.0,
+        ge=0,
+        sound=Sound(0, LARGEST_WIND, STRONGEST_GUST),
+        is_late=True,
+    )
+    direction_deviation: Number = quantity(
+        "rad",
+        "standard deviation of the error of its direction, of a wind that is forecast",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1.6, "with more than a quarter turn nothing is known of the direction"),
+        is_late=True,
+    )
+    turbulence: Turbulence | None = quantity(
+        "", "turbulence of the wind that flights meet, none when absent", None, is_late=True
+    )
     forecast: Self | None = quantity(
         "", "the wind that the optimiser is told, the true one when absent", None
     )
@@ -205,6 +273,11 @@ class Wind(Part):
         forecast = tables.get("forecast") if isinstance(tables, Mapping) else None
         if isinstance(forecast, Mapping) and forecast.get("forecast") is not None:
             raise ValueError("forecast.forecast is not allowed; remove it")
+        if isinstance(forecast, Mapping) and forecast.get("turbulence") is not None:
+            raise ValueError(
+                "forecast.turbulence is not allowed: plans know the statistics of the turbulence "
+                "that flights meet; give it to wind.turbulence"
+            )
         return tables
 
 

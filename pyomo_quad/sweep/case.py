@@ -17,6 +17,7 @@ import numpy as np
 from pyomo_quad.collocation import TranscriptionError, WarmStart
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import fly_baseline
+from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.study.comparison import is_comparable, settled_energy
@@ -357,8 +358,12 @@ def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
     if not plan.is_verified:
         return CaseResult(values=values, reason=f"{plan.status}: {plan.message}")
     reason = ""
+    flown = plan.mission_flown
+    vehicle = plan.dynamics
+    if task.baselines and flown.wind.turbulence is not None:
+        vehicle = vehicle_flown(_BENCH.planner, flown)
     for reference in task.baselines:
-        flight = fly_baseline(plan.mission_flown, reference, dynamics=plan.dynamics, plan=plan)
+        flight = fly_baseline(flown, reference, dynamics=vehicle, plan=plan)
         values |= _read(_of_a_baseline(reference), flight, plan)
         if not flight.is_verified:
             reason = f"{flight.name}: two integrators disagree on this flight"
@@ -374,7 +379,7 @@ def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
         return CaseResult(values={}, reason=f"base case: {plan.status}: {plan.message}")
     world = scenario.lasting(plan.duration_s) if scenario.mission.is_free else scenario
     flight = fly_baseline(
-        plan.mission_flown, Reference.PLAN, dynamics=_BENCH.planner.dynamics(world), plan=plan
+        plan.mission_flown, Reference.PLAN, dynamics=vehicle_flown(_BENCH.planner, world), plan=plan
     )
     reason = "" if flight.is_verified else "two integrators disagree on this flight"
     values = _read(_OF_A_PLAN_FLOWN, flight, plan, scenario)
