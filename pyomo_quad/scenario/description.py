@@ -113,7 +113,7 @@ def _fields(table: BaseModel, prefix: FieldPath = ()) -> Iterator[tuple[FieldPat
 # What `quantity` notes beside a field for the messages; no editor knows it.
 _NOTES = ("unit", "allowed", "example", "other_names", "sound", "is_late")
 # Read from a file that is named, never written by hand.
-_DERIVED = ("series",)
+_DERIVED = ("series", "grid")
 _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
 
 
@@ -148,7 +148,8 @@ def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...])
             table.get("properties", {}).pop(name, None)
         for name, field in table.get("properties", {}).items():
             table["properties"][name] = _for_editors(field)
-    definitions.pop("WindSeries", None)
+    for name in ("WindSeries", "WindGrid"):
+        definitions.pop(name, None)
     return {
         "$schema": "http://json-schema.org/draft-07/schema#",
         **schema,

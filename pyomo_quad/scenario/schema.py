@@ -307,7 +307,8 @@ class Scenario(Part):
 
     def _check_airspace(self, source: str) -> None:
         for field, place in self.mission.named_positions:
-            for complaint_of_place in self.airspace.complaints(place):
+            told = self.as_forecast().wind
+            for complaint_of_place in (*self.airspace.complaints(place), *told.complaints(place)):
                 where = f"{field} = {shown(list(place))} m"
                 raise ScenarioError(f"{source}: {where} {complaint_of_place}.")
 
