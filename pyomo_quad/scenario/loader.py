@@ -18,6 +18,11 @@ from pyomo_quad.scenario.schema import Scenario
 
 # Name in messages of a scenario that was not read from a file.
 _MAPPING = "scenario"
+# What is read from a file of the wind, and where that file is named.
+_READ_FROM = {
+    "series": "a CSV file in wind.file",
+    "grid": "a NetCDF, CSV or Parquet file in wind.field",
+}
 _BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
@@ -106,11 +111,12 @@ def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
 def _from_written(origin: Origin) -> Scenario:
     written = (*(path for path, _ in leaves(origin.document)), *origin.assignments)
     for path in written:
-        if path[0] == "wind" and "series" in path:
+        derived = next((name for name in _READ_FROM if name in path), None)
+        if path[0] == "wind" and derived is not None:
             where = origin.label if path in origin.assignments else origin.source
             raise ScenarioError(
-                f"{where}: {shown(spell(path))[1:-1]} is not set by hand; name a CSV file in "
-                "wind.file."
+                f"{where}: {shown(spell(path))[1:-1]} is not set by hand; name "
+                f"{_READ_FROM[derived]}."
             )
     return Scenario.from_origin(origin)
 

@@ -5,7 +5,7 @@ A TOML document may come from an untrusted source: it is data only, bounded in s
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cache
@@ -45,6 +45,7 @@ from pyomo_quad.scenario.tables import (
 from pyomo_quad.scenario.unit_keys import in_declared_units
 from pyomo_quad.scenario.vehicle import Vehicle
 from pyomo_quad.scenario.wind import Wind, in_the_air, with_coupling
+from pyomo_quad.scenario.wind_field import read_wind_field
 from pyomo_quad.scenario.wind_file import read_wind_file
 
 LARGEST_FILE_BYTES = 1_000_000
@@ -411,6 +412,7 @@ def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
     tables = _with_assignments(origin, merge(filled.tables, own), indexed=True)
     try:
         tables = _add_wind_series(origin, tables, provenance)
+        tables = _add_wind_fields(origin, tables, provenance)
     except ScenarioError as error:
         filled.complain(str(error), ("wind",))
     tables = in_the_air(tables, origin.document if origin.is_resolved else None, provenance)
@@ -549,17 +551,35 @@ def _inherit_by_forecast(tables: dict[str, Any], own: Mapping[str, Any]) -> dict
     return tables
 
 
+def _winds(tables: Mapping[str, Any], named: str) -> Iterator[tuple[FieldPath, Mapping[str, Any]]]:
+    """Yield the wind and its forecast where they name a file in a field."""
+    for place in (("wind",), ("wind", "forecast")):
+        wind: Any = tables
+        for step in place:
+            wind = wind.get(step) if isinstance(wind, Mapping) else None
+        if isinstance(wind, Mapping) and isinstance(wind.get(named), str):
+            yield place, wind
+
+
+def _add_wind_fields(
+    origin: Origin, tables: dict[str, Any], provenance: dict[str, str]
+) -> dict[str, Any]:
+    for place, wind in _winds(tables, "field"):
+        path = (*place, "field")
+        where = f"{whose(origin, provenance, path)}: {spell(path)} = {shown(wind['field'])}"
+        grid = read_wind_field(origin.folder / wind["field"], where)
+        tables = set_value(tables, (*place, "grid"), grid)
+        for part in grid:
+            provenance[spell((*place, "grid", part))] = f"file {shown(wind['field'])[1:-1]}"
+    return tables
+
+
 def _add_wind_series(
     origin: Origin, tables: dict[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
     field, longest = _longest(tables)
     known: list[tuple[float, str]] = []
-    for place in (("wind",), ("wind", "forecast")):
-        wind: Any = tables
-        for step in place:
-            wind = wind.get(step) if isinstance(wind, Mapping) else None
-        if not isinstance(wind, Mapping) or not isinstance(wind.get("file"), str):
-            continue
+    for place, wind in _winds(tables, "file"):
         where = f"{whose(origin, provenance, (*place, 'file'))}: {spell((*place, 'file'))}"
         offset = wind.get("time_offset", 0.0)
         told = (spell(field), _SHORTEST_S if longest is None else longest)

@@ -204,8 +204,8 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
         )
         return
     yield from _yaw_findings(scenario, steady)
-    if scenario.wind.varies_with_height:
-        return  # the thrust needed depends on the heights that the plan chooses
+    if scenario.wind.varies_with_place:
+        return  # the thrust needed depends on the way that the plan chooses
     demand = MomentumDemand(planner.dynamics(scenario))
     if demand.is_linear:
         yield from _thrust_findings(scenario, steady, demand)
