@@ -64,17 +64,17 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.reading.values import Instance, Overrides
     from pyomo_quad.collocation.refining.refinement import Damping
 
-# Steps between the nodes of a first mesh, and a state that no simulation means.
+# Steps between the nodes of a first mesh, and a state above which a simulation has diverged.
 _SUBSTEPS, _LARGEST_STATE = 10, 1e12
-#: Largest relative error of a solution that is refined without a tolerance being asked for.
+#: Default of the required relative error.
 DEFAULT_TOLERANCE = 1e-6
 
 
 class Problem(Summarised, Formulation):
     """A Pyomo.DAE model compiled for collocation.
 
-    It can be pickled.  What is restored solves and evaluates as before, with the numbers that the
-    model held then; the model itself stays behind.
+    It can be pickled.  The restored problem solves and evaluates as before, with the numbers that
+    the model held when it was pickled; the model itself is not included.
 
     Parameters
     ----------

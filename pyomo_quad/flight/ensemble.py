@@ -136,7 +136,7 @@ class FlownOften:
 
 SPEED, TILT, OFF = "speed_m_per_s", "tilt_rad", "distance_from_reference_m"
 TRACKS = ("x_m", "y_m", "z_m", SPEED, TILT, ENERGY, OFF)
-"""Names of what is kept of each flight over time."""
+"""Names of the quantities stored over time for each flight."""
 
 
 class Squadron:
