@@ -153,7 +153,7 @@ class FirstSolve:
     def __call__(self) -> Solution:
         """Return the first successful solution, else the first failure with its verdict."""
         for way in REDUCED[: 1 + self.is_mesh_free] if self.is_overdetermined else ():
-            reduced = self._tried(way, None)
+            reduced = self._attempted(way, None)
             if reduced is not None and not reduced.status.has_failed:
                 return reduced
         first = self.finish(self.solve_on, self.mesh, self.warm_start)
@@ -161,31 +161,31 @@ class FirstSolve:
         is_hasty = self.options.max_iterations < _PATIENCE
         if is_hasty or not first.status.has_failed:
             return _noted(first)
-        return _unbounded(first) if first.ipopt_code == DIVERGED_CODE else self._again(first)
+        return _unbounded(first) if first.ipopt_code == DIVERGED_CODE else self._retried(first)
 
-    def _again(self, first: Solution) -> Solution:
+    def _retried(self, first: Solution) -> Solution:
         """Return the first success of the further attempts, else the failure with its verdict."""
-        simulated = self._tried(SIMULATED, first)
+        simulated = self._attempted(SIMULATED, first)
         if simulated is not None and not simulated.status.has_failed:
             return simulated
         found = violation_of(first, self.options, self.progress)
         if found is not None and found.result.status is Status.INTERRUPTED:
             return first.updated(status=Status.INTERRUPTED)
         failed = first if found is None else judged(first, found)
-        for way in self._ways(failed):
-            solution = self._tried(way, failed)
+        for way in self._further_attempts(failed):
+            solution = self._attempted(way, failed)
             if solution is not None and not solution.status.has_failed:
                 return _noted(solution)
         return failed
 
-    def _ways(self, failed: Solution) -> tuple[Attempt, ...]:
+    def _further_attempts(self, failed: Solution) -> tuple[Attempt, ...]:
         """Return the further attempts; a mesh found infeasible is not tried again."""
         is_square = failed.bounds.surplus == 0
         reduced = REDUCED[: 1 + self.is_mesh_free] if is_square else ()
         own = () if failed.status is Status.INFEASIBLE else ON_THE_MESH
         return (*reduced, *own, *(ON_OTHER_MESHES if self.is_mesh_free and self.simulate else ()))
 
-    def _tried(self, way: Attempt, failed: Solution | None) -> Solution | None:
+    def _attempted(self, way: Attempt, failed: Solution | None) -> Solution | None:
         """Solve by one strategy, None if it does not apply."""
         solve_on = partial(
             self.solve_on, options=way.settings(self.options), is_scaled=way.is_scaled

@@ -37,10 +37,10 @@ from pyomo_quad.collocation.program.elastic import elastic_point
 from pyomo_quad.collocation.program.ipopt import (
     TIME_LIMIT_CODE,
     Counter,
-    Deadline,
     Progress,
     SolverOptions,
     Status,
+    WallClockLimit,
     run,
     run_past_the_barrier,
 )
@@ -499,7 +499,7 @@ def limited(
     options = options or SolverOptions()
     deadline = None
     if options.max_wall_s is not None:
-        progress = deadline = Deadline(limit_s=options.max_wall_s, progress=progress)
+        progress = deadline = WallClockLimit(limit_s=options.max_wall_s, progress=progress)
     if tolerance is None and not has_mesh:
         tolerance = DEFAULT_TOLERANCE
     solution = solve(options, progress, tolerance)
@@ -576,7 +576,7 @@ def _finished_of(finished: list[S], ended: S) -> S:
     return best.updated(status=ended.status, message=message, ipopt_code=ended.ipopt_code)
 
 
-def _in_time(solution: S, deadline: Deadline) -> S:
+def _in_time(solution: S, deadline: WallClockLimit) -> S:
     """Return a solution with a message if the deadline ended its solve."""
     if not deadline.is_over or solution.status is not Status.INTERRUPTED:
         return solution
