@@ -1,7 +1,7 @@
 """Logs of flights: required columns, and refusal of damaged or implausible logs.
 
-A log is a table, Parquet or CSV, of about one row a second, or the file of an autopilot.  Its
-columns are those of `COLUMNS`; others are not read.  World axes here are north, east and up.
+A log is a table, Parquet or CSV, with about one row per second, or the file of an autopilot. Its
+columns are those of `COLUMNS`; others are ignored. World axes here are north, east and up.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -124,7 +124,7 @@ def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
     if not flights.is_unique:
         twice = printable(str(flights[flights.duplicated()].iloc[0]))
         raise ScenarioError(
-            f"logs: flight {twice} is there twice; give each log once, under a name of its own."
+            f"logs: flight {twice} is given twice; give each log once, under a name of its own."
         )
     return pd.concat(held, ignore_index=True)
 
@@ -165,7 +165,7 @@ def _read(file: Path, source: str) -> pd.DataFrame:
     reader: Any = readers.get(file.suffix.lower())
     if reader is None:
         raise ScenarioError(
-            f"{source}: is no log; give a .parquet, .csv, PX4 .ulg or ArduPilot .BIN file."
+            f"{source}: is not a log; give a .parquet, .csv, PX4 .ulg or ArduPilot .BIN file."
         )
     if file.is_file() and file.stat().st_size > _LARGEST_FILE_BYTES:
         raise ScenarioError(f"{source}: larger than {_LARGEST_FILE_BYTES} bytes; split it.")
