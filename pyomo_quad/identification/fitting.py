@@ -311,7 +311,7 @@ def identify(
     if len(flights) < 2:
         raise ScenarioError(
             "logs: one flight only; identification needs two at least, so that one can judge the "
-            "other, and the more the better."
+            "other, and the more the better; or give points of steady flight by --steady."
         )
     motion = LoggedMotion(scenario, frame)
     asked = Fit(motion, scenario, names)

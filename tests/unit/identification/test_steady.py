@@ -117,7 +117,7 @@ def test_an_endurance_is_the_pack_over_the_power(folder, scenario):
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("speed\n3\n", "has neither power_W nor endurance_s; the columns are power_W [W]"),
+        ("speed\n3\n", "has neither power_W nor endurance_s; the columns are power_W (W)"),
         ("power_W\n", "has no row; give one point at least"),
         ("power_W\n-3\n", "power_W = -3 in row 1; must be a number > 0"),
         ("power_W\nmuch\n", "column power_W holds text"),
