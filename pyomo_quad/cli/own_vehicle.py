@@ -73,7 +73,7 @@ def vehicle(
     from pyomo_quad.vehicles.owner import estimate_vehicle  # noqa: PLC0415
     from pyomo_quad.vehicles.uncertainty import power_band  # noqa: PLC0415
 
-    if sys.stdin.isatty() and not quiet:
+    if is_asked(is_quiet=quiet):
         mass = _asked(mass, "mass aloft, kg", is_needed=True)
         propeller = propeller or typer.prompt("propeller, inches, such as 10x4.5")
         arm = _asked(arm, "centre to motor shaft, m")
@@ -93,6 +93,11 @@ def vehicle(
         for line in _lines(estimated, band, out):
             print(line)
     return ExitCode.VERIFIED
+
+
+def is_asked(*, is_quiet: bool) -> bool:
+    """Return whether someone sits at a terminal who can answer."""
+    return not is_quiet and sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
 
 
 def _asked(given: float | None, words: str, *, is_needed: bool = False) -> float | None:

@@ -313,7 +313,7 @@ def identify(
     if len(flights) < 2:
         raise ScenarioError(
             "logs: one flight only; identification needs at least two flights, one of them for "
-            "validation, and is better with more."
+            "validation, and is better with more; or give points of steady flight by --steady."
         )
     motion = LoggedMotion(scenario, frame)
     asked = Fit(motion, scenario, names)

@@ -28,6 +28,7 @@ from pyomo_quad.identification.columns import (
     wanted_columns,
 )
 from pyomo_quad.identification.fitting import Fit, confounded, undetermined
+from pyomo_quad.identification.logs import LEAST_POWER_PER_KG, MOST_POWER_PER_KG
 from pyomo_quad.identification.motion import LoggedMotion
 from pyomo_quad.identification.validation import FloatArray
 from pyomo_quad.scenario import Scenario, ScenarioError
@@ -122,6 +123,13 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
                 f"{printable(str(file))}: {name} = {column.iloc[row]:g} in row {row + 1}; must be "
                 f"a number{' > 0' if least == 0.0 else ''}; correct the row or leave it out."
             )
+    usual, mass = float(points[POWER].median()), scenario.vehicle.mass
+    if not LEAST_POWER_PER_KG <= usual / mass <= MOST_POWER_PER_KG:
+        unit = "kilowatts; multiply" if usual < mass else "milliwatts; divide"
+        raise ScenarioError(
+            f"{printable(str(file))}: {POWER} has a median of {usual:.4g} W for a vehicle of "
+            f"{mass:.4g} kg, which must be {unit} it by 1000."
+        )
     return points
 
 
