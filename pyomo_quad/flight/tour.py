@@ -205,6 +205,13 @@ def find_orders(
     return tuple(sorted(found, key=lambda search: search.cost_J))
 
 
+def legs_expected(waypoints: int) -> int:
+    """Return for how many legs the order of so many waypoints is solved for, at least."""
+    every = waypoints * (waypoints + 1)
+    first = _NEAREST * (waypoints + 1) + _OF_ALL_LENGTHS
+    return every if every <= _FEW_LEGS else min(every, first)
+
+
 def _legs_of(order: Sequence[int]) -> list[_Leg]:
     return list(pairwise((0, *(k + 1 for k in order), len(order) + 1)))
 
