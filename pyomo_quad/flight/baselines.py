@@ -36,14 +36,13 @@ from pyomo_quad.flight.references import ReferencePath, SampledPath, minimum_sna
 from pyomo_quad.flight.routes import cruise
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
-    ENERGY_TOLERANCE,
-    MISS_TOLERANCE,
     fly_controls,
     shares_lacking,
     voltage_lacking,
 )
 from pyomo_quad.model.mission import HOVERING_M, HOVERING_M_PER_S
 from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.mission import Hover
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.scenario.vehicle import Vehicle
@@ -413,11 +412,14 @@ def assembled_flight(
         wall_s=perf_counter() - began,
         owed_energy_J=plan.owed_energy(final) if plan is not None and is_told else nan,
         allowed=_ALLOWED_UNDER_CONTROL,
+        accuracy=scenario.solver.accuracy,
     )
     missed = tuple(_missed_waypoints(scenario, dynamics, flown))
     return replace(flight, broken_limits=(*flight.broken_limits, *missed), doubt=doubt)
 
 
+# To which two integrators must agree about a flight.
+_AGREEING = FIGURES[Accuracy.PROOF]
 # A flight under control may pass a waypoint, and hold there, as much further off and faster than it
 # should as it may arrive; the limits of a hold are of squares.  That a heading is kept is asked of
 # plans: blown off it, feedback must turn back, and where it ends is judged as all of the end is.
@@ -490,16 +492,16 @@ def _doubts(
     spent = np.array([[flown.energy[-1] for flown in pair] for pair in flown_twice])
     apart = float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).sum())
     total, other = spent.sum(axis=0)
-    allowed = ENERGY_TOLERANCE * max(1.0, abs(total))
+    allowed = _AGREEING.energy_flown * max(1.0, abs(total))
     added = ""
     if len(flown_twice) > 1:
         added = (
             f", all {len(flown_twice)} parts between plans together, each with errors of its own; "
             "a longer baseline.mpc.interval makes fewer"
         )
-    if not apart <= MISS_TOLERANCE:
+    if not apart <= _AGREEING.miss:
         yield (
-            f"two integrators end {apart:.2g} m apart; must be at most {MISS_TOLERANCE:g} m{added}"
+            f"two integrators end {apart:.2g} m apart; must be at most {_AGREEING.miss:g} m{added}"
         )
     if not abs(total - other) <= allowed:
         yield (

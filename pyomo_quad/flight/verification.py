@@ -16,13 +16,13 @@ from pyomo_quad.flight.deadline import keep_time
 from pyomo_quad.flight.flight import (
     HELD_BREACH,
     POSITION_STATES,
-    VIOLATION_TOLERANCE,
     FloatArray,
     Flown,
     broken_limits,
     position_miss,
     terminal_miss_of,
 )
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy, Figures
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from pyomo_quad.scenario.airspace import Airspace
 
 
-RELATIVE_TOLERANCE = 1e-12
-ABSOLUTE_TOLERANCE = 1e-12
+_PROOF = FIGURES[Accuracy.PROOF]
 SAMPLES_PER_ELEMENT = 8
 # The error of a rotor's speed, which nothing corrects, moves a place with the fourth power of the
 # time [s]: longer flights are integrated as much more sharply, down to what rounding leaves.
@@ -50,6 +49,7 @@ def fly_controls(
     *,
     samples_per_element: int | Sequence[int] = SAMPLES_PER_ELEMENT,
     method: str = "DOP853",
+    integration: float = _PROOF.integration,
 ) -> Flown:
     """Fly piecewise polynomial controls open loop, held to their limits.
 
@@ -62,6 +62,8 @@ def fly_controls(
         Start and end time [s].
     samples_per_element : int or sequence of int, optional
         At how many times of each element, all of them or one by one, the flight is returned.
+    integration : float, optional
+        Relative and absolute tolerance of the integrator.
 
     Raises
     ------
@@ -75,6 +77,7 @@ def fly_controls(
         horizon,
         samples_per_element=samples_per_element,
         method=method,
+        integration=integration,
     )
 
 
@@ -99,13 +102,14 @@ class OpenLoop:
         part: tuple[float, float] | None = None,
         samples_per_element: int | Sequence[int] = SAMPLES_PER_ELEMENT,
         method: str = "DOP853",
+        integration: float = _PROOF.integration,
     ) -> Flown:
         """Fly piecewise polynomial controls, over a part of their horizon where one is given."""
         borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
         begin, end = horizon if part is None else part
         counts = np.broadcast_to(samples_per_element, mesh.elements)
         share = min(1.0, _LONG_S / (horizon[1] - horizon[0]))
-        tolerance = max(_SHARPEST, RELATIVE_TOLERANCE * share**_POWER)
+        tolerance = max(_SHARPEST, integration * share**_POWER)
         step = inf if share == 1.0 else share / _STEPS
         state = np.append(start, 0.0)
         parts_t: list[FloatArray] = [np.array([begin])]
@@ -127,6 +131,7 @@ class OpenLoop:
                 (first, *samples),
                 method=method,
                 rtol=tolerance,
+                atol=integration,
                 max_step=step * (borders[element + 1] - borders[element]),
             )
             state = flown[:, -1]
@@ -166,7 +171,6 @@ def _integrate(
         (times[0], times[-1]),
         state,
         t_eval=times[1:],
-        atol=ABSOLUTE_TOLERANCE,
         **options,
     )
     if not flown.success:
@@ -177,11 +181,6 @@ def _integrate(
     return np.asarray(flown.y)
 
 
-#: Largest miss of any final state: metres, metres per second, radians, or, for what is
-#: larger than one (rotor speeds), relative.
-MISS_TOLERANCE = 1e-4
-#: Largest relative difference of flown and planned energy.
-ENERGY_TOLERANCE = 1e-6
 #: Largest share of the power drawn that voltage times current of the pack may lack: the guard
 #: that keeps a current finite beyond the pack's greatest power lets it lack more.  As much may
 #: its voltage be below what the motors need.
@@ -219,7 +218,10 @@ class Verification:
         Largest share of the voltage at which a motor keeps its speed that the pack cannot give;
         negative where it gives more.
     is_verified : bool
-        All of the above within this module's tolerances.
+        All of the above within the figures of the accuracy asked for.
+    reached : Accuracy or None
+        The highest accuracy, up to the one asked for, whose figures all of the above meet; None
+        where they meet none.
     """
 
     terminal_miss: Mapping[str, float]
@@ -234,6 +236,7 @@ class Verification:
     passing_misses_m: tuple[float, ...] = ()
     battery_imbalance: float = 0.0
     voltage_lacking: float = 0.0
+    reached: Accuracy | None = None
 
     @property
     def is_fed(self) -> bool:
@@ -287,15 +290,12 @@ def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
     return float(np.max(lacking)), float(-np.min(charge) / 100.0)
 
 
-# Between samples as close as this [m] a straight flight cuts into a ball of half a metre by less
-# than 1e-5 m, and into the edge of a zone by less than 4e-4 m.
-_SAMPLE_SPACING = 5e-3
-
-
 def _samples_near_zones(
-    airspace: Airspace, dynamics: Dynamics, mesh: Mesh, states: FloatArray
+    airspace: Airspace, dynamics: Dynamics, mesh: Mesh, states: FloatArray, spacing: float
 ) -> list[int]:
     """Return at how many times of each element to look whether the flight keeps out of all zones.
+
+    Samples are at most `spacing` [m] apart.
 
     The states are those planned at the nodes, shape (n_points + 1, n_states).
     """
@@ -306,7 +306,7 @@ def _samples_near_zones(
         length = float(np.linalg.norm(np.diff(held, axis=0), axis=1).sum())
         depths = (float(zone.depth(held).max()) for zone in airspace.keep_out)
         is_near = max(depths, default=-np.inf) + airspace.clearance > -length
-        close = ceil(length / _SAMPLE_SPACING) if is_near else 0
+        close = ceil(length / spacing) if is_near else 0
         counts.append(max(SAMPLES_PER_ELEMENT, close))
     return counts
 
@@ -316,11 +316,15 @@ _PARTS = 4
 
 
 def split_at_breaches(
-    dynamics: Dynamics, flown: Flown, mesh: Mesh, horizon: tuple[float, float]
+    dynamics: Dynamics,
+    flown: Flown,
+    mesh: Mesh,
+    horizon: tuple[float, float],
+    accuracy: Accuracy = Accuracy.PROOF,
 ) -> Mesh:
     """Return a mesh with those elements split in which a flight broke a limit most."""
     breaches = dynamics.violations(flown.t, flown.states, flown.controls)
-    times = [breach.time for breach in breaches if breach.relative > VIOLATION_TOLERANCE]
+    times = [breach.time for breach in breaches if breach.relative > FIGURES[accuracy].breach]
     start, end = horizon
     elements = set(mesh.locate((np.array(times) - start) / (end - start)).tolist())
     return mesh.with_breakpoints(
@@ -356,6 +360,7 @@ def verify_controls(
     energy: float,
     airspace: Airspace | None = None,
     passages: Sequence[Passage] = (),
+    accuracy: Accuracy = Accuracy.PROOF,
 ) -> tuple[Verification, Flown]:
     """Fly a plan's controls and compare.
 
@@ -370,11 +375,22 @@ def verify_controls(
         Beside its zones the flight is looked at closely.
     passages : sequence of Passage, optional
         Where the flight should pass, and when.
+    accuracy : Accuracy, optional
+        What the plan is asked for; the flight is integrated and looked at as closely as it needs.
     """
+    figures = FIGURES[accuracy]
     samples: int | list[int] = SAMPLES_PER_ELEMENT
     if airspace is not None and set(POSITION_STATES) <= set(dynamics.state_names):
-        samples = _samples_near_zones(airspace, dynamics, mesh, states)
-    flown = fly_controls(dynamics, mesh, controls, states[0], horizon, samples_per_element=samples)
+        samples = _samples_near_zones(airspace, dynamics, mesh, states, figures.spacing)
+    flown = fly_controls(
+        dynamics,
+        mesh,
+        controls,
+        states[0],
+        horizon,
+        samples_per_element=samples,
+        integration=figures.integration,
+    )
     planned = dict(zip(dynamics.state_names, states[-1], strict=True))
     miss = terminal_miss_of(dynamics, flown.states[-1], planned)
     relative = {name: abs(m) / max(1.0, abs(planned[name])) for name, m in miss.items()}
@@ -385,6 +401,13 @@ def verify_controls(
     lacking = voltage_lacking(dynamics, flown)
     flown_energy = float(flown.energy[-1])
     passing = tuple(_passing_miss(dynamics, flown, passage) for passage in passages)
+    found = _Found(
+        miss=max(relative[worst_miss], *passing, 0.0),
+        breach=breach.relative,
+        energy=abs(flown_energy - energy) / max(1.0, abs(energy)),
+        lacking=max(imbalance, lacking),
+    )
+    reached = found.reached(accuracy)
     verification = Verification(
         terminal_miss=miss,
         terminal_miss_m=position_miss(miss),
@@ -393,17 +416,34 @@ def verify_controls(
         worst_constraint=breach.name,
         energy_difference_J=flown_energy - energy,
         flown_energy_J=flown_energy,
-        is_verified=bool(
-            relative[worst_miss] <= MISS_TOLERANCE
-            and breach.relative <= VIOLATION_TOLERANCE
-            and abs(flown_energy - energy) <= ENERGY_TOLERANCE * max(1.0, abs(energy))
-            and max(passing, default=0.0) <= MISS_TOLERANCE
-            and max(imbalance, lacking) <= BALANCE_TOLERANCE
-            and np.isfinite(flown_energy)
-        ),
-        broken_limits=broken_limits(dynamics, breaches, {}),
+        is_verified=reached is accuracy,
+        broken_limits=broken_limits(dynamics, breaches, {}, figures.breach),
         passing_misses_m=passing,
         battery_imbalance=imbalance,
         voltage_lacking=lacking,
+        reached=reached,
     )
     return verification, flown
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Found:
+    """Worst errors of a flight, as `Figures` and `BALANCE_TOLERANCE` limit them."""
+
+    miss: float
+    breach: float
+    energy: float
+    lacking: float
+
+    def reached(self, asked: Accuracy) -> Accuracy | None:
+        """Return the highest accuracy whose figures are met, at most the one asked for."""
+        met = [a for a in Accuracy if asked.meets(a) and self._meets(FIGURES[a])]
+        return met[-1] if met else None
+
+    def _meets(self, figures: Figures) -> bool:
+        return bool(
+            self.miss <= figures.miss
+            and self.breach <= figures.breach
+            and self.energy <= figures.energy_flown
+            and self.lacking <= BALANCE_TOLERANCE
+        )
