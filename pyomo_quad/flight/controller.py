@@ -54,13 +54,13 @@ class EquatedRates:
     def angle_accelerations(
         self, _attitude: Vector, _body_rates: Vector, body_accelerations: Vector
     ) -> Vector:
-        """Return the accelerations about the body's axes."""
+        """Return the body accelerations, which equal the accelerations of the angles here."""
         return body_accelerations
 
     def body_accelerations(
         self, _attitude: Vector, _body_rates: Vector, angle_accelerations: Vector
     ) -> Vector:
-        """Return the accelerations of the angles."""
+        """Return the accelerations of the angles, which equal the body accelerations here."""
         return angle_accelerations
 
 

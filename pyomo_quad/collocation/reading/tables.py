@@ -57,7 +57,7 @@ class Spline:
 
     @property
     def ranges(self) -> tuple[tuple[float, float], ...]:
-        """First and last point of each argument."""
+        """First and last grid point of each argument."""
         return tuple((float(t[0]), float(t[-1])) for t in self.knots)
 
     def written(self, arguments: Sequence[Any]) -> Any:
