@@ -174,7 +174,7 @@ class Allocation:
     Parameters
     ----------
     mixer : ndarray, shape (4, n_rotors)
-        Of `mixer_matrix`.
+        Matrix returned by `mixer_matrix`.
     limits : Limits
         Rotor speeds, thrust and moments allowed.
     """

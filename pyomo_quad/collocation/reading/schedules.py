@@ -95,7 +95,7 @@ class Schedule:
     Parameters
     ----------
     name : str
-        Of the component, for messages and symbols.
+        Name of the component, for messages and symbols.
     say : callable
         Time -> Statement.
     times : sequence of float
