@@ -155,7 +155,7 @@ def critical_acceleration(samples: int = 151) -> tuple[float, float]:
     Parameters
     ----------
     samples : int
-        Number of samples of speed, and of acceleration between the two bounds that enclose the zero.
+        Number of samples of speed, and of acceleration between the bounds around the zero.
 
     Returns
     -------
