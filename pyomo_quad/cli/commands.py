@@ -12,7 +12,7 @@ import typer
 
 from pyomo_quad.cli.endings import ExitCode, Stopped, before_the_end
 from pyomo_quad.cli.looking import check, export, init, library, plot, schema
-from pyomo_quad.cli.own_vehicle import vehicle
+from pyomo_quad.cli.own_vehicle import vehicle, vehicles
 from pyomo_quad.cli.startup import import_scipy_alone
 from pyomo_quad.cli.studies import identify, outside_plant, paper, polar, predict, rotorpy_vehicle
 from pyomo_quad.cli.sweeping import sweep, sweep_report
@@ -30,6 +30,7 @@ from pyomo_quad.cli.terminal import (
     complain,
     folder_of,
     gives_up_output,
+    positive_count,
     real_number,
 )
 from pyomo_quad.report import Figures
@@ -77,24 +78,127 @@ _Reference = Annotated[
 ]
 
 
+_Flown = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SCENARIO|PLAN",
+        help="Scenario file (TOML); with --flights also a file of Plan.save or a report folder.",
+    ),
+]
+_Flights = Annotated[
+    int | None,
+    typer.Option(
+        "--flights",
+        metavar="N",
+        parser=positive_count,
+        help="Fly the plan so often, each time in a wind of its own.",
+    ),
+]
+_Seed = Annotated[int, typer.Option("--seed", metavar="N", help="--flights: of the winds.", min=0)]
+_Cruises = Annotated[
+    list[float] | None,
+    typer.Option(
+        "--cruise",
+        metavar="M/S",
+        parser=real_number,
+        help="--flights: an autopilot at this speed in the same winds; repeatable.",
+    ),
+]
+
+
 def fly(
-    scenario: ScenarioFile,
+    scenario: _Flown,
     *,
     controller: _Controller = Controller.ADAPTIVE,
     reference: _Reference = None,
     knowledge: _Knowledge = Knowledge.ESTIMATED,
     plant: _Plant = Plant.DECLARED,
+    flights: _Flights = None,
+    seed: _Seed = 0,
+    cruise: _Cruises = None,
     out: Output = None,
     overrides: Overrides = None,
+    figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Fly a scenario under feedback, its plan in open loop, or with re-planning."""
+    """Fly a scenario under feedback, its plan in open loop, re-planned, or many times in wind."""
+    if flights is not None or is_plan(scenario):
+        _refuse_other_flights(scenario, flights, controller, plant, reference)
+        import_scipy_alone()
+        from pyomo_quad.cli.ensembles import fly_many  # noqa: PLC0415  takes seconds
+
+        return fly_many(
+            scenario,
+            flights or 1,
+            seed=seed,
+            cruises=cruise or (),
+            out=out,
+            overrides=overrides or (),
+            figures=figures,
+            is_quiet=quiet,
+            as_json=as_json,
+            is_code_allowed=allow_code,
+        )
+    return _fly_once(
+        scenario,
+        controller,
+        reference,
+        knowledge,
+        plant,
+        out=out,
+        overrides=overrides or (),
+        quiet=quiet,
+        as_json=as_json,
+        allow_code=allow_code,
+    )
+
+
+def is_plan(path: Path) -> bool:
+    """Say whether a path names a plan, and not the scenario of one."""
+    return path.is_dir() or path.suffix == ".npz"
+
+
+def _refuse_other_flights(
+    path: Path,
+    flights: int | None,
+    controller: Controller,
+    plant: Plant,
+    reference: Reference | None,
+) -> None:
+    if flights is None:
+        raise typer.BadParameter(
+            f"{path} is a plan, not a scenario; add --flights 1000, or give the scenario."
+        )
+    if controller is not Controller.ADAPTIVE or plant is not Plant.DECLARED:
+        raise typer.BadParameter(
+            "--flights are of the declared vehicle under --controller adaptive; leave --controller "
+            "and --plant out."
+        )
+    if reference not in {None, Reference.PLAN}:
+        raise typer.BadParameter(
+            "--flights follow the plan, not another --reference; leave it out, or add --cruise."
+        )
+
+
+def _fly_once(
+    scenario: Path,
+    controller: Controller,
+    reference: Reference | None,
+    knowledge: Knowledge,
+    plant: Plant,
+    *,
+    out: Path | None,
+    overrides: Sequence[str],
+    quiet: bool,
+    as_json: bool,
+    allow_code: bool,
+) -> int:
     watch = Stopwatch()
     followed = _followed(controller, reference)
     _refuse_unfit(controller, plant)
-    resolved = load_scenario(scenario, overrides or ())
+    resolved = load_scenario(scenario, overrides)
     if controller is Controller.MPC and resolved.baseline.mpc is None:
         resolved = resolved.with_values({"baseline.mpc": {}})
     flown = [plant] if plant is Plant.ROTORPY else []
@@ -312,7 +416,7 @@ app = typer.Typer(
 )
 for _command in (
     *(init, run, solve, compare, check, library, schema, fly, export, plot, identify, predict),
-    *(polar, vehicle, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
+    *(polar, vehicle, vehicles, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
 ):
     app.command()(_command)
 

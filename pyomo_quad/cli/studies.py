@@ -295,8 +295,7 @@ def _parameter_lines(
     """Yield a line per fitted parameter, with the parameters it cannot be told from."""
     partners = dict(together)
     for one in parameters:
-        end = getattr(one, "is_at_bound", False) and one.is_determined
-        edge = " (at the end of its range)" if end else ""
+        edge = " (at the end of its range)" if one.is_at_bound and one.is_determined else ""
         kept = "" if one.is_determined else " (kept: the measurements do not determine it"
         partner = partners.get(one.name, "")
         kept += "" if one.is_determined else f", nor tell it from {partner})" if partner else ")"

@@ -37,6 +37,79 @@ _AGAIN = "solve the scenario again"
 
 
 @dataclass(frozen=True, kw_only=True)
+class ProvenPlan:
+    """A plan that its mission's own equations have confirmed, with that mission.
+
+    Attributes
+    ----------
+    mission : Scenario
+        With the times of the plan.
+    held : Trajectories
+        Read from a report's table, it holds every column both as a state and as a control.
+    """
+
+    mission: Scenario
+    held: Trajectories
+
+
+def read_proven(path: str | Path, *, is_code_allowed: bool = False) -> ProvenPlan:
+    """Read a plan from a file of `Plan.save` or from the report folder of a run, and fly it again.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no plan, it is damaged or not verified, or the flight does not confirm it.
+    """
+    place = Path(path)
+    if place.is_dir():
+        return _proven_report(place, is_code_allowed=is_code_allowed)
+    return _proven(Plan.load(place), is_code_allowed=is_code_allowed)
+
+
+def _proven(plan: Plan, *, is_code_allowed: bool) -> ProvenPlan:
+    held = plan.trajectories
+    _refuse_unverified(plan.scenario.name, plan.status.value)
+    refuse_unproven(
+        plan.scenario,
+        held,
+        plan.energy,
+        plan.passing_times_s,
+        EXACT,
+        None if plan.solution is None else plan.dynamics,
+        is_code_allowed=is_code_allowed,
+    )
+    return ProvenPlan(mission=plan.mission_flown, held=held)
+
+
+def _proven_report(folder: Path, *, is_code_allowed: bool) -> ProvenPlan:
+    summary, frame = read_report(folder)
+    name, status, degrees = (summary.get(key) for key in ("scenario", "status", "mesh"))
+    degrees = degrees.get("degrees") if isinstance(degrees, dict) else None
+    is_whole = isinstance(degrees, list) and all(type(degree) is int for degree in degrees)
+    if not isinstance(name, str) or not isinstance(status, str) or not is_whole:
+        refuse_report(folder / SUMMARY_NAME, "is not the summary of a solve")
+    _refuse_unverified(printable(name), printable(status))
+    if len(frame) != sum(degrees or ()) + 1:
+        refuse_report(
+            folder / PLAN_NAME,
+            f"has {len(frame)} rows instead of one for each of the mesh's {sum(degrees or ()) + 1} "
+            "nodes, as after a solve with --rate",
+        )
+    try:
+        held = _trajectories(frame, tuple(degrees or ()))
+    except TranscriptionError as error:
+        refuse_report(folder, f"holds no mesh ({str(error).rstrip('.')})")
+    try:
+        scenario = Scenario.model_validate(summary["scenario_resolved"])
+        energy, passed = float(summary["energy_J"]), summary["passing_times_s"]
+        passing_times = tuple(float(time) for time in passed)
+    except (PyomoQuadError, KeyError, TypeError, ValueError):
+        refuse_report(folder / SUMMARY_NAME, "has no mission with which to fly the plan again")
+    refuse_unproven(scenario, held, energy, passing_times, TABLE, is_code_allowed=is_code_allowed)
+    return ProvenPlan(mission=scenario.lasting(held.horizon[1], passing_times), held=held)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Motion:
     """The state polynomials of a verified plan; world axes x, y and z up, SI units.
 
@@ -68,18 +141,7 @@ class Motion:
         ScenarioError
             If the plan is not verified, or the flight does not confirm it.
         """
-        held = plan.trajectories
-        _refuse_unverified(plan.scenario.name, plan.status.value)
-        refuse_unproven(
-            plan.scenario,
-            held,
-            plan.energy,
-            plan.passing_times_s,
-            EXACT,
-            None if plan.solution is None else plan.dynamics,
-            is_code_allowed=is_code_allowed,
-        )
-        return cls._along(plan.scenario.name, held)
+        return cls._along(_proven(plan, is_code_allowed=is_code_allowed))
 
     @classmethod
     def read(cls, path: str | Path, *, is_code_allowed: bool = False) -> Self:
@@ -92,50 +154,18 @@ class Motion:
         ScenarioError
             If there is no plan, it is damaged or not verified, or the flight does not confirm it.
         """
-        place = Path(path)
-        if place.is_dir():
-            return cls._of_report(place, is_code_allowed=is_code_allowed)
-        return cls.of(Plan.load(place), is_code_allowed=is_code_allowed)
+        return cls._along(read_proven(path, is_code_allowed=is_code_allowed))
 
     @classmethod
-    def _along(cls, name: str, held: Trajectories) -> Self:
+    def _along(cls, plan: ProvenPlan) -> Self:
+        held = plan.held
         return cls(
-            name=name,
+            name=plan.mission.name,
             times=held.node_times,
             states=held.states,
             names=held.state_names,
             degrees=held.mesh.degrees,
         )
-
-    @classmethod
-    def _of_report(cls, folder: Path, *, is_code_allowed: bool) -> Self:
-        summary, frame = read_report(folder)
-        name, status, degrees = (summary.get(key) for key in ("scenario", "status", "mesh"))
-        degrees = degrees.get("degrees") if isinstance(degrees, dict) else None
-        is_whole = isinstance(degrees, list) and all(type(degree) is int for degree in degrees)
-        if not isinstance(name, str) or not isinstance(status, str) or not is_whole:
-            refuse_report(folder / SUMMARY_NAME, "is not the summary of a solve")
-        _refuse_unverified(printable(name), printable(status))
-        if len(frame) != sum(degrees or ()) + 1:
-            refuse_report(
-                folder / PLAN_NAME,
-                f"has {len(frame)} rows instead of one for each of the mesh's "
-                f"{sum(degrees or ()) + 1} nodes, as after a solve with --rate",
-            )
-        try:
-            held = _trajectories(frame, tuple(degrees or ()))
-        except TranscriptionError as error:
-            refuse_report(folder, f"holds no mesh ({str(error).rstrip('.')})")
-        try:
-            scenario = Scenario.model_validate(summary["scenario_resolved"])
-            energy, passed = float(summary["energy_J"]), summary["passing_times_s"]
-            passing_times = tuple(float(time) for time in passed)
-        except (PyomoQuadError, KeyError, TypeError, ValueError):
-            refuse_report(folder / SUMMARY_NAME, "has no mission with which to fly the plan again")
-        refuse_unproven(
-            scenario, held, energy, passing_times, TABLE, is_code_allowed=is_code_allowed
-        )
-        return cls._along(scenario.name, held)
 
     @cached_property
     def mesh(self) -> Mesh:

@@ -10,7 +10,7 @@ compiled together with the vehicle.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from math import exp, inf, tan
+from math import acos, exp, inf, tan
 from typing import Protocol
 
 import numpy as np
@@ -465,6 +465,11 @@ def _shrink(vector: Sequence[float], reach: float) -> float:
     return 1 / np.sqrt(1 + (a * a + b * b + c * c) / reach**2)
 
 
+# Share of the roll and pitch allowed that is commanded: the rest is for the attitude's error, which
+# in light turbulence stayed within a degree.
+_SHARE_OF_TILT = 0.97
+# rad, of a vehicle whose thrust hardly carries it: with less nothing is left to steer with.
+_LEAST_TILT = 0.1
 # Share of the weight that the thrust must keep carrying: a falling quadrotor cannot steer.
 _LEAST_SUPPORT = 0.3
 
@@ -512,6 +517,19 @@ def tilt_toward(force: Sequence[float], yaw: float) -> tuple[float, float]:
 
 def _size(vector: Sequence[float]) -> float:
     return np.sqrt(_dot(vector, vector))
+
+
+def followed_tilt(believed: Scenario) -> float:
+    """Return the largest tilt [rad] that the controller asks for.
+
+    Unless `baseline.gains.tilt_max` is less, both angles at their limits give it; no more, though,
+    than leaves the thrust at its largest to carry the weight.
+    """
+    limits, gains, gravity = believed.limits, believed.baseline.gains, believed.gravity
+    spare = limits.thrust_max / believed.vehicle.total_mass - gravity
+    level = acos(gravity / (gravity + gains.thrust_share * max(spare, 0.0)))
+    allowed = min(limits.largest_tilt, max(level, _LEAST_TILT))
+    return allowed if gains.tilt_max is None else min(gains.tilt_max, limits.largest_tilt)
 
 
 class ThrustEnvelope:
@@ -631,11 +649,13 @@ class AdaptiveController:
             for moment, inertia in zip(available, self._inertia[:2], strict=True)
         )
         spare = limits.thrust_max / self._mass - believed.gravity
+        acceleration_max = believed.gravity + gains.thrust_share * spare
         self._envelope = ThrustEnvelope(
             gravity=believed.gravity,
-            acceleration_max=believed.gravity + gains.thrust_share * spare,
-            tilt_max=min(gains.tilt_max, limits.roll_max, limits.pitch_max),
+            acceleration_max=acceleration_max,
+            tilt_max=followed_tilt(believed),
         )
+        self._tilt_limits = _SHARE_OF_TILT * limits.roll_max, _SHARE_OF_TILT * limits.pitch_max
         self._position_loop, self._attitude_loop = _loops(believed)
         self._learnt = learnt if believed.baseline.adaptation else (0.0,) * _AXES
 
@@ -746,9 +766,13 @@ class AdaptiveController:
     ) -> tuple[list[float], list[float]]:
         """Return the commanded tilt acceleration and the rates of the filter's states."""
         angles, angle_rates = command[:2], command[2:]
+        targets = [
+            _clipped(angle, -limit, limit)
+            for angle, limit in zip(tilt_toward(force, yaw), self._tilt_limits, strict=True)
+        ]
         accelerations = []
         for target, angle, rate, most in zip(
-            tilt_toward(force, yaw), angles, angle_rates, self._tilt_acceleration_max, strict=True
+            targets, angles, angle_rates, self._tilt_acceleration_max, strict=True
         ):
             closing = braking_rate(target - angle, self._tilt_gain, most)
             accelerations.append(bend(_CRITICAL * self._tilt_gain * (closing - rate), most))

@@ -389,7 +389,7 @@ def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatAr
         values[:, : len(keys)] = dynamics.table(keys, times, states, controls)
         return values
 
-    if scenario.wind.varies_with_height:
+    if scenario.wind.varies_with_place:
         return lambda t, x: read(np.array([t]), x[None, :])[0]
     times = even_times(0.0, scenario.mission.fixed_duration, _WIND_RATE_HZ)
     still = np.zeros((len(times), len(dynamics.state_names)))
@@ -401,7 +401,7 @@ def refuse_pushing_wind(scenario: Scenario) -> None:
     """Refuse a wind that acts as an acceleration; RotorPy's wind acts on the airspeed."""
     wind = scenario.wind
     is_steady = bool(wind.speed or wind.vertical)
-    blows = is_steady or wind.series is not None or _blows(wind.x) or _blows(wind.y)
+    blows = is_steady or not wind.is_formula or _blows(wind.x) or _blows(wind.y)
     if wind.coupling is WindCoupling.ACCELERATION and blows:
         raise ScenarioError(
             f"{scenario.name}: wind.coupling = acceleration has no counterpart in RotorPy, whose "

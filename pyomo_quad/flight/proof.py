@@ -4,7 +4,7 @@ Ends and horizon must be those of the mission. The controls, flown by SciPy thro
 own equations, must reproduce the states of the file.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 
 import numpy as np
@@ -96,7 +96,8 @@ def refuse_unproven(
             dynamics = Planner(builder).dynamics(told)
         except TranscriptionError as error:
             raise ScenarioError(f"{scenario.name}: {error}") from None
-    states, controls = _as_flown(scenario, held, dynamics)
+    ordered = in_order(scenario, held, dynamics)
+    states, controls = ordered.states, ordered.controls
     if builder is build_model and scenario.model is None:
         _refuse_other_ends(scenario, dynamics, states, allowed)
     waypoints = zip(scenario.mission.waypoints, passing_times_s, strict=True)
@@ -167,10 +168,14 @@ def _refuse_other_times(
             )
 
 
-def _as_flown(
-    scenario: Scenario, held: Trajectories, dynamics: Dynamics
-) -> tuple[FloatArray, FloatArray]:
-    """Return states and controls in the order of the dynamics; unknown later states are NaN."""
+def in_order(scenario: Scenario, held: Trajectories, dynamics: Dynamics) -> Trajectories:
+    """Return a plan in the order of the dynamics; states that are known at the start only are NaN.
+
+    Raises
+    ------
+    ScenarioError
+        If a control is missing, or the start of a state.
+    """
     missing = set(dynamics.control_names) - set(held.control_names)
     if missing:
         raise ScenarioError(
@@ -189,7 +194,13 @@ def _as_flown(
                 f"{scenario.name}: the initial value of state {name} is unknown; export the file "
                 "of Plan.save."
             )
-    return states, held.controls[:, [held.control_names.index(n) for n in dynamics.control_names]]
+    return replace(
+        held,
+        state_names=dynamics.state_names,
+        control_names=dynamics.control_names,
+        states=states,
+        controls=held.controls[:, [held.control_names.index(n) for n in dynamics.control_names]],
+    )
 
 
 def _refuse_other_ends(

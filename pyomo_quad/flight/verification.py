@@ -23,10 +23,12 @@ from pyomo_quad.flight.flight import (
     terminal_miss_of,
 )
 from pyomo_quad.flight.integration import integrate
+from pyomo_quad.model.wind_field import unknown_wind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from pyomo_quad.scenario import Scenario
     from pyomo_quad.scenario.airspace import Airspace
 
 
@@ -280,6 +282,17 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
     *needed, given = dynamics.table(keys, flown.t, flown.states, steady).T
     highest = np.max(needed, axis=0)
     return float(np.max((highest - given) / np.maximum(_STANDSTILL_V, highest)))
+
+
+def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
+    """Return one line on where a flight leaves the wind field that its plan was told, or nothing.
+
+    A flight of a model without places leaves nothing.
+    """
+    if not set(POSITION_STATES) <= set(dynamics.state_names):
+        return ""
+    columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
+    return unknown_wind(scenario.as_forecast(), flown.t, flown.states[:, columns])
 
 
 def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:

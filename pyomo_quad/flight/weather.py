@@ -6,14 +6,26 @@ is an independent normal number with the standard deviation stated in the scenar
 
 from math import cos, hypot, sin
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pyomo_quad.collocation import Dynamics, Problem, compile
+from pyomo_quad.flight.ensemble import Draws
 from pyomo_quad.flight.planning import Planner
 from pyomo_quad.flight.recent import Recent
 from pyomo_quad.model import build_in_turbulence, parameter_values, structure_key
 from pyomo_quad.model.build import guess_key
 from pyomo_quad.model.limits import without_reserve
-from pyomo_quad.model.turbulence import Gusts, mean_wind, turbulence_values
+from pyomo_quad.model.turbulence import (
+    FILTER_STATES,
+    NOISE,
+    Gusts,
+    mean_wind,
+    turbulence_values,
+)
 from pyomo_quad.scenario import Scenario
+
+FloatArray = NDArray[np.float64]
 
 # Missions as planned and as flown at a cruise speed, with one neighbour each.
 _MOST = 4
@@ -38,6 +50,54 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
     return problem_in_turbulence(scenario).dynamics(
         parameters={**numbers, **noise}, horizon=(0.0, end)
     )
+
+
+def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[Dynamics, Draws]:
+    """Draw the winds, masses and powers of many flights.
+
+    Where the forecast states how far it errs, each flight has a wind of its own round it; else all
+    flights have the wind that blows.
+
+    Returns
+    -------
+    Dynamics
+        The vehicle without any error and gust.
+    Draws
+        Of each flight, the same for a seed and a number of the flight whatever the count and the
+        duration.
+    """
+    told = scenario.as_forecast().wind
+    if told.speed_deviation or told.direction_deviation:
+        scenario = as_expected(scenario)
+    changes = unknowns(planner, scenario)
+    if scenario.wind.turbulence is None and not changes:
+        return planner.dynamics(scenario), Draws(count=count)
+    end = scenario.mission.fixed_duration
+    given = without_reserve(parameter_values(scenario) | turbulence_values(scenario)) or {}
+    dynamics = problem_in_turbulence(scenario).dynamics(parameters=given, horizon=(0.0, end))
+    errors = np.array(
+        [
+            np.random.default_rng((seed, k, _OF_ERRORS)).standard_normal(len(changes))
+            for k in range(count)
+        ]
+    )
+    numbers: dict[str, FloatArray] = {}
+    for change, error in zip(changes, errors.T, strict=True):
+        for name, size in change.items():
+            numbers[name] = numbers.get(name, given.get(name, 0.0)) + size * error
+    gusts = [Gusts((seed, k)) for k in range(count)]
+    noise = np.stack([gust.noise(end) for gust in gusts], axis=-1)
+    start = [gust.start for gust in gusts]
+    return dynamics, Draws(
+        count=count,
+        numbers=numbers,
+        noise=dict(zip(NOISE, np.swapaxes(noise, 0, 1), strict=True)),
+        start={name: np.array([begun[name] for begun in start]) for name in FILTER_STATES},
+    )
+
+
+# Tells the generator of a flight's errors from that of its gusts.
+_OF_ERRORS = 1
 
 
 def problem_in_turbulence(scenario: Scenario) -> Problem:

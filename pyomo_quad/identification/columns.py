@@ -37,5 +37,5 @@ CRUISE = 2
 
 def wanted_columns(columns: Mapping[str, LogColumn] = COLUMNS) -> str:
     """List the columns of a table with their units, on one line."""
-    told = (f"{name} [{column.unit}]" if column.unit else name for name, column in columns.items())
+    told = (f"{name} ({column.unit})" if column.unit else name for name, column in columns.items())
     return f"the columns are {', '.join(told)}"

@@ -43,7 +43,8 @@ FITTABLE = (
     "drag_quadratic",
 )
 _POWER_BLOCK, _VEHICLE_BLOCK = "power.", "vehicle."
-_OF_MOTION = ("drag_linear", "drag_quadratic")
+# Parameters that the motion depends on -> the power of the airspeed that they multiply.
+_OF_MOTION = {"drag_linear": 1, "drag_quadratic": 2}
 # Length of a window, s: long compared with the noise of airspeed and acceleration.
 _WINDOW_S = 10.0
 # Residual, W, above which a window counts linearly instead of quadratically.
@@ -146,6 +147,9 @@ class Fit:
         self.names = tuple(names)
         self.base = np.array([getattr(scenario.vehicle, name) for name in names])
         self.bounds = np.array([_bounds(name) for name in names]).T.reshape(2, len(self.names))
+        for k, name in enumerate(self.names):
+            if name in _OF_MOTION:
+                self.bounds[1, k] = _most_drag(scenario, self.frame, _OF_MOTION[name])
         self._window = _windows(self.frame)
         self._measured = self.frame[POWER].to_numpy()
 
@@ -215,7 +219,7 @@ def component(name: str) -> str:
 
 def _robust(residual: object, start: FloatArray, bounds: FloatArray) -> FloatArray:
     low, high = bounds
-    inside = np.clip(start, low + _NEAR_BOUND, high - _NEAR_BOUND)
+    inside = np.clip(start, low + _NEAR_BOUND, np.maximum(high - _NEAR_BOUND, low + _NEAR_BOUND))
     found = least_squares(
         residual, inside, bounds=bounds, loss="soft_l1", f_scale=_LARGE_RESIDUAL_W
     )
@@ -226,6 +230,13 @@ def _bounds(name: str) -> tuple[float, float]:
     limits = {type(m).__name__: m for m in Vehicle.model_fields[name].metadata}
     low, high = limits.get("Ge"), limits.get("Le")
     return (0.0 if low is None else float(low.ge), np.inf if high is None else float(high.le))
+
+
+def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
+    """Return the drag number that tilts level flight at the greatest airspeed by 45 degrees."""
+    north, east = (frame[name].to_numpy() for name in AIR_VELOCITY)
+    fastest = float(np.hypot(north, east).max()) * scenario.vehicle.anemometer_factor
+    return scenario.vehicle.mass * scenario.gravity / max(fastest, 1.0) ** power
 
 
 def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
@@ -302,7 +313,7 @@ def identify(
     if len(flights) < 2:
         raise ScenarioError(
             "logs: one flight only; identification needs at least two flights, one of them for "
-            "validation, and is better with more."
+            "validation, and is better with more; or give points of steady flight by --steady."
         )
     motion = LoggedMotion(scenario, frame)
     asked = Fit(motion, scenario, names)

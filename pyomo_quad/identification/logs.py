@@ -48,8 +48,8 @@ _MOST: Mapping[str, tuple[float, str]] = {
     VOLTAGE: (1e3, "millivolts"),
     CURRENT: (2e3, "milliamperes"),
 }
-# Bounds on a flight's median power, W/kg: a multirotor hovers at 100 to 300 W/kg.
-_MOST_POWER_PER_KG, _LEAST_POWER_PER_KG = 5e3, 5.0
+#: Bounds on a flight's median power, W/kg: a multirotor hovers at 100 to 300 W/kg.
+MOST_POWER_PER_KG, LEAST_POWER_PER_KG = 5e3, 5.0
 # Payload relative to the vehicle's own mass above which the column must be in grams.
 _MOST_PAYLOAD = 20.0
 # Ranges that every row must keep.
@@ -380,9 +380,9 @@ def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         power, payload = float(rows[POWER].median()), float(rows[PAYLOAD].median())
         wrong = None
-        if power > _MOST_POWER_PER_KG * mass_kg:
+        if power > MOST_POWER_PER_KG * mass_kg:
             wrong = POWER, f"{power:.4g} W", "milliwatts; divide"
-        elif power < _LEAST_POWER_PER_KG * mass_kg:
+        elif power < LEAST_POWER_PER_KG * mass_kg:
             wrong = POWER, f"{power:.4g} W", "kilowatts; multiply"
         elif payload > _MOST_PAYLOAD * mass_kg:
             wrong = PAYLOAD, f"{payload:.4g} kg", "grams; divide"

@@ -6,7 +6,7 @@ A point is a flight without acceleration, so the declared equations give its pow
 log.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from pyomo_quad.identification.columns import (
     wanted_columns,
 )
 from pyomo_quad.identification.fitting import Fit, confounded, undetermined
+from pyomo_quad.identification.logs import LEAST_POWER_PER_KG, MOST_POWER_PER_KG
 from pyomo_quad.identification.motion import LoggedMotion
 from pyomo_quad.identification.validation import FloatArray
 from pyomo_quad.scenario import Scenario, ScenarioError
@@ -53,6 +54,8 @@ _MOST_POINTS = 10_000
 _READING_ERROR = 0.05
 # Points per fitted number below which the residual is inconclusive.
 _FEW_PER_NUMBER = 3
+# Distance from the end of its range, as a share, at which a number counts as being at that end.
+_AT_BOUND = 1e-5
 # Seconds between the two equal rows that represent a point.
 _STEP_S = 1.0
 
@@ -66,6 +69,7 @@ class SteadyParameter:
     value: float
     deviation: float
     is_determined: bool
+    is_at_bound: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +112,30 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
     ScenarioError
         If the file cannot be read, or a value is not possible in flight.
     """
-    frame = _read_csv(file)
+    points = filled_in(_read_csv(file), scenario)
+    for name in points:
+        column = points[name]
+        least = 0.0 if name in {POWER, DENSITY} else -np.inf
+        wrong = ~np.isfinite(column) | (column <= least)
+        if wrong.any():
+            row = int(wrong.to_numpy().argmax())
+            raise ScenarioError(
+                f"{printable(str(file))}: {name} = {column.iloc[row]:g} in row {row + 1}; must be "
+                f"a number{' > 0' if least == 0.0 else ''}; correct the row or leave it out."
+            )
+    usual, mass = float(points[POWER].median()), scenario.vehicle.mass
+    if not LEAST_POWER_PER_KG <= usual / mass <= MOST_POWER_PER_KG:
+        unit = "kilowatts; multiply" if usual < mass else "milliwatts; divide"
+        raise ScenarioError(
+            f"{printable(str(file))}: {POWER} has a median of {usual:.4g} W for a vehicle of "
+            f"{mass:.4g} kg, which must be {unit} it by 1000."
+        )
+    return points
+
+
+def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
+    """Return steady points with every column, an endurance turned into a power."""
+    frame = frame.copy()
     if POWER not in frame:
         steady = Planner().steady_flight(scenario)
         stored = USED_SHARE * steady.stored_energy(1.0, _SAMPLES)
@@ -119,18 +146,7 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
         if name not in frame:
             frame[name] = value
     names = [POWER, AIRSPEED, PAYLOAD, CLIMB, DENSITY]
-    points = frame[names].astype(float)
-    for name in names:
-        column = points[name]
-        least = 0.0 if name in {POWER, DENSITY} else -np.inf
-        wrong = ~np.isfinite(column) | (column <= least)
-        if wrong.any():
-            row = int(wrong.to_numpy().argmax())
-            raise ScenarioError(
-                f"{printable(str(file))}: {name} = {column.iloc[row]:g} in row {row + 1}; must be "
-                f"a number{' > 0' if least == 0.0 else ''}; correct the row or leave it out."
-            )
-    return points
+    return frame[names].astype(float)
 
 
 def _read_csv(file: Path) -> pd.DataFrame:
@@ -209,12 +225,13 @@ def identify_steady(
             unseen[k] = fit.power(fit.over(flights != k, values))[2 * k]
     spread = _deviations(fit, values, power, points) if kept else np.zeros(0)
     found = dict(zip(kept, zip(values, spread, strict=True), strict=True))
+    bounds = dict(zip(kept, fit.bounds.T.tolist(), strict=True))
     return SteadyFit(
         scenario=scenario.with_values(
             {f"vehicle.{n}": float(v) for n, v in zip(kept, values, strict=True)}
         ),
         points=points,
-        parameters=tuple(_parameter(name, scenario, found) for name in names),
+        parameters=tuple(_parameter(name, scenario, found, bounds) for name in names),
         power=power,
         unseen=unseen,
         together=confounded(asked, [name for name in names if name not in found]),
@@ -223,16 +240,21 @@ def identify_steady(
 
 
 def _parameter(
-    name: str, scenario: Scenario, found: dict[str, tuple[float, float]]
+    name: str,
+    scenario: Scenario,
+    found: Mapping[str, tuple[float, float]],
+    bounds: Mapping[str, Sequence[float]],
 ) -> SteadyParameter:
     base = float(getattr(scenario.vehicle, name))
     value, deviation = found.get(name, (base, 0.0))
+    low, high = bounds.get(name, (-np.inf, np.inf))
     return SteadyParameter(
         name=name,
         base=base,
         value=float(value),
         deviation=float(deviation),
         is_determined=name in found,
+        is_at_bound=bool(min(value - low, high - value) <= _AT_BOUND * max(1.0, abs(value))),
     )
 
 

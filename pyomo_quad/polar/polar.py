@@ -18,6 +18,7 @@ from scipy.optimize import minimize_scalar
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import SteadyFlight, Trim
+from pyomo_quad.model.wind_field import mean_of_field
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.wind import USUAL_HEIGHT
 
@@ -211,8 +212,14 @@ def find_polar(scenario: Scenario) -> Polar:
 
 
 def mean_wind(scenario: Scenario) -> tuple[float, float]:
-    """Return the mean wind along world x and y [m/s], at the reference height of a profile."""
+    """Return the mean wind along world x and y [m/s], at the reference height of a profile.
+
+    That of a field is its mean over all places that have wind.
+    """
     wind = scenario.wind
+    if wind.grid is not None:
+        of_field = mean_of_field(scenario, wind.grid)
+        return float(of_field[0]), float(of_field[1])
     if wind.series is not None:
         heights = wind.series.heights or (USUAL_HEIGHT,)
         along_x, along_y = (

@@ -88,7 +88,7 @@ def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) 
     for (across, up, title), box in zip(_PROJECTIONS, boxes, strict=True):
         axes = figure.add_axes(box)
         if mission is not None:
-            _draw_mission(axes, mission, (across, up))
+            draw_mission(axes, mission, (across, up))
         _draw_projection(axes, flights, limits, (across, up), title)
     legend_below(figure, space)
     return figure
@@ -129,7 +129,7 @@ def draw_space(
         axis.set_major_locator(MaxNLocator(nbins=most, steps=TICK_STEPS))
         axis.set_pane_color("white")
         is_along = side == sides.max() and sides.min() < _FLAT * side
-        axis.set_label_text("\n" * (2 * is_along) + _axis_label(signal))
+        axis.set_label_text("\n" * (2 * is_along) + axis_label(signal))
         axis.labelpad = -4
         axis.set_tick_params(pad=-2)
         axis._axinfo["grid"].update(color="#e4e4e4", linewidth=0.5)  # noqa: SLF001
@@ -205,7 +205,7 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
     )
 
 
-def _draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> None:
+def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> None:
     """Draw zones, floor, ceiling and waypoints as seen along an axis."""
     airspace = mission.airspace
     for zone in airspace.keep_out:
@@ -251,7 +251,7 @@ def _draw_projection(
     for end, _, shape in _ends(flights[0]):
         axes.plot(*end[chosen, None], marker=shape, color=INK, markersize=6, linestyle="none")
     across, up = (POSITION[direction] for direction in directions)
-    axes.set(xlabel=_axis_label(across), ylabel=_axis_label(up), title=f"Seen {title}")
+    axes.set(xlabel=axis_label(across), ylabel=axis_label(up), title=f"Seen {title}")
     box = axes.get_position()  # the figure is square
     wide, high = np.ptp(limits[chosen], axis=1)
     scale = max(wide / box.width, high / box.height) / 2
@@ -284,7 +284,8 @@ def _marker(flight: StyledFlight) -> dict[str, Any]:
     }
 
 
-def _axis_label(signal: Column) -> str:
+def axis_label(signal: Column) -> str:
+    """Return the symbol of a column and its unit, as beside an axis of a path."""
     return f"${signal.symbol}$ ({signal.unit})"
 
 

@@ -113,7 +113,7 @@ def _fields(table: BaseModel, prefix: FieldPath = ()) -> Iterator[tuple[FieldPat
 # Keys that `quantity` adds to a field for messages; editors do not know them.
 _NOTES = ("unit", "allowed", "example", "other_names", "sound", "is_late", "unit_keys")
 # Read from a named file, never written by hand.
-_DERIVED = ("series",)
+_DERIVED = ("series", "grid")
 _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
 
 
@@ -154,7 +154,8 @@ def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...])
         }
         table["properties"] = {name: _for_editors(field) for name, field in fields.items()}
         table["properties"] |= in_units
-    definitions.pop("WindSeries", None)
+    for name in ("WindSeries", "WindGrid"):
+        definitions.pop(name, None)
     return {
         "$schema": "http://json-schema.org/draft-07/schema#",
         **schema,

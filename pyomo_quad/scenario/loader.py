@@ -6,7 +6,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from pyomo_quad.scenario.fields import FieldPath, depth, leaves, parse_path, spell
-from pyomo_quad.scenario.messages import ScenarioError, printable, shown
+from pyomo_quad.scenario.messages import ScenarioError, listed, printable, shown
 from pyomo_quad.scenario.resolution import (
     DEEPEST_NESTING,
     Origin,
@@ -18,6 +18,11 @@ from pyomo_quad.scenario.schema import Scenario
 
 # Name in messages of a scenario that was not read from a file.
 _MAPPING = "scenario"
+# What is read from a file of the wind, and where that file is named.
+_READ_FROM = {
+    "series": "a CSV file in wind.file",
+    "grid": "a NetCDF, CSV or Parquet file in wind.field",
+}
 _BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
@@ -91,21 +96,45 @@ def scenario_from_mapping(
     return _from_written(Origin(source=source, folder=folder or FilePath(), document=tables))
 
 
+def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
+    """Return a scenario with ``PATH=VALUE`` fields changed, as `--set` takes them.
+
+    Raises
+    ------
+    ScenarioError
+        If a field or a value is not allowed.
+    """
+    parsed = _parsed(overrides)
+    return scenario.with_values({spell(p): v for p, v in parsed.items()}) if parsed else scenario
+
+
 def _from_written(origin: Origin) -> Scenario:
     written = (*(path for path, _ in leaves(origin.document)), *origin.assignments)
     for path in written:
-        if path[0] == "wind" and "series" in path:
+        derived = next((name for name in _READ_FROM if name in path), None)
+        if path[0] == "wind" and derived is not None:
             where = origin.label if path in origin.assignments else origin.source
             raise ScenarioError(
-                f"{where}: {shown(spell(path))[1:-1]} is not set by hand; name a CSV file in "
-                "wind.file."
+                f"{where}: {shown(spell(path))[1:-1]} is not set by hand; name "
+                f"{_READ_FROM[derived]}."
             )
     return Scenario.from_origin(origin)
 
 
 def _parsed(overrides: Sequence[str]) -> dict[FieldPath, Any]:
     texts = (overrides,) if isinstance(overrides, str) else overrides
-    return dict(_parse_override(text) for text in texts)
+    found: dict[FieldPath, Any] = {}
+    lines: list[str] = []
+    for text in texts:
+        try:
+            path, value = _parse_override(text)
+        except ScenarioError as error:
+            lines.append(str(error))
+        else:
+            found[path] = value
+    if lines:
+        raise ScenarioError(listed(lines))
+    return found
 
 
 def _mapped(overrides: Mapping[str, Any]) -> dict[FieldPath, Any]:

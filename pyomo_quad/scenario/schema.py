@@ -348,7 +348,8 @@ class Scenario(Part):
 
     def _airspace_complaints(self) -> Iterator[str]:
         for field, place in self.mission.named_positions:
-            for complaint_of_place in self.airspace.complaints(place):
+            told = self.as_forecast().wind
+            for complaint_of_place in (*self.airspace.complaints(place), *told.complaints(place)):
                 yield f"{field} = {shown(list(place))} m {complaint_of_place}."
 
     def _replanning_complaints(self) -> Iterator[str]:

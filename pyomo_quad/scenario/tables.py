@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from enum import StrEnum
-from math import pi
+from math import acos, cos, pi
 from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
@@ -65,10 +65,11 @@ class Gains(Part):
     acceleration_max: Number = quantity(
         "m/s^2", "largest correcting acceleration", 2.0, gt=0, sound=_FORCE
     )
-    tilt_max: Number = quantity(
+    tilt_max: Number | None = quantity(
         "rad",
-        "largest tilt asked of the attitude loop",
-        0.5,
+        "largest tilt asked of the attitude loop, what the limits of roll, pitch and thrust allow "
+        "when absent",
+        None,
         gt=0,
         lt=1.5,
         sound=Sound(1e-3, 1.5, "below 0.001 rad the vehicle cannot be steered"),
@@ -492,6 +493,11 @@ class Limits(Part):
         le=1,
         is_late=True,
     )
+
+    @property
+    def largest_tilt(self) -> float:
+        """Tilt of the thrust with roll and pitch both at their limits, rad."""
+        return acos(cos(self.roll_max) * cos(self.pitch_max))
 
 
 #: Limits that follow from the rotors' greatest speed.

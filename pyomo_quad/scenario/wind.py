@@ -4,9 +4,11 @@ The wind is a formula of time, or a measured series. The air density follows fro
 temperature, and the aerodynamic coefficients of the vehicle are proportional to it.
 """
 
-from collections.abc import Mapping
+from base64 import b64decode, b64encode
+from collections.abc import Iterator, Mapping
 from enum import StrEnum
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
+from zlib import compress, decompress
 
 from pydantic import ValidationError, model_validator
 
@@ -23,6 +25,13 @@ from pyomo_quad.scenario.fields import (
     set_value,
     spell,
 )
+from pyomo_quad.scenario.messages import shown
+
+if TYPE_CHECKING:
+    from numpy import bool_, float64
+    from numpy.typing import ArrayLike, NDArray
+
+    FloatArray = NDArray[float64]
 
 #: m/s. A third above the strongest gust measured, on Barrow Island in 1996 (WMO).
 LARGEST_WIND = 150.0
@@ -177,6 +186,65 @@ class Turbulence(Part):
         return WIND_AT_6_M[self.intensity] if self.intensity else self.wind_at_6_m or 0.0
 
 
+class Beyond(StrEnum):
+    """What holds where a wind field says nothing: beyond its grid, or in a cell without wind."""
+
+    REFUSE = "refuse"
+    HOLD = "hold"
+
+
+class WindGrid(Part):
+    """A wind on a rectilinear grid, read and validated from `wind.field`."""
+
+    x: tuple[Number, ...] = quantity("m", "places along world x, rising")
+    y: tuple[Number, ...] = quantity("m", "places along world y, rising")
+    z: tuple[Number, ...] = quantity("m", "heights, rising; none where the field has one alone", ())
+    times: tuple[Number, ...] = quantity("s", "times, rising; none in a steady field", ())
+    speeds: Text = quantity(
+        "",
+        "wind toward +x, +y and, where it is known, +z at each place, not a number where there is "
+        "none: doubles in the order of component, x, y, z, time, least byte first, compressed by "
+        "zlib and written in base64",
+    )
+
+    @property
+    def axes(self) -> tuple[tuple[float, ...], ...]:
+        """The points of each argument that the wind depends on: x, y, then height and time."""
+        return tuple(axis for axis in (self.x, self.y, self.z, self.times) if axis)
+
+    @property
+    def components(self) -> "FloatArray":
+        """The wind toward +x, +y and, where it is known, +z, with one axis for each argument."""
+        import numpy as np  # noqa: PLC0415  reading a scenario does without it
+
+        held = np.frombuffer(decompress(b64decode(self.speeds)), dtype="<f8")
+        return held.reshape((-1, *map(len, self.axes)))
+
+    @staticmethod
+    def packed(components: "FloatArray") -> str:
+        """Return components as the text of `speeds`."""
+        return b64encode(compress(components.astype("<f8").tobytes(), level=1)).decode("ascii")
+
+    def is_known(self, places: "ArrayLike", times: "ArrayLike") -> "NDArray[bool_]":
+        """Say of places of shape (n, 3) at n wind times if the grid's nearest point has wind."""
+        import numpy as np  # noqa: PLC0415  see `components`
+
+        at, when = np.atleast_2d(places), np.broadcast_to(times, len(np.atleast_2d(places)))
+        told = zip((self.x, self.y, self.z, self.times), (*at.T, when), strict=True)
+        inside: NDArray[bool_] = np.ones(len(at), dtype=bool)
+        nearest = []
+        for points, held in ((np.array(axis), held) for axis, held in told if axis):
+            slack = _GRID_SLACK * (points[-1] - points[0])
+            inside &= (held >= points[0] - slack) & (held <= points[-1] + slack)
+            nearest.append(np.searchsorted((points[:-1] + points[1:]) / 2, held))
+        has_wind = np.asarray(np.isfinite(self.components).all(axis=0))
+        return inside & has_wind[tuple(nearest)]
+
+
+# Of the extent of a grid: a place this little outside is on its border.
+_GRID_SLACK = 1e-6
+
+
 class Wind(Part):
     """The wind in world axes."""
 
@@ -220,6 +288,29 @@ class Wind(Part):
         None,
     )
     series: WindSeries | None = quantity("", "the wind read from file", None)
+    field: Text | None = quantity(
+        "",
+        "file of a wind that varies from place to place, in place of eq. (11)-(12): NetCDF with CF "
+        "names and units, or CSV or Parquet with the columns x_m,y_m, perhaps z_m and time_s, then "
+        "wind_x_m_per_s,wind_y_m_per_s and perhaps wind_z_m_per_s",
+        None,
+        is_late=True,
+    )
+    field_scale: Number = quantity(
+        "1",
+        "factor on the wind of the field",
+        1.0,
+        sound=Sound(-1e3, 1e3, "a field of a thousandth of its wind is calm air"),
+        is_late=True,
+    )
+    beyond: Beyond = quantity(
+        "",
+        "where a flight leaves the field or enters a cell without wind: refuse the plan, or hold "
+        "the nearest wind",
+        Beyond.REFUSE,
+        is_late=True,
+    )
+    grid: WindGrid | None = quantity("", "the wind read from field", None, is_late=True)
     x: WindAxis = quantity("", "wind toward +x")
     y: WindAxis = quantity("", "wind toward +y")
     vertical: Number = quantity(
@@ -255,9 +346,15 @@ class Wind(Part):
     )
 
     @property
-    def varies_with_height(self) -> bool:
-        """Whether the horizontal wind depends on the height of the vehicle."""
-        return self.profile is not None or bool(self.series and self.series.heights)
+    def is_formula(self) -> bool:
+        """Whether the wind is that of eq. (11)-(12), and not read from a file."""
+        return self.series is None and self.grid is None
+
+    @property
+    def varies_with_place(self) -> bool:
+        """Whether the wind depends on where the vehicle flies."""
+        has_heights = bool(self.series and self.series.heights)
+        return self.profile is not None or has_heights or self.grid is not None
 
     @model_validator(mode="after")
     def _has_one_profile(self) -> Self:
@@ -265,7 +362,30 @@ class Wind(Part):
             raise ValueError(
                 "profile has no part in a wind whose file has heights; leave profile out"
             )
+        if self.profile is not None and self.grid is not None and self.grid.z:
+            raise ValueError(
+                "profile has no part in a wind whose field has heights; leave profile out"
+            )
+        if self.file is not None and self.field is not None:
+            raise ValueError("file and field both give the wind; leave one out")
+        idle = "field_scale" if self.field_scale != 1.0 else "beyond"
+        is_idle = self.field_scale != 1.0 or self.beyond is not Beyond.REFUSE
+        if is_idle and self.field is None and self.grid is None:
+            raise ValueError(f"{idle} has no part in a wind without field; leave {idle} out")
         return self
+
+    def complaints(self, place: tuple[float, float, float]) -> Iterator[str]:
+        """Yield why the wind at a place is not known at any time of its field."""
+        if self.grid is None or self.beyond is Beyond.HOLD:
+            return
+        times = self.grid.times or (0.0,)
+        if not self.grid.is_known([place] * len(times), times).any():
+            ends = zip("xyz", (self.grid.x, self.grid.y, self.grid.z), strict=True)
+            within = ", ".join(f"{name} {at[0]:g} to {at[-1]:g}" for name, at in ends if at)
+            yield (
+                f"has no wind in wind.field = {shown(str(self.field))}, of {within} m with missing "
+                'cells left out; move it, give more of the field, or set wind.beyond = "hold"'
+            )
 
     @model_validator(mode="before")
     @classmethod

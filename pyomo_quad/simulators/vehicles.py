@@ -18,7 +18,6 @@ from pyomo_quad.scenario.messages import shown
 #: Sets of RotorPy with four rotors in a cross, with the mass [kg] and the length [m] of a rotor.
 _ROTORS = {"hummingbird": (6e-3, 0.2), "crazyflie": (2e-4, 0.046)}
 NAMES = tuple(_ROTORS)
-_BASE = "dji_phantom_2"
 
 
 class Said(NamedTuple):
@@ -81,10 +80,10 @@ def vehicle_fields(name: str) -> dict[str, Said]:
 def vehicle_file(name: str) -> str:
     """Return a vehicle file of a RotorPy parameter set, each number with its source."""
     lines = [
-        f"# {MARK}: the {name} of RotorPy. RotorPy has no motor constants: those of",
-        f'# {_BASE} are used here, so that only power.model = "shaft" is meaningful.',
+        f"# {MARK}: the {name} of RotorPy. RotorPy has no motor constants and no",
+        "# pack: the estimates of the library's vehicle of that name are used here.",
         "",
-        f'use = "{_BASE}"',
+        f'use = "{name}"',
     ]
     for path, (value, source) in vehicle_fields(name).items():
         written = json.dumps(value if isinstance(value, str | list) else float(value))

@@ -396,8 +396,9 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
             "power.model efficiency has no bound: its power is not convex in the rotor "
             "acceleration, so flights that accelerate and coast in turn can undercut it."
         )
-    if scenario.wind.varies_with_height:
-        yield ("no bound is known in a wind that varies with height: its mean depends on the path.")
+    if scenario.wind.varies_with_place:
+        what = "height" if scenario.wind.grid is None else "place"
+        yield f"no bound is known in a wind that varies with {what}: its mean depends on the path."
     if acts_in_body_axes(scenario):
         yield (
             "no bound is known for aerodynamic forces in body axes, which depend on attitude and "

@@ -1,7 +1,7 @@
 """Checks of a mission and of its plan: impossible demands, and cautions about the results."""
 
 from collections.abc import Iterator
-from math import acos, atan2, cos, hypot, inf, pi, radians, sin
+from math import atan2, hypot, inf, pi, radians, sin
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.columns import ROTORS
+from pyomo_quad.flight.controller import followed_tilt
 from pyomo_quad.flight.deadline import TimeIsUpError
 from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, position_miss, terminal_miss_of
 from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight, battery_shortfalls
@@ -204,8 +205,8 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
         )
         return
     yield from _yaw_findings(scenario, steady)
-    if scenario.wind.varies_with_height:
-        return  # the thrust needed depends on the heights that the plan chooses
+    if scenario.wind.varies_with_place:
+        return  # the thrust needed depends on the way that the plan chooses
     demand = MomentumDemand(planner.dynamics(scenario))
     if demand.is_linear:
         yield from _thrust_findings(scenario, steady, demand)
@@ -303,7 +304,7 @@ def _tilt_findings(
 ) -> Iterator[Finding]:
     limits = scenario.limits
     # The allowed attitude with the largest tilt has roll and pitch at their limits.
-    largest = acos(cos(limits.roll_max) * cos(limits.pitch_max))
+    largest = limits.largest_tilt
     across, up = hypot(*moments.mean_thrust[:2]), float(moments.mean_thrust[2])
     tilt = atan2(across, up)
     subject = "limits.roll_max" if limits.roll_max < limits.pitch_max else "limits.pitch_max"
@@ -374,6 +375,7 @@ def check_mission(
             findings += pack_findings(told, planner)
         findings += power_findings(told, planner.steady_flight(told))
         findings += _idle_limits(told)
+        findings += _tilt_left_to_plans(told)
     findings += _beyond_measured_heights(told)
     findings += screen_model(planner.model(told))
     return tuple(sorted(findings, key=lambda f: list(Severity).index(f.severity)))
@@ -424,6 +426,39 @@ def _idle_limits(scenario: Scenario) -> Iterator[Finding]:
             )
 
 
+def _tilt_left_to_plans(scenario: Scenario) -> Iterator[Finding]:
+    """Yield a caution if plans may tilt further than the controller that is to follow them."""
+    given, without = scenario.baseline.gains.tilt_max, {"baseline.gains.tilt_max": None}
+    allowed = followed_tilt(scenario.with_values(without)) if given is not None else 0.0
+    if given is not None and given < allowed * (1 - _ROUNDING):
+        yield _caution(
+            "baseline.gains.tilt_max",
+            f"{given:.4g} rad: plans may tilt by {allowed:.4g} rad, as limits.roll_max, "
+            "limits.pitch_max and the thrust allow, and the controller would fall behind; leave it "
+            "out.",
+        )
+
+
+def _untracked_tilt(plan: "Plan") -> Iterator[str]:
+    """Yield a caution if a plan tilts further than the controller that is to follow it."""
+    held = plan.trajectories
+    if plan.verification is None or not set(_ANGLES) <= set(held.state_names):
+        return
+    roll, pitch = (held.states[:, held.state_names.index(name)] for name in _ANGLES)
+    tilt = float(np.arccos(np.cos(roll) * np.cos(pitch)).max())
+    most = followed_tilt(plan.scenario)
+    if tilt > most + _SAME_TILT:
+        yield (
+            f"the plan tilts by up to {tilt:.4g} rad, the controller by at most {most:.4g} rad, "
+            "so flights under feedback fall behind; raise baseline.gains.tilt_max, or lower "
+            "limits.roll_max and limits.pitch_max."
+        )
+
+
+_ANGLES = "rigid_body.phi", "rigid_body.theta"
+# rad, by which a plan may tilt further for moments without a flight falling behind.
+_SAME_TILT = 0.02
+
 _TORQUE = "rotors.motor_torque"
 _EFFICIENCY = "power.efficiency_polynomial"
 
@@ -437,6 +472,7 @@ def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[st
         *(() if plan.solution is None else plan.solution.warnings),
         *_efficiency_map_cautions(plan),
         *_attitude_cautions(plan, planner),
+        *_untracked_tilt(plan),
     )
 
 

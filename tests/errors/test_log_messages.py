@@ -195,7 +195,7 @@ def test_files_that_are_no_logs(tmp_path, capsys, monkeypatch):
     other.write_text("x")
     said = refused(capsys, other)
     assert "is not a log; give a .parquet, .csv, PX4 .ulg or ArduPilot .BIN file." in said
-    assert "Of a log the columns are flight, time_s [s], phase" in said
+    assert "Of a log the columns are flight, time_s (s), phase" in said
     whole = tmp_path / "whole.parquet"
     three().to_parquet(whole)
     half = tmp_path / "half.parquet"

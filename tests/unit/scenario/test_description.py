@@ -68,10 +68,11 @@ def test_what_the_loader_refuses_an_editor_marks(table, field, value):
 def test_every_field_of_a_scenario_is_listed():
     held = {field.path for field in describe_fields(load_scenario(SCENARIOS / "paper_calm.toml"))}
     listed = {field.path: field for field in writable_fields(Scenario)}
-    # One is read from wind.file, never written by hand; the others are tables that are not there.
+    # Two are read from wind.file and wind.field, never written by hand; the others are
+    # tables that are not there.
     absent = {"airspace.keep_out", "baseline.mpc", "mission.waypoints"}
     absent |= {"wind.profile", "wind.turbulence"}
-    assert held - set(listed) == {"wind.series", *absent}
+    assert held - set(listed) == {"wind.series", "wind.grid", *absent}
     assert listed["mission.duration"].unit == "s"
     assert listed["solver.tolerance"].default == "1e-06"
     assert all(field.meaning for field in listed.values())
