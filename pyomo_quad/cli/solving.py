@@ -125,7 +125,7 @@ def report_folder(folder: Path) -> Iterator[Path]:
 
 
 def _kept(plan: Plan, folder: Path) -> str:
-    """Write an iterate that nearly satisfies the equations beside the report, and return where."""
+    """Save an iterate that nearly satisfies the equations; return a message with its place."""
     best = min((line.infeasibility for line in plan.iterations), default=1.0)
     if plan.solution is None or best > _WORTH_KEEPING:
         return "no report was written"

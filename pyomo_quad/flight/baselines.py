@@ -464,7 +464,7 @@ def broken_under_control(
 
 @dataclass(frozen=True, kw_only=True)
 class _Missed:
-    """A limit at a waypoint that a flight breaks, by how much, and that in words."""
+    """A violated limit at a waypoint: its name, the relative violation, and a message."""
 
     limit: str
     relative: float

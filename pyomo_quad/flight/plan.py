@@ -453,7 +453,7 @@ class Plan(Summarised):
 
     @property
     def duration_s(self) -> float:
-        """Duration of the flight [s]: the mission's, or the one that the plan chose."""
+        """Duration of the flight [s]: prescribed by the mission, or chosen by the plan."""
         start, end = self.trajectories.horizon
         return end - start
 

@@ -236,7 +236,7 @@ def _has_ended(solution: Solution) -> bool:
 
 
 def easier_numbers(problem: Problem, told: Scenario) -> tuple[dict[str, float], ...]:
-    """Return the easier numbers that a compiled problem has, the easiest first."""
+    """Return parameter values that make a compiled problem easier, the easiest first."""
     held = {p.name for p in problem.compiled.declared.parameters}
     return tuple(numbers for numbers in wider_smoothings(told) if numbers.keys() <= held)
 
@@ -324,7 +324,7 @@ def shortest_flight(
     Parameters
     ----------
     model : ConcreteModel
-        Of the scenario; its objective is replaced.
+        Model of the scenario; its objective is replaced.
     scenario : Scenario
     progress : callable or None
         Called at each iteration; returning False stops the solve.

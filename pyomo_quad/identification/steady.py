@@ -198,7 +198,7 @@ def computed_power(scenario: Scenario, points: pd.DataFrame) -> FloatArray:
 def identify_steady(
     scenario: Scenario, points: pd.DataFrame, names: Sequence[str] = STEADY_FITTED
 ) -> SteadyFit:
-    """Fit a vehicle's parameters to steady points and list what the points do not determine.
+    """Fit a vehicle's parameters to steady points and list those not determined.
 
     Parameters
     ----------
