@@ -30,7 +30,7 @@ COLUMNS: Mapping[str, LogColumn] = {
     VELOCITY[2]: LogColumn("m/s", "climb", ("vu_m_s",)),
     **dict.fromkeys(AIR_VELOCITY, LogColumn("m/s", _AIR_READ)),
 }
-#: Values of `PHASE` of the rows that are read.
+#: Values of `PHASE` in the rows that are used.
 FLYING = (1, 2, 3)
 CRUISE = 2
 
