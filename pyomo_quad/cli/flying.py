@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import typer
 
@@ -39,8 +39,11 @@ def make_plan(planner: Planner, scenario: Scenario) -> Plan:
     raise typer.Exit(status)
 
 
-def make_flight(scenario: Scenario, fly: Callable[[], Flight]) -> Flight:
-    """Fly, or print why the flight is impossible and exit."""
+_Outcome = TypeVar("_Outcome")
+
+
+def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
+    """Fly, once or many times, or print why the flight is impossible and exit."""
     try:
         return fly()
     except SolveError as error:
@@ -51,7 +54,7 @@ def make_flight(scenario: Scenario, fly: Callable[[], Flight]) -> Flight:
 def fly_declared(
     planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
 ) -> Flight:
-    """Fly the adaptive controller along a reference or, without one, the plan in open loop."""
+    """Fly the adaptive controller along a reference, or the plan in open loop if None."""
     if reference is Reference.CRUISE:
         return fly_cruise(scenario, None, plan, planner)
     dynamics = vehicle_flown(planner, scenario)
