@@ -80,12 +80,14 @@ def verified(plan: Plan, solution: Solution, accuracy: Accuracy | None = None) -
         )
     except SolveError as error:
         return replace(plan, status=PlanStatus.SOLVED, message=str(error))
-    is_proven = verification.is_verified and solution.status is Status.CONVERGED
     timings = dict(plan.timings) | {"verify": time.perf_counter() - started}
     lost = wind_lacking(plan.scenario, plan.dynamics, flown)
+    if lost:
+        verification = replace(verification, is_verified=False, reached=None)
+    is_proven = verification.is_verified and solution.status is Status.CONVERGED
     return replace(
         plan,
-        status=PlanStatus.VERIFIED if is_proven and not lost else PlanStatus.SOLVED,
+        status=PlanStatus.VERIFIED if is_proven else PlanStatus.SOLVED,
         message=verification.shortfall or lost or plan.message,
         verification=verification,
         flown=flown,
