@@ -245,7 +245,9 @@ class Problem(Summarised, Formulation):
             if mesh is None or tolerance is None:
                 return own(mesh, start, to_the_gap=True)
             return refine(
-                lambda meshes, start, dampings: own(meshes[0], start, dampings[0]),
+                lambda meshes, start, dampings, change=None: own(
+                    meshes[0], start, dampings[0], change=change
+                ),
                 meshes=(mesh,),
                 tolerance=tolerance,
                 refinement=refinement,
@@ -330,6 +332,7 @@ class Problem(Summarised, Formulation):
         is_elastic: bool = False,
         is_scaled: bool = True,
         to_the_gap: bool = False,
+        change: float | None = None,
         breach: float = inf,
         progress: Progress | None = None,
     ) -> Solution:
@@ -338,6 +341,7 @@ class Problem(Summarised, Formulation):
         A `seed` above 0 starts at random between the bounds; `is_elastic`, at what slacks lead to;
         without `is_scaled` Ipopt sees the program as declared;
         `to_the_gap`, the solve goes on where the barrier's gap is no small share of the objective.
+        `change` is by how much a warm start's objective is expected to change, where known.
         A finite `breach` is what a warm start may be off its bounds between the points.
         """
         if mesh is not None:
@@ -369,6 +373,10 @@ class Problem(Summarised, Formulation):
             changed = replace(within, program=changed)
             kept, scales = within.bounds(bounds), within.scaling(scales)
             multipliers = within.multipliers(multipliers)
+        is_damped = damping is not None and damping.controls.size > 0
+        if change is not None and multipliers is not None and not is_damped:
+            # Controls that next to nothing holds are found again only from a larger barrier.
+            options = options.for_a_change(change * scaling.objective / max(kept.sides, 1))
         if damping is not None and damping.gap and warm_start is not None:
             parameter = damping.gap * scaling.objective / kept.sides
             options = options.on_the_path(parameter, is_near=damping.is_still)

@@ -108,6 +108,21 @@ class SolverOptions:
         pushes = tuple((name, _NEAR) for name in _PUSHES) if is_near else ()
         return replace(self, extra=(*chosen, *self.extra, *pushes))
 
+    def for_a_change(self, parameter: float) -> SolverOptions:
+        """Return the settings for a warm start whose objective is to change by little.
+
+        A barrier leaves as much of the objective as its parameter times the number of bounds: one
+        that leaves more than is to change first leads away from the warm start, and back.
+
+        Parameters
+        ----------
+        parameter : float
+            That leaves as much as the objective is expected to change.
+        """
+        least = (self.tolerance or _TOLERANCE) / _WARM["barrier_tol_factor"]  # what Ipopt ends with
+        begun = min(max(parameter, least), _WARM["mu_init"])
+        return replace(self, extra=(("mu_init", begun), *self.extra))
+
     def for_moving_limits(self) -> SolverOptions:
         """Return the settings for warm starts whose limits begin or cease to hold elsewhere.
 

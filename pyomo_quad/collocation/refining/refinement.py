@@ -252,7 +252,7 @@ S = TypeVar("S", bound=Solved)
 
 
 def refine(
-    solve: Callable[[tuple[Mesh, ...], Any, tuple[Damping | None, ...]], S],
+    solve: Callable[..., S],
     *,
     meshes: tuple[Mesh, ...],
     tolerance: float,
@@ -268,7 +268,8 @@ def refine(
     Parameters
     ----------
     solve : callable
-        (meshes, warm start, dampings) -> solution, with one mesh and damping for each horizon.
+        (meshes, warm start, dampings, change=) -> solution, with one mesh and damping for each
+        horizon, and by how much the objective is expected to change, None where nothing tells.
     meshes : tuple
         To begin with, one for each horizon.
     past_the_barrier : callable, optional
@@ -288,7 +289,8 @@ def refine(
     reached: _Reached[S] | None = None
     before: tuple[Solution | None, ...] = (None,) * len(chosen)
     while True:
-        solved, dampings = _solved(solve, chosen, warm_start, dampings, gap)
+        change = _expected_change(before, tolerance)
+        solved, dampings = _solved(solve, chosen, warm_start, dampings, change, gap)
         is_damped = _are_damped(dampings)
         sharpen = past_the_barrier and partial(past_the_barrier, dampings)
         solved, errors = _measured(solved, sharpen, tolerance, refinement)
@@ -348,15 +350,16 @@ def _firmer(firmness: float, settled: int) -> float:
 
 
 def _solved(
-    solve: Callable[[tuple[Mesh, ...], Any, tuple[Damping | None, ...]], S],
+    solve: Callable[..., S],
     meshes: tuple[Mesh, ...],
     warm_start: Any,
     dampings: tuple[Damping | None, ...],
+    change: float | None,
     gap: float,
 ) -> tuple[S, tuple[Damping | None, ...]]:
-    """Solve, more firmly damped and then from the guess where that fails."""
-    solved = solve(meshes, warm_start, dampings)
-    if solved.status.has_failed and _are_damped(dampings):
+    """Solve; where that fails, from a larger barrier, more firmly damped, then from the guess."""
+    solved = solve(meshes, warm_start, dampings, change=change)
+    if solved.status.has_failed and (change is not None or _are_damped(dampings)):
         dampings = tuple(d and d.firmer(_FIRM, gap) for d in dampings)
         solved = solve(meshes, warm_start, dampings)
     if solved.status.has_failed and warm_start is not None:
@@ -556,6 +559,13 @@ def _next_meshes(
         finer.append(refined_mesh(part, error, marks, tolerance, refinement))
     is_same = tuple(finer) == _meshes(solution)
     return None if is_same and is_met and not is_damped else tuple(finer)
+
+
+def _expected_change(before: tuple[Solution | None, ...], tolerance: float) -> float | None:
+    """Return the last change of the objective, of which the next is expected to be no larger."""
+    last = before[0]
+    change = math.inf if last is None else _objective_change(last, tolerance)
+    return change * last.nominal_objective if last is not None and math.isfinite(change) else None
 
 
 def _has_settled(solution: Solved, tolerance: float) -> bool:
