@@ -253,7 +253,11 @@ class Problem(Summarised, Formulation):
                 refinement=refinement,
                 warm_start=start,
                 past_the_barrier=lambda dampings, found: own(
-                    found.mesh, found.warm_start, dampings[0], to_the_gap=True
+                    found.mesh,
+                    found.warm_start,
+                    dampings[0],
+                    to_the_gap=True,
+                    change=0.0,
                 ),
             )
 

@@ -56,6 +56,8 @@ _RELAXED = 1e-10
 _NEAR, _INSIDE, _WELL_INSIDE = 1e-9, 1e-6, 1e-4
 # The least barrier, and multipliers, that a warm start where limits move begins with.
 _BEGUN = 1e-8
+# In units of Ipopt's tolerance, the parameter of a barrier that a solve does not end with.
+_ABOVE = 10.0
 # The barrier that a warm start of which little is to change begins with.
 _LOW_BARRIER = 1e-10
 _PUSHES = (
@@ -103,24 +105,28 @@ class SolverOptions:
         from mesh to mesh, where the optimum's controls jump now here and now there.  What is near
         it stays on its bounds.
         """
-        begun = parameter if is_near else max(parameter, _BEGUN)
-        chosen = (("mu_target", parameter), ("mu_init", begun))
+        begun = parameter if is_near else max(parameter, dict(self.extra).get("mu_init", _BEGUN))
         pushes = tuple((name, _NEAR) for name in _PUSHES) if is_near else ()
-        return replace(self, extra=(*chosen, *self.extra, *pushes))
+        target = ("mu_target", parameter)
+        return replace(self, extra=(target, *self.extra, ("mu_init", begun), *pushes))
 
     def for_a_change(self, parameter: float) -> SolverOptions:
         """Return the settings for a warm start whose objective is to change by little.
 
         A barrier leaves as much of the objective as its parameter times the number of bounds: one
-        that leaves more than is to change first leads away from the warm start, and back.
+        that leaves more than is to change first leads away from the warm start, and back.  Below
+        what Ipopt's tolerance asks for, it begins where that of the last solve ended: Ipopt would
+        end with any other that low as it is, and leave a gap that changes from mesh to mesh.
 
         Parameters
         ----------
         parameter : float
             That leaves as much as the objective is expected to change.
         """
-        least = (self.tolerance or _TOLERANCE) / _WARM["barrier_tol_factor"]  # what Ipopt ends with
-        begun = min(max(parameter, least), _WARM["mu_init"])
+        tolerance = self.tolerance or _TOLERANCE
+        is_small = parameter < _ABOVE * tolerance
+        last = tolerance / _WARM["barrier_tol_factor"]
+        begun = last if is_small else min(parameter, _WARM["mu_init"])
         return replace(self, extra=(("mu_init", begun), *self.extra))
 
     def for_moving_limits(self) -> SolverOptions:

@@ -67,6 +67,10 @@ class Damping:
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
 
+    def sharper(self, gap: float) -> Damping:
+        """Return the damping with at most that share of the objective as gap."""
+        return replace(self, gap=min(gap * self.solution.nominal_objective, self.gap))
+
     def applied_to(self, program: Transcription) -> DampedProgram:
         """Return a program of the same model with the price on its objective."""
         mesh = program.mesh or self.solution.mesh
@@ -292,7 +296,9 @@ def refine(
         change = _expected_change(before, tolerance)
         solved, dampings = _solved(solve, chosen, warm_start, dampings, change, gap)
         is_damped = _are_damped(dampings)
-        sharpen = past_the_barrier and partial(past_the_barrier, dampings)
+        least = _LEAST_INEXACT * tolerance
+        sharper = tuple(d and d.sharper(least) for d in dampings)
+        sharpen = past_the_barrier and partial(past_the_barrier, sharper)
         solved, errors = _measured(solved, sharpen, tolerance, refinement)
         error = max(e.largest for e in errors)
         records.append(_record(solved, error))
@@ -429,7 +435,7 @@ def _is_held_by_the_barrier(
     """
     (part,), (error,) = solution.parts, errors
     counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
-    is_fine = counted.per_element.max(initial=0.0) <= max(tolerance, error.gap)
+    is_fine = counted.per_element.max(initial=0.0) <= tolerance
     size = part.program.objective_size(part.unknowns) * part.scaling.objective
     is_hidden = size < SEEN and part.problem.compiled.declared.objective_name != ""
     is_solved = solution.status is Status.CONVERGED

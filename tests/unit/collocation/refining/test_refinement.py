@@ -132,7 +132,7 @@ def searched(solution, *, iterations, by):
 
 def refined_by(searches):
     return refine(
-        lambda *_: next(searches),
+        lambda *_, change=None: next(searches),
         meshes=(MESH,),
         tolerance=1e-9,
         refinement=RefinementOptions(max_meshes=4),
