@@ -257,7 +257,7 @@ class Problem(Summarised, Formulation):
                     found.warm_start,
                     dampings[0],
                     to_the_gap=True,
-                    change=0.0,
+                    change=0.0 if dampings[0] and dampings[0].gap else None,
                 ),
             )
 

@@ -21,6 +21,8 @@ from pyomo_quad.collocation.program.transcription import linearised, rate_correc
 from pyomo_quad.collocation.refining.switches import misplaced_switches
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from pyomo_quad.collocation.program.transcription import Linearised, Transcription
@@ -180,10 +182,8 @@ def estimate_error(
     allowance : Allowance, optional
     """
     allowance = allowance or Allowance()
-    degrees = np.asarray(solution.mesh.degrees)
-    finer = _sampled(solution, [radau_rule(d + 1).points for d in degrees])
-    free = densely_sampled(solution)
-    dense, panels = free, _sampled(solution, [_panelled(d)[0] for d in degrees])
+    finer, free, panels = _sampled(solution, _finer_places, _dense_places, _panelled_places)
+    dense = free
     if np.isfinite(allowance.control_breach):
         limits = control_limits(solution.problem, solution.instance, allowance.control_breach)
         dense, panels = (_held(solution.program, samples, limits) for samples in (free, panels))
@@ -264,11 +264,20 @@ def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
 
 def densely_sampled(solution: Solution) -> _Samples:
     """Sample where limits are broken: at the peaks of the polynomials, anywhere between points."""
-    return _sampled(solution, [_dense_places(d) for d in solution.mesh.degrees])
+    (samples,) = _sampled(solution, _dense_places)
+    return samples
 
 
 def _dense_places(degree: int) -> FloatArray:
     return np.linspace(_START, 1.0, _SAMPLES * (degree + 1) + 1)
+
+
+def _finer_places(degree: int) -> FloatArray:
+    return radau_rule(degree + 1).points
+
+
+def _panelled_places(degree: int) -> FloatArray:
+    return _panelled(degree)[0]
 
 
 def state_errors_as_interpolated(solution: Solution) -> FloatArray:
@@ -278,25 +287,29 @@ def state_errors_as_interpolated(solution: Solution) -> FloatArray:
     points, as in ``x' = r``, ``f = r + r^3``, the equations may hold everywhere and hide that the
     control's own polynomial is not the optimum's.
     """
-    places = [radau_rule(degree + 1).points for degree in solution.mesh.degrees]
-    finer = _sampled(solution, places, is_defined=False)
+    (finer,) = _sampled(solution, _finer_places, is_defined=False)
     slopes = rate_corrections(solution.program, finer.variables, finer.data, finer.rows)
     return _relative(solution, _state_corrections(solution, slopes))
 
 
-def _sampled(solution: Solution, places: list[FloatArray], *, is_defined: bool = True) -> _Samples:
-    """Evaluate the path equations at places of each element, the last one its end.
+def _sampled(
+    solution: Solution, *places_of: Callable[[int], FloatArray], is_defined: bool = True
+) -> list[_Samples]:
+    """Evaluate the path equations, all at once, at each kind of places of each element.
 
-    Algebraic variables that an equation defines are what it says, or, not `is_defined`, what their
-    polynomials say.
+    The kinds give places of an element by its degree, the last one its end.  Algebraic variables
+    that an equation defines are what it says, or, not `is_defined`, what their polynomials say.
     """
     program, mesh, path = solution.program, solution.mesh, solution.trajectory
-    counts = np.array([len(p) for p in places])
+    places = [places_of_one(d) for places_of_one in places_of for d in mesh.degrees]
+    ends = np.cumsum([len(p) for p in places])
+    elements = np.tile(np.arange(mesh.elements), len(places_of))
+    starts = np.asarray(mesh.breakpoints)
     fractions = np.concatenate(
-        [mesh.breakpoints[e] + mesh.widths[e] * p for e, p in enumerate(places)]
+        [starts[e] + mesh.widths[e] * p for e, p in zip(elements, places, strict=True)]
     )
     # A point on a boundary belongs to the element that it ends.
-    fractions[np.cumsum(counts) - 1] = mesh.breakpoints[1:]
+    fractions[ends - 1] = starts[elements + 1]
     variables = np.hstack(
         [
             path.rates_at(fractions),
@@ -309,12 +322,20 @@ def _sampled(solution: Solution, places: list[FloatArray], *, is_defined: bool =
     if is_defined:
         found = definitions(program, solution.unknowns)
         variables = with_defined(program, variables, data, found)
-    return _Samples(
-        variables=variables,
-        data=data,
-        rows=MappedFunction(program.compiled.path.values, fractions.size)(variables, data)[0],
-        first_of_element=np.concatenate(([0], np.cumsum(counts)[:-1])),
-    )
+    rows = MappedFunction(program.compiled.path.values, fractions.size)(variables, data)[0]
+    samples = []
+    for firsts in np.split(np.concatenate(([0], ends[:-1])), len(places_of)):
+        last = ends[np.searchsorted(ends, firsts[-1], side="right")]
+        held = slice(firsts[0], last)
+        samples.append(
+            _Samples(
+                variables=variables[held],
+                data=data[held],
+                rows=rows[held],
+                first_of_element=firsts - firsts[0],
+            )
+        )
+    return samples
 
 
 def _held(

@@ -67,10 +67,6 @@ class Damping:
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
 
-    def sharper(self, gap: float) -> Damping:
-        """Return the damping with at most that share of the objective as gap."""
-        return replace(self, gap=min(gap * self.solution.nominal_objective, self.gap))
-
     def applied_to(self, program: Transcription) -> DampedProgram:
         """Return a program of the same model with the price on its objective."""
         mesh = program.mesh or self.solution.mesh
@@ -296,10 +292,9 @@ def refine(
         change = _expected_change(before, tolerance)
         solved, dampings = _solved(solve, chosen, warm_start, dampings, change, gap)
         is_damped = _are_damped(dampings)
-        least = _LEAST_INEXACT * tolerance
-        sharper = tuple(d and d.sharper(least) for d in dampings)
-        sharpen = past_the_barrier and partial(past_the_barrier, sharper)
-        solved, errors = _measured(solved, sharpen, tolerance, refinement)
+        sharpen = past_the_barrier and partial(past_the_barrier, _sharper(dampings, tolerance))
+        is_left = any(d is not None and d.gap > 0.0 for d in dampings)
+        solved, errors = _measured(solved, sharpen, tolerance, refinement, is_left=is_left)
         error = max(e.largest for e in errors)
         records.append(_record(solved, error))
         solution = solved.updated(error_estimate=error, history=tuple(records))
@@ -378,10 +373,17 @@ def _measured(
     sharpen: Callable[[S], S] | None,
     tolerance: float,
     refinement: RefinementOptions,
+    *,
+    is_left: bool,
 ) -> tuple[S, tuple[ErrorEstimate, ...]]:
-    """Return a solution and its errors, with less of the barrier where that is in the way."""
+    """Return a solution and its errors, with less of the barrier where that is in the way.
+
+    A gap that `is_left` on purpose, which the next mesh leaves less of, is in the way of nothing
+    but the tolerance.
+    """
     errors = _errors(solved, tolerance, refinement)
-    if sharpen is not None and _is_held_by_the_barrier(solved, errors, tolerance):
+    fine = tolerance if is_left else max(tolerance, errors[0].gap)
+    if sharpen is not None and _is_held_by_the_barrier(solved, errors, tolerance, fine):
         solved = sharpen(solved)
         errors = _errors(solved, tolerance, refinement)
     return solved, errors
@@ -394,6 +396,14 @@ def _gap_to_leave(solution: Solved, errors: tuple[ErrorEstimate, ...], tolerance
         # Bounds kept everywhere hide that the mesh is too coarse for the optimum.
         unknown = max(unknown, _objective_change(solution.parts[0], tolerance))
     return max(min(_INEXACT * unknown, _MOST_INEXACT), _LEAST_INEXACT * tolerance)
+
+
+def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
+    """Return dampings that leave no more of the objective than the tolerance allows."""
+    least = _LEAST_INEXACT * tolerance
+    return tuple(
+        d and replace(d, gap=min(least * d.solution.nominal_objective, d.gap)) for d in dampings
+    )
 
 
 def _are_damped(dampings: tuple[Damping | None, ...]) -> bool:
@@ -427,15 +437,15 @@ def _errors(
 
 
 def _is_held_by_the_barrier(
-    solution: Solved, errors: tuple[ErrorEstimate, ...], tolerance: float
+    solution: Solved, errors: tuple[ErrorEstimate, ...], tolerance: float, fine: float
 ) -> bool:
     """Say whether the barrier, or a scaling that hides the objective, is in the way.
 
-    It is where the barrier alone is, or leaves more of the objective than any element errs by.
+    It is where the barrier alone is above the tolerance, and no element errs by more than `fine`.
     """
     (part,), (error,) = solution.parts, errors
     counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
-    is_fine = counted.per_element.max(initial=0.0) <= tolerance
+    is_fine = counted.per_element.max(initial=0.0) <= fine
     size = part.program.objective_size(part.unknowns) * part.scaling.objective
     is_hidden = size < SEEN and part.problem.compiled.declared.objective_name != ""
     is_solved = solution.status is Status.CONVERGED
