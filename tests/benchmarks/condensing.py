@@ -102,7 +102,6 @@ def main():
     head = ("mesh", "unknowns", "left", "block", "condense ms", "rest ms", "SuperLU ms", "Ipopt ms")
     sys.stdout.write(LINE.format(*head).rstrip() + "\n")
     scenario = load_scenario("scenarios/paper_calm.toml")
-    planner = Planner()
     problem, _ = Planner().problem_for(scenario)
     for elements, degree in ((40, 3), (40, 5), (20, 8), (100, 5)):
         mesh = Mesh.uniform(elements, degree)

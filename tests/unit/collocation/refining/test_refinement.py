@@ -162,7 +162,7 @@ def test_a_long_search_by_itself_ends_nothing(solution, iterations):
 def test_a_warm_mesh_begins_with_a_barrier_that_leaves_what_the_objective_may_change():
     finished, tolerance = [], 1e-8
     refinement = RefinementOptions(on_mesh=finished.append)
-    solve(bryson_denham.build(), tolerance=tolerance, refinement=refinement)
+    collocation.solve(bryson_denham.build(), tolerance=tolerance, refinement=refinement)
     assert len(finished) > 2
     for before, last, now in zip(finished, finished[1:], finished[2:], strict=False):
         left = now.iterations[0].barrier * now.bounds.sides / now.scaling.objective
