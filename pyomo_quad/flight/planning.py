@@ -9,8 +9,6 @@ from functools import partial
 from math import inf, nan
 from typing import Any
 
-import numpy as np
-
 from pyomo_quad.collocation import (
     Allowance,
     Dynamics,
@@ -43,6 +41,7 @@ from pyomo_quad.flight.rescue import (
     is_long,
     rough_mesh,
     shortest_flight,
+    statics_for,
 )
 from pyomo_quad.flight.routes import (
     Journey,
@@ -463,7 +462,7 @@ class Planner:
     ) -> Solution:
         arguments, easier = self._arguments(told, progress), easier_numbers(problem, told)
         if isinstance(warm_start, Solution):
-            path = replace(warm_start.trajectory, statics=_statics_for(problem, warm_start))
+            path = replace(warm_start.trajectory, statics=statics_for(problem, warm_start))
             return by_way_of(easier, problem, arguments | {"mesh": path.mesh}, path)
         start = warm_start.warm_start if isinstance(warm_start, Plan) else warm_start
         if start is not None and start.fits(problem.compiled):
@@ -577,13 +576,6 @@ def _plan_of(
             for k in range(len(scenario.mission.waypoints))
         ),
     )
-
-
-def _statics_for(problem: Problem, solution: Solution) -> np.ndarray:
-    """Return a problem's static variables with their values in a similar problem's solution."""
-    slots = solution.problem.compiled.declared.statics
-    held = dict(zip((slot.name for slot in slots), solution.trajectory.statics, strict=True))
-    return np.array([held[slot.name] for slot in problem.compiled.declared.statics])
 
 
 def _horizon(scenario: Scenario) -> tuple[float, float] | None:

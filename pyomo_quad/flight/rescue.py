@@ -89,6 +89,13 @@ def in_time(plan: Plan, deadline: Deadline) -> Plan:
     return replace(plan, status=PlanStatus.NOT_CONVERGED, message=message, failure=None)
 
 
+def statics_for(problem: Problem, solution: Solution) -> FloatArray:
+    """Return a problem's static variables with their values in a similar problem's solution."""
+    slots = solution.problem.compiled.declared.statics
+    held = dict(zip((slot.name for slot in slots), solution.trajectory.statics, strict=True))
+    return np.array([held[slot.name] for slot in problem.compiled.declared.statics])
+
+
 class Effort:
     """Stops a solve after so many iterations times points, which it counts."""
 
