@@ -32,8 +32,8 @@ class Equations(om.ExplicitComponent):
         outputs = [f"rate_{name}" for name in problem.states] + ["running"]
         for name in outputs + ["outside"] * (problem.path is not None):
             self.add_output(name, shape=n)
-        self.declare_partials("*", "*", method="cs")
-        self.declare_coloring(wrt="*", method="cs", show_summary=False)
+            # Each node's outputs depend on that node alone.
+            self.declare_partials(name, "*", rows=np.arange(n), cols=np.arange(n), method="cs")
 
     def compute(self, inputs, outputs):
         problem = self.options["problem"]
@@ -74,7 +74,7 @@ def solve(problem, elements):
         ode_class=Equations, ode_init_kwargs={"problem": problem}, transcription=transcription
     )
     fixed = {"fix_duration": True} if not problem.is_free else {"duration_bounds": (low, high)}
-    phase.set_time_options(fix_initial=True, **fixed)
+    phase.set_time_options(fix_initial=True, units=None, **fixed)
     for name, (_, end, floor, ceiling) in problem.states.items():
         phase.add_state(
             name,
@@ -100,7 +100,7 @@ def solve(problem, elements):
         declared.model.connect(f"{ended}.{name}", f"cost.{name}", src_indices=[-1])
     declared.model.connect(f"{ended}.time", "cost.T", src_indices=[-1])
     declared.model.add_objective("cost.cost")
-    declared.driver = om.ScipyOptimizeDriver(optimizer="SLSQP", maxiter=1000, tol=1e-8)
+    declared.driver = om.ScipyOptimizeDriver(optimizer="SLSQP", maxiter=1000, tol=1e-6)
     declared.driver.options["disp"] = False
     declared.driver.declare_coloring(show_summary=False)
     with contextlib.redirect_stdout(io.StringIO()):
