@@ -310,10 +310,10 @@ def _read_about(path: Path, text: NDArray[Any]) -> _About:
         _refuse(path, "error_estimate and history hold a NaN.")
     if not start < end:
         _refuse(path, f"horizon = [{start:g}, {end:g}] s; must end after it starts.")
-    found = plan.verification
+    verdict = plan.verification
     proven = {
-        PlanStatus.VERIFIED: found is not None and found.is_verified,
-        PlanStatus.USABLE: found is not None and found.reached is not None,
+        PlanStatus.VERIFIED: verdict is not None and verdict.is_verified,
+        PlanStatus.USABLE: verdict is not None and verdict.reached is not None,
     }
     if not proven.get(plan.status, True):
         _refuse(path, f"status = {plan.status.value}, but its verification says otherwise.")
@@ -512,14 +512,16 @@ class Plan(Summarised):
         """Share of the energy by which another flight nearby may spend less, as far as is known.
 
         The error estimate of a plan that is verified, and is its energy's among others; else by how
-        much the last mesh changed the energy, infinite where there was one mesh.
+        much the last mesh changed the energy, infinite where there was one mesh: that two meshes
+        agree by chance proves no more than the accuracy `quick`.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)
         if len(self.history) < 2:
             return inf
         last, now = self.history[-2:]
-        return abs(now.objective - last.objective) / max(abs(now.objective), LEAST_ENERGY_J)
+        change = abs(now.objective - last.objective) / max(abs(now.objective), LEAST_ENERGY_J)
+        return max(change, FIGURES[Accuracy.QUICK].energy)
 
     @property
     def iteration_count(self) -> int:

@@ -454,8 +454,10 @@ class Planner:
     ) -> Callable[[FloatArray], float]:
         """Return what a metre of steady flight costs along a direction, at one speed for all."""
         mission = told.mission
-        flown = {"parameters": self.parameters(told), "horizon": (0.0, told.nominal_duration)}
-        steady = SteadyFlight(told, problem.dynamics(**flown))
+        dynamics = problem.dynamics(
+            parameters=self.parameters(told), horizon=(0.0, told.nominal_duration)
+        )
+        steady = SteadyFlight(told, dynamics)
         speed = length_of(shortest) / told.nominal_duration
         if mission.is_free:
             way = shortest[0].places[-1] - shortest[0].places[0]

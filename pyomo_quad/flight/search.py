@@ -202,7 +202,8 @@ def _proven(plan: Plan) -> str:
     return (
         f"Flown open loop it ends {found.terminal_miss_m:.2g} m from the goal, breaks no limit by "
         f"more than {max(found.max_violation, 0.0):.1g} of it, and spends what it says to "
-        f"{off:.1g} of it; another may spend less, by {plan.energy_uncertainty:.1g} as far as is known."
+        f"{off:.1g} of it; another may spend less, by {plan.energy_uncertainty:.1g} as far as is "
+        "known."
     )
 
 

@@ -129,8 +129,16 @@ def mesh_for_states(
     """Return the next mesh for a solution whose states alone count, and their largest error."""
     error = estimate_error(solution)
     states, none = error.states.max(axis=1, initial=0.0), np.zeros(solution.mesh.elements)
-    uncounted = ("violation", "objective", "switches", "costs", "restraint", "integrals", "miss")
-    error = replace(error, **dict.fromkeys(uncounted, none))
+    error = replace(
+        error,
+        violation=none,
+        objective=none,
+        switches=none,
+        costs=none,
+        restraint=none,
+        integrals=none,
+        miss=none,
+    )
     coarse = frozenset(np.flatnonzero(states > tolerance).tolist())
     marks = Marks(coarse=coarse, kept=frozenset())
     mesh = refined_mesh(solution, error, marks, tolerance, options)
