@@ -1,4 +1,4 @@
-"""From a scenario to a plan: build, compile, solve, fly; and what is tried when that fails."""
+"""From a scenario to a plan: build, compile, solve, fly; with retries after a failure."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ from pyomo_quad.flight.routes import (
 )
 from pyomo_quad.flight.search import Search, State
 from pyomo_quad.flight.steady import SteadyFlight
-from pyomo_quad.flight.tour import BEST_FEW, best_tours, cheapest, leg_energies
+from pyomo_quad.flight.tour import cheapest, find_orders
 from pyomo_quad.flight.usable import flyable_from
 from pyomo_quad.flight.verdict import energy_of, horizon_of, plan_of, verified
 from pyomo_quad.flight.verification import (
@@ -122,7 +122,7 @@ class Planner:
 
     @property
     def builder(self) -> Builder:
-        """What makes the Pyomo model of a scenario."""
+        """Function that builds the Pyomo model of a scenario."""
         return self._builder
 
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
@@ -231,21 +231,31 @@ class Planner:
             fits = known is not None and known.warm_start.fits(problem.compiled)
             return problem.solve(**arguments, warm_start=known if fits else None)
 
+        is_plain = False
+
         def roughly(ordered: Scenario) -> Solution:
+            nonlocal is_plain
             once = {"solver": ordered.solver.model_copy(update={"max_refinements": 0})}
             told = ordered.as_forecast().model_copy(update=once)
             problem, _ = self.problem_for(told)
             if self._has_ways(told):
                 return self._by_routes(problem, told, progress, most=1)[0]
-            return self._first_solve(problem, told, None, progress)
+            if not is_plain:
+                solution = self._first_solve(problem, told, None, progress)
+                if not solution.status.has_failed:
+                    return solution
+            # A difficulty of one order is one of all orders, so only the first is tried both ways.
+            plain = self._plainly(told, self._arguments(told, progress) | {"tolerance": None}, None)
+            is_plain = plain is not None
+            return solution if plain is None else plain
 
         def finely(ordered: Scenario, begun: Solution | None) -> Plan:
             # Round zones the best way may be another than the shortest, which was flown so far.
-            kept = None if self._has_ways(ordered) else begun
-            return solve(ordered, kept and kept.warm_start, progress)
+            if begun is None or self._has_ways(ordered):
+                return solve(ordered, None, progress)
+            return solve(ordered, begun if is_plain else begun.warm_start, progress)
 
-        costs = leg_energies(scenario.as_forecast(), leg)
-        return cheapest(scenario, best_tours(costs, BEST_FEW), roughly, finely)
+        return cheapest(scenario, find_orders(scenario.as_forecast(), leg), roughly, finely)
 
     def _has_ways(self, told: Scenario) -> bool:
         """Say whether a mission has ways round zones to choose from."""
@@ -322,7 +332,7 @@ class Planner:
         return self._fed(plan, progress)
 
     def _fed(self, plan: Plan, progress: Progress) -> Plan:
-        """Return the plan or, where its pack lacks power, one within what the pack can give."""
+        """Return the plan or, if its pack lacks power, a plan within the pack's capability."""
         limits, flown = plan.scenario.limits, plan.flown
         is_own = self._builder is not build_model or limits.battery_power_share_max is not None
         is_met = plan.solution is not None and plan.solution.status is Status.CONVERGED
@@ -454,9 +464,8 @@ class Planner:
     ) -> Callable[[FloatArray], float]:
         """Return what a metre of steady flight costs along a direction, at one speed for all."""
         mission = told.mission
-        dynamics = problem.dynamics(
-            parameters=self.parameters(told), horizon=(0.0, told.nominal_duration)
-        )
+        horizon = (0.0, told.nominal_duration)
+        dynamics = problem.dynamics(parameters=self.parameters(told), horizon=horizon)
         steady = SteadyFlight(told, dynamics)
         speed = length_of(shortest) / told.nominal_duration
         if mission.is_free:
@@ -492,7 +501,7 @@ class Planner:
     ) -> Solution:
         arguments, easier = self._arguments(told, progress), easier_numbers(problem, told)
         if isinstance(warm_start, Solution):
-            path = replace(warm_start.trajectory, statics=np.zeros(0))
+            path = replace(warm_start.trajectory, statics=_statics_for(problem, warm_start))
             return by_way_of(easier, problem, arguments | {"mesh": path.mesh}, path)
         start = warm_start.warm_start if isinstance(warm_start, Plan) else warm_start
         if start is not None and start.fits(problem.compiled):
@@ -590,7 +599,7 @@ class Planner:
 
         return Rescuer(
             longest=told.mission.longest,
-            # What was flown on a finer mesh need not be flyable on the first.
+            # A flight found on a finer mesh may be infeasible on the first mesh.
             solve=lambda held: by_way_of(easier, problem, arguments | {"mesh": held.mesh}, held),
             solve_plainly=lambda: self._plainly(told, easiest | {"tolerance": None}, None),
             solve_slowly=slowly,
@@ -599,7 +608,7 @@ class Planner:
         )
 
     def _hover_energy(self, told: Scenario, solution: Solution) -> float:
-        """Return the energy of hovering through the mission, NaN for what cannot hover."""
+        """Return the energy of hovering through the mission, NaN if the vehicle cannot hover."""
         held = trajectories_of(solution)
         known = dict(zip(held.state_names, held.states[0].tolist(), strict=True))
         try:
@@ -608,6 +617,13 @@ class Planner:
             return nan
         start, end = held.horizon
         return power * (end - start)
+
+
+def _statics_for(problem: Problem, solution: Solution) -> np.ndarray:
+    """Return a problem's static variables with their values in a similar problem's solution."""
+    slots = solution.problem.compiled.declared.statics
+    held = dict(zip((slot.name for slot in slots), solution.trajectory.statics, strict=True))
+    return np.array([held[slot.name] for slot in problem.compiled.declared.statics])
 
 
 def solve_scenario(

@@ -201,9 +201,9 @@ def _proven(plan: Plan) -> str:
     off = abs(found.energy_difference_J) / max(abs(plan.energy), LEAST_ENERGY_J)
     return (
         f"Flown open loop it ends {found.terminal_miss_m:.2g} m from the goal, breaks no limit by "
-        f"more than {max(found.max_violation, 0.0):.1g} of it, and spends what it says to "
-        f"{off:.1g} of it; another may spend less, by {plan.energy_uncertainty:.1g} as far as is "
-        "known."
+        f"more than {max(found.max_violation, 0.0):.1g} of it, and its energy differs from the "
+        f"plan's by {off:.1g} of it; a better plan may spend less, by an estimated "
+        f"{plan.energy_uncertainty:.1g} of it."
     )
 
 

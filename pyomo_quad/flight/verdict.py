@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from pyomo_quad.collocation import SolveError, Status
 from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
-from pyomo_quad.flight.verification import verify_controls
+from pyomo_quad.flight.verification import verify_controls, wind_lacking
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation import Solution
@@ -82,10 +82,11 @@ def verified(plan: Plan, solution: Solution, accuracy: Accuracy | None = None) -
         return replace(plan, status=PlanStatus.SOLVED, message=str(error))
     is_proven = verification.is_verified and solution.status is Status.CONVERGED
     timings = dict(plan.timings) | {"verify": time.perf_counter() - started}
+    lost = wind_lacking(plan.scenario, plan.dynamics, flown)
     return replace(
         plan,
-        status=PlanStatus.VERIFIED if is_proven else PlanStatus.SOLVED,
-        message=verification.shortfall or plan.message,
+        status=PlanStatus.VERIFIED if is_proven and not lost else PlanStatus.SOLVED,
+        message=verification.shortfall or lost or plan.message,
         verification=verification,
         flown=flown,
         timings=timings,

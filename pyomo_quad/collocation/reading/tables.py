@@ -1,4 +1,4 @@
-"""Functions of states known by their values: tables, and what Pyomo calls external functions."""
+"""Functions of states given by values: tables and Pyomo's external functions."""
 
 from __future__ import annotations
 
@@ -20,57 +20,59 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
 
 _CUBIC, _QUINTIC = 3, 5
-# Samples along each axis that are tried in turn for a function that is known by calls alone, and
-# how far, relative to its largest value, an interpolant through them may miss it between them.
+# Samples along each axis, tried in turn, for a function that can only be called with numbers.
 _SAMPLES = {1: (17, 33, 65, 129, 257), 2: (9, 17, 33, 65)}
 _ACCURACY = 1e-7
 _COMPARED = 40
-# Points at which what a function makes of symbols must be what it makes of numbers.
+# Points at which a function of symbols is checked against the function of numbers.
 _CHECKED = 20
+
+
+# Of a table's range, how far beyond either end its spline goes on straight.
+_BEYOND = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spline:
-    """A tensor product of B-splines without knots beside its ends; beyond its range, linear.
+    """Tensor-product not-a-knot B-spline, extrapolated linearly beyond its range.
 
-    `knots` has one array for each argument, `coefficients` one axis for each.
+    `knots` has one array per argument, `coefficients` one axis per argument; `ranges` holds the
+    first and the last point of each argument.
     """
 
     knots: tuple[FloatArray, ...]
     coefficients: FloatArray
     degree: int
+    ranges: tuple[tuple[float, float], ...]
 
     @classmethod
     def through(cls, points: Sequence[FloatArray], values: FloatArray, degree: int) -> Self:
         """Return the spline through values on a grid."""
-        from scipy.interpolate import make_interp_spline  # noqa: PLC0415  few models have tables
-
         held, knots = np.asarray(values, dtype=float), []
         for axis, at in enumerate(points):
-            spline = make_interp_spline(at, np.moveaxis(held, axis, 0), k=degree)
-            held = np.moveaxis(spline.c, 0, axis)
-            knots.append(np.asarray(spline.t))
-        return cls(knots=tuple(knots), coefficients=held, degree=degree)
+            found, coefficients = _going_on(at, np.moveaxis(held, axis, 0), degree)
+            held = np.moveaxis(coefficients, 0, axis)
+            knots.append(found)
+        ranges = tuple((float(at[0]), float(at[-1])) for at in points)
+        return cls(knots=tuple(knots), coefficients=held, degree=degree, ranges=ranges)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """Return itself: it never changes."""
+        """Return itself, since it is immutable."""
         return self
 
-    @property
-    def ranges(self) -> tuple[tuple[float, float], ...]:
-        """First and last point of each argument."""
-        return tuple((float(t[0]), float(t[-1])) for t in self.knots)
-
     def written(self, arguments: Sequence[Any]) -> Any:
-        """Return the value at CasADi expressions."""
-        held = casadi.DM(self.coefficients.reshape(-1, self.coefficients.shape[-1]))
-        shape = self.coefficients.shape
-        for axis in reversed(range(len(shape))):
-            basis = _basis(self.knots[axis], self.degree, casadi.SX(arguments[axis]))
-            column = casadi.mtimes(held, basis)
-            # CasADi stores matrices by columns, NumPy by rows.
-            held = casadi.reshape(column, shape[axis - 1] if axis else 1, -1).T
-        return held
+        """Return the value at CasADi expressions.
+
+        It calls CasADi's own spline, whose work does not grow with the table: it reads the
+        coefficients around a place alone, and so do its derivatives, which are splines again.
+        """
+        place = casadi.MX.sym("place", len(self.knots))
+        coefficients = self.coefficients.ravel(order="F").tolist()
+        knots, degrees = [t.tolist() for t in self.knots], [self.degree] * len(self.knots)
+        value = casadi.bspline(place, casadi.DM(coefficients), knots, degrees, 1, {})
+        # Of a function that is inlined, an SX expression would need every coefficient.
+        local = casadi.Function("spline", [place], [value], {"never_inline": True})
+        return local(casadi.vertcat(*[casadi.SX(argument) for argument in arguments]))
 
     @cached_property
     def function(self) -> Any:
@@ -81,55 +83,51 @@ class Spline:
         return casadi.Function("spline", [arguments], [written, gradient, hessian])
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave the compiled function behind."""
+        """Drop the compiled function from the pickle."""
         return {name: part for name, part in vars(self).items() if name != "function"}
 
 
-def _basis(knots: FloatArray, degree: int, argument: Any) -> Any:
-    """Return all basis functions at an argument, by de Boor's recurrence between its knots."""
-    inner = knots[degree + 1 : -degree - 1]
-    # Of the interval that holds the argument, its knots: steps at each inner knot.
-    at = casadi.SX.sym("at")
-    steps = casadi.vertcat(1.0, *[at >= t for t in inner], 0.0)
-    is_in = steps[:-1] - steps[1:]
-    n = inner.size + 1
-    near = [casadi.dot(casadi.DM(knots[k + 1 : k + 1 + n]), is_in) for k in range(2 * degree)]
-    local = [casadi.SX(1.0)]
-    for p in range(1, degree + 1):
-        left, right = near[degree - p : degree], near[degree : degree + p]
-        shares = [local[k] / (right[k] - left[k]) for k in range(p)]
-        rising = [casadi.SX(0.0), *((at - left[k]) * shares[k] for k in range(p))]
-        falling = [*((right[k] - at) * shares[k] for k in range(p)), casadi.SX(0.0)]
-        local = [up + down for up, down in zip(rising, falling, strict=True)]
-    column = casadi.vertcat(*local)
-    within = casadi.fmin(casadi.fmax(argument, knots[0]), knots[-1])
-    column = column + casadi.jacobian(column, at) * (argument - within)
-    column, is_in = casadi.substitute([column, is_in], [at], [within])
-    basis = casadi.SX(n + degree, 1)
-    for k in range(degree + 1):
-        basis[k : k + n] += is_in * column[k]
-    return basis
+def _going_on(at: FloatArray, values: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
+    """Return knots and coefficients of the spline through values, with straight ends.
+
+    A knot of one less than full multiplicity at either end leaves value and slope continuous
+    there; the values at the averages of its knots determine the spline that does so.
+    """
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415  few models have tables
+
+    spline = make_interp_spline(at, values, k=degree)
+    first, last, far = at[0], at[-1], _BEYOND * (at[-1] - at[0])
+    inner = spline.t[degree + 1 : -degree - 1]
+    ends = [np.full(degree + 1, first - far), np.full(degree - 1, first)]
+    starts = [np.full(degree - 1, last), np.full(degree + 1, last + far)]
+    knots = np.concatenate([*ends, inner, *starts])
+    count = knots.size - degree - 1
+    places = np.array([knots[k + 1 : k + 1 + degree].mean() for k in range(count)])
+    within = np.clip(places, first, last)
+    beyond = (places - within).reshape(-1, *[1] * (values.ndim - 1))
+    straight = spline(within) + beyond * spline(within, 1)
+    return knots, np.asarray(make_interp_spline(places, straight, k=degree, t=knots).c)
 
 
 class Table(PythonCallbackFunction):
     """Values on a grid as a smooth function of states: ``m.density = Table(heights, densities)``.
 
-    Called in a rule, as ``m.density(m.h[t])``, it is the cubic spline through the values (without
-    knots beside the ends), twice differentiable.  Two tables of points and a matrix make a
+    Called in a rule, as ``m.density(m.h[t])``, it is the cubic not-a-knot spline through the
+    values, twice continuously differentiable. Two arrays of points and a matrix of values make a
     function of two arguments, and so on.
 
     Parameters
     ----------
     *grid : array_like
-        For each argument its points, rising, at least four; last the values, with one axis for
-        each argument.
+        The points of each argument, rising, at least four; last the values, with one axis per
+        argument.
     units, arg_units : optional
         Pyomo units of value and arguments.
 
     Raises
     ------
     TranscriptionError
-        If points are too few or do not rise, or the values do not fit them.
+        If there are too few points, points do not rise, or the shape of the values does not match.
     """
 
     def __init__(self, *grid: Any, **keywords: Any) -> None:
@@ -139,7 +137,7 @@ class Table(PythonCallbackFunction):
         super().__init__(fgh=self._at, **keywords)
 
     def __call__(self, *arguments: Any) -> Any:
-        """Return the Pyomo expression of its value at expressions or numbers."""
+        """Return the Pyomo expression of the table at expressions or numbers."""
         if len(arguments) != len(self.spline.knots):
             raise TranscriptionError(
                 f"{self.name or 'Table'}: called with {len(arguments)} arguments; it has points "
@@ -148,7 +146,7 @@ class Table(PythonCallbackFunction):
         return super().__call__(*arguments)
 
     def _at(self, arguments: Any, _order: int, _fixed: Any) -> tuple[float, list[float], Any]:
-        """Return value, gradient and upper triangle of the Hessian, as Pyomo asks for them."""
+        """Return value, gradient and upper triangle of the Hessian, in Pyomo's order."""
         value, gradient, hessian = self.spline.function(arguments)
         upper = [float(hessian[i, j]) for j in range(len(arguments)) for i in range(j + 1)]
         return float(value), [float(gradient[k]) for k in range(len(arguments))], upper
@@ -171,7 +169,7 @@ def _refuse_unfit(points: Sequence[FloatArray], values: FloatArray) -> None:
     if not points or values.shape != wanted:
         raise TranscriptionError(
             f"Table: values of shape {values.shape} for points of shape {wanted}; give the points "
-            "of each argument, then values with one axis for each."
+            "of each argument, then values with one axis per argument."
         )
     if not np.all(np.isfinite(values)):
         raise TranscriptionError("Table: some values are not finite; leave those points out.")
@@ -179,7 +177,7 @@ def _refuse_unfit(points: Sequence[FloatArray], values: FloatArray) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class TableUse:
-    """An argument of a table in an equation, and the range that it must stay in."""
+    """An argument of a table in an equation, and the range within which it must stay."""
 
     name: str
     expression: Any
@@ -188,14 +186,15 @@ class TableUse:
 
 
 def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUse]) -> Any:
-    """Return the CasADi expression of a call of an external function; note the ranges it has.
+    """Return the CasADi expression of an external function's call, and record the ranges of tables.
 
-    A table is its spline, a Python function that takes symbols is what it returns, and any other
-    the spline through its samples between the bounds of its arguments.
+    A table becomes its spline. A Python function that accepts symbols becomes the expression that
+    it returns. Any other function becomes the spline through its samples between the bounds of its
+    arguments.
     """
     function = node._fcn  # noqa: SLF001
     is_python = isinstance(function, PythonCallbackFunction)
-    # Pyomo appends a number by which it finds a Python function.
+    # Pyomo appends an argument that identifies the Python function.
     count = node.nargs() - is_python
     inputs, stated = list(arguments[:count]), [node.arg(k) for k in range(count)]
     if isinstance(function, Table):
@@ -221,7 +220,7 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
 
 
 def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> Any:
-    """Return what a Python function makes of symbols, None if it needs numbers."""
+    """Return a Python function evaluated on symbols, None if it needs numbers."""
     if function._fcn is None:  # noqa: SLF001
         return None
     symbols = casadi.SX.sym("arguments", len(inputs))
@@ -232,7 +231,7 @@ def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> An
         found = casadi.Function("function", [symbols], [said])
         lower, upper = np.transpose([_range(argument) for argument in stated])
         places = np.random.default_rng(seed=0).uniform(lower, upper, (_CHECKED, len(inputs)))
-        # CasADi makes a NaN of a symbol that is asked for its number.
+        # CasADi turns a symbol into NaN if the function converts it to a number.
         is_same = all(
             np.isclose(float(found(at)), function._fcn(*at.tolist()), 1e-9, equal_nan=True)  # noqa: SLF001
             for at in places
@@ -250,7 +249,7 @@ def _bounds(argument: Any) -> tuple[float | None, float | None]:
 
 
 def _range(argument: Any) -> tuple[float, float]:
-    """Return where a function is checked: between the bounds of its argument, if it has both."""
+    """Return the interval on which a function is checked: its argument's bounds, if both exist."""
     lower, upper = _bounds(argument)
     return (0.1, 0.9) if lower is None or upper is None else (float(lower), float(upper))
 
@@ -310,7 +309,7 @@ def _on_grid(call: Callable[..., float], points: Sequence[FloatArray]) -> FloatA
 
 
 def _miss(call: Callable[..., float], spline: Spline, size: float) -> float:
-    """Return how far a spline misses its function at points between the samples, relative."""
+    """Return the largest relative error of a spline between the samples of its function."""
     generator = np.random.default_rng(seed=0)
     lower, upper = np.transpose(spline.ranges)
     places = generator.uniform(lower, upper, (_COMPARED, len(spline.ranges)))
