@@ -369,9 +369,23 @@ Rate = Annotated[
 ]
 
 
+Continued = Annotated[
+    Path | None,
+    typer.Option(
+        "--continue",
+        metavar="RUN",
+        help="Refine the plan of a solve's folder or file to the accuracy that was not reached, or "
+        "to a higher one; --set solver.accuracy chooses.",
+    ),
+]
+
+
 def solve(
-    scenario: ScenarioFile,
+    scenario: Annotated[
+        Path | None, typer.Argument(metavar="[SCENARIO]", help="Scenario file (TOML).")
+    ] = None,
     *,
+    run: Continued = None,
     out: Output = None,
     rate: Rate = None,
     overrides: Overrides = None,
@@ -382,21 +396,28 @@ def solve(
 ) -> int:
     """Solve a scenario, verify the plan by flying it, and write the report."""
     watch = Stopwatch()
-    resolved = load_scenario(scenario, overrides or ())
-    folder = folder_of(resolved, out)
-    refuse_output_folder(folder)
+    if (scenario is None) is (run is None):
+        raise typer.BadParameter("give a SCENARIO, or --continue RUN.")
+    begun = None
+    if scenario is not None:
+        resolved = load_scenario(scenario, overrides or ())
+        refuse_output_folder(folder_of(resolved, out))
     with watch.phase("import"):
         import_scipy_alone()
         from pyomo_quad.cli import solving  # noqa: PLC0415  takes seconds
         from pyomo_quad.flight.deadline import Deadline  # noqa: PLC0415
         from pyomo_quad.report.report import write_solve_report  # noqa: PLC0415
         from pyomo_quad.study.check import plan_cautions  # noqa: PLC0415
+    if run is not None:
+        begun, resolved = solving.plan_to_continue(run, overrides or ())
+    folder = folder_of(resolved, out)
+    refuse_output_folder(folder)
     planner = solving.planner_for(
         resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json, keeps_usable=True
     )
     with solving.report_folder(folder) as aside:
         with Deadline(resolved):
-            plan = planner.solve(resolved)
+            plan = planner.solve(resolved, warm_start=begun)
             cautions = plan_cautions(plan, planner=planner)
         with watch.phase("report"):
             write_solve_report(aside, plan, cautions, rate, figures)

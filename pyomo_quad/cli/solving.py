@@ -21,8 +21,16 @@ from pyomo_quad.flight.planning import Builder
 from pyomo_quad.flight.search import State, accuracy_words
 from pyomo_quad.model import model_builder
 from pyomo_quad.report.folder import output_folder
-from pyomo_quad.report.tables import PLAN_NAME, plan_table, summary_text, write_table
+from pyomo_quad.report.tables import (
+    PLAN_FILE_NAME,
+    PLAN_NAME,
+    plan_table,
+    summary_text,
+    write_table,
+)
 from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
+from pyomo_quad.scenario.loader import parse_overrides
 from pyomo_quad.study.comparison import ComparisonColumn, against_hovering
 
 if TYPE_CHECKING:
@@ -131,9 +139,42 @@ def _kept(plan: Plan, folder: Path) -> str:
         return "no report was written"
     beside = folder.with_name(f"{folder.name}-interrupted")
     with output_folder(beside) as aside:
-        plan.save(aside / "plan.npz")
+        plan.save(aside / PLAN_FILE_NAME)
         write_table(plan_table(plan), aside / PLAN_NAME)
     return f"its best iterate is in {beside}, and {folder} is unchanged"
+
+
+def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenario]:
+    """Return the plan of a solve's folder, or of its file, and its mission at the next accuracy.
+
+    That is the one which `solver.accuracy` among the overrides asks for; else the one that the plan
+    was asked for where it was not reached, or the next higher one.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no plan, an override is none of the solver, or no accuracy is higher.
+    """
+    plan = Plan.load(run / PLAN_FILE_NAME if run.is_dir() else run)
+    values = parse_overrides(overrides)
+    foreign = next((field for field in values if not field.startswith("solver.")), None)
+    if foreign is not None:
+        raise ScenarioError(
+            f"--set: {foreign} would make another mission of {run}; --continue allows fields of "
+            "solver alone; solve the changed scenario instead."
+        )
+    asked = plan.scenario.solver.accuracy
+    higher = [a for a in Accuracy if a.meets(asked) and (a is not asked or not plan.is_verified)]
+    if "solver.accuracy" not in values and not higher:
+        raise ScenarioError(
+            f"{run}: accuracy = {asked.value} was reached; --continue needs a higher one, and "
+            "there is none; leave --continue out to solve the mission again."
+        )
+    values = {"solver.accuracy": next(iter(higher), asked).value} | values
+    chosen = values["solver.accuracy"]
+    if chosen in list(Accuracy):
+        values = {"solver.tolerance": FIGURES[Accuracy(chosen)].energy} | values
+    return plan, plan.scenario.with_values(values)
 
 
 def exit_code_of(plan: Plan) -> ExitCode:

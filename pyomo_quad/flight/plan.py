@@ -518,14 +518,16 @@ class Plan(Summarised):
         """Share of the energy by which another flight nearby may spend less, as far as is known.
 
         The error estimate of a plan that is verified, and is its energy's among others; else by how
-        much the last mesh changed the energy, infinite where there was one mesh.
+        much the last mesh changed the energy, infinite where there was one mesh: that two meshes
+        agree by chance proves no more than the accuracy `quick`.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)
         if len(self.history) < 2:
             return inf
         last, now = self.history[-2:]
-        return abs(now.objective - last.objective) / max(abs(now.objective), LEAST_ENERGY_J)
+        change = abs(now.objective - last.objective) / max(abs(now.objective), LEAST_ENERGY_J)
+        return max(change, FIGURES[Accuracy.QUICK].energy)
 
     @property
     def iteration_count(self) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ _QUICK = FIGURES[Accuracy.QUICK]
 # Mesh by mesh, the error of states above which an element becomes finer, and how well equations are
 # obeyed.  The first mesh is but the way to the next; flown without feedback, the errors of the last
 # grow to less than a tenth of a metre in a minute.
-_MESHES = ((1e-2, 1e-4), (5e-5, 1e-7), (1e-5, 1e-9))
+_MESHES = ((1e-2, 1e-4), (2e-4, 1e-8), (1e-5, 1e-9))
 # Least degree of an element, for errors to fall fast from mesh to mesh.
 _DEGREE = 6
 # Share of the breach that a usable plan may have which equations may use at their points: between
@@ -54,9 +55,10 @@ def flyable_from(
     if _CLEARANCE in numbers:
         numbers[_CLEARANCE] += _deepest_cut(coarse, airspace)
     own = problem.instance(arguments["parameters"], arguments["horizon"])
-    found = coarse
-    for k, (tolerance, met) in enumerate(_MESHES):
-        mesh, _ = mesh_for_states(found, tolerance, arguments["refinement"], least_degree=_DEGREE)
+    finer = partial(mesh_for_states, options=arguments["refinement"], least_degree=_DEGREE)
+    found, (mesh, error) = coarse, finer(coarse, _MESHES[0][0])
+    begun = _record(coarse, error)
+    for k, (_, met) in enumerate(_MESHES):
         found = problem.flyable(
             found,
             mesh,
@@ -68,9 +70,11 @@ def flyable_from(
         )
         if found.status is not Status.CONVERGED:
             return
+        mesh, error = finer(found, _MESHES[min(k + 1, len(_MESHES) - 1)][0])
         if k > 0:
             # By how much it is dearer than the coarse optimum is all that is known of its energy.
-            yield replace(found, instance=own, history=(_record(coarse), _record(found)))
+            history = begun, _record(found, error)
+            yield replace(found, instance=own, error_estimate=error, history=history)
 
 
 def _deepest_cut(solution: Solution, airspace: Airspace) -> float:
@@ -85,12 +89,12 @@ def _deepest_cut(solution: Solution, airspace: Airspace) -> float:
     return max(0.0, depth + airspace.clearance)
 
 
-def _record(solution: Solution) -> MeshRecord:
+def _record(solution: Solution, error: float) -> MeshRecord:
     return MeshRecord(
         elements=solution.mesh.elements,
         points=solution.mesh.points,
         iterations=solution.iterations[-1].iteration if solution.iterations else 0,
         objective=solution.objective,
-        error=solution.error_estimate,
+        error=error,
         wall_s=solution.wall_s,
     )

@@ -27,6 +27,7 @@ from pyomo_quad.report.document import (
 from pyomo_quad.report.render import STATUS_WORDS
 from pyomo_quad.report.tables import (
     FRONT_NAME,
+    PLAN_FILE_NAME,
     PLAN_NAME,
     SUMMARY_NAME,
     installed_versions,
@@ -85,8 +86,10 @@ def write_solve_report(
         drawings=_from_gallery(lambda gallery: gallery.drawings_of_solve(plan)),
         figures=figures,
         warnings=warnings,
+        PLAN_FILE_NAME=PLAN_FILE_NAME,
         **_plan_values(plan),
     )
+    plan.save(folder / PLAN_FILE_NAME)
 
 
 def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figures.SVG) -> None:

@@ -82,6 +82,8 @@ def flight_summary(
     }
 
 
+#: The plan with all its numbers, from which `solve --continue` goes on.
+PLAN_FILE_NAME = "plan.npz"
 PLAN_NAME = "plan.csv"
 
 # Only the best iterate of a failed solve has this column, as the last one.

@@ -121,6 +121,17 @@ def _from_written(origin: Origin) -> Scenario:
     return Scenario.from_origin(origin)
 
 
+def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
+    """Return the fields and values of texts as ``solver.accuracy=proof``.
+
+    Raises
+    ------
+    ScenarioError
+        If a text is not PATH=VALUE.
+    """
+    return {spell(path): value for path, value in _parsed(overrides).items()}
+
+
 def _parsed(overrides: Sequence[str]) -> dict[FieldPath, Any]:
     texts = (overrides,) if isinstance(overrides, str) else overrides
     found: dict[FieldPath, Any] = {}

@@ -1,0 +1,60 @@
+"""`pyomo-quad solve` that is stopped with a usable plan, and continued."""
+
+import json
+import signal
+from contextlib import nullcontext
+from pathlib import Path
+
+import pytest
+
+from pyomo_quad.cli import main, solving
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.flight import search
+from tests.command import PAPER_CALM
+
+STRANGER = Path(__file__).parent / "stranger" / "stranger.toml"
+NO_FIGURES = ("--figures", "none")
+
+
+def test_ctrl_c_leaves_a_usable_plan_that_is_refined_later(tmp_path, monkeypatch, capsys):
+    def stop(state):
+        if state.has_usable:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(search, "_PATIENCE_S", 0.0)
+    folder, later = tmp_path / "report", tmp_path / "later"
+    with monkeypatch.context() as stopped:
+        stopped.setattr(solving, "live_line", lambda **_: nullcontext(stop))
+        said = main(["solve", PAPER_CALM, "--out", str(folder), *NO_FIGURES])
+    assert said == ExitCode.VERIFIED
+    assert "paper_calm: usable: Flown open loop" in capsys.readouterr().err
+    summary = json.loads((folder / "summary.json").read_text())
+    assert (summary["status"], summary["accuracy"]["asked"]) == ("usable", "proof")
+    assert summary["terminal_miss_m"] <= 0.1
+    assert "**Usable.**" in (folder / "report.md").read_text(encoding="utf-8")
+    again = ["solve", "--continue", str(folder), "--out", str(later), *NO_FIGURES]
+    assert main(again) == ExitCode.VERIFIED
+    refined = json.loads((later / "summary.json").read_text())
+    assert refined["accuracy"]["reached"] == "proof"
+    assert refined["energy_J"] == pytest.approx(709.65279, rel=1e-6)
+    capsys.readouterr()
+    assert main(["solve", "--continue", str(later)]) == ExitCode.BAD_INPUT
+    assert "accuracy = proof was reached; --continue needs a higher one" in capsys.readouterr().err
+
+
+def test_a_solve_needs_a_scenario_or_a_plan_and_not_both(tmp_path, capsys):
+    assert main(["solve"]) == ExitCode.BAD_INPUT
+    assert "give a SCENARIO, or --continue RUN." in capsys.readouterr().err
+    assert main(["solve", PAPER_CALM, "--continue", str(tmp_path)]) == ExitCode.BAD_INPUT
+    assert main(["solve", "--continue", str(tmp_path)]) == ExitCode.BAD_INPUT
+
+
+@pytest.mark.slow
+def test_a_strangers_delivery_stopped_after_20_s_is_usable(tmp_path):
+    out = tmp_path / "report"
+    command = ["solve", str(STRANGER), "--set=solver.time_limit=20", "--out", str(out), *NO_FIGURES]
+    assert main(command) == ExitCode.VERIFIED
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["status"] == "usable"
+    assert summary["terminal_miss_m"] <= 0.1
+    assert "solver.time_limit = 20 s" in (out / "report.md").read_text(encoding="utf-8")

@@ -1,0 +1,70 @@
+"""Accuracies, and the best usable plan of a search that is stopped."""
+
+import pytest
+
+from pyomo_quad import Plan
+from pyomo_quad.collocation import Mesh
+from pyomo_quad.flight import PlanStatus, search
+from pyomo_quad.flight.planning import Planner
+from pyomo_quad.flight.usable import flyable_from
+from pyomo_quad.flight.verdict import plan_of, verified
+from pyomo_quad.scenario import load_scenario
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
+from tests.command import PAPER_CALM
+
+PROVEN_J = 709.65279
+
+
+def test_a_mission_asks_for_standard_and_the_papers_for_proof():
+    mission = {"goal": {"position": [2.0, 0.0, 1.0]}, "duration": 4.0}
+    own = {"name": "hop", "vehicle": {"use": "dji_phantom_2"}, "wind": {"use": "calm"}}
+    hop = load_scenario({**own, "mission": mission})
+    assert (hop.solver.accuracy, hop.solver.tolerance) == (Accuracy.STANDARD, 1e-4)
+    paper = load_scenario(PAPER_CALM)
+    assert (paper.solver.accuracy, paper.solver.tolerance) == (Accuracy.PROOF, 1e-6)
+    quick = paper.with_values({"solver.accuracy": "quick"})
+    assert quick.solver.tolerance == 1e-3
+
+
+@pytest.mark.parametrize("accuracy", list(Accuracy))
+def test_the_energy_is_as_close_to_the_least_as_the_accuracy_says(accuracy):
+    plan = Planner().solve(load_scenario(PAPER_CALM, [f"solver.accuracy={accuracy.value}"]))
+    figures = FIGURES[accuracy]
+    assert plan.status is PlanStatus.VERIFIED
+    assert plan.accuracy_reached is accuracy
+    assert plan.energy == pytest.approx(PROVEN_J, rel=figures.energy)
+    assert plan.verification.terminal_miss_m <= figures.miss
+    assert plan.verification.max_violation <= figures.breach
+
+
+def test_a_search_that_is_stopped_ends_with_its_usable_plan(monkeypatch, tmp_path):
+    monkeypatch.setattr(search, "_PATIENCE_S", 0.0)
+    states = []
+    stopped = Planner().solve(
+        load_scenario(PAPER_CALM),
+        progress=lambda _: not (states and states[-1].has_usable),
+        show=states.append,
+    )
+    assert stopped.status is PlanStatus.USABLE
+    assert stopped.accuracy_reached is not Accuracy.PROOF
+    assert "proof was not reached" in stopped.message
+    assert abs(stopped.energy - PROVEN_J) <= stopped.energy_uncertainty * PROVEN_J
+    assert stopped.verification.terminal_miss_m <= FIGURES[Accuracy.QUICK].miss
+    stopped.save(tmp_path / "plan.npz")
+    assert Plan.load(tmp_path / "plan.npz").status is PlanStatus.USABLE
+
+
+def test_what_leads_on_from_a_coarse_mesh_can_be_flown():
+    planner, told = Planner(), load_scenario(PAPER_CALM)
+    problem, _ = planner.problem_for(told)
+    arguments = planner._arguments(told, None)
+    coarse = problem.solve(**arguments | {"mesh": Mesh.uniform(4, 4), "tolerance": None})
+    asked = Accuracy.QUICK
+    before = verified(plan_of(told, coarse, {}, 0.0), coarse, asked).verification
+    *_, last = flyable_from(problem, arguments, coarse, told.airspace)
+    after = verified(plan_of(told, last, {}, 0.0), last, asked).verification
+    assert before.reached is None
+    assert after.reached is asked
+    # Flown by SciPy it arrives, and of all flights that do, none spends less than the optimum.
+    assert after.terminal_miss_m <= FIGURES[asked].miss
+    assert after.flown_energy_J >= PROVEN_J * (1.0 - FIGURES[asked].energy)
