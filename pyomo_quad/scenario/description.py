@@ -16,6 +16,7 @@ from pydantic import BaseModel
 from pyomo_quad.scenario.fields import FieldPath, parse_path, spell, unit_of
 from pyomo_quad.scenario.messages import ScenarioError, declared_place, shown
 from pyomo_quad.scenario.schema import NAME_PATTERN, Scenario
+from pyomo_quad.scenario.spellings import DEGREES, FROM, ON_EARTH, PLACES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,8 +147,9 @@ def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...])
         table.pop("required", None)
         for name in _DERIVED:
             table.get("properties", {}).pop(name, None)
-        for name, field in table.get("properties", {}).items():
+        for name, field in list(table.get("properties", {}).items()):
             table["properties"][name] = _for_editors(field)
+            table["properties"] |= _otherwise(name, field)
     for name in ("WindSeries", "WindGrid"):
         definitions.pop(name, None)
     return {
@@ -162,6 +164,22 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
     """List the fields that a file of a model may have, in the order of the schema."""
     schema = model.model_json_schema()
     return tuple(_writable(schema, schema.get("$defs", {}), ""))
+
+
+def _otherwise(name: str, field: dict[str, Any]) -> dict[str, Any]:
+    """Return the other ways to write a field (`spellings`), with what editors say of them."""
+    meaning = field.get("description", "")
+    found: dict[str, Any] = {}
+    if field.get("unit") == "rad":
+        found[f"{name}{DEGREES}"] = {"type": "number", "description": f"{meaning} [deg]"}
+    if field.get("unit") == "rad" and name == "direction":
+        says = "where the wind comes from, clockwise from north [deg]"
+        found[FROM] = {"type": "number", "description": says}
+    if name in PLACES:
+        kept = _for_editors(field)
+        on_earth = {"type": "object", "properties": {key: {"type": "number"} for key in ON_EARTH}}
+        found[name] = {"anyOf": [kept, on_earth], "description": kept.get("description", "")}
+    return found
 
 
 def _for_editors(field: dict[str, Any]) -> dict[str, Any]:

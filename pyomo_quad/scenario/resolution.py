@@ -39,6 +39,7 @@ from pyomo_quad.scenario.messages import (
     shown,
 )
 from pyomo_quad.scenario.mission import FREE
+from pyomo_quad.scenario.spellings import in_plain_terms, origin_of_mission
 from pyomo_quad.scenario.tables import (
     FASTEST_ROTOR,
     derived_limits,
@@ -549,6 +550,7 @@ def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
         tables = _add_library(origin, tables, own, provenance, ("wind", "forecast"), "winds")
         tables = _inherit_by_forecast(tables, own)
     tables = _with_assignments(origin, merge(tables, own), indexed=True)
+    tables = in_plain_terms(tables, own, provenance, model, origin.source)
     tables = _add_wind_series(origin, tables, provenance)
     tables = _add_wind_fields(origin, tables, provenance)
     tables = in_the_air(tables, origin.document if origin.is_resolved else None, provenance)
@@ -657,7 +659,8 @@ def _add_wind_fields(
     for place, wind in _winds(tables, "field"):
         path = (*place, "field")
         where = f"{whose(origin, provenance, path)}: {spell(path)} = {shown(wind['field'])}"
-        grid = read_wind_field(origin.folder / wind["field"], where)
+        on_earth = origin_of_mission(tables, origin.source)
+        grid = read_wind_field(origin.folder / wind["field"], where, on_earth)
         tables = set_value(tables, (*place, "grid"), grid)
         for part in grid:
             provenance[spell((*place, "grid", part))] = f"file {shown(wind['field'])[1:-1]}"
