@@ -2,17 +2,25 @@
 
 symbol | name | unit | meaning
 c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes that it has
+n_k | normal[zone, ball, axis] | - | direction across an edge of a polygon, of length one
 R_k | radius[zone, ball] | m | its radius
 c | clearance | m | distance kept from every zone
 d_k | beyond[zone, ball] | m | distance from the ball, with its clearance
 w | edge_width | m | width over which two faces of a zone are joined
 
 A zone is where some balls overlap (`scenario.airspace.Ball`): a disk and an interval of height in
-a cylinder, three intervals in a box.  Being outside is being beyond one of them, the largest of
-the d_k being positive.  That largest is joined smoothly and from below, so that no place inside a
-zone is allowed: near an edge, where two of the d_k agree to about w, places up to 0.14 w = 70 mm
-outside (0.28 w = 140 mm beside the corners of a box) are forbidden too; elsewhere, and on the edge
-itself, the zone is exact.  Faces move out by the clearance, so that edges stay sharp.
+a cylinder, three intervals in a box, an interval across each edge and one of height in a convex
+polygon.  Being outside is being beyond one of them, the largest of the d_k being positive.  That
+largest is joined smoothly and from below, so that no place inside a zone is allowed: near an edge,
+where two of the d_k agree to about w, places up to 0.14 w = 70 mm outside (0.28 w = 140 mm beside
+the corners of a box) are forbidden too; elsewhere, and on the edge itself, the zone is exact.
+Faces move out by the clearance, so that edges stay sharp.
+
+A polygon with k corners joins k + 1 faces in the same way, so that beside a corner, where faces
+that turn little follow each other, up to 0.14 w more is forbidden for each face that is as near.
+
+The fence (`keep_in`) is one straight limit for each of its edges, exact everywhere, corners
+included, and keeps no clearance.
 
 A flight that starts or ends on a wall, or passes a waypoint there, has no room to keep: such a
 place is refused before anything is solved.
@@ -22,6 +30,7 @@ from collections.abc import Callable, Hashable, Sequence
 from functools import reduce
 from typing import Any
 
+import numpy as np
 from pyomo.core import Block, ConcreteModel, sqrt
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
@@ -29,7 +38,7 @@ from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo_quad.model.parameters import Parameter, declare_parameters, saturated
 from pyomo_quad.model.rigid_body import PLACE
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.airspace import KeepOut
+from pyomo_quad.scenario.airspace import Ball, KeepOut
 from pyomo_quad.scenario.messages import shown
 
 AXES = PLACE[:3]
@@ -45,8 +54,12 @@ _TOUCHING_M = 5e-5
 def structure_of(scenario: Scenario) -> Hashable:
     """Return what two airspaces must share to share one compiled model."""
     told = scenario.airspace
-    zones = tuple((zone.name, tuple(ball.axes for ball in zone.balls)) for zone in told.keep_out)
-    return told.floor is None, told.ceiling is None, zones
+    zones = tuple(
+        (zone.name, tuple((ball.axes, ball.normal is None) for ball in zone.balls))
+        for zone in told.keep_out
+    )
+    edges = 0 if told.keep_in is None else len(told.keep_in.edges)
+    return told.floor is None, told.ceiling is None, edges, zones
 
 
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
@@ -58,7 +71,43 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
         for name in ("floor", "ceiling")
         if getattr(told, name) is not None
     )
-    return heights + _zone_parameters(scenario) if told.keep_out else heights
+    fence = () if told.keep_in is None else _fence_parameters(scenario)
+    return heights + fence + (_zone_parameters(scenario) if told.keep_out else ())
+
+
+def _fence_parameters(scenario: Scenario) -> tuple[Parameter, ...]:
+    return (
+        Parameter(
+            name="fence_normal",
+            units=units.dimensionless,
+            value=_fence_normals,
+            doc="outward direction across an edge of the fence",
+            index=tuple(_fence_normals(scenario)),
+        ),
+        Parameter(
+            name="fence_end",
+            units=units.m,
+            value=_fence_ends,
+            doc="how far out an edge of the fence lies",
+            index=tuple(_fence_ends(scenario)),
+        ),
+    )
+
+
+def _fence_normals(scenario: Scenario) -> dict[tuple[int, str], float]:
+    fence = scenario.airspace.keep_in
+    edges = () if fence is None else fence.edges
+    return {
+        (number, axis): share
+        for number, (normal, _) in enumerate(edges, start=1)
+        for axis, share in zip(AXES[:2], normal, strict=True)
+    }
+
+
+def _fence_ends(scenario: Scenario) -> dict[int, float]:
+    fence = scenario.airspace.keep_in
+    edges = () if fence is None else fence.edges
+    return {number: end for number, (_, end) in enumerate(edges, start=1)}
 
 
 def _reader(name: str) -> Callable[[Scenario], float]:
@@ -99,7 +148,26 @@ def _zone_parameters(scenario: Scenario) -> tuple[Parameter, ...]:
             doc="radii of the balls that overlap in a zone",
             index=tuple(_radii(scenario)),
         ),
+        *_normal_parameter(scenario),
     )
+
+
+def _normal_parameter(scenario: Scenario) -> tuple[Parameter, ...]:
+    index = tuple(_normals(scenario))
+    doc = "directions across the edges of polygons"
+    across = Parameter(
+        name="normal", units=units.dimensionless, value=_normals, doc=doc, index=index
+    )
+    return (across,) if index else ()
+
+
+def _normals(scenario: Scenario) -> dict[tuple[str, int, str], float]:
+    return {
+        (zone.name, number, AXES[axis]): share
+        for zone in scenario.airspace.keep_out
+        for number, ball in enumerate(zone.balls, start=1)
+        for axis, share in enumerate(ball.normal or ())
+    }
 
 
 def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
@@ -107,8 +175,16 @@ def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
         (zone.name, number, AXES[axis]): coordinate
         for zone in scenario.airspace.keep_out
         for number, ball in enumerate(zone.balls, start=1)
-        for axis, coordinate in zip(ball.axes, ball.centre, strict=True)
+        for axis, coordinate in zip(*_axes_and_centre(ball), strict=True)
     }
+
+
+def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Return the axes of a ball's centre, and its coordinates on them."""
+    if ball.normal is None:
+        return ball.axes, ball.centre
+    (out,) = ball.centre
+    return (0, 1), (out * ball.normal[0], out * ball.normal[1])
 
 
 def _radii(scenario: Scenario) -> dict[tuple[str, int], float]:
@@ -142,6 +218,14 @@ def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
         def ceiling_limit(b: Block, t: float) -> RelationalExpression:
             return b.parent_block().rigid_body.z[t] <= b.ceiling
 
+    if scenario.airspace.keep_in is not None:
+
+        @b.Constraint(list(_fence_ends(scenario)), m.time, doc="inside of the fence [m]")
+        def keep_in(b: Block, edge: int, t: float) -> RelationalExpression:
+            body = b.parent_block().rigid_body
+            out = sum(b.fence_normal[edge, axis] * body.component(axis)[t] for axis in AXES[:2])
+            return out <= b.fence_end[edge]
+
     if scenario.airspace.keep_out:
         _declare_keep_outs(b, m, scenario)
 
@@ -151,7 +235,12 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     def beyond(b: Block, zone: str, ball: int, t: float) -> NumericExpression:
         body = b.parent_block().rigid_body
         axes = [axis for axis in AXES if (zone, ball, axis) in b.centre]
-        away = sum((body.component(axis)[t] - b.centre[zone, ball, axis]) ** 2 for axis in axes)
+        off = {axis: body.component(axis)[t] - b.centre[zone, ball, axis] for axis in axes}
+        normal = b.component("normal")
+        if normal is not None and (zone, ball, AXES[0]) in normal:
+            away = sum(normal[zone, ball, axis] * off[axis] for axis in axes) ** 2
+        else:
+            away = sum(off[axis] ** 2 for axis in axes)
         return _beyond(away, b.radius[zone, ball] + b.clearance, b.rounding)
 
     @b.Constraint(
@@ -197,7 +286,7 @@ def _room(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
     """Return how far a place is outside of a zone, as the constraint says it [m]."""
     distances = [
         _beyond(
-            sum((place[axis] - c) ** 2 for axis, c in zip(ball.axes, ball.centre, strict=True)),
+            float(np.sum((ball.coordinates(place) - ball.centre) ** 2)),
             ball.radius + clearance,
             _ROUNDING_M,
         )
