@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import typer
 
@@ -21,6 +21,7 @@ from pyomo_quad.flight.outside_plant import (
     rotorpy_module,
 )
 from pyomo_quad.flight.replanning import fly_replanned
+from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.report.tables import FLIGHT_NAME, flight_summary, write_summary, write_table
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Knowledge, Reference
@@ -38,8 +39,11 @@ def make_plan(planner: Planner, scenario: Scenario) -> Plan:
     raise typer.Exit(status)
 
 
-def make_flight(scenario: Scenario, fly: Callable[[], Flight]) -> Flight:
-    """Fly, or print why the flight is impossible and exit."""
+_Outcome = TypeVar("_Outcome")
+
+
+def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
+    """Fly, once or many times, or print why the flight is impossible and exit."""
     try:
         return fly()
     except SolveError as error:
@@ -50,10 +54,10 @@ def make_flight(scenario: Scenario, fly: Callable[[], Flight]) -> Flight:
 def fly_declared(
     planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
 ) -> Flight:
-    """Fly the adaptive controller along a reference or, without one, the plan in open loop."""
+    """Fly the adaptive controller along a reference, or the plan in open loop if None."""
     if reference is Reference.CRUISE:
         return fly_cruise(scenario, None, plan, planner)
-    dynamics = planner.dynamics(scenario)
+    dynamics = vehicle_flown(planner, scenario)
     if reference is None and plan is not None:
         return fly_open_loop(scenario, plan, dynamics)
     return fly_baseline(scenario, reference or Reference.PLAN, dynamics=dynamics, plan=plan)
@@ -61,7 +65,7 @@ def fly_declared(
 
 def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Flight:
     """Fly under model predictive control, which re-plans the rest of the mission in flight."""
-    dynamics = planner.dynamics(scenario)
+    dynamics = vehicle_flown(planner, scenario)
     return fly_replanned(scenario, knowledge, dynamics=dynamics, planner=planner)
 
 

@@ -1,6 +1,6 @@
 """The declared equations as functions of time: slopes, outputs, any variable or expression.
 
-Under feedback, they and a control law are one function.
+`ClosedLoop` combines them with a control law into one function.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.program.compiled import MappedFunction
-from pyomo_quad.collocation.reading.schedules import BESIDE
+from pyomo_quad.collocation.reading.schedules import BESIDE, Steps
 from pyomo_quad.collocation.reading.writer import symbol_names
 
 if TYPE_CHECKING:
@@ -33,11 +33,14 @@ if TYPE_CHECKING:
 
 # Residual at which Newton's method stops.
 _NEWTON_TOLERANCE = 1e-13
+# Steps where their count is fixed, from nought as well.  The first may lead 2^12 times too far, as
+# a hovering rotor's induced velocity does, which later steps halve before they converge.
+_NEWTON_STEPS = 20
 
 
 @dataclass(frozen=True)
 class Violation:
-    """The worst breach of one limit: its name, size in its own unit, bound and time."""
+    """The worst violation of one limit: its name, size in its own unit, bound and time."""
 
     name: str
     size: float
@@ -52,10 +55,10 @@ class Violation:
 
 @dataclass(frozen=True, kw_only=True)
 class Instants:
-    """States and controls at n times, with the rates and algebraic variables they come with.
+    """States and controls at n times, with the corresponding rates and algebraic variables.
 
-    `read` takes keys and the columns of all that the equations read; `numbers` puts parameters,
-    given by full name, into the last of these.
+    `read` evaluates components from the inputs of the equations; `numbers` replaces parameters,
+    given by full name, in the last of these inputs.
     """
 
     inputs: list[FloatArray]
@@ -67,9 +70,9 @@ class Instants:
         keys: tuple[tuple[str, Any], ...],
         changed: Mapping[str, ArrayLike] | None = None,
     ) -> FloatArray:
-        """Return components, as (full name, index) pairs: shape (n, n_keys).
+        """Return components, given as (full name, index) pairs, shape (n, n_keys).
 
-        `changed` replaces parameters on which neither rates nor algebraic variables depend.
+        `changed` replaces parameters that affect neither rates nor algebraic variables.
         """
         *held, data = self.inputs
         return self.read(keys, *held, self.numbers(data, changed or {}))
@@ -81,9 +84,9 @@ class Dynamics:
     Attributes
     ----------
     state_names : tuple of str
-        States of the program, then output states.
+        States of the program, followed by the output states.
     control_names : tuple of str
-        Algebraic variables that no equation determines: what a simulation is given.
+        Algebraic variables that no equation determines: the inputs of a simulation.
     """
 
     def __init__(self, formulation: Formulation, instance: Instance, statics: FloatArray) -> None:
@@ -104,13 +107,14 @@ class Dynamics:
         self._data = np.concatenate([np.zeros(1 + n_signals), instance.parameters])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle what it is made of."""
+        """Pickle the arguments from which it is built."""
         return type(self), (self._formulation, self._instance, self._statics)
 
     def _compile(self, states: tuple[Slot, ...]) -> Any:
         """Return the function (x, u, statics, data) -> slopes and algebraics, (integrand, span).
 
-        Slopes and integrand are per share of the horizon, of which the span makes time.
+        Slopes and integrand are per fraction of the horizon; dividing by the span makes them per
+        time.
         """
         declared = self._formulation.compiled.declared
         equations = [e for e in declared.equations if e.is_equality]
@@ -128,19 +132,33 @@ class Dynamics:
             casadi.vertcat(*declared.path_data),
         ]
         rest = casadi.vertcat(_objective_density(self._formulation), declared.clock.span)
-        jacobian = casadi.jacobian(rows, unknowns)
-        if not symbol_names(jacobian) & symbol_names(unknowns):
-            zero = casadi.DM.zeros(unknowns.shape[0])
-            offset = casadi.substitute(rows, unknowns, zero)
-            solved = _solve_linear(jacobian, -offset)
-            outputs = casadi.substitute([unknowns, rest], [unknowns], [solved])
-            return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
-        return _implicit(rows, unknowns, inputs, rest)
+        if symbol_names(casadi.jacobian(rows, unknowns)) & symbol_names(unknowns):
+            return self._implicit_side(_Core.of(rows, unknowns, inputs, rest), inputs)
+        solved = _solved_for(rows, unknowns)
+        outputs = casadi.substitute([unknowns, rest], [unknowns], [solved])
+        return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
+
+    def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
+        """Return the right-hand side of implicit equations, by Newton's method to its tolerance."""
+        newton = casadi.rootfinder("slopes", "newton", core.residual, {"abstol": _NEWTON_TOLERANCE})
+        symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
+        stacked = casadi.vertcat(*symbols)
+        found = newton(casadi.MX.zeros(core.inner.shape[0]), stacked)
+        return casadi.Function("right_hand_side", symbols, list(core.known(found, stacked)))
+
+    def without_iterations(self) -> Dynamics:
+        """Return the same vehicle with a fixed count of Newton steps, in CasADi's fast symbols.
+
+        Where equations are implicit, their iteration costs ten times as much as all others.
+        """
+        if self._right_hand_side.is_a("SXFunction"):
+            return self
+        return _WithoutIterations(self._formulation, self._instance, self._statics)
 
     def control_limits(self, breach: float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Return constant lower and upper limits of the controls, shape (n_controls,) each.
 
-        Further apart by a breach, relative to the larger of 1 and the limit.
+        `breach` widens both limits, relative to the larger of 1 and the limit.
         """
         names = [s.name for s in self._formulation.compiled.declared.algebraics]
         chosen = [names.index(name) for name in self.control_names]
@@ -148,35 +166,64 @@ class Dynamics:
         return lower[chosen], upper[chosen]
 
     def just_after(self, t: float) -> float:
-        """Return a time at which the equations are what they are after t.
+        """Return a time just after t at which the equations have their values to the right of t.
 
-        Where they jump, t itself belongs to what is before.
+        Where they jump, t itself belongs to the left.
         """
         return t + 2.0 * BESIDE * float(self.timeline.spans.max()) if self._instance.jumps else t
 
+    def steps_between(self, start: float, end: float) -> list[float]:
+        """Return when parameters given as `Steps` step between two times, rising."""
+        given = [v for v in self._instance.overrides.values() if isinstance(v, Steps)]
+        return sorted({edge for steps in given for edge in steps.edges(start, end)})
+
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        """Parameters over time, by full name, as they follow the share of the horizon in `moment`.
+
+        Signals of rules that branch on time follow them.
+        """
+        return tuple(slot.name for slot in self._formulation.compiled.declared.signals)
+
     def moment(self, t: float) -> list[float]:
-        """Return what the equations read of a time: its share of the horizon, and the signals."""
+        """Return the time-dependent inputs of the equations: fraction and signals."""
         fraction = float(self.timeline.fraction(t))
         return [fraction, *self._signals(fraction)]
 
     def symbol(self, name: str, size: int) -> Any:
-        """Return a column of CasADi symbols of the kind that `written` takes."""
+        """Return a column of CasADi symbols of the type that `written` accepts."""
         is_explicit = self._right_hand_side.is_a("SXFunction")
         return (casadi.SX if is_explicit else casadi.MX).sym(name, size)
 
-    def written(self, moment: Any, x: Any, u: Any) -> tuple[Any, Any]:
-        """Return dx/dt and the objective's integrand as CasADi expressions of their symbols."""
-        data = casadi.vertcat(moment, self._instance.parameters)
+    def parameter_column(self, changed: Mapping[str, Any]) -> Any:
+        """Return all parameters as a column, some of them, by full name, replaced by symbols."""
+        pairs = zip(self.parameter_names, self._instance.parameters.tolist(), strict=True)
+        return casadi.vertcat(*(changed.get(name, value) for name, value in pairs))
+
+    def moment_column(self, moment: Any, changed: Mapping[str, Any]) -> Any:
+        """Return a moment with parameters over time, by full name, replaced by symbols."""
+        own = casadi.vertsplit(moment)
+        for k, name in enumerate(self.signal_names, start=1):
+            own[k] = changed.get(name, own[k])
+        return casadi.vertcat(*own)
+
+    def written(self, moment: Any, x: Any, u: Any, parameters: Any = None) -> tuple[Any, Any]:
+        """Return dx/dt and the objective's integrand as CasADi expressions of the given symbols.
+
+        `parameters` is a column of `parameter_column`; without it they are the vehicle's own.
+        """
+        numbers = self._instance.parameters if parameters is None else parameters
+        data = casadi.vertcat(moment, numbers)
         unknowns, rest = self._right_hand_side(x, u, self._statics, data)
         return unknowns[: x.shape[0]] / rest[1], rest[0] / rest[1]
 
     def expressions(
         self, keys: tuple[tuple[str, Any], ...], t: float, values: Mapping[str, Any]
     ) -> list[Any]:
-        """Return components, as (full name, index) pairs, as CasADi expressions of some symbols.
+        """Return components, given as (full name, index) pairs, as CasADi expressions.
 
-        An equation, by its name, is what it leaves over.  `values` gives states and algebraic
-        variables by full name, as symbols or numbers; the others, and all rates, are nought.
+        An equation, by its name, yields its residual. `values` gives states and algebraic variables
+        by full name, as symbols or numbers; all others, and all rates, are zero.
         """
         declared, evaluator = self._formulation.compiled.declared, self._formulation.evaluator
         columns = [
@@ -226,13 +273,15 @@ class Dynamics:
         controls: FloatArray,
         numbers: Mapping[str, ArrayLike] | None = None,
     ) -> Instants:
-        """Return what the equations make of states and controls at n times.
+        """Return states and controls at n times with the resulting rates and algebraics.
 
-        `numbers` gives parameters by full name, each one number or a column of n.
+        `numbers` gives parameters by full name, each as one number or a column of n.
         """
         n = len(t)
-        fractions = self.timeline.fraction(np.asarray(t, dtype=float))
-        signals = self._formulation.signals(self._instance, fractions)
+        # Flights side by side share their times, and signals are read one by one.
+        times, which = np.unique(np.asarray(t, dtype=float), return_inverse=True)
+        fractions = self.timeline.fraction(times)
+        signals = self._formulation.signals(self._instance, fractions)[which]
         parameters = np.tile(self._instance.parameters, (n, 1))
         data = self._with_numbers(np.hstack([signals, parameters]), numbers or {})
         statics = np.broadcast_to(self._statics, (n, self._statics.size))
@@ -251,7 +300,7 @@ class Dynamics:
         return changed
 
     def _inputs(self, t: FloatArray, states: FloatArray, controls: FloatArray) -> list[FloatArray]:
-        """Return what an `Evaluator` reads, for n times at once."""
+        """Return the inputs of an `Evaluator` for n times at once."""
         return self.solved(t, states, controls).inputs
 
     def _algebraics(self, determined: FloatArray, controls: FloatArray) -> FloatArray:
@@ -304,7 +353,7 @@ class Dynamics:
 
     @property
     def states_used_up(self) -> tuple[str, ...]:
-        """States given at the start of the horizon and left free at its end, as a charge is."""
+        """States fixed at the start of the horizon and free at its end, for example a charge."""
         declared = self._formulation.compiled.declared
         given = {(p.slot, p.fraction) for p in declared.point_symbols} | set(declared.fixed)
         at_start = {name for name, fraction in given if fraction == 0.0}
@@ -322,7 +371,7 @@ class Dynamics:
         return tuple(p.name for p in self._formulation.compiled.declared.parameters)
 
     def initial_states(self) -> dict[str, float]:
-        """Return the values that the model's own variables hold at the start, zero for none."""
+        """Return the values that the model's own variables hold at the start, zero if unset."""
         declared = self._formulation.compiled.declared
         held = {
             slot.name: dict(self._formulation.values.initial_values(slot))
@@ -331,7 +380,7 @@ class Dynamics:
         return {name: values.get(0.0, 0.0) for name, values in held.items()}
 
     def has(self, name: str) -> bool:
-        """Say whether the model has a component of this name."""
+        """Return whether the model has a component of this name."""
         return self._formulation.source.has(name)
 
     def unit(self, name: str) -> str:
@@ -341,31 +390,48 @@ class Dynamics:
     def violations(
         self, t: FloatArray, states: FloatArray, controls: FloatArray
     ) -> tuple[Violation, ...]:
-        """Return the worst breach of every limit over time, the worst first.
+        """Return the worst violation of every limit over time, the worst first.
 
-        Limits are path inequalities and bounds; a limit that is kept counts with size 0.
+        Limits are path inequalities and bounds; a limit that is met has size 0.
         """
+        (found,) = self.violations_of(self.solved(t, states, controls), t)
+        return found
+
+    def violations_of(self, instants: Instants, t: FloatArray) -> list[tuple[Violation, ...]]:
+        """Return `violations` of flights at the same times t, one after the other in `instants`."""
         compiled = self._formulation.compiled
         declared, n_states = compiled.declared, len(compiled.declared.states)
-        rates, all_states, algebraics, statics, data = self._inputs(t, states, controls)
+        rates, all_states, algebraics, statics, data = instants.inputs
+        n = len(data)
         inner = all_states[:, :n_states]
         variables = np.hstack([rates[:, :n_states], inner, algebraics, statics])
-        rows = MappedFunction(compiled.path.values, len(t))(variables, data)[0]
-        lower, upper = MappedFunction(compiled.path_bounds, len(t))(data)
-        low, high, simple_low, simple_high = MappedFunction(compiled.variable_limits, len(t))(data)
+        rows = MappedFunction(compiled.path.values, n)(variables, data)[0]
+        lower, upper = MappedFunction(compiled.path_bounds, n)(data)
+        low, high, simple_low, simple_high = MappedFunction(compiled.variable_limits, n)(data)
         values = np.hstack([inner, algebraics])
         names = [s.name for s in (*declared.states, *declared.algebraics)]
-        found = [
-            _worst(e.name, rows[:, k], lower[:, k], upper[:, k], t)
+        limits = [
+            (e.name, rows[:, k], lower[:, k], upper[:, k])
             for k, e in enumerate(declared.equations)
             if not e.is_equality
         ]
-        found += [_worst(n, values[:, k], low[:, k], high[:, k], t) for k, n in enumerate(names)]
+        limits += [(name, values[:, k], low[:, k], high[:, k]) for k, name in enumerate(names)]
         for k, bound in enumerate(compiled.simple_path_bounds):
             held = values[:, names.index(bound.variable)]
-            sides = simple_low[:, k], simple_high[:, k]
-            found.append(_worst(bound.name, held, *sides, t))
-        return tuple(sorted(found, key=lambda v: -v.relative))
+            limits.append((bound.name, held, simple_low[:, k], simple_high[:, k]))
+        flights = (slice(k, k + len(t)) for k in range(0, n, len(t)))
+        return [
+            tuple(
+                sorted(
+                    (
+                        _worst(name, x[own], least[own], most[own], t)
+                        for name, x, least, most in limits
+                    ),
+                    key=lambda v: -v.relative,
+                )
+            )
+            for own in flights
+        ]
 
 
 def _worst(
@@ -384,10 +450,10 @@ def _column(symbols: list[Any]) -> Any:
 
 
 def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
-    """Split the algebraic variables into controls and those that equations determine.
+    """Split the algebraic variables into controls and variables that equations determine.
 
-    Equality equations without rates determine algebraic variables; which ones follows from a
-    maximum matching of equations and variables, later declared variables first.
+    Equality equations without rates determine algebraic variables. A maximum matching of equations
+    and variables decides which variables these are, with later declared variables first.
     """
     declared = formulation.compiled.declared
     rates = {s.rate.name() for s in declared.states}
@@ -411,9 +477,9 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
 def control_limits(
     formulation: Formulation, instance: Instance, breach: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return constant limits of the algebraic variables that are controls, with a breach of them.
+    """Return constant limits of the algebraic variables that are controls, widened by `breach`.
 
-    Shape (n_algebraics,) each, infinite for what equations determine.
+    Shape (n_algebraics,) each, infinite for variables that equations determine.
     """
     controls = {slot.name for slot in split_algebraics(formulation)[0]}
     is_control = np.array([s.name in controls for s in formulation.compiled.declared.algebraics])
@@ -446,39 +512,69 @@ def _solve_linear(matrix: Any, right: Any) -> Any:
     return casadi.solve(matrix, right)
 
 
-def _implicit(rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> Any:
-    """Return the right-hand side of equations that are nonlinear in the slopes or algebraics.
+def _solved_for(rows: Any, unknowns: Any) -> Any:
+    """Return the unknowns of equations that are linear in them."""
+    offset = casadi.substitute(rows, unknowns, casadi.DM.zeros(unknowns.shape[0]))
+    return _solve_linear(casadi.jacobian(rows, unknowns), -offset)
 
-    Newton's method solves only those equations that no others have to be solved for before; where
-    the others are linear in what is left, it is solved symbolically.
+
+@dataclass(frozen=True, kw_only=True)
+class _Core:
+    """Implicit equations: the core that Newton's method solves, and all unknowns given the core's.
+
+    `inner` are its unknowns, `residual` takes them and all inputs as one column, and `known`
+    returns all unknowns, the integrand and the span of the same.
     """
-    core, others = _nonlinear_core(rows, unknowns)
-    parameters = casadi.vertcat(*inputs)
-    inner = casadi.vertcat(*[unknowns[k] for k in core[1]])
-    residual = casadi.Function(
-        "residual", [inner, parameters], [casadi.vertcat(*[rows[k] for k in core[0]])]
-    )
-    newton = casadi.rootfinder("slopes", "newton", residual, {"abstol": _NEWTON_TOLERANCE})
-    solved, left = unknowns, casadi.vertcat(*[unknowns[k] for k in others[1]])
-    if others[0]:
-        linear = casadi.vertcat(*[rows[k] for k in others[0]])
-        offset = casadi.substitute(linear, left, casadi.DM.zeros(len(others[1])))
-        outer = _solve_linear(casadi.jacobian(linear, left), -offset)
-        solved = casadi.substitute(unknowns, left, outer)
-        rest = casadi.substitute(rest, left, outer)
-    outputs = [casadi.densify(solved), casadi.densify(rest)]
-    known = casadi.Function("known", [inner, parameters], outputs)
-    symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
-    stacked = casadi.vertcat(*symbols)
-    found = newton(casadi.MX.zeros(inner.shape[0]), stacked)
-    return casadi.Function("right_hand_side", symbols, list(known(found, stacked)))
+
+    inner: Any
+    residual: Any
+    known: Any
+
+    @classmethod
+    def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
+        """Split equations that are nonlinear in the slopes or algebraics.
+
+        Newton's method solves only those equations on which the others depend. Equations that are
+        linear in the remaining unknowns are solved symbolically.
+        """
+        core, others = _nonlinear_core(rows, unknowns)
+        parameters = casadi.vertcat(*inputs)
+        inner = casadi.vertcat(*[unknowns[k] for k in core[1]])
+        residual = casadi.Function(
+            "residual", [inner, parameters], [casadi.vertcat(*[rows[k] for k in core[0]])]
+        )
+        solved, left = unknowns, casadi.vertcat(*[unknowns[k] for k in others[1]])
+        if others[0]:
+            outer = _solved_for(casadi.vertcat(*[rows[k] for k in others[0]]), left)
+            solved = casadi.substitute(unknowns, left, outer)
+            rest = casadi.substitute(rest, left, outer)
+        outputs = [casadi.densify(solved), casadi.densify(rest)]
+        known = casadi.Function("known", [inner, parameters], outputs)
+        return cls(inner=inner, residual=residual, known=known)
+
+
+class _WithoutIterations(Dynamics):
+    """Implicit equations with `_NEWTON_STEPS` steps written out."""
+
+    def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
+        stacked = casadi.vertcat(*inputs)
+        residual = core.residual(core.inner, stacked)
+        slope = casadi.Function(
+            "slope", [core.inner, stacked], [casadi.jacobian(residual, core.inner)]
+        )
+        found = casadi.SX.zeros(core.inner.shape[0])
+        for _ in range(_NEWTON_STEPS):
+            step = _solve_linear(slope(found, stacked), core.residual(found, stacked))
+            found = found - step
+        known = list(core.known(found, stacked))
+        return casadi.Function("right_hand_side", inputs, known, {"cse": True})
 
 
 def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:
-    """Return equations and unknowns that Newton's method has to solve, and those left linear.
+    """Return equations and unknowns that Newton's method must solve, and those that remain linear.
 
-    All of them go to Newton's method where the unknowns that enter nonlinearly have not as many
-    equations of their own.
+    If the unknowns that enter nonlinearly outnumber the equations in them, Newton's method solves
+    all.
     """
     everything = list(range(unknowns.shape[0]))
     jacobian = casadi.jacobian(rows, unknowns)
@@ -516,25 +612,25 @@ _OPERATIONS = _ARITHMETIC | _FUNCTIONS
 
 
 class Symbol(NDArrayOperatorsMixin):
-    """A number not known yet: NumPy's functions of it are written down, to be compiled."""
+    """A symbolic number that records the NumPy functions applied to it, for compilation."""
 
     def __init__(self, expression: Any) -> None:
         self.expression = expression
 
     def __array_ufunc__(self, function: np.ufunc, method: str, *numbers: Any, **_: Any) -> Symbol:
-        """Write a function down.
+        """Record a function of symbols.
 
         Raises
         ------
         TranscriptionError
-            If it cannot be compiled.
+            If the function cannot be compiled.
         """
         if function not in _OPERATIONS or method != "__call__":
             raise _refusal(f"np.{function.__name__}")
         return Symbol(_OPERATIONS[function](*map(_expression, numbers)))
 
     def __bool__(self) -> bool:
-        """Refuse to be a condition."""
+        """Refuse to be used as a condition."""
         raise _refusal("a branch on a number known in flight only")
 
 
@@ -558,31 +654,58 @@ class Law(Protocol):
     ) -> tuple[Sequence[Any], Sequence[Any]]:
         """Return the controls and the rates of the law's own states.
 
-        Given are what it is to follow, the vehicle's states and its own.
+        Arguments: the command to follow, the vehicle's states, the law's own states.
         """
 
 
-class ClosedLoop:
-    """The right-hand side of a vehicle under a law.
+def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> Any:
+    """Return a law as a function (joint, command) -> controls, rates of its own states.
 
-    The joint state is that of the vehicle, the law's own, and the integral of the objective's
-    integrand.
+    Sizes are those of moment, joint state and command.
+
+    Raises
+    ------
+    TranscriptionError
+        If the law returns another number of controls or rates than there are.
+    """
+    n_states = len(dynamics.state_names)
+    joint, command = casadi.SX.sym("joint", sizes[1]), casadi.SX.sym("command", sizes[2])
+    symbols = [Symbol(s) for s in casadi.vertsplit(joint)]
+    results = law(
+        [Symbol(s) for s in casadi.vertsplit(command)], symbols[:n_states], symbols[n_states:-1]
+    )
+    expected = len(dynamics.control_names), sizes[1] - n_states - 1
+    found = tuple(len(result) for result in results)
+    if found != expected:
+        raise TranscriptionError(
+            f"control law: returns {found[0]} controls and {found[1]} rates of its own states; "
+            f"the vehicle has {expected[0]} controls, and the law {expected[1]} states."
+        )
+    columns = [casadi.vertcat(casadi.SX(0, 1), *map(_expression, result)) for result in results]
+    return casadi.Function("law", [joint, command], columns)
+
+
+class ClosedLoop:
+    """The right-hand side of a vehicle under a control law.
+
+    The joint state consists of the vehicle's states, the law's own states, and the integral of the
+    objective's integrand.
 
     Parameters
     ----------
     dynamics : Dynamics
         The vehicle.
     law : callable
-        (command, x, own) -> (controls, rates of own), sequences of numbers; see `Law`.  It is
-        called once, with symbols.
+        (command, x, own) -> (controls, rates of own), sequences of numbers; see `Law`. It is called
+        once, with symbols.
     n_command, n_own : int
-        How many numbers the law follows, and how many states it has.
+        Number of commands that the law follows, and number of its own states.
 
     Raises
     ------
     TranscriptionError
-        If the law branches on a state, calls what cannot be compiled, or returns another number
-        of controls or rates than the vehicle has controls and itself states.
+        If the law branches on a state, calls a function that cannot be compiled, or returns a wrong
+        number of controls or of rates of its own states.
     """
 
     def __init__(self, dynamics: Dynamics, law: Law, *, n_command: int, n_own: int) -> None:
@@ -599,12 +722,12 @@ class ClosedLoop:
                 buffer.set_arg(k, held.data)
         for k, held in enumerate((self._rates, controls)):
             buffer.set_res(k, held.data)
-        # The function keeps addresses only.
+        # The CasADi buffer stores addresses only; keep the arrays alive.
         self._held = buffer, controls
 
     def _compiled(self, law: Law, sizes: tuple[int, int, int]) -> Any:
         """Return the function (moment, joint, command) -> rates of the joint state, controls."""
-        written = self._written(law, sizes)
+        written = written_law(self._dynamics, law, sizes)
         moment, joint, command = (
             self._dynamics.symbol(name, size)
             for name, size in zip(("moment", "joint", "command"), sizes, strict=True)
@@ -620,36 +743,40 @@ class ClosedLoop:
             {"cse": not has_tables},
         )
 
-    def _written(self, law: Law, sizes: tuple[int, int, int]) -> Any:
-        """Return the law as a function (joint, command) -> controls, rates of its own states."""
-        joint, command = casadi.SX.sym("joint", sizes[1]), casadi.SX.sym("command", sizes[2])
-        symbols = [Symbol(s) for s in casadi.vertsplit(joint)]
-        results = law(
-            [Symbol(s) for s in casadi.vertsplit(command)],
-            symbols[: self._n_states],
-            symbols[self._n_states : -1],
-        )
-        expected = len(self._dynamics.control_names), sizes[1] - self._n_states - 1
-        found = tuple(len(result) for result in results)
-        if found != expected:
-            raise TranscriptionError(
-                f"control law: returns {found[0]} controls and {found[1]} rates of its own states; "
-                f"the vehicle has {expected[0]} controls, and the law {expected[1]} states."
-            )
-        columns = [casadi.vertcat(casadi.SX(0, 1), *map(_expression, result)) for result in results]
-        return casadi.Function("law", [joint, command], columns)
-
     def rates(
         self, t: float, joint: FloatArray, command: Sequence[float] | FloatArray
     ) -> FloatArray:
-        """Return the derivative of the joint state by time, shape (n_joint,)."""
+        """Return the time derivative of the joint state, shape (n_joint,)."""
         self._moment[:] = self._dynamics.moment(t)
         self._joint[:] = joint
         self._command[:] = command
         self._evaluate()
         return self._rates.copy()
 
+    def slopes(
+        self, t: FloatArray, joint: FloatArray, command: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return derivatives of the joint state's rates at n times, by moment and by joint state.
+
+        Shapes (n, n_joint, n_moment) and (n, n_joint, n_joint); where the law has a corner, those
+        of one side.
+        """
+        names = self._function.name_in()
+        jacobians = [f"jac:{self._function.name_out(0)}:{names[k]}" for k in (0, 1)]
+        written = self._function.factory("slopes", names, jacobians)
+        symbols = written.mx_in()
+        columns = [casadi.vec(casadi.densify(out)) for out in written.call(symbols)]
+        mapped = MappedFunction(casadi.Function("slopes", symbols, columns), len(t))
+        moments = np.array([self._dynamics.moment(float(time)) for time in t])
+        by_moment, by_joint = mapped(moments, joint, command)
+        # CasADi keeps matrices by columns.
+        shape = len(t), -1, joint.shape[1]
+        return (
+            by_moment.reshape(shape).transpose(0, 2, 1),
+            by_joint.reshape(shape).transpose(0, 2, 1),
+        )
+
     def controls(self, t: FloatArray, joint: FloatArray, command: FloatArray) -> FloatArray:
-        """Return what the law applies at n times, shape (n, n_controls)."""
+        """Return the controls that the law applies at n times, shape (n, n_controls)."""
         moments = np.array([self._dynamics.moment(float(time)) for time in t])
         return MappedFunction(self._function, len(t))(moments, joint, command)[1]

@@ -1,4 +1,4 @@
-"""From a scenario to a plan: build, compile, solve, fly; and what is tried when that fails."""
+"""From a scenario to a plan: build, compile, solve, fly; with retries after a failure."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from pyomo_quad.collocation import (
 )
 from pyomo_quad.flight.deadline import Deadline
 from pyomo_quad.flight.flight import HELD_BREACH, VIOLATION_TOLERANCE
-from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
+from pyomo_quad.flight.plan import Plan, PlanStatus, energy_of, trajectories_of
 from pyomo_quad.flight.recent import Recent
 from pyomo_quad.flight.rescue import (
     Effort,
@@ -56,7 +56,7 @@ from pyomo_quad.flight.routes import (
     with_plain_passages,
 )
 from pyomo_quad.flight.steady import SteadyFlight
-from pyomo_quad.flight.tour import BEST_FEW, best_tours, cheapest, leg_energies
+from pyomo_quad.flight.tour import cheapest, find_orders
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
     MISS_TOLERANCE,
@@ -126,7 +126,7 @@ class Planner:
 
     @property
     def builder(self) -> Builder:
-        """What makes the Pyomo model of a scenario."""
+        """Function that builds the Pyomo model of a scenario."""
         return self._builder
 
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
@@ -228,21 +228,31 @@ class Planner:
             fits = known is not None and known.warm_start.fits(problem.compiled)
             return problem.solve(**arguments, warm_start=known if fits else None)
 
+        is_plain = False
+
         def roughly(ordered: Scenario) -> Solution:
+            nonlocal is_plain
             once = {"solver": ordered.solver.model_copy(update={"max_refinements": 0})}
             told = ordered.as_forecast().model_copy(update=once)
             problem, _ = self.problem_for(told)
             if self._has_ways(told):
                 return self._by_routes(problem, told, progress, most=1)[0]
-            return self._first_solve(problem, told, None, progress)
+            if not is_plain:
+                solution = self._first_solve(problem, told, None, progress)
+                if not solution.status.has_failed:
+                    return solution
+            # A difficulty of one order is one of all orders, so only the first is tried both ways.
+            plain = self._plainly(told, self._arguments(told, progress) | {"tolerance": None}, None)
+            is_plain = plain is not None
+            return solution if plain is None else plain
 
         def finely(ordered: Scenario, begun: Solution | None) -> Plan:
             # Round zones the best way may be another than the shortest, which was flown so far.
-            kept = None if self._has_ways(ordered) else begun
-            return solve(ordered, kept and kept.warm_start, progress)
+            if begun is None or self._has_ways(ordered):
+                return solve(ordered, None, progress)
+            return solve(ordered, begun if is_plain else begun.warm_start, progress)
 
-        costs = leg_energies(scenario.as_forecast(), leg)
-        return cheapest(scenario, best_tours(costs, BEST_FEW), roughly, finely)
+        return cheapest(scenario, find_orders(scenario.as_forecast(), leg), roughly, finely)
 
     def _has_ways(self, told: Scenario) -> bool:
         """Say whether a mission has ways round zones to choose from."""
@@ -319,7 +329,7 @@ class Planner:
         return self._fed(plan, progress)
 
     def _fed(self, plan: Plan, progress: Progress) -> Plan:
-        """Return the plan or, where its pack lacks power, one within what the pack can give."""
+        """Return the plan or, if its pack lacks power, a plan within the pack's capability."""
         limits, flown = plan.scenario.limits, plan.flown
         is_own = self._builder is not build_model or limits.battery_power_share_max is not None
         is_met = plan.solution is not None and plan.solution.status is Status.CONVERGED
@@ -432,7 +442,7 @@ class Planner:
             return problem.solve(**on_mesh, warm_start=flown)
 
         return best_of_journeys(
-            journeys, fly, refine, partial(_energy, told), partial(journey_as_flown, told)
+            journeys, fly, refine, partial(energy_of, told), partial(journey_as_flown, told)
         )
 
     def _plainly(self, told: Scenario, chosen: dict[str, Any], guess: Any) -> Solution | None:
@@ -453,7 +463,7 @@ class Planner:
     ) -> Solution:
         arguments, easier = self._arguments(told, progress), easier_numbers(problem, told)
         if isinstance(warm_start, Solution):
-            path = replace(warm_start.trajectory, statics=np.zeros(0))
+            path = replace(warm_start.trajectory, statics=_statics_for(problem, warm_start))
             return by_way_of(easier, problem, arguments | {"mesh": path.mesh}, path)
         start = warm_start.warm_start if isinstance(warm_start, Plan) else warm_start
         if start is not None and start.fits(problem.compiled):
@@ -522,7 +532,7 @@ class Planner:
 
         return Rescuer(
             longest=told.mission.longest,
-            # What was flown on a finer mesh need not be flyable on the first.
+            # A flight found on a finer mesh may be infeasible on the first mesh.
             solve=lambda held: by_way_of(easier, problem, arguments | {"mesh": held.mesh}, held),
             solve_plainly=lambda: self._plainly(told, easiest | {"tolerance": None}, None),
             solve_slowly=slowly,
@@ -531,7 +541,7 @@ class Planner:
         )
 
     def _hover_energy(self, told: Scenario, solution: Solution) -> float:
-        """Return the energy of hovering through the mission, NaN for what cannot hover."""
+        """Return the energy of hovering through the mission, NaN if the vehicle cannot hover."""
         held = trajectories_of(solution)
         known = dict(zip(held.state_names, held.states[0].tolist(), strict=True))
         try:
@@ -552,7 +562,7 @@ def _plan_of(
         scenario=scenario,
         status=_STATUS.get(solution.status, PlanStatus.SOLVED),
         message=solution.message,
-        energy=_energy(scenario, solution),
+        energy=energy_of(scenario, solution),
         hover_energy_J=hover_energy,
         trajectories=trajectories_of(solution),
         verification=None,
@@ -569,16 +579,16 @@ def _plan_of(
     )
 
 
+def _statics_for(problem: Problem, solution: Solution) -> np.ndarray:
+    """Return a problem's static variables with their values in a similar problem's solution."""
+    slots = solution.problem.compiled.declared.statics
+    held = dict(zip((slot.name for slot in slots), solution.trajectory.statics, strict=True))
+    return np.array([held[slot.name] for slot in problem.compiled.declared.statics])
+
+
 def _horizon(scenario: Scenario) -> tuple[float, float] | None:
     """Return start and end of a scenario's horizon [s], None where a variable holds the end."""
     return None if scenario.mission.is_free else (0.0, scenario.mission.fixed_duration)
-
-
-def _energy(scenario: Scenario, solution: Solution) -> float:
-    """Return the energy of a solution, without what its time costs beside [J]."""
-    if not scenario.mission.is_free:
-        return solution.objective
-    return float(solution.running_objective[-1])
 
 
 def _verified(plan: Plan, solution: Solution) -> Plan:

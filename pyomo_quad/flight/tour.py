@@ -1,41 +1,63 @@
-"""The order in which waypoints are passed: leg energies, exact tours, and the best few flown."""
+"""Choice of the order of waypoints: leg energies, cheapest orders, solves of the best few.
+
+Only legs between neighbours and legs of the cheapest orders are solved for.  The energies of all
+other legs are predicted from these, see docs/theory/orders.md, eq. (1).
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import permutations
+from itertools import pairwise, permutations
 from math import inf, isinf
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pyomo_quad.collocation import Mesh
+from pyomo_quad.flight.orders import MOST_EXACT, OrderSearch, best_orders, cost_of, least_cost
 from pyomo_quad.flight.routes import find_routes
 from pyomo_quad.scenario.mission import Hover, Order
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from pyomo_quad.collocation import Solution
     from pyomo_quad.flight.plan import Plan
     from pyomo_quad.flight.routes import Route
     from pyomo_quad.scenario import Scenario
 
-#: Tours whose whole missions are solved: leg energies leave out what passing at speed saves.
+    FloatArray = NDArray[np.float64]
+    LegSolver = Callable[[Scenario, Mesh, Route | None, Solution | None], Solution]
+    _Leg = tuple[int, int]
+
+#: Orders whose whole missions are solved, because leg energies ignore the saving of not stopping.
 BEST_FEW = 3
 _LEG_MESH = Mesh.uniform(8, 4)
-# Places passed and the last of them -> costs and orders.
-_Tours = dict[tuple[int, int], list[tuple[float, tuple[int, ...]]]]
+# Number of legs up to which all are solved for: with few legs, predictions are inaccurate.
+_FEW_LEGS = 30
+# Number of nearest neighbours per place whose legs are solved for first, and of further legs of all
+# lengths, so that the prediction does not extrapolate.
+_NEAREST, _OF_ALL_LENGTHS = 3, 10
+# Optimism about a leg that is not solved for, in root mean square errors of the prediction.
+_OPTIMISM = 2.0
+# Terms of the prediction, of which there are at most half as many as legs solved for.
+_TERMS = 12
+# Regularisation of the prediction, relative to its features' largest values.
+_RIDGE = 1e-3
+# Rounds of solving the legs of the cheapest orders; an exact search ends when all are solved.
+_MOST_ROUNDS = 6
 
 
 def in_order(scenario: Scenario, order: Sequence[int]) -> Scenario:
-    """Return a scenario with its waypoints in an order that is given."""
+    """Return a scenario with its waypoints in a given order."""
     waypoints = tuple(scenario.mission.waypoints[k] for k in order)
     return scenario.with_mission(waypoints=waypoints, order=Order.GIVEN)
 
 
-def leg_energies(scenario: Scenario, solve: Callable[..., Any]) -> np.ndarray:
-    """Return what it costs to fly from each place to each other, hover to hover.
+class LegTable:
+    """Energies of the legs between all places of a mission, from hover to hover.
 
     Parameters
     ----------
@@ -43,37 +65,169 @@ def leg_energies(scenario: Scenario, solve: Callable[..., Any]) -> np.ndarray:
     solve : callable
         Solve a scenario without waypoints on a mesh: (scenario, mesh, its shortest way round the
         zones or None where that is straight, warm start) -> Solution.
-
-    Returns
-    -------
-    ndarray, shape (n + 2, n + 2)
-        From start, waypoints and goal, in rows, to the same, in columns [J]; beside it what the
-        time costs.  Infinite where no flight was found, and where no tour goes; everywhere, where
-        zones shut a place in.
     """
-    places, mission = scenario.mission.positions, scenario.mission
-    ways = _shortest_ways(scenario)
-    usual = _usual_length(len(places), ways)
-    costs = np.full((len(places), len(places)), inf)
-    known = None
-    if isinf(usual):
-        return costs
-    for (here, there), way in ways.items():
-        ends = (Hover(position=places[k], yaw=mission.start.yaw) for k in (here, there))
-        leg = scenario.with_mission(
+
+    def __init__(self, scenario: Scenario, solve: LegSolver) -> None:
+        self._scenario = scenario
+        self._solve = solve
+        self._ways = _shortest_ways(scenario)
+        self._count = len(scenario.mission.positions)
+        self._usual = _usual_length(self._count, self._ways)
+        self._known: dict[_Leg, float] = {}
+        self._failed: set[_Leg] = set()
+        self._last: Solution | None = None
+
+    @property
+    def legs(self) -> tuple[_Leg, ...]:
+        """Legs that an order may have and zones do not block; none if zones enclose a place."""
+        return () if isinf(self._usual) else tuple(self._ways)
+
+    @property
+    def solved(self) -> int:
+        """Number of legs solved for."""
+        return len(self._known)
+
+    @property
+    def lengths(self) -> FloatArray:
+        """Length of each leg's shortest route [m], infinite if there is none."""
+        return self._table({leg: way.length for leg, way in self._ways.items()})
+
+    def costs(self) -> FloatArray:
+        """Return the energy of each leg solved for [J], and a low prediction of all others.
+
+        Start, waypoints and goal are rows and columns; the price of time is included. The
+        prediction is the regression of eq. (1) in docs/theory/orders.md, less twice its
+        cross-validated root mean square error. A leg whose solve failed is predicted without that
+        margin: its share of the time may be too short from hover to hover, and yet long enough in
+        passing.
+        """
+        missing = [leg for leg in self.legs if leg not in self._known]
+        if not missing:
+            return self._table(self._known)
+        if not self._known:
+            return self.lengths
+        terms = max(1, min(_TERMS, len(self._known) // 2))
+        features = np.array([self._features(leg)[:terms] for leg in self._known])
+        energies = np.array(list(self._known.values()))
+        scales = np.maximum(np.abs(features).max(axis=0), np.finfo(float).tiny)
+        features /= scales
+        normal = features.T @ features + _RIDGE * np.eye(terms)
+        fit = np.linalg.solve(normal, features.T)
+        # Leave-one-out error of a linear fit, from the fit with all legs.
+        left_out = 1.0 - np.einsum("lf,fl->l", features, fit)
+        errors = (features @ fit @ energies - energies) / left_out
+        margin = _OPTIMISM * float(np.sqrt(np.mean(errors**2)))
+        others = np.array([self._features(leg)[:terms] for leg in missing]) / scales
+        margins = np.array([0.0 if leg in self._failed else margin for leg in missing])
+        predicted = np.maximum(others @ fit @ energies - margins, 0.0)
+        return self._table(self._known | dict(zip(missing, predicted.tolist(), strict=True)))
+
+    def solve_for(self, legs: Iterable[_Leg]) -> bool:
+        """Solve for those legs that were not tried yet; return whether there were any."""
+        missing = [leg for leg in dict.fromkeys(legs) if leg not in self._known]
+        missing = [leg for leg in missing if leg not in self._failed]
+        for leg in missing:
+            found = self._flown(leg)
+            if found.status.is_solved:
+                self._last, self._known[leg] = found, float(found.objective)
+            else:
+                self._failed.add(leg)
+        return bool(missing)
+
+    def _flown(self, leg: _Leg) -> Solution:
+        mission, way = self._scenario.mission, self._ways[leg]
+        ends = (Hover(position=mission.positions[k], yaw=mission.start.yaw) for k in leg)
+        alone = self._scenario.with_mission(
             **dict(zip(("start", "goal"), ends, strict=True)), waypoints=(), order=Order.GIVEN
         )
         if not mission.is_free:
-            leg = leg.lasting(way.length / usual * mission.fixed_duration)
-        found = solve(leg, _LEG_MESH, way if way.sides else None, known)
-        if found.status.is_solved:
-            known = found
-            costs[here, there] = found.objective
-    return costs
+            alone = alone.lasting(way.length / self._usual * mission.fixed_duration)
+        return self._solve(alone, _LEG_MESH, way if way.sides else None, self._last)
+
+    def _features(self, leg: _Leg) -> list[float]:
+        """Return the terms in which the energy of a leg is linear, eq. (1)."""
+        here, there = (np.array(self._scenario.mission.positions[k]) for k in leg)
+        (dx, dy, dz), height = there - here, float(here[2] + there[2]) / 2.0
+        length = self._ways[leg].length
+        courses = [dx * dx / length, dy * dy / length, dx * dy / length, dz * dz / length]
+        detour = length - float(np.linalg.norm(there - here))
+        # Those that tell most first: from few legs only the first terms are fitted.
+        return [1.0, length, length**0.5, dx, dy, dz, height * length, *courses, detour]
+
+    def _table(self, costs: Mapping[_Leg, float]) -> FloatArray:
+        table = np.full((self._count, self._count), inf)
+        for leg, cost in costs.items():
+            table[leg] = cost
+        return table
 
 
-def _shortest_ways(scenario: Scenario) -> dict[tuple[int, int], Route]:
-    """Return the shortest way of each leg that a tour may have and the zones leave open."""
+def find_orders(
+    scenario: Scenario, solve: LegSolver, count: int = BEST_FEW
+) -> tuple[OrderSearch, ...]:
+    """Return the orders of waypoints that are cheapest by the energies of their legs.
+
+    Exact up to `orders.MOST_EXACT` waypoints: no unsolved leg would lead to a cheaper order, even
+    at its optimistic prediction.
+
+    Returns
+    -------
+    tuple of OrderSearch
+        The cheapest first; the given order if zones enclose a place.
+    """
+    table = LegTable(scenario, solve)
+    n = len(scenario.mission.waypoints)
+    if not table.legs:
+        return (OrderSearch(order=tuple(range(n)), cost_J=inf, bound_J=inf, solved=0, legs=0),)
+    table.solve_for(table.legs if len(table.legs) <= _FEW_LEGS else _first_legs(table.lengths))
+    rounds = 0
+    while True:
+        costs = table.costs()
+        cheapest_orders = best_orders(costs, count)
+        rounds += 1
+        is_last = n > MOST_EXACT and rounds >= _MOST_ROUNDS
+        if not table.solve_for(leg for order in cheapest_orders for leg in _legs_of(order)):
+            break
+        if is_last:
+            costs = table.costs()
+            break
+    reached = cost_of(costs, cheapest_orders[0])
+    bound = reached if n <= MOST_EXACT else least_cost(costs, reached)
+    found = [
+        OrderSearch(
+            order=order,
+            cost_J=cost_of(costs, order),
+            bound_J=bound,
+            solved=table.solved,
+            legs=len(table.legs),
+        )
+        for order in cheapest_orders
+    ]
+    return tuple(sorted(found, key=lambda search: search.cost_J))
+
+
+def legs_expected(waypoints: int) -> int:
+    """Return for how many legs the order of so many waypoints is solved for, at least."""
+    every = waypoints * (waypoints + 1)
+    first = _NEAREST * (waypoints + 1) + _OF_ALL_LENGTHS
+    return every if every <= _FEW_LEGS else min(every, first)
+
+
+def _legs_of(order: Sequence[int]) -> list[_Leg]:
+    return list(pairwise((0, *(k + 1 for k in order), len(order) + 1)))
+
+
+def _first_legs(lengths: FloatArray) -> list[_Leg]:
+    """Return the legs between nearest places, of the shortest order, and of all lengths."""
+    near = [(k, int(j)) for k, row in enumerate(lengths) for j in np.argsort(row)[:_NEAREST]]
+    (shortest,) = best_orders(lengths, 1)
+    by_length = np.argsort(lengths, axis=None)[: np.isfinite(lengths).sum()]
+    spread = by_length[np.linspace(0, len(by_length) - 1, _OF_ALL_LENGTHS).astype(int)]
+    others = [divmod(int(leg), len(lengths)) for leg in spread]
+    return [leg for leg in (*near, *_legs_of(shortest), *others) if np.isfinite(lengths[leg])]
+
+
+def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
+    """Return the shortest route of each leg that a tour may have and zones do not block."""
     places, ways = scenario.mission.positions, {}
     last = len(places) - 1
     for here, there in permutations(range(len(places)), 2):
@@ -84,8 +238,8 @@ def _shortest_ways(scenario: Scenario) -> dict[tuple[int, int], Route]:
     return ways
 
 
-def _usual_length(count: int, ways: Mapping[tuple[int, int], Route]) -> float:
-    """Return the length of the tour that always flies to the nearest place that is left."""
+def _usual_length(count: int, ways: Mapping[_Leg, Route]) -> float:
+    """Return the length of the tour that always continues to the nearest remaining place."""
     lengths = np.full((count, count), inf)
     for leg, way in ways.items():
         lengths[leg] = way.length
@@ -98,50 +252,25 @@ def _usual_length(count: int, ways: Mapping[tuple[int, int], Route]) -> float:
     return float(length + lengths[here, count - 1])
 
 
-def best_tours(costs: np.ndarray, count: int) -> list[tuple[int, ...]]:
-    """Return the cheapest orders of the places between the first and the last, cheapest first.
-
-    Exact: dynamic programming over the places passed so far and the last of them [1]_, with the
-    `count` best of each kept.
-
-    .. [1] Held and Karp, "A dynamic programming approach to sequencing problems", SIAM J. 10
-       (1962).
-    """
-    places = range(1, len(costs) - 1)
-    goal = len(costs) - 1
-    best: _Tours = {(1 << k, k): [(float(costs[0, k]), (k,))] for k in places}
-    for _ in range(len(places) - 1):
-        longer: _Tours = {}
-        for (passed, here), found in best.items():
-            for there in places:
-                if passed >> there & 1:
-                    continue
-                key = (passed | 1 << there, there)
-                step = float(costs[here, there])
-                longer.setdefault(key, []).extend((c + step, (*tour, there)) for c, tour in found)
-        best = {key: sorted(found)[:count] for key, found in longer.items()}
-    ended = [(c + float(costs[here, goal]), tour) for (_, here), f in best.items() for c, tour in f]
-    return [tuple(k - 1 for k in tour) for _, tour in sorted(ended)[:count]]
-
-
 def cheapest(
     scenario: Scenario,
-    tours: Sequence[Sequence[int]],
+    found: Sequence[OrderSearch],
     roughly: Callable[[Scenario], Solution],
     solve: Callable[[Scenario, Solution | None], Plan],
 ) -> Plan:
-    """Return the plan of the cheapest of some tours, each solved on one mesh as a whole first."""
+    """Return the plan of the cheapest of some orders, after a solve of each on one mesh."""
     attempts: list[str] = []
-    flown: list[tuple[float, Scenario, Solution | None]] = []
-    for tour in tours:
-        ordered = in_order(scenario, tour)
-        solution = roughly(ordered)
+    flown: list[tuple[float, OrderSearch, Solution | None]] = []
+    for search in found:
+        solution = roughly(in_order(scenario, search.order))
         is_flown = solution.status.is_solved
         what = f"{solution.objective:.6g} J" if is_flown else solution.status.value
-        named = ", ".join(str(k) for k in tour)
+        named = ", ".join(str(k) for k in search.order)
         attempts.append(f"waypoints in order {named}: {what} on a first mesh")
         cost = solution.objective if is_flown else inf
-        flown.append((cost, ordered, solution if is_flown else None))
+        flown.append((cost, search, solution if is_flown else None))
     _, best, begun = min(flown, key=lambda entry: entry[0])
-    plan = solve(best, begun)
-    return replace(plan, attempts=(*attempts, *plan.attempts))
+    plan = solve(in_order(scenario, best.order), begun)
+    return replace(
+        plan, attempts=(*attempts, *plan.attempts), order_search=best if best.legs else None
+    )

@@ -1,4 +1,4 @@
-"""Proof of a plan by something that did not make it: its controls, flown by SciPy."""
+"""Verification of a plan by an independent method: its controls, flown by SciPy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from math import ceil, inf
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from pyomo_quad.collocation import ClosedLoop, Dynamics, Mesh, SolveError, control_polynomial
 from pyomo_quad.flight.deadline import keep_time
@@ -23,6 +22,7 @@ from pyomo_quad.flight.flight import (
     position_miss,
     terminal_miss_of,
 )
+from pyomo_quad.flight.integration import integrate
 from pyomo_quad.model.wind_field import unknown_wind
 
 if TYPE_CHECKING:
@@ -35,11 +35,12 @@ if TYPE_CHECKING:
 RELATIVE_TOLERANCE = 1e-12
 ABSOLUTE_TOLERANCE = 1e-12
 SAMPLES_PER_ELEMENT = 8
-# The error of a rotor's speed, which nothing corrects, moves a place with the fourth power of the
-# time [s]: longer flights are integrated as much more sharply, down to what rounding leaves.
+# An uncorrected error of a rotor's speed grows into an error of position with the fourth power of
+# time [s]. Longer flights are integrated with a correspondingly smaller tolerance, bounded by
+# rounding.
 _LONG_S, _POWER, _SHARPEST = 30.0, 4, 3e-14
-# And in more steps of each element, so many in that time: DOP853 takes the square of what it sees
-# for its error, and steps across ripples of 1e-6 of a control that are worth 1e-7 rad/s.
+# They also take this many more steps per element, because DOP853 underestimates small errors: it
+# steps across ripples of 1e-6 in a control, which change a rotor speed by 1e-7 rad/s.
 _STEPS = 4
 
 
@@ -53,7 +54,7 @@ def fly_controls(
     samples_per_element: int | Sequence[int] = SAMPLES_PER_ELEMENT,
     method: str = "DOP853",
 ) -> Flown:
-    """Fly piecewise polynomial controls open loop, held to their limits.
+    """Fly piecewise polynomial controls open loop, clipped to their limits.
 
     Parameters
     ----------
@@ -63,12 +64,12 @@ def fly_controls(
     horizon : (float, float)
         Start and end time [s].
     samples_per_element : int or sequence of int, optional
-        At how many times of each element, all of them or one by one, the flight is returned.
+        Number of samples in each element, for all of them or one by one.
 
     Raises
     ------
     SolveError
-        If the integrator gives up.
+        If the integrator fails.
     """
     return OpenLoop(dynamics).fly(
         mesh,
@@ -81,11 +82,12 @@ def fly_controls(
 
 
 class OpenLoop:
-    """A vehicle whose controls are given, ready to be flown over parts of a horizon."""
+    """A vehicle under given controls, compiled to be flown over parts of a horizon."""
 
     def __init__(self, dynamics: Dynamics) -> None:
         n_controls = len(dynamics.control_names)
         self._just_after = dynamics.just_after
+        self._steps_between = dynamics.steps_between
         self._limits = dynamics.control_limits(HELD_BREACH)
         self._flow = ClosedLoop(
             dynamics, lambda command, _x, _own: (command, ()), n_command=n_controls, n_own=0
@@ -102,7 +104,7 @@ class OpenLoop:
         samples_per_element: int | Sequence[int] = SAMPLES_PER_ELEMENT,
         method: str = "DOP853",
     ) -> Flown:
-        """Fly piecewise polynomial controls, over a part of their horizon where one is given."""
+        """Fly piecewise polynomial controls, over their horizon or a given part of it."""
         borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
         begin, end = horizon if part is None else part
         counts = np.broadcast_to(samples_per_element, mesh.elements)
@@ -127,6 +129,7 @@ class OpenLoop:
                 state,
                 self._just_after(first),
                 (first, *samples),
+                self._steps_between(first, last),
                 method=method,
                 rtol=tolerance,
                 max_step=step * (borders[element + 1] - borders[element]),
@@ -152,53 +155,59 @@ def _integrate(
     state: FloatArray,
     inside: float,
     times: Sequence[float],
+    edges: Sequence[float],
     **options: float | str,
 ) -> FloatArray:
-    """Return states, the energy last, at the times of one element but the first.
+    """Return states, with the energy last, at the times of one element except the first.
 
-    Its equations hold from `inside` on.
+    The element's equations apply from `inside` on.
     """
 
     def rates(t: float, y: FloatArray) -> FloatArray:
         keep_time()
         return flow.rates(max(t, inside), y, control(t))
 
-    flown = solve_ivp(
+    flown = integrate(
         rates,
         (times[0], times[-1]),
         state,
-        t_eval=times[1:],
+        times[1:],
+        edges,
         atol=ABSOLUTE_TOLERANCE,
         **options,
     )
-    if not flown.success:
+    if flown.stopped_at is not None:
         raise SolveError(
-            f"flight: the integration stopped at {flown.t[-1] if flown.t.size else times[0]:.4g} "
-            f"s: {flown.message} Look at the plan's controls there."
+            f"flight: the integration stopped at {flown.stopped_at:.4g} s: {flown.message} Look at "
+            "the plan's controls there."
         )
-    return np.asarray(flown.y)
+    return flown.y
 
 
-#: Largest miss of any final state: metres, metres per second, radians, or, for what is
-#: larger than one (rotor speeds), relative.
+#: Largest miss of any final state: metres, metres per second, radians, or relative for values above
+#: one (rotor speeds).
 MISS_TOLERANCE = 1e-4
 #: Largest relative difference of flown and planned energy.
 ENERGY_TOLERANCE = 1e-6
-#: Largest share of the power drawn that voltage times current of the pack may lack: the guard
-#: that keeps a current finite beyond the pack's greatest power lets it lack more.  As much may
-#: its voltage be below what the motors need.
+#: Largest fraction of the power drawn that may be missing from voltage times current of the pack;
+#: the guard that keeps the current finite beyond the pack's greatest power makes this fraction
+#: larger. The same tolerance applies to the voltage that the motors need.
 BALANCE_TOLERANCE = 1e-3
 
 _VOLTAGE = "battery.voltage"
 _BALANCE = ("power.total", _VOLTAGE, "battery.current", "battery.state_of_charge")
+#: Components along a flight from which `balance_lacking` tells what the pack cannot give.
+BALANCE_KEYS = tuple((name, None) for name in _BALANCE)
+#: Place of the state of charge [percent] among them.
+CHARGE_KEY = len(_BALANCE) - 1
 _MOTOR_VOLTAGE = "power.terminal_voltage"
-# The motors of standing rotors need no voltage, of which no share can be told.
+# The motors of stopped rotors need no voltage, so no fraction of it can be missing.
 _STANDSTILL_V = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """What the re-simulation of a plan found.
+    """Results of re-simulating a plan.
 
     Attributes
     ----------
@@ -209,19 +218,19 @@ class Verification:
     worst_miss : str
         State whose miss is largest, relative to the larger of 1 and its value.
     max_violation, worst_constraint : float, str
-        Worst breach of a limit between points, relative, and the limit's name.
+        Worst violation of a limit between points, relative, and the limit's name.
     broken_limits : tuple of str
-        Every limit broken by more than the tolerance, and by how much.
+        Every limit violated by more than the tolerance, with the amount.
     energy_difference_J, flown_energy_J : float
     passing_misses_m : tuple of float
-        By how much the flight passes each waypoint further off than allowed.
+        Excess of the flight's distance from each waypoint over the allowed distance.
     battery_imbalance : float
-        Largest share of the power, or of the charge, drawn that the pack cannot give.
+        Largest fraction of the power, or of the charge, drawn that the pack cannot give.
     voltage_lacking : float
-        Largest share of the voltage at which a motor keeps its speed that the pack cannot give;
-        negative where it gives more.
+        Largest fraction of a motor's voltage that the pack cannot give; negative if the pack gives
+        more than needed.
     is_verified : bool
-        All of the above within this module's tolerances.
+        Whether all of the above are within this module's tolerances.
     """
 
     terminal_miss: Mapping[str, float]
@@ -244,7 +253,7 @@ class Verification:
 
     @property
     def shortfall(self) -> str:
-        """What the pack lacks and how to mend that, in one line; empty where it lacks nothing."""
+        """Shortfall of the pack and its remedy, in one line; empty if there is none."""
         if self.battery_imbalance > BALANCE_TOLERANCE:
             return (
                 f"battery: the pack lacks {100.0 * self.battery_imbalance:.3g} % of the power or "
@@ -252,18 +261,18 @@ class Verification:
             )
         if not self.is_fed:
             return (
-                f"battery: the pack lacks {100.0 * self.voltage_lacking:.3g} % of the voltage at "
-                "which the motors keep their speed; give it more cells in series, or motors of a "
+                f"battery: the pack lacks {100.0 * self.voltage_lacking:.3g} % of the voltage that "
+                "the motors need to keep their speed; give it more cells in series, or motors of a "
                 "higher vehicle.voltage_constant."
             )
         return ""
 
 
 def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
-    """Return the largest share of a motor's voltage that the pack cannot give; negative if none.
+    """Return the largest fraction of a motor's voltage that the pack cannot give.
 
-    It is the voltage, of motor and of pack, at which the rotors keep the speeds of an instant:
-    the limit on their acceleration stands for the voltage that changing speed takes.
+    Negative if there is none missing. Both voltages are those at constant rotor speed; the limit on
+    the rotors' acceleration stands for the additional voltage of changing the speed.
     """
     if not dynamics.has(_MOTOR_VOLTAGE) or not dynamics.has(_VOLTAGE):
         return 0.0
@@ -287,28 +296,37 @@ def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
 
 
 def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
-    """Return the largest shares of the power, and of the charge, that the pack cannot give.
+    """Return the largest fractions of the power and of the charge that the pack cannot give.
 
-    The declared equations stay finite beyond what a pack delivers and beyond empty; a flight
-    there is no flight.  A model without a battery lacks nothing.
+    The declared equations stay finite beyond the pack's greatest power and beyond empty, but a real
+    vehicle cannot fly there. A model without a battery lacks nothing.
     """
-    if not all(dynamics.has(name) for name in _BALANCE):
+    if not has_balance(dynamics):
         return 0.0, 0.0
-    keys = tuple((name, None) for name in _BALANCE)
-    power, voltage, current, charge = dynamics.table(keys, flown.t, flown.states, flown.controls).T
+    return balance_lacking(dynamics.table(BALANCE_KEYS, flown.t, flown.states, flown.controls))
+
+
+def has_balance(dynamics: Dynamics) -> bool:
+    """Say whether a model has a battery whose balance can be read."""
+    return all(dynamics.has(name) for name in _BALANCE)
+
+
+def balance_lacking(balance: FloatArray) -> tuple[float, float]:
+    """Return `shares_lacking` of the `BALANCE_KEYS` along a flight."""
+    power, voltage, current, charge = balance.T
     lacking = np.abs(power - voltage * current) / np.maximum(1.0, np.abs(power))
     return float(np.max(lacking)), float(-np.min(charge) / 100.0)
 
 
-# Between samples as close as this [m] a straight flight cuts into a ball of half a metre by less
-# than 1e-5 m, and into the edge of a zone by less than 4e-4 m.
+# With samples at this spacing [m], a straight flight enters a ball of half a metre by less than
+# 1e-5 m unseen, and the edge of a zone by less than 4e-4 m.
 _SAMPLE_SPACING = 5e-3
 
 
 def _samples_near_zones(
     airspace: Airspace, dynamics: Dynamics, mesh: Mesh, states: FloatArray
 ) -> list[int]:
-    """Return at how many times of each element to look whether the flight keeps out of all zones.
+    """Return the number of samples in each element needed to check all keep-outs.
 
     The states are those planned at the nodes, shape (n_points + 1, n_states).
     """
@@ -324,14 +342,14 @@ def _samples_near_zones(
     return counts
 
 
-# Into how many the element is split in which a flight broke a limit.
+# Number of parts into which an element is split if the flight violated a limit in it.
 _PARTS = 4
 
 
 def split_at_breaches(
     dynamics: Dynamics, flown: Flown, mesh: Mesh, horizon: tuple[float, float]
 ) -> Mesh:
-    """Return a mesh with those elements split in which a flight broke a limit most."""
+    """Return a mesh in which the elements with the worst violations of limits are split."""
     breaches = dynamics.violations(flown.t, flown.states, flown.controls)
     times = [breach.time for breach in breaches if breach.relative > VIOLATION_TOLERANCE]
     start, end = horizon
@@ -353,7 +371,7 @@ class Passage:
 
 
 def _passing_miss(dynamics: Dynamics, flown: Flown, passage: Passage) -> float:
-    """Return by how much a flight is further off a place than it may be [m]."""
+    """Return the excess of a flight's distance from a place over the allowed distance [m]."""
     nearest = int(np.argmin(np.abs(flown.t - passage.time_s)))  # an element ends there
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     off = np.linalg.norm(flown.states[nearest, columns] - passage.position)
@@ -370,7 +388,7 @@ def verify_controls(
     airspace: Airspace | None = None,
     passages: Sequence[Passage] = (),
 ) -> tuple[Verification, Flown]:
-    """Fly a plan's controls and compare.
+    """Fly a plan's controls and compare the result with the plan.
 
     Parameters
     ----------
@@ -380,9 +398,9 @@ def verify_controls(
     energy : float
         Objective of the plan [J].
     airspace : Airspace, optional
-        Beside its zones the flight is looked at closely.
+        Airspace whose zones are checked with dense samples.
     passages : sequence of Passage, optional
-        Where the flight should pass, and when.
+        Places that the flight should pass, with times.
     """
     samples: int | list[int] = SAMPLES_PER_ELEMENT
     if airspace is not None and set(POSITION_STATES) <= set(dynamics.state_names):

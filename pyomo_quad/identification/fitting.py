@@ -2,12 +2,13 @@
 
 Method: see docs/theory/identification.md, eqs. (2) to (4).
 
-The residual is the mean power of windows of some seconds, measured less computed: over one second
-airspeed and acceleration are noise as much as flight, and a fit to single rows takes that noise
-for a flatter power curve.  Large residuals (gusts, the ground) count less than by their square.
+The residual is the mean measured power less the mean computed power of windows of some seconds.
+Over one second, airspeed and acceleration are dominated by noise, and a fit to single rows would
+interpret this noise as a flatter power curve. Large residuals (gusts, the ground) are weighted less
+than by their square.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from pyomo_quad.identification.logs import AIR_VELOCITY, CRUISE, FLIGHT, PHASE, POWER, TIME
+from pyomo_quad.identification.columns import AIR_VELOCITY, CRUISE, FLIGHT, PHASE, POWER, TIME
 from pyomo_quad.identification.motion import LoggedMotion
 from pyomo_quad.identification.validation import (
     SEED,
@@ -29,31 +30,43 @@ from pyomo_quad.identification.validation import (
 from pyomo_quad.scenario import Scenario, ScenarioError, library_entry, library_names
 from pyomo_quad.scenario.tables import Vehicle
 
-#: Fields of the vehicle that are fitted unless others are asked for.  Induced power is not among
-#: them: in hover it goes with the thrust as profile power does, so it keeps its textbook value.
+#: Fields of the vehicle fitted by default. The induced power factor is excluded, because in hover
+#: it depends on thrust as the profile power does; it keeps its textbook value.
 FITTED = ("profile_power_coefficient", "climb_power_factor", "descent_power_factor")
-#: All fields that may be asked for.
+#: All fields that can be fitted.
 FITTABLE = (
     *FITTED,
     "induced_power_factor",
     "profile_advance_factor",
     "electronics_power",
+    "drag_linear",
+    "drag_quadratic",
 )
-_BLOCK = "power."
-# Length of a window, s: long beside the noise of airspeed and acceleration.
+_POWER_BLOCK, _VEHICLE_BLOCK = "power.", "vehicle."
+# Parameters that the motion depends on -> the power of the airspeed that they multiply.
+_OF_MOTION = {"drag_linear": 1, "drag_quadratic": 2}
+# Length of a window, s: long compared with the noise of airspeed and acceleration.
 _WINDOW_S = 10.0
-# Residual, W, beyond which a window counts by its size and no more by its square.
+# Residual, W, above which a window counts linearly instead of quadratically.
 _LARGE_RESIDUAL_W = 20.0
-# The flights determine a parameter if a change by this share of its size, compensated by the other
-# parameters as well as they can, moves the windows' power by this much, W.
+# The flights determine a parameter if changing it by this fraction of its size, with the best
+# compensation by the other parameters, changes the windows' power by this fraction: 0.5 W of 450 W.
 _SHARE = 0.1
-_LEAST_EFFECT_W = 0.5
+_LEAST_EFFECT = 1.1e-3
+# Small drag, kg/s and kg/m; a tenth of it is the least change that is tested.
+_SMALL_DRAG = 0.02
+# Cosine between the effects of two parameters above which they cannot be distinguished.
+_ALIKE = 0.95
+# Fewer rows or flights than these are too few; above the largest number, thinning takes too long.
+_FEW_ROWS, _FEW_FLIGHTS, _MANY_ROWS = 300, 5, 5_000
+# Change after thinning the rows, in deviations and relative, above which they are too coarse.
+_DEVIATIONS, _CHANGE = 2.0, 0.05
 _HALVES = 2
-# Draws of flights: a standard deviation from 200 is known to 5 %.
+# Bootstrap draws of flights: 200 draws give a standard deviation to 5 %.
 _DRAWS = 200
-# Step of the difference quotients, share of a parameter's size.
+# Step of the difference quotients, relative to a parameter's size.
 _STEP = 1e-3
-# Distance from a bound, share of the size, at which a fit starts; ten times that is at the bound.
+# Relative distance from a bound at which a fit starts; ten times that counts as at the bound.
 _NEAR_BOUND = 1e-6
 
 
@@ -61,9 +74,10 @@ _NEAR_BOUND = 1e-6
 class IdentifiedParameter:
     """Identified value of a vehicle's field, with its uncertainty and the base's value.
 
-    `deviation` is its standard deviation over flights drawn anew, 0 where the base's value was
-    kept.  `first_half` and `second_half` are fits to one half of the flights each, with no flight
-    in common: unlike the base, which may have been fitted to these flights, they are independent.
+    `deviation` is its bootstrap standard deviation over flights, 0 if the base's value was kept.
+    `first_half` and `second_half` are fits to one half of the flights each. The halves have no
+    flight in common, so the two fits are independent; the base may have been fitted to these very
+    flights.
     """
 
     name: str
@@ -81,8 +95,10 @@ class IdentifiedParameter:
 class Identification:
     """A vehicle identified from flights, and the errors of its computed powers.
 
-    `correlations` has the determined parameters as rows and columns; `cross_validated` is the
-    power of each row by a fit that had not seen its flight.
+    `correlations` has the determined parameters as rows and columns; `cross_validated` is the power
+    of each row by a fit without its flight. `together` pairs each parameter that is not determined
+    with the parameter that it cannot be distinguished from, and `cautions` lists where the rows are
+    too few or too coarse.
     """
 
     scenario: Scenario
@@ -92,6 +108,8 @@ class Identification:
     fitted_power: FloatArray
     cross_validated: FloatArray
     trials: tuple[Trial, ...]
+    together: tuple[tuple[str, str], ...] = ()
+    cautions: tuple[str, ...] = ()
 
     @property
     def airspeeds(self) -> FloatArray:
@@ -102,7 +120,7 @@ class Identification:
     def excess(self, slowest: float, fastest: float) -> float:
         """Return the mean of measured less computed power in cruise between two airspeeds, W.
 
-        NaN where no row cruises there.
+        NaN if no row cruises in this range.
         """
         is_between = (slowest <= self.airspeeds) & (self.airspeeds < fastest)
         is_meant = (self.frame[PHASE] == CRUISE).to_numpy() & is_between
@@ -118,9 +136,9 @@ class Fit:
     ----------
     motion : LoggedMotion
     scenario : Scenario
-        First values of the fit, and all other fields of the vehicle.
+        Initial values of the fit, and all other fields of the vehicle.
     names : sequence of str
-        Of `FITTABLE`.
+        Names from `FITTABLE`.
     """
 
     def __init__(self, motion: LoggedMotion, scenario: Scenario, names: Sequence[str]) -> None:
@@ -129,13 +147,16 @@ class Fit:
         self.names = tuple(names)
         self.base = np.array([getattr(scenario.vehicle, name) for name in names])
         self.bounds = np.array([_bounds(name) for name in names]).T.reshape(2, len(self.names))
+        for k, name in enumerate(self.names):
+            if name in _OF_MOTION:
+                self.bounds[1, k] = _most_drag(scenario, self.frame, _OF_MOTION[name])
         self._window = _windows(self.frame)
         self._measured = self.frame[POWER].to_numpy()
 
     def power(self, values: FloatArray) -> FloatArray:
         """Return the power of each row, W."""
         named = zip(self.names, values.tolist(), strict=True)
-        return self._motion.power({f"{_BLOCK}{name}": value for name, value in named})
+        return self._motion.power({component(name): value for name, value in named})
 
     def windows(self, power: FloatArray, rows: Rows) -> tuple[FloatArray, NDArray[np.int64]]:
         """Return the mean power of the windows of the given rows, and the first row of each."""
@@ -168,7 +189,7 @@ class Fit:
     def drawn_anew(self, values: FloatArray) -> FloatArray:
         """Return fits to flights drawn with replacement, shape (draws, n).
 
-        Each is a robust fit of the equations' first-order change about the fit to all flights,
+        Each is a robust fit of the equations linearised about the fit to all flights, which is
         exact for parameters that enter linearly.
         """
         everything = np.ones(len(self.frame), dtype=bool)
@@ -191,9 +212,14 @@ class Fit:
         return np.array(found)
 
 
+def component(name: str) -> str:
+    """Return the full name of the model's parameter for a field of the vehicle."""
+    return f"{_VEHICLE_BLOCK if name in _OF_MOTION else _POWER_BLOCK}{name}"
+
+
 def _robust(residual: object, start: FloatArray, bounds: FloatArray) -> FloatArray:
     low, high = bounds
-    inside = np.clip(start, low + _NEAR_BOUND, high - _NEAR_BOUND)
+    inside = np.clip(start, low + _NEAR_BOUND, np.maximum(high - _NEAR_BOUND, low + _NEAR_BOUND))
     found = least_squares(
         residual, inside, bounds=bounds, loss="soft_l1", f_scale=_LARGE_RESIDUAL_W
     )
@@ -206,8 +232,15 @@ def _bounds(name: str) -> tuple[float, float]:
     return (0.0 if low is None else float(low.ge), np.inf if high is None else float(high.le))
 
 
+def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
+    """Return the drag number that tilts level flight at the greatest airspeed by 45 degrees."""
+    north, east = (frame[name].to_numpy() for name in AIR_VELOCITY)
+    fastest = float(np.hypot(north, east).max()) * scenario.vehicle.anemometer_factor
+    return scenario.vehicle.mass * scenario.gravity / max(fastest, 1.0) ** power
+
+
 def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
-    """Return the number of each row's window, which ends where its flight or phase does."""
+    """Return the number of each row's window; a window ends with its flight or phase."""
     stretch = [frame[FLIGHT], frame[PHASE]]
     since = frame[TIME] - frame.groupby(stretch, sort=False)[TIME].transform("min")
     keys = [*stretch, np.floor(since / _WINDOW_S)]
@@ -215,10 +248,11 @@ def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
 
 
 def undetermined(fit: Fit) -> tuple[str, ...]:
-    """Return the parameters without an effect of their own on the power of the flights."""
+    """Return the parameters without an independent effect on the power of the flights."""
     everything = np.ones(len(fit.frame), dtype=bool)
     slopes = fit.slopes(fit.base, everything)
-    slopes *= _SHARE * np.maximum(np.abs(fit.base), _SHARE)
+    slopes *= _SHARE * np.maximum(np.abs(fit.base), _size(fit))
+    least = _LEAST_EFFECT * float(np.median(fit.frame[POWER]))
     left = list(range(len(fit.names)))
     lost: list[str] = []
     while left:
@@ -229,10 +263,33 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
             fitted = others @ np.linalg.lstsq(others, own, rcond=None)[0] if len(left) > 1 else 0.0
             effects.append(float(np.sqrt(np.mean((own - fitted) ** 2))))
         weakest = int(np.argmin(effects))
-        if effects[weakest] >= _LEAST_EFFECT_W:
+        if effects[weakest] >= least:
             break
         lost.append(fit.names[left.pop(weakest)])
     return tuple(lost)
+
+
+def _size(fit: Fit) -> FloatArray:
+    """Return the size below which each parameter counts as small."""
+    return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
+
+
+def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Return each undetermined parameter with the parameter that has the most similar effect.
+
+    A parameter without an effect on the power is paired with the empty name.
+    """
+    slopes = fit.slopes(fit.base, np.ones(len(fit.frame), dtype=bool))
+    norms = np.linalg.norm(slopes, axis=0)
+    pairs = []
+    for name in lost:
+        k = fit.names.index(name)
+        likeness = np.abs(slopes.T @ slopes[:, k]) / np.maximum(norms * norms[k], 1e-300)
+        likeness[k] = 0.0
+        most = int(np.argmax(likeness))
+        alike = norms[k] > 0.0 and likeness[most] > _ALIKE
+        pairs.append((name, fit.names[most] if alike else ""))
+    return tuple(pairs)
 
 
 def identify(
@@ -243,23 +300,24 @@ def identify(
     Parameters
     ----------
     scenario : Scenario
-        Of `vehicle_scenario`.
+        A scenario of `vehicle_scenario`.
     frame : DataFrame
-        Of `read_logs`, of two flights at least.
+        The frame of `read_logs`, with at least two flights.
 
     Raises
     ------
     ScenarioError
-        If there is one flight only.
+        If there is only one flight.
     """
     flights = frame[FLIGHT].unique()
     if len(flights) < 2:
         raise ScenarioError(
-            "logs: one flight only; identification needs two at least, so that one can judge the "
-            "other, and the more the better."
+            "logs: one flight only; identification needs at least two flights, one of them for "
+            "validation, and is better with more; or give points of steady flight by --steady."
         )
     motion = LoggedMotion(scenario, frame)
-    lost = undetermined(Fit(motion, scenario, names))
+    asked = Fit(motion, scenario, names)
+    lost = undetermined(asked)
     fit = Fit(motion, scenario, [name for name in names if name not in lost])
     values = fit.over(np.ones(len(frame), dtype=bool))
     draws = fit.drawn_anew(values) if fit.names else np.zeros((1, 0))
@@ -277,7 +335,38 @@ def identify(
         fitted_power=fit.power(values),
         cross_validated=cross_validated(frame, fitted),
         trials=trials(frame, fitted),
+        together=confounded(asked, lost),
+        cautions=tuple(_cautions(scenario, fit, values, draws)),
     )
+
+
+def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArray) -> Iterator[str]:
+    """Yield cautions if the rows are too few, or too far apart for their motion."""
+    frame = fit.frame
+    flights, rows = frame[FLIGHT].nunique(), len(frame)
+    if rows < _FEW_ROWS or flights < _FEW_FLIGHTS:
+        yield (
+            f"{rows} rows of {flights} flights are few: with less than {_FEW_ROWS} rows or "
+            f"{_FEW_FLIGHTS} flights a fit may be off by many times its deviation; fly more."
+        )
+    step = float(frame.groupby(FLIGHT, sort=False)[TIME].diff().median())
+    every_other = frame[frame.groupby(FLIGHT, sort=False).cumcount() % 2 == 0]
+    thinned = every_other.groupby(FLIGHT, sort=False).filter(lambda rows: len(rows) > 1)
+    if not fit.names or thinned.empty or rows > _MANY_ROWS:
+        return
+    motion = LoggedMotion(scenario, thinned.reset_index(drop=True))
+    coarse = Fit(motion, scenario, fit.names)
+    again = coarse.over(np.ones(len(coarse.frame), dtype=bool), values)
+    for name, value, other, deviation in zip(
+        fit.names, values, again, draws.std(axis=0), strict=True
+    ):
+        allowed = max(_DEVIATIONS * float(deviation), _CHANGE * abs(float(value)))
+        if abs(other - value) > allowed:
+            yield (
+                f"rows of {step:.3g} s are too coarse for this motion: with every other row "
+                f"{name} becomes {other:.3g} in place of {value:.3g}; log at 5 Hz or more, or fly "
+                "more steadily."
+            )
 
 
 def _parameters(
@@ -310,7 +399,7 @@ def _parameters(
 
 
 def _base_source(scenario: Scenario, field: str) -> str:
-    """Return the source of a number of the base that its file names."""
+    """Return the source of a number of the base, as named in the base's file."""
     vehicle, kind = scenario.vehicle.use, "vehicles"
     if vehicle in library_names(kind):
         return library_entry(kind, vehicle).sources.get(field, "default")
@@ -324,7 +413,7 @@ def changes(identification: Identification) -> Mapping[str, tuple[float, str]]:
         one.name: (
             one.value,
             f"identified from {count} flights, plus or minus {one.deviation:.2g}"
-            + (" (at the least it may be)" if one.is_at_bound else ""),
+            + (" (at its lower bound)" if one.is_at_bound else ""),
         )
         for one in identification.parameters
         if one.is_determined

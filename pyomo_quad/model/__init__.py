@@ -2,6 +2,7 @@
 
 from pyomo_quad.model.build import (
     ask_for_least_time,
+    build_in_turbulence,
     build_model,
     build_remaining,
     load_builder,
@@ -14,6 +15,7 @@ from pyomo_quad.model.screening import ModelInspection, inspect_model
 __all__ = [
     "ModelInspection",
     "ask_for_least_time",
+    "build_in_turbulence",
     "build_model",
     "build_remaining",
     "inspect_model",

@@ -1,7 +1,7 @@
-"""What fields there are: those of a resolved scenario, and those that a file may have.
+"""Descriptions of scenario fields: those of a resolved scenario, and those allowed in a file.
 
-The second comes as a JSON Schema, by which editors complete and check TOML while one types, and
-as the rows of a table for people.  The shipped scenarios, which own ones start from, are found in a
+The fields allowed in a file are given as a JSON Schema, with which editors complete and check TOML,
+and as the rows of a table for people. The shipped scenarios, templates for new ones, are found in a
 checkout or in the installed package.
 """
 
@@ -13,10 +13,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from pyomo_quad.scenario.fields import FieldPath, parse_path, spell, unit_of
+from pyomo_quad.scenario.fields import DEGREES, FieldPath, parse_path, spell, unit_of
 from pyomo_quad.scenario.messages import ScenarioError, declared_place, shown
 from pyomo_quad.scenario.schema import NAME_PATTERN, Scenario
-from pyomo_quad.scenario.spellings import DEGREES, FROM, ON_EARTH, PLACES
+from pyomo_quad.scenario.spellings import FROM, ON_EARTH, PLACES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,7 @@ class FieldDescription:
     Attributes
     ----------
     path : str
-        Dotted path, as `--set` takes it.
+        Dotted path, as in `--set`.
     value : object
         Number, text, tuple or None.
     unit : str
@@ -89,7 +89,7 @@ def field_unit(path: str) -> str:
 
 
 def _origin(provenance: Mapping[str, str], path: FieldPath) -> str:
-    """Return where a field came from, or the list of tables that it is in."""
+    """Return the origin of a field, or of the innermost list of tables that holds it."""
     held = (provenance.get(spell(path[:length])) for length in range(len(path), 0, -1))
     return next(filter(None, held), "default")
 
@@ -111,16 +111,16 @@ def _fields(table: BaseModel, prefix: FieldPath = ()) -> Iterator[tuple[FieldPat
             yield (*prefix, name), table, value
 
 
-# What `quantity` notes beside a field for the messages; no editor knows it.
-_NOTES = ("unit", "allowed", "example", "other_names", "sound", "is_late")
-# Read from a file that is named, never written by hand.
+# Keys that `quantity` adds to a field for messages; editors do not know them.
+_NOTES = ("unit", "allowed", "example", "other_names", "sound", "is_late", "unit_keys")
+# Read from a named file, never written by hand.
 _DERIVED = ("series", "grid")
 _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class WritableField:
-    """One field that a file may have, every column as text for people."""
+    """One field that a file may have, with every column as text."""
 
     path: str
     unit: str
@@ -130,16 +130,16 @@ class WritableField:
 
 
 def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...]) -> dict[str, Any]:
-    """Return the JSON Schema of a TOML file as it is written.
+    """Return the JSON Schema of a TOML file in its written form.
 
     Parameters
     ----------
     model : type of BaseModel
-        The table at the top.
+        The top-level table.
     title : str
-        Of the schema.
+        Title of the schema.
     required : tuple of str
-        What must stand at the top; anything below may come from the library.
+        Keys required at the top; the library may supply everything below.
     """
     schema = model.model_json_schema()
     definitions = schema.get("$defs", {})
@@ -147,8 +147,15 @@ def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...])
         table.pop("required", None)
         for name in _DERIVED:
             table.get("properties", {}).pop(name, None)
-        for name, field in list(table.get("properties", {}).items()):
-            table["properties"][name] = _for_editors(field)
+        fields = table.get("properties", {})
+        in_units = {
+            key: {"type": "number", "description": f"{field.get('description')} [{unit}]"}
+            for name, field in fields.items()
+            for key, unit in _unit_keys(name, field)
+        }
+        table["properties"] = {name: _for_editors(field) for name, field in fields.items()}
+        table["properties"] |= in_units
+        for name, field in fields.items():
             table["properties"] |= _otherwise(name, field)
     for name in ("WindSeries", "WindGrid"):
         definitions.pop(name, None)
@@ -168,10 +175,7 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
 
 def _otherwise(name: str, field: dict[str, Any]) -> dict[str, Any]:
     """Return the other ways to write a field (`spellings`), with what editors say of them."""
-    meaning = field.get("description", "")
     found: dict[str, Any] = {}
-    if field.get("unit") == "rad":
-        found[f"{name}{DEGREES}"] = {"type": "number", "description": f"{meaning} [deg]"}
     if field.get("unit") == "rad" and name == "direction":
         says = "where the wind comes from, clockwise from north [deg]"
         found[FROM] = {"type": "number", "description": says}
@@ -180,6 +184,12 @@ def _otherwise(name: str, field: dict[str, Any]) -> dict[str, Any]:
         on_earth = {"type": "object", "properties": {key: {"type": "number"} for key in ON_EARTH}}
         found[name] = {"anyOf": [kept, on_earth], "description": kept.get("description", "")}
     return found
+
+
+def _unit_keys(name: str, field: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return the keys that give a field in another unit, and that unit in words."""
+    degrees = [(f"{name}{DEGREES}", "degrees")] if field.get("unit") == "rad" else []
+    return degrees + [(key, key.partition("_")[2]) for key in field.get("unit_keys", {})]
 
 
 def _for_editors(field: dict[str, Any]) -> dict[str, Any]:
@@ -206,12 +216,13 @@ def _writable(
             yield from _writable(below, definitions, f"{path}{each}.")
             continue
         unit = field.get("unit", "")
+        others = [f"; or {key}" for key, _ in _unit_keys(name, field)]
         yield WritableField(
             path=path,
             unit="" if unit == "1" else unit,
             default=_default(field),
             allowed=_allowed(field, definitions),
-            meaning=field.get("description", ""),
+            meaning="".join((field.get("description", ""), *others)),
         )
 
 
@@ -242,7 +253,7 @@ def _allowed(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 
 
 def _of_type(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
-    """Say which values one type of a field allows, beyond being of that type."""
+    """Return the values that one type of a field allows, beyond the type itself."""
     held = definitions.get(option.get("$ref", "").rpartition("/")[2], {})
     if "const" in option:
         return f'"{option["const"]}"'
@@ -254,21 +265,26 @@ def _of_type(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
     return ", ".join(f"{sign} {option[key]:g}" for key, sign in _LIMITS.items() if key in option)
 
 
-# A wheel carries them inside the package; a checkout has them beside it.
+# A wheel contains the scenarios in the package; in a checkout they are beside it.
 _PACKAGE = Path(__file__).parents[1]
 _PLACES = (_PACKAGE / "shipped", _PACKAGE.parent / "scenarios")
 _STUDY = "study_"
-#: The paper's own mission goes by a short name.
+#: The paper's own mission has a short name.
 _SHORT_NAMES = {"paper": "paper_calm"}
 _NAME = re.compile(r'^name = ".*"$', re.MULTILINE)
 _SCHEMA_LINE = "#:schema ./scenario.schema.json\n"
 
 
 def shipped_scenarios() -> Mapping[str, Path]:
-    """Return the file of each shipped scenario by its name, the short ones included."""
+    """Return the file of each shipped scenario by its name, short names included."""
     place = next(place for place in _PLACES if place.is_dir())
     found = {f.stem: f for f in sorted(place.glob("*.toml")) if not f.stem.startswith(_STUDY)}
     return {short: found[name] for short, name in _SHORT_NAMES.items() if name in found} | found
+
+
+def is_name(text: str) -> bool:
+    """Return whether a text can name a scenario or a vehicle, and the files of it."""
+    return re.fullmatch(NAME_PATTERN, text) is not None
 
 
 def started_scenario(template: str, name: str) -> str:
@@ -277,14 +293,14 @@ def started_scenario(template: str, name: str) -> str:
     Raises
     ------
     ScenarioError
-        If there is no such scenario, or the name is none.
+        If there is no such scenario, or the new name is not valid.
     """
     shipped = shipped_scenarios()
     if template not in shipped:
         raise ScenarioError(
             f"--from {shown(template)[1:-1]}: must be one of {', '.join(sorted(shipped))}."
         )
-    if not re.fullmatch(NAME_PATTERN, name):
+    if not is_name(name):
         raise ScenarioError(
             f"NAME = {shown(name)}; must be 1 to 64 letters, digits, '_', '-' or '.', starting "
             "with a letter or digit."

@@ -1,13 +1,13 @@
-"""Whether a vehicle's numbers fit each other: motors, rotors and inertias as nature has them.
+"""Consistency of a vehicle's numbers: motors, rotors and inertias obey physical laws.
 
 symbol | meaning
 k_t, k_v | torque constant [N m/A] and voltage constant [rad/s/V]
 tau, omega | torque and speed of one rotor in hover
-P_i | ideal power of hover, T^(3/2) / sqrt(2 rho A), the least of any rotor of its disc area A
+P_i | ideal power of hover, T^(3/2) / sqrt(2 rho A), the least for a disc area A
 
-A motor turns electrical power into mechanical power without creating any where k_t k_v = 1.  No
-rotor hovers below P_i (momentum theory).  And of a body's moments of inertia none exceeds the sum
-of the other two, since each is an integral of two of three squares.
+A motor with k_t k_v = 1 conserves energy; a larger product would create power. No rotor hovers
+below P_i (momentum theory). No moment of inertia of a body exceeds the sum of the other two,
+because each is an integral of two of three squares.
 """
 
 from collections.abc import Iterator
@@ -16,54 +16,54 @@ from itertools import combinations
 from math import dist, inf, pi, sqrt
 
 from pyomo_quad.scenario.tables import Power, PowerModel
-from pyomo_quad.scenario.vehicle import Vehicle
+from pyomo_quad.scenario.vehicle import RPM, MotorConstants, Vehicle
 
-#: Share by which two published numbers may contradict each other: each is rounded to three digits,
-#: and so off by up to half a per cent.
+#: Relative contradiction allowed between two published numbers: each is rounded to three digits and
+#: therefore off by up to half a per cent.
 ROUNDED = 0.01
-# From where on a contradiction within rounding is worth a remark.
+# Relative contradiction within rounding above which a remark is shown.
 _SEEN = 1e-3
-# What the rotors of small vehicles and the best of all reach in hover.
+# Figures of merit in hover of small vehicles' rotors, and of the best rotors.
 _USUAL_MERIT, _BEST_MERIT = "0.5 to 0.7", 0.8
-_RPM_PER_RADIAN_PER_SECOND = 60 / (2 * pi)
-# Under these the motors' electrics make the power of the flight.
+# Power models in which the motors' electrical constants determine the power.
 _OF_MOTORS = (PowerModel.MOTOR, PowerModel.MOTOR_WITH_FRICTION)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """A field, and what its number contradicts, in one line that names it."""
+    """A field and the numbers that it contradicts, in one line."""
 
     field: str
     message: str
 
 
 def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
-    """Say in which way the motors give out more than they take in hover, empty if they do not."""
-    if power.model not in _OF_MOTORS:
+    """Return a message if the motors create power in hover, empty if they do not."""
+    motor = vehicle.motor
+    if power.model not in _OF_MOTORS or motor is None:
         return ""
     speed = vehicle.hover_speed(gravity)
     torque, friction = vehicle.drag_torque(speed), 0.0
     if power.model is PowerModel.MOTOR_WITH_FRICTION:
         friction = vehicle.friction_torque + vehicle.viscous_damping * speed
-    current = (torque + friction) / vehicle.torque_constant
-    voltage = vehicle.motor_resistance * current + speed / vehicle.voltage_constant
+    current = (torque + friction) / motor.torque_constant
+    voltage = motor.resistance * current + speed / motor.voltage_constant
     given, taken = torque * speed, voltage * current
     if given <= taken:
         return ""
     return (
-        f"{_motor_constants(vehicle)}, since a motor in hover gives out {given:.3g} W and takes "
-        f"{taken:.3g} W; {_remedy(vehicle)}."
+        f"{_motor_constants(motor)}, since a motor in hover gives out {given:.3g} W and takes "
+        f"{taken:.3g} W; {_remedy(motor)}."
     )
 
 
 def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[Contradiction]:
-    """Yield in which ways a vehicle cannot exist as it is described."""
-    product = vehicle.torque_constant * vehicle.voltage_constant
-    if not 1 - ROUNDED <= product <= 1 + ROUNDED:
+    """Yield the contradictions between the numbers of a vehicle."""
+    motor = vehicle.motor
+    if motor is not None and not 1 - ROUNDED <= motor.product <= 1 + ROUNDED:
         yield Contradiction(
             field="vehicle.voltage_constant",
-            message=f"{_motor_constants(vehicle)}; {_remedy(vehicle)}.",
+            message=f"{_motor_constants(motor)}; {_remedy(motor)}.",
         )
     moments = {name: getattr(vehicle, name) for name in ("Ix", "Iy", "Iz")}
     largest = max(moments, key=lambda name: moments[name])
@@ -72,7 +72,7 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
     if moments[largest] > most * (1 + ROUNDED):
         yield Contradiction(
             field=f"vehicle.{largest}",
-            message=f"vehicle.{largest} = {moments[largest]:.4g} kg m^2; of no body it exceeds "
+            message=f"vehicle.{largest} = {moments[largest]:.4g} kg m^2; must be at most "
             f"{' + '.join(others)} = {most:.4g} kg m^2; correct one of the three.",
         )
     hover = _hover(vehicle, power, gravity)
@@ -85,13 +85,13 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
 
 
 def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
-    """Yield what is at the edge of what can exist, for whoever takes the energies for real."""
-    product = vehicle.torque_constant * vehicle.voltage_constant
-    if _SEEN < abs(product - 1) <= ROUNDED:
-        slowest = _least_speed(vehicle)
+    """Yield remarks on numbers at the edge of what is possible, for users who need the energies."""
+    motor = vehicle.motor
+    if motor is not None and _SEEN < abs(motor.product - 1) <= ROUNDED:
+        slowest = _least_speed(motor, vehicle.drag_torque_coefficient)
         at = f" below {slowest:.3g} rad/s a motor gives out more than it takes," if slowest else ""
         yield (
-            f"{_motor_constants(vehicle)};{at} and two numbers of three digits may be off by "
+            f"{_motor_constants(motor)};{at} and two numbers of three digits may be off by "
             f"{100 * ROUNDED:g} %."
         )
     hover = _hover(vehicle, power, gravity)
@@ -105,35 +105,33 @@ def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
             )
 
 
-def _motor_constants(vehicle: Vehicle) -> str:
-    product = vehicle.torque_constant * vehicle.voltage_constant
+def _motor_constants(motor: MotorConstants) -> str:
     return (
-        f"vehicle.voltage_constant = {vehicle.voltage_constant:.4g} rad/s/V: its product with "
-        f"torque_constant = {vehicle.torque_constant:.4g} N m/A is {product:.4g}; must be 1"
+        f"vehicle.voltage_constant = {motor.voltage_constant:.4g} rad/s/V: its product with "
+        f"torque_constant = {motor.torque_constant:.4g} N m/A is {motor.product:.4g}; must be 1"
     )
 
 
-def _least_speed(vehicle: Vehicle) -> float:
-    """Return the rotor speed [rad/s] from which on a motor takes more than it gives, 0 if any.
+def _least_speed(motor: MotorConstants, drag_torque_coefficient: float) -> float:
+    """Return the least rotor speed [rad/s] at which a motor creates no power, 0 for any speed.
 
-    The copper loss, which grows with the speed, then outweighs what k_t k_v > 1 creates.
+    The copper loss grows with the speed and outweighs, above it, the power created by k_t k_v > 1.
     """
-    created = max(0.0, vehicle.torque_constant - 1 / vehicle.voltage_constant)
-    loss = vehicle.motor_resistance * vehicle.drag_torque_coefficient / vehicle.torque_constant
-    return created / loss
+    created = max(0.0, motor.torque_constant - 1 / motor.voltage_constant)
+    return created / (motor.resistance * drag_torque_coefficient / motor.torque_constant)
 
 
-def _remedy(vehicle: Vehicle) -> str:
-    wanted = f"give {1 / vehicle.torque_constant:.4g} rad/s/V, or another torque_constant"
-    in_rpm = vehicle.voltage_constant / _RPM_PER_RADIAN_PER_SECOND
-    if abs(in_rpm * vehicle.torque_constant - 1) <= 5 * ROUNDED:
-        return f"{wanted}; were rpm/V meant? {vehicle.voltage_constant:.4g} rpm/V are {in_rpm:.4g}"
+def _remedy(motor: MotorConstants) -> str:
+    wanted = f"give {1 / motor.torque_constant:.4g} rad/s/V, or another torque_constant"
+    in_rpm = motor.voltage_constant * RPM
+    if abs(in_rpm * motor.torque_constant - 1) <= 5 * ROUNDED:
+        return f"{wanted}; were rpm/V meant? {motor.voltage_constant:.4g} rpm/V are {in_rpm:.4g}"
     return wanted
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Hover:
-    """Powers of all rotors in hover, of the shafts and of ideal rotors, and the radius of these."""
+    """Powers in hover of all shafts and of ideal rotors, and the radius of these rotors."""
 
     told: str
     shaft_W: float
@@ -142,16 +140,16 @@ class _Hover:
 
 
 def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
-    """Return what hover takes, None where the torque of the rotors is not what makes the power."""
+    """Return the powers of hover, None if the torque of the rotors does not determine them."""
     if power.model is PowerModel.MOMENTUM:
-        return None  # its powers are at least those of ideal rotors
+        return None  # this model's powers are at least those of ideal rotors
     places = vehicle.rotor_places
     radius, said = vehicle.rotor_radius, "vehicle.rotor_radius"
     if radius is None:
         radius = min((dist(*pair) / 2 for pair in combinations(places, 2)), default=inf)
         said = "the largest radius at which they do not overlap"
     if radius <= 0:
-        return None  # one above the other
+        return None  # coaxial rotors
     speed, weight = vehicle.hover_speed(gravity), vehicle.total_mass * gravity
     shaft = len(places) * vehicle.drag_torque(speed) * speed
     disc_area = len(places) * pi * radius**2

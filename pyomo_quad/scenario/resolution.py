@@ -1,6 +1,6 @@
-"""Default, library, files, scenario and overrides laid over each other, with their origin.
+"""Layers of a scenario: defaults, library, files, scenario and overrides, with their origin.
 
-A TOML document comes from a stranger: data only, bounded in size and depth.
+A TOML document may come from an untrusted source: it is data only, bounded in size and depth.
 """
 
 import re
@@ -29,30 +29,34 @@ from pyomo_quad.scenario.fields import (
 from pyomo_quad.scenario.footprints import in_convex_parts, read_footprints
 from pyomo_quad.scenario.messages import (
     ScenarioError,
-    complaint,
     declared_place,
     field_paths,
+    listed,
     printable,
     shown,
 )
 from pyomo_quad.scenario.mission import FREE
 from pyomo_quad.scenario.spellings import in_plain_terms, origin_of_mission
 from pyomo_quad.scenario.tables import (
+    DERIVED_LIMITS,
     FASTEST_ROTOR,
+    Battery,
+    Limits,
     derived_limits,
 )
+from pyomo_quad.scenario.unit_keys import in_declared_units
 from pyomo_quad.scenario.vehicle import Vehicle
-from pyomo_quad.scenario.wind import in_the_air, with_coupling
+from pyomo_quad.scenario.wind import Wind, in_the_air, with_coupling
 from pyomo_quad.scenario.wind_field import read_wind_field
-from pyomo_quad.scenario.wind_series import read_wind_file
+from pyomo_quad.scenario.wind_file import read_wind_file
 
 LARGEST_FILE_BYTES = 1_000_000
 DEEPEST_NESTING = 8
-# More brackets open at once, or a key of more parts, is an attack on the parser: it takes them one
-# inside the other, or all anew for each.
+# Limit on open brackets and on the parts of a key. The parser recurses into brackets and re-reads
+# every key, so that more of them would exhaust its stack or time.
 _MOST_OPEN = 64
 _MOST_KEY_PARTS = 32
-# Comments, texts closed or not, and the signs that nest or join; no part is read twice.
+# Matches comments, closed or unclosed texts, and the signs that nest or join; reads each part once.
 _SIGNS = re.compile(
     r"""#[^\n]*+|\"{3}(?:[^"\\]++|\\.|"(?!""))*+(?:\"{3})?|'{3}(?:[^']++|'(?!''))*+(?:'{3})?"""
     r"""|"(?:[^"\\\n]++|\\.)*+"?|'[^'\n]*+'?|[\[\]{}.,=\n]""",
@@ -61,12 +65,12 @@ _SIGNS = re.compile(
 
 
 def read_toml(file: Path) -> dict[str, Any]:
-    """Read a TOML file that may come from a stranger.
+    """Read an untrusted TOML file.
 
     Raises
     ------
     ScenarioError
-        If it is missing, too large, nested too deep or not TOML.
+        If the file is missing, too large, nested too deep or not TOML.
     """
     source = printable(str(file))
     try:
@@ -91,7 +95,7 @@ def read_toml(file: Path) -> dict[str, Any]:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML, once it is known not to nest so deep that the parser would suffer."""
+    """Parse TOML, after a check that its nesting is not too deep for the parser."""
     open_brackets, key_parts = 0, 1
     for sign in _SIGNS.finditer(text):
         match sign[0]:
@@ -109,7 +113,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def refuse_deep(tables: Mapping[str, Any], source: str) -> None:
-    """Refuse tables that nest deeper than any scenario."""
+    """Refuse tables that are nested deeper than any scenario."""
     if depth(tables, DEEPEST_NESTING) > DEEPEST_NESTING:
         raise ScenarioError(
             f"{source}: nested deeper than {DEEPEST_NESTING} levels; a scenario is a shallow file."
@@ -121,10 +125,16 @@ LIBRARY_KINDS: Mapping[str, str] = MappingProxyType(
     {"vehicles": "vehicle", "batteries": "battery", "winds": "wind"}
 )
 
-_FIELDS, _VALUE, _SOURCE = "fields", "value", "source"
+#: Table of a scenario that the library completes -> model that declares its fields.
+_TABLES: Mapping[str, type[BaseModel]] = MappingProxyType(
+    {"vehicle": Vehicle, "limits": Limits, "battery": Battery, "wind": Wind}
+)
+
+_FIELDS, _VALUE, _SOURCE, _BATTERY = "fields", "value", "source", "battery"
 _LABELS = (_VALUE, _SOURCE)
-_SECTIONS: Mapping[str, tuple[str, ...]] = {"vehicles": (_FIELDS, "limits")}
-# What tells a file of one's own from a name of the library.
+_VEHICLES = "vehicles"
+_SECTIONS: Mapping[str, tuple[str, ...]] = {_VEHICLES: (_FIELDS, "limits")}
+# Suffix that distinguishes a user's own file from a name of the library.
 _SUFFIX = ".toml"
 
 
@@ -139,9 +149,12 @@ class LibraryEntry:
     tables : mapping
         Scenario tables that the entry fills, ``{"vehicle": {...}, "limits": {...}}``.
     sources : mapping
-        Dotted scenario field -> where its number comes from.
+        Dotted scenario field -> source of its number.
     base : LibraryEntry or None
-        The set that gives what a file of one's own leaves out.
+        The library entry that completes a user's own file.
+    battery : str
+        Pack that a vehicle flies with unless a scenario names one: a name of the library, or a
+        file beside the vehicle's.  Empty where none is known.
     """
 
     kind: str
@@ -149,6 +162,7 @@ class LibraryEntry:
     tables: Mapping[str, Mapping[str, Any]]
     sources: Mapping[str, str]
     base: "LibraryEntry | None" = None
+    battery: str = ""
 
     def values(self) -> dict[str, Any]:
         """Return the numbers that have a source.
@@ -231,14 +245,15 @@ def library_entry(kind: str, name: str) -> LibraryEntry:
 def _entry(
     kind: str, name: str, written: Mapping[str, Any], base: LibraryEntry | None
 ) -> LibraryEntry:
-    """Return the entry of sections of numbers, bare or with their sources.
+    """Return the entry made of sections of numbers, each bare or with its source.
 
-    Only its own tables are in it; those of the base lie below.
+    The entry holds its own tables only; `base` completes them.
     """
     table = LIBRARY_KINDS[kind]
     tables: dict[str, Any] = {table: {"use": name}}
     sources: dict[str, str] = {}
-    for path, value in leaves(written):
+    battery = written.get(_BATTERY, "" if base is None else base.battery)
+    for path, value in leaves({key: held for key, held in written.items() if key != _BATTERY}):
         section, *field = path
         is_labelled = field[-1] in _LABELS
         place = field[:-1] if is_labelled else field
@@ -247,96 +262,119 @@ def _entry(
             sources[spell(target)] = value
         else:
             tables = set_value(tables, target, value)
+    for section, content in tables.items():
+        rewritten = in_declared_units(content, _TABLES[section])
+        if rewritten.complaints:
+            raise ScenarioError(listed([f"{name}: {line}" for line in rewritten.complaints]))
+        tables[section] = rewritten.tables
+        for of_field, said in rewritten.spellings.items():
+            key = said.partition(" = ")[0]
+            source = sources.pop(f"{section}.{key}", f"given as {key}")
+            sources[spell((section, *of_field))] = source
     return LibraryEntry(
         kind=kind,
         name=name,
         tables=MappingProxyType(tables),
         sources=MappingProxyType(sources),
         base=base,
+        battery=battery,
     )
 
 
 def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
-    """Read a set of one's own from a file written as the library's are.
+    """Read a user's own set from a file with the structure of the library's files.
 
     It has the sections `fields` and, for a vehicle, `limits`, with each number bare or as a table
-    of `value` and `source`; `use` at its top names the set of the library that gives the rest.
+    of `value` and `source`; `use` at its top names the set of the library that gives the rest, and
+    `battery` the pack that a vehicle flies with.
 
     Raises
     ------
     ScenarioError
-        If the file cannot be read, or has anything else in it.
+        If the file cannot be read or has other content.
     """
     written = dict(read_toml(folder / name))
+    lines = list(_shape_complaints(kind, written))
+    if lines:
+        raise ScenarioError(listed([f"{name}: {line}" for line in lines]))
     use = written.pop("use", None)
-    if use is not None and not isinstance(use, str):
-        raise ScenarioError(f"{name}: use = {shown(use)}; must be text in quotes.")
-    sections = _SECTIONS.get(kind, (_FIELDS,))
-    for section, content in written.items():
-        if section not in sections:
-            raise ScenarioError(
-                f"{name}: unknown key {shown(section)[1:-1]}; a file of {kind} has "
-                f"{' and '.join(f'[{known}]' for known in sections)}, and perhaps use."
-            )
-        if not isinstance(content, Mapping):
-            raise ScenarioError(f"{name}: {section} = {shown(content)}; must be a table.")
-        _refuse_labels(name, content, (section,))
     return _entry(kind, name, written, None if use is None else library_entry(kind, use))
 
 
-def _refuse_labels(name: str, table: Mapping[str, Any], place: FieldPath) -> None:
-    """Refuse numbers with a label other than their value and source."""
+def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what a file of a kind cannot have, whatever its numbers are."""
+    sections = _SECTIONS.get(kind, (_FIELDS,))
+    tops = ("use", _BATTERY) if kind == _VEHICLES else ("use",)
+    for section, content in written.items():
+        if section in tops:
+            if not isinstance(content, str):
+                yield f"{section} = {shown(content)}; must be text in quotes."
+        elif section not in sections:
+            yield (
+                f"unknown key {shown(section)[1:-1]}; a file of {kind} has "
+                f"{' and '.join(f'[{known}]' for known in sections)}, and perhaps "
+                f"{' or '.join(tops)}."
+            )
+        elif not isinstance(content, Mapping):
+            yield f"{section} = {shown(content)}; must be a table."
+        else:
+            yield from _label_complaints(content, (section,))
+
+
+def _label_complaints(table: Mapping[str, Any], place: FieldPath) -> Iterator[str]:
+    """Yield numbers with a label other than their value and source."""
     is_labelled = len(place) > 1 and not set(_LABELS).isdisjoint(table)
     for key, content in table.items():
         where = shown(spell((*place, key)))[1:-1]
         if (key in _LABELS) != is_labelled:
-            raise ScenarioError(
-                f"{name}: unknown key {where}; a number stands alone or as a table of its "
-                f"{_VALUE} and {_SOURCE}."
+            yield (
+                f"unknown key {where}; a number stands alone or as a table of its {_VALUE} and "
+                f"{_SOURCE}."
             )
-        if is_labelled and isinstance(content, Mapping):
-            raise ScenarioError(f"{name}: {where} = a table; must be a number or a text.")
-        if is_labelled and key == _SOURCE and not isinstance(content, str):
-            raise ScenarioError(f"{name}: {where} = {shown(content)}; must be text in quotes.")
-        if isinstance(content, Mapping):
-            _refuse_labels(name, content, (*place, key))
+        elif is_labelled and isinstance(content, Mapping):
+            yield f"{where} = a table; must be a number or a text."
+        elif is_labelled and key == _SOURCE and not isinstance(content, str):
+            yield f"{where} = {shown(content)}; must be text in quotes."
+        elif isinstance(content, Mapping):
+            yield from _label_complaints(content, (*place, key))
 
 
 def _listed(names: object) -> str:
     return ", ".join(str(name) for name in names)  # type: ignore[attr-defined]
 
 
-# The named sets that a scenario gets when it names none.
-DEFAULT_LIBRARY: Mapping[str, str] = {
-    "vehicle": "dji_phantom_2",
-    "battery": "phantom_2_pack",
-    "wind": "calm",
-}
+# The named sets that a scenario gets when it names none; the pack is that of its vehicle.
+DEFAULT_LIBRARY: Mapping[str, str] = {"vehicle": "dji_phantom_2", "wind": "calm"}
 
-# How long a free duration may be, and the shortest that there is, in s.
+# Field with the greatest length of a free duration, and the shortest duration, in s.
 _LONGEST: FieldPath = ("mission", "duration_max")
 _SHORTEST_S = 1e-3
 
-# A forecast is a wind of its own, told to the same vehicle.
-_INHERITED_BY_FORECAST = ("acceleration_coefficient", "frequency_unit")
+# A forecast is a separate wind, but for the same vehicle: it inherits these fields.
+_INHERITED_BY_FORECAST = (
+    "acceleration_coefficient",
+    "frequency_unit",
+    "speed_deviation",
+    "direction_deviation",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Origin:
-    """What a scenario was made from.
+    """The sources of a scenario.
 
     Attributes
     ----------
     source : str
-        Name of the scenario for messages, its file as a rule.
+        Name of the scenario in messages, usually its file.
     folder : Path
-        Where relative file names start.
+        Folder to which relative file names refer.
     document : mapping
         The scenario's own tables, before library and overrides.
     assignments : mapping
         Path -> value, the overrides in order.
     label : str
-        What the overrides are called in messages and provenance.
+        Name of the overrides in messages and provenance.
     """
 
     source: str
@@ -349,41 +387,57 @@ class Origin:
 
 @dataclass(frozen=True, kw_only=True)
 class Resolution:
-    """Complete tables, ready to validate, and where each value came from."""
+    """Complete tables, ready for validation, and the origin of each value.
+
+    `complaints` has a line for each value that could not be determined, and `unfilled` the paths
+    that lack fields because of it.
+    """
 
     tables: Mapping[str, Any]
     provenance: Mapping[str, str]
+    complaints: tuple[str, ...] = ()
+    unfilled: tuple[FieldPath, ...] = ()
 
 
 def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
-    """Complete the tables of a scenario, whose fields the model declares, from the library.
+    """Complete the tables of a scenario from the library; the model declares the fields.
 
     Raises
     ------
     ScenarioError
-        If a library name, a wind file or the vehicle is not valid.
+        If an override has no place.
     """
     own = _with_assignments(origin, origin.document, indexed=False)
     provenance = {spell(path): "scenario" for path, _ in leaves(origin.document)}
     provenance |= {spell(path): origin.label for path in origin.assignments}
     tables = {} if origin.is_resolved else _initial_values(model)
+    filled = _Filled(origin=origin, own=own, provenance=provenance, tables=tables)
     for kind, table in LIBRARY_KINDS.items():
-        tables = _add_library(origin, tables, own, provenance, (table,), kind)
+        filled.add_library((table,), kind)
     if isinstance(own.get("wind"), Mapping) and isinstance(own["wind"].get("forecast"), Mapping):
-        tables = _add_library(origin, tables, own, provenance, ("wind", "forecast"), "winds")
-        tables = _inherit_by_forecast(tables, own)
-    tables = _with_assignments(origin, merge(tables, own), indexed=True)
-    tables = in_plain_terms(tables, own, provenance, model, origin.source)
+        filled.add_library(("wind", "forecast"), "winds")
+        filled.tables = _inherit_by_forecast(filled.tables, own)
+    tables = _with_assignments(origin, merge(filled.tables, own), indexed=True)
+    tables = in_plain_terms(tables, own, provenance, origin.source)
     tables = _add_footprints(origin, tables, provenance)
-    tables = _add_wind_series(origin, tables, provenance)
-    tables = _add_wind_fields(origin, tables, provenance)
+    try:
+        tables = _add_wind_series(origin, tables, provenance)
+        tables = _add_wind_fields(origin, tables, provenance)
+    except ScenarioError as error:
+        filled.complain(str(error), ("wind",))
     tables = in_the_air(tables, origin.document if origin.is_resolved else None, provenance)
     tables = with_coupling(tables, own, provenance)
-    return Resolution(tables=_add_derived_limits(origin, tables, provenance), provenance=provenance)
+    tables = _with_motor_constants(tables, provenance)
+    return Resolution(
+        tables=_add_derived_limits(tables),
+        provenance=provenance,
+        complaints=tuple(filled.complaints),
+        unfilled=(*filled.unfilled, *(("limits", name) for name in DERIVED_LIMITS)),
+    )
 
 
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
-    """Return what files mean that say nothing, where stored scenarios mean something else."""
+    """Return the initial values of scenario files that differ from the defaults of records."""
     tables: dict[str, Any] = {}
     for path in field_paths(model):
         table, _ = declared_place(model, path[:-1])
@@ -394,7 +448,7 @@ def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def whose(origin: Origin, provenance: Mapping[str, str], path: FieldPath) -> str:
-    """Name the source that a message about a field starts with."""
+    """Return the name of the source with which a message about a field starts."""
     for length in range(len(path), 0, -1):
         said = provenance.get(spell(path[:length]))
         if said is not None:
@@ -422,42 +476,82 @@ def _with_assignments(
     return changed
 
 
-def _add_library(
-    origin: Origin,
-    tables: dict[str, Any],
-    own: Mapping[str, Any],
-    provenance: dict[str, str],
-    place: FieldPath,
-    kind: str,
-) -> dict[str, Any]:
-    written: Any = own
-    for step in place:
-        written = written.get(step, {}) if isinstance(written, Mapping) else {}
-    is_named = isinstance(written, Mapping) and "use" in written
-    name = written["use"] if is_named else DEFAULT_LIBRARY[LIBRARY_KINDS[kind]]
-    if not isinstance(name, str):
-        return tables  # validation says it better
-    use = (*place, "use")
-    if origin.is_resolved and use not in origin.assignments:
-        return tables
-    is_file = name.endswith(_SUFFIX)
-    try:
-        entry = read_entry(kind, name, origin.folder) if is_file else library_entry(kind, name)
-    except ScenarioError as error:
-        reason = str(error).removeprefix("library: ")
-        where = whose(origin, provenance, use)
-        raise ScenarioError(f"{where}: {spell(use)} = {shown(name)}; {reason}") from None
-    provenance.setdefault(spell(use), "default")
-    said: dict[str, str] = {}
-    for layer in filter(None, (entry.base, entry)):
-        is_own = is_file and layer is entry
-        source = f"file {shown(name)[1:-1]}" if is_own else f"library {layer.name}"
-        for path, value in leaves(layer.tables):
-            full = (*place, *path[1:]) if path[0] == LIBRARY_KINDS[kind] else path
-            tables = set_value(tables, full, value)
-            said[spell(full)] = source
-    provenance.update(said | provenance)
-    return tables
+@dataclass
+class _Filled:
+    """Tables of a scenario while the library completes them, and the errors found on the way."""
+
+    origin: Origin
+    own: Mapping[str, Any]
+    provenance: dict[str, str]
+    tables: dict[str, Any]
+    complaints: list[str] = field(default_factory=list)
+    unfilled: list[FieldPath] = field(default_factory=list)
+    #: Name of the vehicle's pack, with the vehicle that names it.
+    _pack: tuple[str, str] | None = None
+
+    def complain(self, line: str, *places: FieldPath) -> None:
+        """Record a line of the message on the whole file, and the paths left incomplete."""
+        self.complaints.append(line)
+        self.unfilled.extend(places)
+
+    def add_library(self, place: FieldPath, kind: str) -> None:
+        """Add a library entry below the scenario's own fields."""
+        written: Any = self.own
+        for step in place:
+            written = written.get(step, {}) if isinstance(written, Mapping) else {}
+        use = (*place, "use")
+        if self.origin.is_resolved and use not in self.origin.assignments:
+            return
+        is_named = isinstance(written, Mapping) and "use" in written
+        name = written["use"] if is_named else self._default(kind, place)
+        left_open = (place, *((("battery",), ("limits",)) if kind == _VEHICLES else ()))
+        if not isinstance(name, str):
+            self.unfilled.extend(left_open)
+            return  # validation gives a better message
+        is_file = name.endswith(_SUFFIX)
+        folder = self.origin.folder
+        try:
+            entry = read_entry(kind, name, folder) if is_file else library_entry(kind, name)
+        except ScenarioError as error:
+            where = whose(self.origin, self.provenance, use)
+            said = f"{where}: {spell(use)} = {shown(name)}; "
+            for line in str(error).splitlines():
+                self.complain(said + line.removeprefix("library: "), *left_open)
+            return
+        if kind == _VEHICLES:
+            self._pack = (_beside(name, entry.battery) if is_file else entry.battery), name
+        self.provenance.setdefault(spell(use), "default")
+        self._lay(entry, place, name if is_file else "")
+
+    def _default(self, kind: str, place: FieldPath) -> str | None:
+        table = LIBRARY_KINDS[kind]
+        if table != _BATTERY:
+            return DEFAULT_LIBRARY[table]
+        pack, vehicle = self._pack or ("", "")
+        if not pack and vehicle:
+            self.complain(
+                f"{self.origin.source}: battery.use is missing; the vehicle {shown(vehicle)} "
+                f"names no pack of its own; give battery.use, one of "
+                f"{_listed(library_names(kind))} or a file NAME.toml.",
+                place,
+            )
+        return pack or None
+
+    def _lay(self, entry: LibraryEntry, place: FieldPath, file: str) -> None:
+        said: dict[str, str] = {}
+        for layer in filter(None, (entry.base, entry)):
+            is_own = bool(file) and layer is entry
+            source = f"file {shown(file)[1:-1]}" if is_own else f"library {layer.name}"
+            for path, value in leaves(layer.tables):
+                full = (*place, *path[1:]) if path[0] == LIBRARY_KINDS[entry.kind] else path
+                self.tables = set_value(self.tables, full, value)
+                said[spell(full)] = source
+        self.provenance.update(said | self.provenance)
+
+
+def _beside(file: str, pack: str) -> str:
+    """Return a pack that a vehicle's file names, with a path relative to the scenario's folder."""
+    return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 
 
 def _inherit_by_forecast(tables: dict[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
@@ -527,23 +621,36 @@ def _add_wind_series(
         if series["times"] and isinstance(offset, int | float):
             known.append((series["times"][-1] - offset, said))
     if field == _LONGEST and longest is None and known:
-        # A free duration ends where the wind is not known any more.
+        # A free duration ends at the end of the known wind.
         last, provenance[spell(field)] = min(known)
         tables = set_value(tables, field, last)
     return tables
 
 
 def _longest(tables: Mapping[str, Any]) -> tuple[FieldPath, object]:
-    """Return the field that says how long a mission may take, and what it says."""
+    """Return the field that limits the duration of a mission, and its value."""
     mission = tables.get("mission")
     told = mission if isinstance(mission, Mapping) else {}
     field = _LONGEST if told.get("duration") == FREE else ("mission", "duration")
     return field, told.get(field[-1])
 
 
-def _add_derived_limits(
-    origin: Origin, tables: dict[str, Any], provenance: Mapping[str, str]
-) -> dict[str, Any]:
+def _with_motor_constants(tables: dict[str, Any], provenance: dict[str, str]) -> dict[str, Any]:
+    """Return the tables with the motor constant of two, inverse to each other, that is missing."""
+    vehicle = tables.get("vehicle")
+    names = ("torque_constant", "voltage_constant")
+    if not isinstance(vehicle, Mapping):
+        return tables
+    for missing, given in (names, names[::-1]):
+        number: Any = vehicle.get(given)
+        is_number = isinstance(number, int | float) and not isinstance(number, bool)
+        if vehicle.get(missing) is None and is_number and number > 0:
+            tables = set_value(tables, ("vehicle", missing), 1 / number)
+            provenance[f"vehicle.{missing}"] = f"1 / {given}"
+    return tables
+
+
+def _add_derived_limits(tables: dict[str, Any]) -> dict[str, Any]:
     limits = tables.get("limits")
     if not isinstance(limits, Mapping):
         return tables
@@ -555,8 +662,7 @@ def _add_derived_limits(
     ):
         return tables
     try:
-        vehicle = Vehicle.model_validate(tables["vehicle"])
-    except ValidationError as error:
-        path, line = complaint(error, Vehicle, ("vehicle",))
-        raise ScenarioError(f"{whose(origin, provenance, path)}: {line}") from None
+        vehicle = Vehicle.model_validate(tables.get("vehicle"))
+    except ValidationError:
+        return tables  # validation of the scenario gives a better message
     return {**tables, "limits": {**derived_limits(vehicle, float(speed)), **limits}}

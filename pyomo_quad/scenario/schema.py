@@ -1,6 +1,6 @@
-"""The scenario: everything that one mission needs, validated, immutable and in SI units."""
+"""The scenario: all inputs of one mission, validated, immutable and in SI units."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import dist, sqrt
@@ -8,7 +8,7 @@ from pathlib import Path as FilePath
 from types import MappingProxyType
 from typing import Any, Self
 
-from pydantic import PrivateAttr, ValidationError
+from pydantic import BaseModel, PrivateAttr, ValidationError
 
 from pyomo_quad.scenario.airspace import Airspace
 from pyomo_quad.scenario.fields import (
@@ -21,8 +21,15 @@ from pyomo_quad.scenario.fields import (
     parse_path,
     quantity,
     spell,
+    unit_of,
 )
-from pyomo_quad.scenario.messages import FeasibilityError, ScenarioError, complaint, shown
+from pyomo_quad.scenario.messages import (
+    FeasibilityError,
+    ScenarioError,
+    complaints,
+    listed,
+    shown,
+)
 from pyomo_quad.scenario.mission import Mission, Yaw
 from pyomo_quad.scenario.plausibility import (
     Contradiction,
@@ -32,6 +39,7 @@ from pyomo_quad.scenario.plausibility import (
 )
 from pyomo_quad.scenario.resolution import Origin, resolve, whose
 from pyomo_quad.scenario.tables import (
+    USED_BY,
     Baseline,
     Battery,
     Limits,
@@ -39,15 +47,16 @@ from pyomo_quad.scenario.tables import (
     PowerModel,
     Solver,
 )
+from pyomo_quad.scenario.unit_keys import Rewritten, in_declared_units, paths_in_declared_units
 from pyomo_quad.scenario.vehicle import Attitude, Vehicle
 from pyomo_quad.scenario.wind import Air, Wind
 
-# Share of gravity that a vehicle without spare thrust is taken to accelerate by, and how much
-# longer than the quickest flight the first guess at a free duration is.
+# Acceleration, as a fraction of gravity, assumed for a vehicle without spare thrust; and ratio of
+# the first guess at a free duration to the duration of the quickest flight.
 _LEAST_LIFT = 0.1
 _UNHURRIED = 2.0
 _SHORTEST_WAY = 1e-2
-# Names become folder names: no separator, no leading dot, nothing that leaves the output folder.
+# Names become folder names: no separator, no leading dot, no way out of the output folder.
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 _MODEL_PATTERN = r"^[^:\x00]+\.py:[A-Za-z_][A-Za-z0-9_]*$"
 
@@ -70,7 +79,7 @@ class Scenario(Part):
         "acceleration of gravity",
         9.81,
         gt=0,
-        sound=Sound(0.1, 100, "it is 9.81 on earth, 1.62 on the moon and 24.8 on Jupiter"),
+        sound=Sound(0.1, 100, "9.81 on earth, 1.62 on the moon, 24.8 on Jupiter"),
     )
     model: Text | None = quantity(
         "",
@@ -110,28 +119,30 @@ class Scenario(Part):
         Raises
         ------
         ScenarioError
-            If a field is not allowed; the message is one line.
+            If fields are not allowed; the message has one line for each.
         FeasibilityError
             If the rotors cannot carry the vehicle.
         """
+        origin, rewritten = _in_declared_units(origin, cls)
         resolution = resolve(origin, cls)
+        lines = [*rewritten.complaints, *resolution.complaints]
         try:
             scenario = cls.model_validate(resolution.tables)
         except ValidationError as error:
-            path, line = complaint(error, cls)
-            raise ScenarioError(f"{whose(origin, resolution.provenance, path)}: {line}") from None
+            spared = [*resolution.unfilled, *rewritten.unread]
+            for path, line in complaints(error, cls, spared=spared):
+                said = rewritten.spellings.get(path)
+                given = f" It was given as {said}." if said else ""
+                lines.append(f"{whose(origin, resolution.provenance, path)}: {line}{given}")
+        if lines:
+            raise ScenarioError(listed(lines))
         scenario._origin = origin  # noqa: SLF001
         scenario._provenance = resolution.provenance  # noqa: SLF001
-        scenario._check_hover(origin.source)  # noqa: SLF001
-        scenario._check_motors(origin.source)  # noqa: SLF001
-        scenario._check_replanning(origin.source)  # noqa: SLF001
-        scenario._check_airspace(origin.source)  # noqa: SLF001
-        scenario._check_payload(origin.source)  # noqa: SLF001
-        scenario._check_yaw(origin.source)  # noqa: SLF001
+        scenario._check(origin.source)  # noqa: SLF001
         return scenario
 
     def __eq__(self, other: object) -> bool:
-        # Two scenarios with the same values are the same mission, wherever the values came from.
+        # Scenarios with equal values are the same mission, whatever the origin of the values.
         return isinstance(other, Scenario) and self.__dict__ == other.__dict__
 
     def __hash__(self) -> int:
@@ -145,7 +156,7 @@ class Scenario(Part):
 
     @property
     def folder(self) -> FilePath:
-        """Folder in which relative file names of the scenario start."""
+        """Folder to which relative file names of the scenario refer."""
         return self._origin.folder if self._origin is not None else FilePath()
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
@@ -155,7 +166,7 @@ class Scenario(Part):
         ----------
         values : mapping
             Dotted field -> new value; ``mission.goal.position[2]`` sets one number of a list.
-            Everything derived from a changed field follows it.
+            Values derived from a changed field are derived again.
 
         Returns
         -------
@@ -194,17 +205,18 @@ class Scenario(Part):
         )
 
     def lasting(self, duration: float, passing_times: Sequence[float] = ()) -> Self:
-        """Return the scenario with a fixed duration, and times at which waypoints are passed.
+        """Return the scenario with a fixed duration and optional passing times of waypoints.
 
         Parameters
         ----------
         duration : float
-            Of the flight, s; one that a plan chose, as a rule.
+            Duration of the flight, s, usually chosen by a plan.
 
         Returns
         -------
         Scenario
-            Without what a free duration is chosen by; itself where that is its duration.
+            Scenario without the criteria for a free duration; itself if it has that duration
+            already.
         """
         if duration == self.mission.duration and not passing_times:
             return self
@@ -215,7 +227,7 @@ class Scenario(Part):
         return self.with_mission(**values)
 
     def with_mission(self, **values: Any) -> Self:  # noqa: ANN401
-        """Return the scenario with some fields of its mission changed; they are not checked."""
+        """Return the scenario with some fields of its mission changed, without validation."""
         mission = self.mission.model_copy(update=values)
         changed = self.model_copy(update={"mission": mission})
         if self._origin is not None:
@@ -227,21 +239,22 @@ class Scenario(Part):
 
     @property
     def nominal_duration(self) -> float:
-        """The duration, or where it is free one that the search may start from, s."""
+        """The duration, or an initial guess of a free duration, s."""
         return self.nominal_times[-1]
 
     @property
     def nominal_times(self) -> tuple[float, ...]:
-        """When each waypoint is reached and left, and the end: given, or for a search to start."""
+        """Times at which each waypoint is reached and left, and the end: prescribed or guessed."""
         vehicle, limits = self.vehicle, self.limits
         lift = limits.thrust_max / vehicle.total_mass - self.gravity
         acceleration = min(max(lift, _LEAST_LIFT * self.gravity), self.gravity)
         spin = limits.yaw_moment_max / vehicle.Iz
         mission = self.mission
         ways = [dist(*leg) / acceleration for leg in pairwise(mission.positions)]
-        # A turn on the way, or a leg back to where it began, takes its time too.
+        # Include the time of a turn, and of a leg that returns to its start.
         ways[-1] = max(ways[-1], abs(mission.goal.yaw - mission.start.yaw) / spin)
-        # Half of the way speeding up and half of it slowing down takes 2 sqrt(way / acceleration).
+        # Accelerating over half the way and decelerating over the other takes 2 sqrt(way /
+        # acceleration).
         legs = [_UNHURRIED * 2 * sqrt(max(way, _SHORTEST_WAY)) for way in ways]
         if not mission.is_free:
             return mission.paced(legs)
@@ -254,10 +267,11 @@ class Scenario(Part):
 
     @property
     def keeps_yaw(self) -> bool:
-        """Whether the heading stays that of the start all the way.
+        """Whether the heading stays that of the start throughout.
 
-        Where power depends on thrust and airspeed alone it costs next to nothing to turn, and so
-        no heading is the best: unless one is asked for, a flight keeps its own, as autopilots do.
+        If power depends on thrust and airspeed alone, a turn has nearly no cost and the best
+        heading is not unique. Unless a heading is prescribed, such a flight keeps its heading, as
+        autopilots do.
         """
         if self.mission.yaw is not None:
             return self.mission.yaw is Yaw.KEPT
@@ -267,96 +281,144 @@ class Scenario(Part):
 
     @property
     def mass_at_goal(self) -> float:
-        """Mass in flight after all that is released on the way, kg."""
+        """Mass in flight after all releases on the way, kg."""
         return self.vehicle.total_mass - self.mission.released
 
     def as_forecast(self) -> Self:
-        """Return the scenario as the optimiser is told it.
+        """Return the scenario with the wind that is forecast to the optimiser.
 
         Returns
         -------
         Scenario
-            With the forecast in place of the wind; itself when there is no forecast.
+            Scenario with the forecast in place of the wind; itself if there is no forecast.
         """
         if self.wind.forecast is None:
             return self
         return self.model_copy(update={"wind": self.wind.forecast})
 
     def as_it_blows(self) -> Self:
-        """Return the scenario of an optimiser that is told the wind that blows."""
+        """Return the scenario in which the optimiser knows the true wind."""
         return self.model_copy(update={"wind": self.wind.model_copy(update={"forecast": None})})
 
     @property
     def contradictions(self) -> tuple[Contradiction, ...]:
-        """In which ways the vehicle cannot exist as it is described; of an own model, unknown."""
+        """Contradictions between the vehicle's numbers; none for a user's own model."""
         if self.model is not None:
             return ()
         return tuple(contradictions(self.vehicle, self.power, self.gravity))
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What of the vehicle is at the edge of what can exist; of an own model, unknown."""
+        """Remarks on numbers at the edge of what is possible; none for a user's own model."""
         if self.model is not None:
             return ()
         return tuple(remarks(self.vehicle, self.power, self.gravity))
 
-    def _check_motors(self, source: str) -> None:
-        told = "" if self.model else created_power(self.vehicle, self.power, self.gravity)
-        if told:
-            raise ScenarioError(f"{source}: {told}")
+    def _check(self, source: str) -> None:
+        """Refuse fields that are valid separately but contradict each other, all in one message."""
+        lines = [
+            *self._power_complaints(),
+            *self._airspace_complaints(),
+            *self._replanning_complaints(),
+            *self._payload_complaints(),
+            *self._yaw_complaints(),
+            *self._turbulence_complaints(),
+        ]
+        unable = list(self._hover_complaints())
+        if lines or unable:
+            kind = ScenarioError if lines else FeasibilityError
+            raise kind(listed([f"{source}: {line}" for line in (*unable, *lines)]))
 
-    def _check_airspace(self, source: str) -> None:
+    def _power_complaints(self) -> Iterator[str]:
+        if self.model is not None:
+            return  # the user's own model may need other numbers
+        missing = [
+            name for name in USED_BY[self.power.model] if getattr(self.vehicle, name) is None
+        ]
+        for name in missing:
+            unit = unit_of(Vehicle, name)
+            yield (
+                f"vehicle.{name}, {_meaning(name)}, is missing; power.model "
+                f"{self.power.model.value} needs it{f' in {unit}' if unit else ''}; give it, or "
+                "choose another power.model."
+            )
+        if not missing:
+            told = created_power(self.vehicle, self.power, self.gravity)
+            yield from filter(None, [told])
+
+    def _airspace_complaints(self) -> Iterator[str]:
         for field, place in self.mission.named_positions:
             told = self.as_forecast().wind
             for complaint_of_place in (*self.airspace.complaints(place), *told.complaints(place)):
-                where = f"{field} = {shown(list(place))} m"
-                raise ScenarioError(f"{source}: {where} {complaint_of_place}.")
+                yield f"{field} = {shown(list(place))} m {complaint_of_place}."
 
-    def _check_replanning(self, source: str) -> None:
+    def _replanning_complaints(self) -> Iterator[str]:
         interval = None if self.baseline.mpc is None else self.baseline.mpc.interval
         field, longest = self.mission.longest
         if interval is not None and interval >= longest:
-            raise ScenarioError(
-                f"{source}: baseline.mpc.interval = {interval:g} s; must be below "
-                f"{field} = {longest:g} s, or nothing is planned again."
+            yield (
+                f"baseline.mpc.interval = {interval:g} s; must be below {field} = {longest:g} s, "
+                "or nothing is planned again."
             )
 
-    def _check_payload(self, source: str) -> None:
+    def _payload_complaints(self) -> Iterator[str]:
         released, carried = self.mission.released, self.vehicle.payload
         if released > carried:
-            raise ScenarioError(
-                f"{source}: mission.waypoints release {released:g} kg in all; must be at most "
+            yield (
+                f"mission.waypoints release {released:g} kg in all; must be at most "
                 f"vehicle.payload = {carried:g} kg; release less or carry more."
             )
 
-    def _check_yaw(self, source: str) -> None:
+    def _yaw_complaints(self) -> Iterator[str]:
         if self.mission.yaw is Yaw.KEPT and self.vehicle.attitude is not Attitude.EULER:
-            raise ScenarioError(
-                f'{source}: mission.yaw = "kept" under vehicle.attitude = '
+            yield (
+                'mission.yaw = "kept" under vehicle.attitude = '
                 f'"{self.vehicle.attitude.value}"; must be "free" where rotors that gather speed '
                 'do not turn the body: leave it out, or give vehicle.attitude = "euler".'
             )
 
-    def _check_hover(self, source: str) -> None:
+    def _turbulence_complaints(self) -> Iterator[str]:
+        if self.model is not None and self.wind.turbulence is not None:
+            yield (
+                f"wind.turbulence acts on the declared model only, model = {self.model!r}; leave "
+                "one of them out."
+            )
+
+    def _hover_complaints(self) -> Iterator[str]:
         if self.model is not None:
             return  # the user's own model need not hover
-        if self.power.model is PowerModel.MOMENTUM and self.vehicle.rotor_radius is None:
-            raise ScenarioError(
-                f"{source}: vehicle.rotor_radius is missing; power.model momentum needs the radius "
-                "of one rotor in m."
-            )
         share = 1 - self.limits.reserve
         left = f" less limits.reserve = {self.limits.reserve:g}" if share < 1 else ""
         needed = self.vehicle.hover_speed(self.gravity)
+        weight = self.vehicle.total_mass * self.gravity
         if needed > share * self.limits.rotor_speed_max:
-            raise FeasibilityError(
-                f"{source}: hover needs {needed:.4g} rad/s per rotor, limits.rotor_speed_max{left} "
+            yield (
+                f"hover needs {needed:.4g} rad/s per rotor, limits.rotor_speed_max{left} "
                 f"is {share * self.limits.rotor_speed_max:.4g} rad/s; raise the limit or lower the "
                 "mass."
             )
-        weight = self.vehicle.total_mass * self.gravity
-        if weight > share * self.limits.thrust_max:
-            raise FeasibilityError(
-                f"{source}: hover needs {weight:.4g} N of thrust, limits.thrust_max{left} is "
+        elif weight > share * self.limits.thrust_max:
+            yield (
+                f"hover needs {weight:.4g} N of thrust, limits.thrust_max{left} is "
                 f"{share * self.limits.thrust_max:.4g} N; raise the limit or lower the mass."
             )
+
+
+def _meaning(name: str) -> str:
+    """Return the description of a vehicle's field, without its model and its default."""
+    meaning = (Vehicle.model_fields[name].description or name).rpartition(": ")[2]
+    return meaning.partition(",")[0]
+
+
+def _in_declared_units(origin: Origin, model: type[BaseModel]) -> tuple[Origin, Rewritten]:
+    """Return an origin with declared fields only, and the conversions made."""
+    document = in_declared_units(origin.document, model)
+    assignments, told = paths_in_declared_units(origin.assignments, model)
+    both = Rewritten(
+        tables={},
+        spellings=document.spellings | told.spellings,
+        complaints=[f"{origin.source}: {line}" for line in document.complaints]
+        + [f"{origin.label}: {line}" for line in told.complaints],
+        unread=[*document.unread, *told.unread],
+    )
+    return replace(origin, document=document.tables, assignments=assignments), both

@@ -1,7 +1,6 @@
 """Other ways to write a field of a scenario, turned into the field itself before validation.
 
 written | becomes
-`angle_deg = 90`, for any field `angle` in rad | `angle = 1.5708`
 `wind.from = 270`, degrees, where the wind comes from, clockwise from north | `wind.direction`
 `{ latitude, longitude, altitude }` for a place, with `mission.origin` | `[x, y, z]`
 
@@ -12,16 +11,15 @@ from collections.abc import Iterator, Mapping
 from math import pi, radians, remainder
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from pyomo_quad.scenario.earth import GeodeticOrigin, local_place
-from pyomo_quad.scenario.fields import FieldPath, set_value, spell, unit_of
-from pyomo_quad.scenario.messages import ScenarioError, complaint, declared_place, shown
+from pyomo_quad.scenario.fields import FieldPath, set_value, spell
+from pyomo_quad.scenario.messages import ScenarioError, complaints, shown
 
-#: What is appended to the name of an angle that is given in degrees.
-DEGREES = "_deg"
 #: The key of a wind that tells where it comes from.
 FROM = "from"
+_DIRECTION = "direction"
 _ORIGIN = ("mission", "origin")
 #: Of a place, the field and how many coordinates it has; a cylinder's centre has two.
 PLACES = {"position": 3, "centre": 3, "low": 3, "high": 3}
@@ -37,10 +35,9 @@ def in_plain_terms(
     tables: dict[str, Any],
     own: Mapping[str, Any],
     provenance: dict[str, str],
-    model: type[BaseModel],
     source: str,
 ) -> dict[str, Any]:
-    """Return a scenario's tables with every field as the schema declares it.
+    """Return a scenario's tables with places in metres and winds by where they blow to.
 
     Parameters
     ----------
@@ -61,23 +58,14 @@ def in_plain_terms(
     origin = origin_of_mission(tables, source) if is_on_earth else None
     for path, value in found:
         where = f"{source}: {spell(path)}"
-        key = str(path[-1])
         if isinstance(value, Mapping):
             place: Any = local_place(value, where, origin, _count(tables, path))
             tables, target = set_value(tables, path, place), path
             said = provenance.get(spell((*path, _LATITUDE)), "")
         else:
-            table, _ = declared_place(model, path[:-1])
-            is_wind = key == FROM
-            field = "direction" if is_wind else key.removesuffix(DEGREES)
-            if unit_of(table, field) != "rad":
-                continue  # an unknown key, which validation tells
-            target = (*path[:-1], field)
-            # A list is not laid over another: all that is in it is the scenario's own.
-            is_listed = any(isinstance(step, int) for step in path)
-            _refuse_both(tables if is_listed else own, path, target, source)
-            tables = _without(tables, path)
-            tables = set_value(tables, target, _angle(value, where, is_from=is_wind))
+            target = (*path[:-1], _DIRECTION)
+            _refuse_both(own, path, target, source)
+            tables = set_value(_without(tables, path), target, _towards(value, where))
             said = provenance.pop(spell(path), "")
         if said:
             provenance[spell(target)] = said
@@ -99,7 +87,7 @@ def _written_otherwise(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, 
                 yield below, value
         elif isinstance(key, str) and not isinstance(value, Mapping):
             is_from = key == FROM and bool(path) and path[0] == "wind"
-            if key.endswith(DEGREES) or is_from:
+            if is_from:
                 yield below, value
             else:
                 yield from _written_otherwise(value, below)
@@ -122,7 +110,7 @@ def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin 
     try:
         return GeodeticOrigin.model_validate(written)
     except ValidationError as error:
-        _, line = complaint(error, GeodeticOrigin, _ORIGIN)
+        (_, line), *_ = complaints(error, GeodeticOrigin, _ORIGIN)
         raise ScenarioError(f"{source}: {line}") from None
 
 
@@ -146,24 +134,21 @@ def _refuse_both(own: Any, path: FieldPath, target: FieldPath, source: str) -> N
             return
     if not isinstance(table, Mapping):
         return
-    plain = str(target[-1])
-    others = (plain, f"{plain}{DEGREES}", *((FROM,) if plain == "direction" else ()))
-    given = [key for key in others if key in table]
-    if len(given) > 1:
-        both = " and ".join(spell((*path[:-1], key)) for key in given)
-        raise ScenarioError(f"{source}: {both} say the same angle; leave one out.")
+    if _DIRECTION in table:
+        raise ScenarioError(
+            f"{source}: {spell(target)} and {spell(path)} say the same angle; leave one out."
+        )
 
 
-def _angle(value: object, where: str, *, is_from: bool) -> float:
-    """Return an angle in rad."""
+def _towards(value: object, where: str) -> float:
+    """Return the direction in rad that a wind blows to, of where it comes from in degrees."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not is_number or not abs(value) <= _MOST_TURN:  # type: ignore[arg-type]
         raise ScenarioError(
             f"{where} = {shown(value)}; must be a number from {-_MOST_TURN:g} to {_MOST_TURN:g} "
             "degrees."
         )
-    degrees = float(value)  # type: ignore[arg-type]
-    return remainder(radians(270.0 - degrees), 2.0 * pi) if is_from else radians(degrees)
+    return remainder(radians(270.0 - float(value)), 2.0 * pi)  # type: ignore[arg-type]
 
 
 def _without(tree: Any, path: FieldPath) -> Any:  # noqa: ANN401  tables of TOML

@@ -1,7 +1,7 @@
-"""The table `wind`, and the air: how it blows, how it enters the balance, and how dense it is.
+"""The tables `wind` and `air`: wind velocity, its effect on the vehicle, and air density.
 
-The wind is a formula in time, or a measured series.  The density follows from height and
-temperature, and with it goes some of what a vehicle is.
+The wind is a formula of time, or a measured series. The air density follows from height and
+temperature, and the aerodynamic coefficients of the vehicle are proportional to it.
 """
 
 from base64 import b64decode, b64encode
@@ -20,6 +20,7 @@ from pyomo_quad.scenario.fields import (
     Sound,
     Text,
     Triple,
+    WholeNumber,
     quantity,
     set_value,
     spell,
@@ -32,26 +33,26 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[float64]
 
-#: m/s. Beyond the strongest gust measured, on Barrow Island in 1996 (WMO), by a third.
+#: m/s. A third above the strongest gust measured, on Barrow Island in 1996 (WMO).
 LARGEST_WIND = 150.0
 STRONGEST_GUST = "the strongest gust measured on earth had 113 m/s"
-#: s. Thirty years; a number of that size still tells a microsecond.
+#: s. Thirty years; in double precision, times of that size still resolve a microsecond.
 LATEST_TIME = 1e9
 _WIND = Sound(-LARGEST_WIND, LARGEST_WIND, STRONGEST_GUST)
-#: m. Where the wind over open country is measured; winds are given for this height.
+#: m. Standard height of wind measurements over open country; winds are given for this height.
 USUAL_HEIGHT = 10.0
-_FAST = Sound(-1e4, 1e4, "no gust changes within a millisecond")
+_FAST = Sound(-1e4, 1e4, "gusts take longer than 1 ms")
 
 
 class WindCoupling(StrEnum):
-    """How the wind enters the momentum balance."""
+    """Coupling of the wind to the momentum balance."""
 
     ACCELERATION = "acceleration"
     DRAG = "drag"
 
 
 class FrequencyUnit(StrEnum):
-    """How the harmonic frequencies of Table 2 are read."""
+    """Unit of the harmonic frequencies in Table 2."""
 
     RADIAN_PER_SECOND = "rad/s"
     HERTZ = "hz"
@@ -70,19 +71,19 @@ class WindAxis(Part):
         "s",
         "gust period (T_g)",
         gt=0,
-        sound=Sound(1e-3, 1e6, "a gust lasts for seconds or minutes"),
+        sound=Sound(1e-3, 1e6, "gusts last from seconds to minutes"),
     )
 
 
 class WindLaw(StrEnum):
-    """How the wind grows with height."""
+    """Law of the horizontal wind over height."""
 
     POWER = "power"
     LOGARITHMIC = "logarithmic"
 
 
 class WindProfile(Part):
-    """How the horizontal wind grows with the height z above the ground."""
+    """Horizontal wind as a function of the height z above the ground."""
 
     law: WindLaw = quantity(
         "", "power: (z / reference_height)^exponent, or logarithmic: ln(z / roughness)"
@@ -92,14 +93,14 @@ class WindProfile(Part):
         "height at which the wind is as given",
         USUAL_HEIGHT,
         gt=0,
-        sound=Sound(0.5, 1e3, "winds are given for a height of metres, masts and towers"),
+        sound=Sound(0.5, 1e3, "winds are measured at 0.5 m to 1000 m"),
     )
     exponent: Number | None = quantity(
         "1",
         "exponent of the power law: about 0.11 over water, 0.14 over open country, 0.3 over a town",
         None,
         gt=0,
-        sound=Sound(1e-3, 1, "the wind over cities grows with height to the power of 0.4"),
+        sound=Sound(1e-3, 1, "exponents range up to 0.4 over cities"),
     )
     roughness: Number | None = quantity(
         "m",
@@ -107,7 +108,7 @@ class WindProfile(Part):
         "1 over a town",
         None,
         gt=0,
-        sound=Sound(1e-6, 10, "ice has 1e-5 m, a city of towers some 4 m"),
+        sound=Sound(1e-6, 10, "from 1e-5 m over ice to 4 m over a city of towers"),
     )
 
     @model_validator(mode="after")
@@ -127,7 +128,7 @@ class WindProfile(Part):
 
 
 class WindSeries(Part):
-    """A measured wind, read and validated from `wind.file`; by height alone it has no times."""
+    """A measured wind, read and validated from `wind.file`; a wind by height alone has no times."""
 
     times: tuple[Number, ...] = quantity("s", "times from the start of the mission")
     wind_x: tuple[Number, ...] = quantity("m/s", "wind toward +x")
@@ -135,6 +136,54 @@ class WindSeries(Part):
     heights: tuple[Number, ...] = quantity(
         "m", "heights that the wind runs over at each time, or at all of them", (), is_late=True
     )
+
+
+class Intensity(StrEnum):
+    """How strong turbulence is, MIL-F-8785C, section 3.7.3.4."""
+
+    LIGHT = "light"
+    MODERATE = "moderate"
+    SEVERE = "severe"
+
+
+_KNOT = 1852.0 / 3600.0  # m/s
+#: m/s. Wind at 6 m (20 ft) that stands for an intensity, MIL-F-8785C, figure 7.
+WIND_AT_6_M = {
+    Intensity.LIGHT: 15.0 * _KNOT,
+    Intensity.MODERATE: 30.0 * _KNOT,
+    Intensity.SEVERE: 45.0 * _KNOT,
+}
+
+
+class Turbulence(Part):
+    """Turbulence of Dryden's form at low altitude, MIL-F-8785C; it acts on flights alone."""
+
+    intensity: Intensity | None = quantity(
+        "", "light, moderate or severe: a wind at 6 m of 7.7, 15.4 or 23.2 m/s", None
+    )
+    wind_at_6_m: Number | None = quantity(
+        "m/s",
+        "wind at 6 m (20 ft) above the ground, in place of intensity",
+        None,
+        ge=0,
+        sound=Sound(0, LARGEST_WIND, STRONGEST_GUST),
+    )
+    seed: WholeNumber = quantity("1", "seed of the noise that drives it", 0, ge=0)
+
+    @model_validator(mode="after")
+    def _has_one_strength(self) -> Self:
+        if (self.intensity is None) == (self.wind_at_6_m is None):
+            found = "neither is" if self.intensity is None else "both are"
+            raise ValueError(
+                f"{found} given of intensity and wind_at_6_m; give one: intensity = light, "
+                "moderate or severe, or wind_at_6_m in m/s"
+            )
+        return self
+
+    @property
+    def strength(self) -> float:
+        """Wind at 6 m that sets the intensity, m/s."""
+        return WIND_AT_6_M[self.intensity] if self.intensity else self.wind_at_6_m or 0.0
 
 
 class Beyond(StrEnum):
@@ -213,7 +262,7 @@ class Wind(Part):
         "turns wind velocity into acceleration, eq. (9)",
         1.0,
         ge=0,
-        sound=Sound(0, 1e3, "nothing that flies is carried along within a millisecond"),
+        sound=Sound(0, 1e3, "the wind takes longer than 1 ms to carry a vehicle along"),
     )
     frequency_unit: FrequencyUnit = quantity(
         "", "unit of the frequencies: rad/s (as eq. 11) or hz", FrequencyUnit.RADIAN_PER_SECOND
@@ -223,13 +272,13 @@ class Wind(Part):
         "rad",
         "where the steady wind blows to, 0 is +x",
         0.0,
-        sound=Sound(-1e4, 1e4, "a turn is 6.283 rad"),
+        sound=Sound(-1e4, 1e4, "directions are in radians, a turn is 6.283"),
     )
     time_offset: Number = quantity(
         "s",
         "wind time at the start of the mission",
         0.0,
-        sound=Sound(-LATEST_TIME, LATEST_TIME, "wind is not known for more than thirty years"),
+        sound=Sound(-LATEST_TIME, LATEST_TIME, "wind records cover at most thirty years"),
     )
     file: Text | None = quantity(
         "",
@@ -272,6 +321,25 @@ class Wind(Part):
         "how the horizontal wind grows with height, the same at all when absent",
         None,
         is_late=True,
+    )
+    speed_deviation: Number = quantity(
+        "m/s",
+        "standard deviation of the error of its speed, of a wind that is forecast",
+        0.0,
+        ge=0,
+        sound=Sound(0, LARGEST_WIND, STRONGEST_GUST),
+        is_late=True,
+    )
+    direction_deviation: Number = quantity(
+        "rad",
+        "standard deviation of the error of its direction, of a wind that is forecast",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1.6, "with more than a quarter turn nothing is known of the direction"),
+        is_late=True,
+    )
+    turbulence: Turbulence | None = quantity(
+        "", "turbulence of the wind that flights meet, none when absent", None, is_late=True
     )
     forecast: Self | None = quantity(
         "", "the wind that the optimiser is told, the true one when absent", None
@@ -325,10 +393,15 @@ class Wind(Part):
         forecast = tables.get("forecast") if isinstance(tables, Mapping) else None
         if isinstance(forecast, Mapping) and forecast.get("forecast") is not None:
             raise ValueError("forecast.forecast is not allowed; remove it")
+        if isinstance(forecast, Mapping) and forecast.get("turbulence") is not None:
+            raise ValueError(
+                "forecast.turbulence is not allowed: plans know the statistics of the turbulence "
+                "that flights meet; give it to wind.turbulence"
+            )
         return tables
 
 
-#: kg/m^3. Of the standard atmosphere at sea level, at which the numbers of vehicles hold.
+#: kg/m^3. Standard atmosphere at sea level, for which vehicles' numbers are given.
 SEA_LEVEL_DENSITY = 1.225
 # The troposphere of ISO 2533:1975.
 _SEA_LEVEL_PRESSURE = 101_325.0  # Pa
@@ -338,7 +411,7 @@ _GAS_CONSTANT = 287.05287  # J/(kg K)
 _GRAVITY = 9.80665  # m/s^2
 _EARTH_RADIUS = 6_356_766.0  # m
 _DENSITY: FieldPath = ("power", "air_density")
-# Forces and torques of the air, each proportional to its density.
+# Forces and torques proportional to the air density.
 _OF_AIR = (
     "thrust_coefficient",
     "drag_torque_coefficient",
@@ -352,7 +425,7 @@ _OF_AIR = (
 
 
 class Air(Part):
-    """The air of the standard atmosphere (ISA, ISO 2533:1975) at a height."""
+    """The air at a height of the standard atmosphere (ISA, ISO 2533:1975)."""
 
     height: Number = quantity(
         "m",
@@ -364,7 +437,7 @@ class Air(Part):
         "K",
         "temperature of the air, the standard atmosphere's when absent",
         None,
-        sound=Sound(180, 340, "air on the ground has -93 to 67 degrees Celsius"),
+        sound=Sound(180, 340, "temperatures on the ground are -93 to 67 degrees Celsius"),
     )
 
     @property
@@ -381,9 +454,10 @@ class Air(Part):
 def in_the_air(
     tables: dict[str, Any], before: Mapping[str, Any] | None, provenance: dict[str, str]
 ) -> dict[str, Any]:
-    """Return a scenario's tables with the vehicle's numbers as they are in the scenario's air.
+    """Return a scenario's tables with the vehicle's aerodynamic numbers scaled to its air density.
 
-    They hold at sea level or, in tables that were completed `before`, in the air of those.
+    The numbers are given for sea level or, in tables that were completed `before`, for the air of
+    those tables.
     """
     density, held_at = _density(tables), _density(before or {})
     if density == held_at:
@@ -403,7 +477,7 @@ def in_the_air(
     return tables
 
 
-# What makes the air hold a vehicle back, or carry it along.
+# Coefficients of forces that depend on the airspeed.
 _DRAG = (
     "drag_linear",
     "drag_quadratic",
@@ -416,11 +490,11 @@ _DRAG = (
 def with_coupling(
     tables: dict[str, Any], own: Mapping[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
-    """Return a scenario's tables with the coupling of a wind that names none, and of its forecast.
+    """Return a scenario's tables with the default coupling of the wind and of its forecast.
 
-    Wind carries a vehicle along by drag on its airspeed; eq. (9) as printed is left for a vehicle
-    without drag, which no wind would move otherwise.  A forecast is told to the same vehicle, and
-    so has the coupling of the wind unless the scenario's `own` tables give it another.
+    The default is drag on the airspeed; for a vehicle without drag, which the wind would not move
+    otherwise, it is eq. (9) as printed. A forecast applies to the same vehicle, and therefore has
+    the coupling of the wind unless the scenario's `own` tables give it another.
     """
     wind = tables.get("wind")
     if not isinstance(wind, Mapping):
@@ -442,7 +516,7 @@ def with_coupling(
 
 
 def _is_any(number: object) -> bool:
-    """Say whether a number, or one of a list, is not zero."""
+    """Return whether a number, or any number in a list, is not zero."""
     return any(number) if isinstance(number, list | tuple) else bool(number)
 
 
@@ -452,7 +526,7 @@ def _density(tables: Mapping[str, Any]) -> float:
     try:
         return Air.model_validate(tables["air"]).density
     except ValidationError:
-        return SEA_LEVEL_DENSITY  # validation of the whole says it better
+        return SEA_LEVEL_DENSITY  # validation of the scenario gives a better message
 
 
 def _scaled(number: object, factor: float) -> Any:  # noqa: ANN401

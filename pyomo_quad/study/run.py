@@ -14,6 +14,7 @@ from pyomo_quad.flight.columns import WIND
 from pyomo_quad.flight.deadline import Deadline
 from pyomo_quad.flight.replanning import fly_replanned, replanned_name
 from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at
+from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
 from pyomo_quad.study.certificate import Certificate, certify
 from pyomo_quad.study.check import plan_cautions
@@ -102,8 +103,8 @@ def run_scenario(
     Parameters
     ----------
     progress : callable, optional
-        Called at each Ipopt iteration; returning False stops the solve.  All together, in each
-        process, ends after `solver.time_limit`: what could not be flown by then is a warning.
+        Called at each Ipopt iteration; returning False stops the solve. The run ends after
+        `solver.time_limit`; flights that are missing by then become warnings.
     meanwhile : callable, optional
         Called once during the flights, for instance to import modules of the report.
     """
@@ -121,7 +122,7 @@ def _run(
 ) -> RunResult:
     plan = planner.solve(scenario, progress=progress)
     began = perf_counter()
-    mission, dynamics = plan.mission_flown, planner.dynamics(plan.mission_flown)
+    mission, dynamics = plan.mission_flown, vehicle_flown(planner, plan.mission_flown)
     tried = [*_baselines(mission, plan, planner, references)] if plan.verification else []
     optimum = plan.flight(OPTIMAL) if plan.verification else None
     # The slowest flights are listed last, so tasks begin with them.
@@ -209,7 +210,7 @@ def _flight_or_reason(name: str, fly: Callable[[], Flight]) -> Flight | str:
 def _baselines(
     scenario: Scenario, plan: Plan, planner: Planner, references: Sequence[Reference]
 ) -> Iterator[tuple[str, Callable[[], Flight]]]:
-    dynamics = planner.dynamics(scenario)
+    dynamics = vehicle_flown(planner, scenario)
     for speed in scenario.baseline.cruise_speeds or () if Reference.CRUISE in references else ():
         yield (
             baseline_name(Reference.CRUISE, speed),
@@ -238,7 +239,9 @@ def fly_cruise(
     """
     for settling_s in SETTLINGS_S:
         told = cruise_at(scenario, speed, settling_s)
-        flight = fly_baseline(told, Reference.CRUISE, dynamics=planner.dynamics(told), plan=plan)
+        flight = fly_baseline(
+            told, Reference.CRUISE, dynamics=vehicle_flown(planner, told), plan=plan
+        )
         if has_arrived(flight):
             break
     return flight

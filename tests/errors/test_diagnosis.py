@@ -130,7 +130,7 @@ DOUBTFUL = {
     "f_r where chattering pays": (
         {"power": {"model": "efficiency"}},
         "power.model",
-        "speeding up and slowing down in turn costs less than a steady speed",
+        "alternating acceleration and braking costs less than a steady speed",
     ),
     "f_r below its floor": (
         {"power": {"model": "efficiency", "efficiency_floor": 0.2}},
@@ -145,7 +145,7 @@ DOUBTFUL = {
     "f_r with regeneration": (
         {"power": {"model": "efficiency", "regeneration": True}},
         "power.regeneration",
-        "braking earns more than it gave",
+        "braking returns more energy than it absorbs",
     ),
     "a limit never reached": (
         {"limits": {"yaw_moment_max": 1.0}},
@@ -232,7 +232,7 @@ def test_screening_names_what_a_model_of_one_s_own_lacks():
     for expected in (
         "pull: has no scaling_factor",
         "pull: a control without a lower and an upper bound",
-        "ceiling[0.0]: never binds, low_ceiling[0.0] is tighter",
+        "ceiling[0.0]: is never active, low_ceiling[0.0] is tighter",
         "floor[0.0]: keeps rigid_body.y[0.0] at or above 3, roof[0.0] at or below 2",
         "mission.goal_place[z]: sets rigid_body.z[10.0] to 8, low_ceiling[10.0] allows at most 6",
         "mission.start_place[y]: sets rigid_body.y[0.0] to 0, floor[0.0] allows at least 3",

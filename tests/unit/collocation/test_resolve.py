@@ -30,7 +30,7 @@ from pyomo_quad.collocation import (
     solve,
 )
 from pyomo_quad.collocation.guess import ColdStart
-from pyomo_quad.collocation.problem import within_budget
+from pyomo_quad.collocation.problem import Problem, within_budget
 from pyomo_quad.model import build_model, parameter_values
 from pyomo_quad.scenario import load_scenario
 from tests.problems import brachistochrone, goddard, hyper_sensitive, scalar_regulator
@@ -226,6 +226,64 @@ def test_stopped_by_the_caller():
     solution = solve(brachistochrone.build(), mesh=MESH, progress=stop_at_third)
     assert solution.status is Status.INTERRUPTED
     assert [line.iteration for line in seen] == [0, 1, 2, 3]
+
+
+def two_experiments():
+    """The same horizon twice, as two horizons."""
+    m = ConcreteModel()
+    m.a, m.b = hyper_sensitive.build(), hyper_sensitive.build()
+    for part in (m.a, m.b):
+        part.objective.deactivate()
+    m.objective = Objective(expr=m.a.objective.expr + m.b.objective.expr)
+    return m
+
+
+@pytest.mark.parametrize("build", [hyper_sensitive.build, two_experiments])
+def test_refinement_that_is_stopped_returns_its_last_finished_mesh(build):
+    finished = []
+    options = RefinementOptions(first_elements=3, on_mesh=finished.append)
+
+    def stop_on_the_second_mesh(line):
+        return not finished or line.iteration < 1
+
+    found = compile(build()).solve(
+        tolerance=1e-8, refinement=options, progress=stop_on_the_second_mesh
+    )
+    (first,) = finished
+    assert found.status is Status.INTERRUPTED
+    assert found.objective == first.objective
+    assert 1e-8 < found.error_estimate == first.error_estimate < np.inf
+    assert "; this is the solution of mesh 1, with an estimated error of " in found.message
+
+
+def test_planner_that_has_seen_enough_ends_the_refinement():
+    seen = []
+
+    def enough(solution):
+        seen.append(solution)
+        return solution.error_estimate > 1e-3
+
+    refinement = RefinementOptions(on_mesh=enough)
+    found = solve(hyper_sensitive.build(), tolerance=1e-9, refinement=refinement)
+    assert found.status is Status.INTERRUPTED
+    assert 1e-9 < found.error_estimate == seen[-1].error_estimate <= 1e-3
+    # Sharper than asked of the estimate: the closed form.
+    assert found.objective == pytest.approx(hyper_sensitive.objective(), rel=1e-3)
+
+
+def test_refinement_that_fails_returns_its_last_finished_mesh(monkeypatch):
+    whole, finished = Problem.solve_on_mesh, []
+
+    def failing(self, *arguments, **named):
+        found = whole(self, *arguments, **named)
+        return replace(found, status=Status.NOT_CONVERGED) if finished else found
+
+    monkeypatch.setattr(Problem, "solve_on_mesh", failing)
+    refinement = RefinementOptions(on_mesh=finished.append)
+    found = solve(hyper_sensitive.build(), tolerance=1e-9, refinement=refinement)
+    assert found.status is Status.NOT_CONVERGED
+    assert found.error_estimate == finished[0].error_estimate < np.inf
+    assert found.mesh == finished[0].mesh
 
 
 def test_an_error_of_the_caller_is_not_lost():

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from pathlib import Path
 
 import pytest
 
@@ -114,7 +115,7 @@ def test_strangers_folders_of_hidden_names_are_left_alone(tmp_path):
 
 def test_a_strangers_lock_file_is_left_alone(tmp_path):
     (tmp_path / ".report.lock").write_text("years of work")
-    with pytest.raises(OutputError, match=r"needs the name '.report.lock' beside it; move that"):
+    with pytest.raises(OutputError, match=r"needs the name '.report.lock' in the same folder"):
         write_generation(tmp_path / "report", "new")
     assert (tmp_path / ".report.lock").read_text() == "years of work"
 
@@ -174,6 +175,20 @@ def test_full_disk_is_one_line_and_leaves_nothing(tmp_path):
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     with pytest.raises(OutputError, match=r"No space left on device"):
         fail_half_way(tmp_path / "report", full)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupt_as_the_folder_is_made_leaves_nothing(tmp_path, monkeypatch):
+    made = Path.mkdir
+
+    def interrupted(folder, *arguments, **options):
+        made(folder, *arguments, **options)
+        if ".new-" in folder.name:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "mkdir", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_generation(tmp_path / "report", "new")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -40,7 +40,7 @@ def test_the_shipped_pages_are_those_of_the_command(tmp_path, capsys):
 
 def test_schemas_go_to_a_folder_that_is_there(tmp_path, capsys):
     assert main(["schema", "--out", str(tmp_path / "none")]) == 2
-    assert "is no folder; make it first." in capsys.readouterr().err
+    assert "is not a folder; create it first." in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_every_field_of_a_scenario_is_listed():
     # Two are read from wind.file and wind.field, never written by hand; the others are
     # tables that are not there.
     absent = {"airspace.keep_in", "airspace.keep_out", "baseline.mpc", "mission.origin"}
-    absent |= {"mission.waypoints", "wind.profile"}
+    absent |= {"mission.waypoints", "wind.profile", "wind.turbulence"}
     assert held - set(listed) == {"wind.series", "wind.grid", *absent}
     assert listed["mission.duration"].unit == "s"
     assert listed["solver.tolerance"].default == "1e-06"

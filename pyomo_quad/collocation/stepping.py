@@ -1,0 +1,197 @@
+"""Simulation of many vehicles under one law, with individual numbers, in steps of fixed length.
+
+A step is the classical Runge-Kutta method of order 4; its four stages form one function, which is
+mapped over the vehicles. The individual numbers may change from step to step, so that they include
+noise that is held over a step, a parameter over time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import casadi
+import numpy as np
+
+from pyomo_quad.collocation.dynamics import Dynamics, Law, written_law
+from pyomo_quad.collocation.errors import SolveError
+from pyomo_quad.collocation.program.compiled import MappedFunction
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from pyomo_quad.collocation.mesh import FloatArray
+
+# Vehicles in one call; a map over more takes more memory and saves no time.
+_AT_ONCE = 250
+
+
+@dataclass(frozen=True, kw_only=True)
+class SteppedFlights:
+    """Flights of n vehicles, sampled at the same times.
+
+    Shapes: t (n_samples,), joint (n_samples, n, n_joint), controls (n_samples, n, n_controls).
+    The joint state is that of the vehicle, the law's own, and the integral of the objective's
+    integrand, as in a `ClosedLoop`.
+    """
+
+    t: FloatArray
+    joint: FloatArray
+    controls: FloatArray
+
+
+class SteppedLoops:
+    """Many vehicles under a law, simulated together.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        The vehicle.
+    law : callable
+        Control law, as in `ClosedLoop`.
+    n_command, n_own : int
+        Number of commands that the law follows, and number of its own states.
+    varied : sequence of str
+        Full names of the parameters, constant or over time, that differ between the vehicles.
+    """
+
+    def __init__(
+        self, dynamics: Dynamics, law: Law, *, n_command: int, n_own: int, varied: Sequence[str]
+    ) -> None:
+        self._dynamics = dynamics = dynamics.without_iterations()
+        self._n_varied = len(varied)
+        n_states = len(dynamics.state_names)
+        sizes = len(dynamics.moment(dynamics.start)), n_states + n_own + 1, n_command
+        written = written_law(dynamics, law, sizes)
+        moment, joint, command = (
+            dynamics.symbol(name, size)
+            for name, size in zip(("moment", "joint", "command"), sizes, strict=True)
+        )
+        own = dynamics.symbol("own_numbers", self._n_varied)
+        controls, own_rates = written(joint, command)
+        told = dict(zip(varied, casadi.vertsplit(own), strict=True))
+        rates, integrand = dynamics.written(
+            dynamics.moment_column(moment, told),
+            joint[:n_states],
+            controls,
+            dynamics.parameter_column(told),
+        )
+        flow = casadi.Function(
+            "flow",
+            [moment, joint, command, own],
+            [casadi.densify(casadi.vertcat(rates, own_rates, integrand))],
+            {"cse": True},
+        )
+        self._controls = casadi.Function("applied", [joint, command], [casadi.densify(controls)])
+        self._step = _step(flow, dynamics, sizes, self._n_varied)
+
+    def fly(
+        self,
+        times: FloatArray,
+        start: FloatArray,
+        command: Callable[[float], Sequence[float]],
+        numbers: Sequence[FloatArray],
+        *,
+        sampled: FloatArray,
+    ) -> SteppedFlights:
+        """Fly from the first time to the last, each time the end of a step.
+
+        Parameters
+        ----------
+        times : ndarray, shape (n_steps + 1,)
+        start : ndarray, shape (n, n_joint)
+            Joint states at the first time.
+        command : callable
+            Time in s -> command of the law, the same for all vehicles.
+        numbers : sequence of ndarray, shape (n,) or (n_steps, n)
+            Values of each parameter that differs between the vehicles: one number for the whole
+            flight, or one for each step.
+        sampled : ndarray of bool, shape (n_steps + 1,)
+            Times at which the flights are stored.
+
+        Raises
+        ------
+        SolveError
+            If a vehicle's state is no longer finite.
+        """
+        count, steps = len(start), len(times) - 1
+        flown = np.empty((int(sampled.sum()), *start.shape))
+        followed = np.array([command(float(t)) for t in times[sampled]])
+        held = np.zeros((count, self._n_varied))
+        mapped = _Blocks(self._step, count)
+        joint, kept = np.array(start, dtype=float), 0
+        if sampled[0]:
+            flown[0], kept = joint, 1
+        for k in range(steps):
+            for column, values in enumerate(numbers):
+                held[:, column] = values if values.ndim == 1 else values[k]
+            joint = mapped(*self._around(times[k], times[k + 1], command), joint, held)
+            if sampled[k + 1]:
+                flown[kept] = joint
+                kept += 1
+        lost = ~np.isfinite(flown).all(axis=(0, 2))
+        if lost.any():
+            raise SolveError(
+                f"flights in fixed steps: {int(lost.sum())} of {count} are no longer finite; take "
+                "shorter steps, or check the gains and limits of the scenario."
+            )
+        shape = (len(flown) * count, -1)
+        controls = MappedFunction(self._controls, shape[0])(
+            flown.reshape(shape), np.repeat(followed, count, axis=0)
+        )[0]
+        return SteppedFlights(
+            t=times[sampled], joint=flown, controls=controls.reshape(len(flown), count, -1)
+        )
+
+    def _around(
+        self, begin: float, end: float, command: Callable[[float], Sequence[float]]
+    ) -> list[FloatArray]:
+        """Return the inputs that all vehicles share in a step: its length, times and commands."""
+        middle = 0.5 * (begin + end)
+        # If the equations jump, a step starts after the jump and the previous step ends before it.
+        moments = map(self._dynamics.moment, (self._dynamics.just_after(begin), middle, end))
+        commands = map(command, (begin, middle, end))
+        return [np.array([end - begin]), *map(np.array, moments), *map(np.array, commands)]
+
+
+def _step(flow: Any, dynamics: Dynamics, sizes: tuple[int, int, int], n_varied: int) -> Any:
+    """Return a step as a function of shared inputs, joint state and individual numbers."""
+    n_moment, n_joint, n_command = sizes
+    length = dynamics.symbol("length", 1)
+    moments = [dynamics.symbol(f"moment{k}", n_moment) for k in range(3)]
+    commands = [dynamics.symbol(f"command{k}", n_command) for k in range(3)]
+    joint, own = dynamics.symbol("joint", n_joint), dynamics.symbol("own_numbers", n_varied)
+    first = flow(moments[0], joint, commands[0], own)
+    second = flow(moments[1], joint + length / 2 * first, commands[1], own)
+    third = flow(moments[1], joint + length / 2 * second, commands[1], own)
+    fourth = flow(moments[2], joint + length * third, commands[2], own)
+    end = joint + length / 6 * (first + 2 * second + 2 * third + fourth)
+    return casadi.Function("step", [length, *moments, *commands, joint, own], [end], {"cse": True})
+
+
+class _Blocks:
+    """A step mapped over vehicles in blocks; shared inputs are not copied for each vehicle."""
+
+    def __init__(self, step: Any, count: int) -> None:
+        self._blocks = []
+        shared = list(range(step.n_in() - 2))
+        made: dict[int, Any] = {}
+        for begin in range(0, count, _AT_ONCE):
+            size = min(_AT_ONCE, count - begin)
+            if size not in made:
+                made[size] = step.map(f"steps{size}", "serial", size, shared, [])
+            self._blocks.append((slice(begin, begin + size), *made[size].buffer()))
+        self._places = len(shared)
+
+    def __call__(self, *inputs: FloatArray) -> FloatArray:
+        """Return the joint states after the step, shape (n, n_joint)."""
+        held = [np.ascontiguousarray(array, dtype=float) for array in inputs]
+        ended = np.empty_like(held[self._places])
+        for block, buffer, evaluate in self._blocks:
+            for k, array in enumerate(held):
+                part = array[block] if k >= self._places else array
+                if part.size:
+                    buffer.set_arg(k, part.data)
+            buffer.set_res(0, ended[block].data)
+            evaluate()
+        return ended

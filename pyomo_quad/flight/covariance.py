@@ -1,0 +1,230 @@
+"""Covariance of a flight under feedback in turbulence, by linearising the closed loop.
+
+Vehicle, adaptive controller and the filters of the turbulence form one system, linearised along the
+flight without gusts; see docs/theory/risk.md, eqs. (4) to (6). The errors of forecast, mass and
+power are constant states of this system.
+"""
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from pyomo_quad.collocation import ClosedLoop, Dynamics
+from pyomo_quad.flight.baselines import fly, reference_path, start_state
+from pyomo_quad.flight.controller import (
+    COMMAND_SIZE,
+    CONTROLLER_STATES,
+    AdaptiveController,
+    feedback_law,
+    mixer_matrix,
+)
+from pyomo_quad.flight.plan import Plan
+from pyomo_quad.flight.planning import Planner
+from pyomo_quad.flight.weather import as_expected, problem_in_turbulence, unknowns
+from pyomo_quad.model import parameter_values
+from pyomo_quad.model.limits import without_reserve
+from pyomo_quad.model.turbulence import (
+    FILTER_STATES,
+    LONG_RUN_FACTOR,
+    NOISE,
+    NOISE_STEP,
+    turbulence_values,
+)
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.tables import Reference
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """Distribution of flights in turbulence over time: normal, about the flight without gusts.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+    states, controls : ndarray, shapes (n, n_states), (n, n_controls)
+        The flight without gusts.
+    covariance : ndarray, shape (n, n_states, n_states)
+        Covariance of the vehicle's states.
+    onward : ndarray, shape (n - 1, n_states, n_states)
+        Covariance between the states at one time and at the next.
+    dynamics : Dynamics
+        The vehicle in the wind, without gusts.
+    """
+
+    t: FloatArray
+    states: FloatArray
+    controls: FloatArray
+    covariance: FloatArray
+    onward: FloatArray
+    dynamics: Dynamics
+
+    def of(self, *names: str) -> FloatArray:
+        """Return the covariance of some states over time, shape (n, n_names, n_names)."""
+        chosen = [self.dynamics.state_names.index(name) for name in names]
+        return self.covariance[:, chosen][:, :, chosen]
+
+    def deviation(self, name: str) -> FloatArray:
+        """Return the standard deviation of a state over time, shape (n,)."""
+        return np.sqrt(self.of(name)[:, 0, 0])
+
+
+def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
+    """Return the spread about a plan of flights under the adaptive controller.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission with fixed times, `wind.turbulence`, and the stated errors of forecast, mass and
+        power.
+    """
+    mean = _MeanFlight(scenario, plan, planner)
+    count = ceil(scenario.mission.fixed_duration / NOISE_STEP)
+    times = np.linspace(0.0, scenario.mission.fixed_duration, 2 * count + 1)
+    joint, commands = mean.flown(times)
+    middle = times[1::2], joint[1::2], commands[1::2]
+    A, B = mean.slopes(*middle)
+    step = times[2] - times[0]
+    transitions, driven = discrete(A, B, step)
+    n_noise = len(NOISE)
+    noise = driven[:, :, :n_noise] / np.sqrt(step)
+    covariance, onward = propagated(
+        mean.start_covariance, transitions, noise, driven[:, :, n_noise:]
+    )
+    n_states = len(mean.dynamics.state_names)
+    own = slice(0, n_states)
+    return Spread(
+        t=times[::2],
+        states=joint[::2, own],
+        controls=mean.loop.controls(times[::2], joint[::2], commands[::2]),
+        covariance=covariance[:, own, own],
+        onward=onward[:, own, own],
+        dynamics=mean.dynamics,
+    )
+
+
+def discrete(A: FloatArray, B: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
+    """Return transition and input matrices over steps in which the input is constant.
+
+    Van Loan (1978): both are blocks of the exponential of one matrix.
+
+    Parameters
+    ----------
+    A, B : ndarray, shapes (n, n_x, n_x), (n, n_x, n_u)
+        Matrices, constant over each step.
+    """
+    n, n_x, n_u = B.shape
+    joined = np.zeros((n, n_x + n_u, n_x + n_u))
+    joined[:, :n_x, :n_x], joined[:, :n_x, n_x:] = step * A, step * B
+    exponential = expm(joined)
+    return exponential[:, :n_x, :n_x], exponential[:, :n_x, n_x:]
+
+
+def propagated(
+    start: FloatArray, transitions: FloatArray, noise: FloatArray, constants: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance after each step, and that of the states before and after it.
+
+    Parameters
+    ----------
+    start : ndarray, shape (n_x, n_x)
+        Covariance at the start.
+    transitions : ndarray, shape (n, n_x, n_x)
+    noise : ndarray, shape (n, n_x, n_noise)
+        Effect of white noise of unit variance over a step.
+    constants : ndarray, shape (n, n_x, n_constants)
+        Effect of normal numbers of unit variance that are the same in all steps.
+    """
+    n, n_x, n_constants = constants.shape
+    gusts = [start]
+    # Responses of the states to each constant, which acts with one value in all steps.
+    answers = [np.zeros((n_x, n_constants))]
+    between = []
+    for F, G, H in zip(transitions, noise, constants, strict=True):
+        between.append(gusts[-1] @ F.T)
+        gusts.append(F @ gusts[-1] @ F.T + G @ G.T)
+        answers.append(F @ answers[-1] + H)
+    sums = np.array([P + S @ S.T for P, S in zip(gusts, answers, strict=True)])
+    pairs = zip(between, answers[:-1], answers[1:], strict=True)
+    return sums, np.array([P + S @ T.T for P, S, T in pairs]).reshape(n, n_x, n_x)
+
+
+class _MeanFlight:
+    """The flight of a plan under feedback without gusts, and the closed loop along it."""
+
+    def __init__(self, scenario: Scenario, plan: Plan, planner: Planner) -> None:
+        told = as_expected(scenario)
+        problem = problem_in_turbulence(told)
+        numbers = without_reserve(parameter_values(told) | turbulence_values(told)) or {}
+        self._problem, self._numbers = problem, numbers
+        self._horizon = 0.0, scenario.mission.fixed_duration
+        self._unknowns = unknowns(planner, scenario)
+        self.dynamics = problem.dynamics(parameters=numbers, horizon=self._horizon)
+        self._reference = reference_path(scenario, Reference.PLAN, plan)
+        self._controller = AdaptiveController(scenario, mixer_matrix(self.dynamics))
+        self.loop = ClosedLoop(
+            self.dynamics,
+            feedback_law(self._controller, self.dynamics),
+            n_command=COMMAND_SIZE,
+            n_own=len(CONTROLLER_STATES),
+        )
+        names = list(self.dynamics.state_names)
+        self._start = start_state(scenario, self.dynamics, plan)
+        self._filters = [names.index(name) for name in FILTER_STATES]
+        self._start[self._filters] = 0.0
+        size = len(names) + len(CONTROLLER_STATES) + 1
+        self.start_covariance = np.zeros((size, size))
+        self.start_covariance[np.ix_(self._filters, self._filters)] = (
+            LONG_RUN_FACTOR @ LONG_RUN_FACTOR.T
+        )
+
+    def flown(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return joint states and commands at some times, shapes (n, n_joint), (n, n_command)."""
+        flight = fly(
+            dynamics=self.dynamics,
+            controller=self._controller,
+            reference=self._reference,
+            initial_state=self._start,
+            times=times,
+        )
+        flown = flight.flown
+        joint = np.column_stack([flown.states, flight.controller_states, flown.energy])
+        commands = [self._controller.command(self._reference, t) for t in times.tolist()]
+        return joint, np.array(commands)
+
+    def slopes(
+        self, t: FloatArray, joint: FloatArray, commands: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the closed loop's derivatives by the joint state, and by noise and unknowns."""
+        by_moment, by_joint = self.loop.slopes(t, joint, commands)
+        columns = [1 + self.dynamics.signal_names.index(name) for name in NOISE]
+        by_unknowns = self._by_unknowns(t, joint, commands)
+        return by_joint, np.concatenate([by_moment[:, :, columns], by_unknowns], axis=2)
+
+    def _by_unknowns(self, t: FloatArray, joint: FloatArray, commands: FloatArray) -> FloatArray:
+        """Return central differences of the slopes by the uncertain parameters, per deviation."""
+        n_states = len(self.dynamics.state_names)
+        states, controls = joint[:, :n_states], self.loop.controls(t, joint, commands)
+        found = np.zeros((*joint.shape, len(self._unknowns)))
+        for k, change in enumerate(self._unknowns):
+            more, less = (self._rates(change, side, t, states, controls) for side in (1.0, -1.0))
+            found[:, :n_states, k] = (more - less) / 2
+        return found
+
+    def _rates(
+        self,
+        change: dict[str, float],
+        side: float,
+        t: FloatArray,
+        states: FloatArray,
+        controls: FloatArray,
+    ) -> FloatArray:
+        """Return the vehicle's slopes at n times with some parameters changed."""
+        changed = {name: self._numbers.get(name, 0.0) + side * by for name, by in change.items()}
+        other = self._problem.dynamics(parameters=self._numbers | changed, horizon=self._horizon)
+        rows = zip(t.tolist(), states, controls, strict=True)
+        return np.array([other.rates(time, x, u) for time, x, u in rows])

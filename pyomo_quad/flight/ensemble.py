@@ -1,0 +1,297 @@
+"""Ensembles of flights of one plan, each with its own wind and mass, integrated together.
+
+The control law and the declared equations are those of a single flight. Only the integration
+differs: Runge-Kutta steps of fixed length, mapped over the flights. A step is at most
+`LONGEST_STEP_S`, the time over which the noise of turbulence is constant, and short compared with
+the controller's fastest loop; a test compares it with SciPy's adaptive integration.
+
+Every flight is judged like a single flight: by the declared limits, between and at the waypoints,
+and by its arrival.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pyomo_quad.collocation import Dynamics, SteppedFlights, SteppedLoops
+from pyomo_quad.flight.baselines import broken_under_control, start_state, wanted_at_goal
+from pyomo_quad.flight.columns import ENERGY
+from pyomo_quad.flight.controller import (
+    COMMAND_SIZE,
+    CONTROLLER_STATES,
+    MEASURED_STATES,
+    AdaptiveController,
+    feedback_law,
+    mixer_matrix,
+)
+from pyomo_quad.flight.deadline import keep_time
+from pyomo_quad.flight.flight import (
+    ARRIVAL_DISTANCE_M,
+    ARRIVAL_SPEED_M_PER_S,
+    POSITION_STATES,
+    VELOCITY_STATES,
+    Flown,
+)
+from pyomo_quad.flight.references import ReferencePath
+from pyomo_quad.flight.verification import (
+    BALANCE_KEYS,
+    BALANCE_TOLERANCE,
+    CHARGE_KEY,
+    balance_lacking,
+    has_balance,
+)
+from pyomo_quad.scenario import Scenario
+
+FloatArray = NDArray[np.float64]
+
+#: s, longest step of the integration, over which the noise of turbulence is constant.
+LONGEST_STEP_S = 0.02
+# Length of a step times the rate of the fastest loop. The method is stable up to 2.78; with this
+# value a flight ends within 1e-4 m of the exact one.
+_SHARE_OF_LAG = 1.2
+# Steps between two samples of a flight. At 25 samples per second, a path at 10 m/s around a corner
+# of 2 m radius deviates from its chord by 1 cm.
+_STEPS_PER_SAMPLE = 2
+# Flights whose limits are checked in one call; more of them take more memory and no less time.
+_JUDGED_AT_ONCE = 25
+
+NOT_THERE = "distance from the goal at the end"
+NOT_AT_REST = "speed at the end"
+NOT_FED = "power or charge of the pack"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Draws:
+    """The numbers that differ between n flights, by full name of parameter or state.
+
+    Attributes
+    ----------
+    numbers : mapping to ndarray, shape (n,)
+        Parameters of the vehicle and the air.
+    noise : mapping to ndarray, shape (n_steps, n)
+        Parameters over time, constant over steps of `LONGEST_STEP_S`.
+    start : mapping to ndarray, shape (n,)
+        States at take-off.
+    """
+
+    count: int
+    numbers: Mapping[str, FloatArray] = field(default_factory=dict)
+    noise: Mapping[str, FloatArray] = field(default_factory=dict)
+    start: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    def part(self, chosen: slice) -> "Draws":
+        """Return the draws of some of the flights."""
+        return Draws(
+            count=len(range(self.count)[chosen]),
+            numbers={name: values[chosen] for name, values in self.numbers.items()},
+            noise={name: values[:, chosen] for name, values in self.noise.items()},
+            start={name: values[chosen] for name, values in self.start.items()},
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ending:
+    """Outcome of one flight.
+
+    Attributes
+    ----------
+    broken : mapping
+        Words of a limit -> the flight's violation of it, relative to the larger of 1 and the limit;
+        empty if the flight arrived and kept every limit.
+    """
+
+    energy_J: float
+    charge_used_percent: float
+    miss_m: float
+    end_speed_m_per_s: float
+    largest_deviation_m: float
+    peak_tilt_rad: float
+    broken: Mapping[str, float]
+
+    @property
+    def has_held(self) -> bool:
+        """Whether the flight arrived and kept every limit."""
+        return not self.broken
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlownOften:
+    """Many flights at the same times, with the outcome of each.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n_samples,)
+    tracks : mapping to ndarray, shape (n_samples, n)
+        The quantities of `TRACKS` over time.
+    endings : tuple of Ending
+    """
+
+    t: FloatArray
+    tracks: Mapping[str, FloatArray]
+    endings: tuple[Ending, ...]
+
+
+SPEED, TILT, OFF = "speed_m_per_s", "tilt_rad", "distance_from_reference_m"
+TRACKS = ("x_m", "y_m", "z_m", SPEED, TILT, ENERGY, OFF)
+"""Names of the quantities stored over time for each flight."""
+
+
+class Squadron:
+    """Vehicles of one scenario under the adaptive controller along one reference.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission, with fixed times, and the vehicle as the controller knows it.
+    dynamics : Dynamics
+        The vehicle in the actual wind, before draws are applied.
+    reference : callable
+        Time in s -> Setpoint.
+    varied : sequence of str
+        Parameters, constant or over time, that differ between the flights.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        dynamics: Dynamics,
+        reference: ReferencePath,
+        varied: Sequence[str] = (),
+    ) -> None:
+        dynamics = dynamics.without_iterations()
+        self._scenario, self._dynamics, self._reference = scenario, dynamics, reference
+        self._controller = AdaptiveController(scenario, mixer_matrix(dynamics))
+        self._varied = tuple(varied)
+        self._loops = SteppedLoops(
+            dynamics,
+            feedback_law(self._controller, dynamics),
+            n_command=COMMAND_SIZE,
+            n_own=len(CONTROLLER_STATES),
+            varied=self._varied,
+        )
+        self._times = _step_times(scenario)
+        self._columns = {name: k for k, name in enumerate(dynamics.state_names)}
+
+    def fly(self, draws: Draws) -> FlownOften:
+        """Fly once for each draw."""
+        keep_time()
+        steps = np.floor(0.5 * (self._times[1:] + self._times[:-1]) / LONGEST_STEP_S).astype(int)
+        held = {
+            name: values[np.minimum(steps, len(values) - 1)] for name, values in draws.noise.items()
+        }
+        told = held | dict(draws.numbers)
+        sampled = np.zeros(len(self._times), dtype=bool)
+        sampled[::_STEPS_PER_SAMPLE] = True
+        sampled |= np.isin(self._times, self._scenario.nominal_times)
+        flown = self._loops.fly(
+            self._times,
+            self._started(draws),
+            lambda t: self._controller.command(self._reference, t),
+            [told[name] for name in self._varied],
+            sampled=sampled,
+        )
+        return self._judged(flown, draws)
+
+    def _started(self, draws: Draws) -> FloatArray:
+        start = np.tile(start_state(self._scenario, self._dynamics), (draws.count, 1))
+        for name, values in draws.start.items():
+            start[:, self._columns[name]] = values
+        body = start[0, [self._columns[name] for name in MEASURED_STATES]].tolist()
+        own = self._controller.started(self._reference(0.0), body)
+        return np.hstack([start, np.tile([*own, 0.0], (draws.count, 1))])
+
+    def _judged(self, flown: SteppedFlights, draws: Draws) -> FlownOften:
+        size = len(self._columns)
+        states, energy = flown.joint[:, :, :size], flown.joint[:, :, -1]
+        place, velocity = (
+            states[:, :, [self._columns[name] for name in names]]
+            for names in (POSITION_STATES, VELOCITY_STATES)
+        )
+        roll, pitch = (states[:, :, self._columns[f"rigid_body.{a}"]] for a in ("phi", "theta"))
+        tilt = np.arccos(np.clip(np.cos(roll) * np.cos(pitch), -1.0, 1.0))
+        wanted = np.array([self._reference(t).place[:3] for t in flown.t.tolist()])
+        off = np.linalg.norm(place - wanted[:, None, :], axis=2)
+        over_time = (*np.moveaxis(place, 2, 0), np.linalg.norm(velocity, axis=2), tilt, energy, off)
+        tracks = dict(zip(TRACKS, over_time, strict=True))
+        endings: list[Ending] = []
+        for begin in range(0, draws.count, _JUDGED_AT_ONCE):
+            keep_time()
+            chosen = slice(begin, begin + _JUDGED_AT_ONCE)
+            part = SteppedFlights(
+                t=flown.t, joint=flown.joint[:, chosen], controls=flown.controls[:, chosen]
+            )
+            greatest = [tracks[name][:, chosen].max(axis=0) for name in (OFF, TILT)]
+            endings += self._endings(part, draws.part(chosen), *greatest)
+        return FlownOften(t=flown.t, tracks=tracks, endings=tuple(endings))
+
+    def _endings(
+        self, flown: SteppedFlights, draws: Draws, off: FloatArray, tilt: FloatArray
+    ) -> Iterator[Ending]:
+        """Yield the outcome of each flight, given its largest deviation `off` and tilt."""
+        count, samples = draws.count, len(flown.t)
+        # One flight at a time, with all its samples.
+        states, controls = (
+            np.ascontiguousarray(held.swapaxes(0, 1))
+            for held in (flown.joint[:, :, : len(self._columns)], flown.controls)
+        )
+        told = {name: np.repeat(values, samples) for name, values in draws.numbers.items()}
+        instants = self._dynamics.solved(
+            np.tile(flown.t, count),
+            states.reshape(count * samples, -1),
+            controls.reshape(count * samples, -1),
+            told,
+        )
+        breaches = self._dynamics.violations_of(instants, flown.t)
+        balance = np.full((count, samples, len(BALANCE_KEYS)), 0.0)
+        if has_balance(self._dynamics):
+            balance = instants.table(BALANCE_KEYS).reshape(balance.shape)
+        for k in range(count):
+            one = Flown(
+                t=flown.t, states=states[k], controls=controls[k], energy=flown.joint[:, k, -1]
+            )
+            broken = broken_under_control(self._scenario, self._dynamics, one, breaches[k])
+            miss, speed = self._missed(states[k, -1])
+            ends = (
+                (NOT_THERE, miss, ARRIVAL_DISTANCE_M),
+                (NOT_AT_REST, speed, ARRIVAL_SPEED_M_PER_S),
+                (NOT_FED, max(balance_lacking(balance[k])), BALANCE_TOLERANCE),
+            )
+            broken |= {words: found for words, found, allowed in ends if not found <= allowed}
+            charge = balance[k, :, CHARGE_KEY]
+            yield Ending(
+                energy_J=float(one.energy[-1]),
+                charge_used_percent=float(charge[0] - charge[-1]),
+                miss_m=miss,
+                end_speed_m_per_s=speed,
+                largest_deviation_m=float(off[k]),
+                peak_tilt_rad=float(tilt[k]),
+                broken=broken,
+            )
+
+    def _missed(self, state: FloatArray) -> tuple[float, float]:
+        """Return distance from the goal [m] and speed [m/s] at the end of a flight."""
+        wanted = wanted_at_goal(self._scenario, self._dynamics)
+        missed = {n: state[self._columns[n]] - value for n, value in wanted.items()}
+        place, speed = (
+            float(np.linalg.norm([missed[n] for n in names]))
+            for names in (POSITION_STATES, VELOCITY_STATES)
+        )
+        return place, speed
+
+
+def _step_times(scenario: Scenario) -> FloatArray:
+    """Return the ends of all steps: the steps of the noise, their parts, and the mission's end."""
+    gains, end = scenario.baseline.gains, scenario.mission.fixed_duration
+    fastest = max(gains.rotor, gains.attitude_rate, gains.force_identification)
+    parts = ceil(LONGEST_STEP_S * fastest / _SHARE_OF_LAG)
+    even = LONGEST_STEP_S / parts * np.arange(ceil(end / LONGEST_STEP_S * parts))
+    given = np.array([*scenario.nominal_times, end])
+    apart = np.abs(even[:, None] - given).min(axis=1) > _SAME_TIME_S
+    return np.unique(np.concatenate([even[apart], given]))
+
+
+# s, difference below which two times are equal.
+_SAME_TIME_S = 1e-9

@@ -1,0 +1,86 @@
+"""Flights by SciPy's integrators, restarted wherever a parameter of the equations steps."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import solve_ivp
+
+FloatArray = NDArray[np.float64]
+Rates = Callable[[float, FloatArray], FloatArray]
+
+# Distance inside its piece at which an end of the piece is evaluated, relative to the piece.
+_INSIDE = 1e-6
+# s. A piece shorter than this is the rounding of two equal times.
+_SHORTEST = 1e-7
+
+
+@dataclass(frozen=True, kw_only=True)
+class Integrated:
+    """States at the requested times, shape (n_states, n_times), or why some are missing."""
+
+    y: FloatArray
+    message: str
+    stopped_at: float | None
+    """Time at which the integrator stopped [s]; None if it reached the end."""
+
+
+def integrate(
+    rates: Rates,
+    span: tuple[float, float],
+    start: ArrayLike,
+    times: Sequence[float] | FloatArray,
+    edges: Sequence[float],
+    **options: Any,
+) -> Integrated:
+    """Integrate rates over a span, from edge to edge.
+
+    An integrator that steps over a jump of the rates repeats steps until they are as short as its
+    tolerance requires: hundreds of evaluations per jump. A restart takes about twenty.
+
+    Parameters
+    ----------
+    times : sequence of float
+        Rising times within the span at which states are returned.
+    edges : sequence of float
+        Rising times between which the rates are smooth; edges outside the span are ignored.
+    **options
+        Options of `scipy.integrate.solve_ivp`.
+    """
+    wanted = np.asarray(times, dtype=float)
+    inner = [edge for edge in edges if span[0] + _SHORTEST < edge < span[1] - _SHORTEST]
+    state = np.asarray(start, dtype=float)
+    found: list[FloatArray] = []
+    for first, last in pairwise((span[0], *inner, span[1])):
+        is_last = last == span[1]
+        here = wanted[(wanted >= first) & ((wanted <= last) if is_last else (wanted < last))]
+        flown = solve_ivp(
+            _within(rates, first, last) if inner else rates,
+            (first, last),
+            state,
+            t_eval=here if is_last and (here.size and here[-1] == last) else np.append(here, last),
+            **options,
+        )
+        if not flown.success:
+            stopped = float(flown.t[-1]) if np.size(flown.t) else first
+            return Integrated(y=_joined(found, state), message=flown.message, stopped_at=stopped)
+        state = flown.y[:, -1]
+        found.append(flown.y[:, : here.size])
+    return Integrated(y=_joined(found, state), message="", stopped_at=None)
+
+
+def _within(rates: Rates, first: float, last: float) -> Rates:
+    """Return rates that use the equations of one piece at its ends too."""
+    margin = _INSIDE * (last - first)
+
+    def inside(t: float, y: FloatArray) -> FloatArray:
+        return rates(min(max(t, first + margin), last - margin), y)
+
+    return inside
+
+
+def _joined(found: Sequence[FloatArray], state: FloatArray) -> FloatArray:
+    return np.hstack(found) if found else np.zeros((state.size, 0))

@@ -1,0 +1,149 @@
+"""The vehicle in the actual wind of its flights: turbulence, and errors of the forecast.
+
+A user knows the future wind, the mass and the hover power only approximately. Each of these errors
+is an independent normal number with the standard deviation stated in the scenario.
+"""
+
+from math import cos, hypot, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pyomo_quad.collocation import Dynamics, Problem, compile
+from pyomo_quad.flight.ensemble import Draws
+from pyomo_quad.flight.planning import Planner
+from pyomo_quad.flight.recent import Recent
+from pyomo_quad.model import build_in_turbulence, parameter_values, structure_key
+from pyomo_quad.model.build import guess_key
+from pyomo_quad.model.limits import without_reserve
+from pyomo_quad.model.turbulence import (
+    FILTER_STATES,
+    NOISE,
+    Gusts,
+    mean_wind,
+    turbulence_values,
+)
+from pyomo_quad.scenario import Scenario
+
+FloatArray = NDArray[np.float64]
+
+# Missions as planned and as flown at a cruise speed, with one neighbour each.
+_MOST = 4
+_PROBLEMS: Recent[Problem] = Recent(_MOST)
+
+
+def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
+    """Return the vehicle of `Planner.dynamics` in the turbulence of the scenario's wind.
+
+    Without turbulence the two are the same.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        A scenario with a fixed duration.
+    """
+    if scenario.wind.turbulence is None:
+        return planner.dynamics(scenario)
+    end = scenario.mission.fixed_duration
+    numbers = without_reserve(parameter_values(scenario) | turbulence_values(scenario)) or {}
+    noise = Gusts.of(scenario).steps(end)
+    return problem_in_turbulence(scenario).dynamics(
+        parameters={**numbers, **noise}, horizon=(0.0, end)
+    )
+
+
+def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[Dynamics, Draws]:
+    """Draw the winds, masses and powers of many flights.
+
+    Where the forecast states how far it errs, each flight has a wind of its own round it; else all
+    flights have the wind that blows.
+
+    Returns
+    -------
+    Dynamics
+        The vehicle without any error and gust.
+    Draws
+        Of each flight, the same for a seed and a number of the flight whatever the count and the
+        duration.
+    """
+    told = scenario.as_forecast().wind
+    if told.speed_deviation or told.direction_deviation:
+        scenario = as_expected(scenario)
+    changes = unknowns(planner, scenario)
+    if scenario.wind.turbulence is None and not changes:
+        return planner.dynamics(scenario), Draws(count=count)
+    end = scenario.mission.fixed_duration
+    given = without_reserve(parameter_values(scenario) | turbulence_values(scenario)) or {}
+    dynamics = problem_in_turbulence(scenario).dynamics(parameters=given, horizon=(0.0, end))
+    errors = np.array(
+        [
+            np.random.default_rng((seed, k, _OF_ERRORS)).standard_normal(len(changes))
+            for k in range(count)
+        ]
+    )
+    numbers: dict[str, FloatArray] = {}
+    for change, error in zip(changes, errors.T, strict=True):
+        for name, size in change.items():
+            numbers[name] = numbers.get(name, given.get(name, 0.0)) + size * error
+    gusts = [Gusts((seed, k)) for k in range(count)]
+    noise = np.stack([gust.noise(end) for gust in gusts], axis=-1)
+    start = [gust.start for gust in gusts]
+    return dynamics, Draws(
+        count=count,
+        numbers=numbers,
+        noise=dict(zip(NOISE, np.swapaxes(noise, 0, 1), strict=True)),
+        start={name: np.array([begun[name] for begun in start]) for name in FILTER_STATES},
+    )
+
+
+# Tells the generator of a flight's errors from that of its gusts.
+_OF_ERRORS = 1
+
+
+def problem_in_turbulence(scenario: Scenario) -> Problem:
+    """Return the compiled equations of a mission as it is flown in turbulence."""
+    turbulence = scenario.wind.turbulence
+    key = structure_key(scenario), guess_key(scenario), turbulence
+    problem = _PROBLEMS.get(key)
+    if problem is None:
+        problem = _PROBLEMS.store(key, compile(build_in_turbulence(scenario)))
+    return problem
+
+
+def as_expected(scenario: Scenario) -> Scenario:
+    """Return the scenario in the wind that plans assume: the forecast, plus the turbulence."""
+    told = scenario.as_forecast()
+    turbulence = {"turbulence": scenario.wind.turbulence}
+    return told.model_copy(update={"wind": told.wind.model_copy(update=turbulence)})
+
+
+def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ...]:
+    """Return the uncertain quantities, each as the change of parameters by one standard deviation.
+
+    The parameters, by full name, are those of `problem_in_turbulence`; changes are added.
+    """
+    told = scenario.as_forecast()
+    along, aside = mean_wind(told.wind).tolist()
+    speed = hypot(along, aside)
+    # In calm air, the error of the speed has the direction of the scenario's steady wind.
+    ahead = (along / speed, aside / speed) if speed else _direction(told)
+    faster, turned = told.wind.speed_deviation, told.wind.direction_deviation * speed
+    watts = scenario.power.hover_power_deviation
+    share = watts / planner.steady_flight(told).hover_power if watts else 0.0
+    changes: tuple[dict[str, float], ...] = (
+        {_WIND_ERROR.format(a): faster * d for a, d in zip("xy", ahead, strict=True)},
+        {
+            _WIND_ERROR.format(a): turned * d
+            for a, d in zip("yx", (ahead[0], -ahead[1]), strict=True)
+        },
+        {"vehicle.mass": scenario.vehicle.mass_deviation},
+        {"power.error": share},
+    )
+    return tuple(change for change in changes if any(change.values()))
+
+
+_WIND_ERROR = "wind.error[{}]"
+
+
+def _direction(told: Scenario) -> tuple[float, float]:
+    return cos(told.wind.direction), sin(told.wind.direction)

@@ -1,0 +1,348 @@
+"""Turbulence of Dryden's form at low altitude, MIL-F-8785C, section 3.7.3, as shaping filters.
+
+symbol | name | unit | meaning
+W_20 | wind_at_6_m | m/s | wind at 6 m (20 ft), which sets the intensity
+h | height | m | height above the ground, from 10 to 1,000 ft
+L_u = L_v, L_w | horizontal_length, vertical_length | m | scales of the turbulence
+sigma_u = sigma_v, sigma_w | horizontal_deviation, vertical_deviation | m/s | standard deviations
+V | crossing_speed | m/s | speed at which the vehicle crosses the frozen gusts
+xi | along, across, across_lag, upwards, upwards_lag | 1 | states of the filters
+n | noise_along, noise_across, noise_upwards | 1/s^(1/2) | white noise of unit intensity
+u, v, w | gust_along, gust_across, gust_upwards | m/s | along the mean relative wind, across, up
+
+With a = V / L, each filter has one of two state forms (see docs/theory/risk.md, eqs. (1) to (3)):
+
+    xi_1' = -a xi_1 + sqrt(a) n,                                   u = sigma sqrt(2) xi_1
+    xi_1' = -a xi_1 + sqrt(a) n,  xi_2' = a (xi_1 - xi_2),
+                                          v, w = sigma (sqrt(3) xi_1 + (1 - sqrt(3)) xi_2)
+
+The lengths of MIL-HDBK-1797 are half of those of MIL-F-8785C, and its filters have twice the
+length; at low altitude both give the same spectra.
+
+Gusts are frozen only for a vehicle that crosses them faster than they change by themselves, which
+takes about L / sigma (Tennekes and Lumley, 1972, section 1.5). Therefore V is the airspeed, but at
+least sigma_u. The axes are horizontal and vertical, as in the specification at low altitude, and
+keep the direction of the mission's mean relative wind, because axes along the airspeed would turn
+the gusts with it. Turbulence acts on flights only; no plan includes it.
+"""
+
+from collections.abc import Callable, Sequence
+from math import atan2, ceil, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pyomo.core import Block, ConcreteModel, Constraint, Expression, Param, Var, cos, sin
+from pyomo.core import sqrt as root
+from pyomo.core.base.units_container import units
+from pyomo.core.expr import NumericExpression, RelationalExpression
+from pyomo.dae import DerivativeVar
+
+from pyomo_quad.collocation import Steps
+from pyomo_quad.model.parameters import (
+    Parameter,
+    declare_parameters,
+    floored,
+    parameter_items,
+)
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.wind import Wind
+
+FloatArray = NDArray[np.float64]
+
+_SPEED = units.m / units.s
+_FOOT = 0.3048 * units.m
+# Heights between which the laws of low altitude are valid, MIL-F-8785C, section 3.7.3.4.
+_LOWEST, _HIGHEST = 10.0 * _FOOT, 1000.0 * _FOOT
+# Ranges of height and speed over which a law blends into the constant value beyond its range.
+_HEIGHT_ROUNDING = 0.1 * units.m
+_SPEED_ROUNDING = 0.1 * _SPEED
+_ROOT_RATE = units.s**-0.5
+_WORLD = ("x", "y", "z")
+
+#: s. Step over which the noise is constant: at 6 Hz, 5 % of the spectrum is missing.
+NOISE_STEP = 0.02
+_BLOCK = "wind.turbulence"
+#: The noise of each filter, by full name.
+NOISE = tuple(f"{_BLOCK}.noise_{axis}" for axis in ("along", "across", "upwards"))
+#: The states of the filters, by full name.
+FILTER_STATES = tuple(
+    f"{_BLOCK}.{state}" for state in ("along", "across", "across_lag", "upwards", "upwards_lag")
+)
+
+# In the stationary state, the variances are 1/2 for xi_1 and 1/4 for xi_2, and the covariance is
+# 1/4. This is the Cholesky factor of that covariance matrix.
+_LAGGING = np.array([[sqrt(1 / 2), 0.0], [sqrt(1 / 8), sqrt(1 / 8)]])
+LONG_RUN_FACTOR = np.zeros((5, 5))
+LONG_RUN_FACTOR[0, 0] = sqrt(1 / 2)
+LONG_RUN_FACTOR[1:3, 1:3] = LONG_RUN_FACTOR[3:5, 3:5] = _LAGGING
+
+
+def mean_wind(wind: Wind) -> FloatArray:
+    """Return the mean of the horizontal wind as it is given, x and y [m/s]."""
+    if wind.series is not None:
+        return np.array([np.mean(wind.series.wind_x), np.mean(wind.series.wind_y)])
+    steady = wind.speed * np.array([np.cos(wind.direction), np.sin(wind.direction)])
+    return np.asarray(steady + np.array([wind.x.mean, wind.y.mean]))
+
+
+def _mean_direction(scenario: Scenario) -> float:
+    """Return the direction of the wind less the mean velocity from start to goal."""
+    mission = scenario.mission
+    way = np.subtract(mission.goal.position, mission.start.position)[:2]
+    along, aside = (mean_wind(scenario.wind) - way / scenario.nominal_duration).tolist()
+    return atan2(aside, along)
+
+
+PARAMETERS = (
+    Parameter(
+        name="wind_at_6_m",
+        units=_SPEED,
+        value=lambda s: s.wind.turbulence.strength if s.wind.turbulence else 0.0,
+        doc="W_20: wind at 6 m, which sets the intensity",
+    ),
+    Parameter(
+        name="direction",
+        units=units.rad,
+        value=_mean_direction,
+        doc="of the mission's mean relative wind, from x counter-clockwise",
+    ),
+)
+
+
+def turbulence_values(scenario: Scenario) -> dict[str, float]:
+    """Return the parameters of block `wind.turbulence` by full name."""
+    return dict(parameter_items(_BLOCK, PARAMETERS, scenario))
+
+
+def horizontal_length(height: Any) -> Any:
+    """Return L_u = L_v, MIL-F-8785C, figure 10; MIL-HDBK-1797 defines half of this length."""
+    return height / (0.177 + 0.000823 * height / _FOOT) ** 1.2
+
+
+def vertical_length(height: Any) -> Any:
+    """Return L_w, MIL-F-8785C, section 3.7.3.4."""
+    return 1 * height
+
+
+def vertical_deviation(wind_at_6_m: Any) -> Any:
+    """Return sigma_w, MIL-F-8785C, section 3.7.3.4."""
+    return 0.1 * wind_at_6_m
+
+
+def horizontal_deviation(wind_at_6_m: Any, height: Any) -> Any:
+    """Return sigma_u = sigma_v, MIL-F-8785C, figure 11."""
+    return vertical_deviation(wind_at_6_m) / (0.177 + 0.000823 * height / _FOOT) ** 0.4
+
+
+def longitudinal_gust(deviation: Any, state: Any) -> Any:
+    """Return u from the state of its filter."""
+    return deviation * sqrt(2) * state
+
+
+def transverse_gust(deviation: Any, state: Any, lag: Any) -> Any:
+    """Return v or w from the states of its filter."""
+    return deviation * (sqrt(3) * state + (1 - sqrt(3)) * lag)
+
+
+def filter_rate(rate: Any, state: Any, noise: Any) -> Any:
+    """Return xi_1'; its stationary variance is 1/2, even if the rate changes."""
+    return -rate * state + root(rate) * noise
+
+
+def lag_rate(rate: Any, state: Any, lag: Any) -> Any:
+    """Return xi_2'."""
+    return rate * (state - lag)
+
+
+def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
+    """Add turbulence to the wind, in block `wind.turbulence`.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With `time`, `rigid_body` and the mean wind of `wind`, to which no component refers yet.
+    """
+    b = m.wind.turbulence = Block(doc="turbulence, MIL-F-8785C at low altitude")
+    declare_parameters(b, PARAMETERS, scenario)
+    m.wind.error = Param(
+        _WORLD[:2], initialize=0.0, mutable=True, units=_SPEED, doc="error of the forecast"
+    )
+    for axis in _WORLD:
+        mean = m.wind.component(f"velocity_{axis}")
+        if mean is not None:
+            m.wind.del_component(mean)
+            m.wind.add_component(f"mean_velocity_{axis}", mean)
+    _declare_scales(b, m)
+    _declare_filters(b, m, scenario)
+    _declare_gusts(b, m)
+    _add_gusts(m)
+
+
+def _declare_scales(b: Block, m: ConcreteModel) -> None:
+    """Declare lengths, standard deviations, the crossing speed and the filters' rates."""
+
+    @b.Expression(m.time, doc="h: height at which the laws are read [m]")
+    def height(_b: Block, t: float) -> NumericExpression:
+        below = _HIGHEST - floored(m.rigid_body.z[t], _LOWEST, _HEIGHT_ROUNDING)
+        return _HIGHEST - floored(below, 0 * units.m, _HEIGHT_ROUNDING)
+
+    @b.Expression(m.time, doc="standard deviation of u and v [m/s]")
+    def deviation_horizontal(b: Block, t: float) -> NumericExpression:
+        return horizontal_deviation(b.wind_at_6_m, b.height[t])
+
+    @b.Expression(m.time, doc="standard deviation of w [m/s]")
+    def deviation_vertical(b: Block, _t: float) -> NumericExpression:
+        return vertical_deviation(b.wind_at_6_m)
+
+    @b.Expression(m.time, doc="V: speed at which gusts are crossed [m/s]")
+    def crossing_speed(b: Block, t: float) -> NumericExpression:
+        body, wind = m.rigid_body, m.wind
+        updraft = wind.component("mean_velocity_z")
+        rising = body.vz[t] if updraft is None else body.vz[t] - updraft[t]
+        squares = (
+            (body.vx[t] - wind.mean_velocity_x[t]) ** 2
+            + (body.vy[t] - wind.mean_velocity_y[t]) ** 2
+            + rising**2
+        )
+        airspeed = root(squares + _SPEED_ROUNDING**2)
+        return floored(airspeed, b.deviation_horizontal[t], _SPEED_ROUNDING)
+
+    @b.Expression(m.time, doc="V / L_u [1/s]")
+    def rate_horizontal(b: Block, t: float) -> NumericExpression:
+        return b.crossing_speed[t] / horizontal_length(b.height[t])
+
+    @b.Expression(m.time, doc="V / L_w [1/s]")
+    def rate_vertical(b: Block, t: float) -> NumericExpression:
+        return b.crossing_speed[t] / vertical_length(b.height[t])
+
+
+def _declare_filters(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare states, noise and rates of the filters."""
+    begun = Gusts.of(scenario).start
+    for full_name in NOISE:
+        noise = Param(m.time, initialize=_no_noise, mutable=True, units=_ROOT_RATE, doc="n")
+        b.add_component(full_name.rpartition(".")[2], noise)
+    for full_name in FILTER_STATES:
+        name = full_name.rpartition(".")[2]
+        state = Var(m.time, initialize=begun[full_name], doc=f"state of the filter: {name}")
+        b.add_component(name, state)
+        b.add_component(f"d{name}_dt", DerivativeVar(state, wrt=m.time, units=1 / units.s))
+    rates = {"along": b.rate_horizontal, "across": b.rate_horizontal, "upwards": b.rate_vertical}
+    for axis, rate in rates.items():
+        _declare_filter(b, m, axis, rate)
+
+
+def _no_noise(_b: Block, _t: Any) -> float:
+    return 0.0
+
+
+def _declare_filter(b: Block, m: ConcreteModel, axis: str, rate: Expression) -> None:
+    state, lag = b.component(axis), b.component(f"{axis}_lag")
+    noise = b.component(f"noise_{axis}")
+
+    def shaping(b: Block, t: float) -> RelationalExpression:
+        slope = b.component(f"d{axis}_dt")[t]
+        return slope == filter_rate(rate[t], state[t], noise[t])
+
+    doc = f"filter of the gust {axis} [1/s]"
+    b.add_component(f"{axis}_shaping", Constraint(m.time, rule=shaping, doc=doc))
+    if lag is None:
+        return
+
+    def lagging(b: Block, t: float) -> RelationalExpression:
+        return b.component(f"d{axis}_lag_dt")[t] == lag_rate(rate[t], state[t], lag[t])
+
+    doc = f"lag of the gust {axis} [1/s]"
+    b.add_component(f"{axis}_lagging", Constraint(m.time, rule=lagging, doc=doc))
+
+
+def _declare_gusts(b: Block, m: ConcreteModel) -> None:
+    @b.Expression(m.time, doc="u: gust along the mean relative wind [m/s]")
+    def gust_along(b: Block, t: float) -> NumericExpression:
+        return longitudinal_gust(b.deviation_horizontal[t], b.along[t])
+
+    @b.Expression(m.time, doc="v: gust across it [m/s]")
+    def gust_across(b: Block, t: float) -> NumericExpression:
+        return transverse_gust(b.deviation_horizontal[t], b.across[t], b.across_lag[t])
+
+    @b.Expression(m.time, doc="w: gust upwards [m/s]")
+    def gust_upwards(b: Block, t: float) -> NumericExpression:
+        return transverse_gust(b.deviation_vertical[t], b.upwards[t], b.upwards_lag[t])
+
+
+def _add_gusts(m: ConcreteModel) -> None:
+    """Redefine the wind velocity as mean wind plus gust, along each world axis."""
+    b = m.wind.turbulence
+    turned = {
+        "x": lambda t: (
+            cos(b.direction) * b.gust_along[t]
+            - sin(b.direction) * b.gust_across[t]
+            + m.wind.error["x"]
+        ),
+        "y": lambda t: (
+            sin(b.direction) * b.gust_along[t]
+            + cos(b.direction) * b.gust_across[t]
+            + m.wind.error["y"]
+        ),
+        "z": lambda t: 1 * b.gust_upwards[t],
+    }
+    for axis, gust in turned.items():
+
+        def velocity(
+            b: Block,
+            t: float,
+            axis: str = axis,
+            gust: Callable[[float], NumericExpression] = gust,
+        ) -> NumericExpression:
+            mean = b.component(f"mean_velocity_{axis}")
+            return gust(t) if mean is None else mean[t] + gust(t)
+
+        doc = f"wind along world {axis}, with its turbulence [m/s]"
+        m.wind.add_component(f"velocity_{axis}", Expression(m.time, rule=velocity, doc=doc))
+
+
+class Gusts:
+    """Noise of one flight and initial states of the filters, from a seed.
+
+    Parameters
+    ----------
+    seed : int or sequence of int
+        Seed of `numpy.random.default_rng`; a flight of an ensemble has the ensemble's seed and its
+        own number.
+    """
+
+    def __init__(self, seed: int | Sequence[int]) -> None:
+        self._seed = seed
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "Gusts":
+        """Return the gusts of a scenario's flight."""
+        turbulence = scenario.wind.turbulence
+        return cls(0 if turbulence is None else turbulence.seed)
+
+    @property
+    def start(self) -> dict[str, float]:
+        """The `FILTER_STATES` at take-off: a sample of the stationary distribution."""
+        drawn = LONG_RUN_FACTOR @ np.random.default_rng(self._seed).standard_normal(
+            len(FILTER_STATES)
+        )
+        return dict(zip(FILTER_STATES, drawn.tolist(), strict=True))
+
+    def noise(self, duration: float) -> FloatArray:
+        """Return the `NOISE` over each step, shape (n_steps, 3), of variance 1 / `NOISE_STEP`.
+
+        The noise of a shorter flight is the beginning of that of a longer one.
+        """
+        generator = np.random.default_rng(self._seed)
+        generator.standard_normal(len(FILTER_STATES))
+        steps = ceil(duration / NOISE_STEP) + 1
+        return generator.standard_normal((steps, len(NOISE))) / sqrt(NOISE_STEP)
+
+    def steps(self, duration: float) -> dict[str, Steps]:
+        """Return the noise as functions of time, by full name of its parameter."""
+        columns = self.noise(duration).T
+        return {
+            name: Steps(start=0.0, step=NOISE_STEP, values=tuple(column.tolist()))
+            for name, column in zip(NOISE, columns, strict=True)
+        }

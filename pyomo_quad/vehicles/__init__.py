@@ -1,0 +1,1 @@
+"""Vehicles estimated from an owner's data, and comparison of vehicles with measurements."""
