@@ -11,6 +11,7 @@ from pyomo_quad.collocation import Violation
 WORDS = {
     "airspace.ceiling_limit": "ceiling",
     "airspace.floor_limit": "floor",
+    "airspace.keep_in": "edge {} of the fence",
     "airspace.keep_out": "keep-out {}",
     "limits.battery_current_limit": "battery current",
     "limits.battery_power_limit": "power left in the battery",

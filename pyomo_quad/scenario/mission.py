@@ -7,6 +7,7 @@ from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
+from pyomo_quad.scenario.earth import Frame, GeodeticOrigin
 from pyomo_quad.scenario.fields import Number, Part, Sound, Triple, quantity
 from pyomo_quad.scenario.messages import ScenarioError
 
@@ -91,11 +92,23 @@ class NamedDuration(NamedTuple):
 class Mission(Part):
     """Start, goal and duration of the flight."""
 
+    frame: Frame = quantity(
+        "",
+        "directions of the world axes, enu: x east, y north, z up from the origin",
+        Frame.ENU,
+        is_late=True,
+    )
+    origin: GeodeticOrigin | None = quantity(
+        "",
+        "where x = y = z = 0 lies on earth, so that places may be given by latitude and longitude",
+        None,
+        is_late=True,
+    )
     start: Hover = quantity(
         "",
         "where the flight starts",
         Hover(position=(0.0, 0.0, 0.0)),
-        other_names=("from", "begin", "origin"),
+        other_names=("from", "begin"),
     )
     goal: Hover = quantity(
         "", "where the flight ends", other_names=("end", "target", "destination")
