@@ -12,7 +12,7 @@ import typer
 
 from pyomo_quad.cli.endings import ExitCode, Stopped, before_the_end
 from pyomo_quad.cli.looking import check, export, init, library, plot, schema
-from pyomo_quad.cli.own_vehicle import vehicle
+from pyomo_quad.cli.own_vehicle import vehicle, vehicles
 from pyomo_quad.cli.startup import import_scipy_alone
 from pyomo_quad.cli.studies import identify, outside_plant, paper, polar, predict, rotorpy_vehicle
 from pyomo_quad.cli.sweeping import sweep, sweep_report
@@ -52,7 +52,7 @@ class Controller(StrEnum):
 
 
 class Plant(StrEnum):
-    """Vehicle model in flight: the declared equations, or a simulator that others wrote."""
+    """Vehicle model in flight: the declared equations, or RotorPy's."""
 
     DECLARED = "declared"
     ROTORPY = "rotorpy"
@@ -62,19 +62,19 @@ _Controller = Annotated[
     Controller,
     typer.Option(
         "--controller",
-        help="Feedback, the plan's controls without it, the mission planned again in flight, or "
+        help="Adaptive feedback, the plan's controls without feedback, re-planning in flight, or "
         "RotorPy's own.",
     ),
 ]
 _Knowledge = Annotated[
-    Knowledge, typer.Option("--knowledge", help="mpc: what re-planning knows of the wind.")
+    Knowledge, typer.Option("--knowledge", help="mpc: information on the wind in re-planning.")
 ]
 _Plant = Annotated[
     Plant, typer.Option("--plant", help="Vehicle model: the declared equations, or RotorPy.")
 ]
 _Reference = Annotated[
     Reference | None,
-    typer.Option("--reference", help="What to follow: quintic by default, the plan in open loop."),
+    typer.Option("--reference", help="Reference: quintic by default, the plan in open loop."),
 ]
 
 
@@ -202,7 +202,7 @@ def _fly_once(
     if controller is Controller.MPC and resolved.baseline.mpc is None:
         resolved = resolved.with_values({"baseline.mpc": {}})
     flown = [plant] if plant is Plant.ROTORPY else []
-    # A single flight must not replace the report of the scenario, in reports/NAME.
+    # A single flight must not replace the report of the scenario in reports/NAME.
     name = "-".join((resolved.name, *flown, controller, followed or knowledge))
     folder = out or Path("reports") / name
     refuse_output_folder(folder)
@@ -317,9 +317,9 @@ def compare(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Put the flights of many scenarios into one table, with a figure and a page.
+    """Compare the flights of many scenarios in one table, with a figure and a page.
 
-    A finished run that matches is taken from its folder.
+    A finished run of the same scenario is read from its folder.
     """
     missions = [load_scenario(file, overrides or ()) for file in scenarios]
     refuse_output_folder(out)
@@ -345,7 +345,7 @@ def compare(
                 record = RunRecord.of(result)
                 status = max(status, solving.exit_code_of(result.plan))
             elif not is_quiet:
-                print(f"{mission.name}: taken from {folder}, which holds this very run.")
+                print(f"{mission.name}: read from {folder}, which holds the same run.")
             records.append(record)
         comparison = combine([record.comparison for record in records])
         write_compare_report(
@@ -416,7 +416,7 @@ app = typer.Typer(
 )
 for _command in (
     *(init, run, solve, compare, check, library, schema, fly, export, plot, identify, predict),
-    *(polar, vehicle, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
+    *(polar, vehicle, vehicles, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
 ):
     app.command()(_command)
 
@@ -434,7 +434,7 @@ def _before_any_command(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Version.")
     ] = False,
 ) -> None:
-    """Read the options that stand before the command."""
+    """Handle the options before the command."""
 
 
 def _end_other_processes() -> None:
@@ -461,17 +461,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, Stopped, typer.Abort):
         complain("pyomo-quad: interrupted; no report was written.")
         return ExitCode.INTERRUPTED
-    except Exception as error:  # noqa: BLE001  the last line of defence: one line and a status
+    except Exception as error:  # noqa: BLE001  any other error becomes one line and a status
         return _explain(error)
     return int(status or 0)
 
 
-# Messages of C++ libraries and of the loader of shared objects when memory runs out.
+# Messages of C++ libraries and of the dynamic loader when memory runs out.
 _NO_MEMORY = ("std::bad_alloc", "Cannot allocate memory")
 
 
 def _lacks_memory(error: BaseException | None) -> bool:
-    """Say whether an error, or any error in its chain of causes, is a lack of memory."""
+    """Return whether an error, or any error in its chain of causes, is a lack of memory."""
     while error is not None:
         if isinstance(error, MemoryError) or any(said in str(error) for said in _NO_MEMORY):
             return True

@@ -30,8 +30,8 @@ _CLEAR = b"\r\x1b[K\x1b[?25h"
 _last_acts: list[Callable[[], object]] = []
 
 
-class Stopped(Exception):  # noqa: N818  what the user wanted is no error
-    """The user stopped a command which printed no message about it."""
+class Stopped(Exception):  # noqa: N818  a stop by the user is not an error
+    """The user stopped a command, and no message has been printed yet."""
 
 
 class SolveStopped(Stopped):
@@ -64,7 +64,7 @@ class Interruption:
 
 
 def end_on_signals() -> None:
-    """Let Ctrl-C, SIGTERM and SIGHUP end this process from now on."""
+    """Make Ctrl-C, SIGTERM and SIGHUP end this process from now on."""
     for number in (*_heeded(), signal.SIGALRM):
         signal.signal(number, _end)
 
@@ -76,7 +76,7 @@ def _heeded() -> list[signal.Signals]:
 
 
 def leave(status: int) -> int:
-    """End the process now if a signal asked for it; else return the status."""
+    """End the process at once if a signal requested it; else return the status."""
     if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
         os._exit(status)
     gc.freeze()  # the process ends: freeing its objects one by one would take 0.3 s
@@ -113,9 +113,9 @@ def raise_on_interrupt() -> Iterator[None]:
         try:
             yield
         except KeyboardInterrupt:
-            raise Stopped from None  # typer would end without a message
+            raise Stopped from None  # typer would exit without a message
         except Exception:
-            # Libraries turn KeyboardInterrupt into errors of their own, such as ImportError.
+            # Libraries convert KeyboardInterrupt into errors of their own, such as ImportError.
             if is_asked:
                 raise Stopped from None
             raise
@@ -132,7 +132,7 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 
 
 def _enforce() -> bool:
-    """End the process `_PATIENCE_S` from now if it is the command's own; return whether it is."""
+    """End the process `_PATIENCE_S` from now if it is the command's; return whether it is."""
     is_own = signal.getsignal(signal.SIGALRM) is _end
     if is_own and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0:
         signal.setitimer(signal.ITIMER_REAL, _PATIENCE_S)

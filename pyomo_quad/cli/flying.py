@@ -54,7 +54,7 @@ def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
 def fly_declared(
     planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
 ) -> Flight:
-    """Fly the adaptive controller along a reference or, without one, the plan in open loop."""
+    """Fly the adaptive controller along a reference, or the plan in open loop if None."""
     if reference is Reference.CRUISE:
         return fly_cruise(scenario, None, plan, planner)
     dynamics = vehicle_flown(planner, scenario)

@@ -8,7 +8,9 @@ import typer
 
 from pyomo_quad.cli.endings import ExitCode, raise_on_interrupt
 from pyomo_quad.cli.looking import write_new
-from pyomo_quad.cli.terminal import Quiet, complain, real_number
+from pyomo_quad.cli.terminal import FigureChoice, Quiet, ReportFolder, complain, real_number
+from pyomo_quad.report import Figures
+from pyomo_quad.report.folder import output_folder, refuse_output_folder
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.messages import shown
 
@@ -205,3 +207,31 @@ def _lines(estimated: "EstimatedVehicle", band: "PowerBand", out: Path) -> list[
     lines.append(f"Written to {out / f'{known.name}.toml'} and {out / pack_name(known.name)}.")
     lines.append("A scenario beside them that flies 40 m:")
     return lines + ["  " + line for line in example_mission(known.name).splitlines()]
+
+
+_VEHICLES_FOLDER = Path("reports") / "vehicles"
+
+
+def vehicles(
+    *,
+    out: ReportFolder = _VEHICLES_FOLDER,
+    figures: FigureChoice = Figures.SVG,
+    quiet: Quiet = False,
+) -> int:
+    """Hold every library vehicle, and six data sheets, against measured powers: a page of each."""
+    refuse_output_folder(out)
+    from pyomo_quad.flight import Planner  # noqa: PLC0415  takes a second
+    from pyomo_quad.vehicles.holding import held_vehicles  # noqa: PLC0415
+    from pyomo_quad.vehicles.report import write_vehicles  # noqa: PLC0415
+
+    planner = Planner()
+    with raise_on_interrupt(), output_folder(out) as aside:
+        held = held_vehicles(planner)
+        sheets = write_vehicles(aside, held, planner, figures)
+    if not quiet:
+        for row in sheets.itertuples():
+            print(f"{row.vehicle}: {row.estimated_W:.4g} W, measured {row.measured_W:.4g} W")
+        for one in held:
+            print(f"{one.name}: {one.mean_error:.1f} % over {len(one.points)} points")
+        print(f"Written to {out}.")
+    return ExitCode.VERIFIED

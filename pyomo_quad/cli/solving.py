@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from pyomo_quad.study.run import RunResult
 
-# An interrupted solve keeps its best iterate if the relative violation of equations is below.
+# An interrupted solve keeps its best iterate if its relative violation is below this.
 _WORTH_KEEPING = 1e-4
 
 _EXIT_CODES = {
@@ -85,8 +85,8 @@ def planner_for(scenario: Scenario, *, is_code_allowed: bool, is_quiet: bool) ->
     Raises
     ------
     ScenarioError
-        If the scenario's own builder is not allowed or cannot be loaded, and later if the model
-        that it declares cannot be solved at all.
+        If the scenario's own builder is not allowed or cannot be loaded; and, raised later, if the
+        model cannot be transcribed.
     """
     builder = model_builder(scenario, is_code_allowed=is_code_allowed)
     return _CommandPlanner(builder, is_quiet=is_quiet)
@@ -99,12 +99,12 @@ def report_folder(folder: Path) -> Iterator[Path]:
     Yields
     ------
     Path
-        An empty folder that takes its place at the end of the block.
+        An empty folder that replaces the report at the end of the block.
 
     Raises
     ------
     Exit
-        With the status of an interrupted command, after its one line.
+        With the status of an interrupted command, after printing its one line.
     """
     try:
         with output_folder(folder) as aside:
@@ -123,7 +123,7 @@ def _kept(plan: Plan, folder: Path) -> str:
     with output_folder(beside) as aside:
         plan.save(aside / "plan.npz")
         write_table(plan_table(plan), aside / PLAN_NAME)
-    return f"its best iterate is in {beside}, and {folder} is as it was"
+    return f"its best iterate is in {beside}, and {folder} is unchanged"
 
 
 def exit_code_of(plan: Plan) -> ExitCode:
@@ -149,13 +149,13 @@ _SHOWN = {
     ComparisonColumn.SAVING_OF_EXCESS: ("excess\nsaved %", "z.1f"),
     ComparisonColumn.TERMINAL_MISS: ("miss\nm", ".1e"),
 }
-# Reasons why a flight is not compared; the first that applies is shown.
+# Reasons for not comparing a flight; the first that applies is shown.
 _AMISS = {
     ComparisonColumn.ARRIVED: "missed",
     ComparisonColumn.LIMITS_KEPT: "limits",
     ComparisonColumn.VERIFIED: "unverified",
 }
-# Columns with one value for all flights are left out: the lines above the table give it.
+# Columns with one value for all flights are omitted; the lines above the table give it.
 _TOLD_ABOVE = (ComparisonColumn.SCENARIO, ComparisonColumn.DURATION)
 
 
@@ -215,7 +215,7 @@ def _certificate_lines(result: "RunResult") -> Iterator[str]:
     else:
         bound = f"No flight of this mission spends less than {certificate.lower_bound_J:.3f} J"
         if gap is None:
-            yield f"{bound}; the plan was made for another wind than the one that blows."
+            yield f"{bound}; the plan was made for a forecast that differs from the actual wind."
         else:
             yield f"{bound}: the optimum is at most {gap:.3f} % above the best."
 
@@ -226,7 +226,7 @@ def comparison_table(comparison: "pd.DataFrame") -> Table:
     Returns
     -------
     Table
-        The columns on what the optimum saves, without columns that are empty for these flights.
+        The table of the optimum's savings, without columns that are empty for these flights.
     """
     shown = {
         column: how

@@ -42,7 +42,7 @@ def complain(message: str) -> None:
     try:
         print(" ".join(message.split()), file=sys.stderr, flush=True)
     except OSError:
-        _send_to_nowhere(2)  # standard error is closed: no message can be seen
+        _send_to_nowhere(2)  # standard error is closed: no message can be shown
 
 
 def claim_streams() -> bool:
@@ -51,7 +51,8 @@ def claim_streams() -> bool:
         try:
             os.fstat(descriptor)
         except OSError:
-            # Otherwise the next file to be opened, such as a report, would take the printed text.
+            # Otherwise the next file to be opened, such as a report, would receive the printed
+            # text.
             os.open(os.devnull, os.O_RDWR)
     has_output = sys.stdout is not None
     for name in ("stdout", "stderr"):
@@ -83,11 +84,11 @@ _SECONDS_BETWEEN_LINES = 10.0  # in a log file; a shorter solve writes no line
 def live_line(*, is_quiet: bool) -> Iterator[Callable[["Iteration"], None] | None]:
     """Show the solver's progress in one line on the terminal.
 
-    Where standard error is no terminal, a plain line follows it every few seconds instead.
+    If standard error is not a terminal, a plain line is written every few seconds instead.
 
     Yields
     ------
-    callable or None
+    To call at each iteration; None if quiet.
         To call at each iteration; None when quiet.
     """
     if is_quiet:
@@ -159,7 +160,7 @@ def real_number(text: str) -> float:
     Raises
     ------
     BadParameter
-        If the text is no such number.
+        If the text is not a number.
     """
     try:
         return number_in_text(text)
@@ -173,7 +174,7 @@ def positive_count(text: str) -> int:
     Raises
     ------
     BadParameter
-        If the text is no such number.
+        If the text is not a whole number of at least 1.
     """
     digits = text.strip()
     if digits.isascii() and digits.isdecimal() and 1 <= len(digits) <= _MOST_DIGITS and int(digits):

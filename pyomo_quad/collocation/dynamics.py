@@ -361,6 +361,11 @@ class Dynamics:
         return tuple(n for n in self.state_names if n in at_start and (n, 1.0) not in given)
 
     @property
+    def tables_read(self) -> tuple[str, ...]:
+        """What the equations over time read tables with."""
+        return tuple(use.name for use in self._formulation.compiled.tables.over_time)
+
+    @property
     def parameter_names(self) -> tuple[str, ...]:
         """Full names of the parameters that the equations read."""
         return tuple(p.name for p in self._formulation.compiled.declared.parameters)
@@ -729,11 +734,13 @@ class ClosedLoop:
         )
         controls, own_rates = written(joint, command)
         rates, integrand = self._dynamics.written(moment, joint[: self._n_states], controls)
+        # To tell whether two calls are the same, CasADi writes each table down in full.
+        has_tables = bool(self._dynamics.tables_read)
         return casadi.Function(
             "closed_loop",
             [moment, joint, command],
             [casadi.densify(casadi.vertcat(rates, own_rates, integrand)), casadi.densify(controls)],
-            {"cse": True},
+            {"cse": not has_tables},
         )
 
     def rates(

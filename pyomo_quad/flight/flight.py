@@ -27,14 +27,14 @@ rotor, and so little of a flight of metres that leaving it out saves no energy w
 ARRIVAL_SPEED_M_PER_S = 0.1
 """Final speed beyond which a flight passes the goal rather than arriving: from it, the controller
 with its default gains stops within the distance above."""
-#: Largest breach of a limit between points, relative to the larger of 1 and the limit.
+#: Largest violation of a limit between points, relative to the larger of 1 and the limit.
 VIOLATION_TOLERANCE = 1e-4
-#: Breach of a control's limit, likewise, at which a flight holds it.
+#: Violation of a control's limit, likewise relative, to which a flight clips the control.
 HELD_BREACH = 0.5 * VIOLATION_TOLERANCE
-#: The states that say where the vehicle is, as the declared model names them.
+#: The position states, by their names in the declared model.
 POSITION_STATES = ("rigid_body.x", "rigid_body.y", "rigid_body.z")
 VELOCITY_STATES = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")
-#: What the air does to the vehicle beside its rotors' thrust [N], along world axes.
+#: Aerodynamic force on the vehicle other than thrust [N], along world axes.
 AIR_FORCE = tuple(f"aerodynamics.force_{axis}" for axis in "xyz")
 
 
@@ -57,12 +57,12 @@ class Resolve:
 
     t: float
     arrived_at: float
-    """When its plan came [s]."""
+    """Time at which its plan arrived [s]."""
     solve_s: float
-    """Processor time that it took, whatever the flight was charged."""
+    """Processor time of the solve, independent of the delay in the simulated flight."""
     is_converged: bool
     is_late: bool
-    """Whether its plan came in flight after the moment that it was made for."""
+    """Whether its plan arrived after the time that the plan was made for."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -78,23 +78,23 @@ class Flight(Summarised):
     energy_J : float
         Energy spent, integrated with the flight.
     terminal_miss : mapping
-        State name to final value minus wanted value, in the state's unit.
+        State name to final value minus required value, in the state's unit.
     terminal_miss_m : float
-        Distance between final and wanted position.
+        Distance between final and required position.
     max_violation : float
-        Worst breach of a limit, relative to the larger of 1 and the limit.
+        Worst violation of a limit, relative to the larger of 1 and the limit.
     worst_constraint : str
-        The limit that breach is of.
+        The limit of that violation.
     is_verified : bool
-        Whether something that did not make the flight confirmed it, and the battery's power
-        balance closes all along it.
+        Whether an independent integration confirmed the flight, and the battery's power balance
+        closes all along it.
     doubt : str
-        Why a flight under control is not verified, what was found and what is allowed.
+        Reason why a controlled flight is not verified, with the value found and the value allowed.
     owed_energy_J : float
-        What the end state still owes: the price of bringing it to the end wanted, at the plan's
-        costates; NaN where no plan prices it.
+        Energy needed to reach the required end from the flight's end state, estimated from the
+        plan's costates; NaN if no plan has costates for it.
     broken_limits : tuple of str
-        Every limit of the model that the flight breaks, and by how much, the worst first.
+        Every limit of the model that the flight violates, with the amount, the worst first.
     resolves : tuple of Resolve
         The solves of a flight that was re-planned.
     """
@@ -126,7 +126,7 @@ class Flight(Summarised):
         }
 
     def priced(self, end_prices: Mapping[str, float]) -> Flight:
-        """Return the flight with what its end owes at a plan's `end_prices`, NaN without any."""
+        """Return the flight with its owed energy by a plan's `end_prices`, NaN without any."""
         owed = sum(price * self.terminal_miss.get(name, 0.0) for name, price in end_prices.items())
         return replace(self, owed_energy_J=owed if end_prices else nan)
 
@@ -144,9 +144,9 @@ class Flight(Summarised):
         owed_energy_J: float = nan,
         allowed: Mapping[str, float] | None = None,
     ) -> Flight:
-        """Make a flight of its samples and the final values wanted of its states.
+        """Make a flight from its samples and the required final values of its states.
 
-        ``allowed`` is how far past a limit of a name, whatever its index, a flight may go.
+        ``allowed`` is the tolerated violation of a limit, by name without index.
         """
         miss = terminal_miss_of(dynamics, flown.states[-1], wanted)
         breaches = dynamics.violations(flown.t, flown.states, flown.controls)
@@ -170,7 +170,7 @@ class Flight(Summarised):
 def broken_limits(
     dynamics: Dynamics, breaches: Sequence[Violation], allowed: Mapping[str, float]
 ) -> tuple[str, ...]:
-    """Return the limits broken by more than rounding, or than allowed: "roll angle by 0.2 rad"."""
+    """Return the limits violated beyond rounding or ``allowed``: "roll angle by 0.2 rad"."""
     return tuple(
         breach_words(breach, dynamics.unit(breach.name))
         for breach in breaches
@@ -188,7 +188,7 @@ def is_broken(breach: Violation, allowed: Mapping[str, float]) -> bool:
 def terminal_miss_of(
     dynamics: Dynamics, state: FloatArray, wanted: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return final minus wanted value of each state that a value is wanted of."""
+    """Return final minus required value of each state with a required value."""
     final = dict(zip(dynamics.state_names, state, strict=True))
     return {name: float(final[name] - value) for name, value in wanted.items()}
 

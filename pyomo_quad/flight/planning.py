@@ -62,6 +62,7 @@ from pyomo_quad.flight.verification import (
     MISS_TOLERANCE,
     shares_lacking,
     verify_controls,
+    wind_lacking,
 )
 from pyomo_quad.model import build_model, parameter_values, structure_key
 from pyomo_quad.model.battery import GIVEN_SHARE
@@ -616,10 +617,11 @@ def _verified(plan: Plan, solution: Solution) -> Plan:
         return replace(plan, status=PlanStatus.SOLVED, message=str(error))
     is_proven = verification.is_verified and solution.status is Status.CONVERGED
     timings = dict(plan.timings) | {"verify": time.perf_counter() - started}
+    lost = wind_lacking(plan.scenario, plan.dynamics, flown)
     return replace(
         plan,
-        status=PlanStatus.VERIFIED if is_proven else PlanStatus.SOLVED,
-        message=verification.shortfall or plan.message,
+        status=PlanStatus.VERIFIED if is_proven and not lost else PlanStatus.SOLVED,
+        message=verification.shortfall or lost or plan.message,
         verification=verification,
         flown=flown,
         timings=timings,

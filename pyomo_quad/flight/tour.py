@@ -42,6 +42,8 @@ _FEW_LEGS = 30
 _NEAREST, _OF_ALL_LENGTHS = 3, 10
 # Optimism about a leg that is not solved for, in root mean square errors of the prediction.
 _OPTIMISM = 2.0
+# Terms of the prediction, of which there are at most half as many as legs solved for.
+_TERMS = 12
 # Regularisation of the prediction, relative to its features' largest values.
 _RIDGE = 1e-3
 # Times that a search's cheapest orders are solved for; an exact one is done when all of its are.
@@ -71,7 +73,8 @@ class LegTable:
         self._ways = _shortest_ways(scenario)
         self._count = len(scenario.mission.positions)
         self._usual = _usual_length(self._count, self._ways)
-        self._costs: dict[_Leg, float] = {}
+        self._known: dict[_Leg, float] = {}
+        self._failed: set[_Leg] = set()
         self._last: Solution | None = None
 
     @property
@@ -82,7 +85,7 @@ class LegTable:
     @property
     def solved(self) -> int:
         """Number of legs solved for."""
-        return len(self._costs)
+        return len(self._known)
 
     @property
     def lengths(self) -> FloatArray:
@@ -90,44 +93,47 @@ class LegTable:
         return self._table({leg: way.length for leg, way in self._ways.items()})
 
     def costs(self) -> FloatArray:
-        """Return the energy of each leg solved for [J], infinite elsewhere.
+        """Return the energy of each leg solved for [J], and a low prediction of all others.
 
         Start, waypoints and goal are rows and columns; what the time costs is counted beside.
-        """
-        return self._table(self._costs)
-
-    def optimistic_costs(self) -> FloatArray:
-        """Return the energy of each leg solved for, and a low prediction of all others [J].
-
         The prediction is the regression of eq. (1) in docs/theory/orders.md, less twice its root
-        mean square error in legs left out.
+        mean square error in legs left out.  A leg that was not found is predicted without that:
+        from hover to hover its share of the time may be too short, and yet long enough in passing.
         """
-        missing = [leg for leg in self.legs if leg not in self._costs]
-        known = {leg: cost for leg, cost in self._costs.items() if not isinf(cost)}
-        if not missing or not known:
-            return self.costs()
-        features = np.array([self._features(leg) for leg in known])
+        missing = [leg for leg in self.legs if leg not in self._known]
+        if not missing:
+            return self._table(self._known)
+        if not self._known:
+            return self.lengths
+        terms = max(1, min(_TERMS, len(self._known) // 2))
+        features = np.array([self._features(leg)[:terms] for leg in self._known])
+        energies = np.array(list(self._known.values()))
         scales = np.maximum(np.abs(features).max(axis=0), np.finfo(float).tiny)
         features /= scales
-        normal = features.T @ features + _RIDGE * np.eye(len(scales))
+        normal = features.T @ features + _RIDGE * np.eye(terms)
         fit = np.linalg.solve(normal, features.T)
-        coefficients = fit @ np.array(list(known.values()))
         # Of a linear fit, the error in a leg left out follows from the fit with it.
         left_out = 1.0 - np.einsum("lf,fl->l", features, fit)
-        errors = (features @ coefficients - np.array(list(known.values()))) / left_out
+        errors = (features @ fit @ energies - energies) / left_out
         margin = _OPTIMISM * float(np.sqrt(np.mean(errors**2)))
-        others = np.array([self._features(leg) for leg in missing]) / scales @ coefficients
-        predicted = np.maximum(others - margin, 0.0)
-        return self._table(self._costs | dict(zip(missing, predicted.tolist(), strict=True)))
+        others = np.array([self._features(leg)[:terms] for leg in missing]) / scales
+        margins = np.array([0.0 if leg in self._failed else margin for leg in missing])
+        predicted = np.maximum(others @ fit @ energies - margins, 0.0)
+        return self._table(self._known | dict(zip(missing, predicted.tolist(), strict=True)))
 
     def solve_for(self, legs: Iterable[_Leg]) -> bool:
-        """Solve for legs that are not yet, and say whether there were any."""
-        missing = [leg for leg in dict.fromkeys(legs) if leg not in self._costs]
+        """Solve for legs that were not yet tried, and say whether there were any."""
+        missing = [leg for leg in dict.fromkeys(legs) if leg not in self._known]
+        missing = [leg for leg in missing if leg not in self._failed]
         for leg in missing:
-            self._costs[leg] = self._flown(leg)
+            found = self._flown(leg)
+            if found.status.is_solved:
+                self._last, self._known[leg] = found, float(found.objective)
+            else:
+                self._failed.add(leg)
         return bool(missing)
 
-    def _flown(self, leg: _Leg) -> float:
+    def _flown(self, leg: _Leg) -> Solution:
         mission, way = self._scenario.mission, self._ways[leg]
         ends = (Hover(position=mission.positions[k], yaw=mission.start.yaw) for k in leg)
         alone = self._scenario.with_mission(
@@ -135,11 +141,7 @@ class LegTable:
         )
         if not mission.is_free:
             alone = alone.lasting(way.length / self._usual * mission.fixed_duration)
-        found = self._solve(alone, _LEG_MESH, way if way.sides else None, self._last)
-        if not found.status.is_solved:
-            return inf
-        self._last = found
-        return float(found.objective)
+        return self._solve(alone, _LEG_MESH, way if way.sides else None, self._last)
 
     def _features(self, leg: _Leg) -> list[float]:
         """Return the terms in which the energy of a leg is linear, eq. (1)."""
@@ -148,7 +150,8 @@ class LegTable:
         length = self._ways[leg].length
         courses = [dx * dx / length, dy * dy / length, dx * dy / length, dz * dz / length]
         detour = length - float(np.linalg.norm(there - here))
-        return [1.0, length**0.5, length, height * length, detour, dx, dy, dz, *courses]
+        # Those that tell most first: from few legs only the first terms are fitted.
+        return [1.0, length, length**0.5, dx, dy, dz, height * length, *courses, detour]
 
     def _table(self, costs: Mapping[_Leg, float]) -> FloatArray:
         table = np.full((self._count, self._count), inf)
@@ -177,14 +180,14 @@ def find_orders(
     table.solve_for(table.legs if len(table.legs) <= _FEW_LEGS else _first_legs(table.lengths))
     rounds = 0
     while True:
-        costs = table.optimistic_costs()
+        costs = table.costs()
         cheapest_orders = best_orders(costs, count)
         rounds += 1
         is_last = n > MOST_EXACT and rounds >= _MOST_ROUNDS
         if not table.solve_for(leg for order in cheapest_orders for leg in _legs_of(order)):
             break
         if is_last:
-            costs = table.optimistic_costs()
+            costs = table.costs()
             break
     reached = cost_of(costs, cheapest_orders[0])
     bound = reached if n <= MOST_EXACT else least_cost(costs, reached)

@@ -27,20 +27,20 @@ from pyomo_quad.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
 
-# Of a mission as planned and as flown at a cruise speed, with a neighbour each.
+# Missions as planned and as flown at a cruise speed, with one neighbour each.
 _MOST = 4
 _PROBLEMS: Recent[Problem] = Recent(_MOST)
 
 
 def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
-    """Return the vehicle as `Planner.dynamics` does, in the turbulence of the scenario's wind.
+    """Return the vehicle of `Planner.dynamics` in the turbulence of the scenario's wind.
 
-    Where the wind has no turbulence they are the same.
+    Without turbulence the two are the same.
 
     Parameters
     ----------
     scenario : Scenario
-        Of a fixed duration.
+        A scenario with a fixed duration.
     """
     if scenario.wind.turbulence is None:
         return planner.dynamics(scenario)

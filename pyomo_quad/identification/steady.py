@@ -6,7 +6,7 @@ A point is a flight without acceleration, so that the declared equations give it
 that of a logged row.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,6 +53,8 @@ _MOST_POINTS = 10_000
 _READING_ERROR = 0.05
 # Points for each fitted number below which the residual says little.
 _FEW_PER_NUMBER = 3
+# Distance from the end of its range, as a share, at which a number counts as being there.
+_AT_BOUND = 1e-5
 # Seconds between the two equal rows that stand for a point.
 _STEP_S = 1.0
 
@@ -66,6 +68,7 @@ class SteadyParameter:
     value: float
     deviation: float
     is_determined: bool
+    is_at_bound: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,19 +111,8 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
     ScenarioError
         If the file cannot be read, or a value cannot be that of a flight.
     """
-    frame = _read_csv(file)
-    if POWER not in frame:
-        steady = Planner().steady_flight(scenario)
-        stored = USED_SHARE * steady.stored_energy(1.0, _SAMPLES)
-        frame[POWER] = stored / frame[ENDURANCE]
-    vehicle = scenario.vehicle
-    defaults = {AIRSPEED: 0.0, PAYLOAD: vehicle.payload, CLIMB: 0.0}
-    for name, value in (defaults | {DENSITY: scenario.power.air_density}).items():
-        if name not in frame:
-            frame[name] = value
-    names = [POWER, AIRSPEED, PAYLOAD, CLIMB, DENSITY]
-    points = frame[names].astype(float)
-    for name in names:
+    points = filled_in(_read_csv(file), scenario)
+    for name in points:
         column = points[name]
         least = 0.0 if name in {POWER, DENSITY} else -np.inf
         wrong = ~np.isfinite(column) | (column <= least)
@@ -131,6 +123,22 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
                 f"a number{' > 0' if least == 0.0 else ''}; correct the row or leave it out."
             )
     return points
+
+
+def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
+    """Return steady points with every column, an endurance turned into a power."""
+    frame = frame.copy()
+    if POWER not in frame:
+        steady = Planner().steady_flight(scenario)
+        stored = USED_SHARE * steady.stored_energy(1.0, _SAMPLES)
+        frame[POWER] = stored / frame[ENDURANCE]
+    vehicle = scenario.vehicle
+    defaults = {AIRSPEED: 0.0, PAYLOAD: vehicle.payload, CLIMB: 0.0}
+    for name, value in (defaults | {DENSITY: scenario.power.air_density}).items():
+        if name not in frame:
+            frame[name] = value
+    names = [POWER, AIRSPEED, PAYLOAD, CLIMB, DENSITY]
+    return frame[names].astype(float)
 
 
 def _read_csv(file: Path) -> pd.DataFrame:
@@ -209,12 +217,13 @@ def identify_steady(
             unseen[k] = fit.power(fit.over(flights != k, values))[2 * k]
     spread = _deviations(fit, values, power, points) if kept else np.zeros(0)
     found = dict(zip(kept, zip(values, spread, strict=True), strict=True))
+    bounds = dict(zip(kept, fit.bounds.T.tolist(), strict=True))
     return SteadyFit(
         scenario=scenario.with_values(
             {f"vehicle.{n}": float(v) for n, v in zip(kept, values, strict=True)}
         ),
         points=points,
-        parameters=tuple(_parameter(name, scenario, found) for name in names),
+        parameters=tuple(_parameter(name, scenario, found, bounds) for name in names),
         power=power,
         unseen=unseen,
         together=confounded(asked, [name for name in names if name not in found]),
@@ -223,16 +232,21 @@ def identify_steady(
 
 
 def _parameter(
-    name: str, scenario: Scenario, found: dict[str, tuple[float, float]]
+    name: str,
+    scenario: Scenario,
+    found: Mapping[str, tuple[float, float]],
+    bounds: Mapping[str, Sequence[float]],
 ) -> SteadyParameter:
     base = float(getattr(scenario.vehicle, name))
     value, deviation = found.get(name, (base, 0.0))
+    low, high = bounds.get(name, (-np.inf, np.inf))
     return SteadyParameter(
         name=name,
         base=base,
         value=float(value),
         deviation=float(deviation),
         is_determined=name in found,
+        is_at_bound=bool(min(value - low, high - value) <= _AT_BOUND * max(1.0, abs(value))),
     )
 
 

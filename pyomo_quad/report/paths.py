@@ -45,16 +45,16 @@ from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.airspace import Airspace, KeepOut
 
 _PROJECTIONS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
-BEAT_COUNT = 5  # markers at equal times along each path: wide apart means fast
-# Relative to the size of the optimum's path: distance below which two lines look like one, and
-# distance above which a flight is left out of the limits of the figure.
+BEAT_COUNT = 5  # markers at equal times along each path: a larger distance means a higher speed
+# Relative to the size of the optimum's path: distance below which two paths are indistinguishable,
+# and distance above which a path is left out of the limits of the figure.
 COINCIDENT, ASTRAY = 0.02, 1.0
 _MARGIN = 0.08
 _MOST_TICKS = 9
 # Ratio of the shortest to the longest side below which the label of the longest axis must move.
 _FLAT = 0.3
 _SMALLEST_SIDE = 0.2  # m
-_SEEN_THROUGH = 0.18  # opacity of a zone's faces in space, of which two lie behind each other
+_SEEN_THROUGH = 0.18  # opacity of a zone's faces in space, which overlap in pairs
 # Margin around all paths, relative to their largest side: zones and limits beyond are cut off.
 _AROUND = 0.25
 _UP = 2
@@ -136,7 +136,7 @@ def draw_space(
 
 
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights that go so far astray that the figure cuts them off."""
+    """Return the flights so far from the optimum's path that the figure cuts them off."""
     return _further(flights, ASTRAY)
 
 
@@ -196,7 +196,7 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
     beyond = _MARGIN * room
     ends = ((airspace.floor, -beyond), (airspace.ceiling, beyond))
     heights = [(_UP, height + margin) for height, margin in ends if height is not None]
-    # A floor or a ceiling that is further away than that is not in the picture.
+    # Leave out a floor or ceiling beyond this distance.
     sides += [side for side in heights if furthest[_UP, 0] <= side[1] <= furthest[_UP, 1]]
     for axis, place in sides:
         wanted[axis] = min(wanted[axis, 0], place), max(wanted[axis, 1], place)
@@ -225,7 +225,7 @@ def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> 
         place = waypoint.position[directions[0]], waypoint.position[directions[1]]
         if waypoint.radius:
             axes.add_patch(Circle(place, waypoint.radius, fill=False, ec=MUTED, linewidth=0.6))
-        # Only the view from above shows the times: from the side one waypoint may hide another.
+        # Only the view from above shows the times: from the side, one waypoint may hide another.
         has_time = waypoint.at is not None and directions[1] != _UP
         label = f"{number}: {waypoint.at:.1f} s" if has_time else str(number)
         passed.setdefault(place, []).append(label)
@@ -374,7 +374,7 @@ def _extent(zone: KeepOut) -> dict[str, dict[str, float]]:
 
 
 def _rounded(values: np.ndarray) -> list[Any]:
-    numbers = values.tolist()  # Python's own are written three times faster
+    numbers = values.tolist()  # Python's floats are formatted three times faster
     return [float(f"{number:.{_DIGITS}g}") if isfinite(number) else None for number in numbers]
 
 

@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from pyomo_quad.study.run import RunResult
 
 _CHARGE = column_of("battery.state_of_charge").name
-_SHORTEST_PATH_M = 0.1  # below, a flight stays where it is and has no range
+_SHORTEST_PATH_M = 0.1  # a shorter flight counts as hovering and has no range
 
 COMPARISON_NAME = "comparison.csv"
 COMPARISON_REPORT_NAME = "comparison.md"
@@ -139,8 +139,8 @@ class RunRecord:
 def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     """Return the verified run of exactly this scenario in a folder, None without one.
 
-    A run by other versions is ignored, since its numbers may differ; so is a run of a user's model,
-    whose code may have changed since.
+    A run by other versions is ignored, because its numbers may differ. A run of a user's model is
+    ignored too, because the code of the model may have changed.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -230,7 +230,7 @@ class FreeClimb:
     height_m: float
     potential_J: float
     spent_J: float
-    """Energy above hovering, which would have to cover the climb."""
+    """Energy above hovering, which the climb would have to come from."""
 
 
 def _free_climb(plan: "Plan") -> FreeClimb | None:
@@ -364,12 +364,12 @@ def prepare_figures(figures: Figures) -> None:
 
 
 def _gallery() -> ModuleType:
-    """Return the gallery; its import of matplotlib takes longer than a solve."""
+    """Return the gallery module; its import of matplotlib takes longer than a solve."""
     from pyomo_quad.report import gallery  # noqa: PLC0415
 
     return gallery
 
 
 def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator[Drawing]:
-    """Yield figures that the gallery lists, which is imported for the first of them."""
+    """Yield figures from the gallery, which is imported for the first of them."""
     yield from listed(_gallery())

@@ -32,7 +32,7 @@ from pyomo_quad.sweep.quantities import (
 from pyomo_quad.sweep.statistics import Curve, SweepResults
 
 _DIRECTION_FIELD = "wind.direction"
-# A map or a rose needs three steps; more than seven curves cannot be told apart in a legend.
+# A map or a rose needs three steps; more than seven curves are indistinguishable in a legend.
 _FEWEST_STEPS = 3
 _MOST_CURVES = 7
 
