@@ -57,6 +57,7 @@ from pyomo_quad.scenario.messages import PyomoQuadError, printable, shown
 if TYPE_CHECKING:
     from pyomo_quad.model.screening import Finding, ModelInspection
     from pyomo_quad.report.style import StyledFlight
+    from pyomo_quad.study.effort import Effort
 
 _LONGEST_LIST = 6
 
@@ -80,14 +81,18 @@ def check(
     inspection = inspect_model(builder(resolved))
     if as_json or not quiet:
         from pyomo_quad.study.check import check_mission  # noqa: PLC0415
+        from pyomo_quad.study.effort import estimate_effort  # noqa: PLC0415
 
         findings = check_mission(resolved, builder=builder)
+        unknowns = len(inspection.states) + len(inspection.other_variables)
+        effort = estimate_effort(resolved, unknowns)
         if as_json:
-            print(json.dumps(_as_mapping(resolved, inspection, findings), indent=2))
+            print(json.dumps(_as_mapping(resolved, inspection, findings, effort), indent=2))
         else:
             result_console().print(_table(resolved))
             for line in _verdict(inspection, findings):
                 print(line)
+            print(f"Effort: {effort.line}")
             for remark in resolved.remarks:
                 print(f"Note: {remark}")
     return ExitCode.VERIFIED if inspection.is_unit_consistent else ExitCode.BAD_INPUT
@@ -135,7 +140,10 @@ def _shown(value: Any) -> str:  # noqa: ANN401
 
 
 def _as_mapping(
-    scenario: Scenario, inspection: "ModelInspection", findings: Sequence["Finding"]
+    scenario: Scenario,
+    inspection: "ModelInspection",
+    findings: Sequence["Finding"],
+    effort: "Effort",
 ) -> dict[str, Any]:
     return {
         "scenario": scenario.name,
@@ -147,6 +155,7 @@ def _as_mapping(
             "is_unit_consistent": inspection.is_unit_consistent,
         },
         "findings": [asdict(finding) for finding in findings],
+        "effort": {"seconds": effort.seconds, "features": dict(effort.features)},
         "notes": list(scenario.remarks),
     }
 

@@ -292,7 +292,7 @@ def _parameter_lines(
     parameters: "Sequence[SteadyParameter | IdentifiedParameter]",
     together: Sequence[tuple[str, str]],
 ) -> Iterator[str]:
-    """Say what was fitted, and what the measurements cannot tell apart."""
+    """Yield a line per fitted parameter, with the parameters it cannot be told from."""
     partners = dict(together)
     for one in parameters:
         edge = " (at the end of its range)" if one.is_at_bound and one.is_determined else ""

@@ -81,7 +81,7 @@ class EulerRates:
     def angle_accelerations(
         self, attitude: Vector, body_rates: Vector, body_accelerations: Vector
     ) -> Vector:
-        """Return what the body's accelerations and the turning of the axes add up to."""
+        """Return the angle accelerations from the body's accelerations and the turning axes."""
         linear = self.angle_rates(attitude, body_accelerations)
         turning = self._turning(attitude, body_rates)
         return [a + b for a, b in zip(linear, turning, strict=True)]
@@ -361,9 +361,9 @@ class BacksteppingLoop:
     """
 
     outer: tuple[float, float, float]
-    """k1, 1/s, one for each axis; equal ones where `reach` is finite."""
+    """k1, 1/s, per axis; equal for all axes if `reach` is finite."""
     inner: tuple[float, float, float]
-    """k2, 1/s, one for each axis."""
+    """k2, 1/s, per axis."""
     reach: float
     """L: size of the error beyond which the closing rate no longer grows; may be infinite."""
     identification: float
@@ -551,7 +551,7 @@ class ThrustEnvelope:
         self._slope = tan(tilt_max)
 
     def limited(self, acceleration: Sequence[float]) -> tuple[float, float, float]:
-        """Shorten an acceleration, smoothly, to what thrust and tilt allow.
+        """Shorten an acceleration, smoothly, to the limits of thrust and tilt.
 
         Parameters
         ----------
@@ -581,7 +581,7 @@ class ThrustEnvelope:
 MEASURED_STATES = tuple(
     f"rigid_body.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "phi", "theta", "psi")
 ) + tuple(f"rigid_body.{name}" for name in ("p", "q", "r"))
-"""What the controller measures, in this order, beside the rotor speeds."""
+"""States that the controller measures, in this order, besides the rotor speeds."""
 
 CONTROLLER_STATES = (
     *(f"position_lag_{axis}_m" for axis in "xyz"),
@@ -606,8 +606,8 @@ _ATTITUDE = slice(STATES_PER_LOOP, 2 * STATES_PER_LOOP)
 _COMMAND = slice(2 * STATES_PER_LOOP, len(CONTROLLER_STATES))
 
 COMMAND_SIZE = 14
-"""What the controller follows: place, rate and acceleration of a setpoint, four numbers each, and
-the accelerations along world x and y to come once a tilt commanded now has come about."""
+"""Length of a command: place, rate and acceleration of a setpoint, four numbers each, and the
+future accelerations along world x and y at the time when a tilt commanded now is reached."""
 _SETPOINT = slice(0, 4), slice(4, 8), slice(8, 12)
 _AHEAD = slice(12, COMMAND_SIZE)
 
@@ -690,7 +690,7 @@ class AdaptiveController:
         ]
 
     def command(self, reference: ReferencePath, t: float) -> list[float]:
-        """Return what to follow at time t, s: `COMMAND_SIZE` numbers."""
+        """Return the command at time t, s: `COMMAND_SIZE` numbers."""
         # Little ahead at the start, where the vehicle is level.
         lead = self._tilt_lag * (1 - exp(-t / self._tilt_lag))
         place, rate, acceleration = reference(t)

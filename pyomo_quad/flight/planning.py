@@ -1,4 +1,4 @@
-"""From a scenario to a plan: build, compile, solve, fly; and what is tried when that fails."""
+"""From a scenario to a plan: build, compile, solve, fly; with retries after a failure."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class Planner:
 
     @property
     def builder(self) -> Builder:
-        """What makes the Pyomo model of a scenario."""
+        """Function that builds the Pyomo model of a scenario."""
         return self._builder
 
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
@@ -241,7 +241,7 @@ class Planner:
                 solution = self._first_solve(problem, told, None, progress)
                 if not solution.status.has_failed:
                     return solution
-            # What is hard for one order is hard for all: none but the first is tried both ways.
+            # A difficulty of one order is one of all orders, so only the first is tried both ways.
             plain = self._plainly(told, self._arguments(told, progress) | {"tolerance": None}, None)
             is_plain = plain is not None
             return solution if plain is None else plain
@@ -329,7 +329,7 @@ class Planner:
         return self._fed(plan, progress)
 
     def _fed(self, plan: Plan, progress: Progress) -> Plan:
-        """Return the plan or, where its pack lacks power, one within what the pack can give."""
+        """Return the plan or, if its pack lacks power, a plan within the pack's capability."""
         limits, flown = plan.scenario.limits, plan.flown
         is_own = self._builder is not build_model or limits.battery_power_share_max is not None
         is_met = plan.solution is not None and plan.solution.status is Status.CONVERGED
@@ -532,7 +532,7 @@ class Planner:
 
         return Rescuer(
             longest=told.mission.longest,
-            # What was flown on a finer mesh need not be flyable on the first.
+            # A flight found on a finer mesh may be infeasible on the first mesh.
             solve=lambda held: by_way_of(easier, problem, arguments | {"mesh": held.mesh}, held),
             solve_plainly=lambda: self._plainly(told, easiest | {"tolerance": None}, None),
             solve_slowly=slowly,
@@ -541,7 +541,7 @@ class Planner:
         )
 
     def _hover_energy(self, told: Scenario, solution: Solution) -> float:
-        """Return the energy of hovering through the mission, NaN for what cannot hover."""
+        """Return the energy of hovering through the mission, NaN if the vehicle cannot hover."""
         held = trajectories_of(solution)
         known = dict(zip(held.state_names, held.states[0].tolist(), strict=True))
         try:
@@ -580,7 +580,7 @@ def _plan_of(
 
 
 def _statics_for(problem: Problem, solution: Solution) -> np.ndarray:
-    """Return the static variables of a problem as a solution of a similar one has them."""
+    """Return a problem's static variables with their values in a similar problem's solution."""
     slots = solution.problem.compiled.declared.statics
     held = dict(zip((slot.name for slot in slots), solution.trajectory.statics, strict=True))
     return np.array([held[slot.name] for slot in problem.compiled.declared.statics])
@@ -592,7 +592,7 @@ def _horizon(scenario: Scenario) -> tuple[float, float] | None:
 
 
 def _energy(scenario: Scenario, solution: Solution) -> float:
-    """Return the energy of a solution, without what its time costs beside [J]."""
+    """Return the energy of a solution, without the price of its time [J]."""
     if not scenario.mission.is_free:
         return solution.objective
     return float(solution.running_objective[-1])

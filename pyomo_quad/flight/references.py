@@ -46,8 +46,8 @@ class Setpoint(NamedTuple):
     rate: Sequence[float]
     """m/s and rad/s."""
     acceleration: Sequence[float]
-    """What the rotors should give, m/s^2 and rad/s^2: the derivative of the rate, less what the
-    reference expects the air to give."""
+    """Acceleration by the rotors, m/s^2 and rad/s^2: the derivative of the rate, less the
+    acceleration that the reference expects from the air."""
 
 
 ReferencePath = Callable[[float], Setpoint]

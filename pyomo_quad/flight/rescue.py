@@ -1,10 +1,10 @@
-"""What leads to a solve that is hard, is tried when it fails, and is said when that fails too.
+"""Fallbacks for failed solves: initial guesses, retries and diagnosis.
 
-A long flight is searched for from the steady flight between its ends: gather speed, cruise, brake.
-A vehicle changes its attitude within a second however long its flight is.  Where equal elements
-would be longer than that, they are short at both ends and grow towards the middle, and the first
-guess is the steady flight there: at the speed that the duration asks for, or, where that is free,
-at which a metre costs least.
+The initial guess of a long flight is steady flight between its ends: accelerate, cruise, brake.
+A vehicle changes its attitude within a second, whatever the duration of the flight.  If equal
+elements would be longer than that, the mesh has short elements at both ends that grow towards the
+middle.  The speed of the steady flight follows from the duration or, if that is free, is the speed
+of least energy per metre.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class Effort:
 
 @dataclass(frozen=True, kw_only=True)
 class Rescue:
-    """What became of it: the last solution, what was tried, and why it failed if it did."""
+    """Outcome of a rescue: the last solution, the attempts, and the failure if it failed."""
 
     solution: Solution
     attempts: tuple[str, ...]
@@ -113,7 +113,7 @@ class Rescue:
 
 
 class Rescuer:
-    """Tries a failed mission again.
+    """Retries a failed mission.
 
     Parameters
     ----------
@@ -284,7 +284,7 @@ def _by_way_of(
     guess: Any,
     reached: Solution | None = None,
 ) -> tuple[Solution, Solution | None]:
-    """Return the solution, and the first one that was reached on the way."""
+    """Return the solution, and the first intermediate solution."""
     first = reached
     for numbers in easier:
         eased = under(arguments, numbers)
@@ -387,7 +387,7 @@ _ROUGH, _FINE = (0.1, 1.25, 4), (0.04, 1.15)
 # In an element longer than this [s] place and velocity feel how the attitude bends inside: its
 # degree is so much higher.
 _BENDING_S, _MORE = 1.0, 2
-# What a guess gathers speed with, m/s^2 and m/s^3, and the speeds among which it looks, m/s.
+# Acceleration and jerk of a guess, m/s^2 and m/s^3, and the range of its speeds, m/s.
 _ACCELERATION, _JERK = 2.0, 4.0
 _SPEEDS = 1.0, 30.0
 _SPEED_TOLERANCE = 0.1

@@ -58,7 +58,7 @@ class Trim:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hover:
+class HoverState:
     """Hover in still air at the start of the mission: its speeds and power."""
 
     rotor_speed_rad_per_s: float
@@ -204,14 +204,14 @@ class SteadyFlight:
         return float(np.mean(self._hovering.states[self._rotors]))
 
     @cached_property
-    def hover(self) -> Hover:
+    def hover(self) -> HoverState:
         """Hover of a quadrotor with the battery in its initial state."""
         names = (
             *("rotors.total_thrust", "battery.current", "battery.voltage"),
             "battery.greatest_power",
         )
         thrust, current, voltage, greatest = self._read(names, self._hovering.states).tolist()
-        return Hover(
+        return HoverState(
             rotor_speed_rad_per_s=self.hover_speed,
             thrust_N=thrust,
             power_W=self.hover_power,

@@ -1,7 +1,7 @@
-"""The vehicle in the wind that its flights meet: turbulence, and what was told wrongly.
+"""The vehicle in the actual wind of its flights: turbulence, and errors of the forecast.
 
-A user knows the wind to come, the mass and the power of hover only roughly.  Each of these errors
-is a normal number of its own, with the standard deviation that the scenario states.
+A user knows the future wind, the mass and the hover power only approximately. Each of these errors
+is an independent normal number with the standard deviation stated in the scenario.
 """
 
 from math import cos, hypot, sin
@@ -111,21 +111,21 @@ def problem_in_turbulence(scenario: Scenario) -> Problem:
 
 
 def as_expected(scenario: Scenario) -> Scenario:
-    """Return the scenario in the wind that plans expect: the forecast, with the turbulence."""
+    """Return the scenario in the wind that plans assume: the forecast, plus the turbulence."""
     told = scenario.as_forecast()
     turbulence = {"turbulence": scenario.wind.turbulence}
     return told.model_copy(update={"wind": told.wind.model_copy(update=turbulence)})
 
 
 def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return what is known roughly, each as the change of parameters by one standard deviation.
+    """Return the uncertain quantities, each as the change of parameters by one standard deviation.
 
-    The parameters, by full name, are those of `problem_in_turbulence`; changes add up.
+    The parameters, by full name, are those of `problem_in_turbulence`; changes are added.
     """
     told = scenario.as_forecast()
     along, aside = mean_wind(told.wind).tolist()
     speed = hypot(along, aside)
-    # In calm air the error of the speed has the direction in which a steady wind would blow.
+    # In calm air, the error of the speed has the direction of the scenario's steady wind.
     ahead = (along / speed, aside / speed) if speed else _direction(told)
     faster, turned = told.wind.speed_deviation, told.wind.direction_deviation * speed
     watts = scenario.power.hover_power_deviation

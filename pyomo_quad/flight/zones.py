@@ -111,7 +111,7 @@ class _Section(NamedTuple):
     """Section of a zone in the plane where a leg passes it."""
 
     middle: FloatArray
-    """m; shape (3,), as the directions along the course, to its left and up, of length one."""
+    """m, shape (3,); so are the unit vectors along the course, to its left and up."""
     along: FloatArray
     left: FloatArray
     up: FloatArray

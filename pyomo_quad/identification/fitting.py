@@ -49,17 +49,17 @@ _OF_MOTION = {"drag_linear": 1, "drag_quadratic": 2}
 _WINDOW_S = 10.0
 # Residual, W, above which a window counts linearly instead of quadratically.
 _LARGE_RESIDUAL_W = 20.0
-# The flights determine a parameter if a change by this share of its size, compensated by the other
-# parameters as well as they can, moves the windows' power by this share: 0.5 W of 450 W.
+# The flights determine a parameter if changing it by this fraction of its size, with the best
+# compensation by the other parameters, changes the windows' power by this fraction: 0.5 W of 450 W.
 _SHARE = 0.1
 _LEAST_EFFECT = 1.1e-3
-# Drag that is small, kg/s and kg/m: a tenth of it is the least change that is looked for.
+# Small drag, kg/s and kg/m; a tenth of it is the least change that is tested.
 _SMALL_DRAG = 0.02
-# Cosine between the effects of two parameters from which on nothing tells them apart.
+# Cosine between the effects of two parameters above which they cannot be distinguished.
 _ALIKE = 0.95
-# Fewer rows or flights than these are too few; beyond the many, thinning them takes too long.
+# Fewer rows or flights than these are too few; above the largest number, thinning takes too long.
 _FEW_ROWS, _FEW_FLIGHTS, _MANY_ROWS = 300, 5, 5_000
-# Change by thinning the rows, in deviations and as a share, from which on they are too coarse.
+# Change after thinning the rows, in deviations and relative, above which they are too coarse.
 _DEVIATIONS, _CHANGE = 2.0, 0.05
 _HALVES = 2
 # Bootstrap draws of flights: 200 draws give a standard deviation to 5 %.
@@ -95,9 +95,9 @@ class IdentifiedParameter:
 class Identification:
     """A vehicle identified from flights, and the errors of its computed powers.
 
-    `correlations` has the determined parameters as rows and columns; `cross_validated` is the
-    power of each row by a fit that had not seen its flight.  `together` pairs each parameter that
-    is not determined with the one it cannot be told from, and `cautions` says where the rows are
+    `correlations` has the determined parameters as rows and columns; `cross_validated` is the power
+    of each row by a fit without its flight. `together` pairs each parameter that is not determined
+    with the parameter that it cannot be distinguished from, and `cautions` lists where the rows are
     too few or too coarse.
     """
 
@@ -213,7 +213,7 @@ class Fit:
 
 
 def component(name: str) -> str:
-    """Return the full name of the parameter that stands for a field of the vehicle."""
+    """Return the full name of the model's parameter for a field of the vehicle."""
     return f"{_VEHICLE_BLOCK if name in _OF_MOTION else _POWER_BLOCK}{name}"
 
 
@@ -270,14 +270,14 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the size of each parameter below which it counts as small."""
+    """Return the size below which each parameter counts as small."""
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
 
 def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Return each parameter that is not determined with the one whose effect is most like its own.
+    """Return each undetermined parameter with the parameter that has the most similar effect.
 
-    A parameter without any effect on the power goes with none, which is empty.
+    A parameter without an effect on the power is paired with the empty name.
     """
     slopes = fit.slopes(fit.base, np.ones(len(fit.frame), dtype=bool))
     norms = np.linalg.norm(slopes, axis=0)
@@ -313,7 +313,7 @@ def identify(
     if len(flights) < 2:
         raise ScenarioError(
             "logs: one flight only; identification needs at least two flights, one of them for "
-            "validation, and is better with more."
+            "validation, and is better with more; or give points of steady flight by --steady."
         )
     motion = LoggedMotion(scenario, frame)
     asked = Fit(motion, scenario, names)
@@ -341,7 +341,7 @@ def identify(
 
 
 def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArray) -> Iterator[str]:
-    """Yield in which ways the rows are too few, or too far apart for the motion in them."""
+    """Yield cautions if the rows are too few, or too far apart for their motion."""
     frame = fit.frame
     flights, rows = frame[FLIGHT].nunique(), len(frame)
     if rows < _FEW_ROWS or flights < _FEW_FLIGHTS:

@@ -1,7 +1,7 @@
 """Logs of flights: required columns, and refusal of damaged or implausible logs.
 
-A log is a table, Parquet or CSV, of about one row a second, or the file of an autopilot.  Its
-columns are those of `COLUMNS`; others are not read.  World axes here are north, east and up.
+A log is a table, Parquet or CSV, with about one row per second, or the file of an autopilot. Its
+columns are those of `COLUMNS`; others are ignored. World axes here are north, east and up.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -48,8 +48,8 @@ _MOST: Mapping[str, tuple[float, str]] = {
     VOLTAGE: (1e3, "millivolts"),
     CURRENT: (2e3, "milliamperes"),
 }
-# Bounds on a flight's median power, W/kg: a multirotor hovers at 100 to 300 W/kg.
-_MOST_POWER_PER_KG, _LEAST_POWER_PER_KG = 5e3, 5.0
+#: Bounds on a flight's median power, W/kg: a multirotor hovers at 100 to 300 W/kg.
+MOST_POWER_PER_KG, LEAST_POWER_PER_KG = 5e3, 5.0
 # Payload relative to the vehicle's own mass above which the column must be in grams.
 _MOST_PAYLOAD = 20.0
 # Ranges that every row must keep.
@@ -124,7 +124,7 @@ def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
     if not flights.is_unique:
         twice = printable(str(flights[flights.duplicated()].iloc[0]))
         raise ScenarioError(
-            f"logs: flight {twice} is there twice; give each log once, under a name of its own."
+            f"logs: flight {twice} is given twice; give each log once, under a name of its own."
         )
     return pd.concat(held, ignore_index=True)
 
@@ -165,7 +165,7 @@ def _read(file: Path, source: str) -> pd.DataFrame:
     reader: Any = readers.get(file.suffix.lower())
     if reader is None:
         raise ScenarioError(
-            f"{source}: is no log; give a .parquet, .csv, PX4 .ulg or ArduPilot .BIN file."
+            f"{source}: is not a log; give a .parquet, .csv, PX4 .ulg or ArduPilot .BIN file."
         )
     if file.is_file() and file.stat().st_size > _LARGEST_FILE_BYTES:
         raise ScenarioError(f"{source}: larger than {_LARGEST_FILE_BYTES} bytes; split it.")
@@ -380,9 +380,9 @@ def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         power, payload = float(rows[POWER].median()), float(rows[PAYLOAD].median())
         wrong = None
-        if power > _MOST_POWER_PER_KG * mass_kg:
+        if power > MOST_POWER_PER_KG * mass_kg:
             wrong = POWER, f"{power:.4g} W", "milliwatts; divide"
-        elif power < _LEAST_POWER_PER_KG * mass_kg:
+        elif power < LEAST_POWER_PER_KG * mass_kg:
             wrong = POWER, f"{power:.4g} W", "kilowatts; multiply"
         elif payload > _MOST_PAYLOAD * mass_kg:
             wrong = PAYLOAD, f"{payload:.4g} kg", "grams; divide"

@@ -5,7 +5,7 @@ Fields are arranged in nested tables, as in TOML; they have dotted paths, layers
 
 import re
 from collections.abc import Iterator, Mapping
-from functools import partial
+from functools import cache, partial
 from math import pi
 from typing import Annotated, Any, NamedTuple
 
@@ -183,6 +183,7 @@ def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
     return _declared_with(model, name, "default") or None
 
 
+@cache
 def unit_keys_of(model: type[BaseModel]) -> dict[str, tuple[str, float]]:
     """Return the keys by which a table takes numbers in other units: field and factor of each.
 

@@ -6,7 +6,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from pyomo_quad.scenario.fields import FieldPath, depth, leaves, parse_path, spell
-from pyomo_quad.scenario.messages import ScenarioError, printable, shown
+from pyomo_quad.scenario.messages import ScenarioError, listed, printable, shown
 from pyomo_quad.scenario.resolution import (
     DEEPEST_NESTING,
     Origin,
@@ -123,7 +123,18 @@ def _from_written(origin: Origin) -> Scenario:
 
 def _parsed(overrides: Sequence[str]) -> dict[FieldPath, Any]:
     texts = (overrides,) if isinstance(overrides, str) else overrides
-    return dict(_parse_override(text) for text in texts)
+    found: dict[FieldPath, Any] = {}
+    lines: list[str] = []
+    for text in texts:
+        try:
+            path, value = _parse_override(text)
+        except ScenarioError as error:
+            lines.append(str(error))
+        else:
+            found[path] = value
+    if lines:
+        raise ScenarioError(listed(lines))
+    return found
 
 
 def _mapped(overrides: Mapping[str, Any]) -> dict[FieldPath, Any]:

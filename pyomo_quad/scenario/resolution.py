@@ -292,43 +292,49 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
         If the file cannot be read or has other content.
     """
     written = dict(read_toml(folder / name))
+    lines = list(_shape_complaints(kind, written))
+    if lines:
+        raise ScenarioError(listed([f"{name}: {line}" for line in lines]))
     use = written.pop("use", None)
-    for key, told in (("use", use), (_BATTERY, written.get(_BATTERY))):
-        if told is not None and not isinstance(told, str):
-            raise ScenarioError(f"{name}: {key} = {shown(told)}; must be text in quotes.")
+    return _entry(kind, name, written, None if use is None else library_entry(kind, use))
+
+
+def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what a file of a kind cannot have, whatever its numbers are."""
     sections = _SECTIONS.get(kind, (_FIELDS,))
     tops = ("use", _BATTERY) if kind == _VEHICLES else ("use",)
     for section, content in written.items():
         if section in tops:
-            continue
-        if section not in sections:
-            raise ScenarioError(
-                f"{name}: unknown key {shown(section)[1:-1]}; a file of {kind} has "
+            if not isinstance(content, str):
+                yield f"{section} = {shown(content)}; must be text in quotes."
+        elif section not in sections:
+            yield (
+                f"unknown key {shown(section)[1:-1]}; a file of {kind} has "
                 f"{' and '.join(f'[{known}]' for known in sections)}, and perhaps "
                 f"{' or '.join(tops)}."
             )
-        if not isinstance(content, Mapping):
-            raise ScenarioError(f"{name}: {section} = {shown(content)}; must be a table.")
-        _refuse_labels(name, content, (section,))
-    return _entry(kind, name, written, None if use is None else library_entry(kind, use))
+        elif not isinstance(content, Mapping):
+            yield f"{section} = {shown(content)}; must be a table."
+        else:
+            yield from _label_complaints(content, (section,))
 
 
-def _refuse_labels(name: str, table: Mapping[str, Any], place: FieldPath) -> None:
-    """Refuse numbers with keys other than `value` and `source`."""
+def _label_complaints(table: Mapping[str, Any], place: FieldPath) -> Iterator[str]:
+    """Yield numbers with a label other than their value and source."""
     is_labelled = len(place) > 1 and not set(_LABELS).isdisjoint(table)
     for key, content in table.items():
         where = shown(spell((*place, key)))[1:-1]
         if (key in _LABELS) != is_labelled:
-            raise ScenarioError(
-                f"{name}: unknown key {where}; a number stands alone or as a table of its "
-                f"{_VALUE} and {_SOURCE}."
+            yield (
+                f"unknown key {where}; a number stands alone or as a table of its {_VALUE} and "
+                f"{_SOURCE}."
             )
-        if is_labelled and isinstance(content, Mapping):
-            raise ScenarioError(f"{name}: {where} = a table; must be a number or a text.")
-        if is_labelled and key == _SOURCE and not isinstance(content, str):
-            raise ScenarioError(f"{name}: {where} = {shown(content)}; must be text in quotes.")
-        if isinstance(content, Mapping):
-            _refuse_labels(name, content, (*place, key))
+        elif is_labelled and isinstance(content, Mapping):
+            yield f"{where} = a table; must be a number or a text."
+        elif is_labelled and key == _SOURCE and not isinstance(content, str):
+            yield f"{where} = {shown(content)}; must be text in quotes."
+        elif isinstance(content, Mapping):
+            yield from _label_complaints(content, (*place, key))
 
 
 def _listed(names: object) -> str:

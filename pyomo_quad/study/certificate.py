@@ -286,7 +286,7 @@ def _bound_as_a_whole(
         f"under power.model {scenario.power.model.value} bounds what they cost"
         f"{left_out if mission.waypoints else ''}; holds for every "
         "flight that meets the boundary conditions within the rotor speed limits"
-        f"{_less_room(scenario)}."
+        f"{_airspace_clause(scenario)}."
     )
 
 
@@ -303,7 +303,7 @@ def _bound_by_legs(
     least, greatest = mission.duration_limits
     if found > float(np.max(power.power)) * greatest * (1 + _ROUNDING):
         return None, _IMPOSSIBLE
-    found -= _given_back(scenario, planner)
+    found -= _energy_returned(scenario, planner)
     passing = (
         f"on each of {len(legs)} legs, their velocities at the passages free, momentum balance"
         if mission.waypoints
@@ -316,11 +316,11 @@ def _bound_by_legs(
         f"{passing} and displacement fix two means of the thrust vector, and steady power "
         f"under power.model {scenario.power.model.value} bounds what they cost; one price of "
         f"momentum bounds {times}, for every flight that meets the boundary conditions within "
-        f"the rotor speed limits{_less_room(scenario)}."
+        f"the rotor speed limits{_airspace_clause(scenario)}."
     )
 
 
-def _given_back(scenario: Scenario, planner: Planner) -> float:
+def _energy_returned(scenario: Scenario, planner: Planner) -> float:
     """Return the energy that the rotors give back on slowing to hover at the goal [J].
 
     They hover slower there after the release of parcels.
@@ -362,7 +362,7 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
         counted = scenario.with_mission(waypoints=())
     legs, shared = legs_of(counted)
     found = bound_of_pairs(pairs, legs, shared, steady.hover_power)
-    found -= _given_back(scenario, planner)
+    found -= _energy_returned(scenario, planner)
     if found <= 0.0:
         return None, "no prices were found that bound the energy above zero."
     of_legs = f" on each of {len(legs)} legs" if counted.mission.waypoints else ""
@@ -375,11 +375,11 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
         f"airspeed under power.model {scenario.power.model.value} is proven by branch and bound to "
         f"{100 * POWER_TOLERANCE:g} % of that of hover; holds at all passing times and durations "
         "allowed, for every flight that meets the boundary conditions within the rotor speed limits"
-        f"{_less_room(scenario)}."
+        f"{_airspace_clause(scenario)}."
     )
 
 
-def _less_room(scenario: Scenario) -> str:
+def _airspace_clause(scenario: Scenario) -> str:
     """Return the words that extend a bound to flights within an airspace, if there is one."""
     airspace = scenario.airspace
     if not airspace.keep_out and airspace.floor is None and airspace.ceiling is None:

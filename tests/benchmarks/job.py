@@ -121,5 +121,5 @@ if __name__ == "__main__":
     if Path(pyomo_quad.__file__).parents[1] != Path(checkout):
         raise SystemExit(f"{pyomo_quad.__file__} is not of {checkout}; set PYTHONPATH.")
     found = globals()[name](scenario, json.loads(told))
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(json.dumps(found | {"peak_MiB": peak}))
+    found["peak_MiB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(json.dumps(found))

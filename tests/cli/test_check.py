@@ -33,6 +33,17 @@ def test_check_counts_the_four_controls_and_checks_units(tmp_path, capsys):
     assert "Units: consistent in every declared relation." in said
 
 
+def test_check_estimates_the_effort_and_says_that_it_is_rough(tmp_path, capsys):
+    file = str(write_scenario(tmp_path))
+    main(["check", file])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Effort: roughly " in said
+    assert "a guess from counts that may be off by a factor of 3" in said
+    main(["check", file, "--json"])
+    effort = json.loads(capsys.readouterr().out)["effort"]
+    assert effort["seconds"] > max(effort["features"].values(), default=0.0)
+
+
 def test_check_warns_of_what_the_mission_must_break(tmp_path, capsys):
     file = write_scenario(tmp_path)
     assert main(["check", str(file), "--set", "mission.duration=0.3"]) == ExitCode.VERIFIED

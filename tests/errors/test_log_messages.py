@@ -194,8 +194,8 @@ def test_files_that_are_no_logs(tmp_path, capsys, monkeypatch):
     other = tmp_path / "log.xlsx"
     other.write_text("x")
     said = refused(capsys, other)
-    assert "is no log; give a .parquet, .csv, PX4 .ulg or ArduPilot .BIN file." in said
-    assert "Of a log the columns are flight, time_s [s], phase" in said
+    assert "is not a log; give a .parquet, .csv, PX4 .ulg or ArduPilot .BIN file." in said
+    assert "Of a log the columns are flight, time_s (s), phase" in said
     whole = tmp_path / "whole.parquet"
     three().to_parquet(whole)
     half = tmp_path / "half.parquet"
@@ -363,7 +363,7 @@ def test_a_flight_that_is_given_twice(tmp_path, capsys):
     three().to_csv(file, index=False)
     line = refused(capsys, file, str(file))
     assert line == (
-        "logs: flight log 1 is there twice; give each log once, under a name of its own."
+        "logs: flight log 1 is given twice; give each log once, under a name of its own."
     )
 
 

@@ -504,7 +504,7 @@ LEAST_PHASE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Clock:
+class PhaseTimes:
     """Phases of the horizon between times that may be free; flags select the phase that holds.
 
     Attributes

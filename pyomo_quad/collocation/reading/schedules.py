@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.reading.copy import Clock
+    from pyomo_quad.collocation.reading.copy import PhaseTimes
 
 # Number of times, besides the declared ones, at which a rule is called before compilation.
 _PROBES = 64
@@ -230,7 +230,7 @@ class Schedule:
 class Phases:
     """The phase of a clock that holds at a time, with the interface of a `Schedule`."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: PhaseTimes) -> None:
         self.name = clock.name
         self.slots = tuple(
             Slot(name=phase.name(), component=clock.name, index=(), symbol=phase)
