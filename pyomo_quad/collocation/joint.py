@@ -352,8 +352,9 @@ class JointProblem(Summarised):
         options: SolverOptions,
         progress: Progress | None,
         is_scaled: bool = True,
+        change: float | None = None,
     ) -> JointSolution:
-        """Solve once, with one mesh per horizon."""
+        """Solve once, with one mesh per horizon; see `Problem.solve_on_mesh`."""
         parts = self._parts
         chosen = [
             mesh and mesh.with_breakpoints(part.required_breakpoints(instance))
@@ -374,6 +375,9 @@ class JointProblem(Summarised):
             own if damping is None else damping.applied_to(own)
             for own, damping in zip(union.programs, [*dampings, *[None] * len(parts)], strict=False)
         )
+        is_damped = any(d is not None and d.controls.size > 0 for d in dampings)
+        if change is not None and multipliers is not None and not is_damped:
+            options = options.for_a_change(change * scaling.objective / max(bounds.sides, 1))
         result = run(
             CoupledProgram(union, damped),
             bounds,

@@ -34,6 +34,7 @@ from pyomo_quad.collocation.program.bounds import (
     without_settled_rows,
 )
 from pyomo_quad.collocation.program.elastic import elastic_point
+from pyomo_quad.collocation.program.feasible import feasible_point
 from pyomo_quad.collocation.program.ipopt import (
     TIME_LIMIT_CODE,
     Counter,
@@ -244,16 +245,7 @@ class Problem(Summarised, Formulation):
         ) -> Solution:
             if mesh is None or tolerance is None:
                 return own(mesh, start, to_the_gap=True)
-            return refine(
-                lambda meshes, start, dampings: own(meshes[0], start, dampings[0]),
-                meshes=(mesh,),
-                tolerance=tolerance,
-                refinement=refinement,
-                warm_start=start,
-                past_the_barrier=lambda dampings, found: own(
-                    found.mesh, found.warm_start, dampings[0], to_the_gap=True
-                ),
-            )
+            return _refined(own, mesh, start, tolerance, refinement)
 
         return FirstSolve(
             solve_on=solve_on,
@@ -330,6 +322,7 @@ class Problem(Summarised, Formulation):
         is_elastic: bool = False,
         is_scaled: bool = True,
         to_the_gap: bool = False,
+        change: float | None = None,
         breach: float = inf,
         progress: Progress | None = None,
     ) -> Solution:
@@ -338,8 +331,9 @@ class Problem(Summarised, Formulation):
         A `seed` above 0 starts at a random point between the bounds; `is_elastic` starts at the
         optimum of the elastic program; without `is_scaled` Ipopt solves the program as declared. If
         `to_the_gap` is true, the solve continues until the complementarity gap is negligible
-        relative to the objective. A finite `breach` is the bound violation between collocation
-        points that a warm start may have.
+        relative to the objective. `change` is the expected change of a warm start's objective,
+        where known. A finite `breach` is the bound violation between collocation points that a
+        warm start may have.
         """
         if mesh is not None:
             mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
@@ -370,6 +364,10 @@ class Problem(Summarised, Formulation):
             changed = replace(within, program=changed)
             kept, scales = within.bounds(bounds), within.scaling(scales)
             multipliers = within.multipliers(multipliers)
+        is_damped = damping is not None and damping.controls.size > 0
+        if change is not None and multipliers is not None and not is_damped:
+            # Controls that next to nothing holds are found again only from a larger barrier.
+            options = options.for_a_change(change * scaling.objective / max(kept.sides, 1))
         if damping is not None and damping.gap and warm_start is not None:
             parameter = damping.gap * scaling.objective / kept.sides
             options = options.on_the_path(parameter, is_near=damping.is_still)
@@ -382,6 +380,35 @@ class Problem(Summarised, Formulation):
         if within is None:
             return found
         return replace(found, restraint=changed.restraint(result, kept, found.mesh.elements))
+
+    def flyable(
+        self,
+        near: Solution,
+        mesh: Mesh,
+        *,
+        parameters: Overrides | None = None,
+        horizon: tuple[float, float] | None = None,
+        breach: float = 0.0,
+        met: float = 1e-7,
+        progress: Progress | None = None,
+    ) -> Solution:
+        """Return the first trajectory near a solution that obeys all equations on another mesh.
+
+        No optimum: few iterations from a coarse mesh lead to what can be flown; see
+        `program.feasible`.  Bounds may be broken by a relative `breach`, scaled
+        equations by `met`.
+        """
+        instance = self.instance(parameters, horizon)
+        program = self.program(mesh.with_breakpoints(self.required_breakpoints(instance)), instance)
+        at_start = self.data_at_starts(instance)
+        bounds = bounds_of(program, at_start, instance.fixed, instance.left_out)
+        z = initial_point(program, bounds, self.values, near.trajectory)
+        bounds = without_settled_rows(program, bounds, z)
+        scaling = scaling_of(program, bounds, z)
+        found = feasible_point(
+            program, bounds, scaling, z, breach=breach, met=met, progress=progress
+        )
+        return solution_from(self, program, instance, found, bounds=bounds, scaling=scaling)
 
     def dynamics(
         self,
@@ -407,6 +434,37 @@ class Problem(Summarised, Formulation):
         them.
         """
         load_values(solution)
+
+
+def _refined(
+    own: Callable[..., Solution],
+    mesh: Mesh,
+    start: WarmStart | None,
+    tolerance: float,
+    refinement: RefinementOptions,
+) -> Solution:
+    """Refine from a mesh, with solves as of `Problem.solve_on_mesh`."""
+
+    def on_meshes(
+        meshes: tuple[Mesh, ...],
+        start: WarmStart | None,
+        dampings: tuple[Damping | None, ...],
+        change: float | None = None,
+    ) -> Solution:
+        return own(meshes[0], start, dampings[0], change=change)
+
+    def sharpen(dampings: tuple[Damping | None, ...], found: Solution) -> Solution:
+        change = 0.0 if dampings[0] and dampings[0].gap else None
+        return own(found.mesh, found.warm_start, dampings[0], to_the_gap=True, change=change)
+
+    return refine(
+        on_meshes,
+        meshes=(mesh,),
+        tolerance=tolerance,
+        refinement=refinement,
+        warm_start=start,
+        past_the_barrier=sharpen,
+    )
 
 
 def march(

@@ -213,7 +213,7 @@ class Replanner:
     scenario : Scenario
         The mission and the vehicle as believed.
     knowledge : Knowledge
-        Of the wind.
+        Information on the wind.
     planner : Planner
         Keeps the compiled equations.
     """

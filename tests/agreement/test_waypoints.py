@@ -23,7 +23,7 @@ def through(*waypoints, duration=10.0, goal=GOAL, solver=None, payload=0.0, wind
         mission={"goal": {"position": goal}, "waypoints": waypoints, "duration": duration},
         vehicle={"attitude": "paper", "payload": payload},
         wind={"use": wind},
-        solver=solver or {},
+        solver={"accuracy": "proof"} | (solver or {}),
     )
 
 

@@ -12,7 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from pyomo_quad.flight.flight import POSITION_STATES, VIOLATION_TOLERANCE
+from pyomo_quad.flight.flight import POSITION_STATES
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.airspace import Shape
 from tests.benchmarks.report import FOLDER
 from tests.benchmarks.robustness import fly, fly_all, tables
@@ -191,7 +192,9 @@ def intrusion(plan):
     if told.ceiling is not None:
         found["ceiling"] = places[:, 2].max() - told.ceiling
     worst = max(found, key=found.get, default=None)
-    if worst is None or found[worst] <= VIOLATION_TOLERANCE * max(1.0, np.abs(places).max()):
+    if worst is None or found[worst] <= FIGURES[Accuracy.PROOF].breach * max(
+        1.0, np.abs(places).max()
+    ):
         return ""
     return f"the flight is {found[worst]:.2g} m past {worst}"
 

@@ -56,6 +56,8 @@ _RELAXED = 1e-10
 _NEAR, _INSIDE, _WELL_INSIDE = 1e-9, 1e-6, 1e-4
 # Least initial barrier parameter, and least multipliers, of a warm start where limits move.
 _BEGUN = 1e-8
+# Barrier parameter, in units of Ipopt's tolerance, above which no solve ends.
+_ABOVE = 10.0
 # Initial barrier parameter of a warm start that is expected to change little.
 _LOW_BARRIER = 1e-10
 _PUSHES = (
@@ -103,10 +105,29 @@ class SolverOptions:
         little from mesh to mesh, whereas the controls of the optimum jump between equivalent
         places. A near start stays on its bounds.
         """
-        begun = parameter if is_near else max(parameter, _BEGUN)
-        chosen = (("mu_target", parameter), ("mu_init", begun))
+        begun = parameter if is_near else max(parameter, dict(self.extra).get("mu_init", _BEGUN))
         pushes = tuple((name, _NEAR) for name in _PUSHES) if is_near else ()
-        return replace(self, extra=(*chosen, *self.extra, *pushes))
+        target = ("mu_target", parameter)
+        return replace(self, extra=(target, *self.extra, ("mu_init", begun), *pushes))
+
+    def for_a_change(self, parameter: float) -> SolverOptions:
+        """Return the settings for a warm start whose objective is to change by little.
+
+        A barrier leaves as much of the objective as its parameter times the number of bounds: one
+        that leaves more than is to change first leads away from the warm start, and back.  Below
+        what Ipopt's tolerance asks for, it begins where that of the last solve ended: Ipopt would
+        end with any other that low as it is, and leave a gap that changes from mesh to mesh.
+
+        Parameters
+        ----------
+        parameter : float
+            That leaves as much as the objective is expected to change.
+        """
+        tolerance = self.tolerance or _TOLERANCE
+        is_small = parameter < _ABOVE * tolerance
+        last = tolerance / _WARM["barrier_tol_factor"]
+        begun = last if is_small else min(parameter, _WARM["mu_init"])
+        return replace(self, extra=(("mu_init", begun), *self.extra))
 
     def for_moving_limits(self) -> SolverOptions:
         """Return the settings for warm starts whose limits start or cease to apply at other times.

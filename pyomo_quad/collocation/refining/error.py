@@ -21,6 +21,8 @@ from pyomo_quad.collocation.program.transcription import linearised, rate_correc
 from pyomo_quad.collocation.refining.switches import misplaced_switches
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from pyomo_quad.collocation.program.transcription import Linearised, Transcription
@@ -191,10 +193,8 @@ def estimate_error(
     allowance : Allowance, optional
     """
     allowance = allowance or Allowance()
-    degrees = np.asarray(solution.mesh.degrees)
-    finer = _sampled(solution, [radau_rule(d + 1).points for d in degrees])
-    free = densely_sampled(solution)
-    dense, panels = free, _sampled(solution, [_panelled(d)[0] for d in degrees])
+    finer, free, panels = _sampled(solution, _finer_places, _dense_places, _panelled_places)
+    dense = free
     if np.isfinite(allowance.control_breach):
         limits = control_limits(solution.problem, solution.instance, allowance.control_breach)
         dense, panels = (_held(solution.program, samples, limits) for samples in (free, panels))
@@ -275,11 +275,20 @@ def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
 
 def densely_sampled(solution: Solution) -> _Samples:
     """Sample where limits may be violated: at peaks of the polynomials, between the points."""
-    return _sampled(solution, [_dense_places(d) for d in solution.mesh.degrees])
+    (samples,) = _sampled(solution, _dense_places)
+    return samples
 
 
 def _dense_places(degree: int) -> FloatArray:
     return np.linspace(_START, 1.0, _SAMPLES * (degree + 1) + 1)
+
+
+def _finer_places(degree: int) -> FloatArray:
+    return radau_rule(degree + 1).points
+
+
+def _panelled_places(degree: int) -> FloatArray:
+    return _panelled(degree)[0]
 
 
 def state_errors_as_interpolated(solution: Solution) -> FloatArray:
@@ -289,25 +298,30 @@ def state_errors_as_interpolated(solution: Solution) -> FloatArray:
     as in ``x' = r``, ``f = r + r^3``, the equations may hold everywhere although the control's own
     polynomial differs from the optimal control.
     """
-    places = [radau_rule(degree + 1).points for degree in solution.mesh.degrees]
-    finer = _sampled(solution, places, is_defined=False)
+    (finer,) = _sampled(solution, _finer_places, is_defined=False)
     slopes = rate_corrections(solution.program, finer.variables, finer.data, finer.rows)
     return _relative(solution, _state_corrections(solution, slopes))
 
 
-def _sampled(solution: Solution, places: list[FloatArray], *, is_defined: bool = True) -> _Samples:
-    """Evaluate the path equations at places of each element, the last place being its end.
+def _sampled(
+    solution: Solution, *grids: Callable[[int], FloatArray], is_defined: bool = True
+) -> list[_Samples]:
+    """Evaluate the path equations on several grids at once, and return the samples of each grid.
 
+    A grid maps an element's degree to places in the element, the last place being its end.
     Algebraic variables that an equation defines take the value from the equation or, without
     `is_defined`, from their polynomials.
     """
     program, mesh, path = solution.program, solution.mesh, solution.trajectory
-    counts = np.array([len(p) for p in places])
+    places = [grid(d) for grid in grids for d in mesh.degrees]
+    ends = np.cumsum([len(p) for p in places])
+    elements = np.tile(np.arange(mesh.elements), len(grids))
+    starts = np.asarray(mesh.breakpoints)
     fractions = np.concatenate(
-        [mesh.breakpoints[e] + mesh.widths[e] * p for e, p in enumerate(places)]
+        [starts[e] + mesh.widths[e] * p for e, p in zip(elements, places, strict=True)]
     )
     # A point on a boundary belongs to the element that ends there.
-    fractions[np.cumsum(counts) - 1] = mesh.breakpoints[1:]
+    fractions[ends - 1] = starts[elements + 1]
     variables = np.hstack(
         [
             path.rates_at(fractions),
@@ -320,12 +334,20 @@ def _sampled(solution: Solution, places: list[FloatArray], *, is_defined: bool =
     if is_defined:
         found = definitions(program, solution.unknowns)
         variables = with_defined(program, variables, data, found)
-    return _Samples(
-        variables=variables,
-        data=data,
-        rows=MappedFunction(program.compiled.path.values, fractions.size)(variables, data)[0],
-        first_of_element=np.concatenate(([0], np.cumsum(counts)[:-1])),
-    )
+    rows = MappedFunction(program.compiled.path.values, fractions.size)(variables, data)[0]
+    samples = []
+    for firsts in np.split(np.concatenate(([0], ends[:-1])), len(grids)):
+        last = ends[np.searchsorted(ends, firsts[-1], side="right")]
+        held = slice(firsts[0], last)
+        samples.append(
+            _Samples(
+                variables=variables[held],
+                data=data[held],
+                rows=rows[held],
+                first_of_element=firsts - firsts[0],
+            )
+        )
+    return samples
 
 
 def _held(

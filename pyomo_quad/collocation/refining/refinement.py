@@ -255,7 +255,7 @@ S = TypeVar("S", bound=Solved)
 
 
 def refine(
-    solve: Callable[[tuple[Mesh, ...], Any, tuple[Damping | None, ...]], S],
+    solve: Callable[..., S],
     *,
     meshes: tuple[Mesh, ...],
     tolerance: float,
@@ -271,9 +271,10 @@ def refine(
     Parameters
     ----------
     solve : callable
-        (meshes, warm start, dampings) -> solution, with one mesh and damping for each horizon.
-    Initial meshes, one for each horizon.
-        To begin with, one for each horizon.
+        (meshes, warm start, dampings, change=) -> solution, with one mesh and damping for each
+        horizon, and the expected change of the objective, None where unknown.
+    meshes : tuple
+        Initial meshes, one for each horizon.
     past_the_barrier : callable, optional
         (dampings, solution) -> a solution on the same meshes with a smaller gap of the barrier.
 
@@ -291,10 +292,10 @@ def refine(
     reached: _Reached[S] | None = None
     before: tuple[Solution | None, ...] = (None,) * len(chosen)
     while True:
-        solved, dampings = _solved(solve, chosen, warm_start, dampings, gap)
+        change = _expected_change(before, tolerance)
+        solved, dampings = _solved(solve, chosen, warm_start, dampings, change, gap)
         is_damped = _are_damped(dampings)
-        sharpen = past_the_barrier and partial(past_the_barrier, dampings)
-        solved, errors = _measured(solved, sharpen, tolerance, refinement)
+        solved, errors = _measured(solved, past_the_barrier, dampings, tolerance, refinement)
         error = max(e.largest for e in errors)
         records.append(_record(solved, error))
         solution = solved.updated(error_estimate=error, history=tuple(records))
@@ -336,7 +337,7 @@ def refine(
 
 
 def _shown(solution: S, refinement: RefinementOptions) -> S:
-    """Show a finished solution to the caller, and return it: interrupted if the caller says so."""
+    """Pass a finished solution to `on_mesh`; return it, interrupted if `on_mesh` returns False."""
     is_finished = solution.status is Status.CONVERGED
     if is_finished and refinement.on_mesh and refinement.on_mesh(solution) is False:
         return solution.updated(status=Status.INTERRUPTED, message="stopped by the caller")
@@ -351,15 +352,16 @@ def _firmer(firmness: float, settled: int) -> float:
 
 
 def _solved(
-    solve: Callable[[tuple[Mesh, ...], Any, tuple[Damping | None, ...]], S],
+    solve: Callable[..., S],
     meshes: tuple[Mesh, ...],
     warm_start: Any,
     dampings: tuple[Damping | None, ...],
+    change: float | None,
     gap: float,
 ) -> tuple[S, tuple[Damping | None, ...]]:
-    """Solve; if that fails, with stronger damping, and then from the guess."""
-    solved = solve(meshes, warm_start, dampings)
-    if solved.status.has_failed and _are_damped(dampings):
+    """Solve; if that fails, with a larger barrier or stronger damping, then from the guess."""
+    solved = solve(meshes, warm_start, dampings, change=change)
+    if solved.status.has_failed and (change is not None or _are_damped(dampings)):
         dampings = tuple(d and d.firmer(_FIRM, gap) for d in dampings)
         solved = solve(meshes, warm_start, dampings)
     if solved.status.has_failed and warm_start is not None:
@@ -369,14 +371,21 @@ def _solved(
 
 def _measured(
     solved: S,
-    sharpen: Callable[[S], S] | None,
+    sharpen: Callable[[tuple[Damping | None, ...], S], S] | None,
+    dampings: tuple[Damping | None, ...],
     tolerance: float,
     refinement: RefinementOptions,
 ) -> tuple[S, tuple[ErrorEstimate, ...]]:
-    """Return a solution and its errors, with a smaller barrier gap if the gap limits them."""
+    """Return a solution and its errors, with a smaller barrier gap if the gap limits them.
+
+    A gap that is left on purpose is smaller on the next mesh: it is reduced here only if all
+    other errors meet the tolerance.
+    """
     errors = _errors(solved, tolerance, refinement)
-    if sharpen is not None and _is_held_by_the_barrier(solved, errors, tolerance):
-        solved = sharpen(solved)
+    is_left = any(d is not None and d.gap > 0.0 for d in dampings)
+    fine = tolerance if is_left else max(tolerance, errors[0].gap)
+    if sharpen is not None and _is_held_by_the_barrier(solved, errors, tolerance, fine):
+        solved = sharpen(_sharper(dampings, tolerance), solved)
         errors = _errors(solved, tolerance, refinement)
     return solved, errors
 
@@ -388,6 +397,14 @@ def _gap_to_leave(solution: Solved, errors: tuple[ErrorEstimate, ...], tolerance
         # Bounds between the points hide that the mesh is too coarse for the optimum.
         unknown = max(unknown, _objective_change(solution.parts[0], tolerance))
     return max(min(_INEXACT * unknown, _MOST_INEXACT), _LEAST_INEXACT * tolerance)
+
+
+def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
+    """Return dampings that leave no more of the objective than the tolerance allows."""
+    least = _LEAST_INEXACT * tolerance
+    return tuple(
+        d and replace(d, gap=min(least * d.solution.nominal_objective, d.gap)) for d in dampings
+    )
 
 
 def _are_damped(dampings: tuple[Damping | None, ...]) -> bool:
@@ -421,15 +438,15 @@ def _errors(
 
 
 def _is_held_by_the_barrier(
-    solution: Solved, errors: tuple[ErrorEstimate, ...], tolerance: float
+    solution: Solved, errors: tuple[ErrorEstimate, ...], tolerance: float, fine: float
 ) -> bool:
     """Return whether the barrier, or a scaling that hides the objective, limits the accuracy.
 
-    It does if only the gap exceeds the tolerance, or if the gap exceeds the error of every element.
+    It does if the gap exceeds the tolerance, and the error of no element exceeds `fine`.
     """
     (part,), (error,) = solution.parts, errors
     counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
-    is_fine = counted.per_element.max(initial=0.0) <= max(tolerance, error.gap)
+    is_fine = counted.per_element.max(initial=0.0) <= fine
     size = part.program.objective_size(part.unknowns) * part.scaling.objective
     is_hidden = size < SEEN and part.problem.compiled.declared.objective_name != ""
     is_solved = solution.status is Status.CONVERGED
@@ -560,6 +577,13 @@ def _next_meshes(
         finer.append(refined_mesh(part, error, marks, tolerance, refinement))
     is_same = tuple(finer) == _meshes(solution)
     return None if is_same and is_met and not is_damped else tuple(finer)
+
+
+def _expected_change(before: tuple[Solution | None, ...], tolerance: float) -> float | None:
+    """Return the last change of the objective, of which the next is expected to be no larger."""
+    last = before[0]
+    change = math.inf if last is None else _objective_change(last, tolerance)
+    return change * last.nominal_objective if last is not None and math.isfinite(change) else None
 
 
 def _has_settled(solution: Solved, tolerance: float) -> bool:

@@ -219,7 +219,8 @@ def test_what_fails_on_every_mesh_is_told_of_the_first(monkeypatch):
     solution = compile(m).solve()
     assert solution.status is Status.INFEASIBLE
     assert solution.mesh == RefinementOptions().first_mesh
-    assert len(set(meshes)) > 2
+    # The verdict is of the first mesh, though others were tried after it.
+    assert any(mesh != solution.mesh for mesh in meshes)
     assert solution.message.startswith("infeasible: the least violation of all equations")
     assert any(f"{name} at time" in solution.message for name in ("motion", "force", "slow"))
 
@@ -229,8 +230,8 @@ def test_a_warm_start_that_ends_infeasible_is_tried_again_from_the_guess():
     first = problem.solve()
     tried = []
 
-    def misled(meshes, warm_start, dampings):
-        del dampings
+    def misled(meshes, warm_start, dampings, change=None):
+        del dampings, change
         tried.append(warm_start)
         solution = problem.solve(mesh=meshes[0])
         return solution if warm_start is None else replace(solution, status=Status.INFEASIBLE)

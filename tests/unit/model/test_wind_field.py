@@ -25,6 +25,7 @@ def mission(wind, **tables):
             "name": "field",
             "vehicle": _VEHICLE,
             "wind": wind,
+            "solver": {"accuracy": "proof"},
             "mission": {
                 "start": {"position": [20.0, 30.0, 5.0]},
                 "goal": {"position": [40.0, 40.0, 9.0]},

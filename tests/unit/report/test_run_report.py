@@ -145,7 +145,8 @@ def test_cheapest_rival_is_named_when_the_fair_one_did_not_arrive(tmp_path):
 def test_without_a_rival_the_optimum_stands_alone(tmp_path):
     run = synthetic_run(flights=("optimal", "adaptive/step"))
     text = write(tmp_path, run)
-    assert "> **Verified.** The optimal flight spends 711.70 J: 2.10 J more than hovering" in text
+    assert "> **Verified.** Accuracy: proof asked for, proof reached. The optimal flight" in text
+    assert "spends 711.70 J: 2.10 J more than hovering" in text
 
 
 @pytest.mark.usefixtures("_no_figures")

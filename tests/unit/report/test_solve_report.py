@@ -59,7 +59,8 @@ def test_every_figure_is_drawn_and_linked(report):
 
 def test_report_says_what_the_plan_says(report, run):
     text = (report / "report.md").read_text()
-    assert f"> **Verified.** The optimal flight spends {run.plan.energy:.2f} J" in text
+    assert "> **Verified.** Accuracy: proof asked for, proof reached. The optimal flight" in text
+    assert f"spends {run.plan.energy:.2f} J" in text
     assert "| Miss of the goal (m) |  | 3e-07 | 0.0001 |" in text
     assert "- the wind is strong" in text
     assert "| 3 | 19 | 88 | 19 | 711.7000 | 3.1e-07 |" in text

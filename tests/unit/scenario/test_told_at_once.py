@@ -152,9 +152,7 @@ def test_keys_with_units_are_named_as_written(tmp_path, line, told):
 
 def test_a_field_is_not_given_twice(tmp_path):
     file = write_scenario(tmp_path, "limits.roll_max = 0.5", "limits.roll_max_deg = 30")
-    with pytest.raises(
-        ScenarioError, match=r"roll_max_deg and limits.roll_max are the same field; give"
-    ):
+    with pytest.raises(ScenarioError, match=r"_deg and limits\.roll_max are the same field"):
         load_scenario(file)
 
 

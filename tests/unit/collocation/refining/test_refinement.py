@@ -12,7 +12,7 @@ from pyomo_quad import collocation
 from pyomo_quad.collocation import Mesh, RefinementOptions, SolverOptions, Status
 from pyomo_quad.collocation.mesh import radau_rule
 from pyomo_quad.collocation.refining.refinement import damping_of, refine
-from tests.problems import bang_bang, double_integrator, singular_arc
+from tests.problems import bang_bang, bryson_denham, double_integrator, singular_arc
 
 WEIGHT, GAP = 1e-3, 1e-6
 MESH = Mesh.uniform(6, 3)
@@ -132,7 +132,7 @@ def searched(solution, *, iterations, by):
 
 def refined_by(searches):
     return refine(
-        lambda *_: next(searches),
+        lambda *_, change=None: next(searches),
         meshes=(MESH,),
         tolerance=1e-9,
         refinement=RefinementOptions(max_meshes=4),
@@ -157,3 +157,14 @@ def test_long_searches_that_gain_nothing_end_and_say_what_still_moves(solution):
 def test_a_long_search_by_itself_ends_nothing(solution, iterations):
     ended = refined_by(searched(solution, iterations=n, by=0.0) for n in iterations)
     assert len(ended.history) == 4
+
+
+def test_a_warm_mesh_begins_with_a_barrier_that_leaves_what_the_objective_may_change():
+    finished, tolerance = [], 1e-8
+    refinement = RefinementOptions(on_mesh=finished.append)
+    collocation.solve(bryson_denham.build(), tolerance=tolerance, refinement=refinement)
+    assert len(finished) > 2
+    for before, last, now in zip(finished, finished[1:], finished[2:], strict=False):
+        left = now.iterations[0].barrier * now.bounds.sides / now.scaling.objective
+        changed = abs(last.objective - before.objective)
+        assert left <= 1.001 * max(changed, tolerance * abs(now.objective))
