@@ -16,6 +16,7 @@ from pyomo_quad.cli.endings import ExitCode, SolveStopped, stop_on_interrupt
 from pyomo_quad.cli.terminal import complain, live_line, result_console
 from pyomo_quad.collocation import Iteration, Problem, Progress, TranscriptionError, WarmStart
 from pyomo_quad.flight import Plan, Planner, PlanStatus
+from pyomo_quad.flight.envelope import departures
 from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.planning import Builder
 from pyomo_quad.flight.search import State, accuracy_words
@@ -220,6 +221,11 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
             f"for the same {plan.duration_s:g} s; {plan.iteration_count} "
             f"iterations, {plan.timings['solve']:.2f} s."
         )
+        if left := departures(plan):
+            yield (
+                f"{plan.scenario.name}: leaves the range that measurements confirm: "
+                f"{'; '.join(left)}. limits.within_validated = true keeps it inside."
+            )
     for found in plan.scenario.contradictions:
         yield f"{plan.scenario.name}: no such vehicle can exist: {found.message}"
     if plan.is_flyable:

@@ -12,6 +12,7 @@ import numpy as np
 
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.flight.columns import column_of
+from pyomo_quad.flight.envelope import departures_of
 from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, ARRIVAL_SPEED_M_PER_S
 from pyomo_quad.flight.plan import FLIGHT_SAMPLES, PlanStatus
 from pyomo_quad.flight.verification import BALANCE_TOLERANCE
@@ -205,6 +206,9 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
         "title": _title(plan),
         "plan": plan,
         "asked_energy": _battery_use(plan, columns),
+        "departures": ()
+        if plan.verification is None
+        else tuple(departures_of(plan.scenario, columns)),
         "free_climb": _free_climb(plan),
         "legs": leg_rows(plan.mission_flown, columns),
         "leg": LegColumn,

@@ -503,6 +503,12 @@ class Limits(Part):
         gt=0,
         sound=Sound(1e-3, 1e5, "flight packs have from 1 V to thousands of volts"),
     )
+    within_validated: Flag = quantity(
+        "",
+        "whether plans keep to the range that measurements confirm, vehicle.validated",
+        False,
+        is_late=True,
+    )
     battery_power_share_max: Number | None = quantity(
         "1",
         "largest share of the power that the pack can give at most, no limit when absent",
