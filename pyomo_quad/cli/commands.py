@@ -391,7 +391,9 @@ def solve(
         from pyomo_quad.flight.deadline import Deadline  # noqa: PLC0415
         from pyomo_quad.report.report import write_solve_report  # noqa: PLC0415
         from pyomo_quad.study.check import plan_cautions  # noqa: PLC0415
-    planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
+    planner = solving.planner_for(
+        resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json, keeps_usable=True
+    )
     with solving.report_folder(folder) as aside:
         with Deadline(resolved):
             plan = planner.solve(resolved)

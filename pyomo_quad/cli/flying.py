@@ -32,9 +32,9 @@ from pyomo_quad.study.run import fly_cruise
 def make_plan(planner: Planner, scenario: Scenario) -> Plan:
     """Solve the plan that a flight follows, or print the failure and exit."""
     plan = planner.solve(scenario)
-    status = exit_code_of(plan)
-    if status is ExitCode.VERIFIED:
+    if plan.is_flyable:
         return plan
+    status = exit_code_of(plan)
     complain(f"{scenario.name}: no plan to follow, {plan.status.value}: {plan.message}")
     raise typer.Exit(status)
 

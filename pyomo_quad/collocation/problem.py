@@ -34,6 +34,7 @@ from pyomo_quad.collocation.program.bounds import (
     without_settled_rows,
 )
 from pyomo_quad.collocation.program.elastic import elastic_point
+from pyomo_quad.collocation.program.feasible import feasible_point
 from pyomo_quad.collocation.program.ipopt import (
     TIME_LIMIT_CODE,
     Counter,
@@ -382,6 +383,35 @@ class Problem(Summarised, Formulation):
         if within is None:
             return found
         return replace(found, restraint=changed.restraint(result, kept, found.mesh.elements))
+
+    def flyable(
+        self,
+        near: Solution,
+        mesh: Mesh,
+        *,
+        parameters: Overrides | None = None,
+        horizon: tuple[float, float] | None = None,
+        breach: float = 0.0,
+        met: float = 1e-7,
+        progress: Progress | None = None,
+    ) -> Solution:
+        """Return the first trajectory near a solution that obeys all equations on another mesh.
+
+        No optimum: few iterations from a coarse mesh lead to what can be flown; see
+        `program.feasible`.  Bounds may be broken by a relative `breach`, scaled
+        equations by `met`.
+        """
+        instance = self.instance(parameters, horizon)
+        program = self.program(mesh.with_breakpoints(self.required_breakpoints(instance)), instance)
+        at_start = self.data_at_starts(instance)
+        bounds = bounds_of(program, at_start, instance.fixed, instance.left_out)
+        z = initial_point(program, bounds, self.values, near.trajectory)
+        bounds = without_settled_rows(program, bounds, z)
+        scaling = scaling_of(program, bounds, z)
+        found = feasible_point(
+            program, bounds, scaling, z, breach=breach, met=met, progress=progress
+        )
+        return solution_from(self, program, instance, found, bounds=bounds, scaling=scaling)
 
     def dynamics(
         self,

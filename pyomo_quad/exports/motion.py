@@ -20,7 +20,7 @@ from pyomo_quad.flight import Plan, PlanStatus
 from pyomo_quad.flight.columns import ALL_COLUMNS, TIME
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.plan import Trajectories
-from pyomo_quad.flight.proof import EXACT, TABLE, refuse_unproven
+from pyomo_quad.flight.proof import TABLE, exactly, refuse_unproven
 from pyomo_quad.report.tables import PLAN_NAME, SUMMARY_NAME, read_report, refuse_report
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.messages import PyomoQuadError, printable, shown
@@ -74,7 +74,7 @@ def _proven(plan: Plan, *, is_code_allowed: bool) -> ProvenPlan:
         held,
         plan.energy,
         plan.passing_times_s,
-        EXACT,
+        exactly(plan.accuracy_checked),
         None if plan.solution is None else plan.dynamics,
         is_code_allowed=is_code_allowed,
     )
@@ -139,7 +139,7 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If the plan is not verified, or the flight does not confirm it.
+            If the plan is neither verified nor usable, or the flight does not confirm it.
         """
         return cls._along(_proven(plan, is_code_allowed=is_code_allowed))
 
@@ -152,7 +152,8 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If there is no plan, it is damaged or not verified, or the flight does not confirm it.
+            If there is no plan, it is damaged, it is neither verified nor usable, or the flight
+            does not confirm it.
         """
         return cls._along(read_proven(path, is_code_allowed=is_code_allowed))
 
@@ -270,9 +271,10 @@ def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectori
 
 
 def _refuse_unverified(name: str, status: str) -> None:
-    if status != PlanStatus.VERIFIED:
+    if status not in (PlanStatus.VERIFIED, PlanStatus.USABLE):
         raise ScenarioError(
-            f"{name}: status = {shown(status)}; must be verified, for nothing else is to be flown; "
+            f"{name}: status = {shown(status)}; must be verified or usable, for nothing else is to "
+            "be flown; "
             f"{_AGAIN}."
         )
 

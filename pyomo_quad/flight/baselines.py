@@ -38,8 +38,6 @@ from pyomo_quad.flight.references import ReferencePath, SampledPath, minimum_sna
 from pyomo_quad.flight.routes import cruise
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
-    ENERGY_TOLERANCE,
-    MISS_TOLERANCE,
     fly_controls,
     shares_lacking,
     voltage_lacking,
@@ -47,6 +45,7 @@ from pyomo_quad.flight.verification import (
 from pyomo_quad.model.mission import HOVERING_M, HOVERING_M_PER_S
 from pyomo_quad.model.turbulence import FILTER_STATES
 from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.mission import Hover
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.scenario.vehicle import Vehicle
@@ -427,11 +426,14 @@ def assembled_flight(
         wall_s=perf_counter() - began,
         owed_energy_J=plan.owed_energy(final) if plan is not None and is_told else nan,
         allowed=_ALLOWED_UNDER_CONTROL,
+        accuracy=scenario.solver.accuracy,
     )
     missed = tuple(missed.words for missed in _missed_waypoints(scenario, dynamics, flown))
     return replace(flight, broken_limits=(*flight.broken_limits, *missed), doubt=doubt)
 
 
+# Two integrators must agree about a flight to these figures.
+_AGREEING = FIGURES[Accuracy.PROOF]
 # A controlled flight may pass a waypoint, and hold there, with the distance and speed that are
 # allowed on arrival; the limits of a hold are on squares. The limit that keeps the heading applies
 # to plans only: feedback must be free to turn back to the heading, and the final heading is judged
@@ -454,7 +456,7 @@ def broken_under_control(
     broken = {
         limit_words(breach.name): breach.relative
         for breach in breaches
-        if is_broken(breach, _ALLOWED_UNDER_CONTROL)
+        if is_broken(breach, _ALLOWED_UNDER_CONTROL, FIGURES[scenario.solver.accuracy].breach)
     }
     missed = _missed_waypoints(scenario, dynamics, flown)
     return broken | {limit_words(miss.limit): miss.relative for miss in missed}
@@ -462,7 +464,7 @@ def broken_under_control(
 
 @dataclass(frozen=True, kw_only=True)
 class _Missed:
-    """A limit at a waypoint that a flight breaks, by how much, and that in words."""
+    """A violated limit at a waypoint: its name, the relative violation, and a message."""
 
     limit: str
     relative: float
@@ -542,16 +544,16 @@ def _doubts(
     spent = np.array([[flown.energy[-1] for flown in pair] for pair in flown_twice])
     apart = float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).sum())
     total, other = spent.sum(axis=0)
-    allowed = ENERGY_TOLERANCE * max(1.0, abs(total))
+    allowed = _AGREEING.energy_flown * max(1.0, abs(total))
     added = ""
     if len(flown_twice) > 1:
         added = (
             f", the sum over {len(flown_twice)} parts between plans, each with its own error; "
             "a longer baseline.mpc.interval makes fewer parts"
         )
-    if not apart <= MISS_TOLERANCE:
+    if not apart <= _AGREEING.miss:
         yield (
-            f"two integrators end {apart:.2g} m apart; must be at most {MISS_TOLERANCE:g} m{added}"
+            f"two integrators end {apart:.2g} m apart; must be at most {_AGREEING.miss:g} m{added}"
         )
     if not abs(total - other) <= allowed:
         yield (

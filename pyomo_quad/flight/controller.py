@@ -54,13 +54,13 @@ class EquatedRates:
     def angle_accelerations(
         self, _attitude: Vector, _body_rates: Vector, body_accelerations: Vector
     ) -> Vector:
-        """Return the accelerations about the body's axes."""
+        """Return the body accelerations, which equal the accelerations of the angles here."""
         return body_accelerations
 
     def body_accelerations(
         self, _attitude: Vector, _body_rates: Vector, angle_accelerations: Vector
     ) -> Vector:
-        """Return the accelerations of the angles."""
+        """Return the accelerations of the angles, which equal the body accelerations here."""
         return angle_accelerations
 
 
@@ -174,7 +174,7 @@ class Allocation:
     Parameters
     ----------
     mixer : ndarray, shape (4, n_rotors)
-        Of `mixer_matrix`.
+        Matrix returned by `mixer_matrix`.
     limits : Limits
         Rotor speeds, thrust and moments allowed.
     """

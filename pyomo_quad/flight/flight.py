@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Summarised
 from pyomo_quad.flight.limit_words import breach_words
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,10 +28,9 @@ rotor, and so little of a flight of metres that leaving it out saves no energy w
 ARRIVAL_SPEED_M_PER_S = 0.1
 """Final speed beyond which a flight passes the goal rather than arriving: from it, the controller
 with its default gains stops within the distance above."""
-#: Largest violation of a limit between points, relative to the larger of 1 and the limit.
-VIOLATION_TOLERANCE = 1e-4
-#: Violation of a control's limit, likewise relative, to which a flight clips the control.
-HELD_BREACH = 0.5 * VIOLATION_TOLERANCE
+#: Violation of a control's limit, relative to the larger of 1 and the limit, to which a flight
+#: clips the control: half of what the highest accuracy allows.
+HELD_BREACH = 0.5 * FIGURES[Accuracy.PROOF].breach
 #: The position states, by their names in the declared model.
 POSITION_STATES = ("rigid_body.x", "rigid_body.y", "rigid_body.z")
 VELOCITY_STATES = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")
@@ -143,10 +143,12 @@ class Flight(Summarised):
         wall_s: float,
         owed_energy_J: float = nan,
         allowed: Mapping[str, float] | None = None,
+        accuracy: Accuracy = Accuracy.PROOF,
     ) -> Flight:
         """Make a flight from its samples and the required final values of its states.
 
-        ``allowed`` is the tolerated violation of a limit, by name without index.
+        ``allowed`` is the tolerated violation of a limit, by name without index; ``accuracy``, of
+        the mission, gives the relative violation tolerated of every limit.
         """
         miss = terminal_miss_of(dynamics, flown.states[-1], wanted)
         breaches = dynamics.violations(flown.t, flown.states, flown.controls)
@@ -163,26 +165,29 @@ class Flight(Summarised):
             is_verified=is_verified,
             wall_s=wall_s,
             owed_energy_J=owed_energy_J,
-            broken_limits=broken_limits(dynamics, breaches, allowed or {}),
+            broken_limits=broken_limits(
+                dynamics, breaches, allowed or {}, FIGURES[accuracy].breach
+            ),
         )
 
 
 def broken_limits(
-    dynamics: Dynamics, breaches: Sequence[Violation], allowed: Mapping[str, float]
+    dynamics: Dynamics, breaches: Sequence[Violation], allowed: Mapping[str, float], breach: float
 ) -> tuple[str, ...]:
-    """Return the limits violated beyond rounding or ``allowed``: "roll angle by 0.2 rad"."""
+    """Return the limits violated by more than a relative breach, and than allowed of their names.
+
+    As "roll angle by 0.2 rad".
+    """
     return tuple(
-        breach_words(breach, dynamics.unit(breach.name))
-        for breach in breaches
-        if is_broken(breach, allowed)
+        breach_words(found, dynamics.unit(found.name))
+        for found in breaches
+        if is_broken(found, allowed, breach)
     )
 
 
-def is_broken(breach: Violation, allowed: Mapping[str, float]) -> bool:
-    """Say whether a limit is broken by more than rounding, and than is allowed of its name."""
-    return breach.relative > VIOLATION_TOLERANCE and breach.size > allowed.get(
-        breach.name.partition("[")[0], 0.0
-    )
+def is_broken(found: Violation, allowed: Mapping[str, float], breach: float) -> bool:
+    """Say whether a limit is violated by more than a relative breach, and than its name allows."""
+    return found.relative > breach and found.size > allowed.get(found.name.partition("[")[0], 0.0)
 
 
 def terminal_miss_of(

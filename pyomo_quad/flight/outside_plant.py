@@ -122,7 +122,7 @@ AS_IT_COMES = replace(MASSLESS_ROTORS, command_rate_hz=100.0, tolerance=1e-3)
 """Defaults of RotorPy's own simulation."""
 
 ACROSS = BodyFrame(turn=-pi / 4, order=(0, 3, 2, 1))
-"""Body of a vehicle with two rotors ahead, numbered clockwise from the left one."""
+"""Body axes with two rotors ahead, numbered clockwise from the left rotor."""
 
 
 def rotorpy_module(name: str) -> ModuleType:

@@ -6,7 +6,7 @@ from collections.abc import Mapping  # noqa: TC003  read by pydantic
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Final, Literal, NoReturn, Self, overload
 from zipfile import ZipFile
@@ -31,6 +31,7 @@ from pyomo_quad.flight.orders import OrderSearch  # noqa: TC001  read by pydanti
 from pyomo_quad.flight.routes import TriedRoute  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.verification import Passage, Verification, split_at_breaches
 from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.fields import Part
 from pyomo_quad.scenario.messages import PyomoQuadError, complaints, printable
 
@@ -163,6 +164,9 @@ def trajectories_of(solution: Solution) -> Trajectories:
     )
 
 
+#: Least size of an energy by which errors are divided [J].
+LEAST_ENERGY_J = 1e-3
+
 _FORMAT: Final = 2
 _ABOUT = "about"
 _LARGEST_FILE = 256 * 1024 * 1024
@@ -172,9 +176,15 @@ _WARM_START = "warm_start."
 
 
 class PlanStatus(StrEnum):
-    """Outcome of a plan; only `VERIFIED` is confirmed by a flight."""
+    """Outcome of a plan.
+
+    A flight proves `VERIFIED` to be as accurate as was asked for.  It proves of `USABLE` that it
+    arrives, keeps all limits and spends the energy stated, to the figures of the accuracy `quick`;
+    how much less another flight may spend is known only by `Plan.energy_uncertainty`.
+    """
 
     VERIFIED = "verified"
+    USABLE = "usable"
     SOLVED = "solved"
     NOT_CONVERGED = "not_converged"
     INFEASIBLE = "infeasible"
@@ -303,9 +313,13 @@ def _read_about(path: Path, text: NDArray[Any]) -> _About:
         _refuse(path, "error_estimate and history hold a NaN.")
     if not start < end:
         _refuse(path, f"horizon = [{start:g}, {end:g}] s; must end after it starts.")
-    is_proven = plan.verification is not None and plan.verification.is_verified
-    if plan.status is PlanStatus.VERIFIED and not is_proven:
-        _refuse(path, "status = verified, but its verification has failed.")
+    flown = plan.verification
+    proven = {
+        PlanStatus.VERIFIED: flown is not None and flown.is_verified,
+        PlanStatus.USABLE: flown is not None and flown.reached is not None,
+    }
+    if not proven.get(plan.status, True):
+        _refuse(path, f"status = {plan.status.value}, but its verification has failed.")
     for kind, names in (
         ("state_names", about.state_names),
         ("control_names", about.control_names),
@@ -439,7 +453,7 @@ class Plan(Summarised):
 
     @property
     def duration_s(self) -> float:
-        """Duration of the flight [s]: the mission's, or the one that the plan chose."""
+        """Duration of the flight [s]: prescribed by the mission, or chosen by the plan."""
         start, end = self.trajectories.horizon
         return end - start
 
@@ -475,8 +489,43 @@ class Plan(Summarised):
 
     @property
     def is_verified(self) -> bool:
-        """Whether a flight of the controls confirmed the plan."""
+        """Whether a flight of the controls confirmed the plan as accurate as was asked for."""
         return self.status is PlanStatus.VERIFIED
+
+    @property
+    def is_flyable(self) -> bool:
+        """Whether a flight of the controls confirmed the plan: it is verified or usable."""
+        return self.status in (PlanStatus.VERIFIED, PlanStatus.USABLE)
+
+    @property
+    def accuracy_checked(self) -> Accuracy:
+        """The accuracy whose figures the plan was held against: of a usable one, `quick`."""
+        usable = self.status is PlanStatus.USABLE
+        return Accuracy.QUICK if usable else self.scenario.solver.accuracy
+
+    @property
+    def accuracy_reached(self) -> Accuracy | None:
+        """The highest accuracy, up to the one asked for, that flight and error estimate confirm."""
+        if self.is_verified:
+            return self.scenario.solver.accuracy
+        flown = None if self.verification is None else self.verification.reached
+        known = self.energy_uncertainty
+        met = [a for a in Accuracy if flown and flown.meets(a) and known <= FIGURES[a].energy]
+        return met[-1] if met and self.is_flyable else None
+
+    @property
+    def energy_uncertainty(self) -> float:
+        """Share of the energy by which another flight nearby may spend less, as far as is known.
+
+        The error estimate of a plan that is verified, and is its energy's among others; else by how
+        much the last mesh changed the energy, infinite where there was one mesh.
+        """
+        if self.is_verified:
+            return min(self.error_estimate, self.scenario.solver.tolerance)
+        if len(self.history) < 2:
+            return inf
+        last, now = self.history[-2:]
+        return abs(now.objective - last.objective) / max(abs(now.objective), LEAST_ENERGY_J)
 
     @property
     def iteration_count(self) -> int:
@@ -581,7 +630,8 @@ class Plan(Summarised):
         held = self.trajectories
         if self.flown is None:
             return held.mesh
-        return split_at_breaches(self.dynamics, self.flown, held.mesh, held.horizon)
+        accuracy = self.scenario.solver.accuracy
+        return split_at_breaches(self.dynamics, self.flown, held.mesh, held.horizon, accuracy)
 
     def _sampled(
         self, times: FloatArray
@@ -626,7 +676,7 @@ class Plan(Summarised):
             terminal_miss_m=np.inf if verification is None else verification.terminal_miss_m,
             max_violation=np.inf if verification is None else verification.max_violation,
             worst_constraint="" if verification is None else verification.worst_constraint,
-            is_verified=self.is_verified,
+            is_verified=self.is_flyable,
             wall_s=sum(self.timings.values()),
             owed_energy_J=0.0,  # its end is the required one
             broken_limits=() if verification is None else verification.broken_limits,
@@ -691,10 +741,3 @@ class Plan(Summarised):
         scenario, record, trajectories, warm_start = read_plan_file(Path(path))
         values = {name: getattr(record, name) for name in PlanRecord.model_fields}
         return cls(scenario=scenario, **values, trajectories=trajectories, warm_start=warm_start)
-
-
-def energy_of(scenario: Scenario, solution: Solution) -> float:
-    """Return the energy of a solution, without the price of its time [J]."""
-    if not scenario.mission.is_free:
-        return solution.objective
-    return float(solution.running_objective[-1])

@@ -13,7 +13,6 @@ from pyomo_quad.collocation import Dynamics, SolveError, TranscriptionError
 from pyomo_quad.flight.baselines import declared_start, wanted_at_goal
 from pyomo_quad.flight.flight import (
     ARRIVAL_DISTANCE_M,
-    VIOLATION_TOLERANCE,
     FloatArray,
     Flown,
     terminal_miss_of,
@@ -22,14 +21,13 @@ from pyomo_quad.flight.plan import Trajectories
 from pyomo_quad.flight.planning import Builder, Planner
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
-    ENERGY_TOLERANCE,
-    MISS_TOLERANCE,
     Passage,
     Verification,
     verify_controls,
 )
 from pyomo_quad.model import build_model, model_builder
 from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.messages import shown
 
 # Relative error of a horizon written in decimals.
@@ -51,8 +49,12 @@ class Allowed:
     energy: float
 
 
-#: For a file that holds every number of the plan.
-EXACT = Allowed(miss=MISS_TOLERANCE, violation=VIOLATION_TOLERANCE, energy=ENERGY_TOLERANCE)
+def exactly(accuracy: Accuracy) -> Allowed:
+    """Return what is allowed of a file that holds every number of a plan of an accuracy."""
+    figures = FIGURES[accuracy]
+    return Allowed(miss=figures.miss, violation=figures.breach, energy=figures.energy_flown)
+
+
 #: For a report's table. It has each control clipped to its limits, and the polynomial through the
 #: clipped values differs from the flown one. If controls are at their limits for a long time,
 #: flights of tables deviate by 2 cm, 1.4e-3 of a limit and 2e-5 of the energy.

@@ -212,7 +212,7 @@ class Replanner:
     scenario : Scenario
         The mission and the vehicle as believed.
     knowledge : Knowledge
-        Of the wind.
+        Information on the wind.
     planner : Planner
         Keeps the compiled equations.
     """

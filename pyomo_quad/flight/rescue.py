@@ -76,13 +76,13 @@ _TIME_TOLERANCE = 1e-4
 _TIMED = RefinementOptions(damping=1.0, allowance=Allowance(limit_breach=inf))
 
 
-def in_time(plan: Plan, deadline: Deadline) -> Plan:
-    """Return a plan, given up where the time limit left neither a flight nor a proof."""
-    if not deadline.is_over or plan.status in (PlanStatus.VERIFIED, PlanStatus.INFEASIBLE):
+def given_up(plan: Plan, deadline: Deadline) -> Plan:
+    """Return a plan, not converged where the time limit left neither a flight nor a proof."""
+    if not deadline.is_over or plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
         return plan
     message = (
         f"given up after solver.time_limit = {deadline.limit_s:g} s; allow more time, or ask for "
-        f"a looser solver.tolerance or fewer solver.elements. {plan.reached}"
+        f"a lower solver.accuracy or fewer solver.elements. {plan.reached}"
     )
     if plan.attempts:
         message += f" Tried: {'; '.join(plan.attempts)}."
@@ -236,14 +236,17 @@ def _has_ended(solution: Solution) -> bool:
 
 
 def easier_numbers(problem: Problem, told: Scenario) -> tuple[dict[str, float], ...]:
-    """Return the easier numbers that a compiled problem has, the easiest first."""
+    """Return parameter values that make a compiled problem easier, the easiest first."""
     held = {p.name for p in problem.compiled.declared.parameters}
     return tuple(numbers for numbers in wider_smoothings(told) if numbers.keys() <= held)
 
 
 def under(arguments: dict[str, Any], numbers: dict[str, float]) -> dict[str, Any]:
-    """Return a solve's arguments with other numbers."""
-    return arguments | {"parameters": (arguments["parameters"] or {}) | numbers}
+    """Return a solve's arguments with other numbers, whose plans are none of the mission."""
+    return arguments | {
+        "parameters": (arguments["parameters"] or {}) | numbers,
+        "refinement": replace(arguments["refinement"], on_mesh=None),
+    }
 
 
 def at_its_easiest(
@@ -321,7 +324,7 @@ def shortest_flight(
     Parameters
     ----------
     model : ConcreteModel
-        Of the scenario; its objective is replaced.
+        Model of the scenario; its objective is replaced.
     scenario : Scenario
     progress : callable or None
         Called at each iteration; returning False stops the solve.
@@ -440,7 +443,7 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
     course = way / distance
     speed = _speed_for(distance, mission.longest.value)
     if mission.is_free:
-        best = _best_speed(steady, course, mission.price_of_time)
+        best = best_speed(steady, course, mission.price_of_time)
         speed = max(speed, min(best, scenario.limits.speed_max or inf))
     try:
         resting, cruising = (steady.held_in(steady.trim(v * course)) for v in (0.0, speed))
@@ -483,7 +486,7 @@ def _speed_for(distance: float, duration: float) -> float:
     return _ACCELERATION / 2 * (left - sqrt(max(room, 0.0)))
 
 
-def _best_speed(steady: SteadyFlight, course: FloatArray, price_of_time: float) -> float:
+def best_speed(steady: SteadyFlight, course: FloatArray, price_of_time: float) -> float:
     """Return about the speed over ground at which a metre of the course costs least [m/s]."""
 
     def cost(speed: float) -> float:

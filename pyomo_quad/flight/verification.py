@@ -15,7 +15,6 @@ from pyomo_quad.flight.deadline import keep_time
 from pyomo_quad.flight.flight import (
     HELD_BREACH,
     POSITION_STATES,
-    VIOLATION_TOLERANCE,
     FloatArray,
     Flown,
     broken_limits,
@@ -24,6 +23,7 @@ from pyomo_quad.flight.flight import (
 )
 from pyomo_quad.flight.integration import integrate
 from pyomo_quad.model.wind_field import unknown_wind
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy, Figures
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -32,8 +32,7 @@ if TYPE_CHECKING:
     from pyomo_quad.scenario.airspace import Airspace
 
 
-RELATIVE_TOLERANCE = 1e-12
-ABSOLUTE_TOLERANCE = 1e-12
+_PROOF = FIGURES[Accuracy.PROOF]
 SAMPLES_PER_ELEMENT = 8
 # An uncorrected error of a rotor's speed grows into an error of position with the fourth power of
 # time [s]. Longer flights are integrated with a correspondingly smaller tolerance, bounded by
@@ -53,6 +52,7 @@ def fly_controls(
     *,
     samples_per_element: int | Sequence[int] = SAMPLES_PER_ELEMENT,
     method: str = "DOP853",
+    integration: float = _PROOF.integration,
 ) -> Flown:
     """Fly piecewise polynomial controls open loop, clipped to their limits.
 
@@ -65,6 +65,8 @@ def fly_controls(
         Start and end time [s].
     samples_per_element : int or sequence of int, optional
         Number of samples in each element, for all of them or one by one.
+    integration : float, optional
+        Relative and absolute tolerance of the integrator.
 
     Raises
     ------
@@ -78,6 +80,7 @@ def fly_controls(
         horizon,
         samples_per_element=samples_per_element,
         method=method,
+        integration=integration,
     )
 
 
@@ -103,13 +106,14 @@ class OpenLoop:
         part: tuple[float, float] | None = None,
         samples_per_element: int | Sequence[int] = SAMPLES_PER_ELEMENT,
         method: str = "DOP853",
+        integration: float = _PROOF.integration,
     ) -> Flown:
         """Fly piecewise polynomial controls, over their horizon or a given part of it."""
         borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
         begin, end = horizon if part is None else part
         counts = np.broadcast_to(samples_per_element, mesh.elements)
         share = min(1.0, _LONG_S / (horizon[1] - horizon[0]))
-        tolerance = max(_SHARPEST, RELATIVE_TOLERANCE * share**_POWER)
+        tolerance = max(_SHARPEST, integration * share**_POWER)
         step = inf if share == 1.0 else share / _STEPS
         state = np.append(start, 0.0)
         parts_t: list[FloatArray] = [np.array([begin])]
@@ -132,6 +136,7 @@ class OpenLoop:
                 self._steps_between(first, last),
                 method=method,
                 rtol=tolerance,
+                atol=integration,
                 max_step=step * (borders[element + 1] - borders[element]),
             )
             state = flown[:, -1]
@@ -173,7 +178,6 @@ def _integrate(
         state,
         times[1:],
         edges,
-        atol=ABSOLUTE_TOLERANCE,
         **options,
     )
     if flown.stopped_at is not None:
@@ -184,11 +188,6 @@ def _integrate(
     return flown.y
 
 
-#: Largest miss of any final state: metres, metres per second, radians, or relative for values above
-#: one (rotor speeds).
-MISS_TOLERANCE = 1e-4
-#: Largest relative difference of flown and planned energy.
-ENERGY_TOLERANCE = 1e-6
 #: Largest fraction of the power drawn that may be missing from voltage times current of the pack;
 #: the guard that keeps the current finite beyond the pack's greatest power makes this fraction
 #: larger. The same tolerance applies to the voltage that the motors need.
@@ -230,7 +229,10 @@ class Verification:
         Largest fraction of a motor's voltage that the pack cannot give; negative if the pack gives
         more than needed.
     is_verified : bool
-        Whether all of the above are within this module's tolerances.
+        Whether all of the above are within the figures of the required accuracy.
+    reached : Accuracy or None
+        The highest accuracy, up to the required one, whose figures all of the above meet; None
+        if they meet none.
     """
 
     terminal_miss: Mapping[str, float]
@@ -245,6 +247,7 @@ class Verification:
     passing_misses_m: tuple[float, ...] = ()
     battery_imbalance: float = 0.0
     voltage_lacking: float = 0.0
+    reached: Accuracy | None = None
 
     @property
     def is_fed(self) -> bool:
@@ -318,15 +321,12 @@ def balance_lacking(balance: FloatArray) -> tuple[float, float]:
     return float(np.max(lacking)), float(-np.min(charge) / 100.0)
 
 
-# With samples at this spacing [m], a straight flight enters a ball of half a metre by less than
-# 1e-5 m unseen, and the edge of a zone by less than 4e-4 m.
-_SAMPLE_SPACING = 5e-3
-
-
 def _samples_near_zones(
-    airspace: Airspace, dynamics: Dynamics, mesh: Mesh, states: FloatArray
+    airspace: Airspace, dynamics: Dynamics, mesh: Mesh, states: FloatArray, spacing: float
 ) -> list[int]:
     """Return the number of samples in each element needed to check all keep-outs.
+
+    Samples are at most `spacing` [m] apart.
 
     The states are those planned at the nodes, shape (n_points + 1, n_states).
     """
@@ -337,7 +337,7 @@ def _samples_near_zones(
         length = float(np.linalg.norm(np.diff(held, axis=0), axis=1).sum())
         depths = (float(zone.depth(held).max()) for zone in airspace.keep_out)
         is_near = max(depths, default=-np.inf) + airspace.clearance > -length
-        close = ceil(length / _SAMPLE_SPACING) if is_near else 0
+        close = ceil(length / spacing) if is_near else 0
         counts.append(max(SAMPLES_PER_ELEMENT, close))
     return counts
 
@@ -347,11 +347,15 @@ _PARTS = 4
 
 
 def split_at_breaches(
-    dynamics: Dynamics, flown: Flown, mesh: Mesh, horizon: tuple[float, float]
+    dynamics: Dynamics,
+    flown: Flown,
+    mesh: Mesh,
+    horizon: tuple[float, float],
+    accuracy: Accuracy = Accuracy.PROOF,
 ) -> Mesh:
     """Return a mesh in which the elements with the worst violations of limits are split."""
     breaches = dynamics.violations(flown.t, flown.states, flown.controls)
-    times = [breach.time for breach in breaches if breach.relative > VIOLATION_TOLERANCE]
+    times = [breach.time for breach in breaches if breach.relative > FIGURES[accuracy].breach]
     start, end = horizon
     elements = set(mesh.locate((np.array(times) - start) / (end - start)).tolist())
     return mesh.with_breakpoints(
@@ -387,6 +391,7 @@ def verify_controls(
     energy: float,
     airspace: Airspace | None = None,
     passages: Sequence[Passage] = (),
+    accuracy: Accuracy = Accuracy.PROOF,
 ) -> tuple[Verification, Flown]:
     """Fly a plan's controls and compare the result with the plan.
 
@@ -401,11 +406,22 @@ def verify_controls(
         Airspace whose zones are checked with dense samples.
     passages : sequence of Passage, optional
         Places that the flight should pass, with times.
+    accuracy : Accuracy, optional
+        The required accuracy, which sets the tolerance and the sampling of the flight.
     """
+    figures = FIGURES[accuracy]
     samples: int | list[int] = SAMPLES_PER_ELEMENT
     if airspace is not None and set(POSITION_STATES) <= set(dynamics.state_names):
-        samples = _samples_near_zones(airspace, dynamics, mesh, states)
-    flown = fly_controls(dynamics, mesh, controls, states[0], horizon, samples_per_element=samples)
+        samples = _samples_near_zones(airspace, dynamics, mesh, states, figures.spacing)
+    flown = fly_controls(
+        dynamics,
+        mesh,
+        controls,
+        states[0],
+        horizon,
+        samples_per_element=samples,
+        integration=figures.integration,
+    )
     planned = dict(zip(dynamics.state_names, states[-1], strict=True))
     miss = terminal_miss_of(dynamics, flown.states[-1], planned)
     relative = {name: abs(m) / max(1.0, abs(planned[name])) for name, m in miss.items()}
@@ -416,6 +432,13 @@ def verify_controls(
     lacking = voltage_lacking(dynamics, flown)
     flown_energy = float(flown.energy[-1])
     passing = tuple(_passing_miss(dynamics, flown, passage) for passage in passages)
+    found = _Found(
+        miss=max(relative[worst_miss], *passing, 0.0),
+        breach=breach.relative,
+        energy=abs(flown_energy - energy) / max(1.0, abs(energy)),
+        lacking=max(imbalance, lacking),
+    )
+    reached = found.reached(accuracy)
     verification = Verification(
         terminal_miss=miss,
         terminal_miss_m=position_miss(miss),
@@ -424,17 +447,34 @@ def verify_controls(
         worst_constraint=breach.name,
         energy_difference_J=flown_energy - energy,
         flown_energy_J=flown_energy,
-        is_verified=bool(
-            relative[worst_miss] <= MISS_TOLERANCE
-            and breach.relative <= VIOLATION_TOLERANCE
-            and abs(flown_energy - energy) <= ENERGY_TOLERANCE * max(1.0, abs(energy))
-            and max(passing, default=0.0) <= MISS_TOLERANCE
-            and max(imbalance, lacking) <= BALANCE_TOLERANCE
-            and np.isfinite(flown_energy)
-        ),
-        broken_limits=broken_limits(dynamics, breaches, {}),
+        is_verified=reached is accuracy,
+        broken_limits=broken_limits(dynamics, breaches, {}, figures.breach),
         passing_misses_m=passing,
         battery_imbalance=imbalance,
         voltage_lacking=lacking,
+        reached=reached,
     )
     return verification, flown
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Found:
+    """Worst errors of a flight, as `Figures` and `BALANCE_TOLERANCE` limit them."""
+
+    miss: float
+    breach: float
+    energy: float
+    lacking: float
+
+    def reached(self, asked: Accuracy) -> Accuracy | None:
+        """Return the highest accuracy whose figures are met, at most the one asked for."""
+        met = [a for a in Accuracy if asked.meets(a) and self._meets(FIGURES[a])]
+        return met[-1] if met else None
+
+    def _meets(self, figures: Figures) -> bool:
+        return bool(
+            self.miss <= figures.miss
+            and self.breach <= figures.breach
+            and self.energy <= figures.energy_flown
+            and self.lacking <= BALANCE_TOLERANCE
+        )

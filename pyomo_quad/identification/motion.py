@@ -186,7 +186,7 @@ class LoggedMotion:
 
 
 def _accelerations(frame: pd.DataFrame) -> FloatArray:
-    """Return the rate of the velocity over ground of each row, differenced within its flight."""
+    """Return each row's derivative of the ground velocity, by differences within its flight."""
     found = np.zeros((len(frame), len(VELOCITY)))
     for rows in frame.groupby(FLIGHT, sort=False).indices.values():
         times = frame[TIME].to_numpy()[rows]

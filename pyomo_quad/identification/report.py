@@ -117,7 +117,7 @@ def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str) -> str:
 
 
 def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
-    """Yield TOML with dotted keys, one number and its source a line."""
+    """Yield lines of TOML with dotted keys, each with one number and its source."""
     for name, content in table.items():
         key = f"{path}{name}"
         if not isinstance(content, Mapping):

@@ -38,7 +38,7 @@ AIRSPEED, CLIMB, ENDURANCE = "airspeed_m_s", "climb_m_s", "endurance_s"
 #: Columns of a table of steady points; all except power or endurance are optional.
 STEADY_COLUMNS = {
     POWER: LogColumn("W", "power drawn from the pack", ("power",)),
-    ENDURANCE: LogColumn("s", "time aloft on the pack, where no power was measured"),
+    ENDURANCE: LogColumn("s", "time aloft on the pack, in place of a power", ("endurance",)),
     AIRSPEED: LogColumn("m/s", "level airspeed, 0 when absent", ("missionspeed", "speed_m_s")),
     PAYLOAD: LogColumn("kg", "mass carried, the vehicle's own when absent", ("payload",)),
     CLIMB: LogColumn("m/s", "steady climb, 0 when absent"),
@@ -198,7 +198,7 @@ def computed_power(scenario: Scenario, points: pd.DataFrame) -> FloatArray:
 def identify_steady(
     scenario: Scenario, points: pd.DataFrame, names: Sequence[str] = STEADY_FITTED
 ) -> SteadyFit:
-    """Fit a vehicle's parameters to steady points and list what the points do not determine.
+    """Fit a vehicle's parameters to steady points and list those not determined.
 
     Parameters
     ----------

@@ -19,6 +19,7 @@ from pyomo_quad.scenario import (
     WindCoupling,
     scenario_from_mapping,
 )
+from pyomo_quad.scenario.accuracy import Accuracy
 
 #: Names of the two batteries in the library.
 PAPER_CELL = "paper_cell"
@@ -47,6 +48,7 @@ def paper_scenario(experiment: Experiment, values: Mapping[str, Any] | None = No
             "vehicle": {"use": "dji_phantom_2", "attitude": Attitude.PAPER},
             "wind": {"use": wind, "coupling": WindCoupling.ACCELERATION},
             "mission": {"duration": 10.0, "goal": {"position": [6.0, 7.0, 8.0], "yaw": 0.0}},
+            "solver": {"accuracy": Accuracy.PROOF},
         },
         source=f"experiment {experiment.value} of the paper",
     )

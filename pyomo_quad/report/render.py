@@ -33,6 +33,7 @@ COUPLING_WORDS = {
 
 STATUS_WORDS = {
     PlanStatus.VERIFIED: "Verified",
+    PlanStatus.USABLE: "Usable",
     PlanStatus.SOLVED: "Not verified",
     PlanStatus.NOT_CONVERGED: "Failed, not converged",
     PlanStatus.INFEASIBLE: "Failed, infeasible",

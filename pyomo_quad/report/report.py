@@ -12,13 +12,9 @@ import numpy as np
 
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.flight.columns import column_of
-from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, ARRIVAL_SPEED_M_PER_S, VIOLATION_TOLERANCE
+from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, ARRIVAL_SPEED_M_PER_S
 from pyomo_quad.flight.plan import FLIGHT_SAMPLES, PlanStatus
-from pyomo_quad.flight.verification import (
-    BALANCE_TOLERANCE,
-    ENERGY_TOLERANCE,
-    MISS_TOLERANCE,
-)
+from pyomo_quad.flight.verification import BALANCE_TOLERANCE
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import (
     PAGE_NAME,
@@ -39,6 +35,7 @@ from pyomo_quad.report.tables import (
     write_table,
 )
 from pyomo_quad.scenario import PowerModel, Reference
+from pyomo_quad.scenario.accuracy import FIGURES
 from pyomo_quad.scenario.tables import Replanning
 from pyomo_quad.study.comparison import (
     FAIR_BASELINE,
@@ -194,12 +191,13 @@ def write_compare_report(
 def _title(plan: "Plan") -> str:
     """Return the report's title, with the status of a plan that is not verified."""
     title = plan.scenario.title or plan.scenario.name
-    return title if plan.is_verified else f"{STATUS_WORDS[plan.status]}: {title}"
+    return title if plan.is_flyable else f"{STATUS_WORDS[plan.status]}: {title}"
 
 
 def _plan_values(plan: "Plan") -> dict[str, Any]:
     """Return the values of a plan for the templates."""
     columns = plan.columns(np.linspace(*plan.trajectories.horizon, FLIGHT_SAMPLES))
+    figures = FIGURES[plan.accuracy_checked]
     return {
         "title": _title(plan),
         "plan": plan,
@@ -208,12 +206,13 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
         "legs": leg_rows(plan.mission_flown, columns),
         "leg": LegColumn,
         "allowed": {
-            "miss": MISS_TOLERANCE,
-            "violation": VIOLATION_TOLERANCE,
-            "energy_J": ENERGY_TOLERANCE * max(1.0, abs(plan.energy)),
+            "miss": figures.miss,
+            "violation": figures.breach,
+            "energy_J": figures.energy_flown * max(1.0, abs(plan.energy)),
             "imbalance": BALANCE_TOLERANCE,
         },
         "INFEASIBLE": PlanStatus.INFEASIBLE,
+        "USABLE": PlanStatus.USABLE,
         "PLAN_NAME": PLAN_NAME,
         "SUMMARY_NAME": SUMMARY_NAME,
     }

@@ -124,6 +124,11 @@ def plan_summary(
         "scenario": plan.scenario.name,
         "status": plan.status.value,
         "verified": plan.is_verified,
+        "accuracy": {
+            "asked": plan.scenario.solver.accuracy.value,
+            "reached": plan.accuracy_reached,
+            "energy": _number(plan.energy_uncertainty),
+        },
         "energy_J": _number(plan.energy),
         "duration_s": _number(plan.duration_s),
         "passing_times_s": list(plan.passing_times_s),

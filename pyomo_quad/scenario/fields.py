@@ -247,7 +247,7 @@ def spell(path: FieldPath) -> str:
 
 
 def depth(value: object, allowed: int) -> int:
-    """Measure how deep tables and lists are nested, stopping past what is allowed.
+    """Return the nesting depth of tables and lists, counted to just above an allowed depth.
 
     Returns
     -------

@@ -140,7 +140,7 @@ _SUFFIX = ".toml"
 
 @dataclass(frozen=True, kw_only=True)
 class LibraryEntry:
-    """One named set of the library.
+    """One named entry of the library.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ class LibraryEntry:
 
 
 def library_names(kind: str) -> tuple[str, ...]:
-    """List the names of one kind.
+    """List the library's names of one kind.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def library_names(kind: str) -> tuple[str, ...]:
 
 @cache
 def library_entry(kind: str, name: str) -> LibraryEntry:
-    """Read one named set.
+    """Read one entry of the library.
 
     Parameters
     ----------

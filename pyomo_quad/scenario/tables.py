@@ -7,6 +7,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.fields import (
     ONE_LINE,
     Flag,
@@ -369,12 +370,21 @@ _MOST_POINTS = 50_000
 
 
 class Solver(Part):
-    """First mesh, tolerance and bounds on the effort."""
+    """Accuracy, first mesh and bounds on the effort."""
 
+    accuracy: Accuracy = quantity(
+        "",
+        "accuracy asked for: quick, energy within 1e-3 and arrival within 0.1 m in open loop; "
+        "standard, 1e-4 and 1 cm; proof, 1e-6 and 0.1 mm, for studies",
+        Accuracy.PROOF,
+        is_late=True,
+        initial=Accuracy.STANDARD,
+    )
     tolerance: Number = quantity(
         "1",
-        "required relative error of the states",
-        1e-6,
+        "relative error of the states to which meshes are refined; unless given 1e-3, 1e-4 or "
+        "1e-6, by the accuracy",
+        FIGURES[Accuracy.PROOF].energy,
         gt=0,
         le=1e-1,
         sound=Sound(1e-11, 0.1, "rounding errors are about 1e-12"),
@@ -390,6 +400,14 @@ class Solver(Part):
         le=1e6,
     )
     max_refinements: WholeNumber = quantity("1", "mesh refinements", 20, ge=0, le=100)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refines_as_the_accuracy_says(cls, given: Any) -> Any:  # noqa: ANN401  before validation
+        known = given.get("accuracy") if isinstance(given, Mapping) else None
+        if "tolerance" in (given or ()) or known not in list(Accuracy):
+            return given
+        return {**given, "tolerance": FIGURES[Accuracy(known)].energy}
 
     @model_validator(mode="after")
     def _fits_into_memory(self) -> Self:

@@ -71,7 +71,7 @@ Track = tuple[np.ndarray, np.ndarray]
 
 
 class Plant(StrEnum):
-    """Vehicles that fly: the declared one, and RotorPy's in its variants."""
+    """The vehicles flown: the declared vehicle, and variants of RotorPy's."""
 
     DECLARED = "declared"
     ROTORPY = "rotorpy"
@@ -339,7 +339,7 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
 
 
 def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
-    """Yield flights of RotorPy's vehicle as it comes, beside the declared one with its numbers."""
+    """Yield flights of an unchanged RotorPy vehicle, and of the declared vehicle like it."""
     theirs = OutsidePlant(
         mission.scenario,
         mission.dynamics,

@@ -360,7 +360,7 @@ def bound_of_pairs(
     Parameters
     ----------
     legs, shared
-        As `legs.legs_of` gives them.
+        The results of `legs.legs_of`.
     power : float
         Power of hover, the scale of powers, W.
     """

@@ -48,7 +48,7 @@ def cluster_workers(address: str) -> Iterator[Workers]:
 
 
 def _silence_dask() -> None:
-    """Silence Dask's loggers, as a lost cluster is reported in one line here.
+    """Silence Dask's loggers, because this module reports a lost cluster in one line.
 
     The loggers set their own levels when Dask is imported, and would write tracebacks.
     """

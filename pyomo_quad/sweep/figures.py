@@ -182,7 +182,7 @@ class _Figures:
 
 
 def _worst_direction(curves: Sequence[Curve], quantity: Quantity) -> str:
-    """Describe the centre of a rose and its worst direction."""
+    """Return sentences on the value at a rose's centre and on the worst direction."""
     least, _ = rose_range(curves, quantity)
     worst_rows = [quantity.worst_row(curve.rows) for curve in curves]
     worst = quantity.worst_row(pd.DataFrame(worst_rows).reset_index(drop=True))

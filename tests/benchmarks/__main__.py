@@ -20,7 +20,7 @@ MODULES = {
     "places": "random_places",
     "strangers": "strangers",
     "jobs": "jobs",
-    "peers": "peers",
+    "peers": "peer_table",
     "sweep": "sweep_speed",
     "mpc": "replanning",
 }

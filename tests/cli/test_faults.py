@@ -184,7 +184,7 @@ def test_a_stopped_solve_leaves_its_best_iterate_beside_the_report(
     tmp_path, folder, monkeypatch, capsys
 ):
     def stop_when_it_is_good(now):
-        if now.infeasibility < 1e-6:
+        if now.iteration.infeasibility < 1e-6:
             signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(solving, "live_line", lambda **_: nullcontext(stop_when_it_is_good))

@@ -164,7 +164,7 @@ def replace_in(file, old, new):
     ("name", "old", "new"),
     [
         ("summary.json", '"duration": 10.0', '"duration": 9.0'),
-        ("summary.json", '"verified": true,\n  "energy_J"', '"verified": false,\n  "energy_J"'),
+        ("summary.json", '"verified": true,\n  "accuracy"', '"verified": false,\n  "accuracy"'),
         ("summary.json", '"pyomo_quad": "', '"pyomo_quad": "0.'),
         ("summary.json", "{", "["),
         ("comparison.csv", "energy_J", "energy_kJ"),

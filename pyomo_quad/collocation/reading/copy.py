@@ -510,7 +510,7 @@ class PhaseTimes:
     Attributes
     ----------
     name : str
-        Of the continuous set.
+        Name of the continuous set.
     declared : tuple of float
         Declared times between which time runs evenly, the first and the last among them.
     times : tuple

@@ -95,7 +95,7 @@ class Schedule:
     Parameters
     ----------
     name : str
-        Of the component, for messages and symbols.
+        Name of the component, for messages and symbols.
     say : callable
         Time -> Statement.
     times : sequence of float
@@ -362,7 +362,7 @@ class Steps:
         return self.values[min(max(step, 0), len(self.values) - 1)]
 
     def edges(self, start: float, end: float) -> list[float]:
-        """Return where steps begin between two times."""
+        """Return the times between two given times at which a step begins."""
         first = floor((start - self.start) / self.step) + 1
         last = min(ceil((end - self.start) / self.step), len(self.values))
         return [self.start + k * self.step for k in range(max(first, 1), last)]

@@ -6,7 +6,7 @@ Rules and sources: see docs/theory/refinement.md, eqs. (4) to (6) and (8).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.polynomial import legendre
 
 from pyomo_quad.collocation.mesh import FloatArray, Mesh, radau_rule
 from pyomo_quad.collocation.refining.activity import SAME, known_boundaries
-from pyomo_quad.collocation.refining.error import Allowance
+from pyomo_quad.collocation.refining.error import Allowance, estimate_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -121,6 +121,22 @@ class Marks:
 
     coarse: frozenset[int]
     kept: frozenset[int]
+
+
+def mesh_for_states(
+    solution: Solution, tolerance: float, options: RefinementOptions, *, least_degree: int
+) -> tuple[Mesh, float]:
+    """Return the next mesh for a solution whose states alone count, and their largest error."""
+    error = estimate_error(solution)
+    states, none = error.states.max(axis=1, initial=0.0), np.zeros(solution.mesh.elements)
+    uncounted = ("violation", "objective", "switches", "costs", "restraint", "integrals", "miss")
+    nothing: dict[str, Any] = dict.fromkeys(uncounted, none)
+    error = replace(error, **nothing)
+    coarse = frozenset(np.flatnonzero(states > tolerance).tolist())
+    marks = Marks(coarse=coarse, kept=frozenset())
+    mesh = refined_mesh(solution, error, marks, tolerance, options)
+    degrees = tuple(max(degree, least_degree) for degree in mesh.degrees)
+    return replace(mesh, degrees=degrees), float(states.max(initial=0.0))
 
 
 def refined_mesh(
