@@ -743,10 +743,3 @@ class Plan(Summarised):
         scenario, record, trajectories, warm_start = read_plan_file(Path(path))
         values = {name: getattr(record, name) for name in PlanRecord.model_fields}
         return cls(scenario=scenario, **values, trajectories=trajectories, warm_start=warm_start)
-
-
-def energy_of(scenario: Scenario, solution: Solution) -> float:
-    """Return the energy of a solution, without the price of its time [J]."""
-    if not scenario.mission.is_free:
-        return solution.objective
-    return float(solution.running_objective[-1])
