@@ -53,6 +53,16 @@ class Violation:
         return self.size / max(1.0, abs(self.bound))
 
 
+@dataclass(frozen=True)
+class LimitValues:
+    """A limit at n instants: its name, what it is of, and between what that must be."""
+
+    name: str
+    values: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+
 @dataclass(frozen=True, kw_only=True)
 class Instants:
     """States and controls at n times, with the rates and algebraic variables they come with.
@@ -393,6 +403,23 @@ class Dynamics:
 
     def violations_of(self, instants: Instants, t: FloatArray) -> list[tuple[Violation, ...]]:
         """Return `violations` of flights at the same times t, one after the other in `instants`."""
+        limits = self.limits_of(instants)
+        flights = (slice(k, k + len(t)) for k in range(0, len(instants.inputs[0]), len(t)))
+        return [
+            tuple(
+                sorted(
+                    (
+                        _worst(limit.name, limit.values[own], limit.lower[own], limit.upper[own], t)
+                        for limit in limits
+                    ),
+                    key=lambda v: -v.relative,
+                )
+            )
+            for own in flights
+        ]
+
+    def limits_of(self, instants: Instants) -> list[LimitValues]:
+        """Return every limit over time, path inequality or bound, with what it is of."""
         compiled = self._formulation.compiled
         declared, n_states = compiled.declared, len(compiled.declared.states)
         rates, all_states, algebraics, statics, data = instants.inputs
@@ -405,27 +432,17 @@ class Dynamics:
         values = np.hstack([inner, algebraics])
         names = [s.name for s in (*declared.states, *declared.algebraics)]
         limits = [
-            (e.name, rows[:, k], lower[:, k], upper[:, k])
+            LimitValues(e.name, rows[:, k], lower[:, k], upper[:, k])
             for k, e in enumerate(declared.equations)
             if not e.is_equality
         ]
-        limits += [(name, values[:, k], low[:, k], high[:, k]) for k, name in enumerate(names)]
+        limits += [
+            LimitValues(name, values[:, k], low[:, k], high[:, k]) for k, name in enumerate(names)
+        ]
         for k, bound in enumerate(compiled.simple_path_bounds):
             held = values[:, names.index(bound.variable)]
-            limits.append((bound.name, held, simple_low[:, k], simple_high[:, k]))
-        flights = (slice(k, k + len(t)) for k in range(0, n, len(t)))
-        return [
-            tuple(
-                sorted(
-                    (
-                        _worst(name, x[own], least[own], most[own], t)
-                        for name, x, least, most in limits
-                    ),
-                    key=lambda v: -v.relative,
-                )
-            )
-            for own in flights
-        ]
+            limits.append(LimitValues(bound.name, held, simple_low[:, k], simple_high[:, k]))
+        return limits
 
 
 def _worst(

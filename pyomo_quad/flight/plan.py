@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from pyomo_quad.collocation import Diagnosis, Dynamics, Iteration, Relaxation, Solution
+    from pyomo_quad.flight.margins import RiskTaken
     from pyomo_quad.scenario.mission import NamedDuration
 
 
@@ -410,6 +411,8 @@ class Plan(Summarised):
         Where another solve can begin; kept by `save`.
     solution : Solution or None
         The engine's own result; None when the plan was loaded from a file.
+    risk : RiskTaken or None
+        The risk that it was made for; None of a paper plan, which leaves nothing to a controller.
     """
 
     scenario: Scenario
@@ -430,6 +433,7 @@ class Plan(Summarised):
     solution: Solution | None = field(default=None, compare=False, repr=False)
     flown: Flown | None = field(default=None, compare=False, repr=False)
     passing_times_s: tuple[float, ...] = ()
+    risk: RiskTaken | None = None
 
     @property
     def duration_s(self) -> float:

@@ -6,14 +6,26 @@ is a normal number of its own, with the standard deviation that the scenario sta
 
 from math import cos, hypot, sin
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pyomo_quad.collocation import Dynamics, Problem, compile
+from pyomo_quad.flight.ensemble import Draws
 from pyomo_quad.flight.planning import Planner
 from pyomo_quad.flight.recent import Recent
 from pyomo_quad.model import build_in_turbulence, parameter_values, structure_key
 from pyomo_quad.model.build import guess_key
 from pyomo_quad.model.limits import without_reserve
-from pyomo_quad.model.turbulence import Gusts, mean_wind, turbulence_values
+from pyomo_quad.model.turbulence import (
+    FILTER_STATES,
+    NOISE,
+    Gusts,
+    mean_wind,
+    turbulence_values,
+)
 from pyomo_quad.scenario import Scenario
+
+FloatArray = NDArray[np.float64]
 
 # Of a mission as planned and as flown at a cruise speed, with a neighbour each.
 _MOST = 4
@@ -37,6 +49,41 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
     noise = Gusts.of(scenario).steps(end)
     return problem_in_turbulence(scenario).dynamics(
         parameters={**numbers, **noise}, horizon=(0.0, end)
+    )
+
+
+def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[Dynamics, Draws]:
+    """Draw the winds of many flights, and what is known only roughly.
+
+    Returns
+    -------
+    Dynamics
+        The vehicle in the mean wind.
+    Draws
+        Turbulence and errors of each flight, the same for a seed whatever count and duration.
+    """
+    changes = unknowns(planner, scenario)
+    if scenario.wind.turbulence is None and not changes:
+        return planner.dynamics(scenario), Draws(count=count)
+    end = scenario.mission.fixed_duration
+    numbers = without_reserve(parameter_values(scenario) | turbulence_values(scenario)) or {}
+    dynamics = problem_in_turbulence(scenario).dynamics(parameters=numbers, horizon=(0.0, end))
+    gusts = [Gusts((seed, flight)) for flight in range(count)]
+    noise = np.stack([gust.noise(end) for gust in gusts], axis=-1)
+    start = [gust.start for gust in gusts]
+    errors = np.array(
+        [np.random.default_rng((seed, k, 1)).standard_normal(4) for k in range(count)]
+    )
+    drawn: dict[str, FloatArray] = {}
+    for number, change in enumerate(changes):
+        for name, by in change.items():
+            middle = drawn.get(name, np.full(count, numbers.get(name, 0.0)))
+            drawn[name] = middle + by * errors[:, number]
+    return dynamics, Draws(
+        count=count,
+        numbers=drawn,
+        noise=dict(zip(NOISE, np.swapaxes(noise, 0, 1), strict=True)),
+        start={name: np.array([begun[name] for begun in start]) for name in FILTER_STATES},
     )
 
 

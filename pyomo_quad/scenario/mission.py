@@ -153,6 +153,16 @@ class Mission(Part):
         is_late=True,
     )
 
+    risk: Number | None = quantity(
+        "1",
+        "greatest probability that a flight of the plan under feedback breaks any limit; 1 asks "
+        "for none, and when absent a free duration asks for 0.01",
+        None,
+        gt=0,
+        le=1,
+        is_late=True,
+    )
+
     @property
     def positions(self) -> tuple[tuple[float, float, float], ...]:
         """Start, waypoints and goal, m."""
