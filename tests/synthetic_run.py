@@ -205,6 +205,7 @@ def synthetic_plan(
         iteration_count=57,
         attempts=(),
         routes=(),
+        order_search=None,
         failure=failure,
         mesh=Mesh(breakpoints=(0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0), degrees=(6, 5, 4, 4, 5, 6)),
         flight=lambda name="optimal": SimpleNamespace(**(vars(flight) | {"name": name})),

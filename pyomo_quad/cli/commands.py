@@ -12,6 +12,7 @@ import typer
 
 from pyomo_quad.cli.endings import ExitCode, Stopped, before_the_end
 from pyomo_quad.cli.looking import check, export, init, library, plot, schema
+from pyomo_quad.cli.own_vehicle import vehicle
 from pyomo_quad.cli.startup import import_scipy_alone
 from pyomo_quad.cli.studies import identify, outside_plant, paper, polar, predict, rotorpy_vehicle
 from pyomo_quad.cli.sweeping import sweep, sweep_report
@@ -311,7 +312,7 @@ app = typer.Typer(
 )
 for _command in (
     *(init, run, solve, compare, check, library, schema, fly, export, plot, identify, predict),
-    *(polar, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
+    *(polar, vehicle, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
 ):
     app.command()(_command)
 
@@ -382,7 +383,8 @@ def _explain(error: Exception) -> ExitCode:
         )
         return ExitCode.FAULT
     if isinstance(error, ScenarioError | FeasibilityError):
-        complain(str(error))
+        for line in str(error).splitlines():
+            complain(line)
         return ExitCode.BAD_INPUT
     if isinstance(error, _UsageError):
         message = error.format_message()  # type: ignore[attr-defined]

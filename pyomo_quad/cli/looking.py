@@ -216,13 +216,20 @@ def init(
     ):
         if file == schema_file and file.exists():
             continue
-        _write_new(file, content)
+        write_new(file, content)
     if not quiet:
         print(f"Written to {own}.toml. Fly it: pyomo-quad run {own}.toml")
     return ExitCode.VERIFIED
 
 
-def _write_new(file: Path, text: str) -> None:
+def write_new(file: Path, text: str) -> None:
+    """Write a file that is not there yet.
+
+    Raises
+    ------
+    ScenarioError
+        If there is a file of that name.
+    """
     try:
         with file.open("x", encoding="utf-8", newline="\n") as stream:
             stream.write(text)

@@ -1,6 +1,6 @@
 """Commands of studies with a report: paper, polar, RotorPy, and vehicles from measured flights."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,6 +19,7 @@ from pyomo_quad.cli.terminal import (
     complain,
     error_console,
 )
+from pyomo_quad.identification.columns import wanted_columns
 from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import output_file, output_folder, refuse_output_folder
 from pyomo_quad.scenario import Scenario, ScenarioError, load_scenario
@@ -27,6 +28,8 @@ from pyomo_quad.scenario.messages import printable
 if TYPE_CHECKING:
     import pandas as pd
 
+    from pyomo_quad.identification.fitting import IdentifiedParameter
+    from pyomo_quad.identification.steady import SteadyParameter
     from pyomo_quad.identification.validation import Scores
 
 _PAPER_FOLDER = Path("reports/paper")
@@ -169,9 +172,21 @@ def rotorpy_vehicle(
 _SPLIT, _READ = "split", "fit"
 
 Logs = Annotated[
-    list[Path],
+    list[Path] | None,
     typer.Argument(
-        metavar="LOGS...", help="Flights: .parquet, .csv or PX4 .ulg, one file or more."
+        metavar="LOGS...",
+        help="Flights: .parquet, .csv, PX4 .ulg or ArduPilot .BIN, one file or more. A table has "
+        "about one row a second; " + wanted_columns() + ".",
+    ),
+]
+Steady = Annotated[
+    Path | None,
+    typer.Option(
+        "--steady",
+        metavar="CSV",
+        help="Points of steady flight in place of logs, hover alone or a series of payloads "
+        "included; its columns are airspeed_m_s, power_W (or endurance_s on the vehicle's pack), "
+        "payload_kg, climb_m_s, air_density_kg_m3, all but the power optional.",
     ),
 ]
 Base = Annotated[
@@ -199,9 +214,10 @@ FlightList = Annotated[
 
 
 def identify(
-    logs: Logs,
+    logs: Logs = None,
     *,
     base: Base,
+    steady: Steady = None,
     out: NewFolder = None,
     fit: Wanted = None,
     flights: FlightList = None,
@@ -209,33 +225,82 @@ def identify(
     quiet: Quiet = False,
 ) -> int:
     """Fit a vehicle's power to measured flights: a vehicle file, and how far to trust it."""
-    folder = out or Path("reports") / logs[0].stem
+    if bool(logs) is (steady is not None):
+        raise ScenarioError("identify: give LOGS of flights, or --steady CSV of steady points.")
+    source = logs[0] if logs else steady
+    folder = out or Path("reports") / (source.stem if source is not None else "")
     refuse_output_folder(folder)
     from pyomo_quad.identification.fitting import (  # noqa: PLC0415  takes a second
         FITTABLE,
         FITTED,
         identify,
     )
-    from pyomo_quad.identification.report import write_identification  # noqa: PLC0415
-    from pyomo_quad.identification.validation import scores  # noqa: PLC0415
 
     for name in fit or ():
         if name not in FITTABLE:
             raise ScenarioError(f"--fit {name[:60]}: must be one of {', '.join(FITTABLE)}.")
-    scenario, frame = _read(logs, base, flights)
+    if steady is not None:
+        return _identify_steady(steady, base, folder, fit, figures, is_quiet=quiet)
+    from pyomo_quad.identification.report import write_identification  # noqa: PLC0415
+    from pyomo_quad.identification.validation import scores  # noqa: PLC0415
+
+    scenario, frame = _read(logs or [], base, flights)
     with raise_on_interrupt(), _report_folder(folder, is_quiet=quiet) as (aside, lines):
         found = identify(scenario, frame, fit or FITTED)
         write_identification(aside, found, base, figures)
-        for one in found.parameters:
-            kept = "" if one.is_determined else " (kept: the flights do not determine it)"
-            edge = " (at the end of its range)" if one.is_at_bound and one.is_determined else ""
-            lines.append(f"vehicle.{one.name} = {one.value:.4g} +- {one.deviation:.2g}{kept}{edge}")
+        lines.extend(_parameter_lines(found.parameters, found.together))
         lines.append(f"cross-validated by flight: {_said(scores(frame, found.cross_validated))}")
         lines += [
             f"fitted on {t.fitted_on}, tried on {t.tried_on}: {_said(t.scores)}"
             for t in found.trials
         ]
+    for caution in found.cautions:
+        complain(f"identify: warning: {caution}")
     return ExitCode.VERIFIED
+
+
+def _identify_steady(
+    points: Path,
+    base: str,
+    folder: Path,
+    fit: list[str] | None,
+    figures: Figures,
+    *,
+    is_quiet: bool,
+) -> int:
+    from pyomo_quad.identification.motion import vehicle_scenario  # noqa: PLC0415  takes a second
+    from pyomo_quad.identification.steady import (  # noqa: PLC0415
+        STEADY_FITTED,
+        identify_steady,
+        read_steady,
+    )
+    from pyomo_quad.identification.steady_report import write_steady  # noqa: PLC0415
+
+    scenario = vehicle_scenario(base)
+    table = read_steady(points, scenario)
+    with raise_on_interrupt(), _report_folder(folder, is_quiet=is_quiet) as (aside, lines):
+        found = identify_steady(scenario, table, fit or STEADY_FITTED)
+        write_steady(aside, found, base, figures)
+        lines.extend(_parameter_lines(found.parameters, found.together))
+        lines.append(f"mean error of {len(found.points)} points: {found.error_percent:.1f} %")
+    for caution in found.cautions:
+        complain(f"identify: warning: {caution}")
+    return ExitCode.VERIFIED
+
+
+def _parameter_lines(
+    parameters: "Sequence[SteadyParameter | IdentifiedParameter]",
+    together: Sequence[tuple[str, str]],
+) -> Iterator[str]:
+    """Say what was fitted, and what the measurements cannot tell apart."""
+    partners = dict(together)
+    for one in parameters:
+        end = getattr(one, "is_at_bound", False) and one.is_determined
+        edge = " (at the end of its range)" if end else ""
+        kept = "" if one.is_determined else " (kept: the measurements do not determine it"
+        partner = partners.get(one.name, "")
+        kept += "" if one.is_determined else f", nor tell it from {partner})" if partner else ")"
+        yield f"vehicle.{one.name} = {one.value:.4g} +- {one.deviation:.2g}{kept}{edge}"
 
 
 def _said(scores: "Scores") -> str:
@@ -246,8 +311,12 @@ def _said(scores: "Scores") -> str:
     )
 
 
-def predict(logs: Logs, *, vehicle: Vehicle, out: NewFolder = None, quiet: Quiet = False) -> int:
+def predict(
+    logs: Logs = None, *, vehicle: Vehicle, out: NewFolder = None, quiet: Quiet = False
+) -> int:
     """Compute the energy of measured flights from their motion, and compare."""
+    if not logs:
+        raise ScenarioError("predict: give LOGS, one file of measured flights or more.")
     folder = out or Path("reports") / f"{logs[0].stem}_predicted"
     refuse_output_folder(folder)
     from pyomo_quad.identification.motion import LoggedMotion  # noqa: PLC0415  takes a second

@@ -1,7 +1,7 @@
 """Flipped-Radau collocation of any Pyomo.DAE model, solved with Ipopt.
 
-The front door is `solve`; `compile` returns a problem that can be solved again with other
-parameters, horizons and meshes without being built again.
+The entry point is `solve`. `compile` returns a problem that can be solved repeatedly with other
+parameters, horizons and meshes without being compiled again.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def __dir__() -> list[str]:
 def compile(  # noqa: A001  as casadi, re and builtins do
     model: Any, *, final_time: Any = None, times: FreeTimes | None = None
 ) -> Any:
-    """Compile a Pyomo.DAE model to a `Problem`, or one of several horizons to a `JointProblem`."""
+    """Compile a Pyomo.DAE model: a `Problem` for one horizon, a `JointProblem` for several."""
     return compiled_of(model, final_time, times)
 
 
@@ -123,21 +123,21 @@ def solve(
     starts: int = 1,
     progress: Progress | None = None,
 ) -> Solution | JointSolution:
-    """Compile and solve a Pyomo.DAE model, and load the values at the times that it declares.
+    """Compile and solve a Pyomo.DAE model, and load the values at its declared times.
 
     Parameters
     ----------
     model : ConcreteModel
     final_time : Var, optional
     times : mapping, optional
-        See `Problem`, and `JointProblem` for several continuous sets.
+        See `Problem`, or `JointProblem` for several continuous sets.
     mesh, tolerance, parameters, horizon, guess, warm_start, options, refinement, starts, progress
-        See `Problem.solve`, and `JointProblem.solve` for several continuous sets.
+        See `Problem.solve`, or `JointProblem.solve` for several continuous sets.
 
     Returns
     -------
     Solution or JointSolution
-        The latter of a model with several continuous sets.
+        A `JointSolution` for a model with several continuous sets.
 
     Raises
     ------

@@ -29,23 +29,25 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.ipopt import Multipliers
     from pyomo_quad.collocation.program.transcription import Transcription
 
-# A costate below this share of the objective for the size of its state is none.
+# Magnitude, as a fraction of objective / state size, below which a costate counts as zero.
 _LEAST = 1e-9
-# Of a limit's pull in an element, what no smooth growth tells where that may have been a blow.
+# Fraction of a limit's pull in an element that a smooth polynomial does not explain, above which
+# the pull may be an impulse.
 _ROUGH = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
 class Costates:
-    """Polynomials of an element's degree from its left end through its points.
+    """Element polynomials of the costates, through the left end and the collocation points.
 
     Shapes: starts (n_elements, n_states), just after each left end, where a costate may jump;
     at_points, stages (n_points, n_states); hamiltonian (n_points,); sizes (n_states,).
 
-    The multipliers at the points are values of a costate themselves, `stages`, but of an order
-    less than those of the states; the adjoint equations, integrated with them through each
-    element from its left end, which is sharp, give the order back: `at_points`.  `sizes` are
-    their largest magnitudes, of one that is next to nothing a share of the objective.
+    The multipliers at the points approximate the costates directly (`stages`), but at one order
+    less than the states. Integrating the adjoint equations with these values through each element,
+    from its left end, where the costate is accurate, restores the order (`at_points`). `sizes` are
+    the largest magnitudes of the costates; a costate that is nearly zero gets a fraction of the
+    objective instead.
     """
 
     mesh: Mesh
@@ -73,7 +75,7 @@ class Costates:
 
 @lru_cache(maxsize=64)
 def _roughness(degree: int) -> FloatArray:
-    """Return what takes values at an element's nodes to what no polynomial of less degree tells."""
+    """Return the matrix from nodal values to their residual after a fit of degree - 2."""
     smooth = legendre.legvander(2.0 * radau_rule(degree).nodes - 1.0, max(degree - 2, 0))
     return np.asarray(np.eye(degree + 1) - smooth @ np.linalg.pinv(smooth))
 
@@ -102,17 +104,18 @@ def costates_of(
     Parameters
     ----------
     program : Transcription
-        On a mesh.
+        The program on a mesh.
     z : ndarray
         The solution.
     multipliers : Multipliers
-        As Ipopt returns them for the unscaled program.
+        Multipliers as Ipopt returns them for the unscaled program.
     bounds : Bounds
-        What a state is held by at one time pulls there, and not on the element before.
+        Bounds of the program. The multiplier of a state's bound at a single time acts at that time,
+        not on the element before it.
     timeline : Timeline
         Physical times of the horizon.
     objective : float
-        Its size.
+        Size of the objective.
     """
     mesh = program.mesh or Mesh.uniform(1, 1)
     by_rate, by_state = _products(program, z, program.path_weights(z, multipliers.rows))
@@ -145,7 +148,7 @@ def costates_of(
 def _products(
     program: Transcription, z: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return slopes of weighted rows in each point's own rates and states, (n_points, n_states)."""
+    """Return weights times the row derivatives by rates and states, shape (n_points, n_states)."""
     path, n = program.compiled.path, program.layout.n_states
     entries = MappedFunction(path.jacobian, program.n_points)(
         program.path_variables(z), program.data.at_points()
@@ -176,10 +179,10 @@ def costate_errors_of(
 ) -> FloatArray:
     """Estimate the largest error of each costate, relative to its size, shape (n_states,).
 
-    Where all is smooth, it is what the adjoint equations, integrated once more with the costates
-    instead of `stages`, would change.  Where a limit on a state begins or ceases to hold, it may
-    pull all at once anywhere in the element: where its pull does not grow smoothly all of it
-    counts, and what that makes of the other costates.
+    Where the solution is smooth, the estimate is the change from one more integration of the
+    adjoint equations, with the costates in place of `stages`. A limit on a state that becomes
+    active or inactive inside an element may act as an impulse anywhere in it. Where the multiplier
+    does not vary smoothly, all of it counts as error, and so does its effect on the other costates.
     """
     mesh, weights = costates.mesh, costates.mesh.quadrature_weights[:, None]
     equations = linearised(program, program.path_variables(z), program.data.at_points())

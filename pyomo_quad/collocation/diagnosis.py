@@ -1,4 +1,4 @@
-"""Why a solve failed: the worst equations, the active limits, and the least that must give."""
+"""Diagnosis of a failed solve: worst equations, active limits, and least relaxation needed."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.solution import Solution
 
-# Weight of staying near the first point: it makes the unknowns that no slack depends on
-# unique, and is too small to buy a slack.
+# Weight of the distance from the first point. It makes the unknowns unique that affect no slack,
+# and is too small to outweigh a slack.
 _PROXIMITY = 1e-6
 
 
@@ -42,7 +42,7 @@ class _SoftRow(NamedTuple):
 class SoftRows:
     """One-sided limits: sign * (value - limit) <= slack * size, one entry each.
 
-    `row` is the program's row the value is of, or -1; then it is unknown `column`.
+    `row` is the row of the program that is limited, or -1 if the unknown `column` is limited.
     """
 
     family: NDArray[np.intp]
@@ -62,7 +62,7 @@ class SoftRows:
         limits: list[Limit],
         families: frozenset[str] | None = None,
     ) -> SoftRows:
-        """Collect the one-sided limits of chosen families, of all where None are chosen.
+        """Collect the one-sided limits of chosen families, or of all families if None.
 
         Raises
         ------
@@ -77,7 +77,7 @@ class SoftRows:
         ]
         if not chosen:
             wanted = "the model" if families is None else ", ".join(sorted(families))
-            raise TranscriptionError(f"{wanted}: has no limits that could give way.")
+            raise TranscriptionError(f"{wanted}: has no limits that could be relaxed.")
         names = sorted({entry.family for entry in chosen})
         limit = np.array([entry.limit for entry in chosen])
         return cls(
@@ -124,8 +124,8 @@ def _soft_program_rows(
 class ElasticProgram:
     """The elastic counterpart of a program, in the form Ipopt asks for.
 
-    Unknowns are those of the program, then one slack per family.  Rows are the program's, of
-    which the soft ones are free, then the soft rows.
+    Unknowns are those of the program, then one slack per family. Rows are those of the program,
+    with the soft ones free, then the soft rows.
     """
 
     def __init__(
@@ -148,11 +148,11 @@ class ElasticProgram:
 
     @property
     def is_negated(self) -> bool:
-        """Say that slacks are minimised, whatever the program does."""
+        """Return False: slacks are minimised, whether or not the program maximises."""
         return False
 
     def objective(self, z: FloatArray) -> float:
-        """Return the sum of slacks, plus a trace of the distance from the first point."""
+        """Return the sum of slacks, plus a small penalty on the distance from the first point."""
         moved = (z[: self._n] - self._near) * self._scale
         return float(z[self._n :].sum() + 0.5 * _PROXIMITY * moved @ moved / self._n)
 
@@ -162,7 +162,7 @@ class ElasticProgram:
         return np.concatenate([_PROXIMITY * moved / self._n, np.ones(z.size - self._n)])
 
     def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the program's rows, then how far each soft row is beyond its slack."""
+        """Return the program's rows, then the excess of each soft row over its slack."""
         rows = self.program.constraints(z[: self._n])
         soft = self.soft
         values = np.where(soft.row >= 0, rows[soft.row], z[soft.column])
@@ -171,7 +171,7 @@ class ElasticProgram:
 
     @cached_property
     def _copies(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Entries of the program's Jacobian that soft rows copy, and the soft row of each."""
+        """Entries of the program's Jacobian that soft rows copy, and the soft row of each entry."""
         rows, _ = self.program.jacobianstructure()
         order = np.argsort(rows, kind="stable")
         starts = np.searchsorted(rows[order], np.arange(self.program.n_rows + 1))
@@ -209,13 +209,13 @@ class ElasticProgram:
         )
 
     def hessianstructure(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return rows and columns of the Lagrangian's lower triangle."""
+        """Return rows and columns of the lower triangle of the Lagrangian's Hessian."""
         rows, columns = self.program.hessianstructure()
         diagonal = np.arange(self._n)
         return np.concatenate([rows, diagonal]), np.concatenate([columns, diagonal])
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the values of the Lagrangian's lower triangle."""
+        """Return the values of the lower triangle of the Lagrangian's Hessian."""
         soft, m = self.soft, self.program.n_rows
         on_rows = np.array(multipliers[:m])
         held = soft.row >= 0
@@ -226,14 +226,14 @@ class ElasticProgram:
 
 
 _MOST_RESIDUALS = 10
-# A residual or slack below this share of its scale is met.
+# Relative residual or slack below which an equation or limit counts as met.
 _MET = 1e-6
 _ELASTIC = SolverOptions(tolerance=1e-7, max_iterations=300)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Residual:
-    """An equation that the best iterate breaks, by how much, in the equation's own unit."""
+    """An equation that the best iterate violates, with the violation in the equation's own unit."""
 
     name: str
     element: int | None
@@ -250,7 +250,7 @@ class Residual:
 
 @dataclass(frozen=True, kw_only=True)
 class ActiveLimit:
-    """A limit that the best iterate touches: its value and the share of points where it does."""
+    """A limit that is active at the best iterate: its value, and the fraction of points on it."""
 
     name: str
     limit: float
@@ -263,7 +263,7 @@ class ActiveLimit:
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxation:
-    """What one declaration would have to give way by, at the least, in its own unit."""
+    """Least relaxation of one declaration, in its own unit."""
 
     name: str
     amount: float
@@ -271,7 +271,7 @@ class Relaxation:
     unit: str
 
     def __str__(self) -> str:
-        return f"{self.name}: {self.limit:.6g} {self.unit} gives way by {self.amount:.4g}"
+        return f"{self.name}: {self.limit:.6g} {self.unit} relaxed by {self.amount:.4g}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,15 +281,15 @@ class Diagnosis:
     Attributes
     ----------
     residuals : tuple of Residual
-        The ten worst equations of the best iterate, worst first by their own scale.
+        The ten worst equations of the best iterate, in order of violation relative to their scale.
     active : tuple of ActiveLimit
-        Limits that the best iterate touches.
+        Limits that are active at the best iterate.
     least_violation : float
-        Sum of the relative slacks of the elastic program; infinite when it did not converge.
+        Sum of the relative slacks of the elastic program; infinite if that did not converge.
     relaxations : tuple of Relaxation
-        What has to give way together, empty when everything can be met.
+        Declarations that must be relaxed together; empty if all can be met.
     feasible_point : Trajectory or None
-        A trajectory that meets everything, where the elastic program found one.
+        A trajectory that satisfies all declarations, if the elastic program found one.
     """
 
     residuals: tuple[Residual, ...]
@@ -300,7 +300,7 @@ class Diagnosis:
 
     @property
     def is_infeasible(self) -> bool:
-        """Whether the elastic program converged without meeting everything."""
+        """Whether the elastic program converged with a positive violation."""
         return np.isfinite(self.least_violation) and self.feasible_point is None
 
 
@@ -315,9 +315,9 @@ def diagnose(
     Parameters
     ----------
     solution : Solution
-        Of a solve that did not converge; its unknowns are the best iterate.
+        The result of a solve that did not converge; its unknowns are the best iterate.
     families : frozenset of str, optional
-        Names of the declarations that may give way; all by default.
+        Names of the declarations that may be relaxed; all by default.
     progress : callable, optional
         Called at each iteration of the elastic solve.
 
@@ -328,7 +328,7 @@ def diagnose(
     Raises
     ------
     TranscriptionError
-        If none of the families has a limit that could give way, or there are several horizons.
+        If none of the families has a limit that could be relaxed, or there are several horizons.
     """
     if solution.parts != (solution,):
         raise TranscriptionError(
@@ -369,7 +369,7 @@ def _limit_inputs(solution: Solution) -> tuple[Any, FloatArray, dict[tuple[str, 
 
 
 def _elastic_bounds(elastic: ElasticProgram, bounds: Bounds) -> Bounds:
-    """Free what the soft rows hold instead; keep the rest as it is."""
+    """Free the bounds that the soft rows replace; keep all others."""
     soft = elastic.soft
     lower, upper = bounds.lower.copy(), bounds.upper.copy()
     row_lower, row_upper = bounds.row_lower.copy(), bounds.row_upper.copy()

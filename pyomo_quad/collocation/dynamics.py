@@ -1,6 +1,6 @@
 """The declared equations as functions of time: slopes, outputs, any variable or expression.
 
-Under feedback, they and a control law are one function.
+`ClosedLoop` combines them with a control law into one function.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _NEWTON_STEPS = 20
 
 @dataclass(frozen=True)
 class Violation:
-    """The worst breach of one limit: its name, size in its own unit, bound and time."""
+    """The worst violation of one limit: its name, size in its own unit, bound and time."""
 
     name: str
     size: float
@@ -65,10 +65,10 @@ class LimitValues:
 
 @dataclass(frozen=True, kw_only=True)
 class Instants:
-    """States and controls at n times, with the rates and algebraic variables they come with.
+    """States and controls at n times, with the corresponding rates and algebraic variables.
 
-    `read` takes keys and the columns of all that the equations read; `numbers` puts parameters,
-    given by full name, into the last of these.
+    `read` evaluates components from the inputs of the equations; `numbers` replaces parameters,
+    given by full name, in the last of these inputs.
     """
 
     inputs: list[FloatArray]
@@ -80,9 +80,9 @@ class Instants:
         keys: tuple[tuple[str, Any], ...],
         changed: Mapping[str, ArrayLike] | None = None,
     ) -> FloatArray:
-        """Return components, as (full name, index) pairs: shape (n, n_keys).
+        """Return components, given as (full name, index) pairs, shape (n, n_keys).
 
-        `changed` replaces parameters on which neither rates nor algebraic variables depend.
+        `changed` replaces parameters that affect neither rates nor algebraic variables.
         """
         *held, data = self.inputs
         return self.read(keys, *held, self.numbers(data, changed or {}))
@@ -94,9 +94,9 @@ class Dynamics:
     Attributes
     ----------
     state_names : tuple of str
-        States of the program, then output states.
+        States of the program, followed by the output states.
     control_names : tuple of str
-        Algebraic variables that no equation determines: what a simulation is given.
+        Algebraic variables that no equation determines: the inputs of a simulation.
     """
 
     def __init__(self, formulation: Formulation, instance: Instance, statics: FloatArray) -> None:
@@ -117,13 +117,14 @@ class Dynamics:
         self._data = np.concatenate([np.zeros(1 + n_signals), instance.parameters])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle what it is made of."""
+        """Pickle the arguments from which it is built."""
         return type(self), (self._formulation, self._instance, self._statics)
 
     def _compile(self, states: tuple[Slot, ...]) -> Any:
         """Return the function (x, u, statics, data) -> slopes and algebraics, (integrand, span).
 
-        Slopes and integrand are per share of the horizon, of which the span makes time.
+        Slopes and integrand are per fraction of the horizon; dividing by the span makes them per
+        time.
         """
         declared = self._formulation.compiled.declared
         equations = [e for e in declared.equations if e.is_equality]
@@ -167,7 +168,7 @@ class Dynamics:
     def control_limits(self, breach: float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Return constant lower and upper limits of the controls, shape (n_controls,) each.
 
-        Further apart by a breach, relative to the larger of 1 and the limit.
+        `breach` widens both limits, relative to the larger of 1 and the limit.
         """
         names = [s.name for s in self._formulation.compiled.declared.algebraics]
         chosen = [names.index(name) for name in self.control_names]
@@ -175,9 +176,9 @@ class Dynamics:
         return lower[chosen], upper[chosen]
 
     def just_after(self, t: float) -> float:
-        """Return a time at which the equations are what they are after t.
+        """Return a time just after t at which the equations have their values to the right of t.
 
-        Where they jump, t itself belongs to what is before.
+        Where they jump, t itself belongs to the left.
         """
         return t + 2.0 * BESIDE * float(self.timeline.spans.max()) if self._instance.jumps else t
 
@@ -195,12 +196,12 @@ class Dynamics:
         return tuple(slot.name for slot in self._formulation.compiled.declared.signals)
 
     def moment(self, t: float) -> list[float]:
-        """Return what the equations read of a time: its share of the horizon, and the signals."""
+        """Return the time-dependent inputs of the equations: fraction and signals."""
         fraction = float(self.timeline.fraction(t))
         return [fraction, *self._signals(fraction)]
 
     def symbol(self, name: str, size: int) -> Any:
-        """Return a column of CasADi symbols of the kind that `written` takes."""
+        """Return a column of CasADi symbols of the type that `written` accepts."""
         is_explicit = self._right_hand_side.is_a("SXFunction")
         return (casadi.SX if is_explicit else casadi.MX).sym(name, size)
 
@@ -229,10 +230,10 @@ class Dynamics:
     def expressions(
         self, keys: tuple[tuple[str, Any], ...], t: float, values: Mapping[str, Any]
     ) -> list[Any]:
-        """Return components, as (full name, index) pairs, as CasADi expressions of some symbols.
+        """Return components, given as (full name, index) pairs, as CasADi expressions.
 
-        An equation, by its name, is what it leaves over.  `values` gives states and algebraic
-        variables by full name, as symbols or numbers; the others, and all rates, are nought.
+        An equation, by its name, yields its residual. `values` gives states and algebraic variables
+        by full name, as symbols or numbers; all others, and all rates, are zero.
         """
         declared, evaluator = self._formulation.compiled.declared, self._formulation.evaluator
         columns = [
@@ -282,9 +283,9 @@ class Dynamics:
         controls: FloatArray,
         numbers: Mapping[str, ArrayLike] | None = None,
     ) -> Instants:
-        """Return what the equations make of states and controls at n times.
+        """Return states and controls at n times with the resulting rates and algebraics.
 
-        `numbers` gives parameters by full name, each one number or a column of n.
+        `numbers` gives parameters by full name, each as one number or a column of n.
         """
         n = len(t)
         # Flights side by side share their times, and signals are read one by one.
@@ -309,7 +310,7 @@ class Dynamics:
         return changed
 
     def _inputs(self, t: FloatArray, states: FloatArray, controls: FloatArray) -> list[FloatArray]:
-        """Return what an `Evaluator` reads, for n times at once."""
+        """Return the inputs of an `Evaluator` for n times at once."""
         return self.solved(t, states, controls).inputs
 
     def _algebraics(self, determined: FloatArray, controls: FloatArray) -> FloatArray:
@@ -362,7 +363,7 @@ class Dynamics:
 
     @property
     def states_used_up(self) -> tuple[str, ...]:
-        """States given at the start of the horizon and left free at its end, as a charge is."""
+        """States fixed at the start of the horizon and free at its end, for example a charge."""
         declared = self._formulation.compiled.declared
         given = {(p.slot, p.fraction) for p in declared.point_symbols} | set(declared.fixed)
         at_start = {name for name, fraction in given if fraction == 0.0}
@@ -375,7 +376,7 @@ class Dynamics:
         return tuple(p.name for p in self._formulation.compiled.declared.parameters)
 
     def initial_states(self) -> dict[str, float]:
-        """Return the values that the model's own variables hold at the start, zero for none."""
+        """Return the values that the model's own variables hold at the start, zero if unset."""
         declared = self._formulation.compiled.declared
         held = {
             slot.name: dict(self._formulation.values.initial_values(slot))
@@ -384,7 +385,7 @@ class Dynamics:
         return {name: values.get(0.0, 0.0) for name, values in held.items()}
 
     def has(self, name: str) -> bool:
-        """Say whether the model has a component of this name."""
+        """Return whether the model has a component of this name."""
         return self._formulation.source.has(name)
 
     def unit(self, name: str) -> str:
@@ -394,9 +395,9 @@ class Dynamics:
     def violations(
         self, t: FloatArray, states: FloatArray, controls: FloatArray
     ) -> tuple[Violation, ...]:
-        """Return the worst breach of every limit over time, the worst first.
+        """Return the worst violation of every limit over time, the worst first.
 
-        Limits are path inequalities and bounds; a limit that is kept counts with size 0.
+        Limits are path inequalities and bounds; a limit that is met has size 0.
         """
         (found,) = self.violations_of(self.solved(t, states, controls), t)
         return found
@@ -461,10 +462,10 @@ def _column(symbols: list[Any]) -> Any:
 
 
 def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
-    """Split the algebraic variables into controls and those that equations determine.
+    """Split the algebraic variables into controls and variables that equations determine.
 
-    Equality equations without rates determine algebraic variables; which ones follows from a
-    maximum matching of equations and variables, later declared variables first.
+    Equality equations without rates determine algebraic variables. A maximum matching of equations
+    and variables decides which variables these are, with later declared variables first.
     """
     declared = formulation.compiled.declared
     rates = {s.rate.name() for s in declared.states}
@@ -488,9 +489,9 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
 def control_limits(
     formulation: Formulation, instance: Instance, breach: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return constant limits of the algebraic variables that are controls, with a breach of them.
+    """Return constant limits of the algebraic variables that are controls, widened by `breach`.
 
-    Shape (n_algebraics,) each, infinite for what equations determine.
+    Shape (n_algebraics,) each, infinite for variables that equations determine.
     """
     controls = {slot.name for slot in split_algebraics(formulation)[0]}
     is_control = np.array([s.name in controls for s in formulation.compiled.declared.algebraics])
@@ -524,14 +525,14 @@ def _solve_linear(matrix: Any, right: Any) -> Any:
 
 
 def _solved_for(rows: Any, unknowns: Any) -> Any:
-    """Return what unknowns are by equations that are linear in them."""
+    """Return the unknowns of equations that are linear in them."""
     offset = casadi.substitute(rows, unknowns, casadi.DM.zeros(unknowns.shape[0]))
     return _solve_linear(casadi.jacobian(rows, unknowns), -offset)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Core:
-    """Implicit equations: those that Newton's method solves, and what follows from them.
+    """Implicit equations: the core that Newton's method solves, and all unknowns given the core's.
 
     `inner` are its unknowns, `residual` takes them and all inputs as one column, and `known`
     returns all unknowns, the integrand and the span of the same.
@@ -545,8 +546,8 @@ class _Core:
     def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
         """Split equations that are nonlinear in the slopes or algebraics.
 
-        Newton's method solves only those that no others have to be solved for before; where the
-        others are linear in what is left, it is solved symbolically.
+        Newton's method solves only those equations on which the others depend. Equations that are
+        linear in the remaining unknowns are solved symbolically.
         """
         core, others = _nonlinear_core(rows, unknowns)
         parameters = casadi.vertcat(*inputs)
@@ -582,10 +583,10 @@ class _WithoutIterations(Dynamics):
 
 
 def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:
-    """Return equations and unknowns that Newton's method has to solve, and those left linear.
+    """Return equations and unknowns that Newton's method must solve, and those that remain linear.
 
-    All of them go to Newton's method where the unknowns that enter nonlinearly have not as many
-    equations of their own.
+    If the unknowns that enter nonlinearly outnumber the equations in them, Newton's method solves
+    all.
     """
     everything = list(range(unknowns.shape[0]))
     jacobian = casadi.jacobian(rows, unknowns)
@@ -623,25 +624,25 @@ _OPERATIONS = _ARITHMETIC | _FUNCTIONS
 
 
 class Symbol(NDArrayOperatorsMixin):
-    """A number not known yet: NumPy's functions of it are written down, to be compiled."""
+    """A symbolic number that records the NumPy functions applied to it, for compilation."""
 
     def __init__(self, expression: Any) -> None:
         self.expression = expression
 
     def __array_ufunc__(self, function: np.ufunc, method: str, *numbers: Any, **_: Any) -> Symbol:
-        """Write a function down.
+        """Record a function of symbols.
 
         Raises
         ------
         TranscriptionError
-            If it cannot be compiled.
+            If the function cannot be compiled.
         """
         if function not in _OPERATIONS or method != "__call__":
             raise _refusal(f"np.{function.__name__}")
         return Symbol(_OPERATIONS[function](*map(_expression, numbers)))
 
     def __bool__(self) -> bool:
-        """Refuse to be a condition."""
+        """Refuse to be used as a condition."""
         raise _refusal("a branch on a number known in flight only")
 
 
@@ -665,7 +666,7 @@ class Law(Protocol):
     ) -> tuple[Sequence[Any], Sequence[Any]]:
         """Return the controls and the rates of the law's own states.
 
-        Given are what it is to follow, the vehicle's states and its own.
+        Arguments: the command to follow, the vehicle's states, the law's own states.
         """
 
 
@@ -697,26 +698,26 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
 
 
 class ClosedLoop:
-    """The right-hand side of a vehicle under a law.
+    """The right-hand side of a vehicle under a control law.
 
-    The joint state is that of the vehicle, the law's own, and the integral of the objective's
-    integrand.
+    The joint state consists of the vehicle's states, the law's own states, and the integral of the
+    objective's integrand.
 
     Parameters
     ----------
     dynamics : Dynamics
         The vehicle.
     law : callable
-        (command, x, own) -> (controls, rates of own), sequences of numbers; see `Law`.  It is
-        called once, with symbols.
+        (command, x, own) -> (controls, rates of own), sequences of numbers; see `Law`. It is called
+        once, with symbols.
     n_command, n_own : int
-        How many numbers the law follows, and how many states it has.
+        Number of commands that the law follows, and number of its own states.
 
     Raises
     ------
     TranscriptionError
-        If the law branches on a state, calls what cannot be compiled, or returns another number
-        of controls or rates than the vehicle has controls and itself states.
+        If the law branches on a state, calls a function that cannot be compiled, or returns a wrong
+        number of controls or of rates of its own states.
     """
 
     def __init__(self, dynamics: Dynamics, law: Law, *, n_command: int, n_own: int) -> None:
@@ -733,7 +734,7 @@ class ClosedLoop:
                 buffer.set_arg(k, held.data)
         for k, held in enumerate((self._rates, controls)):
             buffer.set_res(k, held.data)
-        # The function keeps addresses only.
+        # The CasADi buffer stores addresses only; keep the arrays alive.
         self._held = buffer, controls
 
     def _compiled(self, law: Law, sizes: tuple[int, int, int]) -> Any:
@@ -755,7 +756,7 @@ class ClosedLoop:
     def rates(
         self, t: float, joint: FloatArray, command: Sequence[float] | FloatArray
     ) -> FloatArray:
-        """Return the derivative of the joint state by time, shape (n_joint,)."""
+        """Return the time derivative of the joint state, shape (n_joint,)."""
         self._moment[:] = self._dynamics.moment(t)
         self._joint[:] = joint
         self._command[:] = command
@@ -786,6 +787,6 @@ class ClosedLoop:
         )
 
     def controls(self, t: FloatArray, joint: FloatArray, command: FloatArray) -> FloatArray:
-        """Return what the law applies at n times, shape (n, n_controls)."""
+        """Return the controls that the law applies at n times, shape (n, n_controls)."""
         moments = np.array([self._dynamics.moment(float(time)) for time in t])
         return MappedFunction(self._function, len(t))(moments, joint, command)[1]

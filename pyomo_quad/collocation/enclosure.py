@@ -1,8 +1,8 @@
 """Enclosures of declared expressions over boxes of their variables, by interval arithmetic.
 
-Each elementary operation of the compiled expression is carried out on the least and the greatest
-value of its arguments, for many boxes at once (Moore, Interval Analysis, 1966).  Rounding is not
-directed: an enclosure is good to some 1e-14 of the largest value in it.
+Each elementary operation of the compiled expression is evaluated on the lower and upper bounds of
+its arguments, for many boxes at once (Moore, Interval Analysis, 1966). Rounding is not directed: an
+enclosure is accurate to about 1e-14 of the largest value in it.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ def _number(value: float) -> Interval:
 
 
 def _product(a: Interval, b: Interval) -> Interval:
-    # A number, as most factors are, has both ends in one place.
+    # Both ends of a constant interval, as most factors are, share one array.
     ours, theirs = (ends[:1] if ends[0] is ends[1] else ends for ends in (a, b))
     corners = [x * y for x in ours for y in theirs]
     low = reduce(np.minimum, corners)
     if np.isnan(low).any():
-        # Nought times infinity: the finite factor was nought.
+        # 0 * inf is NaN; the product is 0, because the zero factor is exact.
         corners = [np.where(np.isnan(corner), 0.0, corner) for corner in corners]
         low = reduce(np.minimum, corners)
     return low, low if len(corners) == 1 else reduce(np.maximum, corners)
@@ -80,24 +80,24 @@ _OPERATIONS: dict[int, Callable[..., Interval]] = {
 
 
 def symbols(*names: str) -> list[Any]:
-    """Return symbols that `Dynamics.expressions` and an enclosure take."""
+    """Return symbols for `Dynamics.expressions` and an enclosure."""
     return [casadi.SX.sym(name) for name in names]
 
 
 class Enclosure:
-    """An expression and its slopes, enclosed over boxes.
+    """Enclosures of expressions, and of the slopes of the first, over boxes.
 
     Parameters
     ----------
     expressions : sequence
-        CasADi expressions, as `Dynamics.expressions` gives them; the slopes are those of the first.
+        CasADi expressions, as from `Dynamics.expressions`; slopes are those of the first.
     variables, numbers : sequence
-        Their symbols: those with an extent, and those that are given as numbers.
+        Symbols that range over intervals, and symbols with single values.
 
     Raises
     ------
     TranscriptionError
-        If they hold an operation that has no enclosure here.
+        If the expressions hold an operation without an enclosure.
     """
 
     def __init__(
@@ -115,19 +115,19 @@ class Enclosure:
         Parameters
         ----------
         low, high : ndarray, shape (n_variables, n)
-            Corners of n boxes; points where they are the same.
+            Lower and upper corners of n boxes; equal for points.
         numbers : array_like, shape (n_numbers,)
         """
         return self._all.over(low, high, numbers)
 
     def at(self, points: FloatArray, numbers: ArrayLike) -> FloatArray:
-        """Return the expressions at points, shape (n_variables, n): one row for each."""
+        """Return the expressions at points, shape (n_variables, n): one row per expression."""
         ((values, _),) = self._values.over(points, points, numbers)
         return values
 
 
 class _Steps:
-    """The elementary operations of a function, one after the other, on intervals."""
+    """The elementary operations of a function, evaluated in order on intervals."""
 
     def __init__(self, function: Any) -> None:
         self._function = function

@@ -1,18 +1,18 @@
-"""What the engine refuses, and how it says so."""
+"""Exceptions of the engine, and the text of errors from user code."""
 
 
 class EngineError(Exception):
-    """Root of everything the engine raises on purpose."""
+    """Base class of all exceptions that the engine raises deliberately."""
 
 
 class TranscriptionError(EngineError, ValueError):
-    """The declarations cannot be turned into a nonlinear program: the message names the culprit."""
+    """The declarations cannot be transcribed; the message names the component."""
 
 
 class SolveError(EngineError, RuntimeError):
-    """A solve that the caller asked to be complete did not end in an optimum."""
+    """A solve that the caller required to succeed did not converge."""
 
 
 def raised(error: Exception) -> str:
-    """Return the type and the message of what a user's own code raised."""
+    """Return type and message of an error raised by the user's code."""
     return f"{type(error).__name__}: {error}".removesuffix(": ")

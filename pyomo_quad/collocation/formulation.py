@@ -1,6 +1,6 @@
-"""A Pyomo.DAE model read and compiled: its equations, its numbers, its programs on meshes.
+"""A Pyomo.DAE model read and compiled: its equations, its data, its programs on meshes.
 
-Its structural index says how often the equations must be differentiated in time.
+The structural index tells how often the equations must be differentiated with respect to time.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ def index_tuple(index: Any) -> tuple[Any, ...]:
 
 
 class WrittenComponents:
-    """A model's components over time, written before it was pickled; read like a writer.
+    """A model's components over time, written before pickling, with the interface of a writer.
 
     Parameters
     ----------
     written : dict
-        By name and index beside time the expression, or why it cannot be written.
+        Expression by name and index without time, or the reason why it cannot be written.
     """
 
     def __init__(self, written: dict[tuple[str, tuple[Any, ...]], Any]) -> None:
@@ -67,7 +67,7 @@ class WrittenComponents:
         yield from self._written
 
     def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
-        """Return a component's expression, None if there is none of the name."""
+        """Return a component's expression, None if no component has this name."""
         if all(name != known for known, _ in self._written):
             return None
         found = self._written[name, index]
@@ -77,7 +77,7 @@ class WrittenComponents:
 
 
 class Evaluator:
-    """Writes components of the model as CasADi functions of a point, once each.
+    """Writes components of the model as CasADi functions of a point, each of them once.
 
     The inputs of a function are the rates, states and algebraic variables (outputs after the
     states of the program), the static variables, and the data: fraction, signals, parameters.
@@ -91,7 +91,7 @@ class Evaluator:
 
     @classmethod
     def of(cls, compiled: CompiledModel, writer: TemplateWriter) -> Evaluator:
-        """Return what evaluates the components of the model that was compiled."""
+        """Return the evaluator of a compiled model's components."""
         d = compiled.declared
         states = (*d.states, *d.outputs)
         inputs = (
@@ -104,7 +104,7 @@ class Evaluator:
         return cls(inputs, writer)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the components written, each once."""
+        """Pickle the components as expressions, each of them once."""
         written: dict[tuple[str, tuple[Any, ...]], Any] = {}
         for name, index in self._writer.components_over_time():
             try:
@@ -114,7 +114,7 @@ class Evaluator:
         return _unpacked, (packed((self.inputs, written)),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Evaluator:
-        """Return itself: it reads no number of the model."""
+        """Return itself: it holds no number of the model."""
         return self
 
     def expression(self, component: Any, index: Any = None) -> Any:
@@ -139,19 +139,19 @@ class Evaluator:
         unknown = symbol_names(written) - self._known
         if unknown:
             raise TranscriptionError(
-                f"{name}: holds {', '.join(sorted(unknown))}, which takes no part in the problem."
+                f"{name}: holds {', '.join(sorted(unknown))}, which does not appear in the problem."
             )
         return written
 
     def is_over_time(self, component: str, index: Any = None) -> bool:
-        """Say whether a name is that of a variable or expression over this horizon."""
+        """Return whether a name is that of a variable or expression over this horizon."""
         try:
             return self._writer.over_time(component, index_tuple(index)) is not None
         except KeyError:
             return True
 
     def function(self, keys: tuple[tuple[str, Any], ...]) -> Any:
-        """Return the CasADi function of some (name, index) pairs, compiled when first asked."""
+        """Return the CasADi function of some (name, index) pairs, compiled at first use."""
         if keys not in self._functions:
             rows = casadi.vertcat(*[self.expression(name, index) for name, index in keys])
             self._functions[keys] = casadi.Function(
@@ -276,12 +276,12 @@ class OutputStates:
 
 
 _CACHED_MESHES = 4
-# Fractions of the horizon at which a limit is compared with itself to see if it varies.
+# Fractions of the horizon at which a limit is evaluated to see whether it varies.
 _LOOKED_AT = (0.0, 0.2718, 0.5772, 1.0)
 
 
 class Formulation:
-    """A Pyomo.DAE model compiled for collocation; `Problem` says what is taken and refused."""
+    """A Pyomo.DAE model compiled for collocation; `Problem` lists the accepted declarations."""
 
     def __init__(
         self,
@@ -293,7 +293,7 @@ class Formulation:
 
     @classmethod
     def of(cls, model: Any, declared: Declarations, reader: ModelReader) -> Self:
-        """Return what was read of a model, compiled."""
+        """Return the formulation of declarations that have been read already."""
         formulation = object.__new__(cls)
         formulation._hold(*_compiled(model, declared, reader))
         return formulation
@@ -309,11 +309,11 @@ class Formulation:
         self._programs: dict[Mesh | None, Transcription] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle equations and numbers; the Pyomo model stays behind."""
+        """Pickle equations and numbers, without the Pyomo model."""
         return _restored, (type(self), self.compiled, self.values.snapshot(), self.evaluator)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """Copy the Pyomo model as well."""
+        """Copy the formulation together with its Pyomo model."""
         memo[id(self)] = other = object.__new__(type(self))
         vars(other).update(deepcopy(vars(self), memo))
         return other
@@ -321,8 +321,8 @@ class Formulation:
     def holding(self, model: Any) -> Self:
         """Return the same equations with the numbers, first values and scales of another model.
 
-        Nothing is compiled: the other model must declare what this one's does, and may differ in
-        what its parameters, its variables and its suffix `scaling_factor` hold.
+        Nothing is compiled. The other model must have the same declarations; the values of its
+        parameters, its variables and its suffix `scaling_factor` may differ.
         """
         other = object.__new__(type(self))
         vars(other).update(vars(self))
@@ -339,17 +339,17 @@ class Formulation:
         Raises
         ------
         TranscriptionError
-            If the problem was pickled, which leaves the model behind.
+            If the problem was pickled; a pickle does not contain the model.
         """
         return self.source.model
 
     @property
     def has_horizon(self) -> bool:
-        """Whether the model has a continuous set at all."""
+        """Whether the model has a continuous set."""
         return self.compiled.declared.has_horizon
 
     def required_breakpoints(self, instance: Instance) -> tuple[float, ...]:
-        """Return fractions of the horizon where an element must end: conditions and jumps."""
+        """Return fractions of the horizon at which an element must end: conditions and jumps."""
         declared = self.compiled.declared
         fractions = {p.fraction for p in declared.point_symbols} | {f for _, f in declared.fixed}
         return tuple(sorted(f for f in fractions.union(instance.jumps) if 0.0 < f < 1.0))
@@ -378,16 +378,16 @@ class Formulation:
         return np.array([[fraction, *at(fraction)] for fraction in fractions.tolist()])
 
     def data_of(self, instance: Instance, fractions: FloatArray) -> Data:
-        """Return what the equations read at fractions of the horizon."""
+        """Return the data of the equations at fractions of the horizon."""
         return Data(parameters=instance.parameters, signals=self.signals(instance, fractions))
 
     def data_at_starts(self, instance: Instance) -> FloatArray:
-        """Return what the equations read at the start and just after each jump, row by row."""
+        """Return the data of the equations at the start and just after each jump, row by row."""
         after = np.array(instance.jumps) + 2.0 * BESIDE
         return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()
 
     def program(self, mesh: Mesh | None, instance: Instance) -> Transcription:
-        """Return a nonlinear program on a mesh, made quickly where the mesh was used before."""
+        """Return the program on a mesh; a mesh that was used before is cached."""
         data = self.data_of(instance, mesh.point_fractions if mesh else np.zeros(0))
         if mesh not in self._programs:
             if len(self._programs) >= _CACHED_MESHES:
@@ -396,14 +396,14 @@ class Formulation:
         return self._programs[mesh].with_data(data)
 
     def timeline(self, statics: FloatArray, instance: Instance) -> Timeline:
-        """Return the times of the horizon, from the statics where they are free."""
+        """Return the times of the horizon, taken from the static variables where they are free."""
         times = np.array(self.compiled.times(statics, instance.parameters)).ravel()
         return Timeline(fractions=np.array(self.compiled.declared.clock.fractions), times=times)
 
     def algebraic_limits(self, instance: Instance) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper limits of the algebraic variables, shape (n_algebraics,) each.
 
-        Infinite where there is none, or where it varies with time.
+        Infinite where there is no limit, or where the limit varies with time.
         """
         at_each = [self._limits_at(instance, fraction) for fraction in _LOOKED_AT]
         lower, upper = (np.array(side) for side in zip(*at_each, strict=True))
@@ -449,7 +449,7 @@ def _restored(
     return formulation
 
 
-# The highest that is solved as it stands: a control that an equation among states implies.
+# Highest index that is solved without reformulation: an equation of states implies a control.
 _HIGHEST = 2
 _ABSENT = -1e6
 _ORDERS = {2: "second", 3: "third", 4: "fourth", 5: "fifth"}
@@ -457,18 +457,18 @@ _ORDERS = {2: "second", 3: "third", 4: "fourth", 5: "fifth"}
 
 @dataclass(frozen=True, kw_only=True)
 class StructuralIndex:
-    """Index of the equations over time, and how often each that needs it is differentiated."""
+    """Index of the equations over time, and the number of differentiations that each needs."""
 
     index: int
     differentiated: dict[str, int]
 
 
 def structural_index(declared: Declarations) -> StructuralIndex:
-    """Return the index, 0 of an ODE, by Pryce's signature matrix.
+    """Return the structural index (0 for an ODE), by Pryce's signature matrix.
 
-    Controls are unknowns as any other algebraic variable is, so that an equation among states that
-    a control must keep counts as one that the model without choice would have.  Source: Pryce
-    (2001), BIT Numerical Mathematics 41, 364-394.
+    Controls count as unknowns like any other algebraic variable, so that an equation among states
+    that a control must satisfy counts like one in a model without controls. Source: Pryce (2001),
+    BIT Numerical Mathematics 41, 364-394.
     """
     equations = [e for e in declared.equations if e.is_equality]
     names = [s.name for s in (*declared.states, *declared.algebraics)]
@@ -490,7 +490,7 @@ def structural_index(declared: Declarations) -> StructuralIndex:
         highest = np.max(orders + counts[:, None], axis=0)
         counts[rows] = highest[columns] - orders[rows, columns]
     found = dict(zip((e.name for e in equations), counts.astype(int).tolist(), strict=True))
-    # A variable of which no rate is determined is algebraic.
+    # A variable is algebraic if none of its rates is determined.
     is_dae = bool(np.any(highest == 0.0))
     return StructuralIndex(
         index=int(counts.max()) + is_dae,
@@ -504,7 +504,7 @@ def refuse_high_index(declared: Declarations) -> None:
     Raises
     ------
     TranscriptionError
-        Naming the equation to be differentiated, and how often.
+        Naming the equation to differentiate, and the number of differentiations.
     """
     found = structural_index(declared)
     if found.index <= _HIGHEST:

@@ -1,4 +1,4 @@
-"""Where Ipopt starts: the model's values, a function or frame, or a solution on another mesh."""
+"""Initial points for Ipopt: the model's values, a function or frame, or another mesh's solution."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 
 TIME_COLUMN = "time"
 
-#: A mapping from slot name to a function of time, a constant or samples over `TIME_COLUMN`;
-#: a pandas frame with a time column and one column per slot is such a mapping.  Or a whole
+#: A mapping from slot name to a function of time, a constant, or samples over `TIME_COLUMN`; a
+#: pandas frame with a time column and one column per slot is a mapping of this kind. Or a complete
 #: trajectory on any mesh.
 Guess: TypeAlias = "Mapping[str, Any] | pd.DataFrame | Trajectory"
 
 
 def point_from_trajectory(program: Transcription, trajectory: Trajectory) -> FloatArray:
-    """Return the unknowns that a trajectory on any mesh has on this program's mesh."""
+    """Return a trajectory's values, from any mesh, as unknowns on this program's mesh."""
     z = np.zeros(program.layout.unknowns)
     layout = program.layout
     if program.mesh is not None:
@@ -56,11 +56,11 @@ def point_from_trajectory(program: Transcription, trajectory: Trajectory) -> Flo
 def initial_point(
     program: Transcription, bounds: Bounds, values: ModelValues, guess: Guess | None
 ) -> FloatArray:
-    """Return a first point: straight lines between what is known, inside the bounds.
+    """Return a first point: linear interpolation between known values, inside the bounds.
 
-    Known are the values a guess gives, those of `initialize` rules at any time, those the model's
-    variables hold, and those that boundary conditions fix.  Algebraic variables of which nothing is
-    known take what their equations make of the others.
+    Known values come from a guess, from `initialize` rules at any time, from the model's variables,
+    and from boundary conditions. Algebraic variables without a known value are computed from their
+    defining equations.
     """
     if isinstance(guess, Trajectory):
         return np.clip(point_from_trajectory(program, guess), bounds.lower, bounds.upper)
@@ -98,7 +98,7 @@ def _with_defined_algebraics(
     given: Mapping[str, Any] | pd.DataFrame,
     z: FloatArray,
 ) -> FloatArray:
-    """Return a point whose algebraic variables without a guess satisfy their defining equations."""
+    """Return a point with algebraic variables that have no guess computed from their equations."""
     columns = program.layout.algebraic_columns
     unknown = [
         k
@@ -124,10 +124,10 @@ _STEPS = 3
 
 
 def with_consistent_algebraics(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
-    """Return a point whose algebraic variables come near to meeting the equations, by points.
+    """Return a point whose algebraic variables nearly satisfy the equations at each point.
 
-    A few Gauss-Newton steps with the states as they are: where nothing is known of a control, it is
-    the one that the states ask for.
+    Takes a few Gauss-Newton steps with fixed states: a control without a known value becomes the
+    one that the states require.
     """
     compiled, columns = program.compiled, program.layout.algebraic_columns
     if program.mesh is None or not columns.size:
@@ -151,15 +151,16 @@ def with_consistent_algebraics(program: Transcription, bounds: Bounds, z: FloatA
     return moved
 
 
-# Steps onto equations among states, and what they may leave, as a share of the first miss.
+# Number of steps onto equations among states, and residual to reach relative to the first one.
 _PROJECTIONS, _LEFT = 30, 1e-9
 
 
 def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
-    """Return a point whose states meet the equations that hold states alone, near a given one.
+    """Return a point near a given one whose states satisfy the equations among states alone.
 
-    Such an equation makes the index 2: its slopes at a first point far off it say little of the
-    rates and controls that keep it.  Gauss-Newton steps, each the shortest in the states' sizes.
+    Such an equation has index 2: far from it, its slopes at the first point give little information
+    on the rates and controls that maintain it. Each Gauss-Newton step is the shortest one in units
+    of the states' sizes.
     """
     compiled, layout = program.compiled, program.layout
     path, n = compiled.path, layout.n_states
@@ -193,13 +194,13 @@ def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) ->
     return with_consistent_algebraics(program, bounds, moved) if largest < first else z
 
 
-# Random functions are straight between so many instants; bounds beyond this size are none.
+# Number of instants between which random functions are linear; larger bounds count as absent.
 _INSTANTS = 4
 _LARGEST_BOUND = 1e6
 
 
 def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) -> FloatArray:
-    """Return a random point: between bounds where both are finite, else about a given point."""
+    """Return a random point: between bounds where both are finite, else around a given point."""
     generator = np.random.default_rng(seed)
     layout, moved = program.layout, np.array(z)
     groups = [(layout.static_columns[None, :], np.zeros(1))]
@@ -211,7 +212,7 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
     instants = np.linspace(0.0, 1.0, _INSTANTS)
     for columns, fractions in groups:
         for own in columns.T:
-            # Fixed values at the ends say nothing of what lies between.
+            # Use the median, because values fixed at the ends are not bounds between them.
             lower, upper = (np.median(side[own]) for side in (bounds.lower, bounds.upper))
             if max(abs(lower), abs(upper)) < _LARGEST_BOUND:
                 values = generator.uniform(lower, upper, _INSTANTS)
@@ -254,7 +255,7 @@ def _order_times(
     given: Mapping[str, Any] | pd.DataFrame,
     z: FloatArray,
 ) -> None:
-    """Let free times that nobody gave a value begin as declared, and all follow each other."""
+    """Start free times without a value at their declared times, and put all in increasing order."""
     statics, clock = program.compiled.declared.statics, program.compiled.declared.clock
     slots = {slot.name: k for k, slot in enumerate(statics)}
     columns = program.layout.static_columns
@@ -285,7 +286,7 @@ def _given(
     if callable(held):
         try:
             values = np.asarray(held(times), dtype=float)
-        except (TypeError, ValueError):  # It takes a number, as those of math do.
+        except (TypeError, ValueError):  # It accepts single numbers only, like math.sin.
             values = np.array([float(held(float(time))) for time in times])
         return np.broadcast_to(values, times.shape)
     samples = np.asarray(held, dtype=float)
@@ -295,7 +296,7 @@ def _given(
 
 
 def _inside(number: float, bounds: Bounds, column: int) -> float:
-    """Return a number moved inside its bounds; between two finite bounds, the middle."""
+    """Return a number moved inside its bounds; between two finite bounds, their middle."""
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:
         return number
@@ -321,14 +322,14 @@ _PARTS = ("states", "algebraics", "statics")
 
 @dataclass(frozen=True, kw_only=True)
 class ColdStart:
-    """What a solve took without a warm start: more is not spent on a warm one of the same demand.
+    """Iterations of a cold start: a limit for a warm start of the same problem and tolerance.
 
     Attributes
     ----------
     first, iterations : int
-        Iterations on the first mesh, and on all.
+        Iterations on the first mesh, and on all meshes.
     tolerance : float
-        That was asked for, 0 for a single mesh.
+        Tolerance of that solve, 0 for a single mesh.
     """
 
     first: int
@@ -337,12 +338,12 @@ class ColdStart:
 
     @property
     def array(self) -> FloatArray:
-        """All three numbers, from which `from_arrays` makes it again."""
+        """Return the three numbers as an array for `from_arrays`."""
         return np.array([float(self.first), float(self.iterations), self.tolerance])
 
     @classmethod
     def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> ColdStart | None:
-        """Make one of arrays that may come from a stranger, None where they hold none."""
+        """Return the record held in untrusted arrays, None if they hold none."""
         if "cold_start" not in held:
             return None
         first, iterations, tolerance = real_array(held, "cold_start", (3,)).tolist()
@@ -351,22 +352,22 @@ class ColdStart:
 
 @dataclass(frozen=True, kw_only=True)
 class WarmStart:
-    """A point of a program and its multipliers, free of the problem that they were found with.
+    """A point of a program with its multipliers, independent of the problem that it came from.
 
     Attributes
     ----------
     model : str
-        Fingerprint of the equations that the multipliers belong to.
+        Fingerprint of the equations to which the multipliers belong.
     trajectory : Trajectory
-        Where to begin.
+        The point itself.
     lower, upper : Trajectory
-        Multipliers of the bounds, shaped like the trajectory.
+        Multipliers of the bounds, in the form of a trajectory.
     equations : ndarray, shape (n_points, n_equations)
         Multipliers of the equations over time.
     conditions : ndarray, shape (n_conditions,)
         Multipliers of all other rows.
     cold_start : ColdStart, optional
-        What it took without a warm start, where known.
+        Iterations of the solve without a warm start, if known.
     """
 
     model: str
@@ -383,16 +384,16 @@ class WarmStart:
 
     @property
     def mesh(self) -> Mesh:
-        """The mesh it was found on."""
+        """The mesh on which it was found."""
         return self.trajectory.mesh
 
     @property
     def is_finite(self) -> bool:
-        """Whether all of it are numbers; what a failed solve leaves need not be."""
+        """Whether all numbers are finite; those of a failed solve may not be."""
         return all(bool(np.all(np.isfinite(array))) for array in self._numbers().values())
 
     def fits(self, compiled: CompiledModel) -> bool:
-        """Say if a compiled model has the very equations that the multipliers belong to."""
+        """Return whether a compiled model has the equations that the multipliers belong to."""
         held, declared = self.trajectory, compiled.declared
         return (
             self.model == compiled.fingerprint
@@ -404,19 +405,19 @@ class WarmStart:
         )
 
     def continued(self, mesh: Mesh, was: Timeline, now: Timeline) -> WarmStart:
-        """Return it on the mesh of another horizon, with what held at each time.
+        """Return the warm start on the mesh of another horizon, with its values at the same times.
 
         Parameters
         ----------
         mesh : Mesh
-            Of the other horizon, which lies inside its own.
+            Mesh of the other horizon, which lies inside its own.
         was, now : Timeline
-            Of its own horizon and of the other.
+            Times of its own horizon, and of the other.
 
         Returns
         -------
         WarmStart
-            Its multipliers of what is imposed at a time are carried over like those of a mesh.
+            Multipliers of quantities imposed at each time are interpolated as between meshes.
         """
         nodes, points = (
             was.fraction(now.time(fractions))
@@ -426,7 +427,7 @@ class WarmStart:
         new = mesh.quadrature_weights * now.span_at(mesh.point_fractions)
 
         path, lower, upper = self.trajectory, self.lower, self.upper
-        # One set of polynomials: each costs as much to find as to evaluate.
+        # Interpolate all at once: building the polynomials costs as much as evaluating them.
         imposed = (lower.states[1:], lower.algebraics, upper.states[1:], upper.algebraics)
         parts = (*imposed, self.equations)
         densities = [values / old[:, None] for values in parts]
@@ -461,7 +462,7 @@ class WarmStart:
         return named | {"equations": self.equations, "conditions": self.conditions}
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return it as named arrays, from which `from_arrays` makes it again."""
+        """Return the warm start as named arrays for `from_arrays`."""
         about = {
             "model": np.frombuffer(self.model.encode("ascii"), dtype=np.uint8),
             "breakpoints": np.asarray(self.mesh.breakpoints),
@@ -473,7 +474,7 @@ class WarmStart:
 
     @classmethod
     def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> WarmStart:
-        """Make a warm start of arrays that may come from a stranger.
+        """Return the warm start held in untrusted arrays.
 
         Raises
         ------
@@ -517,7 +518,7 @@ def warm_start_of(
     multipliers: Multipliers,
     cold_start: ColdStart | None,
 ) -> WarmStart:
-    """Return the warm start that a point of a program and its multipliers are."""
+    """Return the warm start of a program's point and multipliers."""
     first = program.first_condition_row
     return WarmStart(
         model=program.compiled.fingerprint,
@@ -535,17 +536,17 @@ def warm_start_of(
 def transfer(start: WarmStart, program: Transcription) -> tuple[FloatArray, Multipliers]:
     """Return unknowns and multipliers of a warm start on the mesh of a program.
 
-    Multipliers of what is imposed at a point are, divided by the quadrature weight there,
-    samples of a function of time; that function is what is carried over.
+    Multipliers of quantities imposed at a point, divided by the quadrature weight there, are
+    samples of a function of time. This function is interpolated to the new mesh.
 
     Raises
     ------
     TranscriptionError
-        If the warm start is of another model.
+        If the warm start belongs to another model.
     """
     if not start.fits(program.compiled):
         raise TranscriptionError(
-            "warm_start: the solution is of another model; give its frame as a guess instead."
+            "warm_start: the solution is of another model; pass its frame as guess= instead."
         )
     z = point_from_trajectory(program, start.trajectory)
     old, new = start.mesh, program.mesh
@@ -573,7 +574,7 @@ def transfer(start: WarmStart, program: Transcription) -> tuple[FloatArray, Mult
 
 
 def _assembled(program: Transcription, held: Trajectory) -> FloatArray:
-    """Return what is shaped like a trajectory on the program's mesh as one vector."""
+    """Return states, algebraic and static variables on the program's mesh as one vector."""
     layout = program.layout
     z = np.zeros(layout.unknowns)
     z[layout.state_columns] = held.states

@@ -68,12 +68,12 @@ class JointSolution(Summarised):
     Attributes
     ----------
     horizons : dict
-        The solution on each, by the name of its continuous set.
+        Solution on each horizon, by the name of its continuous set.
     coupling : Solution
-        Of the objective and the conditions that hold values of several horizons or of none.
+        Solution of the program of the objective and the conditions on several horizons or none.
     status, ipopt_code, message, objective, iterations, size, wall_s, error_estimate, state_error,
     history, cold_start
-        As of `Solution`, for all horizons together.
+        As in `Solution`, for all horizons together.
     """
 
     horizons: dict[str, Solution]
@@ -105,12 +105,12 @@ class JointSolution(Summarised):
 
     @property
     def is_converged(self) -> bool:
-        """Whether the solve, and the refinement if one was asked for, converged."""
+        """Whether the solve converged, and the refinement if a tolerance was given."""
         return self.status is Status.CONVERGED
 
     @cached_property
     def parts(self) -> tuple[Solution, ...]:
-        """The solutions on the horizons, with status, error and history of the whole."""
+        """The solutions on the horizons, with status, error and history of the joint solve."""
         return tuple(self._as_whole(part) for part in self.horizons.values())
 
     def _as_whole(self, part: Solution) -> Solution:
@@ -124,29 +124,29 @@ class JointSolution(Summarised):
         )
 
     def updated(self, **changes: Any) -> JointSolution:
-        """Return this solution with other attributes, which those of its horizons share."""
+        """Return this solution with other attributes, shared by those of its horizons."""
         other = replace(self, **changes)
         horizons = zip(self.horizons, other.parts, strict=True)
         return replace(other, horizons=dict(horizons))
 
     @property
     def warm_start(self) -> tuple[WarmStart, ...]:
-        """What another solve can start from: of each horizon, then of the coupling."""
+        """Warm starts for another solve: of each horizon, then of the coupling."""
         return tuple(part.warm_start for part in (*self.horizons.values(), self.coupling))
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What makes a converged solution doubtful, one line each."""
+        """Warnings about a converged solution, one line each."""
         found = ((name, line) for name, p in self.horizons.items() for line in p.warnings)
         return tuple(f"{name}: {line}" for name, line in found)
 
     def on(self, component: Any, index: Any = None) -> Solution:
-        """Return the solution on the horizon that a component, or its full name, is over.
+        """Return the solution on the horizon that indexes a component (or its full name).
 
         Raises
         ------
         TranscriptionError
-            If it is over none.
+            If no horizon indexes it.
         """
         name = component if isinstance(component, str) else component.name
         for part in self.horizons.values():
@@ -181,14 +181,14 @@ class JointProblem(Summarised):
         With several ContinuousSets that are not discretised, each the horizon of its own
         variables.  Values at their ends, integrals and static variables couple them.
     times : mapping, optional
-        Name of the set -> declared time -> static variable that it is to be.
+        Name of the set -> declared time -> static variable that replaces it.
 
     Attributes
     ----------
     horizons : dict
-        What is declared over each, by the name of the set.
+        Declarations over each horizon, by the name of the set.
     coupling : Formulation
-        The objective, and what several horizons or none hold.
+        The objective, and the declarations on several horizons or none.
 
     Raises
     ------
@@ -209,7 +209,7 @@ class JointProblem(Summarised):
 
     @property
     def summary(self) -> dict[str, str]:
-        """The horizons, and how many states each has."""
+        """The horizons, and the number of states of each."""
         counts = {n: len(p.compiled.declared.states) for n, p in self.horizons.items()}
         return {name: f"{count} states" for name, count in counts.items()}
 
@@ -234,8 +234,8 @@ class JointProblem(Summarised):
     ) -> JointSolution:
         """Solve on given meshes, or refine each until the errors meet a tolerance.
 
-        The arguments are those of `Problem.solve`; `mesh` may be one for all horizons or one
-        for each by the name of its set, and `guess` may hold one for each likewise.  Another
+        The arguments are those of `Problem.solve`. `mesh` may be one mesh for all horizons or a
+        mapping by the names of the sets, and `guess` may likewise hold one guess per horizon.
         `horizon` and several `starts` are refused.
         """
         self._refuse_of_one_horizon(horizon, starts)
@@ -320,7 +320,7 @@ class JointProblem(Summarised):
         Raises
         ------
         TranscriptionError
-            If a name is neither that of a horizon nor of a variable.
+            If a name is neither a horizon nor a variable.
         """
         guess = {} if guess is None else guess
         known = [_slot_names(part) for part in self._parts]
@@ -334,7 +334,7 @@ class JointProblem(Summarised):
         return [guess.get(name, held) for name, held in zip([*self.horizons, ""], own, strict=True)]
 
     def union(self, meshes: Sequence[Mesh | None], instances: Sequence[Instance]) -> Union:
-        """Return the programs of the horizons on meshes, and of the coupling, as one."""
+        """Return the union of the horizons' programs on meshes and of the coupling's program."""
         programs = [
             part.program(mesh, instance)
             for part, mesh, instance in zip(self._parts, meshes, instances, strict=True)
@@ -353,7 +353,7 @@ class JointProblem(Summarised):
         progress: Progress | None,
         is_scaled: bool = True,
     ) -> JointSolution:
-        """Solve once, with a mesh for each horizon."""
+        """Solve once, with one mesh per horizon."""
         parts = self._parts
         chosen = [
             mesh and mesh.with_breakpoints(part.required_breakpoints(instance))
@@ -485,7 +485,7 @@ class JointProblem(Summarised):
         return np.clip(z, bounds.lower, bounds.upper), None
 
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
-        """Let the static variables that stand for values begin as these values."""
+        """Start the static variables that equal values of horizons at these values."""
         if program.mesh is None:
             return
         conditions = [c.name for c in program.compiled.declared.conditions]
@@ -515,7 +515,7 @@ def _slot_names(part: Formulation) -> set[str]:
 
 
 def compiled_of(model: Any, final_time: Any = None, times: FreeTimes | None = None) -> Any:
-    """Return a model compiled, to a `Problem` or a `JointProblem`.
+    """Return a compiled model: a `Problem` or a `JointProblem`.
 
     Raises
     ------

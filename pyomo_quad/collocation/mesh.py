@@ -48,14 +48,14 @@ def barycentric_weights(nodes: FloatArray) -> FloatArray:
 
 
 def interpolation_matrix(nodes: FloatArray, targets: FloatArray) -> FloatArray:
-    """Return the matrix that takes values at `nodes` to values at `targets`.
+    """Return the matrix that maps values at `nodes` to values at `targets`.
 
     Parameters
     ----------
     nodes : ndarray, shape (n,)
         Distinct nodes of the polynomial, in the unit interval.
     targets : ndarray, shape (m,)
-        Where it is evaluated; a target equal to a node reproduces it exactly.
+        Points of evaluation; a target equal to a node reproduces its value exactly.
 
     Returns
     -------
@@ -128,7 +128,7 @@ def radau_rule(degree: int) -> RadauRule:
 def real_array(
     held: Mapping[str, NDArray[Any]], name: str, shape: tuple[int | None, ...]
 ) -> FloatArray:
-    """Return one of some arrays that may come from a stranger, checked.
+    """Return a checked copy of one of several untrusted arrays.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def real_array(
         Name to array.
     name : str
     shape : tuple of int or None
-        What is wanted; None where any length will do.
+        Required shape; None allows any length.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def real_array(
     Raises
     ------
     TranscriptionError
-        If there is no such array, or it is not of finite real numbers in that shape.
+        If the array is missing, not real and finite, or of another shape.
     """
     if name not in held:
         raise TranscriptionError(f"{name}: is missing.")
@@ -192,10 +192,10 @@ class Trajectory:
 
 @dataclass(frozen=True, kw_only=True)
 class Timeline:
-    """Times of some shares of the declared horizon, between which time runs evenly.
+    """Times at given fractions of the declared horizon, linear in between.
 
-    Shapes: fractions (n,) from 0 to 1, times (n,), both increasing.  A time that ends one phase
-    and begins the next belongs to the one that it ends.
+    Shapes: fractions (n,) from 0 to 1, times (n,), both increasing. A time at which a phase ends
+    and the next one begins belongs to the phase that ends.
     """
 
     fractions: FloatArray
@@ -203,22 +203,22 @@ class Timeline:
 
     @property
     def spans(self) -> FloatArray:
-        """Change of time with the share of the horizon in each phase, shape (n - 1,)."""
+        """Derivative of time with respect to the fraction in each phase, shape (n - 1,)."""
         return np.diff(self.times) / np.diff(self.fractions)
 
     def span_at(self, fractions: FloatArray) -> FloatArray:
-        """Return the change of time with the share of the horizon."""
+        """Return the derivative of time with respect to the fraction of the horizon."""
         return self.spans[np.searchsorted(self.fractions[1:-1], fractions)]
 
     def time(self, fractions: Any) -> Any:
-        """Return the times of shares of the declared horizon, of their shape."""
+        """Return the times at fractions of the declared horizon, in the same shape."""
         phase = np.searchsorted(self.fractions[1:-1], fractions)
         inside = self.spans[phase] * (fractions - self.fractions[phase])
         ends = fractions == self.fractions[phase + 1]
         return np.where(ends, self.times[phase + 1], self.times[phase] + inside)
 
     def fraction(self, times: Any) -> Any:
-        """Return times as shares of the declared horizon, of their shape."""
+        """Return the fractions of the declared horizon at times, in the same shape."""
         if len(self.times) == 2:
             return (times - self.times[0]) / (self.times[1] - self.times[0])
         phase = np.searchsorted(self.times[1:-1], times)
@@ -229,7 +229,7 @@ class Timeline:
 
 
 def by_element(mesh: Mesh, fractions: FloatArray) -> list[tuple[int, np.ndarray, FloatArray]]:
-    """Return (element, positions, local coordinates) for each element that is asked for."""
+    """Return (element, positions, local coordinates) for each element that holds a fraction."""
     elements = mesh.locate(fractions)
     starts = np.asarray(mesh.breakpoints)
     groups = []
@@ -252,7 +252,7 @@ def interpolate(
     ----------
     mesh : Mesh
     values : ndarray, shape (n_points + 1, k) or (n_points, k)
-        At nodes if `with_start`, else at collocation points.
+        Values at nodes if `with_start`, else at collocation points.
     fractions : ndarray, shape (n,)
     with_start : bool
         Whether each element's polynomial also passes through its left end.
@@ -283,7 +283,7 @@ def interpolate_rates(mesh: Mesh, states: FloatArray, fractions: FloatArray) -> 
     return result
 
 
-# Times per point at which a polynomial is looked at for whether it goes beyond limits.
+# Times per point at which a polynomial is evaluated to see whether it exceeds limits.
 _LOOKS = 4
 
 
@@ -297,7 +297,7 @@ def control_polynomial(
 ) -> Callable[[float], FloatArray]:
     """Return one element's polynomial through values at its points, as a function of time.
 
-    It is held to the limits where it goes beyond them between the points.
+    The polynomial is clipped to the limits where it exceeds them between the points.
 
     Parameters
     ----------
@@ -331,25 +331,26 @@ def control_polynomial(
     looked_at = 0.5 - 0.5 * np.cos(np.pi * np.arange(looks + 1) / looks)
     found = interpolation_matrix(points, looked_at) @ held
     low, high = found.min(axis=0), found.max(axis=0)
-    # Between so many extrema of a Chebyshev polynomial it goes no further: Ehlich and Zeller,
-    # "Schwankung von Polynomen zwischen Gitterpunkten", Mathematische Zeitschrift 86 (1964).
+    # Between the extrema of a Chebyshev polynomial, a polynomial exceeds its largest value there by
+    # at most this factor: Ehlich and Zeller, "Schwankung von Polynomen zwischen Gitterpunkten",
+    # Mathematische Zeitschrift 86 (1964).
     beyond = (high - low) / 2.0 * (1.0 / np.cos(np.pi * (points.size - 1) / (2 * looks)) - 1.0)
     if np.all((limits[0] <= low - beyond) & (high + beyond <= limits[1])):
         return polynomial
     return lambda t: np.clip(polynomial(t), *limits)
 
 
-# Of a mesh that is read from a file; nodes of a higher degree take long to compute.
+# Highest degree of a mesh read from a file; nodes of a higher degree take long to compute.
 _HIGHEST_DEGREE = 100
 
 
 class Summarised(ABC):
-    """What shows itself in one line, and as a small table in a notebook."""
+    """Base of classes that print a one-line summary, and a small table in a notebook."""
 
     @property
     @abstractmethod
     def summary(self) -> dict[str, str]:
-        """What is worth knowing at a glance, by its name."""
+        """The most important facts, as text by name."""
 
     def __repr__(self) -> str:
         """Return the summary in one line."""
@@ -425,12 +426,12 @@ class Mesh(Summarised):
 
     @classmethod
     def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> Mesh:
-        """Return the mesh of arrays "breakpoints" and "degrees" that may come from a stranger.
+        """Return the mesh held in untrusted arrays "breakpoints" and "degrees".
 
         Raises
         ------
         TranscriptionError
-            If one is missing, is not of real or whole numbers, or they are no mesh.
+            If an array is missing or of the wrong type, or the two do not define a mesh.
         """
         breakpoints = real_array(held, "breakpoints", (None,))
         degrees = held.get("degrees")
@@ -444,7 +445,7 @@ class Mesh(Summarised):
         )
 
     def with_breakpoints(self, fractions: Iterable[float]) -> Mesh:
-        """Return this mesh with further element boundaries, where it has none already."""
+        """Return this mesh with additional element boundaries, without duplicates."""
         breakpoints, degrees = list(self.breakpoints), list(self.degrees)
         for fraction in sorted(fractions):
             nearest = min(range(len(breakpoints)), key=lambda i: abs(breakpoints[i] - fraction))

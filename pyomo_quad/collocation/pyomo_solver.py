@@ -1,6 +1,6 @@
 """The engine as a Pyomo solver: ``SolverFactory("pyomo_quad").solve(model)``.
 
-It takes a continuous model, one that `pyomo.dae` has discretised already, and one without
+It accepts a continuous model, a model that `pyomo.dae` has discretised already, and a model without
 time: a plain nonlinear program.
 """
 
@@ -43,7 +43,7 @@ _TERMINATION = {
     Status.TOLERANCE_NOT_MET: (SolverStatus.warning, TerminationCondition.other),
     Status.INTERRUPTED: (SolverStatus.aborted, TerminationCondition.userInterrupt),
 }
-# What Ipopt's own return codes say more, of a solve that did not converge.
+# Solver status and termination condition for Ipopt's return codes of failed solves.
 _BY_CODE = {
     -1: (SolverStatus.warning, TerminationCondition.maxIterations),
     -4: (SolverStatus.aborted, TerminationCondition.maxTimeLimit),
@@ -61,7 +61,7 @@ class PyomoSolver:
     Parameters
     ----------
     **options
-        Ipopt options, which `options` of `solve` adds to.
+        Ipopt options, to which `options` of `solve` adds.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -107,18 +107,19 @@ class PyomoSolver:
         logfile : str or Path, optional
             File that gets these lines.
         keepfiles : bool, optional
-            Write them to a temporary file, whose name is printed, where no `logfile` is given.
+            Write these lines to a temporary file and print its name, if no `logfile` is given.
         timelimit : float, optional
-            Seconds on the clock for all meshes together; so is the option `max_wall_time`.
+            Wall-clock time limit [s] for all meshes together; the option `max_wall_time` is the
+            same.
         warmstart : bool, optional
-            Start from the trajectory and multipliers that this solver last found for the
-            model; the values that its variables hold are the first point in any case.
+            Start from the trajectory and multipliers that this solver last found for the model.
+            Otherwise the values of the model's variables are the first point.
         options : dict, optional
             Ipopt options by name.
         load_solutions : bool, optional
-            Whether the model takes the solution's values, integrals included.
+            Whether to load the solution's values, integrals included, into the model.
         symbolic_solver_labels : bool, optional
-            Changes nothing: messages always name the model's components.
+            Ignored: messages always name the model's components.
         final_time : Var, optional
         times : mapping, optional
             See `Problem`.
@@ -128,14 +129,14 @@ class PyomoSolver:
         Returns
         -------
         SolverResults
-            As every Pyomo solver returns; `assert_optimal_termination` understands it.  Its
-            `solution_on_mesh` is the engine's `Solution`.
+            In the form that every Pyomo solver returns, for example for
+            `assert_optimal_termination`. Its `solution_on_mesh` is the engine's `Solution`.
 
         Raises
         ------
         TranscriptionError
-            If the model declares something incomplete or unsupported, or the time limit is
-            not above 0.
+            If the model's declarations are incomplete or unsupported, or the time limit is not
+            above 0.
         """
         del symbolic_solver_labels
         chosen = {**self.options, **(options or {})}
@@ -177,7 +178,7 @@ def _refuse_unknown(arguments: dict[str, Any], problem: Problem | JointProblem) 
 
 
 def _results(problem: Problem | JointProblem, solution: Solution | JointSolution) -> SolverResults:
-    """Return what Pyomo wants to know of a solution."""
+    """Return a solution in the form of Pyomo's `SolverResults`."""
     results = SolverResults()
     results.solver.name = "pyomo_quad"
     ended = _TERMINATION[solution.status]
@@ -198,7 +199,7 @@ def _results(problem: Problem | JointProblem, solution: Solution | JointSolution
 
 
 def _printed(writers: list[Callable[[str], Any]]) -> Callable[[Iteration], None]:
-    """Return a progress callback that gives every writer a line."""
+    """Return a progress callback that passes each line to every writer."""
 
     def write(line: Iteration) -> None:
         text = (

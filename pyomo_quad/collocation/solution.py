@@ -1,7 +1,7 @@
-"""What a solve returns: values, costates, Hamiltonian, errors and history, at any time; and duals.
+"""The result of a solve: values, costates, Hamiltonian, errors, history; and Pyomo's duals.
 
-The duals, reduced costs and costates that a model imports say what moving a limit by one unit
-would change in the objective.
+The duals, reduced costs and costates that a model imports are the change of the objective per unit
+change of a limit.
 """
 
 from __future__ import annotations
@@ -47,10 +47,11 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance
 
-# Root mean square deviation, as a share of the Hamiltonian's size, that is no longer rounding
-# and mesh error.
+# Root mean square deviation, relative to the Hamiltonian's size, above which rounding and mesh
+# error cannot explain it.
 _SUSPICIOUS = 1e-2
-# Of the horizon: a point at an interior condition belongs to the part that it ends.
+# As a fraction of the horizon: a point at an interior condition belongs to the part that ends
+# there.
 _JUST_BEFORE = 1e-9
 
 
@@ -60,7 +61,7 @@ def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
     Parameters
     ----------
     solution : Solution
-        Converged; a model that reads time is never warned of.
+        Converged solution; a model that depends on time explicitly gets no warning.
 
     Returns
     -------
@@ -71,7 +72,7 @@ def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
     if not compiled.declared.states or _reads_time(compiled):
         return ()
     held, weights = solution.costates.hamiltonian, solution.mesh.quadrature_weights
-    # It may jump where a condition holds at an interior time.
+    # The Hamiltonian may jump where a condition holds at an interior time.
     conditions = solution.problem.required_breakpoints(solution.instance)
     part = np.searchsorted(conditions, solution.mesh.point_fractions - _JUST_BEFORE)
     length = np.bincount(part, weights)
@@ -91,7 +92,7 @@ def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
 
 
 def _reads_time(compiled: CompiledModel) -> bool:
-    """Say whether an equation, an integrand or a limit reads time, other than its phase."""
+    """Return whether an equation, integrand or limit depends on time, other than by its phase."""
     declared = compiled.declared
     parts = [part for e in declared.equations for part in (e.expression, e.lower, e.upper)]
     parts += [side for b in compiled.simple_path_bounds for side in (b.lower, b.upper)]
@@ -103,12 +104,13 @@ def _reads_time(compiled: CompiledModel) -> bool:
     return bool(is_varying) or declared.clock.fraction.name() in read
 
 
-# Of a multiplier, as a share of the objective for the size of its equation, over time.
+# Multiplier over time, relative to objective / size of its equation, above which it counts as
+# unbounded.
 _UNBOUNDED = 1e12
 
 
 def diverging_multipliers(solution: Solution) -> tuple[str, ...]:
-    """Return the equations over time whose multipliers are beyond anything regular."""
+    """Return the equations over time whose multipliers exceed any regular size."""
     program, scaling = solution.program, solution.scaling
     if not program.n_points:
         return ()
@@ -120,12 +122,12 @@ def diverging_multipliers(solution: Solution) -> tuple[str, ...]:
     return tuple(e.name for e, size in zip(equations, largest, strict=True) if size > _UNBOUNDED)
 
 
-# Of a table's range, by how much an argument may leave it.
+# Fraction of a table's range by which an argument may leave it.
 _RANGE_SLACK = 1e-6
 
 
 def outside_tables(solution: Solution) -> str:
-    """Return one line that names the argument farthest outside its table's range, or nothing."""
+    """Return one line naming the argument farthest outside its table's range, or ""."""
     program, z = solution.program, solution.unknowns
     tables = program.compiled.tables
     found = []
@@ -146,13 +148,14 @@ def outside_tables(solution: Solution) -> str:
                 when = f" at time {solution.times[k + 1]:.6g}" if len(arguments) > 1 else ""
                 line = (
                     f"{use.name} is {arguments[k]:.6g}{when}, outside its range "
-                    f"[{use.lower:g}, {use.upper:g}]; give more of the table, or bound what "
-                    "stands there."
+                    f"[{use.lower:g}, {use.upper:g}]; extend the table, or bound the variables "
+                    "in its argument."
                 )
     return line
 
 
-# Of the objective's size, or of 1: the most that the unit of its scaling counts for.
+# Largest unit of the objective's scaling that counts, in units of the objective's size (at least
+# 1).
 _STEEPEST = 10.0
 
 
@@ -180,23 +183,23 @@ class Solution(Summarised):
     ipopt_code : int
         Ipopt's own return code of the last solve.
     message : str
-        Why the solve ended, in one sentence.
+        Reason why the solve ended, in one sentence.
     objective : float
-        As declared, by the scheme's own quadrature.
+        Objective as declared, by the scheme's own quadrature.
     trajectory : Trajectory
         Unknowns on the mesh.
     error_estimate : float
-        Relative, largest over elements and states; infinite when it was not estimated.
+        Largest relative error over elements and states; infinite if not estimated.
     state_error : float
-        How far the states may be from the optimal ones, relative to their magnitudes: all
-        elements together, more where limits begin or cease to hold, and more again where a
-        singular arc leaves them to a flat objective; infinite when it was not estimated.
+        Estimated distance of the states from the optimal ones, relative to their magnitudes. It
+        adds the errors of all elements, and is larger where limits become active or inactive, and
+        where a singular arc leaves the states to a flat objective; infinite if not estimated.
     history : tuple of MeshRecord
-        One entry per mesh solved on.
+        One record per mesh.
     cold_start : ColdStart or None
-        What it took without a warm start; from a warm one, what that had taken.
+        Iterations without a warm start; after a warm start, the record that came with it.
     restraint : Restraint or None
-        What bounds that are kept between the points too do to the objective; None where none are.
+        Effect on the objective of bounds between the points; None if none are imposed.
     notes : tuple of str
         Warnings of the solve itself, one line each.
     """
@@ -248,7 +251,7 @@ class Solution(Summarised):
         }
 
     def _errors_of_others(self) -> dict[str, str]:
-        """Return what is known of states and costates where it was estimated."""
+        """Return the estimated errors of states and costates, where available."""
         if not (np.isfinite(self.state_error) and self.problem.compiled.declared.states):
             return {}
         name, error = max(self.costate_errors.items(), key=lambda item: item[1])
@@ -273,35 +276,36 @@ class Solution(Summarised):
 
     @property
     def nominal_objective(self) -> float:
-        """What changes of the objective are measured by: its size, or that of its scaling.
+        """Reference size for changes of the objective: its own size, or the unit of its scaling.
 
-        A penalty may make the first slopes, and so the unit of the scaling, far steeper than any
-        that matters: no more than some times the size counts.
+        A penalty may make the slopes at the first point, and therefore the unit of the scaling, far
+        larger than any slope that matters. That unit is therefore capped at a multiple of the
+        objective's size.
         """
         size = abs(self.objective)
         return max(size, min(1.0 / self.scaling.objective, _STEEPEST * max(1.0, size)))
 
     @property
     def is_converged(self) -> bool:
-        """Whether the solve, and the refinement if one was asked for, converged."""
+        """Whether the solve converged, and the refinement if a tolerance was given."""
         return self.status is Status.CONVERGED
 
     @cached_property
     def timeline(self) -> Timeline:
-        """Physical times of the declared ones that are free, and of start and end."""
+        """Physical times of the free declared times, and of start and end."""
         return self.problem.timeline(self.trajectory.statics, self.instance)
 
     @property
     def horizon(self) -> tuple[float, float]:
-        """Start and end in physical time, as solved for where they were free."""
+        """Start and end in physical time, as solved for if they are free."""
         times = self.timeline.times
         return float(times[0]), float(times[-1])
 
     @cached_property
     def mesh_in_time(self) -> Mesh:
-        """The mesh with its boundaries as shares of the horizon in physical time.
+        """The mesh with its boundaries as fractions of the horizon in physical time.
 
-        The trajectory's values on it are the same polynomials; other than `mesh` only where
+        The trajectory's values on it define the same polynomials. It differs from `mesh` only if
         interior times are free.
         """
         if len(self.timeline.times) == 2:
@@ -312,14 +316,14 @@ class Solution(Summarised):
 
     @cached_property
     def warm_start(self) -> WarmStart:
-        """What another solve can start from, free of this solution's problem."""
+        """Warm start for another solve, independent of this solution's problem."""
         return warm_start_of(self.program, self.unknowns, self.multipliers, self.cold_start)
 
     @cached_property
     def output_states(self) -> FloatArray:
-        """What nothing solved for depends on, solved for when it is asked for.
+        """Output states at the nodes, shape (n_points + 1, n_outputs).
 
-        Shape (n_points + 1, n_outputs), at the nodes.
+        No other unknown depends on them, so they are solved for on demand.
         """
         program, outputs = self.program, self.problem.outputs
         if not len(outputs) or program.mesh is None:
@@ -333,7 +337,7 @@ class Solution(Summarised):
 
     @property
     def dynamics(self) -> Dynamics:
-        """The right-hand side with the numbers that this solution was found with."""
+        """The right-hand side with the data of this solution."""
         return Dynamics(self.problem, self.instance, self.trajectory.statics)
 
     @cached_property
@@ -370,14 +374,14 @@ class Solution(Summarised):
         component : Var, DerivativeVar, Expression or str
             A component of the model or its full name.
         t : float or array, optional
-            Times; left out for a static variable or an integral.
+            Times; omitted for a static variable or an integral.
         index : optional
             The component's index beside time.
 
         Returns
         -------
         float or ndarray
-            Of the shape of `t`.
+            In the shape of `t`.
         """
         name = component if isinstance(component, str) else component.name
         if t is None:
@@ -397,7 +401,7 @@ class Solution(Summarised):
         raise TranscriptionError(f"{name}: is not a static variable or integral; give a time t.")
 
     def _inputs(self, fractions: FloatArray) -> list[FloatArray]:
-        """Return what an evaluated function reads, at fractions of the horizon."""
+        """Return the inputs of an evaluated function at fractions of the horizon."""
         path, n = self.trajectory, len(fractions)
         states, rates = path.states_at(fractions), path.rates_at(fractions)
         if self.output_states.shape[1]:
@@ -423,7 +427,7 @@ class Solution(Summarised):
         )
 
     def costate(self, state: Any, t: Any, index: Any = None) -> Any:
-        """Return the costate of a state at times; p is the slope of the optimum in the state."""
+        """Return a state's costate at times: the derivative of the optimal cost by the state."""
         name = state if isinstance(state, str) else state.name
         slots = self.problem.compiled.declared.states
         wanted = (name, index_tuple(index))
@@ -435,10 +439,10 @@ class Solution(Summarised):
 
     @cached_property
     def costate_errors(self) -> dict[str, float]:
-        """Largest error of each costate anywhere, estimated, by the name of its state.
+        """Estimated largest error of each costate over the horizon, by the name of its state.
 
-        Relative to the costate's largest magnitude.  It is as large as a jump where a limit on a
-        state begins or ceases to hold within an element, in that element; infinite when the
+        Relative to the costate's largest magnitude. If a limit on a state becomes active or
+        inactive inside an element, the error in that element is as large as a jump. Infinite if the
         errors of the states were not estimated.
         """
         own = costate_errors_of(
@@ -454,7 +458,7 @@ class Solution(Summarised):
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """What makes a converged solution doubtful, one line each."""
+        """Warnings about a converged solution, one line each."""
         return (*self.notes, *hamiltonian_warnings(self)) if self.is_converged else ()
 
     def hamiltonian(self, t: Any) -> Any:
@@ -484,8 +488,8 @@ class Solution(Summarised):
     def to_frame(self, times: Any = None) -> pd.DataFrame:
         """Return states, outputs and algebraic variables as columns over the nodes' times.
 
-        Column "time" first, then one column per slot, named as ``rotors.omega[1]``; that of a
-        variable of the model that is called time is "time (variable)".
+        Column "time" comes first, then one column per slot, named as in ``rotors.omega[1]``. A
+        variable of the model that is itself called time becomes "time (variable)".
         """
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -509,7 +513,7 @@ def solution_from(
     bounds: Bounds,
     scaling: Scaling,
 ) -> Solution:
-    """Return the solution that Ipopt's result stands for."""
+    """Return the solution that corresponds to Ipopt's result."""
     z = result.z
     return Solution(
         problem=problem,
@@ -531,13 +535,13 @@ def solution_from(
 
 @dataclass(frozen=True, kw_only=True)
 class Prices:
-    """Slopes of the declared objective: functions of declared time, and single numbers, by name."""
+    """Sensitivities of the declared objective, by name: functions of declared time, and numbers."""
 
     over_time: dict[str, Callable[[float], float]] = field(default_factory=dict)
     once: dict[str, float] = field(default_factory=dict)
 
     def add(self, name: str, price: Callable[[float], float]) -> None:
-        """Add a price over time to those of a name: both sides of a limit may be rows."""
+        """Add a sensitivity over time to that of a name: both sides of a limit may be rows."""
         held = self.over_time.get(name)
         if held is None:
             self.over_time[name] = price
@@ -546,11 +550,11 @@ class Prices:
 
 
 def load_suffixes(*solutions: Solution) -> None:
-    """Fill the model's suffixes `dual`, `rc` and `costate`, where it imports them.
+    """Fill the suffixes `dual`, `rc` and `costate` of a model that imports them.
 
-    They are the change of the objective, as declared, with a constraint's constant side, with a
-    bound of a variable, and with a state; over time, per unit of time.  Several solutions are
-    those of several horizons.
+    They are the derivatives of the declared objective by the constant side of a constraint, by a
+    bound of a variable, and by a state; over time, per unit of time. Several solutions are those of
+    several horizons.
     """
     source = solutions[0].problem.source
     if not isinstance(source, LiveModel):
@@ -568,7 +572,7 @@ def load_suffixes(*solutions: Solution) -> None:
 
 
 def _suffixes(solution: Solution) -> dict[str, Prices]:
-    """Return what the suffixes of these names hold."""
+    """Return the contents of the suffixes by name."""
     problem = solution.problem
     dual, reduced = _prices(solution)
     costates = Prices()
@@ -600,7 +604,7 @@ def _fraction(solution: Solution, time: float) -> FloatArray:
 
 
 def _prices(solution: Solution) -> tuple[Prices, Prices]:
-    """Return the prices of constraints and those of bounds."""
+    """Return the sensitivities to constraints and to bounds."""
     program, multipliers = solution.program, solution.multipliers
     declared = program.compiled.declared
     sign = -1.0 if program.is_negated else 1.0
@@ -618,18 +622,18 @@ def _prices(solution: Solution) -> tuple[Prices, Prices]:
 
 
 def _widths(solution: Solution) -> FloatArray:
-    """Return the time that each collocation point stands for."""
+    """Return the length of time that each collocation point represents."""
     mesh = solution.mesh
     return np.asarray(solution.timeline.span_at(mesh.point_fractions) * mesh.quadrature_weights)
 
 
 def _share_bounds(solution: Solution, sign: float, dual: Prices, reduced: Prices) -> None:
-    """Give the multipliers of bounds to the variables and constraints that state them."""
+    """Assign the multipliers of bounds to the variables and constraints that declare them."""
     program, bounds = solution.program, solution.bounds
     compiled = program.compiled
     simple = (*compiled.simple_path_bounds, *compiled.simple_point_bounds)
     slopes = {bound.name: bound.slope for bound in simple}
-    # A variable that is bounded at one time only has a limit there of its own name.
+    # A variable bounded at one time only has a limit with that member's own name.
     find = solution.problem.model.find_component
     of_constraints = slopes.keys() - {
         b.name for b in compiled.simple_point_bounds if getattr(find(b.name), "ctype", None) is Var
@@ -639,7 +643,7 @@ def _share_bounds(solution: Solution, sign: float, dual: Prices, reduced: Prices
     for limit in limits_of(program, start_data, solution.instance.fixed):
         total = np.zeros(limit.columns.size)
         for side, rest in left.items():
-            # Where two declarations say the same, the first has it all.
+            # If two declarations impose the same bound, the first of them gets the multiplier.
             is_own = getattr(limit, side) == getattr(bounds, side)[limit.columns]
             total += np.where(is_own, rest[limit.columns], 0.0)
             rest[limit.columns[is_own]] = 0.0

@@ -27,11 +27,12 @@ from pyomo_quad.collocation import (
 )
 from pyomo_quad.flight.columns import TIME, flight_columns, flight_frame
 from pyomo_quad.flight.flight import HELD_BREACH, Flight, Flown
+from pyomo_quad.flight.orders import OrderSearch  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.routes import TriedRoute  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.verification import Passage, Verification, split_at_breaches
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.fields import Part
-from pyomo_quad.scenario.messages import PyomoQuadError, complaint, printable
+from pyomo_quad.scenario.messages import PyomoQuadError, complaints, printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -59,7 +60,8 @@ class Failure:
         The least time in which the mission can be flown within its limits; None where none was
         found.
     diagnosis : Diagnosis
-        The engine's: worst equations, active limits, what has to give way together.
+        The engine's: worst equations, active limits, and declarations that must be relaxed
+        together.
     remedies : tuple of Relaxation
         Single limits whose change alone would make the mission possible.
     """
@@ -199,6 +201,7 @@ class PlanRecord(Part):
     timings: Mapping[str, float]
     passing_times_s: tuple[float, ...] = ()
     routes: tuple[TriedRoute, ...] = ()
+    order_search: OrderSearch | None = None
 
 
 class _About(Part):
@@ -290,7 +293,7 @@ def _read_about(path: Path, text: NDArray[Any]) -> _About:
     try:
         about = _About.model_validate_json(text.tobytes(), strict=True)
     except ValidationError as error:
-        found, line = complaint(error, _About)
+        found, line = complaints(error, _About)[0]
         if found in {(), ("format",)}:
             raise ScenarioError(_not_a_plan(path)) from None
         _refuse(path, line)
@@ -319,7 +322,7 @@ def _read_scenario(path: Path, about: _About) -> Scenario:
     try:
         return Scenario.model_validate(about.scenario)
     except ValidationError as error:
-        _refuse(path, f"scenario: {complaint(error, Scenario)[1]}")
+        _refuse(path, f"scenario: {complaints(error, Scenario)[0][1]}")
     except PyomoQuadError as error:
         _refuse(path, f"scenario: {error}")
 
@@ -407,6 +410,8 @@ class Plan(Summarised):
         Seconds for build, compile, solve and verify.
     routes : tuple of TriedRoute
         The routes round keep-outs that were tried, the shortest first.
+    order_search : OrderSearch or None
+        How the order of the waypoints was found, where the mission leaves it open.
     warm_start : WarmStart or None
         Where another solve can begin; kept by `save`.
     solution : Solution or None
@@ -429,6 +434,7 @@ class Plan(Summarised):
     failure: Failure | None = None
     timings: Mapping[str, float] = field(default_factory=dict)
     routes: tuple[TriedRoute, ...] = ()
+    order_search: OrderSearch | None = None
     warm_start: WarmStart | None = field(default=None, compare=False, repr=False)
     solution: Solution | None = field(default=None, compare=False, repr=False)
     flown: Flown | None = field(default=None, compare=False, repr=False)
@@ -667,6 +673,7 @@ class Plan(Summarised):
                 timings=dict(self.timings),
                 passing_times_s=self.passing_times_s,
                 routes=self.routes,
+                order_search=self.order_search,
             ),
             self.trajectories,
             self.warm_start,

@@ -56,7 +56,7 @@ from pyomo_quad.flight.routes import (
     with_plain_passages,
 )
 from pyomo_quad.flight.steady import SteadyFlight
-from pyomo_quad.flight.tour import BEST_FEW, best_tours, cheapest, leg_energies
+from pyomo_quad.flight.tour import cheapest, find_orders
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
     MISS_TOLERANCE,
@@ -227,21 +227,31 @@ class Planner:
             fits = known is not None and known.warm_start.fits(problem.compiled)
             return problem.solve(**arguments, warm_start=known if fits else None)
 
+        is_plain = False
+
         def roughly(ordered: Scenario) -> Solution:
+            nonlocal is_plain
             once = {"solver": ordered.solver.model_copy(update={"max_refinements": 0})}
             told = ordered.as_forecast().model_copy(update=once)
             problem, _ = self.problem_for(told)
             if self._has_ways(told):
                 return self._by_routes(problem, told, progress, most=1)[0]
-            return self._first_solve(problem, told, None, progress)
+            if not is_plain:
+                solution = self._first_solve(problem, told, None, progress)
+                if not solution.status.has_failed:
+                    return solution
+            # What is hard for one order is hard for all: none but the first is tried both ways.
+            plain = self._plainly(told, self._arguments(told, progress) | {"tolerance": None}, None)
+            is_plain = plain is not None
+            return solution if plain is None else plain
 
         def finely(ordered: Scenario, begun: Solution | None) -> Plan:
             # Round zones the best way may be another than the shortest, which was flown so far.
-            kept = None if self._has_ways(ordered) else begun
-            return solve(ordered, kept and kept.warm_start, progress)
+            if begun is None or self._has_ways(ordered):
+                return solve(ordered, None, progress)
+            return solve(ordered, begun if is_plain else begun.warm_start, progress)
 
-        costs = leg_energies(scenario.as_forecast(), leg)
-        return cheapest(scenario, best_tours(costs, BEST_FEW), roughly, finely)
+        return cheapest(scenario, find_orders(scenario.as_forecast(), leg), roughly, finely)
 
     def _has_ways(self, told: Scenario) -> bool:
         """Say whether a mission has ways round zones to choose from."""
@@ -452,7 +462,7 @@ class Planner:
     ) -> Solution:
         arguments, easier = self._arguments(told, progress), easier_numbers(problem, told)
         if isinstance(warm_start, Solution):
-            path = replace(warm_start.trajectory, statics=np.zeros(0))
+            path = replace(warm_start.trajectory, statics=_statics_for(problem, warm_start))
             return by_way_of(easier, problem, arguments | {"mesh": path.mesh}, path)
         start = warm_start.warm_start if isinstance(warm_start, Plan) else warm_start
         if start is not None and start.fits(problem.compiled):
@@ -566,6 +576,13 @@ def _plan_of(
             for k in range(len(scenario.mission.waypoints))
         ),
     )
+
+
+def _statics_for(problem: Problem, solution: Solution) -> np.ndarray:
+    """Return the static variables of a problem as a solution of a similar one has them."""
+    slots = solution.problem.compiled.declared.statics
+    held = dict(zip((slot.name for slot in slots), solution.trajectory.statics, strict=True))
+    return np.array([held[slot.name] for slot in problem.compiled.declared.statics])
 
 
 def _horizon(scenario: Scenario) -> tuple[float, float] | None:

@@ -1,31 +1,51 @@
-"""The order in which waypoints are passed: leg energies, exact tours, and the best few flown."""
+"""The order in which waypoints are passed: leg energies, the cheapest orders, the best few flown.
+
+Few legs of all those possible are solved for: those between neighbours, and those of the cheapest
+orders.  The energies of the others are predicted from these, see docs/theory/orders.md, eq. (1).
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import permutations
+from itertools import pairwise, permutations
 from math import inf, isinf
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pyomo_quad.collocation import Mesh
+from pyomo_quad.flight.orders import MOST_EXACT, OrderSearch, best_orders, cost_of, least_cost
 from pyomo_quad.flight.routes import find_routes
 from pyomo_quad.scenario.mission import Hover, Order
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from pyomo_quad.collocation import Solution
     from pyomo_quad.flight.plan import Plan
     from pyomo_quad.flight.routes import Route
     from pyomo_quad.scenario import Scenario
 
-#: Tours whose whole missions are solved: leg energies leave out what passing at speed saves.
+    FloatArray = NDArray[np.float64]
+    LegSolver = Callable[[Scenario, Mesh, Route | None, Solution | None], Solution]
+    _Leg = tuple[int, int]
+
+#: Orders whose whole missions are solved: leg energies leave out what passing at speed saves.
 BEST_FEW = 3
 _LEG_MESH = Mesh.uniform(8, 4)
-# Places passed and the last of them -> costs and orders.
-_Tours = dict[tuple[int, int], list[tuple[float, tuple[int, ...]]]]
+# Up to so many legs, all are solved for: from fewer no prediction is worth its error.
+_FEW_LEGS = 30
+# Places that are nearest to each, whose legs are solved for first, and legs of all lengths beside,
+# without which the prediction would reach beyond what it was fitted to.
+_NEAREST, _OF_ALL_LENGTHS = 3, 10
+# Optimism about a leg that is not solved for, in root mean square errors of the prediction.
+_OPTIMISM = 2.0
+# Regularisation of the prediction, relative to its features' largest values.
+_RIDGE = 1e-3
+# Times that a search's cheapest orders are solved for; an exact one is done when all of its are.
+_MOST_ROUNDS = 6
 
 
 def in_order(scenario: Scenario, order: Sequence[int]) -> Scenario:
@@ -34,8 +54,8 @@ def in_order(scenario: Scenario, order: Sequence[int]) -> Scenario:
     return scenario.with_mission(waypoints=waypoints, order=Order.GIVEN)
 
 
-def leg_energies(scenario: Scenario, solve: Callable[..., Any]) -> np.ndarray:
-    """Return what it costs to fly from each place to each other, hover to hover.
+class LegTable:
+    """What it costs to fly from each place of a mission to each other, hover to hover.
 
     Parameters
     ----------
@@ -43,36 +63,159 @@ def leg_energies(scenario: Scenario, solve: Callable[..., Any]) -> np.ndarray:
     solve : callable
         Solve a scenario without waypoints on a mesh: (scenario, mesh, its shortest way round the
         zones or None where that is straight, warm start) -> Solution.
-
-    Returns
-    -------
-    ndarray, shape (n + 2, n + 2)
-        From start, waypoints and goal, in rows, to the same, in columns [J]; beside it what the
-        time costs.  Infinite where no flight was found, and where no tour goes; everywhere, where
-        zones shut a place in.
     """
-    places, mission = scenario.mission.positions, scenario.mission
-    ways = _shortest_ways(scenario)
-    usual = _usual_length(len(places), ways)
-    costs = np.full((len(places), len(places)), inf)
-    known = None
-    if isinf(usual):
-        return costs
-    for (here, there), way in ways.items():
-        ends = (Hover(position=places[k], yaw=mission.start.yaw) for k in (here, there))
-        leg = scenario.with_mission(
+
+    def __init__(self, scenario: Scenario, solve: LegSolver) -> None:
+        self._scenario = scenario
+        self._solve = solve
+        self._ways = _shortest_ways(scenario)
+        self._count = len(scenario.mission.positions)
+        self._usual = _usual_length(self._count, self._ways)
+        self._costs: dict[_Leg, float] = {}
+        self._last: Solution | None = None
+
+    @property
+    def legs(self) -> tuple[_Leg, ...]:
+        """Legs that an order may have and the zones leave open; none where they shut a place in."""
+        return () if isinf(self._usual) else tuple(self._ways)
+
+    @property
+    def solved(self) -> int:
+        """Number of legs solved for."""
+        return len(self._costs)
+
+    @property
+    def lengths(self) -> FloatArray:
+        """Length of each leg's shortest way [m], infinite where none leads."""
+        return self._table({leg: way.length for leg, way in self._ways.items()})
+
+    def costs(self) -> FloatArray:
+        """Return the energy of each leg solved for [J], infinite elsewhere.
+
+        Start, waypoints and goal are rows and columns; what the time costs is counted beside.
+        """
+        return self._table(self._costs)
+
+    def optimistic_costs(self) -> FloatArray:
+        """Return the energy of each leg solved for, and a low prediction of all others [J].
+
+        The prediction is the regression of eq. (1) in docs/theory/orders.md, less twice its root
+        mean square error in legs left out.
+        """
+        missing = [leg for leg in self.legs if leg not in self._costs]
+        known = {leg: cost for leg, cost in self._costs.items() if not isinf(cost)}
+        if not missing or not known:
+            return self.costs()
+        features = np.array([self._features(leg) for leg in known])
+        scales = np.maximum(np.abs(features).max(axis=0), np.finfo(float).tiny)
+        features /= scales
+        normal = features.T @ features + _RIDGE * np.eye(len(scales))
+        fit = np.linalg.solve(normal, features.T)
+        coefficients = fit @ np.array(list(known.values()))
+        # Of a linear fit, the error in a leg left out follows from the fit with it.
+        left_out = 1.0 - np.einsum("lf,fl->l", features, fit)
+        errors = (features @ coefficients - np.array(list(known.values()))) / left_out
+        margin = _OPTIMISM * float(np.sqrt(np.mean(errors**2)))
+        others = np.array([self._features(leg) for leg in missing]) / scales @ coefficients
+        predicted = np.maximum(others - margin, 0.0)
+        return self._table(self._costs | dict(zip(missing, predicted.tolist(), strict=True)))
+
+    def solve_for(self, legs: Iterable[_Leg]) -> bool:
+        """Solve for legs that are not yet, and say whether there were any."""
+        missing = [leg for leg in dict.fromkeys(legs) if leg not in self._costs]
+        for leg in missing:
+            self._costs[leg] = self._flown(leg)
+        return bool(missing)
+
+    def _flown(self, leg: _Leg) -> float:
+        mission, way = self._scenario.mission, self._ways[leg]
+        ends = (Hover(position=mission.positions[k], yaw=mission.start.yaw) for k in leg)
+        alone = self._scenario.with_mission(
             **dict(zip(("start", "goal"), ends, strict=True)), waypoints=(), order=Order.GIVEN
         )
         if not mission.is_free:
-            leg = leg.lasting(way.length / usual * mission.fixed_duration)
-        found = solve(leg, _LEG_MESH, way if way.sides else None, known)
-        if found.status.is_solved:
-            known = found
-            costs[here, there] = found.objective
-    return costs
+            alone = alone.lasting(way.length / self._usual * mission.fixed_duration)
+        found = self._solve(alone, _LEG_MESH, way if way.sides else None, self._last)
+        if not found.status.is_solved:
+            return inf
+        self._last = found
+        return float(found.objective)
+
+    def _features(self, leg: _Leg) -> list[float]:
+        """Return the terms in which the energy of a leg is linear, eq. (1)."""
+        here, there = (np.array(self._scenario.mission.positions[k]) for k in leg)
+        (dx, dy, dz), height = there - here, float(here[2] + there[2]) / 2.0
+        length = self._ways[leg].length
+        courses = [dx * dx / length, dy * dy / length, dx * dy / length, dz * dz / length]
+        detour = length - float(np.linalg.norm(there - here))
+        return [1.0, length**0.5, length, height * length, detour, dx, dy, dz, *courses]
+
+    def _table(self, costs: Mapping[_Leg, float]) -> FloatArray:
+        table = np.full((self._count, self._count), inf)
+        for leg, cost in costs.items():
+            table[leg] = cost
+        return table
 
 
-def _shortest_ways(scenario: Scenario) -> dict[tuple[int, int], Route]:
+def find_orders(
+    scenario: Scenario, solve: LegSolver, count: int = BEST_FEW
+) -> tuple[OrderSearch, ...]:
+    """Return the orders of waypoints that are cheapest by the energies of their legs.
+
+    Exact up to `orders.MOST_EXACT` waypoints: no leg that is not solved for would make a cheaper
+    order, were it as cheap as its optimistic prediction.
+
+    Returns
+    -------
+    tuple of OrderSearch
+        The cheapest first; the order as given, where zones shut a place in.
+    """
+    table = LegTable(scenario, solve)
+    n = len(scenario.mission.waypoints)
+    if not table.legs:
+        return (OrderSearch(order=tuple(range(n)), cost_J=inf, bound_J=inf, solved=0, legs=0),)
+    table.solve_for(table.legs if len(table.legs) <= _FEW_LEGS else _first_legs(table.lengths))
+    rounds = 0
+    while True:
+        costs = table.optimistic_costs()
+        cheapest_orders = best_orders(costs, count)
+        rounds += 1
+        is_last = n > MOST_EXACT and rounds >= _MOST_ROUNDS
+        if not table.solve_for(leg for order in cheapest_orders for leg in _legs_of(order)):
+            break
+        if is_last:
+            costs = table.optimistic_costs()
+            break
+    reached = cost_of(costs, cheapest_orders[0])
+    bound = reached if n <= MOST_EXACT else least_cost(costs, reached)
+    found = [
+        OrderSearch(
+            order=order,
+            cost_J=cost_of(costs, order),
+            bound_J=bound,
+            solved=table.solved,
+            legs=len(table.legs),
+        )
+        for order in cheapest_orders
+    ]
+    return tuple(sorted(found, key=lambda search: search.cost_J))
+
+
+def _legs_of(order: Sequence[int]) -> list[_Leg]:
+    return list(pairwise((0, *(k + 1 for k in order), len(order) + 1)))
+
+
+def _first_legs(lengths: FloatArray) -> list[_Leg]:
+    """Return legs to the nearest places from each, of the shortest order, and of all lengths."""
+    near = [(k, int(j)) for k, row in enumerate(lengths) for j in np.argsort(row)[:_NEAREST]]
+    (shortest,) = best_orders(lengths, 1)
+    by_length = np.argsort(lengths, axis=None)[: np.isfinite(lengths).sum()]
+    spread = by_length[np.linspace(0, len(by_length) - 1, _OF_ALL_LENGTHS).astype(int)]
+    others = [divmod(int(leg), len(lengths)) for leg in spread]
+    return [leg for leg in (*near, *_legs_of(shortest), *others) if np.isfinite(lengths[leg])]
+
+
+def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
     """Return the shortest way of each leg that a tour may have and the zones leave open."""
     places, ways = scenario.mission.positions, {}
     last = len(places) - 1
@@ -84,7 +227,7 @@ def _shortest_ways(scenario: Scenario) -> dict[tuple[int, int], Route]:
     return ways
 
 
-def _usual_length(count: int, ways: Mapping[tuple[int, int], Route]) -> float:
+def _usual_length(count: int, ways: Mapping[_Leg, Route]) -> float:
     """Return the length of the tour that always flies to the nearest place that is left."""
     lengths = np.full((count, count), inf)
     for leg, way in ways.items():
@@ -98,50 +241,25 @@ def _usual_length(count: int, ways: Mapping[tuple[int, int], Route]) -> float:
     return float(length + lengths[here, count - 1])
 
 
-def best_tours(costs: np.ndarray, count: int) -> list[tuple[int, ...]]:
-    """Return the cheapest orders of the places between the first and the last, cheapest first.
-
-    Exact: dynamic programming over the places passed so far and the last of them [1]_, with the
-    `count` best of each kept.
-
-    .. [1] Held and Karp, "A dynamic programming approach to sequencing problems", SIAM J. 10
-       (1962).
-    """
-    places = range(1, len(costs) - 1)
-    goal = len(costs) - 1
-    best: _Tours = {(1 << k, k): [(float(costs[0, k]), (k,))] for k in places}
-    for _ in range(len(places) - 1):
-        longer: _Tours = {}
-        for (passed, here), found in best.items():
-            for there in places:
-                if passed >> there & 1:
-                    continue
-                key = (passed | 1 << there, there)
-                step = float(costs[here, there])
-                longer.setdefault(key, []).extend((c + step, (*tour, there)) for c, tour in found)
-        best = {key: sorted(found)[:count] for key, found in longer.items()}
-    ended = [(c + float(costs[here, goal]), tour) for (_, here), f in best.items() for c, tour in f]
-    return [tuple(k - 1 for k in tour) for _, tour in sorted(ended)[:count]]
-
-
 def cheapest(
     scenario: Scenario,
-    tours: Sequence[Sequence[int]],
+    found: Sequence[OrderSearch],
     roughly: Callable[[Scenario], Solution],
     solve: Callable[[Scenario, Solution | None], Plan],
 ) -> Plan:
-    """Return the plan of the cheapest of some tours, each solved on one mesh as a whole first."""
+    """Return the plan of the cheapest of some orders, each solved on one mesh as a whole first."""
     attempts: list[str] = []
-    flown: list[tuple[float, Scenario, Solution | None]] = []
-    for tour in tours:
-        ordered = in_order(scenario, tour)
-        solution = roughly(ordered)
+    flown: list[tuple[float, OrderSearch, Solution | None]] = []
+    for search in found:
+        solution = roughly(in_order(scenario, search.order))
         is_flown = solution.status.is_solved
         what = f"{solution.objective:.6g} J" if is_flown else solution.status.value
-        named = ", ".join(str(k) for k in tour)
+        named = ", ".join(str(k) for k in search.order)
         attempts.append(f"waypoints in order {named}: {what} on a first mesh")
         cost = solution.objective if is_flown else inf
-        flown.append((cost, ordered, solution if is_flown else None))
+        flown.append((cost, search, solution if is_flown else None))
     _, best, begun = min(flown, key=lambda entry: entry[0])
-    plan = solve(best, begun)
-    return replace(plan, attempts=(*attempts, *plan.attempts))
+    plan = solve(in_order(scenario, best.order), begun)
+    return replace(
+        plan, attempts=(*attempts, *plan.attempts), order_search=best if best.legs else None
+    )

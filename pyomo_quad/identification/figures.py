@@ -5,8 +5,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from pyomo_quad.flight import Planner
+from pyomo_quad.identification.columns import CRUISE, DENSITY, FLIGHT, PAYLOAD, PHASE, POWER, TIME
 from pyomo_quad.identification.fitting import Identification
-from pyomo_quad.identification.logs import CRUISE, DENSITY, FLIGHT, PAYLOAD, PHASE, POWER, TIME
 from pyomo_quad.identification.validation import (
     ERROR,
     MEASURED_ENERGY,

@@ -7,7 +7,7 @@ airspeed and acceleration are noise as much as flight, and a fit to single rows 
 for a flatter power curve.  Large residuals (gusts, the ground) count less than by their square.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from pyomo_quad.identification.logs import AIR_VELOCITY, CRUISE, FLIGHT, PHASE, POWER, TIME
+from pyomo_quad.identification.columns import AIR_VELOCITY, CRUISE, FLIGHT, PHASE, POWER, TIME
 from pyomo_quad.identification.motion import LoggedMotion
 from pyomo_quad.identification.validation import (
     SEED,
@@ -38,16 +38,27 @@ FITTABLE = (
     "induced_power_factor",
     "profile_advance_factor",
     "electronics_power",
+    "drag_linear",
+    "drag_quadratic",
 )
-_BLOCK = "power."
+_POWER_BLOCK, _VEHICLE_BLOCK = "power.", "vehicle."
+_OF_MOTION = ("drag_linear", "drag_quadratic")
 # Length of a window, s: long beside the noise of airspeed and acceleration.
 _WINDOW_S = 10.0
 # Residual, W, beyond which a window counts by its size and no more by its square.
 _LARGE_RESIDUAL_W = 20.0
 # The flights determine a parameter if a change by this share of its size, compensated by the other
-# parameters as well as they can, moves the windows' power by this much, W.
+# parameters as well as they can, moves the windows' power by this share: 0.5 W of 450 W.
 _SHARE = 0.1
-_LEAST_EFFECT_W = 0.5
+_LEAST_EFFECT = 1.1e-3
+# Drag that is small, kg/s and kg/m: a tenth of it is the least change that is looked for.
+_SMALL_DRAG = 0.02
+# Cosine between the effects of two parameters from which on nothing tells them apart.
+_ALIKE = 0.95
+# Fewer rows or flights than these are too few; beyond the many, thinning them takes too long.
+_FEW_ROWS, _FEW_FLIGHTS, _MANY_ROWS = 300, 5, 5_000
+# Change by thinning the rows, in deviations and as a share, from which on they are too coarse.
+_DEVIATIONS, _CHANGE = 2.0, 0.05
 _HALVES = 2
 # Draws of flights: a standard deviation from 200 is known to 5 %.
 _DRAWS = 200
@@ -82,7 +93,9 @@ class Identification:
     """A vehicle identified from flights, and the errors of its computed powers.
 
     `correlations` has the determined parameters as rows and columns; `cross_validated` is the
-    power of each row by a fit that had not seen its flight.
+    power of each row by a fit that had not seen its flight.  `together` pairs each parameter that
+    is not determined with the one it cannot be told from, and `cautions` says where the rows are
+    too few or too coarse.
     """
 
     scenario: Scenario
@@ -92,6 +105,8 @@ class Identification:
     fitted_power: FloatArray
     cross_validated: FloatArray
     trials: tuple[Trial, ...]
+    together: tuple[tuple[str, str], ...] = ()
+    cautions: tuple[str, ...] = ()
 
     @property
     def airspeeds(self) -> FloatArray:
@@ -135,7 +150,7 @@ class Fit:
     def power(self, values: FloatArray) -> FloatArray:
         """Return the power of each row, W."""
         named = zip(self.names, values.tolist(), strict=True)
-        return self._motion.power({f"{_BLOCK}{name}": value for name, value in named})
+        return self._motion.power({component(name): value for name, value in named})
 
     def windows(self, power: FloatArray, rows: Rows) -> tuple[FloatArray, NDArray[np.int64]]:
         """Return the mean power of the windows of the given rows, and the first row of each."""
@@ -191,6 +206,11 @@ class Fit:
         return np.array(found)
 
 
+def component(name: str) -> str:
+    """Return the full name of the parameter that stands for a field of the vehicle."""
+    return f"{_VEHICLE_BLOCK if name in _OF_MOTION else _POWER_BLOCK}{name}"
+
+
 def _robust(residual: object, start: FloatArray, bounds: FloatArray) -> FloatArray:
     low, high = bounds
     inside = np.clip(start, low + _NEAR_BOUND, high - _NEAR_BOUND)
@@ -218,7 +238,8 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
     """Return the parameters without an effect of their own on the power of the flights."""
     everything = np.ones(len(fit.frame), dtype=bool)
     slopes = fit.slopes(fit.base, everything)
-    slopes *= _SHARE * np.maximum(np.abs(fit.base), _SHARE)
+    slopes *= _SHARE * np.maximum(np.abs(fit.base), _size(fit))
+    least = _LEAST_EFFECT * float(np.median(fit.frame[POWER]))
     left = list(range(len(fit.names)))
     lost: list[str] = []
     while left:
@@ -229,10 +250,33 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
             fitted = others @ np.linalg.lstsq(others, own, rcond=None)[0] if len(left) > 1 else 0.0
             effects.append(float(np.sqrt(np.mean((own - fitted) ** 2))))
         weakest = int(np.argmin(effects))
-        if effects[weakest] >= _LEAST_EFFECT_W:
+        if effects[weakest] >= least:
             break
         lost.append(fit.names[left.pop(weakest)])
     return tuple(lost)
+
+
+def _size(fit: Fit) -> FloatArray:
+    """Return the size of each parameter below which it counts as small."""
+    return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
+
+
+def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Return each parameter that is not determined with the one whose effect is most like its own.
+
+    A parameter without any effect on the power goes with none, which is empty.
+    """
+    slopes = fit.slopes(fit.base, np.ones(len(fit.frame), dtype=bool))
+    norms = np.linalg.norm(slopes, axis=0)
+    pairs = []
+    for name in lost:
+        k = fit.names.index(name)
+        likeness = np.abs(slopes.T @ slopes[:, k]) / np.maximum(norms * norms[k], 1e-300)
+        likeness[k] = 0.0
+        most = int(np.argmax(likeness))
+        alike = norms[k] > 0.0 and likeness[most] > _ALIKE
+        pairs.append((name, fit.names[most] if alike else ""))
+    return tuple(pairs)
 
 
 def identify(
@@ -259,7 +303,8 @@ def identify(
             "other, and the more the better."
         )
     motion = LoggedMotion(scenario, frame)
-    lost = undetermined(Fit(motion, scenario, names))
+    asked = Fit(motion, scenario, names)
+    lost = undetermined(asked)
     fit = Fit(motion, scenario, [name for name in names if name not in lost])
     values = fit.over(np.ones(len(frame), dtype=bool))
     draws = fit.drawn_anew(values) if fit.names else np.zeros((1, 0))
@@ -277,7 +322,38 @@ def identify(
         fitted_power=fit.power(values),
         cross_validated=cross_validated(frame, fitted),
         trials=trials(frame, fitted),
+        together=confounded(asked, lost),
+        cautions=tuple(_cautions(scenario, fit, values, draws)),
     )
+
+
+def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArray) -> Iterator[str]:
+    """Yield in which ways the rows are too few, or too far apart for the motion in them."""
+    frame = fit.frame
+    flights, rows = frame[FLIGHT].nunique(), len(frame)
+    if rows < _FEW_ROWS or flights < _FEW_FLIGHTS:
+        yield (
+            f"{rows} rows of {flights} flights are few: with less than {_FEW_ROWS} rows or "
+            f"{_FEW_FLIGHTS} flights a fit may be off by many times its deviation; fly more."
+        )
+    step = float(frame.groupby(FLIGHT, sort=False)[TIME].diff().median())
+    every_other = frame[frame.groupby(FLIGHT, sort=False).cumcount() % 2 == 0]
+    thinned = every_other.groupby(FLIGHT, sort=False).filter(lambda rows: len(rows) > 1)
+    if not fit.names or thinned.empty or rows > _MANY_ROWS:
+        return
+    motion = LoggedMotion(scenario, thinned.reset_index(drop=True))
+    coarse = Fit(motion, scenario, fit.names)
+    again = coarse.over(np.ones(len(coarse.frame), dtype=bool), values)
+    for name, value, other, deviation in zip(
+        fit.names, values, again, draws.std(axis=0), strict=True
+    ):
+        allowed = max(_DEVIATIONS * float(deviation), _CHANGE * abs(float(value)))
+        if abs(other - value) > allowed:
+            yield (
+                f"rows of {step:.3g} s are too coarse for this motion: with every other row "
+                f"{name} becomes {other:.3g} in place of {value:.3g}; log at 5 Hz or more, or fly "
+                "more steadily."
+            )
 
 
 def _parameters(

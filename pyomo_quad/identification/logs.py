@@ -1,60 +1,43 @@
 """Logs of flights: required columns, and refusal of damaged or implausible ones.
 
-A log is a table, Parquet or CSV, of about one row a second, or a PX4 `.ulg`.  Its columns are
-those of `COLUMNS`; others are not read.  World axes here are north, east and up.
+A log is a table, Parquet or CSV, of about one row a second, or the file of an autopilot.  Its
+columns are those of `COLUMNS`; others are not read.  World axes here are north, east and up.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import redirect_stdout
 from hashlib import sha256
-from io import StringIO
 from os import SEEK_END
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from numpy.typing import NDArray
 from pyarrow import compute, parquet, types
 
+from pyomo_quad.identification.autopilots import read_ardupilot, read_ulog
+from pyomo_quad.identification.columns import (
+    AIR_VELOCITY,
+    COLUMNS,
+    CURRENT,
+    DENSITY,
+    FLIGHT,
+    FLYING,
+    PAYLOAD,
+    PHASE,
+    POWER,
+    TIME,
+    VELOCITY,
+    VOLTAGE,
+    wanted_columns,
+)
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.fields import Sound
 from pyomo_quad.scenario.messages import printable, shown
 from pyomo_quad.scenario.vehicle import CARRIED
-from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 
-
-class LogColumn(NamedTuple):
-    """A column of a log: its unit, its meaning, and its other names."""
-
-    unit: str
-    meaning: str
-    other_names: tuple[str, ...] = ()
-
-
-FLIGHT, TIME, PHASE, POWER = "flight", "time_s", "phase", "power_W"
-PAYLOAD, DENSITY = "payload_kg", "air_density_kg_m3"
-VELOCITY = ("vel_north_m_s", "vel_east_m_s", "vel_up_m_s")
-AIR_VELOCITY = ("air_vel_north_m_s", "air_vel_east_m_s")
-VOLTAGE, CURRENT = "voltage_V", "current_A"
-_AIR_READ = "velocity through the air as read, times vehicle.anemometer_factor"
-COLUMNS: Mapping[str, LogColumn] = {
-    FLIGHT: LogColumn("", "number or name of the flight", ("flight_id",)),
-    TIME: LogColumn("s", "time, rising within a flight", ("time", "t")),
-    PHASE: LogColumn("", "1 take-off, 2 cruise, 3 landing; other rows are passed over"),
-    PAYLOAD: LogColumn("kg", "mass carried", ("payload",)),
-    DENSITY: LogColumn("kg/m^3", "density of the air", ("air_density",)),
-    POWER: LogColumn("W", "power drawn from the pack", ("power", f"{VOLTAGE} with {CURRENT}")),
-    VELOCITY[0]: LogColumn("m/s", "velocity over ground", ("vn_m_s",)),
-    VELOCITY[1]: LogColumn("m/s", "velocity over ground", ("ve_m_s",)),
-    VELOCITY[2]: LogColumn("m/s", "climb", ("vu_m_s",)),
-    **dict.fromkeys(AIR_VELOCITY, LogColumn("m/s", _AIR_READ)),
-}
 # Power is their product where a log has no column of it.
 _ELECTRIC = (VOLTAGE, CURRENT)
-FLYING = (1, 2, 3)
-CRUISE = 2
 _TEXTS = (FLIGHT,)
 # Longest gap between two rows of a flight, over the median of its steps.
 _LONGEST_GAP = 10.0
@@ -83,14 +66,6 @@ _LONGEST_STEP_S = 60.0
 _LARGEST_FILE_BYTES, _MOST_ROWS = 500_000_000, 2_000_000
 _LONGEST_NAME, _LONGEST_HEADER_BYTES = 200, 1_000_000
 _BATCH_ROWS = 65_536
-# Logs of the PX4 autopilot: unit, topics and fields, the newest firmware's name first.
-Topic = dict[str, NDArray[np.float64]]
-_MICROSECONDS = 1e-6
-_POSITION, _BATTERY, _LANDED = "vehicle_local_position", "battery_status", "vehicle_land_detected"
-_WINDS = ("wind", "wind_estimate")
-_AIR = "vehicle_air_data"
-_TOPICS = (_POSITION, _BATTERY, _LANDED, *_WINDS, _AIR)
-_CURRENTS, _VOLTAGES = ("current_a", "current_average_a"), ("voltage_v", "voltage_filtered_v")
 
 
 def read_logs(file: Path) -> pd.DataFrame:
@@ -99,8 +74,16 @@ def read_logs(file: Path) -> pd.DataFrame:
     Raises
     ------
     ScenarioError
-        If the file cannot be read, lacks a column, or holds values that no flight can have.
+        If the file cannot be read, lacks a column, or holds values that no flight can have; the
+        message ends with the columns of a log.
     """
+    try:
+        return _read_rows(file)
+    except ScenarioError as error:
+        raise ScenarioError(f"{error} Of a log {wanted_columns()}.") from None
+
+
+def _read_rows(file: Path) -> pd.DataFrame:
     source = printable(str(file))
     whole = _read(file, source)
     known = [*COLUMNS, *(name for name in _ELECTRIC if name in whole)]
@@ -173,10 +156,17 @@ def once_each(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
 
 
 def _read(file: Path, source: str) -> pd.DataFrame:
-    readers = {".parquet": _read_parquet, ".csv": _read_csv, ".ulg": _read_ulog}
+    readers = {
+        ".parquet": _read_parquet,
+        ".csv": _read_csv,
+        ".ulg": read_ulog,
+        ".bin": read_ardupilot,
+    }
     reader: Any = readers.get(file.suffix.lower())
     if reader is None:
-        raise ScenarioError(f"{source}: is no log; give a .parquet, .csv or .ulg file.")
+        raise ScenarioError(
+            f"{source}: is no log; give a .parquet, .csv, PX4 .ulg or ArduPilot .BIN file."
+        )
     if file.is_file() and file.stat().st_size > _LARGEST_FILE_BYTES:
         raise ScenarioError(f"{source}: larger than {_LARGEST_FILE_BYTES} bytes; split it.")
     try:
@@ -402,87 +392,3 @@ def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None
                 f"{printable(source)}: flight {printable(str(flight))}: {name} has a median of "
                 f"{median} for a vehicle of {mass_kg:.4g} kg, which must be {words} it by 1000."
             )
-
-
-def _read_ulog(file: Path) -> pd.DataFrame:
-    """Return a PX4 log averaged over seconds, in the columns of `COLUMNS`.
-
-    The log is one flight, named as its file.  All rows that are not on the ground count as cruise;
-    the payload is 0, and without a barometer the air has the density of sea level.  The wind is
-    the estimate of the autopilot.
-
-    Raises
-    ------
-    ScenarioError
-        If `pyulog` is missing, or the log lacks a topic or a field.
-    """
-    try:
-        from pyulog import ULog  # noqa: PLC0415  an extra
-    except ImportError:
-        raise ScenarioError(
-            "PX4 logs need the package pyulog; pip install 'pyomo_quad[logs]'."
-        ) from None
-    try:
-        # The reader prints the faults that it finds.
-        with file.open("rb") as stream, redirect_stdout(StringIO()):
-            read = ULog(stream, message_name_filter_list=list(_TOPICS)).data_list
-            topics = {d.name: d.data for d in read if d.multi_id == 0}
-    except (OSError, MemoryError):
-        raise
-    except Exception as error:
-        # The reader raises exceptions of many types for damaged logs.
-        raise ScenarioError("is no whole PX4 log; copy it anew.") from error
-    battery = topics.get(_BATTERY, {})
-    currents = [name for name in _CURRENTS if name in battery and np.any(battery[name] > 0.0)]
-    if battery and not currents:
-        raise ScenarioError("battery_status has no current; fit a power module and log it.")
-    averaged = _by_second(topics, currents)
-    averaged.insert(0, FLIGHT, file.stem)
-    return averaged
-
-
-def _field(topics: dict[str, Topic], topic: str, *names: str) -> NDArray[np.float64]:
-    """Return the field of a topic under the first of the names that it has."""
-    if topic not in topics:
-        raise ScenarioError(f"has no topic {topic}; log it.")
-    for name in names:
-        if name in topics[topic]:
-            return np.asarray(topics[topic][name], dtype=float)
-    raise ScenarioError(f"{topic} has no {' or '.join(names)}; log it.")
-
-
-def _by_second(topics: dict[str, Topic], currents: list[str]) -> pd.DataFrame:
-    times = _field(topics, _POSITION, "timestamp") * _MICROSECONDS
-
-    def at_positions(topic: str, *names: str) -> np.ndarray:
-        values = _field(topics, topic, *names)
-        return np.interp(times, topics[topic]["timestamp"] * _MICROSECONDS, values)
-
-    power = at_positions(_BATTERY, *_VOLTAGES) * at_positions(_BATTERY, *currents)
-    wind = next((name for name in _WINDS if name in topics), None)
-    if wind is None:
-        raise ScenarioError("has no topic wind; let the estimator of wind run (EKF2_DRAG_CTRL).")
-    north, east, down = (_field(topics, _POSITION, name) for name in ("vx", "vy", "vz"))
-    is_flying = np.ones(len(times), dtype=bool)
-    if _LANDED in topics:
-        is_flying = at_positions(_LANDED, "landed") < 0.5
-    density = np.full(len(times), SEA_LEVEL_DENSITY)
-    if "rho" in topics.get(_AIR, {}):
-        density = at_positions(_AIR, "rho")
-    frame = pd.DataFrame(
-        {
-            TIME: times - times[0],
-            PHASE: np.where(is_flying, CRUISE, 0),
-            PAYLOAD: 0.0,
-            DENSITY: density,
-            POWER: power,
-            VELOCITY[0]: north,
-            VELOCITY[1]: east,
-            VELOCITY[2]: -down,
-            AIR_VELOCITY[0]: north - at_positions(wind, "windspeed_north"),
-            AIR_VELOCITY[1]: east - at_positions(wind, "windspeed_east"),
-        }
-    )
-    frame = frame[frame[PHASE] == CRUISE]
-    second = np.floor(frame[TIME])
-    return frame.groupby(second).mean().reset_index(drop=True)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pyomo_quad.collocation import Dynamics, Instants
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.flight import VELOCITY_STATES
-from pyomo_quad.identification.logs import (
+from pyomo_quad.identification.columns import (
     AIR_VELOCITY,
     DENSITY,
     FLIGHT,

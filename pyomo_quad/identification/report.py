@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pyomo_quad.identification.columns import DENSITY, FLIGHT, PAYLOAD
 from pyomo_quad.identification.figures import identification_drawings
 from pyomo_quad.identification.fitting import Identification, changes
-from pyomo_quad.identification.logs import DENSITY, FLIGHT, PAYLOAD
 from pyomo_quad.identification.rivals import measures, model_table
 from pyomo_quad.identification.validation import (
     ERROR,
@@ -41,7 +41,7 @@ def write_identification(
     folder: Path, found: Identification, base: str, figures: Figures = Figures.SVG
 ) -> None:
     """Write the vehicle file, its report, tables and figures into an empty folder."""
-    (folder / VEHICLE_NAME).write_text(_vehicle_file(found, base), encoding="utf-8")
+    (folder / VEHICLE_NAME).write_text(vehicle_file(changes(found), base), encoding="utf-8")
     frame, table = found.frame, energies(found.frame, found.cross_validated)
     models = model_table(found)
     by_error = table[ERROR].abs().sort_values(ascending=False).index
@@ -101,14 +101,17 @@ def write_predictions(folder: Path, frame: pd.DataFrame, power: FloatArray) -> S
     return found
 
 
-def _vehicle_file(found: Identification, base: str) -> str:
-    """Return a vehicle file: that of the base, with the fields that the flights determine."""
+def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str) -> str:
+    """Return a vehicle file: that of the base, with some fields changed, each with its source."""
     file = Path(base)
     held: dict[str, Any] = read_toml(file) if file.suffix == ".toml" else {"use": base}
+    pack = held.get("battery", "")
+    if pack.endswith(".toml"):  # a file beside the base's, which may lie elsewhere
+        held["battery"] = (file.parent / pack).resolve().as_posix()
     fields = dict(held.pop("fields", {}))
     fields |= {
         name: {"value": float(f"{value:.6g}"), "source": source}
-        for name, (value, source) in changes(found).items()
+        for name, (value, source) in changed.items()
     }
     return "\n".join([*_toml_lines(held), *_toml_lines({"fields": fields})]) + "\n"
 

@@ -15,8 +15,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pandas as pd
 
+from pyomo_quad.identification.columns import DENSITY, FLYING, PAYLOAD, PHASE, POWER
 from pyomo_quad.identification.fitting import Identification
-from pyomo_quad.identification.logs import DENSITY, FLYING, PAYLOAD, PHASE, POWER
 from pyomo_quad.identification.validation import (
     FloatArray,
     Rows,

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pyomo_quad.identification.logs import CRUISE, FLIGHT, PAYLOAD, PHASE, POWER, TIME, VELOCITY
+from pyomo_quad.identification.columns import CRUISE, FLIGHT, PAYLOAD, PHASE, POWER, TIME, VELOCITY
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.bool_]

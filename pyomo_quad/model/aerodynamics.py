@@ -1,16 +1,17 @@
-"""The force of the air on the airframe, in world axes, and its moments.
+"""The aerodynamic force on the airframe, in world axes, and its moments.
 
-Two couplings of the wind to the vehicle:
+There are two couplings of the wind to the vehicle:
 
-`acceleration` is eq. (9) as printed, which adds the wind velocity to an acceleration; the
-coefficient of 1 1/s that this silently needs is declared with its unit.  The vehicle's own
-velocity has no part in it.
+`acceleration` is eq. (9) as printed, which adds the wind velocity to an acceleration. The implied
+coefficient of 1 1/s is declared with its unit. The vehicle's own velocity does not enter.
 
-`drag` is the force against the airspeed, the velocity relative to the wind: linear (rotor
-drag) plus quadratic (parasitic drag).  Isotropic; sound at the few m/s of these missions.  It is
+`drag` is the force opposite to the airspeed, the velocity relative to the wind: linear (rotor drag)
+plus quadratic (parasitic drag), isotropic, and valid at the few m/s of these missions. It is the
+default of a vehicle that has drag.
 the default of a vehicle that has drag.
 
-Under either, a vehicle with numbers for them feels on its airspeed, resolved in body axes:
+With either coupling, the following forces depend on the airspeed in body axes, if the vehicle has
+their coefficients:
 
 name | force on the vehicle | source
 rotor_drag_plane | -k_d omega v along x and y, at each rotor | Mellinger (2012)
@@ -18,8 +19,9 @@ rotor_drag_axis | -k_z omega v along z, at each rotor | Svacha, Mohta and Kumar 
 translational_lift | k_h (v_x^2 + v_y^2) along z, at each rotor | Faessler et al. (2018)
 parasitic_drag | -c_i abs(v) v_i along each axis | Svacha, Mohta and Kumar (2017)
 
-The rotors meet the air where they are, so that turning the body moves them through it: their drag
-damps the body rates, with no number of its own.  Each is declared only where it is not zero.
+Each rotor has the airspeed at its own place, including the motion from the body rates. Rotor drag
+therefore damps the body rates without a further coefficient. Each force is declared only if its
+coefficient is not zero.
 """
 
 from collections.abc import Callable
@@ -35,7 +37,7 @@ from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import PowerModel
 from pyomo_quad.scenario.wind import WindCoupling
 
-# The norm of the airspeed has no derivative at zero; at 1 m/s this changes it by 5e-7.
+# The norm of the airspeed is not differentiable at zero; smoothing changes it by 5e-7 at 1 m/s.
 AIRSPEED_SMOOTHING = 1e-3 * units.m / units.s
 
 _AXES = ("x", "y", "z")
@@ -80,7 +82,7 @@ _PARASITIC = Parameter(
 
 
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the numbers that the scenario's model declares in block `aerodynamics`."""
+    """Return the parameters that the scenario's model declares in block `aerodynamics`."""
     is_printed = scenario.wind.coupling is WindCoupling.ACCELERATION
     return (
         *(PARAMETERS if is_printed else ()),
@@ -90,7 +92,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def acts_in_body_axes(scenario: Scenario) -> bool:
-    """Whether the air acts on the rotors, or on the airframe by axis."""
+    """Whether aerodynamic forces act on the rotors, or on the airframe by body axis."""
     return scenario.vehicle.has_rotor_forces or any(scenario.vehicle.parasitic_drag)
 
 
@@ -125,15 +127,15 @@ _ACCELERATION = units.m / units.s**2
 
 
 def declare_unexplained(m: ConcreteModel) -> None:
-    """Add a constant horizontal acceleration that no equation explains to the force of the air.
+    """Add a constant horizontal acceleration, explained by no equation, to the aerodynamic force.
 
-    It is the mutable `aerodynamics.unexplained`, by axis: what a vehicle observes of a wind that
-    it was not told.
+    It is the mutable parameter `aerodynamics.unexplained`, by axis: the acceleration that a
+    vehicle observes in a wind that differs from the forecast.
 
     Parameters
     ----------
     m : ConcreteModel
-        With the forces of `aerodynamics`, which nothing refers to yet.
+        With the forces of `aerodynamics`, to which no other component refers yet.
     """
     b = m.aerodynamics
     b.unexplained = Param(
@@ -161,7 +163,7 @@ _Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
 
 
 def _wind_acceleration(updraft: Expression | None) -> _Rules:
-    """Return rules and texts of the forces of eq. (9) as printed."""
+    """Return rules and documentation of the forces of eq. (9) as printed."""
 
     def force_x(b: Block, t: float) -> NumericExpression:
         m = b.parent_block()
@@ -210,7 +212,7 @@ def _declare_airspeed(b: Block, m: ConcreteModel) -> None:
 
 
 def _drag(b: Block, m: ConcreteModel) -> _Rules:
-    """Declare what drag is over airspeed; return rules and texts of its forces."""
+    """Declare the ratio of drag to airspeed; return rules and documentation of its forces."""
 
     @b.Expression(m.time, doc="drag over airspeed [kg/s]")
     def drag_coefficient(b: Block, t: float) -> NumericExpression:
@@ -308,7 +310,7 @@ def _declare_rotor_moments(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_sum(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the force along each body axis, and all forces together along each world axis."""
+    """Declare the force along each body axis, and the sum of all forces along each world axis."""
     by_axis = any(scenario.vehicle.parasitic_drag)
     has_rotor_forces = scenario.vehicle.has_rotor_forces
     for axis in _AXES:

@@ -1,21 +1,21 @@
 """The airspace: floor, ceiling, and zones that the flight keeps out of.
 
 symbol | name | unit | meaning
-c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes that it has
-R_k | radius[zone, ball] | m | its radius
+c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of the ball
+R_k | radius[zone, ball] | m | radius of ball k
 c | clearance | m | distance kept from every zone
-d_k | beyond[zone, ball] | m | distance from the ball, with its clearance
-w | edge_width | m | width over which two faces of a zone are joined
+d_k | beyond[zone, ball] | m | distance from the surface of the ball, less the clearance
+w | edge_width | m | width over which two faces of a zone are blended
 
-A zone is where some balls overlap (`scenario.airspace.Ball`): a disk and an interval of height in
-a cylinder, three intervals in a box.  Being outside is being beyond one of them, the largest of
-the d_k being positive.  That largest is joined smoothly and from below, so that no place inside a
-zone is allowed: near an edge, where two of the d_k agree to about w, places up to 0.14 w = 70 mm
-outside (0.28 w = 140 mm beside the corners of a box) are forbidden too; elsewhere, and on the edge
-itself, the zone is exact.  Faces move out by the clearance, so that edges stay sharp.
+A zone is the intersection of balls (`scenario.airspace.Ball`): a disk and an interval of height for
+a cylinder, three intervals for a box. A place is outside if it is outside one of the balls, that is
+if the largest of the d_k is positive. A smooth lower bound replaces this maximum, so that no place
+inside a zone is allowed. Near an edge, where two of the d_k agree to about w, places up to 0.14 w =
+70 mm outside the zone (0.28 w = 140 mm at the corners of a box) are forbidden too. Elsewhere the
+zone is exact. The clearance moves the faces outwards, so that edges stay sharp.
 
-A flight that starts or ends on a wall, or passes a waypoint there, has no room to keep: such a
-place is refused before anything is solved.
+A flight cannot start, end or pass a waypoint on the surface of a zone, because no neighbourhood is
+free there. The declaration refuses it before any solve.
 """
 
 from collections.abc import Callable, Hashable, Sequence
@@ -34,23 +34,24 @@ from pyomo_quad.scenario.messages import shown
 
 AXES = PLACE[:3]
 EDGE_WIDTH_M = 0.5
-# How far outside a box places may be forbidden beside its corners: 0.28 of `EDGE_WIDTH_M`.
+# Largest distance outside a box's corners at which places are forbidden.
 _EDGE_M = 0.28 * EDGE_WIDTH_M
-# The distance from a centre has no derivative there; the surface stays where it is.
+# The distance from a centre is not differentiable there; this smoothing keeps the surface in place.
 _ROUNDING_M = 1e-3
-# Nearer to where a flight may not be, a place is on the wall: half of what a flight may miss by.
+# Distance from a forbidden place below which a place counts as on the surface: half of the
+# tolerance on a flight's position.
 _TOUCHING_M = 5e-5
 
 
 def structure_of(scenario: Scenario) -> Hashable:
-    """Return what two airspaces must share to share one compiled model."""
+    """Return a key that is equal for airspaces that can share one compiled model."""
     told = scenario.airspace
     zones = tuple((zone.name, tuple(ball.axes for ball in zone.balls)) for zone in told.keep_out)
     return told.floor is None, told.ceiling is None, zones
 
 
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the numbers of the airspace that the scenario sets, as parameters of its block."""
+    """Return the airspace limits that the scenario sets, as parameters of the block."""
     told = scenario.airspace
     fields = type(told).model_fields
     heights = tuple(
@@ -163,19 +164,19 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _beyond(away: Any, radius: Any, rounding: Any) -> Any:
-    """Return how far beyond a ball a place is whose squared distance from the centre is `away`."""
+    """Return the distance of a place outside a ball, from its squared distance to the centre."""
     return sqrt(away + rounding**2) - sqrt(radius**2 + rounding**2)
 
 
 def _largest(distances: Sequence[Any], width: Any) -> Any:
-    """Return the largest of some distances, joined smoothly and from below."""
+    """Return a smooth lower bound of the largest of some distances."""
     return reduce(lambda one, other: saturated(one, other, width), distances)
 
 
 def _refuse_touching(scenario: Scenario) -> None:
-    """Refuse a start, waypoint or goal on the wall of a zone."""
+    """Refuse a start, waypoint or goal on the surface of a zone."""
     told, mission = scenario.airspace, scenario.mission
-    # A waypoint that may be passed at a distance has room.
+    # A waypoint with a radius may be passed away from the surface.
     is_exact = (True, *(waypoint.radius == 0.0 for waypoint in mission.waypoints), True)
     for (field, place), has_no_room in zip(mission.named_positions, is_exact, strict=True):
         for zone in told.keep_out if has_no_room else ():
@@ -194,7 +195,7 @@ def _refuse_touching(scenario: Scenario) -> None:
 
 
 def _room(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
-    """Return how far a place is outside of a zone, as the constraint says it [m]."""
+    """Return the distance of a place from a zone, as the constraint computes it [m]."""
     distances = [
         _beyond(
             sum((place[axis] - c) ** 2 for axis, c in zip(ball.axes, ball.centre, strict=True)),

@@ -9,17 +9,17 @@ SoC | state_of_charge | percent | eq. (4)
 e_0, k, c_1, c_2 | E0, K, A, B | V, V, V, 1/(A h) | constants of one cell
 Q_bat, R_bat | capacity, cell_resistance | A h, ohm | of one cell
 
-The power P is that of the chosen power model, so the energy of the flight is the energy that
-leaves the pack.  The ampere-seconds of eq. (4) become ampere-hours by declared units.
+The power P is that of the chosen power model, so the energy of the flight is the energy that leaves
+the pack. Declared units convert the ampere-seconds of eq. (4) to ampere-hours.
 
-Assumptions: no self-discharge, no temperature, no recovery.  Two guards keep the equations
-finite where the paper's have no value: eq. (5) has a pole at an empty cell, and no current
-balances more power than the pack can deliver, U^2/4R.  Above a fifth of the charge and below
-nine tenths of that power both guards are exact to rounding; `power_reserve` turning negative
-or the state of charge running below zero says that the pack cannot fly the mission.
+Assumptions: no self-discharge, no temperature, no recovery. Two guards keep the equations finite
+where those of the paper are undefined: eq. (5) has a pole at an empty cell, and no current delivers
+more than the pack's greatest power, U^2/4R. Above a fifth of the charge and below nine tenths of
+that power, both guards are exact to rounding. A negative `power_reserve` or state of charge shows
+that the pack cannot fly the mission.
 
-A pack whose polarisation voltage k / SoC grows beyond its other voltages has none left before it
-is empty: its greatest power is then negative, and its flights are limited to where e_m >= 0.
+If the polarisation voltage k / SoC can exceed the other terms of e_m, the voltage vanishes before
+the pack is empty. The greatest power is then negative, and the flights are limited to e_m >= 0.
 """
 
 from pyomo.core import Block, ConcreteModel, Expression, Var, exp, sqrt
@@ -31,12 +31,12 @@ from pyomo_quad.model.parameters import DIP, Parameter, declare_parameters, satu
 from pyomo_quad.scenario import Scenario
 
 CHARGE = units.A * units.hr
-# Shares of the charge and of the greatest power at which the guards act, and how softly.
+# Fractions of the charge and of the greatest power at which the guards act, and their widths.
 GUARD_FLOOR = 0.01
 GUARD_WIDTH = 0.005
-# The share of its greatest power up to which the pack's equations are exact to rounding.
+# Fraction of the greatest power up to which the pack's equations are exact to rounding.
 GIVEN_SHARE = 1 - GUARD_FLOOR - 10 * GUARD_WIDTH
-# The share of the capacity that a flight of some seconds may draw, for scaling.
+# Fraction of the capacity that a flight of some seconds may draw, for scaling.
 _NOMINAL_SHARE = 0.01
 
 PARAMETERS = (
@@ -141,7 +141,7 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 
     @b.Expression(m.time, doc="greatest power the pack can deliver, at half its voltage [W]")
     def greatest_power(b: Block, t: float) -> NumericExpression:
-        # Negative, so that it gives nothing, where the pack has no voltage.
+        # Negative, and therefore no usable power, where the open-circuit voltage is negative.
         voltage_squared = b.open_circuit_voltage[t] * abs(b.open_circuit_voltage[t])
         return voltage_squared / (4 * b.pack_resistance)
 

@@ -1,4 +1,4 @@
-"""The whole continuous model of a mission: of its declared parts, or by the user's own builder."""
+"""The continuous model of a mission, from its declared parts or from the user's own builder."""
 
 from collections.abc import Callable, Hashable, Iterator
 from importlib.util import module_from_spec, spec_from_file_location
@@ -34,7 +34,7 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     Parameters
     ----------
     scenario : Scenario
-        The mission; ``scenario.as_forecast()`` declares the wind that the optimiser is told.
+        The mission; ``scenario.as_forecast()`` declares the forecast wind.
 
     Returns
     -------
@@ -85,19 +85,19 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
 
 
 def build_remaining(scenario: Scenario) -> ConcreteModel:
-    """Declare what is left of a mission, from wherever the vehicle is.
+    """Declare the remaining part of a mission, from any state of the vehicle.
 
     Parameters
     ----------
     scenario : Scenario
-        The mission and what is believed of it.
+        The mission, with the wind as currently forecast.
 
     Returns
     -------
     ConcreteModel
-        As `build_model`, but for the start, whose states are mutable parameters of block `start`,
-        and for the mutable acceleration `aerodynamics.unexplained`, nought until something is
-        known of it.
+        As `build_model`, except for two differences: the states at the start are mutable parameters
+        of block `start`, and there is the mutable acceleration `aerodynamics.unexplained`, zero
+        until the vehicle has observed one.
     """
     m = _vehicle_in_the_wind(scenario)
     aerodynamics.declare_aerodynamics(m, scenario)
@@ -123,17 +123,17 @@ def _vehicle_in_the_wind(scenario: Scenario) -> ConcreteModel:
     )
     m.scaling_factor = Suffix(direction=Suffix.EXPORT)
     vehicle.declare_vehicle(m, scenario)
-    # Its place among the blocks is before those that it may depend on.
+    # Declared first, because blocks declared before the wind's equations may depend on it.
     m.wind = Block(doc="wind, eq. (11)-(12)")
     rotors.declare_rotors(m, scenario)
-    rotors.declare_motors(m)
+    rotors.declare_motors(m, scenario)
     declare_motion(m, scenario)
     wind.declare_wind(m, scenario)
     return m
 
 
 def _declare_flight(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the balances and what the flight costs, its limits, its ends and its objective."""
+    """Declare the balances, energy, limits, boundary conditions and objective."""
     declare_balances(m, scenario)
     power.declare_power(m, scenario)
     _declare_cost_and_limits(m, scenario)
@@ -145,7 +145,7 @@ def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
     limits.declare_limits(m, scenario)
     airspace.declare_airspace(m, scenario)
     mission.declare_mission(m, scenario)
-    # A lambda: Integral writes its rule's signature anew and cannot spell annotations.
+    # A lambda, because Integral rewrites its rule's signature and cannot handle annotations.
     m.energy = Integral(m.time, wrt=m.time, rule=lambda m, t: m.power.total[t], doc="eq. (8) [J]")
     doc = "eq. (8): energy of the flight [J]"
     if not scenario.mission.is_free:
@@ -157,7 +157,7 @@ def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
-    """Yield every table of numbers that the scenario's model declares."""
+    """Yield every table of parameters that the scenario's model declares."""
     yield "vehicle", vehicle.parameters_of(scenario)
     yield "wind", wind.parameters_of(scenario)
     if scenario.wind.series is None:
@@ -173,12 +173,12 @@ def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter,
 
 
 def parameter_values(scenario: Scenario) -> dict[str, float]:
-    """Return every number of the model, for a re-solve without a rebuild.
+    """Return the value of every parameter of the model, for a re-solve without a rebuild.
 
     Parameters
     ----------
     scenario : Scenario
-        With the same `structure_key` as the one the model was built from.
+        With the same `structure_key` as the scenario that the model was built from.
 
     Returns
     -------
@@ -193,7 +193,7 @@ def parameter_values(scenario: Scenario) -> dict[str, float]:
 
 
 def structure_key(scenario: Scenario) -> Hashable:
-    """Return what two scenarios must share to share one compiled model.
+    """Return a key that is equal for scenarios that can share one compiled model.
 
     Parameters
     ----------
@@ -203,14 +203,15 @@ def structure_key(scenario: Scenario) -> Hashable:
     Returns
     -------
     hashable
-        Equal for scenarios whose models differ in parameter values and a fixed duration alone.
+        Equal for scenarios whose models differ only in parameter values and a fixed duration.
     """
     series = scenario.wind.series
     *passages, end = scenario.nominal_times
-    # A table of times that the plan chooses has the rows that the longest flight reads.
+    # If the plan chooses the times, a table over time has the rows for the longest flight.
     longest = scenario.mission.duration_limits[1] if scenario.mission.is_free else None
     return (
         scenario.model,
+        tuple(row.name for row in vehicle.parameters_of(scenario)),
         scenario.vehicle.attitude,
         scenario.power.model,
         scenario.power.regeneration,
@@ -230,9 +231,9 @@ def structure_key(scenario: Scenario) -> Hashable:
 
 
 def guess_key(scenario: Scenario) -> Scenario:
-    """Return what scenarios of one structure must share to share first values and scales too.
+    """Return a key that is equal for scenarios that can share initial values and scales too.
 
-    It is all but the wind, which changes neither.
+    The key is the scenario without its wind, which affects neither.
     """
     return scenario.model_copy(update={"wind": None})
 
@@ -243,16 +244,16 @@ def ask_for_least_time(m: ConcreteModel, bounds: tuple[float, float], guess: flo
     Parameters
     ----------
     m : ConcreteModel
-        A mission's model, not yet discretised; a free duration that it has is bounded anew.
+        A mission's model, not yet discretised; the bounds of a free duration are replaced.
     bounds : pair of float
-        Least and greatest duration looked at [s].
+        Least and greatest duration to search [s].
     guess : float
-        Where the search starts [s].
+        Duration at which the search starts [s].
 
     Returns
     -------
     Var
-        The duration, to be given to the engine as the end of the horizon.
+        The duration, to pass to the engine as the end of the horizon.
     """
     for objective in m.component_objects(Objective, active=True, descend_into=True):
         objective.deactivate()
@@ -266,7 +267,7 @@ def ask_for_least_time(m: ConcreteModel, bounds: tuple[float, float], guess: flo
 
 
 def model_builder(scenario: Scenario, *, is_code_allowed: bool) -> Builder:
-    """Return what builds the scenario's model: `build_model` or the user's own function.
+    """Return the function that builds the scenario's model: `build_model` or the user's own.
 
     Parameters
     ----------
@@ -301,7 +302,7 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
     ----------
     spec : str
         ``file.py:function``.
-    base_folder : Path
+    Folder to which a relative file name refers.
         Where a relative file name starts.
 
     Returns
@@ -312,8 +313,8 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
     Raises
     ------
     ScenarioError
-        If there is no such file or function, the file does not run, or, when called, the
-        function returns something else.
+        If there is no such file or function, or the file fails; and, raised by the returned
+        function, if it returns no ConcreteModel.
     """
     file_name, _, function_name = spec.rpartition(":")
     module = _run(spec, base_folder / file_name)

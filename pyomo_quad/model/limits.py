@@ -1,12 +1,12 @@
 """Limits of the flight, eq. (10), and of the battery where the scenario sets them.
 
-The paper writes |u_k| <= u_max for k = 1, 2, 3; u_1 has its own limit, so the moments are
-k = 2, 3, 4.  The limit on the rotor accelerations is not in the paper, whose problem has no
-minimum without it under its own efficiency function.
+The paper writes |u_k| <= u_max for k = 1, 2, 3; u_1 has its own limit, so the moments are k = 2, 3,
+4. The limit on the rotor accelerations is not in the paper; without it, the paper's problem with
+its own efficiency function has no minimum.
 
-Plans leave a share of the largest rotor speed and thrust to the controller, `reserve`; a motor
-with lag accelerates its rotor by no more than (rotor_speed_max - speed) over its time constant.
-Both are declared only where they are not zero.
+Plans reserve a fraction of the largest rotor speed and thrust for the controller, `reserve`. A
+motor with lag accelerates its rotor by at most (rotor_speed_max - speed) / time constant. Both are
+declared only where they are not zero.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo_quad.model.parameters import Parameter, declare_parameters
 from pyomo_quad.scenario import Scenario
 
-# The norm of the velocity has no derivative at rest; at 1 m/s this changes it by 5e-7.
+# The norm of the velocity is not differentiable at rest; smoothing changes it by 5e-7 at 1 m/s.
 _SPEED_SMOOTHING = 1e-3 * units.m / units.s
 
 _UNITS = {
@@ -63,7 +63,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     Parameters
     ----------
     scenario : Scenario
-        A limit of None is not declared.
+        The mission; a limit of None is not declared.
     """
     fields = type(scenario.limits).model_fields
     bounds = tuple(
@@ -75,7 +75,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def without_reserve(numbers: dict[str, float] | None) -> dict[str, float] | None:
-    """Return a model's numbers, if any, as they are for the controller, whom the reserve is for."""
+    """Return a model's numbers, if any, with the reserve set to zero, for the controller."""
     reserve = f"limits.{_RESERVE.name}"
     return numbers | {reserve: 0.0} if numbers is not None and reserve in numbers else numbers
 
@@ -101,7 +101,7 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _left(b: Block, most: NumericExpression) -> NumericExpression:
-    """Return what the reserve leaves of a largest value."""
+    """Return the part of a largest value that the reserve leaves to plans."""
     reserve = b.component(_RESERVE.name)
     return most if reserve is None else (1 - reserve) * most
 

@@ -1,7 +1,7 @@
-"""The boundary conditions: hover at the start, hover at the goal.
+"""The boundary conditions: hover at the start and at the goal.
 
-The paper gives every rotor 912 rad/s at both ends, 0.07 % short of balancing the weight; here
-it is the exact speed at which 4 kappa_b omega^2 = m g.
+The paper gives every rotor 912 rad/s at both ends, 0.07 % short of balancing the weight. Here it is
+the exact speed at which 4 kappa_b omega^2 = m g.
 """
 
 from collections.abc import Callable, Hashable, Mapping
@@ -82,7 +82,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     return table + tuple(filter(None, (_passage(scenario, *row) for row in _PASSAGES)))
 
 
-# Field of a waypoint, its unit, what it is, and the value that asks for nothing.
+# Field of a waypoint, its unit, its documentation, and the value that imposes nothing.
 _PASSAGES: tuple[tuple[str, object, str, float | None], ...] = (
     ("radius", units.m, "passing within this distance is enough", 0.0),
     ("hold", units.s, "time to hover there", 0.0),
@@ -90,14 +90,14 @@ _PASSAGES: tuple[tuple[str, object, str, float | None], ...] = (
     ("speed_max", units.m / units.s, "largest speed there", None),
     ("at", units.s, "when it is passed", None),
 )
-# How far a vehicle may be from a place, and how fast, that hovers there.
+# Largest distance from a place, and largest speed, at which a vehicle counts as hovering there.
 HOVERING_M, HOVERING_M_PER_S = 0.05, 0.1
 
 
 def _passage(
     scenario: Scenario, field: str, unit: object, doc: str, nothing: float | None
 ) -> Parameter | None:
-    """Return what the waypoints say in one field as a parameter, None where none says anything."""
+    """Return one field of the waypoints as a parameter, None if no waypoint sets it."""
 
     def said(scenario: Scenario) -> dict[int, float]:
         fields = {k: getattr(w, field) for k, w in enumerate(scenario.mission.waypoints)}
@@ -139,7 +139,7 @@ def _hover_speed(m: ConcreteModel, mass: NumericExpression) -> NumericExpression
 
 
 def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
-    """Return declared time -> variable, for every time of a mission's model that one gives."""
+    """Return declared time -> variable, for every declared time that is a variable."""
     *passages, end = scenario.nominal_times
     free: dict[float, Any] = {end: m.duration} if scenario.mission.is_free else {}
     for k in range(len(scenario.mission.waypoints)):
@@ -150,7 +150,7 @@ def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
 
 
 def _declare_waypoints(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare where the flight is at each passage, and how it passes."""
+    """Declare the position at each passage of a waypoint, and the conditions on passing it."""
     waypoints, times = scenario.mission.waypoints, scenario.nominal_times
     reached = {k: times[2 * k] for k in range(len(waypoints))}
     left = {k: times[2 * k + 1] for k in reached}
@@ -288,12 +288,12 @@ def _declare_goal(b: Block, m: ConcreteModel) -> None:
 
 
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
-    """Return what the goal says of the heading, which is so anyway where it is kept."""
+    """Return the goal's conditions on the heading, redundant where the heading is kept."""
     return b.goal_place["psi"], b.goal_rest["r"]
 
 
 def _declare_kept_yaw(b: Block, m: ConcreteModel) -> None:
-    # A limit and no balance: what is flown turns as its rotors make it.
+    # A limit and not a balance, because a flown vehicle yaws as its rotors make it.
     @b.Constraint(m.time, doc="psi' cos(theta) = 0: the heading is kept [rad/s]")
     def yaw_keeping(b: Block, t: float) -> RelationalExpression:
         body = b.parent_block().rigid_body
@@ -304,7 +304,7 @@ def _declare_kept_yaw(b: Block, m: ConcreteModel) -> None:
 
 
 def start_where_measured(m: ConcreteModel) -> None:
-    """Replace what the mission says of the start by mutable parameters in block `start`.
+    """Replace the mission's conditions at the start by mutable parameters in block `start`.
 
     Parameters
     ----------
@@ -315,7 +315,7 @@ def start_where_measured(m: ConcreteModel) -> None:
         said.deactivate()
     m.battery.initial_charge.deactivate()
     if m.mission.component("yaw_keeping") is not None:
-        # Blown off its heading, it turns back.
+        # A vehicle that a gust turned off its heading must be free to turn back.
         m.mission.yaw_keeping.deactivate()
         for row in _goal_of_turning(m.mission):
             row.activate()
@@ -325,7 +325,7 @@ def start_where_measured(m: ConcreteModel) -> None:
 
 
 def _start_measured(b: Block, start: float, state: Var) -> None:
-    """Declare the measured value of a state, with its index beside time, and the condition."""
+    """Declare the measured value of a state, with its index without time, and the condition."""
     beside_time = [index[:-1] for index in state if isinstance(index, tuple) and index[-1] == start]
     sets = (beside_time,) if beside_time else ()
     measured = Param(
@@ -343,10 +343,10 @@ def _start_measured(b: Block, start: float, state: Var) -> None:
 
 
 def end_in_equilibrium(m: ConcreteModel) -> None:
-    """End hovering in the air as it is, tilted against a wind, in place of level.
+    """End in steady hover in the wind, tilted against it, instead of level.
 
-    Level in a wind is a state that a vehicle passes through, by a swing that meets it at one
-    moment; in a wind that is not known to the last, it meets nothing.
+    In wind, a level attitude is a transient state that a vehicle reaches by a swing timed to one
+    instant. If the wind is not known exactly, the swing misses it.
 
     Parameters
     ----------
@@ -369,5 +369,5 @@ def end_in_equilibrium(m: ConcreteModel) -> None:
 
 
 def measured_start(states: Mapping[str, float]) -> dict[str, float]:
-    """Return the parameters of a start where measured, by the full names of states."""
+    """Return the parameters of a start at measured states, by the full names of the states."""
     return {f"start.{name.rpartition('.')[2]}": value for name, value in states.items()}

@@ -1,7 +1,7 @@
-"""What declared equations are written with: numbers of the scenario, and a smooth `max`.
+"""Building blocks of declared equations: parameters from the scenario, and a smooth `max`.
 
-A number becomes a mutable Pyomo parameter with its unit; stand-ins for `max` are smooth, so that
-every equation has two derivatives.
+A number becomes a mutable Pyomo parameter with its unit. Replacements for `max` are smooth, so that
+every equation is twice differentiable.
 """
 
 from collections.abc import Callable, Hashable, Iterator, Mapping
@@ -18,7 +18,7 @@ Value = float | Mapping[Any, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One declared number: its name in the block, its unit, and where the scenario has it.
+    """One declared parameter: its name in the block, its unit, and how to read it from a scenario.
 
     `value` takes the scenario and returns a number, or a mapping when `index` is given.
     """

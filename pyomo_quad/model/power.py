@@ -1,8 +1,8 @@
-"""The electrical power of the rotors, by six models of which a scenario chooses one.
+"""The electrical power of the rotors, by one of six models.
 
-Each is a function that declares the power of every rotor before anything is said of braking;
-regeneration then says what braking earns, all of it or nothing.  The energy of the flight is the
-integral of their sum, eq. (8); the paper's second sum, over every speed for every rotor, is
+Each model is a function that declares the power of every rotor without regard to regeneration.
+Regeneration then decides whether braking returns its full power or none. The energy of the flight
+is the integral of the sum, eq. (8). The paper's second sum, over every speed for every rotor, is
 read as one sum over the four rotors.
 
 name | power of one rotor | convex in alpha | convex in thrust in steady flight
@@ -13,9 +13,9 @@ constant_efficiency | tau omega / eta | yes | yes
 efficiency | tau omega / f_r(tau, omega) | no | no
 momentum | induced, profile and axial power, in moving air | yes | yes
 
-By default the first three and the last earn what braking gives: theirs are balances that hold
-whichever way the energy flows.  The others do not: a braking power divided by an efficiency
-would earn more than it gave.
+By default, braking returns energy in the first three models and the last, because their balances
+hold for either direction of the energy flow. The other models have no such balance: a braking power
+divided by an efficiency would return more energy than braking absorbs.
 
 Why accelerating rotors earns nothing: see docs/theory/bound.md, eq. (5).
 
@@ -31,27 +31,28 @@ k_i | induced_power_factor | - | induced power over that of an ideal rotor
 c_0 | profile_power_coefficient | - | profile power over T^(3/2) / sqrt(rho A) of one rotor
 K | profile_advance_factor | - | its growth with the square of the advance ratio
 k_c, k_d | climb_power_factor, descent_power_factor | - | power over T v_a, up and down
-P_e | electronics_power | W | what everything but the motors draws
+P_e | electronics_power | W | power drawn by all but the motors
 rho, A | air_density, disc_area | kg/m3, m2 | of the air and of all discs together
 
-Induced velocity: Glauert (1926), v_i sqrt(v_p^2 + (v_a + v_i)^2) = v_h^2.  Where a rotor sinks
-into its own wake momentum theory has no answer, or three; a term of the descent alone, tau v_a^2
-under the root, leaves exactly one as soon as tau exceeds 1/8.  With the tau used here v_i stays
-within 0.13 v_h of the curve that Leishman (2006), eq. (2.96), fits to measurements of sinking
-rotors down to v_a = -0.5 v_h, within 0.4 v_h down to -1.5 v_h; beyond -1.66 v_h the air flows
+Induced velocity: Glauert (1926), v_i sqrt(v_p^2 + (v_a + v_i)^2) = v_h^2. For a rotor that descends
+into its own wake, the equation has no solution, or three. A term in the descent rate alone, tau
+v_a^2 under the root, leaves exactly one solution for tau > 1/8. With the tau used here, v_i stays
+within 0.13 v_h of the curve that Leishman (2006), eq. (2.96), fits to measurements on descending
+rotors down to v_a = -0.5 v_h, and within 0.4 v_h down to -1.5 v_h. Beyond -1.66 v_h the air flows
 upwards through the rotor.
 
-Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2), with mu = v_p / (omega R); the thrust
-and not the rotor speed sets it, so that it holds over payload and density.  K = 4.65 is Bennett's,
-in Leishman (2006), section 5.4.
+Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2), with mu = v_p / (omega R). It depends
+on the thrust and not on the rotor speed, so that c_0 is valid for any payload and density. K = 4.65
+is Bennett's, in Leishman (2006), section 5.4.
 
-Rotor acceleration costs what the drum stores, I_r omega alpha, and the copper loss of the torque
-I_r alpha.
+Rotor acceleration takes the power stored in the rotor, I_r omega alpha, plus the copper loss of the
+torque I_r alpha.
 
-Held against flights: 120 of a DJI Matrice 100 with 0 to 0.5 kg, airspeeds to 16 m/s, climb to
-4 m/s, descent to 3.5 m/s (`reports/m100`).  Faster descent is theory.  In cruise at 1 to 4 m/s
-they draw some 14 W more than this; a hump of 4 % in the induced power about 3 m/s, fitted with the
-rest, made the error out of sample 1.89 % instead of 1.86 %, and was left out.
+Validated on flights: 120 of a DJI Matrice 100 with 0 to 0.5 kg, airspeeds to 16 m/s, climb to 4
+m/s, descent to 3.5 m/s (`reports/m100`). Faster descent is theory only. In cruise at 1 to 4 m/s the
+measured power is some 14 W above this model. An additional 4 % peak of the induced power at about 3
+m/s, fitted with the other coefficients, gave an out-of-sample error of 1.89 % instead of 1.86 % and
+was left out.
 """
 
 from collections.abc import Callable
@@ -70,10 +71,11 @@ _TORQUE = units.N * units.m
 _SPEED = units.rad / units.s
 _ROWS = ("cubic", "quadratic", "linear", "constant")
 _COLUMNS = ("a", "b", "c")
-# Half widths over which the floors of f_r are rounded: far below hover's 0.0187 N m and 0.14.
+# Half widths over which the floors of f_r are rounded: far below the hover values 0.0187 N m and
+# 0.14.
 TORQUE_FLOOR_WIDTH = 1e-4 * _TORQUE
 EFFICIENCY_FLOOR_WIDTH = 1e-3
-# Widths from which a corner at zero power is narrowed to the one asked for.
+# Widths of the smoothed corner at zero power, tried in turn down to the requested width.
 _WIDER_SMOOTHINGS_W = (10.0, 3.0, 1.0, 0.3)
 
 _SMOOTHING = Parameter(
@@ -91,7 +93,7 @@ _CONSTANT_EFFICIENCY = Parameter(
 
 
 def _efficiency_map(scenario: Scenario) -> dict[tuple[str, str], float]:
-    rows = scenario.vehicle.efficiency_map
+    rows = scenario.vehicle.efficiency_map  # given, or no scenario under this model is loaded
     return {
         (row, column): number
         for row in _ROWS
@@ -128,7 +130,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     Returns
     -------
     tuple of Parameter
-        Empty for the regenerating models that use the vehicle's numbers alone.
+        Empty for the regenerating models that need the vehicle's parameters only.
     """
     guard = () if scenario.power.regeneration else (_SMOOTHING,)
     match scenario.power.model:
@@ -142,12 +144,12 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return parameters under which a kinked power is easier to minimise, the easiest first.
+    """Return parameters that widen the smoothed corner of a power model, the widest first.
 
     Returns
     -------
     tuple of mapping
-        Full component name to value [W]; empty where the power has no corner.
+        Full component name to value [W]; empty if the power has no corner.
     """
     if _SMOOTHING not in parameters_of(scenario):
         return ()
@@ -161,7 +163,7 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `vehicle` and `rotors`; for `momentum`, with the airspeeds too.
+        With `time`, `vehicle` and `rotors`; for `momentum`, also the airspeeds.
     """
     b = m.power = Block(doc="power, eq. (8)")
     declare_parameters(b, parameters_of(scenario), scenario)
@@ -201,10 +203,9 @@ def declare_error(m: ConcreteModel) -> None:
 def declare_motor_power(m: ConcreteModel, name: str) -> None:
     """Declare `motor`: terminal voltage times current, eq. (2)-(3).
 
-    Sound wherever the motor runs: copper loss grows with the square of the torque, so the
-    power is convex in alpha and in thrust.  With regeneration braking returns what the winding
-    does not take.
-    The rotor loses nothing to profile drag, so hover comes out at half a real aircraft's.
+    Valid wherever the motor runs: copper loss grows with the square of the torque, so the power is
+    convex in alpha and in thrust. With regeneration, braking returns its power less the loss in the
+    winding. The rotor has no profile drag, so the hover power is half that of a real aircraft.
     """
     b = m.power
 
@@ -230,9 +231,9 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
 def declare_shaft_power(m: ConcreteModel, name: str) -> None:
     """Declare `shaft`: mechanical power, torque times speed.
 
-    Sound as a floor under every other model: it knows no loss in motor or converter, and
-    with regeneration braking returns all it takes.  Linear in alpha, so alpha needs its bound;
-    convex in thrust (power 3/2).
+    A lower bound of every other model: it has no loss in motor or converter, and with regeneration
+    braking returns all its power. Linear in alpha, so alpha needs its bound; convex in thrust
+    (power 3/2).
     """
     b = m.power
 
@@ -254,8 +255,8 @@ def declare_shaft_power(m: ConcreteModel, name: str) -> None:
 def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare `constant_efficiency`: shaft power over a stated number.
 
-    Sound near the operating point where the number was measured.  Convex in alpha and in
-    thrust.  Non-negative unless regeneration is asked for.
+    Valid near the operating point at which the efficiency was measured. Convex in alpha and in
+    thrust. Non-negative unless regeneration is enabled.
     """
     b = m.power
 
@@ -274,11 +275,11 @@ def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
 def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare `efficiency`: shaft power over the recovered polynomial f_r(tau, omega), eq. (8).
 
-    Sound only with its regularisation: f_r has zeros at moderate braking torque below some
-    780 rad/s, so it is read at no less than `torque_floor`, floored at `efficiency_floor`,
-    and braking earns nothing unless regeneration is asked for.  Not convex in alpha: below
-    858 rad/s accelerating and coasting in turn is cheaper than steady flight, so an optimum
-    depends on the bound on alpha and on the mesh.  Non-negative without regeneration.
+    Valid only with its regularisation: f_r has zeros at moderate braking torque below some 780
+    rad/s. It is therefore evaluated at a torque of at least `torque_floor`, is bounded below by
+    `efficiency_floor`, and braking returns nothing unless regeneration is enabled. Not convex in
+    alpha: below 858 rad/s, alternating acceleration and coasting is cheaper than steady flight, so
+    an optimum depends on the bound on alpha and on the mesh. Non-negative without regeneration.
     """
     b = m.power
 
@@ -318,9 +319,9 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
 def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
     """Declare `motor_with_friction`: v i with dry and viscous friction (Morbidi et al. 2016).
 
-    Sound in form, and convex in alpha; the published friction constants look ten times too
-    high (hover at 1.3 kW).  In thrust it is not convex: the viscous and dry parts make the
-    first watt per newton the dearest.
+    Valid in form, and convex in alpha; the published friction constants seem ten times too high
+    (hover at 1.3 kW). Not convex in thrust: the viscous and dry friction make the first newton the
+    most expensive.
     """
     b = m.power
 
@@ -353,7 +354,7 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
 
 
 def _declare_floor(m: ConcreteModel) -> None:
-    """Declare that braking earns nothing, through a smooth floor at zero."""
+    """Declare that braking returns no energy, through a smooth floor at zero."""
     b = m.power
 
     @b.Expression(m.rotors.rotor, m.time, doc="eq. (8): power of one rotor [W]")
@@ -362,17 +363,17 @@ def _declare_floor(m: ConcreteModel) -> None:
 
 
 _VELOCITY = units.m / units.s
-# Where an airspeed changes sign its norm, and the factor of climb or descent, are rounded.
+# Widths over which the norm of an airspeed, and the climb and descent factors, are rounded at zero.
 _AIRSPEED_WIDTH = 1e-2 * _VELOCITY
 _AXIAL_WIDTH = 0.5 * _VELOCITY
 # tau of docs/theory/momentum_power.md, eqs. (2) and (3).
 WAKE_FACTOR = 1 / 7.67
-# Induced velocities that the solver may look at, over that of hover.
+# Upper bound on the induced velocity in the solver, relative to that of hover.
 _FASTEST_INDUCED = 20.0
 
 
 def _rotor_radius(scenario: Scenario) -> float:
-    """Return the radius, without which no scenario under this model is loaded."""
+    """Return the rotor radius; loading a scenario with this model requires one."""
     radius = scenario.vehicle.rotor_radius
     return nan if radius is None else radius
 
@@ -432,7 +433,7 @@ _MOMENTUM = (
 def declare_momentum_power(m: ConcreteModel, name: str) -> None:
     """Declare `momentum`: induced, profile and axial power of each rotor, and of accelerating it.
 
-    Sound in hover, climb, forward flight and slow descent.  Convex in alpha and in thrust.
+    Valid in hover, climb, forward flight and slow descent. Convex in alpha and in thrust.
     """
     b = m.power
     b.disc_area = Expression(
@@ -535,7 +536,7 @@ def _declare_profile(b: Block, m: ConcreteModel) -> None:
         m = b.parent_block()
         speed = m.rotors.omega[j, t]
         area = b.disc_area / len(m.rotors.rotor)
-        # T^(3/2) / sqrt(rho A), with the thrust in terms of the speed, which may be nought.
+        # T^(3/2) / sqrt(rho A), with the thrust in terms of the rotor speed, which may be zero.
         at_rest_in_air = sqrt(m.vehicle.thrust_coefficient**3 / (b.air_density * area)) * speed
         advance = b.profile_advance_factor * b.in_plane_airspeed_squared[t] / b.rotor_radius**2
         return b.profile_power_coefficient * at_rest_in_air * (speed**2 + advance)

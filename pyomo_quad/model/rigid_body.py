@@ -6,13 +6,14 @@ x', y', z' | vx, vy, vz | m/s | velocity in world axes
 phi, theta, psi | phi, theta, psi | rad | roll, pitch, yaw; yaw-pitch-roll order
 phi', theta', psi' | p, q, r | rad/s | body rates
 
-`vehicle.attitude` says how the angles follow from the body rates.  `euler` is exact: the Euler
-rates of Beard and McLain (2012), eq. (3.3), singular at a pitch of 90 degrees, and in the yaw
-balance the reaction of the body to the rotors' acceleration.  `paper` is as printed: the Euler
-rates equal the body rates, true to first order in the tilt, and no such reaction.
+`vehicle.attitude` selects the relation between the angles and the body rates. `euler` is exact: the
+Euler rates of Beard and McLain (2012), eq. (3.3), singular at a pitch of 90 degrees, with the
+reaction of the body to the rotors' acceleration in the yaw balance. `paper` is as printed: the
+Euler rates equal the body rates, which is correct to first order in the tilt, without that
+reaction.
 
-The gyroscopic terms of the rotors are those of eq. (6), which eq. (9) contradicts in sign and in
-order of derivative.  Balances are undivided, as printed.
+The gyroscopic terms of the rotors are those of eq. (6); eq. (9) contradicts them in sign and in
+order of derivative. Balances are undivided, as printed.
 """
 
 from collections.abc import Callable
@@ -44,7 +45,7 @@ STATES = {
     "q": (_RATE, "pitch rate"),
     "r": (_RATE, "yaw rate"),
 }
-# What a mission gives at both ends; the other states rest there.
+# States that a mission gives at both ends; all other states are zero there.
 PLACE = ("x", "y", "z", "psi")
 _NOMINAL_ANGLE = 0.1
 _NOMINAL_RATE = 0.1
@@ -91,7 +92,7 @@ def _straight_line(start: float, goal: float, duration: float) -> Callable[[Bloc
 
 
 def _from_place_to_place(scenario: Scenario, axis: int) -> Callable[[Block, float], float]:
-    """Return an initial value that moves along an axis in straight lines between the places."""
+    """Return an initial value that is linear in time between consecutive places, along one axis."""
     places = [position[axis] for position in scenario.mission.positions]
     times = [0.0, *scenario.nominal_times]
     stays = [places[0], *(place for place in places[1:-1] for _ in range(2)), places[-1]]
@@ -136,7 +137,7 @@ def _declare_translation(b: Block, m: ConcreteModel) -> None:
 
 
 def turning(b: Block, t: float) -> NumericExpression:
-    """Return what turns the vehicle about the world's vertical, as seen from body y and z."""
+    """Return the yaw rate about the world's vertical times cos(pitch), from the body rates."""
     return b.q[t] * sin(b.phi[t]) + b.r[t] * cos(b.phi[t])
 
 
@@ -199,7 +200,7 @@ BODY_AXES: tuple[BodyAxis, ...] = (forward_axis, left_axis, thrust_axis)
 
 
 def _moment(m: ConcreteModel, name: str, t: float) -> NumericExpression:
-    """Return a moment of the rotors, with that of the air where it has one."""
+    """Return a moment of the rotors, plus the aerodynamic moment if there is one."""
     of_rotors, of_air = m.rotors.component(name)[t], m.aerodynamics.component(name)
     return of_rotors if of_air is None else of_rotors + of_air[t]
 

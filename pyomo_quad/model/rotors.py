@@ -24,7 +24,7 @@ def _by_rotor(
 
 
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the places and senses of the rotors, where the equations ask for them one by one."""
+    """Return the places and directions of rotation of rotors in a general layout."""
     vehicle, numbers = scenario.vehicle, _numbers(scenario)
     ahead = Parameter(
         name="ahead",
@@ -51,8 +51,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     return (*((ahead, aside) if has_places else ()), *((sense,) if vehicle.has_own_rotors else ()))
 
 
-def declare_motors(m: ConcreteModel) -> None:
-    """Declare torque, current and voltage of each motor in block `rotors`.
+def declare_motors(m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare torque, and where its electrics are known current and voltage, of each motor.
 
     Parameters
     ----------
@@ -66,6 +66,9 @@ def declare_motors(m: ConcreteModel) -> None:
         vehicle = b.parent_block().vehicle
         propeller_drag = vehicle.drag_torque_coefficient * b.omega[j, t] ** 2
         return vehicle.rotor_inertia * b.alpha[j, t] + propeller_drag
+
+    if scenario.vehicle.motor is None:
+        return
 
     @b.Expression(b.rotor, m.time, doc="eq. (2): motor current [A]")
     def motor_current(b: Block, j: int, t: float) -> NumericExpression:
@@ -147,7 +150,7 @@ def _declare_mixer(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_mixer_of_places(b: Block, m: ConcreteModel) -> None:
-    """Declare the mixer of rotors anywhere in the plane, of which eq. (7) is that of a cross."""
+    """Declare the mixer of rotors anywhere in the plane; eq. (7) is the special case of a cross."""
 
     @b.Expression(b.rotor, m.time, doc="thrust of one rotor [N]")
     def rotor_thrust(b: Block, j: int, t: float) -> NumericExpression:

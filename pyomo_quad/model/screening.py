@@ -1,6 +1,6 @@
-"""What a declared model consists of, and what it lacks or contradicts, before it is compiled.
+"""Checks of a declared model before compilation: its contents, gaps and contradictions.
 
-Whether its units are consistent is looked at too.
+Includes the consistency of its units.
 """
 
 from collections import defaultdict
@@ -23,7 +23,7 @@ from pyomo.repn import generate_standard_repn
 
 
 class Severity(StrEnum):
-    """Whether a finding rules a flight out, a vehicle, or only asks for a second look."""
+    """Severity of a finding: rules out the flight or the vehicle, or needs a second look."""
 
     IMPOSSIBLE = "impossible"
     UNPHYSICAL = "unphysical"
@@ -32,7 +32,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A field or declaration, what was found there, and what is allowed, in one line.
+    """A field or declaration, the value found there, and the allowed range, in one line.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Finding:
     subject : str
         Dotted field of the scenario, or full name of the component.
     message : str
-        One line that names it.
+        One line that names the field or component.
     """
 
     severity: Severity
@@ -53,7 +53,7 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class _Interval:
-    """What one declaration allows a variable to be."""
+    """The interval in which one declaration allows a variable."""
 
     source: str
     lower: float
@@ -78,7 +78,7 @@ def screen_model(model: ConcreteModel) -> tuple[Finding, ...]:
 
 
 def _variables(model: ConcreteModel) -> Iterator[Var]:
-    # A DerivativeVar answers to its own type, so only states and algebraic variables come.
+    # A DerivativeVar has a type of its own, so this yields states and algebraic variables only.
     yield from model.component_objects(Var, active=True, descend_into=True)
 
 
@@ -155,7 +155,7 @@ def _bounds(data: VarData) -> _Interval:
 
 
 def _single_variable(constraint: ConstraintData) -> tuple[VarData, _Interval] | None:
-    """Return the variable of a linear limit on it alone, and what the limit allows it."""
+    """Return the variable of a linear limit on a single variable, and its allowed interval."""
     body = generate_standard_repn(constraint.body, quadratic=False)
     if len(body.linear_vars) != 1 or body.nonlinear_expr is not None:
         return None
@@ -166,7 +166,7 @@ def _single_variable(constraint: ConstraintData) -> tuple[VarData, _Interval] | 
     lower = -inf if constraint.lb is None else (constraint.lb - constant) / factor
     upper = inf if constraint.ub is None else (constraint.ub - constant) / factor
     if factor < 0.0:
-        # An absent end has no sign to change.
+        # An absent bound has no sign to change.
         lower, upper = (
             -inf if constraint.ub is None else upper,
             inf if constraint.lb is None else lower,
@@ -195,7 +195,7 @@ def _conflicts(intervals: dict[str, list[_Interval]]) -> Iterator[Finding]:
                 yield Finding(
                     severity=Severity.CAUTION,
                     subject=one.source,
-                    message=f"{one.source}: never binds, {other.source} is tighter; remove it.",
+                    message=f"{one.source}: is never active, {other.source} is tighter; remove it.",
                 )
 
 
@@ -243,7 +243,7 @@ class ModelInspection:
     """Counts of scalar functions of time and of equations, and the unit check.
 
     `degrees_of_freedom` is the number of functions of time that the equations leave free: the
-    controls, when the model is complete.
+    controls, if the model is complete.
     """
 
     states: tuple[str, ...]
@@ -257,7 +257,7 @@ class ModelInspection:
     @property
     def degrees_of_freedom(self) -> int:
         """Functions of time that the equations leave free."""
-        # Each state has a derivative of its own, which the equations determine as well.
+        # Each state has a derivative, which the equations determine as well.
         return len(self.states) + len(self.other_variables) - self.equations
 
     @property
@@ -267,7 +267,7 @@ class ModelInspection:
 
 
 def inspect_model(model: ConcreteModel) -> ModelInspection:
-    """Count what a continuous model declares and check its units.
+    """Count the declarations of a continuous model and check its units.
 
     Parameters
     ----------
@@ -283,7 +283,7 @@ def inspect_model(model: ConcreteModel) -> ModelInspection:
     instant = sorted(time)[len(time) // 2]
     derivatives = list(model.component_objects(DerivativeVar, descend_into=True))
     differentiated = {derivative.get_state_var().name for derivative in derivatives}
-    # A DerivativeVar answers to its own type, so only states and algebraic variables come.
+    # A DerivativeVar has a type of its own, so this yields states and algebraic variables only.
     variables = [d for v in _over_time(model, Var, time) for d in _instances(v, instant)]
     is_state = {d.name: d.parent_component().name in differentiated for d in variables}
     path = [d for c in _over_time(model, Constraint, time) for d in _instances(c, instant)]
@@ -318,7 +318,7 @@ def unit_errors(model: ConcreteModel) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        One line for each inconsistent component, empty when all agree.
+        One line per inconsistent component; empty if all are consistent.
     """
     kinds = (Constraint, Expression)
     from pyomo.util.check_units import assert_units_consistent  # noqa: PLC0415  has all of GDP

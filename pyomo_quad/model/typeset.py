@@ -1,4 +1,4 @@
-"""The declared equations as LaTeX in the paper's symbols, read off the Pyomo declarations."""
+"""The declared equations as LaTeX in the paper's symbols, generated from the Pyomo model."""
 
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
@@ -236,7 +236,7 @@ SYMBOLS = {"clock": "t"} | {
 }
 
 
-# Where each numbered equation of the paper is declared.
+# Component that declares each numbered equation of the paper.
 EQUATION_TABLE = {
     1: ("pyomo_quad.model.rotors.declare_motors", "pyomo_quad.model.rotors.declare_rotors"),
     2: ("pyomo_quad.model.rotors.declare_motors",),
@@ -259,7 +259,7 @@ EQUATION_TABLE = {
     12: ("pyomo_quad.model.wind.declare_wind",),
 }
 
-# Binding strength of what a piece of LaTeX consists of.
+# Precedence of the parts of a LaTeX expression.
 _SUM, _PRODUCT, _POWER, _ATOM = range(4)
 _FUNCTIONS = {"sin", "cos", "tan", "exp", "log", "tanh"}
 
@@ -454,12 +454,12 @@ def _number(number: float) -> str:
 
 
 def _is_single_term(node: NumericValue) -> bool:
-    """Say whether a leading minus of the node's text stands for the whole of it."""
+    """Return whether a leading minus in the node's text applies to the whole node."""
     return type(node) in native_numeric_types or not isinstance(node, numeric_expr.SumExpression)
 
 
 def _is_unit(node: NumericValue) -> bool:
-    """Say whether a factor is a unit, or a product of units, of value one."""
+    """Return whether a factor is a unit, or a product of units, with the value one."""
     if isinstance(node, _PyomoUnit):
         return True
     if type(node) in native_numeric_types or not node.is_expression_type():

@@ -14,6 +14,8 @@ R | motor_resistance | ohm | winding
 T_f, D_f | friction_torque, viscous_damping | N m, N m s | only in the power model with friction
 """
 
+from collections.abc import Callable
+
 from pyomo.core import Block, ConcreteModel, Param
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression
@@ -24,7 +26,13 @@ from pyomo_quad.scenario import Scenario
 _INERTIA = units.kg * units.m**2
 _TORQUE = units.N * units.m
 
-PARAMETERS = (
+
+def _known(name: str) -> Callable[[Scenario], float]:
+    """Return the reader of a number that is declared where the vehicle's file gives it."""
+    return lambda scenario: getattr(scenario.vehicle, name)
+
+
+_PARAMETERS = (
     Parameter(
         name="mass",
         units=units.kg,
@@ -67,19 +75,19 @@ PARAMETERS = (
     Parameter(
         name="torque_constant",
         units=_TORQUE / units.A,
-        value=lambda s: s.vehicle.torque_constant,
+        value=_known("torque_constant"),
         doc="k_t: motor torque over current",
     ),
     Parameter(
         name="voltage_constant",
         units=units.rad / units.s / units.V,
-        value=lambda s: s.vehicle.voltage_constant,
+        value=_known("voltage_constant"),
         doc="k_v: motor speed over voltage",
     ),
     Parameter(
         name="motor_resistance",
         units=units.ohm,
-        value=lambda s: s.vehicle.motor_resistance,
+        value=_known("motor_resistance"),
         doc="R: winding resistance",
     ),
     Parameter(
@@ -124,12 +132,13 @@ def declare_vehicle(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the numbers of a scenario's vehicle, and what it leaves on the way."""
+    """Return the numbers of a scenario's vehicle, and the payloads that it releases on the way."""
     loads = _loads(scenario)
+    known = tuple(row for row in _PARAMETERS if row.value(scenario) is not None)
     if not loads:
-        return PARAMETERS
+        return known
     return (
-        *PARAMETERS,
+        *known,
         Parameter(
             name="released",
             units=units.kg,
@@ -141,12 +150,12 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def _loads(scenario: Scenario) -> tuple[int, ...]:
-    """Return which waypoints something is left at."""
+    """Return the indices of the waypoints at which a payload is released."""
     return tuple(k for k, waypoint in enumerate(scenario.mission.waypoints) if waypoint.release > 0)
 
 
 def mass_at(m: ConcreteModel, t: float) -> NumericExpression:
-    """Return the mass in flight at a time: what is left at a waypoint is gone when it is left."""
+    """Return the mass in flight at a time, without payloads of waypoints that have been left."""
     b = m.vehicle
     if b.component("released") is None:
         return b.mass

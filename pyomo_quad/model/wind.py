@@ -6,20 +6,21 @@ A_k, Omega_k | amplitudes[k], frequencies[k] | m/s, rad/s | three harmonics
 v_gmax, T_g | gust_amplitude, gust_period | m/s, s | gust
 t | wind_time | s | wind time: time in flight plus the scenario's offset
 
-Where the scenario has a profile, the horizontal wind is that of the reference height h_r, times
+If the scenario has a profile, the horizontal wind is the wind at the reference height h_r times a
+factor:
 
 law | factor at height h | source
 power | (h / h_r)^exponent | Justus and Mikhail (1976)
 logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), section 9.7
 
-with h the vehicle's height z above the ground.  Below the larger of 0.1 m and z_0, where neither
-law holds, the wind stays what it is there: h is a smooth largest of that and z, which never falls
-as z rises and from half a metre above on is z to 1e-12 m.  A wind measured over heights is a cubic
-spline through them, of h between the lowest and the highest, beyond which it stays likewise.
+with h the vehicle's height z above the ground. Below the larger of 0.1 m and z_0, where neither law
+is valid, the wind is constant: h is a smooth maximum of that height and z, increasing in z, and
+equal to z within 1e-12 m from half a metre above. A wind measured over heights is a cubic spline
+through the measurements between the lowest and the highest height, and constant beyond them, with
+the same smoothing.
 
-A wind measured over time is the cubic spline of the wind time through its rows, twice
-differentiable wherever the times of a flight lie, so that a plan may choose them; after the last
-row it stays what it is there.
+A wind measured over time is the cubic spline of the wind time through its rows. It is twice
+differentiable at any time, so that a plan may choose its times. After the last row it is constant.
 
 The gust of eq. (12) peaks at v_gmax a quarter of a period after its start.
 """
@@ -47,9 +48,9 @@ HARMONICS = (1, 2, 3)
 _CUBIC = 3
 _SPEED = units.get_units(units.m / units.s)
 
-# The least height at which a law of the wind over height is taken at its word.
+# Least height at which a law of the wind over height is applied.
 _LEAST_HEIGHT_M = 0.1
-# Over how much height the wind below it passes into the law.
+# Range of height over which the constant wind below blends into the law.
 HEIGHT_SMOOTHING = 0.1 * units.m
 
 PARAMETERS = (
@@ -102,7 +103,7 @@ def _given(number: float, _scenario: Scenario) -> float:
 
 
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the numbers that the scenario's model declares in block `wind` itself."""
+    """Return the parameters that the scenario's model declares in block `wind` itself."""
     wind = scenario.wind
     return (
         *(PARAMETERS if wind.series is None else ()),
@@ -114,7 +115,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def _measured_heights(series: WindSeries) -> tuple[Parameter, ...]:
-    """Return the lowest and the highest height of a measured wind, where it has them."""
+    """Return the lowest and the highest height of a measured wind, if it has heights."""
     ends = (
         ("least_height", 0, "h_0: height below which the wind changes no more"),
         ("greatest_height", -1, "h_1: height above which the wind changes no more"),
@@ -204,7 +205,7 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _declare_height(b: Block, m: ConcreteModel) -> None:
-    """Declare the height at which the wind is read, which is never below the least."""
+    """Declare the height at which the wind is evaluated, bounded below by the least height."""
 
     @b.Expression(m.time, doc="height above the least height [m]")
     def height_above(b: Block, t: float) -> NumericExpression:
@@ -216,13 +217,13 @@ def _declare_height(b: Block, m: ConcreteModel) -> None:
 
 
 def _smooth_positive(number: Any, width: Any = HEIGHT_SMOOTHING) -> Any:
-    """Return the larger of a number, a height as a rule, and nought, smoothly."""
+    """Return a smooth max(number, 0), for a height or a time."""
     rounding = width**2 * exp(-((number / width) ** 2))
     return (number + sqrt(number**2 + rounding)) / 2
 
 
 def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
-    """Declare what the wind at the vehicle's height is of that at the reference height."""
+    """Declare the ratio of the wind at the vehicle's height to the wind at the reference height."""
 
     def power(b: Block, t: float) -> NumericExpression:
         return (b.height[t] / b.reference_height) ** b.exponent
@@ -235,16 +236,16 @@ def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
 
 
 def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpression:
-    """Return a wind of the reference height as it is where the vehicle is."""
+    """Return the wind at the vehicle's height, from the wind at the reference height."""
     profile = b.component("profile")
     return velocity if profile is None else profile[t] * velocity
 
 
 def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
-    """Return the parameters of a model, with the values at which no wind blows.
+    """Return parameter values of a model at which there is no wind.
 
-    Every mutable parameter of block `wind` that is a speed is nought, so that a wind of the user's
-    own is stilled as well; one that is no parameter keeps blowing.
+    Every mutable parameter of block `wind` with the unit of a speed is zero, so that a wind of the
+    user's own is switched off as well. A wind that is not a parameter remains.
     """
     calm: dict[str, float | Callable[[float], float]] = {}
     block = m.component("wind")
@@ -357,10 +358,10 @@ def _declare_velocity(b: Block, m: ConcreteModel, name: str, measured: Sequence[
 
 
 def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
-    """Declare the functions of height that a measured wind is a sum of.
+    """Declare the functions of height whose weighted sum is the measured wind.
 
-    They are those of a cubic spline without knots beside its ends; below the lowest and above the
-    highest height the wind is held, with a passage as smooth as that of a profile.
+    They are those of a cubic not-a-knot spline. Below the lowest and above the highest height the
+    wind is constant, with the same smoothing as a profile.
     """
     shares, functions = _shares(heights), _truncated_powers(_shares(heights))
 
@@ -385,13 +386,13 @@ def _shares(heights: FloatArray) -> FloatArray:
 
 
 def _shapes(heights: FloatArray) -> FloatArray:
-    """Return the functions of height, in columns, at the heights themselves, in rows."""
+    """Return the values of the functions of height (columns) at the measured heights (rows)."""
     shares = _shares(heights)
     return np.column_stack([[f(share) for share in shares] for f in _truncated_powers(shares)])
 
 
 def _truncated_powers(shares: FloatArray) -> list[Callable[[Any], Any]]:
-    """Return the powers up to the third, and third powers that begin at inner heights."""
+    """Return the powers up to the third, and truncated third powers from inner heights on."""
     degree = min(_CUBIC, len(shares) - 1)
     begun = [partial(_power_from, float(share)) for share in shares[2:-2]]
     return [*(partial(_power, degree=n) for n in range(degree + 1)), *begun]
@@ -406,18 +407,18 @@ def _power_from(start: float, share: Any) -> Any:
     return ((beyond + abs(beyond)) / 2) ** _CUBIC
 
 
-# Of the usual step between rows: over how long the wind passes into the one that is held.
+# Width of the passage into the constant wind after the last row, in units of the usual step.
 _PASSING_STEPS = 0.1
-# Rows on either side of those that a flight reads: each row between makes a row felt less by a
-# factor of 3.7, so that those beyond are below rounding.
+# Rows kept on either side of those that a flight reads. The effect of a row decreases by a factor
+# of 3.7 per row, so that rows farther away are below rounding.
 _ROWS_BESIDE = 30
 
 
 class _OverTime:
     """A measured speed as a function of the time in flight, which may be a number or a symbol.
 
-    It is the cubic spline through its rows, held after the last with a passage as smooth as that
-    of a profile.
+    It is the cubic spline through its rows, constant after the last row, with the same smoothing as
+    a profile.
     """
 
     def __init__(self, times: Sequence[float], speeds: FloatArray, scenario: Scenario) -> None:
@@ -444,7 +445,7 @@ class _OverTime:
     def _table(self) -> Table:
         """The spline of the rows that a flight may read, for times that a solver varies.
 
-        Its work grows with its rows; those left out are too far away to be felt.
+        Its cost grows with its rows; rows left out are too far away to have an effect.
         """
         times = self._spline.x[self._rows]
         return Table(times, self._spline(times), name="measured wind")

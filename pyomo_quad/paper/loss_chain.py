@@ -13,6 +13,7 @@ from pyomo_quad.paper.experiments import PaperFlight
 from pyomo_quad.paper.rotor_map import EfficiencyMap
 from pyomo_quad.report.signals import MOTOR, POWER, ROTOR_SPEED, TORQUE
 from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, PALE, ROTOR_STYLES
+from pyomo_quad.scenario import ScenarioError
 
 _MAP_COLORS = "YlGnBu"
 _LEVELS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
@@ -64,7 +65,10 @@ def energy_chain(flown: PaperFlight) -> EnergyChain:
         torque.of(frame) / _MILLI * speed.of(frame)
         for torque, speed in zip(TORQUE, ROTOR_SPEED, strict=True)
     )
-    copper = scenario.vehicle.motor_resistance * (motor_current**2).sum(axis=0)
+    motor = scenario.vehicle.motor
+    if motor is None:
+        raise ScenarioError("vehicle: the chain of losses needs the electrics of its motors.")
+    copper = motor.resistance * (motor_current**2).sum(axis=0)
     battery_loss, electrical, copper_loss, shaft = (
         float(np.trapezoid(power, time))
         for power in (resistance * current**2, POWER.of(frame), copper, shaft_power)
@@ -75,7 +79,7 @@ def energy_chain(flown: PaperFlight) -> EnergyChain:
         electrical=electrical,
         copper_loss=copper_loss,
         shaft=shaft,
-        constant_product=scenario.vehicle.torque_constant * scenario.vehicle.voltage_constant,
+        constant_product=motor.product,
     )
 
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from pyomo_quad.flight.flight import Flight
+    from pyomo_quad.flight.orders import OrderSearch
     from pyomo_quad.flight.plan import Failure, Plan
     from pyomo_quad.scenario import Scenario
     from pyomo_quad.study.run import RunResult
@@ -144,6 +145,7 @@ def plan_summary(
         "versions": installed_versions(),
         "warnings": list(warnings),
         "attempts": list(plan.attempts),
+        **({} if plan.order_search is None else {"order": _order(plan.order_search)}),
         **({"routes": [asdict(route) for route in plan.routes]} if plan.routes else {}),
         "failure": None if plan.failure is None else _failure(plan.failure),
         "scenario_resolved": plan.scenario.model_dump(mode="json"),
@@ -189,6 +191,17 @@ def summary_text(summary: Mapping[str, Any]) -> str:
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
     """Write `summary.json` into a folder."""
     (folder / SUMMARY_NAME).write_text(summary_text(summary), encoding="utf-8")
+
+
+def _order(search: "OrderSearch") -> dict[str, Any]:
+    return {
+        "waypoints": list(search.order),
+        "legs_J": search.cost_J,
+        "bound_J": search.bound_J,
+        "gap_percent": 100.0 * search.gap,
+        "legs_solved": search.solved,
+        "legs": search.legs,
+    }
 
 
 def _failure(failure: "Failure") -> dict[str, Any]:

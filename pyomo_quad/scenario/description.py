@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from pyomo_quad.scenario.fields import FieldPath, parse_path, spell, unit_of
+from pyomo_quad.scenario.fields import DEGREES, FieldPath, parse_path, spell, unit_of
 from pyomo_quad.scenario.messages import ScenarioError, declared_place, shown
 from pyomo_quad.scenario.schema import NAME_PATTERN, Scenario
 
@@ -111,7 +111,7 @@ def _fields(table: BaseModel, prefix: FieldPath = ()) -> Iterator[tuple[FieldPat
 
 
 # What `quantity` notes beside a field for the messages; no editor knows it.
-_NOTES = ("unit", "allowed", "example", "other_names", "sound", "is_late")
+_NOTES = ("unit", "allowed", "example", "other_names", "sound", "is_late", "unit_keys")
 # Read from a file that is named, never written by hand.
 _DERIVED = ("series",)
 _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
@@ -146,8 +146,14 @@ def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...])
         table.pop("required", None)
         for name in _DERIVED:
             table.get("properties", {}).pop(name, None)
-        for name, field in table.get("properties", {}).items():
-            table["properties"][name] = _for_editors(field)
+        fields = table.get("properties", {})
+        in_units = {
+            key: {"type": "number", "description": f"{field.get('description')} [{unit}]"}
+            for name, field in fields.items()
+            for key, unit in _unit_keys(name, field)
+        }
+        table["properties"] = {name: _for_editors(field) for name, field in fields.items()}
+        table["properties"] |= in_units
     definitions.pop("WindSeries", None)
     return {
         "$schema": "http://json-schema.org/draft-07/schema#",
@@ -161,6 +167,12 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
     """List the fields that a file of a model may have, in the order of the schema."""
     schema = model.model_json_schema()
     return tuple(_writable(schema, schema.get("$defs", {}), ""))
+
+
+def _unit_keys(name: str, field: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return the keys that give a field in another unit, and that unit in words."""
+    degrees = [(f"{name}{DEGREES}", "degrees")] if field.get("unit") == "rad" else []
+    return degrees + [(key, key.partition("_")[2]) for key in field.get("unit_keys", {})]
 
 
 def _for_editors(field: dict[str, Any]) -> dict[str, Any]:
@@ -187,12 +199,13 @@ def _writable(
             yield from _writable(below, definitions, f"{path}{each}.")
             continue
         unit = field.get("unit", "")
+        others = [f"; or {key}" for key, _ in _unit_keys(name, field)]
         yield WritableField(
             path=path,
             unit="" if unit == "1" else unit,
             default=_default(field),
             allowed=_allowed(field, definitions),
-            meaning=field.get("description", ""),
+            meaning="".join((field.get("description", ""), *others)),
         )
 
 
@@ -252,6 +265,11 @@ def shipped_scenarios() -> Mapping[str, Path]:
     return {short: found[name] for short, name in _SHORT_NAMES.items() if name in found} | found
 
 
+def is_name(text: str) -> bool:
+    """Return whether a text can name a scenario or a vehicle, and the files of it."""
+    return re.fullmatch(NAME_PATTERN, text) is not None
+
+
 def started_scenario(template: str, name: str) -> str:
     """Return the text of a shipped scenario under another name.
 
@@ -265,7 +283,7 @@ def started_scenario(template: str, name: str) -> str:
         raise ScenarioError(
             f"--from {shown(template)[1:-1]}: must be one of {', '.join(sorted(shipped))}."
         )
-    if not re.fullmatch(NAME_PATTERN, name):
+    if not is_name(name):
         raise ScenarioError(
             f"NAME = {shown(name)}; must be 1 to 64 letters, digits, '_', '-' or '.', starting "
             "with a letter or digit."

@@ -6,6 +6,7 @@ Fields stand in nested tables, as TOML gives them: these have dotted paths, laye
 import re
 from collections.abc import Iterator, Mapping
 from functools import partial
+from math import pi
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import (
@@ -25,6 +26,9 @@ WholeNumber = Annotated[int, Strict()]
 Text = Annotated[str, Strict()]
 Flag = Annotated[bool, Strict()]
 Triple = tuple[Number, Number, Number]
+
+#: Ending of keys that give an angle in degrees.
+DEGREES = "_deg"
 
 # What a table or a command line may give as a number: Python's own `float` takes "2_0" as well,
 # and the digits of any script.
@@ -99,6 +103,7 @@ def quantity(
     sound: Sound | None = None,
     is_late: bool = False,
     initial: object = None,
+    unit_keys: Mapping[str, float] | None = None,
     **limits: Any,  # noqa: ANN401
 ) -> Any:  # noqa: ANN401
     """Declare a field with its unit.
@@ -116,6 +121,8 @@ def quantity(
         nothing, and records leave it out while it has that value.
     initial : object, optional
         What a scenario file means that says nothing, where that is not what a record means.
+    unit_keys : mapping, optional
+        Keys by which a file may give the field in another unit, and that unit in ``unit``.
     """
     declared: dict[str, Any] = {} if initial is None else {"default": initial}
     field = Field(
@@ -128,6 +135,7 @@ def quantity(
             "other_names": list(other_names),
             "sound": None if sound is None else sound._asdict(),
             "is_late": is_late,
+            "unit_keys": dict(unit_keys or {}),
             **declared,
         },
         **limits,
@@ -172,6 +180,20 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
     """Return what a scenario file means by not saying a field, None where that is its default."""
     return _declared_with(model, name, "default") or None
+
+
+def unit_keys_of(model: type[BaseModel]) -> dict[str, tuple[str, float]]:
+    """Return the keys by which a table takes numbers in other units: field and factor of each.
+
+    An angle NAME in radians is also taken in degrees, as NAME_deg.
+    """
+    keys: dict[str, tuple[str, float]] = {}
+    for name in model.model_fields:
+        if unit_of(model, name) == "rad":
+            keys[f"{name}{DEGREES}"] = (name, pi / 180)
+        told: Any = _declared_with(model, name, "unit_keys") or {}
+        keys |= {key: (name, factor) for key, factor in told.items()}
+    return keys
 
 
 def _declared_with(model: type[BaseModel], name: str, item: str) -> Any:  # noqa: ANN401

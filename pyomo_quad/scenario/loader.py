@@ -43,7 +43,7 @@ def load_scenario(
     Raises
     ------
     ScenarioError
-        If the file or a field is not allowed; one line, naming the field.
+        If the file or fields are not allowed; one line for each, naming the field.
     FeasibilityError
         If the rotors cannot carry the vehicle.
     """

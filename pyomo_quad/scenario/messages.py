@@ -14,6 +14,7 @@ from pyomo_quad.scenario.fields import (
     example_of,
     other_names_of,
     spell,
+    unit_keys_of,
     unit_of,
 )
 
@@ -44,17 +45,51 @@ _ALLOWED: Mapping[str, str] = {
 }
 
 
-def complaint(
-    error: ValidationError, model: type[BaseModel], prefix: FieldPath = ()
-) -> tuple[FieldPath, str]:
-    """Describe the first thing wrong with a scenario.
+def complaints(
+    error: ValidationError,
+    model: type[BaseModel],
+    prefix: FieldPath = (),
+    spared: Sequence[FieldPath] = (),
+) -> list[tuple[FieldPath, str]]:
+    """Describe everything wrong with a scenario: the place of each fault, and a line.
 
-    Unknown keys come first, since a misspelt key also leaves a key missing.
+    Unknown keys come first, since a misspelt key also leaves a key missing, which is then not
+    told.  In the `spared` places nothing is told missing or contradictory: what fills them has
+    failed before.
     """
-    order = {"extra_forbidden": 0, "missing": 2}
-    details = min(error.errors(), key=lambda found: order.get(found["type"], 1))
-    details["loc"] = path = _without_branches(details["loc"], model)
-    return (*prefix, *path), _line(details, model, (*prefix, *path))
+    # pydantic calls a list too short as well that has an item at fault.
+    order = {"extra_forbidden": 0, "missing": 2, "too_short": 3}
+    found: dict[FieldPath, str] = {}
+    misspelt: set[FieldPath] = set()
+    short: set[FieldPath] = set()
+    for details in sorted(error.errors(), key=lambda one: order.get(one["type"], 1)):
+        details["loc"] = path = _without_branches(details["loc"], model)
+        follows = details["type"] in {"missing", "value_error"}
+        is_spared = any(path[: len(place)] == place for place in spared)
+        is_told = path in found or path in misspelt or path[:-1] in short
+        is_by_item = details["type"] == "too_short" and any(
+            place[: len(path)] == path for place in found
+        )
+        if is_told or is_by_item or (follows and is_spared):
+            continue
+        if details["type"] == "missing" and isinstance(path[-1], int):
+            short.add(path[:-1])
+        found[path] = _line(details, model, (*prefix, *path))
+        if details["type"] == "extra_forbidden":
+            table, _ = declared_place(model, path[:-1])
+            misspelt |= {(*path[:-1], name) for name in _meant(table, str(path[-1]))}
+    return [((*prefix, *path), line) for path, line in found.items()]
+
+
+#: Lines of one message; a file with more faults is not a scenario.
+_MOST_LINES = 20
+
+
+def listed(lines: Sequence[str]) -> str:
+    """Return one line for each fault, the first of them if they are many."""
+    more = len(lines) - _MOST_LINES
+    left_out = [f"... and {more} more."] if more > 0 else []
+    return "\n".join([*lines[:_MOST_LINES], *left_out])
 
 
 def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
@@ -105,7 +140,7 @@ def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[Fiel
     """Walk over the paths of all fields of a table and of the tables in it."""
     for name in model.model_fields:
         yield (*prefix, name)
-        nested = _table_of(model, name)
+        nested = table_of(model, name)
         if nested is not None and nested is not model:
             is_list = get_origin(model.model_fields[name].annotation) is tuple
             yield from field_paths(nested, (*prefix, name, *((0,) if is_list else ())))
@@ -126,7 +161,7 @@ def declared_place(
         if not isinstance(step, str):
             continue
         unit = unit_of(table, step)
-        nested = _table_of(table, step)
+        nested = table_of(table, step)
         if nested is None:
             break
         table = nested
@@ -183,8 +218,7 @@ def _unknown_key(
     prefix = path[: len(path) - len(place)]
     unknown = str(path[-1])
     where = shown(spell(path))[1:-1]
-    meant = [name for name in table.model_fields if unknown in other_names_of(table, name)]
-    near = meant or get_close_matches(unknown, table.model_fields, n=1)
+    near = _meant(table, unknown)
     if near:
         return f"unknown key {where}; did you mean {spell((*path[:-1], near[0]))}?"
     everywhere = {spell(found): str(found[-1]) for found in field_paths(model, prefix)}
@@ -195,9 +229,15 @@ def _unknown_key(
     return f"unknown key {where}; known keys here: {', '.join(table.model_fields)}."
 
 
+def _meant(table: type[BaseModel], unknown: str) -> list[str]:
+    """Return the field of a table, or its key in another unit, that an unknown key may mean."""
+    meant = [name for name in table.model_fields if unknown in other_names_of(table, name)]
+    return meant or get_close_matches(unknown, [*table.model_fields, *unit_keys_of(table)], n=1)
+
+
 def _example(model: type[BaseModel], name: str) -> str:
     """Return what a field could be: its own example, or a table of what its table needs."""
-    nested = _table_of(model, name)
+    nested = table_of(model, name)
     if nested is None:
         return example_of(model, name)
     needed = [key for key, field in nested.model_fields.items() if field.is_required()]
@@ -207,7 +247,8 @@ def _example(model: type[BaseModel], name: str) -> str:
     return f"{{ {', '.join(f'{key} = {value}' for key, value in parts.items())} }}"
 
 
-def _table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
+def table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
+    """Return the table that a field holds, or a list of it; None for any other field."""
     field = model.model_fields.get(name)
     annotation: Any = field.annotation if field is not None else None
     is_many = get_origin(annotation) in {Union, UnionType, tuple}

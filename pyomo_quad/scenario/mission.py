@@ -15,8 +15,8 @@ _TURNS = Sound(-1e4, 1e4, "a turn is 6.283 rad")
 _ALOFT = Sound(1e-3, 86_400, "no quadrotor stays aloft for more than a day")
 _NEAR = "farther from it is another place"
 FREE = "free"
-#: Waypoints whose best order is found by dynamic programming.
-MOST_ORDERED = 10
+#: Waypoints whose best order is looked for.
+MOST_ORDERED = 30
 
 
 class Hover(Part):
@@ -143,7 +143,10 @@ class Mission(Part):
         "", "places to pass between start and goal", (), max_length=64, is_late=True
     )
     order: Order = quantity(
-        "", "order of the waypoints: as given, or that of least energy", Order.GIVEN, is_late=True
+        "",
+        f"order of the waypoints: as given, or that of least energy (up to {MOST_ORDERED})",
+        Order.GIVEN,
+        is_late=True,
     )
     yaw: Yaw | None = quantity(
         "",

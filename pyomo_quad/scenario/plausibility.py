@@ -16,7 +16,7 @@ from itertools import combinations
 from math import dist, inf, pi, sqrt
 
 from pyomo_quad.scenario.tables import Power, PowerModel
-from pyomo_quad.scenario.vehicle import Vehicle
+from pyomo_quad.scenario.vehicle import RPM, MotorConstants, Vehicle
 
 #: Share by which two published numbers may contradict each other: each is rounded to three digits,
 #: and so off by up to half a per cent.
@@ -25,7 +25,6 @@ ROUNDED = 0.01
 _SEEN = 1e-3
 # What the rotors of small vehicles and the best of all reach in hover.
 _USUAL_MERIT, _BEST_MERIT = "0.5 to 0.7", 0.8
-_RPM_PER_RADIAN_PER_SECOND = 60 / (2 * pi)
 # Under these the motors' electrics make the power of the flight.
 _OF_MOTORS = (PowerModel.MOTOR, PowerModel.MOTOR_WITH_FRICTION)
 
@@ -40,30 +39,31 @@ class Contradiction:
 
 def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
     """Say in which way the motors give out more than they take in hover, empty if they do not."""
-    if power.model not in _OF_MOTORS:
+    motor = vehicle.motor
+    if power.model not in _OF_MOTORS or motor is None:
         return ""
     speed = vehicle.hover_speed(gravity)
     torque, friction = vehicle.drag_torque(speed), 0.0
     if power.model is PowerModel.MOTOR_WITH_FRICTION:
         friction = vehicle.friction_torque + vehicle.viscous_damping * speed
-    current = (torque + friction) / vehicle.torque_constant
-    voltage = vehicle.motor_resistance * current + speed / vehicle.voltage_constant
+    current = (torque + friction) / motor.torque_constant
+    voltage = motor.resistance * current + speed / motor.voltage_constant
     given, taken = torque * speed, voltage * current
     if given <= taken:
         return ""
     return (
-        f"{_motor_constants(vehicle)}, since a motor in hover gives out {given:.3g} W and takes "
-        f"{taken:.3g} W; {_remedy(vehicle)}."
+        f"{_motor_constants(motor)}, since a motor in hover gives out {given:.3g} W and takes "
+        f"{taken:.3g} W; {_remedy(motor)}."
     )
 
 
 def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[Contradiction]:
     """Yield in which ways a vehicle cannot exist as it is described."""
-    product = vehicle.torque_constant * vehicle.voltage_constant
-    if not 1 - ROUNDED <= product <= 1 + ROUNDED:
+    motor = vehicle.motor
+    if motor is not None and not 1 - ROUNDED <= motor.product <= 1 + ROUNDED:
         yield Contradiction(
             field="vehicle.voltage_constant",
-            message=f"{_motor_constants(vehicle)}; {_remedy(vehicle)}.",
+            message=f"{_motor_constants(motor)}; {_remedy(motor)}.",
         )
     moments = {name: getattr(vehicle, name) for name in ("Ix", "Iy", "Iz")}
     largest = max(moments, key=lambda name: moments[name])
@@ -86,12 +86,12 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
 
 def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
     """Yield what is at the edge of what can exist, for whoever takes the energies for real."""
-    product = vehicle.torque_constant * vehicle.voltage_constant
-    if _SEEN < abs(product - 1) <= ROUNDED:
-        slowest = _least_speed(vehicle)
+    motor = vehicle.motor
+    if motor is not None and _SEEN < abs(motor.product - 1) <= ROUNDED:
+        slowest = _least_speed(motor, vehicle.drag_torque_coefficient)
         at = f" below {slowest:.3g} rad/s a motor gives out more than it takes," if slowest else ""
         yield (
-            f"{_motor_constants(vehicle)};{at} and two numbers of three digits may be off by "
+            f"{_motor_constants(motor)};{at} and two numbers of three digits may be off by "
             f"{100 * ROUNDED:g} %."
         )
     hover = _hover(vehicle, power, gravity)
@@ -105,29 +105,27 @@ def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
             )
 
 
-def _motor_constants(vehicle: Vehicle) -> str:
-    product = vehicle.torque_constant * vehicle.voltage_constant
+def _motor_constants(motor: MotorConstants) -> str:
     return (
-        f"vehicle.voltage_constant = {vehicle.voltage_constant:.4g} rad/s/V: its product with "
-        f"torque_constant = {vehicle.torque_constant:.4g} N m/A is {product:.4g}; must be 1"
+        f"vehicle.voltage_constant = {motor.voltage_constant:.4g} rad/s/V: its product with "
+        f"torque_constant = {motor.torque_constant:.4g} N m/A is {motor.product:.4g}; must be 1"
     )
 
 
-def _least_speed(vehicle: Vehicle) -> float:
+def _least_speed(motor: MotorConstants, drag_torque_coefficient: float) -> float:
     """Return the rotor speed [rad/s] from which on a motor takes more than it gives, 0 if any.
 
     The copper loss, which grows with the speed, then outweighs what k_t k_v > 1 creates.
     """
-    created = max(0.0, vehicle.torque_constant - 1 / vehicle.voltage_constant)
-    loss = vehicle.motor_resistance * vehicle.drag_torque_coefficient / vehicle.torque_constant
-    return created / loss
+    created = max(0.0, motor.torque_constant - 1 / motor.voltage_constant)
+    return created / (motor.resistance * drag_torque_coefficient / motor.torque_constant)
 
 
-def _remedy(vehicle: Vehicle) -> str:
-    wanted = f"give {1 / vehicle.torque_constant:.4g} rad/s/V, or another torque_constant"
-    in_rpm = vehicle.voltage_constant / _RPM_PER_RADIAN_PER_SECOND
-    if abs(in_rpm * vehicle.torque_constant - 1) <= 5 * ROUNDED:
-        return f"{wanted}; were rpm/V meant? {vehicle.voltage_constant:.4g} rpm/V are {in_rpm:.4g}"
+def _remedy(motor: MotorConstants) -> str:
+    wanted = f"give {1 / motor.torque_constant:.4g} rad/s/V, or another torque_constant"
+    in_rpm = motor.voltage_constant * RPM
+    if abs(in_rpm * motor.torque_constant - 1) <= 5 * ROUNDED:
+        return f"{wanted}; were rpm/V meant? {motor.voltage_constant:.4g} rpm/V are {in_rpm:.4g}"
     return wanted
 
 

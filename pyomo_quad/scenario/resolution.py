@@ -3,7 +3,6 @@
 A TOML document comes from a stranger: data only, bounded in size and depth.
 """
 
-import csv
 import re
 import tomllib
 from collections.abc import Mapping
@@ -11,12 +10,10 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cache
 from importlib import resources
-from itertools import pairwise
-from math import isfinite
 from pathlib import Path
 from pathlib import Path as FilePath
 from types import MappingProxyType
-from typing import Any, NoReturn
+from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
@@ -26,31 +23,29 @@ from pyomo_quad.scenario.fields import (
     initial_of,
     leaves,
     merge,
-    number_in_text,
     set_value,
     spell,
 )
 from pyomo_quad.scenario.messages import (
     ScenarioError,
-    complaint,
     declared_place,
     field_paths,
+    listed,
     printable,
     shown,
 )
 from pyomo_quad.scenario.mission import FREE
 from pyomo_quad.scenario.tables import (
+    DERIVED_LIMITS,
     FASTEST_ROTOR,
+    Battery,
+    Limits,
     derived_limits,
 )
+from pyomo_quad.scenario.unit_keys import in_declared_units
 from pyomo_quad.scenario.vehicle import Vehicle
-from pyomo_quad.scenario.wind import (
-    LARGEST_WIND,
-    LATEST_TIME,
-    STRONGEST_GUST,
-    in_the_air,
-    with_coupling,
-)
+from pyomo_quad.scenario.wind import Wind, in_the_air, with_coupling
+from pyomo_quad.scenario.wind_file import read_wind_file
 
 LARGEST_FILE_BYTES = 1_000_000
 DEEPEST_NESTING = 8
@@ -127,9 +122,15 @@ LIBRARY_KINDS: Mapping[str, str] = MappingProxyType(
     {"vehicles": "vehicle", "batteries": "battery", "winds": "wind"}
 )
 
-_FIELDS, _VALUE, _SOURCE = "fields", "value", "source"
+#: Table of a scenario that the library fills -> what declares its fields.
+_TABLES: Mapping[str, type[BaseModel]] = MappingProxyType(
+    {"vehicle": Vehicle, "limits": Limits, "battery": Battery, "wind": Wind}
+)
+
+_FIELDS, _VALUE, _SOURCE, _BATTERY = "fields", "value", "source", "battery"
 _LABELS = (_VALUE, _SOURCE)
-_SECTIONS: Mapping[str, tuple[str, ...]] = {"vehicles": (_FIELDS, "limits")}
+_VEHICLES = "vehicles"
+_SECTIONS: Mapping[str, tuple[str, ...]] = {_VEHICLES: (_FIELDS, "limits")}
 # What tells a file of one's own from a name of the library.
 _SUFFIX = ".toml"
 
@@ -148,6 +149,9 @@ class LibraryEntry:
         Dotted scenario field -> where its number comes from.
     base : LibraryEntry or None
         The set that gives what a file of one's own leaves out.
+    battery : str
+        Pack that a vehicle flies with unless a scenario names one: a name of the library, or a
+        file beside the vehicle's.  Empty where none is known.
     """
 
     kind: str
@@ -155,6 +159,7 @@ class LibraryEntry:
     tables: Mapping[str, Mapping[str, Any]]
     sources: Mapping[str, str]
     base: "LibraryEntry | None" = None
+    battery: str = ""
 
     def values(self) -> dict[str, Any]:
         """Return the numbers that have a source.
@@ -244,7 +249,8 @@ def _entry(
     table = LIBRARY_KINDS[kind]
     tables: dict[str, Any] = {table: {"use": name}}
     sources: dict[str, str] = {}
-    for path, value in leaves(written):
+    battery = written.get(_BATTERY, "" if base is None else base.battery)
+    for path, value in leaves({key: held for key, held in written.items() if key != _BATTERY}):
         section, *field = path
         is_labelled = field[-1] in _LABELS
         place = field[:-1] if is_labelled else field
@@ -253,12 +259,22 @@ def _entry(
             sources[spell(target)] = value
         else:
             tables = set_value(tables, target, value)
+    for section, content in tables.items():
+        rewritten = in_declared_units(content, _TABLES[section])
+        if rewritten.complaints:
+            raise ScenarioError(listed([f"{name}: {line}" for line in rewritten.complaints]))
+        tables[section] = rewritten.tables
+        for of_field, said in rewritten.spellings.items():
+            key = said.partition(" = ")[0]
+            source = sources.pop(f"{section}.{key}", f"given as {key}")
+            sources[spell((section, *of_field))] = source
     return LibraryEntry(
         kind=kind,
         name=name,
         tables=MappingProxyType(tables),
         sources=MappingProxyType(sources),
         base=base,
+        battery=battery,
     )
 
 
@@ -266,7 +282,8 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
     """Read a set of one's own from a file written as the library's are.
 
     It has the sections `fields` and, for a vehicle, `limits`, with each number bare or as a table
-    of `value` and `source`; `use` at its top names the set of the library that gives the rest.
+    of `value` and `source`; `use` at its top names the set of the library that gives the rest, and
+    `battery` the pack that a vehicle flies with.
 
     Raises
     ------
@@ -275,14 +292,19 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
     """
     written = dict(read_toml(folder / name))
     use = written.pop("use", None)
-    if use is not None and not isinstance(use, str):
-        raise ScenarioError(f"{name}: use = {shown(use)}; must be text in quotes.")
+    for key, told in (("use", use), (_BATTERY, written.get(_BATTERY))):
+        if told is not None and not isinstance(told, str):
+            raise ScenarioError(f"{name}: {key} = {shown(told)}; must be text in quotes.")
     sections = _SECTIONS.get(kind, (_FIELDS,))
+    tops = ("use", _BATTERY) if kind == _VEHICLES else ("use",)
     for section, content in written.items():
+        if section in tops:
+            continue
         if section not in sections:
             raise ScenarioError(
                 f"{name}: unknown key {shown(section)[1:-1]}; a file of {kind} has "
-                f"{' and '.join(f'[{known}]' for known in sections)}, and perhaps use."
+                f"{' and '.join(f'[{known}]' for known in sections)}, and perhaps "
+                f"{' or '.join(tops)}."
             )
         if not isinstance(content, Mapping):
             raise ScenarioError(f"{name}: {section} = {shown(content)}; must be a table.")
@@ -312,181 +334,8 @@ def _listed(names: object) -> str:
     return ", ".join(str(name) for name in names)  # type: ignore[attr-defined]
 
 
-WIND_COLUMNS = ("time_s", "wind_x_m_per_s", "wind_y_m_per_s")
-HEIGHT_COLUMN = "height_m"
-_TIME_COLUMN, *_WIND_SPEEDS = WIND_COLUMNS
-# What a row says beside the wind: when, at what height, or both.
-_KEYS = ((_TIME_COLUMN,), (HEIGHT_COLUMN,), (_TIME_COLUMN, HEIGHT_COLUMN))
-
-_LARGEST_FILE_BYTES = 20_000_000
-_MOST_ROWS = 200_000
-_FEWEST_ROWS = 4  # a cubic spline needs as many
-_FEWEST_HEIGHTS, _MOST_HEIGHTS = 2, 40
-_FARTHEST_HEIGHT = 1e5
-# A step this many times longer than the usual one is a gap that a spline would make up wind for.
-_GAP_STEPS = 5.0
-_Rows = list[tuple[float, ...]]
-
-
-def read_wind_file(
-    file: Path, where: str, longest: tuple[str, object], time_offset: object
-) -> dict[str, tuple[float, ...]]:
-    """Read and check a wind over time, over height, or over both.
-
-    Parameters
-    ----------
-    file : Path
-        CSV file with the columns `WIND_COLUMNS`, with `HEIGHT_COLUMN` in place of or after the
-        first; over both, every time has the same heights.
-    longest : tuple of str and object
-        The field that says how long the mission may take, and its value, s.
-    time_offset : object
-        Wind time at the start of the mission, s; anything that is not a number is left to the
-        schema to refuse, here and in `longest`.
-
-    Returns
-    -------
-    dict
-        `times` where the file has them, `wind_x` and `wind_y`, and `heights` where it has them:
-        then the winds run over the heights first.
-
-    Raises
-    ------
-    ScenarioError
-        If the file cannot be read, or has gaps, unsorted times or heights, missing or non-finite
-        numbers, or does not cover the mission.
-    """
-    place = f"{where} = {shown(file.name)}"
-    keys, rows = _read_rows(file, place)
-    columns = dict(zip((*keys, "wind_x", "wind_y"), zip(*rows, strict=True), strict=True))
-    series = {"times": (), "wind_x": columns["wind_x"], "wind_y": columns["wind_y"]}
-    if HEIGHT_COLUMN in keys:
-        series["heights"] = _heights(columns, place)
-    if _TIME_COLUMN not in keys:
-        return series
-    series["times"] = columns[_TIME_COLUMN][:: len(series.get("heights", "1"))]
-    _check_times(series["times"], place)
-    field, duration = longest
-    if isinstance(duration, int | float) and isinstance(time_offset, int | float):
-        _check_cover(series["times"], time_offset, field, duration, place)
-    return series
-
-
-def _heights(columns: Mapping[str, tuple[float, ...]], place: str) -> tuple[float, ...]:
-    """Return the heights of a wind, the same at every time, rising."""
-    every = columns[HEIGHT_COLUMN]
-    times = columns.get(_TIME_COLUMN, (0.0,) * len(every))
-    heights = every[: times.count(times[0])]
-    for lower, higher in pairwise(heights):
-        if higher <= lower:
-            _refuse(place, f"height {higher:g} m follows {lower:g} m; heights must rise")
-    if not _FEWEST_HEIGHTS <= len(heights) <= _MOST_HEIGHTS:
-        _refuse(place, f"{len(heights)} heights; must have {_FEWEST_HEIGHTS} to {_MOST_HEIGHTS}")
-    blocks = range(0, len(every), len(heights))
-    for first in blocks:
-        block = slice(first, first + len(heights))
-        if every[block] != heights or len(set(times[block])) > 1:
-            _refuse(
-                place,
-                f"the rows of {times[first]:g} s are not for the heights of {times[0]:g} s; every "
-                "time must have the same heights, in the same order",
-            )
-    return heights
-
-
-def _check_times(times: tuple[float, ...], place: str) -> None:
-    if len(times) < _FEWEST_ROWS:
-        _refuse(place, f"{len(times)} times; must have at least {_FEWEST_ROWS}")
-    steps = [later - earlier for earlier, later in pairwise(times)]
-    usual = sorted(steps)[len(steps) // 2]
-    for row, step in enumerate(steps):
-        if step <= 0:
-            _refuse(place, f"time {times[row + 1]:g} s follows {times[row]:g} s; times must rise")
-        if step > _GAP_STEPS * usual:
-            _refuse(
-                place,
-                f"gap of {step:g} s after {times[row]:g} s; "
-                f"steps must be <= {_GAP_STEPS * usual:g} s, fill the gap",
-            )
-
-
-def _check_cover(
-    times: tuple[float, ...], start: float, field: str, duration: float, place: str
-) -> None:
-    if times[0] > start or times[-1] - start < duration:
-        _refuse(
-            place,
-            f"wind from {times[0]:g} to {times[-1]:g} s does not cover the mission from "
-            f"{start:g} to {start + duration:g} s; give a longer file or shorten {field}",
-        )
-
-
-def _read_rows(file: Path, place: str) -> tuple[tuple[str, ...], _Rows]:
-    """Return what the rows say beside the wind, and the rows."""
-    try:
-        if file.stat().st_size > _LARGEST_FILE_BYTES:
-            _refuse(place, f"larger than {_LARGEST_FILE_BYTES} bytes; thin the series out")
-        with file.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.reader(stream)
-            header = tuple(cell.strip() for cell in next(reader, []))
-            keys = next((keys for keys in _KEYS if header == (*keys, *_WIND_SPEEDS)), None)
-            if keys is None:
-                _refuse(
-                    place,
-                    f"first line must be {','.join(WIND_COLUMNS)}, with {HEIGHT_COLUMN} in place "
-                    f"of or after {_TIME_COLUMN} for a wind by height",
-                )
-            rows = [_read_row(keys, cells, reader.line_num, place) for cells in reader if cells]
-    except OSError as error:
-        _refuse(place, f"cannot be read ({error.strerror or error}); give an existing CSV file")
-    except (UnicodeDecodeError, csv.Error, ValueError) as error:
-        if isinstance(error, ScenarioError):
-            raise
-        _refuse(place, "is not a CSV text file; save it as comma-separated UTF-8 text")
-    fewest = _FEWEST_ROWS if _TIME_COLUMN in keys else _FEWEST_HEIGHTS
-    if not fewest <= len(rows) <= _MOST_ROWS:
-        _refuse(place, f"{len(rows)} rows; must have {fewest} to {_MOST_ROWS}")
-    return keys, rows
-
-
-def _read_row(keys: tuple[str, ...], cells: list[str], line: int, place: str) -> tuple[float, ...]:
-    count = len(keys) + len(_WIND_SPEEDS)
-    try:
-        numbers = tuple(number_in_text(cell) for cell in cells)
-    except ValueError:
-        numbers = ()
-    if len(numbers) != count:
-        _refuse(place, f"line {line} must hold {count} numbers")
-    if not all(isfinite(number) for number in numbers):
-        _refuse(place, f"line {line} holds a number that is not finite; remove or fill it")
-    strongest = max(map(abs, numbers[-len(_WIND_SPEEDS) :]))
-    if strongest > LARGEST_WIND:
-        _refuse(
-            place,
-            f"line {line} has a wind of {strongest:g} m/s; must be within {LARGEST_WIND:g} m/s: "
-            f"{STRONGEST_GUST}",
-        )
-    for key, number in zip(keys, numbers, strict=False):
-        most, unit = (LATEST_TIME, "s") if key == _TIME_COLUMN else (_FARTHEST_HEIGHT, "m")
-        if abs(number) > most:
-            kind = key.partition("_")[0]
-            _refuse(
-                place,
-                f"line {line} is of {number:g} {unit}; {kind}s must be within {most:g} {unit}",
-            )
-    return numbers
-
-
-def _refuse(place: str, reason: str) -> NoReturn:
-    raise ScenarioError(f"{place}; {reason}.") from None
-
-
-# The named sets that a scenario gets when it names none.
-DEFAULT_LIBRARY: Mapping[str, str] = {
-    "vehicle": "dji_phantom_2",
-    "battery": "phantom_2_pack",
-    "wind": "calm",
-}
+# The named sets that a scenario gets when it names none; the pack is that of its vehicle.
+DEFAULT_LIBRARY: Mapping[str, str] = {"vehicle": "dji_phantom_2", "wind": "calm"}
 
 # How long a free duration may be, and the shortest that there is, in s.
 _LONGEST: FieldPath = ("mission", "duration_max")
@@ -529,10 +378,16 @@ class Origin:
 
 @dataclass(frozen=True, kw_only=True)
 class Resolution:
-    """Complete tables, ready to validate, and where each value came from."""
+    """Complete tables, ready to validate, and where each value came from.
+
+    `complaints` has a line for everything that could not be filled in, and `unfilled` the places
+    that lack fields because of it.
+    """
 
     tables: Mapping[str, Any]
     provenance: Mapping[str, str]
+    complaints: tuple[str, ...] = ()
+    unfilled: tuple[FieldPath, ...] = ()
 
 
 def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
@@ -541,22 +396,32 @@ def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
     Raises
     ------
     ScenarioError
-        If a library name, a wind file or the vehicle is not valid.
+        If an override has no place.
     """
     own = _with_assignments(origin, origin.document, indexed=False)
     provenance = {spell(path): "scenario" for path, _ in leaves(origin.document)}
     provenance |= {spell(path): origin.label for path in origin.assignments}
     tables = {} if origin.is_resolved else _initial_values(model)
+    filled = _Filled(origin=origin, own=own, provenance=provenance, tables=tables)
     for kind, table in LIBRARY_KINDS.items():
-        tables = _add_library(origin, tables, own, provenance, (table,), kind)
+        filled.add_library((table,), kind)
     if isinstance(own.get("wind"), Mapping) and isinstance(own["wind"].get("forecast"), Mapping):
-        tables = _add_library(origin, tables, own, provenance, ("wind", "forecast"), "winds")
-        tables = _inherit_by_forecast(tables, own)
-    tables = _with_assignments(origin, merge(tables, own), indexed=True)
-    tables = _add_wind_series(origin, tables, provenance)
+        filled.add_library(("wind", "forecast"), "winds")
+        filled.tables = _inherit_by_forecast(filled.tables, own)
+    tables = _with_assignments(origin, merge(filled.tables, own), indexed=True)
+    try:
+        tables = _add_wind_series(origin, tables, provenance)
+    except ScenarioError as error:
+        filled.complain(str(error), ("wind",))
     tables = in_the_air(tables, origin.document if origin.is_resolved else None, provenance)
     tables = with_coupling(tables, own, provenance)
-    return Resolution(tables=_add_derived_limits(origin, tables, provenance), provenance=provenance)
+    tables = _with_motor_constants(tables, provenance)
+    return Resolution(
+        tables=_add_derived_limits(tables),
+        provenance=provenance,
+        complaints=tuple(filled.complaints),
+        unfilled=(*filled.unfilled, *(("limits", name) for name in DERIVED_LIMITS)),
+    )
 
 
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
@@ -599,42 +464,82 @@ def _with_assignments(
     return changed
 
 
-def _add_library(
-    origin: Origin,
-    tables: dict[str, Any],
-    own: Mapping[str, Any],
-    provenance: dict[str, str],
-    place: FieldPath,
-    kind: str,
-) -> dict[str, Any]:
-    written: Any = own
-    for step in place:
-        written = written.get(step, {}) if isinstance(written, Mapping) else {}
-    is_named = isinstance(written, Mapping) and "use" in written
-    name = written["use"] if is_named else DEFAULT_LIBRARY[LIBRARY_KINDS[kind]]
-    if not isinstance(name, str):
-        return tables  # validation says it better
-    use = (*place, "use")
-    if origin.is_resolved and use not in origin.assignments:
-        return tables
-    is_file = name.endswith(_SUFFIX)
-    try:
-        entry = read_entry(kind, name, origin.folder) if is_file else library_entry(kind, name)
-    except ScenarioError as error:
-        reason = str(error).removeprefix("library: ")
-        where = whose(origin, provenance, use)
-        raise ScenarioError(f"{where}: {spell(use)} = {shown(name)}; {reason}") from None
-    provenance.setdefault(spell(use), "default")
-    said: dict[str, str] = {}
-    for layer in filter(None, (entry.base, entry)):
-        is_own = is_file and layer is entry
-        source = f"file {shown(name)[1:-1]}" if is_own else f"library {layer.name}"
-        for path, value in leaves(layer.tables):
-            full = (*place, *path[1:]) if path[0] == LIBRARY_KINDS[kind] else path
-            tables = set_value(tables, full, value)
-            said[spell(full)] = source
-    provenance.update(said | provenance)
-    return tables
+@dataclass
+class _Filled:
+    """Tables of a scenario while the library fills them, and what could not be filled in."""
+
+    origin: Origin
+    own: Mapping[str, Any]
+    provenance: dict[str, str]
+    tables: dict[str, Any]
+    complaints: list[str] = field(default_factory=list)
+    unfilled: list[FieldPath] = field(default_factory=list)
+    #: Name of the vehicle's pack, with the vehicle that names it.
+    _pack: tuple[str, str] | None = None
+
+    def complain(self, line: str, *places: FieldPath) -> None:
+        """Keep a line for the message about the whole file, and the places that it leaves open."""
+        self.complaints.append(line)
+        self.unfilled.extend(places)
+
+    def add_library(self, place: FieldPath, kind: str) -> None:
+        """Lay a named set below the scenario's own fields."""
+        written: Any = self.own
+        for step in place:
+            written = written.get(step, {}) if isinstance(written, Mapping) else {}
+        use = (*place, "use")
+        if self.origin.is_resolved and use not in self.origin.assignments:
+            return
+        is_named = isinstance(written, Mapping) and "use" in written
+        name = written["use"] if is_named else self._default(kind, place)
+        left_open = (place, *((("battery",), ("limits",)) if kind == _VEHICLES else ()))
+        if not isinstance(name, str):
+            self.unfilled.extend(left_open)
+            return  # validation says it better
+        is_file = name.endswith(_SUFFIX)
+        folder = self.origin.folder
+        try:
+            entry = read_entry(kind, name, folder) if is_file else library_entry(kind, name)
+        except ScenarioError as error:
+            where = whose(self.origin, self.provenance, use)
+            said = f"{where}: {spell(use)} = {shown(name)}; "
+            for line in str(error).splitlines():
+                self.complain(said + line.removeprefix("library: "), *left_open)
+            return
+        if kind == _VEHICLES:
+            self._pack = (_beside(name, entry.battery) if is_file else entry.battery), name
+        self.provenance.setdefault(spell(use), "default")
+        self._lay(entry, place, name if is_file else "")
+
+    def _default(self, kind: str, place: FieldPath) -> str | None:
+        table = LIBRARY_KINDS[kind]
+        if table != _BATTERY:
+            return DEFAULT_LIBRARY[table]
+        pack, vehicle = self._pack or ("", "")
+        if not pack and vehicle:
+            self.complain(
+                f"{self.origin.source}: battery.use is missing; the vehicle {shown(vehicle)} "
+                f"names no pack of its own; give battery.use, one of "
+                f"{_listed(library_names(kind))} or a file NAME.toml.",
+                place,
+            )
+        return pack or None
+
+    def _lay(self, entry: LibraryEntry, place: FieldPath, file: str) -> None:
+        said: dict[str, str] = {}
+        for layer in filter(None, (entry.base, entry)):
+            is_own = bool(file) and layer is entry
+            source = f"file {shown(file)[1:-1]}" if is_own else f"library {layer.name}"
+            for path, value in leaves(layer.tables):
+                full = (*place, *path[1:]) if path[0] == LIBRARY_KINDS[entry.kind] else path
+                self.tables = set_value(self.tables, full, value)
+                said[spell(full)] = source
+        self.provenance.update(said | self.provenance)
+
+
+def _beside(file: str, pack: str) -> str:
+    """Return the pack of a vehicle's file as a scenario names it, in whose folder the file is."""
+    return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 
 
 def _inherit_by_forecast(tables: dict[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
@@ -680,9 +585,22 @@ def _longest(tables: Mapping[str, Any]) -> tuple[FieldPath, object]:
     return field, told.get(field[-1])
 
 
-def _add_derived_limits(
-    origin: Origin, tables: dict[str, Any], provenance: Mapping[str, str]
-) -> dict[str, Any]:
+def _with_motor_constants(tables: dict[str, Any], provenance: dict[str, str]) -> dict[str, Any]:
+    """Return the tables with the motor constant of two, inverse to each other, that is missing."""
+    vehicle = tables.get("vehicle")
+    names = ("torque_constant", "voltage_constant")
+    if not isinstance(vehicle, Mapping):
+        return tables
+    for missing, given in (names, names[::-1]):
+        number: Any = vehicle.get(given)
+        is_number = isinstance(number, int | float) and not isinstance(number, bool)
+        if vehicle.get(missing) is None and is_number and number > 0:
+            tables = set_value(tables, ("vehicle", missing), 1 / number)
+            provenance[f"vehicle.{missing}"] = f"1 / {given}"
+    return tables
+
+
+def _add_derived_limits(tables: dict[str, Any]) -> dict[str, Any]:
     limits = tables.get("limits")
     if not isinstance(limits, Mapping):
         return tables
@@ -694,8 +612,7 @@ def _add_derived_limits(
     ):
         return tables
     try:
-        vehicle = Vehicle.model_validate(tables["vehicle"])
-    except ValidationError as error:
-        path, line = complaint(error, Vehicle, ("vehicle",))
-        raise ScenarioError(f"{whose(origin, provenance, path)}: {line}") from None
+        vehicle = Vehicle.model_validate(tables.get("vehicle"))
+    except ValidationError:
+        return tables  # validation of the whole says it better
     return {**tables, "limits": {**derived_limits(vehicle, float(speed)), **limits}}

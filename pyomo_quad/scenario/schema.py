@@ -1,6 +1,6 @@
 """The scenario: everything that one mission needs, validated, immutable and in SI units."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import dist, sqrt
@@ -8,7 +8,7 @@ from pathlib import Path as FilePath
 from types import MappingProxyType
 from typing import Any, Self
 
-from pydantic import PrivateAttr, ValidationError
+from pydantic import BaseModel, PrivateAttr, ValidationError
 
 from pyomo_quad.scenario.airspace import Airspace
 from pyomo_quad.scenario.fields import (
@@ -21,8 +21,15 @@ from pyomo_quad.scenario.fields import (
     parse_path,
     quantity,
     spell,
+    unit_of,
 )
-from pyomo_quad.scenario.messages import FeasibilityError, ScenarioError, complaint, shown
+from pyomo_quad.scenario.messages import (
+    FeasibilityError,
+    ScenarioError,
+    complaints,
+    listed,
+    shown,
+)
 from pyomo_quad.scenario.mission import Mission, Yaw
 from pyomo_quad.scenario.plausibility import (
     Contradiction,
@@ -32,6 +39,7 @@ from pyomo_quad.scenario.plausibility import (
 )
 from pyomo_quad.scenario.resolution import Origin, resolve, whose
 from pyomo_quad.scenario.tables import (
+    USED_BY,
     Baseline,
     Battery,
     Limits,
@@ -39,6 +47,7 @@ from pyomo_quad.scenario.tables import (
     PowerModel,
     Solver,
 )
+from pyomo_quad.scenario.unit_keys import Rewritten, in_declared_units, paths_in_declared_units
 from pyomo_quad.scenario.vehicle import Attitude, Vehicle
 from pyomo_quad.scenario.wind import Air, Wind
 
@@ -110,25 +119,26 @@ class Scenario(Part):
         Raises
         ------
         ScenarioError
-            If a field is not allowed; the message is one line.
+            If fields are not allowed; the message has one line for each.
         FeasibilityError
             If the rotors cannot carry the vehicle.
         """
+        origin, rewritten = _in_declared_units(origin, cls)
         resolution = resolve(origin, cls)
+        lines = [*rewritten.complaints, *resolution.complaints]
         try:
             scenario = cls.model_validate(resolution.tables)
         except ValidationError as error:
-            path, line = complaint(error, cls)
-            raise ScenarioError(f"{whose(origin, resolution.provenance, path)}: {line}") from None
+            spared = [*resolution.unfilled, *rewritten.unread]
+            for path, line in complaints(error, cls, spared=spared):
+                said = rewritten.spellings.get(path)
+                given = f" It was given as {said}." if said else ""
+                lines.append(f"{whose(origin, resolution.provenance, path)}: {line}{given}")
+        if lines:
+            raise ScenarioError(listed(lines))
         scenario._origin = origin  # noqa: SLF001
         scenario._provenance = resolution.provenance  # noqa: SLF001
-        scenario._check_hover(origin.source)  # noqa: SLF001
-        scenario._check_motors(origin.source)  # noqa: SLF001
-        scenario._check_replanning(origin.source)  # noqa: SLF001
-        scenario._check_airspace(origin.source)  # noqa: SLF001
-        scenario._check_payload(origin.source)  # noqa: SLF001
-        scenario._check_yaw(origin.source)  # noqa: SLF001
-        scenario._check_turbulence(origin.source)  # noqa: SLF001
+        scenario._check(origin.source)  # noqa: SLF001
         return scenario
 
     def __eq__(self, other: object) -> bool:
@@ -301,69 +311,110 @@ class Scenario(Part):
             return ()
         return tuple(remarks(self.vehicle, self.power, self.gravity))
 
-    def _check_motors(self, source: str) -> None:
-        told = "" if self.model else created_power(self.vehicle, self.power, self.gravity)
-        if told:
-            raise ScenarioError(f"{source}: {told}")
+    def _check(self, source: str) -> None:
+        """Refuse fields that are allowed one by one and do not go together, all at once."""
+        lines = [
+            *self._power_complaints(),
+            *self._airspace_complaints(),
+            *self._replanning_complaints(),
+            *self._payload_complaints(),
+            *self._yaw_complaints(),
+            *self._turbulence_complaints(),
+        ]
+        unable = list(self._hover_complaints())
+        if lines or unable:
+            kind = ScenarioError if lines else FeasibilityError
+            raise kind(listed([f"{source}: {line}" for line in (*unable, *lines)]))
 
-    def _check_airspace(self, source: str) -> None:
+    def _power_complaints(self) -> Iterator[str]:
+        if self.model is not None:
+            return  # the user's own model may need other numbers
+        missing = [
+            name for name in USED_BY[self.power.model] if getattr(self.vehicle, name) is None
+        ]
+        for name in missing:
+            unit = unit_of(Vehicle, name)
+            yield (
+                f"vehicle.{name}, {_meaning(name)}, is missing; power.model "
+                f"{self.power.model.value} needs it{f' in {unit}' if unit else ''}; give it, or "
+                "choose another power.model."
+            )
+        if not missing:
+            told = created_power(self.vehicle, self.power, self.gravity)
+            yield from filter(None, [told])
+
+    def _airspace_complaints(self) -> Iterator[str]:
         for field, place in self.mission.named_positions:
             for complaint_of_place in self.airspace.complaints(place):
-                where = f"{field} = {shown(list(place))} m"
-                raise ScenarioError(f"{source}: {where} {complaint_of_place}.")
+                yield f"{field} = {shown(list(place))} m {complaint_of_place}."
 
-    def _check_replanning(self, source: str) -> None:
+    def _replanning_complaints(self) -> Iterator[str]:
         interval = None if self.baseline.mpc is None else self.baseline.mpc.interval
         field, longest = self.mission.longest
         if interval is not None and interval >= longest:
-            raise ScenarioError(
-                f"{source}: baseline.mpc.interval = {interval:g} s; must be below "
-                f"{field} = {longest:g} s, or nothing is planned again."
+            yield (
+                f"baseline.mpc.interval = {interval:g} s; must be below {field} = {longest:g} s, "
+                "or nothing is planned again."
             )
 
-    def _check_payload(self, source: str) -> None:
+    def _payload_complaints(self) -> Iterator[str]:
         released, carried = self.mission.released, self.vehicle.payload
         if released > carried:
-            raise ScenarioError(
-                f"{source}: mission.waypoints release {released:g} kg in all; must be at most "
+            yield (
+                f"mission.waypoints release {released:g} kg in all; must be at most "
                 f"vehicle.payload = {carried:g} kg; release less or carry more."
             )
 
-    def _check_yaw(self, source: str) -> None:
+    def _yaw_complaints(self) -> Iterator[str]:
         if self.mission.yaw is Yaw.KEPT and self.vehicle.attitude is not Attitude.EULER:
-            raise ScenarioError(
-                f'{source}: mission.yaw = "kept" under vehicle.attitude = '
+            yield (
+                'mission.yaw = "kept" under vehicle.attitude = '
                 f'"{self.vehicle.attitude.value}"; must be "free" where rotors that gather speed '
                 'do not turn the body: leave it out, or give vehicle.attitude = "euler".'
             )
 
-    def _check_turbulence(self, source: str) -> None:
+    def _turbulence_complaints(self) -> Iterator[str]:
         if self.model is not None and self.wind.turbulence is not None:
-            raise ScenarioError(
-                f"{source}: wind.turbulence acts on the declared model only, model = "
-                f"{self.model!r}; leave one of them out."
+            yield (
+                f"wind.turbulence acts on the declared model only, model = {self.model!r}; leave "
+                "one of them out."
             )
 
-    def _check_hover(self, source: str) -> None:
+    def _hover_complaints(self) -> Iterator[str]:
         if self.model is not None:
             return  # the user's own model need not hover
-        if self.power.model is PowerModel.MOMENTUM and self.vehicle.rotor_radius is None:
-            raise ScenarioError(
-                f"{source}: vehicle.rotor_radius is missing; power.model momentum needs the radius "
-                "of one rotor in m."
-            )
         share = 1 - self.limits.reserve
         left = f" less limits.reserve = {self.limits.reserve:g}" if share < 1 else ""
         needed = self.vehicle.hover_speed(self.gravity)
+        weight = self.vehicle.total_mass * self.gravity
         if needed > share * self.limits.rotor_speed_max:
-            raise FeasibilityError(
-                f"{source}: hover needs {needed:.4g} rad/s per rotor, limits.rotor_speed_max{left} "
+            yield (
+                f"hover needs {needed:.4g} rad/s per rotor, limits.rotor_speed_max{left} "
                 f"is {share * self.limits.rotor_speed_max:.4g} rad/s; raise the limit or lower the "
                 "mass."
             )
-        weight = self.vehicle.total_mass * self.gravity
-        if weight > share * self.limits.thrust_max:
-            raise FeasibilityError(
-                f"{source}: hover needs {weight:.4g} N of thrust, limits.thrust_max{left} is "
+        elif weight > share * self.limits.thrust_max:
+            yield (
+                f"hover needs {weight:.4g} N of thrust, limits.thrust_max{left} is "
                 f"{share * self.limits.thrust_max:.4g} N; raise the limit or lower the mass."
             )
+
+
+def _meaning(name: str) -> str:
+    """Return what a field of the vehicle is, without its model and its default."""
+    meaning = (Vehicle.model_fields[name].description or name).rpartition(": ")[2]
+    return meaning.partition(",")[0]
+
+
+def _in_declared_units(origin: Origin, model: type[BaseModel]) -> tuple[Origin, Rewritten]:
+    """Return an origin whose keys are the declared fields, and what was rewritten for that."""
+    document = in_declared_units(origin.document, model)
+    assignments, told = paths_in_declared_units(origin.assignments, model)
+    both = Rewritten(
+        tables={},
+        spellings=document.spellings | told.spellings,
+        complaints=[f"{origin.source}: {line}" for line in document.complaints]
+        + [f"{origin.label}: {line}" for line in told.complaints],
+        unread=[*document.unread, *told.unread],
+    )
+    return replace(origin, document=document.tables, assignments=assignments), both

@@ -286,6 +286,17 @@ class PowerModel(StrEnum):
     MOMENTUM = "momentum"
 
 
+_ELECTRICS = ("torque_constant", "voltage_constant", "motor_resistance")
+#: Power model -> the numbers of the vehicle that it uses and that other models do without.
+USED_BY: Mapping[PowerModel, tuple[str, ...]] = {
+    PowerModel.MOTOR: _ELECTRICS,
+    PowerModel.MOTOR_WITH_FRICTION: _ELECTRICS,
+    PowerModel.EFFICIENCY: ("efficiency_map",),
+    PowerModel.SHAFT: (),
+    PowerModel.CONSTANT_EFFICIENCY: (),
+    PowerModel.MOMENTUM: ("rotor_radius", "torque_constant", "motor_resistance"),
+}
+
 # Their power is a balance that holds whichever way the energy flows; to divide a braking power by
 # an efficiency would make braking earn more than it gave.
 _REGENERATING = (
@@ -403,14 +414,15 @@ class Limits(Part):
     """Bounds that the optimiser respects and the controller is clipped to."""
 
     roll_max: Number = quantity(
-        "rad", "largest roll angle, eq. (10)", gt=0, le=pi / 2, sound=_ANGLE
+        "rad", "largest roll angle, eq. (10)", pi / 2, gt=0, le=pi / 2, sound=_ANGLE
     )
     pitch_max: Number = quantity(
-        "rad", "largest pitch angle, eq. (10)", gt=0, le=pi / 2, sound=_ANGLE
+        "rad", "largest pitch angle, eq. (10)", pi / 2, gt=0, le=pi / 2, sound=_ANGLE
     )
     rotor_speed_min: Number = quantity(
         "rad/s",
         "smallest rotor speed, eq. (10)",
+        0.0,
         ge=0,
         sound=Sound(0, FASTEST_ROTOR, "the tips of the smallest rotors reach the speed of sound"),
     )
@@ -484,6 +496,10 @@ class Limits(Part):
     )
 
 
+#: Limits that follow from the rotors' greatest speed.
+DERIVED_LIMITS = ("thrust_max", "roll_moment_max", "pitch_moment_max", "yaw_moment_max")
+
+
 def derived_limits(vehicle: Vehicle, rotor_speed_max: float) -> dict[str, float]:
     """Return the thrust and moment limits that the rotor speed limit implies.
 
@@ -501,9 +517,10 @@ def derived_limits(vehicle: Vehicle, rotor_speed_max: float) -> dict[str, float]
     rotor_drag_torque = vehicle.drag_torque_coefficient * rotor_speed_max**2
     places = vehicle.rotor_places
     ahead, aside = (sum(map(abs, along)) / 2 for along in zip(*places, strict=True))
-    return {
-        "thrust_max": len(places) * rotor_thrust,
-        "roll_moment_max": aside * rotor_thrust,
-        "pitch_moment_max": ahead * rotor_thrust,
-        "yaw_moment_max": len(places) / 2 * rotor_drag_torque,
-    }
+    values = (
+        len(places) * rotor_thrust,
+        aside * rotor_thrust,
+        ahead * rotor_thrust,
+        len(places) / 2 * rotor_drag_torque,
+    )
+    return dict(zip(DERIVED_LIMITS, values, strict=True))

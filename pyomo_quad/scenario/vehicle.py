@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 from enum import StrEnum
-from math import hypot, sqrt
+from math import hypot, pi, sqrt
 from operator import mul
-from typing import Self
+from typing import NamedTuple, Self
 
 from pydantic import model_validator
 
@@ -37,6 +37,8 @@ _LEAST_REACH, _MOST_REACH = 1e-3, 100.0
 # Share of the reach by which positions, typed with a few digits, may miss their balance.
 _BALANCED = 1e-4
 
+#: rad/s in a revolution per minute.
+RPM = 2 * pi / 60
 
 # Squared volume of what rotors do about the three axes, of order one for rotors in a ring.
 _LEAST_VOLUME = 1e-6
@@ -66,6 +68,19 @@ class Attitude(StrEnum):
 
     EULER = "euler"
     PAPER = "paper"
+
+
+class MotorConstants(NamedTuple):
+    """Torque constant [N m/A], voltage constant [rad/s/V] and winding resistance [ohm]."""
+
+    torque_constant: float
+    voltage_constant: float
+    resistance: float
+
+    @property
+    def product(self) -> float:
+        """Torque constant times voltage constant: 1 for a motor that creates no energy."""
+        return self.torque_constant * self.voltage_constant
 
 
 class Vehicle(Part):
@@ -129,25 +144,32 @@ class Vehicle(Part):
             1e-12, 1e4, "a rotor of a centimetre has about 1e-11, one of ten metres about 1e3"
         ),
     )
-    torque_constant: Number = quantity(
+    torque_constant: Number | None = quantity(
         "N*m/A",
-        "motor torque over current (kt)",
+        "motor torque over current (kt), 1 / voltage_constant when absent",
+        None,
         gt=0,
         sound=Sound(
             1e-6, 100, "motors for flight give from micronewton metres to newton metres per ampere"
         ),
+        is_late=True,
     )
-    voltage_constant: Number = quantity(
+    voltage_constant: Number | None = quantity(
         "rad/s/V",
-        "motor speed over voltage (kv)",
+        "motor speed over voltage (kv), 1 / torque_constant when absent",
+        None,
         gt=0,
         sound=Sound(1e-2, 1e5, "motors for flight turn by 0.1 to 10,000 rad/s per volt"),
+        is_late=True,
+        unit_keys={"kv_rpm_per_V": RPM},
     )
-    motor_resistance: Number = quantity(
+    motor_resistance: Number | None = quantity(
         "ohm",
         "winding resistance (R)",
+        None,
         gt=0,
         sound=Sound(1e-6, 1e3, "windings have from micro-ohms to hundreds of ohms"),
+        is_late=True,
     )
     friction_torque: Number = quantity(
         "N*m",
@@ -177,7 +199,9 @@ class Vehicle(Part):
         ge=0,
         sound=Sound(0, 1e3, "a hundred square metres across the flow have about 1e2"),
     )
-    efficiency_map: EfficiencyMap = quantity("", "the recovered efficiency function f_r")
+    efficiency_map: EfficiencyMap | None = quantity(
+        "", "efficiency: the recovered function f_r", None, is_late=True
+    )
     rotor_radius: Number | None = quantity(
         "m",
         "momentum: radius of one rotor (R)",
@@ -356,6 +380,14 @@ class Vehicle(Part):
     def has_rotor_forces(self) -> bool:
         """Whether the air acts on the rotors beside their thrust."""
         return bool(self.rotor_drag_plane or self.rotor_drag_axis or self.translational_lift)
+
+    @property
+    def motor(self) -> MotorConstants | None:
+        """The motors' electrics, None unless all of their numbers are known."""
+        told = (self.torque_constant, self.voltage_constant, self.motor_resistance)
+        if None in told:
+            return None
+        return MotorConstants(*(number for number in told if number is not None))
 
     def drag_torque(self, speed: float) -> float:
         """Return the torque [N m] that keeps one rotor at a speed [rad/s]."""

@@ -170,6 +170,8 @@ def _voltage_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Find
     if hovering.power_W > hovering.greatest_battery_power_W:
         return  # the pack has no voltage under this load: `battery_shortfalls` reports it
     pack = hovering.battery_voltage_V
+    if scenario.vehicle.motor is None:
+        return
     # Under the other models nothing else is asked of the motors' electrics, which may be unknown.
     is_counted = scenario.power.model in (PowerModel.MOTOR, PowerModel.MOTOR_WITH_FRICTION)
     name = "power.terminal_voltage" if is_counted else "rotors.motor_voltage"

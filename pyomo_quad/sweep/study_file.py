@@ -21,7 +21,13 @@ from pyomo_quad.scenario.fields import (
     quantity,
     spell,
 )
-from pyomo_quad.scenario.messages import FeasibilityError, ScenarioError, complaint, shown
+from pyomo_quad.scenario.messages import (
+    FeasibilityError,
+    ScenarioError,
+    complaints,
+    listed,
+    shown,
+)
 from pyomo_quad.scenario.resolution import Origin, read_toml
 from pyomo_quad.scenario.schema import Scenario
 from pyomo_quad.scenario.tables import Reference
@@ -158,8 +164,8 @@ def _validate(model: type[_Table], tables: object, source: str, place: FieldPath
     try:
         return model.model_validate(tables)
     except ValidationError as error:
-        _, line = complaint(error, model, place)
-        raise StudyError(f"{source}: {line}") from None
+        found = complaints(error, model, place)
+        raise StudyError(listed([f"{source}: {line}" for _, line in found])) from None
 
 
 def _check_random_axes(study: Study, source: str) -> None:

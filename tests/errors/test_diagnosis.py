@@ -232,7 +232,7 @@ def test_screening_names_what_a_model_of_one_s_own_lacks():
     for expected in (
         "pull: has no scaling_factor",
         "pull: a control without a lower and an upper bound",
-        "ceiling[0.0]: never binds, low_ceiling[0.0] is tighter",
+        "ceiling[0.0]: is never active, low_ceiling[0.0] is tighter",
         "floor[0.0]: keeps rigid_body.y[0.0] at or above 3, roof[0.0] at or below 2",
         "mission.goal_place[z]: sets rigid_body.z[10.0] to 8, low_ceiling[10.0] allows at most 6",
         "mission.start_place[y]: sets rigid_body.y[0.0] to 0, floor[0.0] allows at least 3",

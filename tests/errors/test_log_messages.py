@@ -193,7 +193,9 @@ def test_files_that_are_no_logs(tmp_path, capsys, monkeypatch):
     assert "cannot be read (No such file" in refused(capsys, tmp_path / "none.csv")
     other = tmp_path / "log.xlsx"
     other.write_text("x")
-    assert "is no log; give a .parquet, .csv or .ulg file." in refused(capsys, other)
+    said = refused(capsys, other)
+    assert "is no log; give a .parquet, .csv, PX4 .ulg or ArduPilot .BIN file." in said
+    assert "Of a log the columns are flight, time_s [s], phase" in said
     whole = tmp_path / "whole.parquet"
     three().to_parquet(whole)
     half = tmp_path / "half.parquet"

@@ -1,8 +1,9 @@
-"""Variables that keep their bounds between the points too, by their Bernstein coefficients.
+"""Bounds on variables between the collocation points, through Bernstein coefficients.
 
-A polynomial lies in the convex hull of its coefficients in Bernstein's basis [1]_: where these keep
-a bound, so does all of it.  A polynomial need not have them within the bound to keep it, which
-costs something; what, the multipliers tell: see docs/theory/transcription.md, eqs. (6) and (7).
+A polynomial lies in the convex hull of its coefficients in Bernstein's basis [1]_: if the
+coefficients satisfy a bound, the whole polynomial does. The converse is false, so bounding the
+coefficients restricts the solution more than necessary. The multipliers give the cost of this
+restriction: see docs/theory/transcription.md, eqs. (6) and (7).
 
 .. [1] Farouki, "The Bernstein polynomial basis: a centennial retrospective", Computer Aided
    Geometric Design 29 (2012).
@@ -29,16 +30,16 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.ipopt import IpoptResult, Multipliers
     from pyomo_quad.collocation.program.transcription import Transcription
 
-# Coefficients of a first point that are nearer to a bound than this share of its range, or size,
-# are held.
+# A coefficient of the first point is bounded if its distance from a bound is less than this
+# fraction of its range or size.
 _NEAR = 0.45
 
 
 @dataclass(frozen=True, kw_only=True)
 class BernsteinRule:
-    """What makes an element's values its coefficients, and values at the coefficients' abscissae.
+    """Matrices from an element's values to its coefficients, and to values at their abscissae.
 
-    Both of shape (n_coefficients, n_values), without coefficients that are values themselves: the
+    Both of shape (n_coefficients, n_values). Coefficients that equal nodal values are left out: the
     first and last of a state, the last of an algebraic variable.
     """
 
@@ -48,7 +49,7 @@ class BernsteinRule:
 
 @lru_cache(maxsize=64)
 def bernstein_rule(degree: int, *, is_state: bool) -> BernsteinRule:
-    """Return the rule for values of a state at an element's nodes, or of others at its points."""
+    """Return the rule for a state's values at the nodes, or another variable's at the points."""
     rule = radau_rule(degree)
     at = rule.nodes if is_state else rule.points
     kept = slice(int(is_state), -1)
@@ -68,12 +69,12 @@ def _basis(places: FloatArray, order: int) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class BoundedProgram(ChangedProgram):
-    """A program with linear rows below its own: coefficients in some elements, within bounds.
+    """A program with additional linear rows: bounded coefficients in some elements.
 
     Attributes
     ----------
     coefficients, values : csr_array, shape (n_coefficients, n_unknowns)
-        What makes unknowns the coefficients, and the values at these' abscissae.
+        Matrices from the unknowns to the coefficients, and to the values at their abscissae.
     lower, upper : ndarray, shape (n_coefficients,)
     elements : ndarray of int, shape (n_coefficients,)
     """
@@ -106,11 +107,11 @@ class BoundedProgram(ChangedProgram):
         return np.concatenate([self.program.jacobian(z), self.coefficients.data])
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Lagrangian's Hessian, which linear rows leave as it is."""
+        """Return the nonzeros of the Lagrangian's Hessian, to which linear rows add nothing."""
         return self.program.hessian(z, multipliers[: self.program.n_rows], factor)
 
     def bounds(self, own: Bounds) -> Bounds:
-        """Return the bounds of a program with those of its coefficients."""
+        """Return the bounds of a program, extended by those of its coefficients."""
         return replace(
             own,
             row_lower=np.concatenate([own.row_lower, self.lower]),
@@ -118,23 +119,23 @@ class BoundedProgram(ChangedProgram):
         )
 
     def scaling(self, own: Scaling) -> Scaling:
-        """Return the scaling of a program with that of its coefficients."""
+        """Return the scaling of a program, extended by that of its coefficients."""
         rows = self.coefficients
         entries = np.abs(rows.data) / own.unknowns[rows.indices]
         sizes = np.maximum.reduceat(entries, rows.indptr[:-1])
         return replace(own, rows=np.concatenate([own.rows, 1.0 / sizes]))
 
     def multipliers(self, own: Multipliers) -> Multipliers:
-        """Return multipliers of a program with none on its coefficients."""
+        """Return the multipliers of a program, extended by zeros for its coefficients."""
         return replace(own, rows=np.concatenate([own.rows, np.zeros(self.lower.size)]))
 
     def without(self, result: IpoptResult) -> IpoptResult:
-        """Return a result without the multipliers of coefficients."""
+        """Return a result without the multipliers of the coefficients."""
         rows = result.multipliers.rows[: self.program.n_rows]
         return replace(result, multipliers=replace(result.multipliers, rows=rows))
 
     def restraint(self, result: IpoptResult, bounds: Bounds, elements: int) -> Restraint:
-        """Return what a result tells of the bounds, its own and those of coefficients."""
+        """Return the cost of bounding the coefficients, and the barrier's gap, for a result."""
         pull = result.multipliers.rows[self.program.n_rows :]
         beyond = self.coefficients @ result.z - self.values @ result.z
         cost = np.zeros(elements)
@@ -144,14 +145,14 @@ class BoundedProgram(ChangedProgram):
 
 @dataclass(frozen=True, kw_only=True)
 class Restraint:
-    """What bounds between the points do to the objective, in its unit.
+    """Effect on the objective of bounding the polynomial between the points, in its unit.
 
     Attributes
     ----------
     cost : ndarray, shape (n_elements,)
-        To first order, that coefficients lie farther out than the polynomial.
+        Cost per element of bounding coefficients that lie outside the polynomial, to first order.
     gap : float
-        What the barrier leaves, of all bounds.
+        Complementarity gap that the barrier leaves, over all bounds.
     """
 
     cost: FloatArray
@@ -161,22 +162,22 @@ class Restraint:
 def bounded(
     program: Transcription, bounds: Bounds, z: FloatArray, breach: float
 ) -> BoundedProgram | None:
-    """Return a program that keeps bounds between its points where a course comes near them.
+    """Return a program with bounds between its points where a trajectory is near its bounds.
 
     Parameters
     ----------
     program : Transcription
     bounds : Bounds
-        Of which those that change within an element are let be.
+        Bounds that change within an element are not imposed between its points.
     z : ndarray
-        The course, as carried over from another mesh.
+        The trajectory, carried over from another mesh.
     breach : float
-        By how much a coefficient may be beyond a bound, relative to the larger of 1 and the bound.
+        Amount by which a coefficient may exceed a bound, relative to max(1, |bound|).
 
     Returns
     -------
     BoundedProgram or None
-        None where nothing comes near.
+        None if the trajectory is near no bound.
     """
     mesh, layout, found = program.mesh, program.layout, []
     if mesh is None:
@@ -203,7 +204,7 @@ def bounded(
 
 
 def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
-    """Return the bounds of a variable in an element, infinite where they change."""
+    """Return the bounds of a variable in an element, infinite where they vary in it."""
     low, high = bounds.lower[columns], bounds.upper[columns]
     return (
         float(low[0]) if np.all(low == low[0]) else -np.inf,
@@ -220,7 +221,7 @@ def _is_near(values: FloatArray, low: float, high: float) -> bool:
 
 
 def _assembled(parts: list[tuple[NDArray[np.intp], FloatArray]], width: int) -> csr_array:
-    """Return one matrix of blocks of rows, whose columns are given."""
+    """Return one sparse matrix from blocks of rows with given columns."""
     data = np.concatenate([block.ravel() for _, block in parts])
     columns = np.concatenate([np.tile(at, len(block)) for at, block in parts])
     sizes = np.concatenate([np.full(len(block), at.size) for at, block in parts])

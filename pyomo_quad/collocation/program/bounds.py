@@ -1,4 +1,4 @@
-"""Bounds and scales of unknowns and rows, and refusals of programs that these show unsolvable.
+"""Bounds and scaling of unknowns and rows, and refusal of programs that cannot be solved.
 
 Scaling: see docs/theory/refinement.md, eqs. (12) to (15).
 """
@@ -37,13 +37,13 @@ class Bounds:
 
     @property
     def surplus(self) -> int:
-        """How many more equations there are than free unknowns."""
+        """Number of equations minus number of free unknowns."""
         equations = int(np.sum(self.row_lower == self.row_upper))
         return equations - int(np.sum(self.lower < self.upper))
 
     @property
     def sides(self) -> int:
-        """Number of limits that hold something in and leave it an interior."""
+        """Number of inequality bounds, those with an interior."""
         pairs = ((self.lower, self.upper), (self.row_lower, self.row_upper))
         return sum(
             int(np.count_nonzero(np.isfinite(side) & (lower < upper)))
@@ -54,7 +54,7 @@ class Bounds:
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """What one declaration, `name`, demands of unknowns; arrays of one shape."""
+    """The bounds that the declaration `name` imposes on unknowns; arrays of one shape."""
 
     name: str
     columns: NDArray[np.intp]
@@ -74,7 +74,7 @@ def bounds_of(
     ----------
     program : Transcription
     start_data : ndarray, shape (1 + n_jumps, n_data)
-        Fraction, signals and parameters at the start of the horizon, and just after each jump.
+        Fraction, signals and parameters at the start of the horizon and just after each jump.
     fixed : dict
         Values fixed at declared times, by slot name and fraction.
     left_out : frozenset of str, optional
@@ -106,7 +106,7 @@ def bounds_of(
 def limits_of(
     program: Transcription, start_data: FloatArray, fixed: dict[tuple[str, float], float]
 ) -> list[Limit]:
-    """Return what each declaration demands of the unknowns by itself; see `bounds_of`."""
+    """Return the bounds that each declaration imposes on the unknowns; see `bounds_of`."""
     found = list(limits_at_points(program))
     if program.mesh is not None:
         found.extend(_over_time(program, start_data))
@@ -150,7 +150,7 @@ def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit
 
 
 def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
-    """Yield the limits that states keep just after a jump, where no point lies."""
+    """Yield the bounds of states just after a jump, where there is no collocation point."""
     compiled, layout = program.compiled, program.layout
     nodes = program.mesh.node_fractions if program.mesh else np.zeros(0)
     at = np.abs(nodes[:, None] - data[:, 0]).argmin(axis=0)
@@ -166,7 +166,7 @@ def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
 
 
 def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Iterator[Limit]:
-    """Yield the values held at declared times, whose fractions are element boundaries."""
+    """Yield the values fixed at declared times, whose fractions are element boundaries."""
     states = [s.name for s in program.compiled.declared.states]
     nodes = program.mesh.node_fractions if program.mesh else np.zeros(0)
     for (name, fraction), number in fixed.items():
@@ -205,7 +205,7 @@ def limits_at_points(program: Transcription) -> Iterator[Limit]:
 
 
 def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
-    """Raise if any bounds cross, naming the worst variable; rounding errors are forgiven."""
+    """Raise if any bounds cross, naming the worst variable; rounding errors are tolerated."""
     gap = lower - upper
     scale = 1e-9 * (1.0 + np.minimum(np.abs(lower), np.abs(upper)))
     close = (gap > 0.0) & (gap <= scale)
@@ -246,9 +246,9 @@ def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: Float
 
 
 _LARGEST_BOUND = 1e6
-# A row whose slopes vanish at the first point, as those of a squared speed do at rest, would be
-# scaled up without end: its slopes are read this share of each magnitude beside the point, where
-# they are so many times larger there.
+# A row whose slopes vanish at the first point, as those of a squared speed do at rest, would get an
+# unbounded scale factor. If its slopes at a point displaced by `_BESIDE` times each magnitude are
+# larger by a factor 1 / `_FLAT`, those slopes set the scale.
 _BESIDE, _FLAT = 1e-2, 1e-2
 _ROW_RANGE = (1e-8, 1e8)
 
@@ -263,14 +263,14 @@ class Scaling:
 
     @property
     def none(self) -> Scaling:
-        """Factors of one."""
+        """Return factors that are all 1."""
         return Scaling(
             objective=1.0, unknowns=np.ones_like(self.unknowns), rows=np.ones_like(self.rows)
         )
 
 
 class NonlinearProgram(Protocol):
-    """What Ipopt asks for, and what its progress shows."""
+    """Interface of a program that Ipopt solves, including its progress callback."""
 
     @property
     def n_rows(self) -> int:
@@ -285,10 +285,10 @@ class NonlinearProgram(Protocol):
         """Whether the declared objective is maximised, and its negative minimised."""
 
     def objective(self, z: FloatArray) -> float:
-        """Return what Ipopt minimises."""
+        """Return the objective to minimise."""
 
     def gradient(self, z: FloatArray) -> FloatArray:
-        """Return its gradient."""
+        """Return the gradient of the objective to minimise."""
 
     def constraints(self, z: FloatArray) -> FloatArray:
         """Return the value of every row."""
@@ -297,7 +297,7 @@ class NonlinearProgram(Protocol):
         """Return rows and columns of the Jacobian's nonzeros."""
 
     def jacobian(self, z: FloatArray) -> FloatArray:
-        """Return these nonzeros."""
+        """Return the Jacobian's nonzeros."""
 
     def hessianstructure(self) -> tuple[Any, Any]:
         """Return rows and columns of the Lagrangian Hessian's lower triangle."""
@@ -308,7 +308,7 @@ class NonlinearProgram(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class ChangedProgram:
-    """A program of which a part is changed by who inherits this, and the rest is as it was."""
+    """Base of programs that modify one part of another program and forward the rest to it."""
 
     program: Any
 
@@ -328,11 +328,11 @@ class ChangedProgram:
         return bool(self.program.is_negated)
 
     def objective(self, z: FloatArray) -> float:
-        """Return what Ipopt minimises."""
+        """Return the objective to minimise."""
         return float(self.program.objective(z))
 
     def gradient(self, z: FloatArray) -> FloatArray:
-        """Return its gradient."""
+        """Return the gradient of the objective to minimise."""
         return np.asarray(self.program.gradient(z))
 
     def constraints(self, z: FloatArray) -> FloatArray:
@@ -370,7 +370,7 @@ def scaling_by(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) ->
 
 
 def _largest_slopes(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> FloatArray:
-    """Return the largest slope of each row at a point, over unknowns in their magnitudes."""
+    """Return each row's largest slope at a point, with unknowns in units of their magnitudes."""
     rows, columns = program.jacobianstructure()
     with np.errstate(all="ignore"):
         weighted = np.abs(program.jacobian(z)) * nominal[columns]
@@ -380,7 +380,7 @@ def _largest_slopes(program: NonlinearProgram, nominal: FloatArray, z: FloatArra
 
 
 def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
-    """Return the magnitudes of the unknowns, as declared, bounded or guessed."""
+    """Return the magnitudes of the unknowns, from declarations, bounds or the first point."""
     layout, declared = program.layout, program.compiled.declared
     nominal = np.ones(layout.unknowns)
     for slots, columns in (
@@ -409,7 +409,8 @@ def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> 
     Raises
     ------
     TranscriptionError
-        Naming the equation, element and time that is not finite, or the counts.
+        Naming the equation, element and time that is not finite, or the numbers of equations and
+        unknowns.
     """
     refuse_not_finite(program, z)
     held = np.flatnonzero(bounds.lower == bounds.upper).tolist()
@@ -418,7 +419,7 @@ def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> 
 
 
 def counted(bounds: Bounds) -> str:
-    """Return how many equations there are for how many unknowns."""
+    """Return the numbers of equations and unknowns, as text."""
     free = int(np.sum(bounds.lower < bounds.upper))
     return f"{bounds.surplus + free} equations for {free} free unknowns"
 
@@ -426,9 +427,9 @@ def counted(bounds: Bounds) -> str:
 def refuse_overdetermined(
     program: NonlinearProgram, bounds: Bounds, z: FloatArray, held: Iterable[str]
 ) -> None:
-    """Refuse more equations than free unknowns, where they are linear and contradict each other.
+    """Refuse more equations than free unknowns if they are linear and contradict each other.
 
-    Whether others do only a solve can say.  `held` are the variables that are not free.
+    For nonlinear equations only a solve can decide. `held` are the variables that are not free.
     """
     if bounds.surplus > 0 and _is_contradictory(program, bounds, z):
         names = sorted(set(held))
@@ -439,13 +440,13 @@ def refuse_overdetermined(
         )
 
 
-# Of scaled equations: what linear ones may be off and still agree, and the weight that makes their
-# least squares unique.
+# Largest scaled residual with which linear equations count as consistent, and the regularisation
+# that makes their least-squares solution unique.
 _AGREED, _REGULAR = 1e-7, 1e-12
 
 
 def _is_contradictory(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> bool:
-    """Say whether the equations are linear, and off where the sum of their squares is least."""
+    """Return whether the equations are linear and their least-squares residual is not zero."""
     rows, columns = program.jacobianstructure()
     slopes = coo_array((program.jacobian(z), (rows, columns)), shape=(program.n_rows, z.size))
     equal = np.flatnonzero(bounds.row_lower == bounds.row_upper)
@@ -466,15 +467,15 @@ def _is_contradictory(program: NonlinearProgram, bounds: Bounds, z: FloatArray) 
     return size > _AGREED and bool(np.all(np.abs(off(moved) - left) <= _AGREED * (1.0 + size)))
 
 
-# Of a row's size: what rounding may leave of it where all its unknowns are fixed.
+# Residual, relative to a row's size, that rounding may leave where all its unknowns are fixed.
 _ROUNDING = 1e-9
 
 
 def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> Bounds:
-    """Return bounds that leave out rows which hold fixed unknowns only, and are met.
+    """Return bounds without the rows that hold only fixed unknowns and are satisfied.
 
-    A path equality where all its states are fixed says nothing; its empty slopes make the others
-    seem dependent.
+    A path equality at a point where all its states are fixed is redundant; its zero slopes would
+    make the remaining equations appear dependent.
     """
     rows, columns = program.jacobianstructure()
     is_free = bounds.lower < bounds.upper
@@ -492,14 +493,14 @@ def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArra
 
 
 def is_defined(program: Transcription, z: FloatArray) -> bool:
-    """Say whether the program and its first derivatives have values, infinite ones too."""
+    """Return whether the program and its first derivatives are free of NaN; infinities count."""
     with np.errstate(invalid="ignore"):
         parts = (program.constraints(z), program.jacobian(z), program.gradient(z))
     return not any(bool(np.any(np.isnan(part))) for part in parts)
 
 
 def refuse_not_finite(program: Transcription, z: FloatArray) -> None:
-    """Refuse equations and slopes that are no numbers at a point."""
+    """Refuse equations and slopes that are not finite at a point."""
     rows = program.constraints(z)
     bad = np.flatnonzero(~np.isfinite(rows))
     if bad.size:

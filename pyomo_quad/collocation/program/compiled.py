@@ -1,6 +1,6 @@
 """The continuous model as CasADi functions of one collocation point, mapped over many.
 
-Expressions inside other data become text, which can be kept and read in another process.
+Expressions inside other data are serialised as text, which another process can read.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
     from pyomo_quad.collocation.reading.tables import TableUse
 
-# Points evaluated in one call of CasADi: a map over more costs time and memory to set up.
+# Points evaluated in one call of CasADi; a larger map takes more time and memory to set up.
 _CHUNK = 512
 
 
@@ -52,7 +52,7 @@ class MappedFunction:
             self._chunks.append((start, start + size, *made[size]))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Let a copy have buffers of its own: CasADi's cannot be copied."""
+        """Give a copy its own buffers, because those of CasADi cannot be copied."""
         return type(self), (self._function, self._n)
 
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
@@ -71,11 +71,11 @@ class MappedFunction:
 
 
 def set_outputs_aside(declared: Declarations) -> Declarations:
-    """Return the declarations with output states and their equations moved aside.
+    """Return the declarations with output states and their equations set apart.
 
-    A state is an output when its symbol and rate appear in one equality only, it has no
-    bounds, and it is held at the start and nowhere else.  Outputs that feed only outputs
-    are found by repetition.
+    A state is an output if its symbol and rate appear in one equality only, it has no bounds, and
+    it is fixed at the start and nowhere else. Repetition finds outputs that feed other outputs
+    only.
     """
     while True:
         found = _one_output(declared)
@@ -138,7 +138,7 @@ def _is_free(slot: Slot) -> bool:
 
 
 def _held_at_start_only(declared: Declarations, slot: Slot) -> bool:
-    """Say whether conditions on the slot hold only it, at the start, as equalities."""
+    """Return whether conditions fix the slot at the start, as equalities, and hold no others."""
     names = _names_at(declared, slot)
     if names & symbol_names(declared.objective):
         return False
@@ -160,7 +160,7 @@ def _held_at_start_only(declared: Declarations, slot: Slot) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class SimpleBound:
-    """Limits of one variable, whose symbol's name is `variable`; `slope` is its factor."""
+    """Limits of one variable, named `variable`; `slope` is its factor in the relation."""
 
     name: str
     variable: str
@@ -172,7 +172,7 @@ class SimpleBound:
 def split_simple_bounds(
     relations: tuple[Any, ...], variables: dict[str, Any], candidates: frozenset[str]
 ) -> tuple[tuple[Any, ...], tuple[SimpleBound, ...]]:
-    """Separate relations that are bounds on one candidate variable from the others.
+    """Separate the relations that are bounds on one candidate variable from the rest.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ class DerivedFunctions:
 
 @dataclass(frozen=True, kw_only=True)
 class TableArguments:
-    """Arguments of tables over time and in conditions: what they are, and functions of them."""
+    """Arguments of tables in path equations and in conditions, and functions that evaluate them."""
 
     over_time: tuple[TableUse, ...]
     path: Any
@@ -245,7 +245,7 @@ class TableArguments:
 
 @dataclass(frozen=True, kw_only=True)
 class CompiledModel:
-    """Functions of one point, functions of the conditions, and what their entries mean."""
+    """Functions of one point, functions of the conditions, and the meaning of their entries."""
 
     declared: Declarations
     path: DerivedFunctions
@@ -264,16 +264,16 @@ class CompiledModel:
     static_of_integral: dict[int, int] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the expressions as one text: their symbols are shared."""
+        """Pickle all expressions as one text, because they share symbols."""
         parts = {item.name: getattr(self, item.name) for item in fields(self)}
         return _unpacked, (packed(parts),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> CompiledModel:
-        """Return itself: it never changes, and its symbols belong to others as well."""
+        """Return itself: it is immutable and shares its symbols with other objects."""
         return self
 
     def scaled(self, magnitudes: Mapping[str, float]) -> CompiledModel:
-        """Return it with other magnitudes of its variables, by slot or component name."""
+        """Return the model with other magnitudes of its variables, by slot or component name."""
         d = self.declared
         kinds = (d.states, d.algebraics, d.statics)
         states, algebraics, statics = (
@@ -292,7 +292,7 @@ class CompiledModel:
 
     @cached_property
     def fingerprint(self) -> str:
-        """What tells the equations from others: their code and names, whatever the numbers."""
+        """Hash of the equations' code and names, independent of the numbers in them."""
         d = self.declared
         names = ["maximise" if d.maximise else "minimise", *(e.name for e in d.equations)]
         names += [slot.name for slot in (*d.states, *d.algebraics, *d.statics)]
@@ -301,7 +301,7 @@ class CompiledModel:
 
     @property
     def is_equality(self) -> NDArray[np.bool_]:
-        """Say of each path equation whether it is one, and not an inequality."""
+        """For each path equation, whether it is an equality."""
         return np.array([e.is_equality for e in self.declared.equations], dtype=bool)
 
 
@@ -360,10 +360,10 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
 
 
 def with_moving_limits(declared: Declarations) -> Declarations:
-    """Move limits that hold static variables from the sides of relations into their expressions.
+    """Move limits that depend on static variables from the sides of relations into expressions.
 
-    A free time makes the time in a rule such as `m.x[t] <= t` depend on static variables, while
-    the sides of a relation and the bounds of a variable are functions of data alone.
+    A free time makes the time in a rule such as `m.x[t] <= t` depend on static variables, but the
+    sides of a relation and the bounds of a variable may depend on data alone.
     """
     statics = symbol_names(_symbols(declared.statics))
 
@@ -394,7 +394,7 @@ def with_moving_limits(declared: Declarations) -> Declarations:
 
 
 def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> list[PathEquation]:
-    """Return a relation whose sides hold data alone; of a range, each moving side is its own."""
+    """Return relations whose sides depend on data alone; each moving side becomes a relation."""
     below, above = moves(equation.lower), moves(equation.upper)
     if not (below or above):
         return [equation]
@@ -419,16 +419,16 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 
 
 def _unless(unbounded: Any, none: Any) -> Any:
-    """Return a side of zero, or none where there is no limit."""
+    """Return a side of zero, or `none` where there is no limit."""
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)
 
 
 def _moving_side(side: Any) -> tuple[Any, Any]:
-    """Return a side of a limit, zero where it has none, and whether it has none.
+    """Return a side of a limit (zero where it is absent), and whether it is absent.
 
-    A rule that skips a limit for a part of the horizon has an infinite side there: a sum of
-    alternatives, each of which is zero where another one holds.
+    A rule that skips a limit on a part of the horizon has an infinite side there: a sum of
+    alternatives, each of which is zero where another alternative holds.
     """
     zero = casadi.SX(0)
     if side.is_constant():
@@ -455,7 +455,7 @@ def _table_arguments(
     ):
         symbols = _stack(variables.values())
         known = symbol_names(casadi.vertcat(symbols, data))
-        # What sits in an equation that was dropped holds symbols of its own.
+        # An argument in an equation that was dropped holds symbols that no function has; skip it.
         uses = tuple(u for u in declared.table_uses if symbol_names(u.expression) <= known)
         rows = _stack([u.expression for u in uses])
         made += [uses, casadi.Function("table_arguments", [symbols, data], [rows])]
@@ -463,7 +463,7 @@ def _table_arguments(
 
 
 def _anonymous(function: Any) -> str:
-    """Return the code of a function without the names of its symbols, which tell of times."""
+    """Return the code of a function without the names of its symbols, which depend on times."""
     symbols = [casadi.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
     return str(casadi.Function("f", symbols, function.call(symbols)).serialize())
 
@@ -533,9 +533,9 @@ def _is_static(declared: Declarations, name: str) -> bool:
 
 
 def _with_integral_variables(declared: Declarations) -> Declarations:
-    """Give a static variable to each integral that does not enter the objective linearly.
+    """Add a static variable for each integral that does not enter the objective linearly.
 
-    Its defining equation is one dense row; a plain integral objective needs none.
+    Its defining equation is one dense row; an objective that is linear in its integrals needs none.
     """
     in_conditions = symbol_names(_stack([c.expression for c in declared.conditions]))
     variables = symbol_names(
@@ -585,14 +585,14 @@ def _nonzeros(matrix: Any) -> Any:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where an expression stood: its position in the text."""
+    """Placeholder for an expression, with the expression's position in the text."""
 
     position: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class Packed:
-    """Data without its expressions, and the text of these, in which symbols stay shared."""
+    """Data with placeholders for its expressions, and the expressions as one text."""
 
     data: Any
     text: str
@@ -606,7 +606,7 @@ class Packed:
 
 
 def packed(data: Any) -> Packed:
-    """Take the expressions out of data classes, tuples and dictionaries."""
+    """Replace the expressions in data classes, tuples and dictionaries by placeholders."""
     writer, count = casadi.StringSerializer(), 0
 
     def place(expression: Any) -> _Place:
@@ -620,7 +620,7 @@ def packed(data: Any) -> Packed:
 
 
 def _changed(data: Any, kind: type, change: Callable[[Any], Any]) -> Any:
-    """Return data with everything of a kind changed."""
+    """Return data with every instance of a type replaced."""
     if isinstance(data, kind):
         return change(data)
     if isinstance(data, tuple):

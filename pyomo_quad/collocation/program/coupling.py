@@ -1,9 +1,9 @@
-"""Several horizons: each read by itself, what couples them, and one program of them all.
+"""Several horizons: reading each of them, their coupling, and one program of all.
 
-A constraint over a continuous set, or of values on one alone, belongs to that horizon.  All other
-constraints and the objective see a horizon through static variables that are equal to its values
-at declared times and to its integrals.  The program holds each horizon's own unknowns, then the
-shared statics.
+A constraint over a continuous set, or on values of one set alone, belongs to that horizon. All
+other constraints and the objective see a horizon through static variables that equal its values at
+declared times and its integrals. The program holds each horizon's own unknowns first, then the
+shared static variables.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """A static variable that is equal to a value of the horizon that `reader` reads.
+    """A static variable that equals a value of the horizon that `reader` reads.
 
-    `state` is the value where it is one of a state, which is an unknown itself.
+    `state` is given if the value is that of a state at a node, which is an unknown itself.
     """
 
     slot: Slot
@@ -61,18 +61,18 @@ class Link:
 
     @property
     def condition(self) -> PointCondition:
-        """The condition, on the horizon, that they are equal."""
+        """The condition, imposed on the horizon, that the two are equal."""
         zero, difference = casadi.SX(0), casadi.SX(self.value) - self.slot.symbol
         return PointCondition(name=self.slot.name, expression=difference, lower=zero, upper=zero)
 
 
 class CouplingWriter(TemplateWriter):
-    """Writes what couples horizons, in static variables that stand for their values.
+    """Writes constraints that couple horizons, with static variables in place of their values.
 
     Attributes
     ----------
     links : dict
-        Those variables, by the name of what they stand for.
+        These variables, by the name of the value that each one replaces.
     """
 
     def __init__(self, readers: list[ModelReader], statics: dict[str, Slot]) -> None:
@@ -83,7 +83,7 @@ class CouplingWriter(TemplateWriter):
         super().__init__(WorkingCopy(model=readers[0].copy.model, others=times), {}, statics)
 
     def write_objective(self, objective: Any) -> Any:
-        """Return the objective, which may hold values at any declared time."""
+        """Return the objective, in which values at any declared time are allowed."""
         self._in_objective = True
         return casadi.SX(self.write(objective.expr, objective.name))
 
@@ -127,7 +127,7 @@ class CouplingWriter(TemplateWriter):
             )
 
     def named(self, expression: Any) -> Any:
-        """Return what to write for a named expression, None for its own expression."""
+        """Return the replacement of a named expression, None to keep its own expression."""
         component = expression.parent_component()
         if component is not None and component.ctype is PyomoIntegral:
             for reader in self._readers:
@@ -150,18 +150,19 @@ def _free_slot(name: str, component: str, index: tuple[Any, ...], symbol: Any = 
 
 @dataclass(frozen=True, kw_only=True)
 class CoupledDeclarations:
-    """What a model with several horizons declares.
+    """The declarations of a model with several horizons.
 
     Attributes
     ----------
     horizons : dict
-        By the name of the continuous set: its declarations and their reader.
+        Declarations and their reader, by the name of the continuous set.
     coupling : Declarations, ModelReader
-        The objective, and the conditions that hold values of several horizons or of none.
+        The objective, and the conditions on values of several horizons or of none.
     states : dict
-        Names of the coupling's static variables that are values of states: horizon and value.
+        Static variables of the coupling that equal values of states, by name: horizon and value.
     links : tuple of str
-        Names of those that are other values, and of the conditions on horizons that say so.
+        Names of the other static variables that equal values of a horizon; the conditions on the
+        horizons that impose the equalities have the same names.
     """
 
     horizons: dict[str, tuple[Declarations, ModelReader]]
@@ -171,7 +172,7 @@ class CoupledDeclarations:
 
 
 def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
-    """Read what a model with several continuous sets declares.
+    """Read the declarations of a model with several continuous sets.
 
     Raises
     ------
@@ -222,7 +223,7 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
 def _refuse_gaps(
     conditions: list[PointCondition], links: list[Link], free: dict[str, dict[float, Any]]
 ) -> None:
-    """Refuse a value that goes on from the end of one horizon to a later start of another."""
+    """Refuse a condition that continues one horizon into another that starts at a later time."""
     for condition in conditions:
         names = symbol_names(condition.expression)
         pair = [link for link in links if link.slot.name in names]
@@ -241,7 +242,7 @@ def _refuse_gaps(
 
 
 def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> tuple[Any, Any]:
-    """Split the cost into integrals over one horizon, times numbers, and the rest."""
+    """Split the cost into a linear combination of integrals over one horizon, and the rest."""
     own = casadi.SX(0)
     for integral in reader.writer.integrals.values():
         slope = casadi.jacobian(cost, integral.symbol)
@@ -252,7 +253,7 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
 
 
 def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
-    """Return static variables for the integrals that the coupling holds."""
+    """Return static variables for the integrals that appear in the coupling."""
     return [
         _free_slot(integral.name, integral.name, (), integral.symbol)
         for integral in reader.writer.integrals.values()
@@ -266,7 +267,7 @@ def _with(declared: Declarations, statics: list[Slot]) -> Declarations:
 
 @dataclass(frozen=True, kw_only=True)
 class StateValue:
-    """A state of one of several programs, at a node that lies at a share of its horizon."""
+    """A state of one of several programs, at the node at a fraction of its horizon."""
 
     program: int
     state: str
@@ -274,15 +275,15 @@ class StateValue:
 
 
 class Union:
-    """Where the unknowns and rows of programs stand among those of all.
+    """Positions of the unknowns and rows of several programs in their union.
 
-    Static variables of one name are one unknown.
+    Static variables with the same name share one unknown.
 
     Parameters
     ----------
     programs : sequence of Transcription
     states : mapping
-        Names of static variables that are values of states, and which.
+        Names of static variables that equal values of states, and these values.
     """
 
     def __init__(self, programs: Sequence[Transcription], states: Mapping[str, StateValue]) -> None:
@@ -312,19 +313,19 @@ class Union:
         self.rows = [slice(end - n, end) for end, n in zip(ends, counts, strict=True)]
 
     def joined(self, parts: Sequence[FloatArray]) -> FloatArray:
-        """Return the unknowns of all from those of each; of a shared one the first counts."""
+        """Return the unknowns of the union; a shared unknown takes the first program's value."""
         whole = np.zeros(self.unknowns)
         for places, part in reversed(list(zip(self.places, parts, strict=True))):
             whole[places] = part
         return whole
 
     def bounds(self, parts: Sequence[Bounds]) -> Bounds:
-        """Return the narrowest bounds.
+        """Return the intersection of the bounds.
 
         Raises
         ------
         TranscriptionError
-            If those of a static variable cross.
+            If the bounds of a shared static variable cross.
         """
         lower, upper = np.full(self.unknowns, -np.inf), np.full(self.unknowns, np.inf)
         for places, part in zip(self.places, parts, strict=True):
@@ -371,7 +372,7 @@ class Union:
         )
 
     def multipliers(self, parts: Sequence[Multipliers]) -> Multipliers:
-        """Return the multipliers of all."""
+        """Return the multipliers of the union."""
         return Multipliers(
             rows=np.concatenate([part.rows for part in parts]),
             lower=self.joined([part.lower for part in parts]),
@@ -379,7 +380,7 @@ class Union:
         )
 
     def result_of(self, whole: IpoptResult, k: int) -> IpoptResult:
-        """Return what one program has of a result."""
+        """Return the part of a result that belongs to one program."""
         places, found = self.places[k], whole.multipliers
         return IpoptResult(
             status=whole.status,
@@ -406,9 +407,9 @@ def _column(program: Transcription, at: StateValue) -> int:
 
 @dataclass(frozen=True)
 class CoupledProgram:
-    """The sum of programs, in the form Ipopt asks for; `programs` are those of the union.
+    """The sum of the programs of a union, in the form Ipopt asks for.
 
-    They may be the same with a price on their objective.
+    `programs` are those of the union, possibly with a penalty added to their objectives.
     """
 
     union: Union
@@ -434,11 +435,11 @@ class CoupledProgram:
         return self.programs[0].is_negated
 
     def objective(self, z: FloatArray) -> float:
-        """Return what Ipopt minimises."""
+        """Return the objective to minimise."""
         return sum(program.objective(own) for program, own in self._parts(z))
 
     def gradient(self, z: FloatArray) -> FloatArray:
-        """Return its gradient."""
+        """Return the gradient of the objective to minimise."""
         gradient = np.zeros(self.union.unknowns)
         for places, (program, own) in zip(self.union.places, self._parts(z), strict=True):
             gradient[places] += program.gradient(own)
@@ -472,7 +473,7 @@ class CoupledProgram:
         found = []
         for places, program in zip(self.union.places, self.programs, strict=True):
             rows, columns = (places[held] for held in program.hessianstructure())
-            # Programs may have the shared statics in different orders.
+            # Programs may hold the shared static variables in different orders.
             found.append((np.maximum(rows, columns), np.minimum(rows, columns)))
         every_row, every_column = zip(*found, strict=True)
         return np.concatenate(every_row), np.concatenate(every_column)

@@ -1,4 +1,4 @@
-"""Algebraic variables that an equation defines, such as a rate constant by its temperature."""
+"""Algebraic variables that an equation defines, for example a rate constant by its temperature."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
     from pyomo_quad.collocation.program.transcription import Transcription
 
-# A coefficient is constant if it is the same at two points but for rounding.
+# Relative difference between two points below which a coefficient counts as constant.
 _SAME = 1e-9
-# By what share of their size, or of 1, all variables differ between these.
+# Relative displacement of all variables (absolute below 1) between these two points.
 _AWAY = 0.5
-# Of the largest residual before, what may be left for a value to be taken.
+# Fraction of the largest residual before that may remain for a value to be accepted.
 _LEFT = 1e-6
 
 #: A path equation, the algebraic variable that it defines, and the variable's coefficient in it.
@@ -28,18 +28,19 @@ Definition = tuple[int, int, float]
 def definitions(
     program: Transcription, z: FloatArray, among: Iterable[int] | None = None
 ) -> list[Definition]:
-    """Return which equations without rates define one algebraic variable each.
+    """Return the equations without rates that define one algebraic variable each.
 
-    An equation defines the one variable that has a constant coefficient in it, others defined:
-    ``k == exp(-1 / x)`` defines k and leaves x free, ``p - q == y`` defines neither.
+    An equation defines the only variable that has a constant coefficient in it, apart from
+    variables that other equations define: ``k == exp(-1 / x)`` defines k and leaves x free; ``p - q
+    == y`` defines neither p nor q.
 
     Parameters
     ----------
     program : Transcription
     z : ndarray
-        Where coefficients are looked at.
+        Point at which the coefficients are evaluated.
     among : iterable of int, optional
-        Positions of the algebraic variables that may be defined, all unless given.
+        Positions of the algebraic variables that may be defined; all by default.
     """
     compiled, layout, path = program.compiled, program.layout, program.compiled.path
     n, count = layout.n_states, layout.n_algebraics
@@ -74,9 +75,10 @@ def definitions(
 def with_defined(
     program: Transcription, variables: FloatArray, data: FloatArray, given: list[Definition]
 ) -> FloatArray:
-    """Return variables at points, one row each, of which the defined ones meet their equations.
+    """Return variables at points, one row each, with the defined variables solved for.
 
-    Definitions may read each other; the same where they do so in a circle and nothing is gained.
+    Definitions may depend on each other. If they do so in a circle and the residuals do not
+    decrease, the variables are returned unchanged.
     """
     if not given:
         return variables

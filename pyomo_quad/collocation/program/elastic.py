@@ -1,8 +1,9 @@
-"""Elastic programs, whose rows may be missed for a price, and the verdict that they give.
+"""Elastic programs: rows with penalised slacks, and the infeasibility verdict from them.
 
-With the objective, and slacks in the equations over time, they lead to where these can be met.
-Without it, and with slacks in every row, their optimum is the least sum of violations: what is left
-of it cannot be met, near where the search went, by any choice of the unknowns within their bounds.
+With the objective, and slacks in the equations over time, an elastic program leads to a point that
+satisfies these equations. Without the objective, and with slacks in every row, its optimum is the
+least sum of violations. A positive sum shows that no choice of the unknowns within their bounds,
+near the point where the search ended, satisfies all rows.
 """
 
 from __future__ import annotations
@@ -22,36 +23,36 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.bounds import NonlinearProgram
     from pyomo_quad.collocation.program.transcription import Transcription
 
-# What a unit of slack in every scaled equation, all the time, costs beside the scaled objective.
+# Penalty for a unit of slack in every scaled equation at all times, beside the scaled objective.
 _PRICE = 1e4
-# Slacks at the first point beyond those that it asks for, so that none is at its limit.
+# Slack added at the first point to the slack that its residuals need, so that none is at its bound.
 _ROOM = 0.1
-# Weight of staying near the first point, in scaled unknowns: it makes those unique that no slack
-# depends on, and is too small to buy a slack.
+# Weight of the distance from the first point, in scaled unknowns. It makes the unknowns unique that
+# affect no slack, and is too small to outweigh a slack.
 _PROXIMITY = 1e-6
-#: Slack of a row, as a share of the row's largest term, that counts as none: a hundred times the
-#: tolerance to which the elastic program is solved, and a thousandth of the least price of a limit
-#: that a user would notice.
+#: Slack of a row, as a fraction of the row's largest term, below which the row counts as met: a
+#: hundred times the tolerance of the elastic solve, and a thousandth of the smallest relaxation of
+#: a limit that a user would notice.
 MET = 1e-6
 _TOLERANCE, _MOST_ITERATIONS = 1e-8, 300
-# Both ways in which Ipopt lowers its barrier: where one creeps, the other seldom does.
+# Both barrier strategies of Ipopt: where one of them stalls, the other seldom does.
 _BARRIERS = ("adaptive", "monotone")
 
 
 @dataclass(frozen=True, kw_only=True)
 class PricedProgram(ChangedProgram):
-    """A program whose chosen rows have a slack of either sign, at a price for each.
+    """A program whose chosen rows have penalised slacks of either sign.
 
     Attributes
     ----------
     rows : ndarray of int
         The rows that have slacks.
     sizes, prices : ndarray
-        What a unit of slack adds to each of them, and its price.
+        Change of each of these rows per unit of slack, and the penalty per unit of slack.
     share : float
-        Of the program's objective that counts: 1 or 0.
+        Weight of the program's objective: 1 or 0.
     near, weights : ndarray, shape (n,)
-        A point, and weights of the squares of the unknowns' distances from it.
+        A point, and weights of the squared distances of the unknowns from it.
     """
 
     rows: NDArray[np.intp]
@@ -63,7 +64,7 @@ class PricedProgram(ChangedProgram):
 
     @property
     def is_negated(self) -> bool:
-        """Whether a maximum is sought, of which nothing is left without the objective."""
+        """Whether the program is a maximisation; without the objective it never is."""
         return self.share > 0.0 and self.program.is_negated
 
     def split(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -72,7 +73,7 @@ class PricedProgram(ChangedProgram):
         return z[:n], z[n:]
 
     def objective(self, z: FloatArray) -> float:
-        """Return the objective and the price of all slacks."""
+        """Return the objective plus the penalties of all slacks."""
         own, slacks = self.split(z)
         moved = own - self.near
         held = self.share * self.program.objective(own) if self.share else 0.0
@@ -112,7 +113,7 @@ class PricedProgram(ChangedProgram):
         return np.concatenate([rows, pulled]), np.concatenate([columns, pulled])
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Lagrangian's Hessian, which slacks leave as it is."""
+        """Return the nonzeros of the Lagrangian's Hessian, to which slacks add nothing."""
         held = self.program.hessian(self.split(z)[0], multipliers, self.share * factor)
         return np.concatenate([held, factor * self.weights[self.weights != 0.0]])
 
@@ -123,7 +124,7 @@ class PricedProgram(ChangedProgram):
         options: SolverOptions,
         progress: Progress | None,
     ) -> IpoptResult:
-        """Solve from the point that it is near to, with the slacks that this asks for."""
+        """Solve from the point `near`, with the slacks that its residuals need."""
         values = self.program.constraints(self.near)[self.rows]
         short, long = bounds.row_lower[self.rows] - values, values - bounds.row_upper[self.rows]
         slacks = _ROOM + np.maximum(np.concatenate([short, long]) / np.tile(self.sizes, 2), 0.0)
@@ -143,7 +144,7 @@ class PricedProgram(ChangedProgram):
 
 
 def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> PricedProgram:
-    """Return a program whose equations over time have slacks of a scaled size, by their weights."""
+    """Return a program whose equations over time have scaled slacks, penalised by their weights."""
     equations = np.tile(program.compiled.is_equality, program.n_points)
     rows = np.flatnonzero(equations)
     mesh = program.mesh
@@ -182,11 +183,11 @@ class LeastViolation:
     Attributes
     ----------
     z : ndarray
-        The unknowns there.
+        The unknowns at that optimum.
     slacks : ndarray, shape (n_rows,)
-        By how much each row is missed, as a share of the row's largest term.
+        Violation of each row, as a fraction of the row's largest term.
     result : IpoptResult
-        Of the elastic program.
+        The result of the elastic program.
     """
 
     z: FloatArray
@@ -200,7 +201,7 @@ class LeastViolation:
 
     @property
     def is_zero(self) -> bool:
-        """Whether a point was found that meets every row."""
+        """Whether the search found a point that meets every row."""
         return self.result.is_converged and not self.is_positive
 
     @property
@@ -219,10 +220,10 @@ def least_violation(
     options: SolverOptions,
     progress: Progress | None,
 ) -> LeastViolation:
-    """Minimise the sum of the rows' violations, each a share of its row's size.
+    """Minimise the sum of the rows' violations, each as a fraction of its row's size.
 
-    Every row has the same price, so that Ipopt's barrier leaves each of them the same slack, far
-    below the least that counts, on fine meshes as on coarse ones.
+    Every row has the same penalty. Ipopt's barrier therefore leaves the same slack in each row, far
+    below the least slack that counts, on fine meshes as on coarse ones.
     """
     is_limit = np.isfinite(bounds.row_lower) | np.isfinite(bounds.row_upper)
     rows = np.flatnonzero(is_limit)

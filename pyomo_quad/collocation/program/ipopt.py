@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Status(Enum):
-    """How a solve ended; the last says that Ipopt converged but the mesh refinement did not."""
+    """How a solve ended; TOLERANCE_NOT_MET: Ipopt converged, but the mesh refinement did not."""
 
     CONVERGED = "converged"
     NOT_CONVERGED = "not_converged"
@@ -40,23 +40,23 @@ class Status(Enum):
 
     @property
     def is_solved(self) -> bool:
-        """Whether there is an optimum of the last mesh, be it as fine as asked for or not."""
+        """Whether Ipopt converged on the last mesh, whether or not the mesh is fine enough."""
         return self in (Status.CONVERGED, Status.TOLERANCE_NOT_MET)
 
     @property
     def has_failed(self) -> bool:
-        """Whether the numerics gave up, or claim that there is nothing: a bad start may do both."""
+        """Whether Ipopt failed or reported infeasibility; a poor initial guess may cause both."""
         return self in (Status.NOT_CONVERGED, Status.INFEASIBLE)
 
 
-# Share of its size by which a bound gives way where equations may leave it no interior.
+# Relative relaxation of a bound where equations may leave it no interior.
 _RELAXED = 1e-10
-# How far a warm start is pushed off its bounds: by default, where limits move, and where little is
-# to change, multipliers included.
+# Distances by which Ipopt pushes a warm start off its bounds: by default, where limits move, and
+# for small changes (multipliers included).
 _NEAR, _INSIDE, _WELL_INSIDE = 1e-9, 1e-6, 1e-4
-# The least barrier, and multipliers, that a warm start where limits move begins with.
+# Least initial barrier parameter, and least multipliers, of a warm start where limits move.
 _BEGUN = 1e-8
-# The barrier that a warm start of which little is to change begins with.
+# Initial barrier parameter of a warm start that is expected to change little.
 _LOW_BARRIER = 1e-10
 _PUSHES = (
     "warm_start_bound_push",
@@ -71,7 +71,7 @@ _PUSHES = (
 class SolverOptions:
     """Ipopt's settings that a caller may change.
 
-    `tolerance` is Ipopt's `tol` on the scaled problem, chosen to suit the tolerance of the
+    `tolerance` is Ipopt's `tol` on the scaled problem, derived from the tolerance of the
     mesh where it is None; `max_wall_s` limits all meshes together; `extra` passes any Ipopt option.
     """
 
@@ -81,27 +81,27 @@ class SolverOptions:
     extra: tuple[tuple[str, Any], ...] = ()
 
     def suiting(self, tolerance: float) -> SolverOptions:
-        """Return the settings with Ipopt's tolerance, unless given, well below a mesh's."""
+        """Return the settings with Ipopt's tolerance well below the mesh's, unless it is given."""
         if self.tolerance is not None:
             return self
         return replace(self, tolerance=float(np.clip(1e-3 * tolerance, 1e-11, _TOLERANCE)))
 
     def for_phases(self) -> SolverOptions:
-        """Return the settings for equations that hold variables on their bounds for a phase.
+        """Return the settings for equations that keep variables on their bounds for a phase.
 
-        An engine at full thrust, or a mass that is left: between such an equation and the bound
-        there is no interior, multipliers diverge, and warm starts from them are worse than none.
-        The bounds give way within Ipopt, and the result is put back on them.
+        Examples are an engine at full thrust, or an empty tank. Such an equation and the bound
+        leave no interior, multipliers diverge, and a warm start from them is worse than a cold one.
+        Ipopt relaxes the bounds slightly and projects the result back onto them.
         """
         relaxed = (("bound_relax_factor", _RELAXED), ("honor_original_bounds", "yes"))
         return replace(self, extra=(*relaxed, *self.extra))
 
     def on_the_path(self, parameter: float, *, is_near: bool) -> SolverOptions:
-        """Return the settings for a warm start that goes to a point of the central path.
+        """Return the settings for a warm start that converges to a point of the central path.
 
-        Of all points that cost nearly the same, that of a barrier parameter is one: it moves little
-        from mesh to mesh, where the optimum's controls jump now here and now there.  What is near
-        it stays on its bounds.
+        Among the many points of nearly equal cost, a barrier parameter selects one that moves
+        little from mesh to mesh, whereas the controls of the optimum jump between equivalent
+        places. A near start stays on its bounds.
         """
         begun = parameter if is_near else max(parameter, _BEGUN)
         chosen = (("mu_target", parameter), ("mu_init", begun))
@@ -109,20 +109,20 @@ class SolverOptions:
         return replace(self, extra=(*chosen, *self.extra, *pushes))
 
     def for_moving_limits(self) -> SolverOptions:
-        """Return the settings for warm starts whose limits begin or cease to hold elsewhere.
+        """Return the settings for warm starts whose limits start or cease to apply at other times.
 
-        Where the points of another mesh lie differently to such a time, a start on its bounds
-        blocks Ipopt's first dozen steps; a little inside it does not.
+        If the points of the new mesh lie differently relative to such a time, a start on its bounds
+        blocks Ipopt's first dozen steps; a start slightly inside the bounds does not.
         """
         pushes = dict.fromkeys(_PUSHES, _INSIDE) | {"warm_start_mult_bound_push": _BEGUN}
         return replace(self, extra=(*pushes.items(), *self.extra))
 
     def for_small_changes(self) -> SolverOptions:
-        """Return the settings for warm starts of which a new mesh changes but a small part.
+        """Return the settings for warm starts of which a new mesh changes only a small part.
 
-        The usual barrier would first lead away from what is right already.  Nearer to their bounds,
-        controls that cost next to nothing stay where the last mesh had them: of a kilometre against
-        the wind, on five times as many points.
+        The usual barrier parameter would first move away from a start that is nearly optimal. With
+        a smaller one, controls of nearly no cost stay where the last mesh had them: measured on a
+        flight of 1 km against the wind, refined to five times as many points.
         """
         pushes = tuple((name, _WELL_INSIDE) for name in _PUSHES)
         return replace(self, extra=(*self.extra, ("mu_init", _LOW_BARRIER), *pushes))
@@ -130,7 +130,7 @@ class SolverOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class Iteration:
-    """One line of Ipopt's progress."""
+    """One iteration of Ipopt's progress."""
 
     iteration: int
     objective: float
@@ -155,12 +155,12 @@ class Multipliers:
 
 @dataclass(kw_only=True)
 class Deadline:
-    """A progress callback that ends all solves together after a time.
+    """A progress callback that stops all solves together after a time limit.
 
     Attributes
     ----------
     limit_s : float
-        On the clock, from when it was made.
+        Wall-clock time limit [s], counted from construction.
     """
 
     limit_s: float
@@ -171,7 +171,7 @@ class Deadline:
         self.started = time.perf_counter()
 
     def __call__(self, line: Iteration) -> bool | None:
-        """Return False once the time is up, else what the caller's own callback returns."""
+        """Return False once the time is over, else the result of the caller's own callback."""
         self.is_over = time.perf_counter() - self.started > self.limit_s
         if self.is_over:
             return False
@@ -180,14 +180,14 @@ class Deadline:
 
 @dataclass(kw_only=True)
 class Counter:
-    """A progress callback that ends all solves together, or the first, after so many iterations.
+    """A progress callback that stops the solves after a number of iterations.
 
     Attributes
     ----------
     limits : (float, float)
-        Of the first solve and of all.
+        Iterations allowed in the first solve, and in all solves together.
     first, count : int
-        What these have taken.
+        Iterations used in the first solve, and in all.
     """
 
     limits: tuple[float, float] = (math.inf, math.inf)
@@ -198,11 +198,11 @@ class Counter:
 
     @property
     def is_over(self) -> bool:
-        """Whether the iterations are used up."""
+        """Whether a limit on the iterations is exceeded."""
         return self.first > self.limits[0] or self.count > self.limits[1]
 
     def __call__(self, line: Iteration) -> bool | None:
-        """Return False once they are, else what the caller's own callback returns."""
+        """Return False once a limit is exceeded, else the result of the caller's own callback."""
         self.solves += line.iteration == 0
         self.count += line.iteration > 0
         self.first = self.count if self.solves == 1 else self.first
@@ -213,7 +213,7 @@ class Counter:
 
 @dataclass(frozen=True, kw_only=True)
 class IpoptResult:
-    """Point, multipliers and how Ipopt got there; `code` is Ipopt's own return code."""
+    """Point, multipliers and progress of a solve; `code` is Ipopt's own return code."""
 
     status: Status
     code: int
@@ -230,7 +230,7 @@ class IpoptResult:
         return self.status is Status.CONVERGED
 
     def of_first(self, count: int) -> IpoptResult:
-        """Return what it says of so many first unknowns."""
+        """Return the result restricted to the first `count` unknowns."""
         held = self.multipliers
         return replace(
             self,
@@ -241,7 +241,7 @@ class IpoptResult:
 
 @dataclass
 class _Callbacks:
-    """What cyipopt calls; an exception is kept and raised again after Ipopt has returned."""
+    """Callbacks for cyipopt; an exception is stored and raised again after Ipopt returns."""
 
     program: NonlinearProgram
     progress: Progress | None
@@ -252,8 +252,8 @@ class _Callbacks:
     history: list[Iteration] = field(default_factory=list)
     best: tuple[float, FloatArray | None] = (np.inf, None)
     error: BaseException | None = None
-    # Ipopt asks for the Jacobian at its iterates alone, of which fetching one from it would cost a
-    # tenth of a warm re-solve.
+    # Ipopt evaluates the Jacobian at its iterates only, so this is the iterate. Asking Ipopt for it
+    # would take a tenth of the time of a warm re-solve.
     iterate: FloatArray | None = None
 
     @property
@@ -261,7 +261,7 @@ class _Callbacks:
         """Whether the objective has stayed below its floor."""
         return self.below >= _PATIENCE_BELOW
 
-    # A program may put its structure together anew each time that it is asked.
+    # Cached, because a program may rebuild its structure at each call.
     @cached_property
     def _jacobian_size(self) -> int:
         return len(self.program.jacobianstructure()[0])
@@ -336,16 +336,16 @@ class _Callbacks:
 
 _TOLERANCE = 1e-9
 
-# Pivots as small as Ipopt lets MUMPS take by default (1e-6) leave so little of a step's digits that
-# curvatures are counted wrong, and what is convex is regularised until it creeps; larger ones fill
-# the factors up unless each matrix is scaled anew.  Bounds are kept as stated, because relaxed ones
-# would show in objectives good to 1e-8.
+# With pivots as small as Ipopt's default for MUMPS (1e-6), steps lose so many digits that the
+# inertia is miscounted, and convex problems are regularised until progress stalls. Larger pivots
+# cause fill-in unless each matrix is rescaled. Bounds are kept as stated, because relaxed bounds
+# would be visible in objectives that are accurate to 1e-8.
 _DEFAULTS: dict[str, Any] = {
     "print_level": 0,
     "sb": "yes",
     OPTION: OWN_SOLVER,
     "mumps_pivtol": 1e-4,
-    "mumps_scaling": 77,  # as it chooses for each matrix
+    "mumps_scaling": 77,  # automatic choice for each matrix
     "mumps_permuting_scaling": 0,
     "mu_strategy": "adaptive",
     "nlp_scaling_method": "user-scaling",
@@ -353,9 +353,9 @@ _DEFAULTS: dict[str, Any] = {
     "acceptable_iter": 0,
 }
 
-# A barrier problem counts as solved when one step has brought it near: waiting for more of a start
-# that is good costs an iteration, and saves none of one that is not.  Beside a curved limit a whole
-# step costs more before the next ones gain: three of them are too few to tell.
+# A barrier problem counts as solved after one good step: waiting for more costs an iteration from a
+# good start and saves none from a poor one. Next to a curved limit, a full step increases the error
+# before the next steps reduce it; three of those steps are too few to decide.
 _WARM: dict[str, Any] = {
     "warm_start_init_point": "yes",
     "mu_strategy": "monotone",
@@ -365,19 +365,20 @@ _WARM: dict[str, Any] = {
 } | dict.fromkeys(_PUSHES, _NEAR)
 
 _SOLVED, _INFEASIBLE, _STOPPED = 0, 2, 5
-# A scaled objective, of the size of one at the first point, that has no lower bound, and the
-# iterations for which it stays below.
+# A scaled objective is about 1 at the first point. Below `_BOTTOMLESS` for `_PATIENCE_BELOW`
+# iterations, it counts as unbounded.
 _BOTTOMLESS, _PATIENCE_BELOW = -1e12, 5
-# Slacks beyond this are of no bound at all.
+# Slack above which a bound counts as absent.
 _FAR = 1e19
-# Of the objective's size, in units of Ipopt's own tolerance: the barrier's gap that is let be, and
-# the least size of an objective, in units of its scaling.
+# Barrier gap that is accepted, relative to the objective's size and in units of Ipopt's tolerance;
+# and the least size of an objective, in units of its scaling.
 _GAP_SHARE, _LEAST = 1e3, 1e-12
-#: The least size of the scaled objective that Ipopt takes notice of.
+#: Least size of the scaled objective that affects Ipopt's convergence test.
 SEEN = 1e-6
-# How often a solve goes on, how much farther it aims, at most at once, and with what patience.
+# Limits of repeated solves: their number, the tightening factor, the largest one at once, and the
+# iterations of each.
 _SHARPENINGS, _AIMED, _LARGEST_STEP, _PATIENCE = 2, 10.0, 1e5, 100
-#: Ipopt's return codes for a solve that took longer than it may, and for one that diverged.
+#: Ipopt's return codes for a solve that reached its time limit, and for one that diverged.
 TIME_LIMIT_CODE, DIVERGED_CODE = -5, 4
 _NO_MEMORY = -102
 
@@ -392,12 +393,12 @@ def run(
     multipliers: Multipliers | None = None,
     progress: Progress | None = None,
 ) -> IpoptResult:
-    """Solve the program from a point, with its multipliers for a warm start.
+    """Solve the program from a point, with the point's multipliers for a warm start.
 
     Raises
     ------
     Exception
-        Whatever a callback raised, once Ipopt has been left cleanly.
+        Any exception raised in a callback, after Ipopt has returned.
     """
     spare = padded(program, bounds, scaling)
     if spare is not None:
@@ -447,7 +448,7 @@ def barrier_gap(
 ) -> float:
     """Return the sum of multipliers times slacks, in the unit of the objective.
 
-    It is what the barrier leaves between a point and the optimum of a convex program.
+    For a convex program it bounds the distance in the objective between the point and the optimum.
     """
     rows, pull = program.constraints(z), multipliers.rows
     parts = (
@@ -470,15 +471,17 @@ def run_past_the_barrier(
     multipliers: Multipliers | None = None,
     progress: Progress | None = None,
 ) -> IpoptResult:
-    """Solve as `run` does, and on where the barrier's gap is no small share of the objective.
+    """Solve as `run` does, and continue until the complementarity gap is small enough.
 
-    Ipopt ends where gap and slopes are small beside the scaled objective, of which a scaling by
-    the slopes of a steep first point leaves next to nothing.
+    Ipopt stops when gap and gradients are small relative to the scaled objective. If the first
+    point is steep, its scaling makes the scaled objective so small that the gap may exceed the
+    objective itself. The solve is then repeated with a larger factor on the objective, until the
+    gap is a small fraction of it.
 
     Parameters
     ----------
     size : callable
-        Of a point: the size of the objective's parts.
+        Returns the size of the objective's parts at a point.
     """
     result = run(
         program,
@@ -532,7 +535,7 @@ def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None
             problem.add_option(name, value)
         except TypeError as error:
             raise TranscriptionError(
-                f"options: Ipopt does not take {name} = {value!r}; its options stand at "
+                f"options: Ipopt does not take {name} = {value!r}; its options are listed at "
                 "https://coin-or.github.io/Ipopt/OPTIONS.html."
             ) from error
 

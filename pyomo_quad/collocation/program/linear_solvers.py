@@ -1,4 +1,4 @@
-"""Linear solvers that this Ipopt has: asking it for another one may end the process."""
+"""Availability of linear solvers: requesting an absent one may end the process."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from pyomo_quad.collocation.errors import TranscriptionError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-#: The linear solver that Ipopt is built with, and the option that names another one.
+#: The linear solver that Ipopt is built with, and the option that selects another.
 OWN_SOLVER, OPTION = "mumps", "linear_solver"
-# Options that say where a solver's library lies.
+# Options that give the path of a solver's library.
 _LIBRARIES = ("hsllib", "pardisolib")
 _TIMEOUT_S = 60.0
 
-# Ipopt loads the library of a linear solver when a solve begins.  Without the library the solve
-# fails, or ends the process while Ipopt is taken down; so another process tries it, on the least
-# square of one number.
+# Ipopt loads the library of a linear solver at the start of a solve. Without the library the solve
+# fails, or the process crashes when Ipopt is released. Therefore a separate process tries it,
+# minimising the square of one number.
 _PROBE = """
 import json, sys
 import cyipopt, numpy
@@ -41,7 +41,7 @@ sys.exit(problem.solve(numpy.ones(1))[1]["status"] != 0)
 
 
 def refuse_absent_solver(options: Mapping[str, Any]) -> None:
-    """Refuse Ipopt options that ask for a linear solver which this Ipopt cannot load.
+    """Refuse Ipopt options that select a linear solver which this Ipopt cannot load.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def refuse_absent_solver(options: Mapping[str, Any]) -> None:
 
 @lru_cache
 def _is_loaded(options: str) -> bool:
-    """Say whether Ipopt solves a problem with these options, in a process of its own."""
+    """Return whether Ipopt solves a small problem with these options, in a separate process."""
     try:
         probe = subprocess.run(  # noqa: S603  our own interpreter and program
             [sys.executable, "-c", _PROBE, options],

@@ -1,10 +1,10 @@
-"""Idle unknowns, which keep Ipopt from taking a program for a square system of equations.
+"""Idle unknowns, which prevent Ipopt from treating a program as a square system of equations.
 
-Where equations are as many as free unknowns, Ipopt solves the equations alone: it ends at the first
-point that meets them, whatever the objective says, and refuses more equations than that.  Both are
-wrong where equations follow from others, as an end condition does that a conserved quantity meets:
-the point is then not the only one.  An idle unknown has a square of its own in the objective and
-stands in no equation, so that it stays zero and changes nothing else.
+If there are as many equations as free unknowns, Ipopt solves the equations alone: it stops at the
+first point that satisfies them, whatever the objective, and it refuses a program with more
+equations. Both are wrong if some equations follow from others, for example an end condition that a
+conserved quantity satisfies: the feasible point is then not unique. An idle unknown appears as a
+square in the objective and in no equation, so that it stays zero and changes nothing else.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class PaddedProgram(ChangedProgram):
-    """A program with idle unknowns behind its own.
+    """A program with idle unknowns appended.
 
     Attributes
     ----------
     own, idle : int
-        Number of the program's unknowns, and of idle ones.
+        Numbers of the program's unknowns and of idle unknowns.
     weight : float
-        Of an idle unknown's square in the objective.
+        Weight of an idle unknown's square in the objective.
     """
 
     own: int
@@ -37,12 +37,12 @@ class PaddedProgram(ChangedProgram):
     weight: float
 
     def objective(self, z: FloatArray) -> float:
-        """Return what Ipopt minimises."""
+        """Return the objective to minimise."""
         spare = z[self.own :]
         return self.program.objective(z[: self.own]) + 0.5 * self.weight * float(spare @ spare)
 
     def gradient(self, z: FloatArray) -> FloatArray:
-        """Return its gradient."""
+        """Return the gradient of the objective to minimise."""
         own = self.program.gradient(z[: self.own])
         return np.concatenate([own, self.weight * z[self.own :]])
 
@@ -66,7 +66,7 @@ class PaddedProgram(ChangedProgram):
         return np.concatenate([own, np.full(self.idle, factor * self.weight)])
 
     def bounds(self, own: Bounds) -> Bounds:
-        """Return the program's bounds with those of the idle unknowns."""
+        """Return the program's bounds, extended to the idle unknowns."""
         none = np.full(self.idle, np.inf)
         return replace(
             own,
@@ -75,16 +75,16 @@ class PaddedProgram(ChangedProgram):
         )
 
     def scaling(self, own: Scaling) -> Scaling:
-        """Return the program's scaling with that of the idle unknowns."""
+        """Return the program's scaling, extended to the idle unknowns."""
         return replace(own, unknowns=self.point(own.unknowns, fill=1.0))
 
     def point(self, own: FloatArray, fill: float = 0.0) -> FloatArray:
-        """Return the program's unknowns with the idle ones."""
+        """Return the program's unknowns, extended by the idle ones."""
         return np.concatenate([own, np.full(self.idle, fill)])
 
 
 def padded(program: Any, bounds: Bounds, scaling: Scaling) -> PaddedProgram | None:
-    """Return a program with so many idle unknowns that it is not square, None if it is not."""
+    """Return a program padded with idle unknowns until it is not square, None if it is not."""
     idle = bounds.surplus + 1
     if idle <= 0:
         return None

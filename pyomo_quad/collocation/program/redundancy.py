@@ -1,8 +1,8 @@
-"""Conditions that follow from others: found at a point, left out of a solve, and checked after it.
+"""Redundant conditions: detected at a point, left out of a solve, and checked afterwards.
 
-A conserved quantity makes an end condition follow from the start and the equations over time.  On a
-mesh it does so but for the mesh's error, so that the two together have no solution, or a single
-point where there should be a curve of them, and multipliers without bound.
+A conserved quantity makes an end condition follow from the start and the equations over time. On a
+mesh this holds up to the discretisation error only. With both imposed, the program may have no
+solution, or one point instead of a curve of them, with unbounded multipliers.
 """
 
 from __future__ import annotations
@@ -26,13 +26,14 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance
 
-# Share of a condition's scaled slopes outside those of the conditions before it that counts as
-# none: above the error of a first mesh, far below what any condition of its own has.
+# A condition counts as dependent if the part of its scaled slopes outside the span of the
+# conditions before it is below this fraction: above the error of a first mesh, far below the
+# fraction of any independent condition.
 _DEPENDENT = 1e-4
-# Weight that lets a singular system of equations be solved, beside scaled slopes.
+# Regularisation of a singular system of equations with scaled slopes.
 _REGULAR = 1e-10
-#: Miss of a condition that was left out, as a share of its size, with which it still counts as met:
-#: a little more than Ipopt forgives, or than a first mesh makes of a conserved quantity.
+#: Relative violation of a condition that was left out with which the condition still counts as met:
+#: slightly more than Ipopt's tolerance, or than the error of a conserved quantity on a first mesh.
 FORGIVEN = 1e-4
 
 
@@ -43,11 +44,11 @@ class Candidate:
     Attributes
     ----------
     name : str
-        Of the condition, or of the variable that is fixed and when.
+        Name of the condition, or of the fixed variable and its time.
     key : str or (str, float)
-        Its name, or what `Instance.fixed` calls it.
+        The condition's name, or the key of the fixed value in `Instance.fixed`.
     row, column : int
-        The row of the program, or -1; then it holds an unknown at a number.
+        Row of the program, or -1 if the candidate fixes an unknown.
     """
 
     name: str
@@ -88,9 +89,9 @@ def redundant_conditions(
     fixed: dict[tuple[str, float], float],
     z: FloatArray,
 ) -> tuple[Candidate, ...]:
-    """Return the conditions whose slopes at a point follow from those of all equations before them.
+    """Return the conditions whose slopes at a point depend on those of the equations before them.
 
-    The equations over time come first, then the conditions one by one.
+    The equations over time come first, then the conditions one at a time.
     """
     candidates = list(_candidates(program, bounds, fixed))
     if not candidates:
@@ -135,7 +136,7 @@ def _slopes_of(
 
 
 def _outside(equations: coo_array, vectors: list[FloatArray]) -> list[FloatArray]:
-    """Return what of each vector is outside the span of the equations' slopes."""
+    """Return the component of each vector orthogonal to the span of the equations' slopes."""
     m, n = equations.shape
     system = block_array(
         [[identity(n), equations.T], [equations, -_REGULAR * identity(m)]], format="csc"
@@ -145,7 +146,7 @@ def _outside(equations: coo_array, vectors: list[FloatArray]) -> list[FloatArray
 
 
 def without(instance: Instance, left_out: tuple[Candidate, ...]) -> Instance:
-    """Return the numbers of a solve without some conditions."""
+    """Return the data of a solve with some conditions left out."""
     keys = {candidate.key for candidate in left_out}
     return replace(
         instance,
@@ -162,16 +163,16 @@ def misses(
     scaling: Scaling,
     z: FloatArray,
 ) -> list[float]:
-    """Return by how much a point misses conditions that were left out, as shares of their size.
+    """Return the violations, at a point, of conditions that were left out, relative to their sizes.
 
     Parameters
     ----------
     bounds, fixed : Bounds, dict
-        Of the program with these conditions.
+        Bounds and fixed values of the program with these conditions imposed.
     """
     values, keys = program.constraints(z), {candidate.key for candidate in left_out}
     found = []
-    # Rows and columns are those of the mesh: the last is not that where they were found.
+    # Rows and columns depend on the mesh, and the last mesh differs from the one of detection.
     for candidate in _candidates(program, bounds, fixed):
         if candidate.key not in keys:
             continue

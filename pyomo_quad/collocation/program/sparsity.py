@@ -1,4 +1,4 @@
-"""Layout of the unknowns, sparsity patterns of the derivatives, scattered values.
+"""Layout of the unknowns, sparsity patterns of the derivatives, and scattering of values.
 
 The compact form: see docs/theory/transcription.md, eq. (4).
 """
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.reading.symbols import Declarations, PointSymbol
 
 IndexArray = NDArray[np.intp]
-# As Ipopt counts; half the memory of large meshes.
+# Ipopt's integer type; it halves the memory of large meshes.
 Places = NDArray[np.int32]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Elements:
-    """The elements of one degree, of which each repeats the pattern of the first.
+    """The elements of one degree; each repeats the pattern of the first.
 
-    An index of theirs is a pair: what it is at node 0, and what it grows by from node to node.
+    An index of theirs is a pair: its value at node 0, and its increment from node to node.
     """
 
     degree: int
@@ -70,7 +70,7 @@ class Layout:
 
     @property
     def stride(self) -> int:
-        """What columns grow by from node to node: algebraics of the point, then states."""
+        """Increment of a column from node to node: number of states and algebraic variables."""
         return self.n_states + self.n_algebraics
 
     @cached_property
@@ -153,7 +153,7 @@ class Layout:
 
     @cached_property
     def _met(self) -> dict[int, NDArray[np.bool_]]:
-        """Say by degree of each column of an element if others or conditions may hold it."""
+        """Whether other elements or conditions may share an element's columns, by degree."""
         met = np.zeros(self.unknowns, dtype=bool)
         met[self.point_values.indices] = True
         for elements in self.elements:
@@ -171,14 +171,14 @@ class Layout:
         }
 
     def is_met(self, elements: Elements, places: Places) -> NDArray[np.bool_]:
-        """Say of columns, shape (..., 2), if in any element others may hold them as well."""
+        """Return whether columns, shape (..., 2), may be shared with other terms in any element."""
         is_static = places[..., 1] == 0
         met = self._met[elements.degree][np.where(is_static, 0, places[..., 0])]
         return np.where(is_static, True, met)
 
     @cached_property
     def point_values(self) -> csr_matrix:
-        """Matrix from the unknowns to the values that conditions and objective mention."""
+        """Matrix from the unknowns to the values that appear in conditions and objective."""
         rows: list[int] = []
         columns: list[int] = []
         weights: list[float] = []
@@ -219,14 +219,14 @@ def _nonzero(columns: IndexArray, weights: FloatArray) -> tuple[IndexArray, Floa
 
 
 def _places(starts: Any, step: Any) -> Places:
-    """Return indices as pairs: what they are at node 0, and what they grow by at the next."""
+    """Return indices as pairs: the value at node 0, and the increment to the next node."""
     return np.stack(np.broadcast_arrays(starts, step), axis=-1).astype(np.int32)
 
 
 class Contributions:
     """Collects entries (row, column) += weight * source until a `Scatter` is made of them.
 
-    What repeats in each element is sorted once.
+    Contributions that repeat in each element are sorted once.
     """
 
     def __init__(self) -> None:
@@ -250,10 +250,10 @@ class Contributions:
         power: int,
         is_met: NDArray[np.bool_],
     ) -> None:
-        """Add entries of each element, the weights times a power of its width.
+        """Add entries of each element, with weights times a power of its width.
 
-        The arrays broadcast against each other; `is_met` marks entries that others may meet in
-        the same place.
+        The arrays broadcast against each other. `is_met` marks entries that may coincide with those
+        of other terms.
         """
         shape = np.broadcast_shapes(
             *(p.shape[:-1] for p in (rows, columns, sources)), weights.shape
@@ -284,7 +284,7 @@ class Contributions:
 def _tiled(
     elements: Elements, parts: list[tuple[NDArray[Any], ...]], n_columns: int
 ) -> tuple[NDArray[Any], ...]:
-    """Return rows, columns and number of sources of each nonzero, and these sources."""
+    """Return rows, columns and number of sources of each nonzero, and the sources themselves."""
     rows, columns, sources, factors, powers = _joined(parts, 5)
     row, column = (elements.everywhere(places)[0] for places in (rows, columns))
     firsts, counts, order = _sorted(row, column, n_columns)
@@ -305,7 +305,7 @@ def _joined(parts: list[tuple[NDArray[Any], ...]], count: int) -> list[NDArray[A
 
 
 def _sorted(rows: Places, columns: Places, n_columns: int) -> tuple[IndexArray, Places, IndexArray]:
-    """Return where each place stands first, how often it stands, and the order of all."""
+    """Return the first position of each entry, its number of occurrences, and the sort order."""
     keys = rows.astype(np.int64) * n_columns + columns
     order = np.argsort(keys, kind="stable")
     _, firsts, counts = np.unique(keys[order], return_index=True, return_counts=True)
@@ -345,7 +345,7 @@ class JacobianScatter:
         return slopes
 
     def integral_slopes(self, sources: FloatArray) -> FloatArray:
-        """Return the same from all derivative sources."""
+        """Return d objective / d integral from all derivative sources."""
         return self.objective_slopes(sources[self.n_path_sources :])
 
     def gradient(self, sources: FloatArray, slopes: FloatArray) -> FloatArray:
@@ -391,10 +391,10 @@ def _add_path_rows(
 
 
 def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter:
-    """Return where the derivatives of the points go in Jacobian and gradient.
+    """Return the map from the derivatives at the points to Jacobian and gradient.
 
-    Sources are the nonzeros of the path Jacobian point by point, those of the conditions'
-    Jacobian, and a final one.
+    Sources are the nonzeros of the path Jacobian point by point, those of the conditions' Jacobian,
+    and a final 1.
     """
     n_path = layout.points * len(compiled.path.jacobian_rows)
     n_sources = n_path + len(compiled.points.jacobian_rows) + 1
@@ -445,7 +445,7 @@ def _add_conditions(
     first_row: int,
     first_source: int,
 ) -> tuple[IndexArray, IndexArray]:
-    """Add the conditions' and the objective's derivatives; return those by integrals."""
+    """Add derivatives of conditions and objective; return the positions of those by integrals."""
     n_conditions = len(compiled.declared.conditions)
     n_values = len(compiled.declared.point_symbols)
     slope_sources, slope_integrals = [], []
@@ -474,7 +474,7 @@ def _expand(layout: Layout, column: int) -> tuple[IndexArray, FloatArray]:
 
 
 def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
-    """Return where the point Hessians go in the lower triangle of the program's Hessian."""
+    """Return the map from the point Hessians to the lower triangle of the program's Hessian."""
     into = Contributions()
     n_path = layout.points * len(compiled.path.hessian_rows)
     n_sources = n_path + len(compiled.points.hessian_rows)
@@ -502,7 +502,7 @@ def _add_path_hessian(
     every_i, every_j = compiled.path.hessian_rows, compiled.path.hessian_columns
     n_sources, n = len(every_i), layout.n_states
     slopes = radau_rule(elements.degree).differentiation[:, :, None]
-    # By the number of rates among the two: 0, 1 or 2, each with an axis of nodes behind it.
+    # Loop over the number of rates in the pair: 0, 1 or 2, each with an axis of nodes.
     for power in range(3):
         entries = np.flatnonzero((every_i < n).astype(int) + (every_j < n) == power)
         i, j = every_i[entries], every_j[entries]
@@ -519,7 +519,7 @@ def _add_path_hessian(
             b = layout.states_in(elements, j)[None, None]
             sources, weights = sources[:, None, None], slopes[:, :, None] * slopes[:, None]
         a, b = np.broadcast_arrays(a, b)
-        # In every element the order of two unknowns is that in the first.
+        # The order of two unknowns is the same in every element.
         first, second = (p[..., 0] + elements.first_nodes[0] * p[..., 1] for p in (a, b))
         is_lower = (first >= second)[..., None]
         into.repeat(
@@ -536,9 +536,9 @@ def _add_path_hessian(
 def _in_triangle(
     a: NDArray[Any], b: NDArray[Any], weights: FloatArray, *, is_square: Any
 ) -> FloatArray:
-    """Return what the term h * variable_a * variable_b weighs in the lower triangle.
+    """Return the weight of the term h * variable_a * variable_b in the lower triangle.
 
-    A square term lists every pair of unknowns twice, so half of them are dropped; a mixed term
-    that meets itself on the diagonal counts twice.
+    A square term lists every pair of unknowns twice, so half of them are dropped. A mixed term
+    counts twice where it falls on the diagonal.
     """
     return np.where(is_square, np.where(a >= b, weights, 0.0), np.where(a == b, 2.0, 1.0) * weights)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """A component of the model, and where on the horizon: None where time has no part."""
+    """A component of the model and its position on the horizon, None for a static component."""
 
     name: str
     time: float | None = None
@@ -90,9 +90,9 @@ def unknown_place(program: Transcription, column: int) -> Place:
 
 @dataclass(frozen=True, kw_only=True)
 class Data:
-    """Numbers that the equations read: parameters, shape (n,), and signals at the points.
+    """Numbers in the equations: parameters, shape (n,), and signals at the points.
 
-    `signals` has shape (n_points, 1 + n_signals); its first column is the fraction.
+    `signals` has shape (n_points, 1 + n_signals); its first column is the fraction of the horizon.
     """
 
     parameters: FloatArray
@@ -109,7 +109,7 @@ class Data:
 class Transcription:
     """Objective, constraints and their derivatives, in the form Ipopt asks for.
 
-    What depends on the mesh alone is made once, and shared by `with_data`.
+    Parts that depend on the mesh alone are built once and shared by `with_data`.
     """
 
     def __init__(self, compiled: CompiledModel, mesh: Mesh | None, data: Data) -> None:
@@ -123,12 +123,12 @@ class Transcription:
         self._hold(data)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle what it is made of."""
+        """Pickle the arguments from which it is built."""
         return type(self), (self.compiled, self.mesh, self.data)
 
     def with_data(self, data: Data) -> Transcription:
-        """Return a program of its own on the same mesh for other numbers."""
-        # Not `copy`, which would build all anew as a pickle does.
+        """Return a separate program on the same mesh for other numbers."""
+        # Not `copy.copy`, which rebuilds all parts as unpickling does.
         other = object.__new__(type(self))
         vars(other).update(vars(self))
         other._hold(data)
@@ -157,7 +157,7 @@ class Transcription:
         return self.first_integral_row + len(self.compiled.static_of_integral)
 
     def trajectory(self, z: FloatArray) -> Trajectory:
-        """Return a vector shaped like the unknowns as states, algebraics and statics."""
+        """Return the unknowns as states, algebraic and static variables."""
         layout = self.layout
         return Trajectory(
             mesh=self.mesh or Mesh.uniform(1, 1),
@@ -173,7 +173,7 @@ class Transcription:
 
     @property
     def is_negated(self) -> bool:
-        """Whether the declared objective is maximised, and its negative minimised."""
+        """Whether the declared objective is maximised, by minimising its negative."""
         return self._sign < 0.0
 
     @property
@@ -188,7 +188,7 @@ class Transcription:
 
     @property
     def horizon(self) -> tuple[float, float] | None:
-        """Start and end given by parameters; None where one of them is a variable."""
+        """Start and end of the horizon as given by parameters, None if either is a variable."""
         names = [p.name for p in self.compiled.declared.parameters]
         if not {"horizon.start", "horizon.end"} <= set(names):
             return None
@@ -201,7 +201,7 @@ class Transcription:
         return start + (end - start) * fraction
 
     def times(self, z: FloatArray) -> FloatArray:
-        """Return start, interior free times and end of the horizon at a point."""
+        """Return start, interior free times and end of the horizon for given unknowns."""
         statics = z[self.layout.static_columns]
         return np.array(self.compiled.times(statics, self.data.parameters)).ravel()
 
@@ -230,13 +230,13 @@ class Transcription:
         return self._weights() @ densities
 
     def objective_density(self, z: FloatArray) -> FloatArray:
-        """Return the integrand of what Ipopt minimises at the points, shape (n_points,)."""
+        """Return the integrand of the minimised objective at the points, shape (n_points,)."""
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         direct = densities[:, list(self.compiled.row_integrals)]
         return self._sign * direct @ self._objective_slopes(z)
 
     def objective_size(self, z: FloatArray) -> float:
-        """Return the size of the objective, its integrals without what cancels in them."""
+        """Return the size of the objective: integrals of absolute values, so that none cancel."""
         parts = float(self._weights() @ np.abs(self.objective_density(z)))
         return max(abs(self.objective(z)), parts)
 
@@ -255,11 +255,11 @@ class Transcription:
         return np.concatenate([values, z[layout.static_columns], direct])[None, :]
 
     def user_objective(self, z: FloatArray) -> float:
-        """Return the objective as declared, not negated for a maximum."""
+        """Return the objective as declared, without a change of sign for a maximum."""
         return float(self._point[0](self.point_variables(z), self._point_data)[0][0, -1])
 
     def objective(self, z: FloatArray) -> float:
-        """Return what Ipopt minimises."""
+        """Return the objective to minimise."""
         return self._sign * self.user_objective(z)
 
     def constraints(self, z: FloatArray) -> FloatArray:
@@ -274,7 +274,7 @@ class Transcription:
         return np.concatenate([self.rows_at_points(z)[:, :n].ravel(), conditions, definitions])
 
     def _derivative_sources(self, z: FloatArray) -> FloatArray:
-        """Return what gradient and Jacobian are made of, computed once for both."""
+        """Return the derivatives that gradient and Jacobian are assembled from, computed once."""
         if self._differentiated is None or not np.array_equal(self._differentiated, z):
             self._sources = self._sources_at(z)
             self._differentiated = np.array(z)
@@ -288,7 +288,7 @@ class Transcription:
         return np.concatenate([path, point, [1.0]])
 
     def gradient(self, z: FloatArray) -> FloatArray:
-        """Return the gradient of what Ipopt minimises."""
+        """Return the gradient of the objective to minimise."""
         sources = self._derivative_sources(z)
         slopes = self._jacobian.integral_slopes(sources)
         return self._sign * self._jacobian.gradient(sources, slopes)
@@ -331,7 +331,7 @@ class Transcription:
     def _integral_weights(
         self, z: FloatArray, multipliers: FloatArray, factor: float
     ) -> FloatArray:
-        """Return what each integral weighs in the Lagrangian, shape (n_integrals,)."""
+        """Return the weight of each integral in the Lagrangian, shape (n_integrals,)."""
         weights = np.zeros(len(self.compiled.declared.integrals))
         weights[list(self.compiled.row_integrals)] = factor * self._objective_slopes(z)
         for row, integral in enumerate(self.compiled.static_of_integral):
@@ -339,7 +339,7 @@ class Transcription:
         return weights
 
     def path_curvatures(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return how the Lagrangian curves in each variable of a point, per unit of the horizon.
+        """Return the Lagrangian's curvature in each variable of a point, per unit of horizon.
 
         Shape (n_points, n_variables), in the order of `path_variables`.
         """
@@ -351,7 +351,7 @@ class Transcription:
         return curvatures
 
     def path_hessians(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the same for pairs of variables, shape (n_points, n_variables, n_variables)."""
+        """Return the point Hessians, shape (n_points, n_variables, n_variables)."""
         path = self.compiled.path
         held, n = self._path_hessian(z, multipliers), path.values.size1_in(0)
         hessians = np.zeros((self.layout.points, n, n))
@@ -365,11 +365,11 @@ class Transcription:
         return np.asarray(held / self._weights()[:, None])
 
     def integral_weights(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return what each integral weighs in the Lagrangian, shape (n_integrals,)."""
+        """Return the weight of each integral in the Lagrangian, shape (n_integrals,)."""
         return self._integral_weights(z, multipliers, self._sign)
 
     def lagrangian_density(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return integrands times what they weigh in the Lagrangian, shape (n_points,)."""
+        """Return integrands times their weights in the Lagrangian, shape (n_points,)."""
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return np.asarray(densities @ self.integral_weights(z, multipliers))
 
@@ -381,7 +381,7 @@ class Linearised:
     Attributes
     ----------
     rows : ndarray of int, shape (n_rows,)
-        Which path equations these are.
+        Indices of these path equations.
     by_rate, by_state : ndarray, shape (n_points, n_rows, n_states)
     """
 
@@ -391,7 +391,7 @@ class Linearised:
 
 
 def linearised(program: Transcription, variables: FloatArray, data: FloatArray) -> Linearised:
-    """Return the derivatives at points, whose variables and data are given row by row."""
+    """Return the derivatives at points, given variables and data row by row."""
     compiled, n = program.compiled, program.layout.n_states
     path = compiled.path
     is_equality = compiled.is_equality
@@ -410,7 +410,7 @@ def linearised(program: Transcription, variables: FloatArray, data: FloatArray) 
 def rate_corrections(
     program: Transcription, variables: FloatArray, data: FloatArray, rows: FloatArray
 ) -> FloatArray:
-    """Return what must be added to the rates for the differential equations to hold."""
+    """Return the corrections to the rates with which the differential equations hold."""
     equations = linearised(program, variables, data)
     matrices, residuals = equations.by_rate, rows[:, equations.rows]
     if matrices.shape[1] == matrices.shape[2]:

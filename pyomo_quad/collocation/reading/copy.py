@@ -1,6 +1,7 @@
-"""The copy of a user's model that templates are read from, with its rules and its times.
+"""Working copy of a user's model from which the templates are read, with its rules and times.
 
-A share of the horizon becomes a time by straight lines between times that may be free.
+Between two declared times, which may be free, physical time is linear in the fraction of the
+horizon.
 """
 
 from __future__ import annotations
@@ -43,12 +44,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _RULES = ("_rule", "_rule_init", "_rule_bounds")
-_FUNCTION = "_fcn"  # where Pyomo's initializers keep a function
-_INNER = "_initializer"  # and where those that wrap another keep it
+_FUNCTION = "_fcn"  # attribute in which Pyomo's initializers keep a function
+_INNER = "_initializer"  # attribute in which a wrapping initializer keeps the wrapped one
 
 
 def transfer_rules(model: Any, copy: Any) -> None:
-    """Let the rules of a clone refer to the clone.
+    """Make the rules of a clone refer to the clone.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ def transfer_rules(model: Any, copy: Any) -> None:
             if hasattr(rule, _FUNCTION):
                 setattr(rule, _FUNCTION, translator.translate(getattr(rule, _FUNCTION)))
         if isinstance(component, DerivativeVar):
-            # What a discretisation in space wrote instead of the derivative.
+            # The equation with which a discretisation in space replaced the derivative.
             formula = translator.translate(component.get_derivative_expression())
             component.set_derivative_expression(formula)
 
@@ -74,7 +75,7 @@ def transfer_rules(model: Any, copy: Any) -> None:
 def rule_of(component: Any) -> Any:
     """Return the rule that makes a component's members, None if there is none."""
     if isinstance(component, ConstraintList):
-        return None  # Its rule counts its calls and knows no index.
+        return None  # Its rule counts its own calls and takes no index.
     rule = getattr(component, "_rule", None)
     if rule is None and isinstance(getattr(component, "_default_val", None), FunctionType):
         return Initializer(component._default_val)  # noqa: SLF001
@@ -88,15 +89,15 @@ def bounds_rule_of(variable: Any) -> Any:
 
 
 def initial_rule_of(variable: Any) -> Any:
-    """Return the rule that gives a variable's members their first values, None if there is none."""
+    """Return the rule that initializes a variable's members, None if there is none."""
     rule = getattr(variable, "_rule_init", None)
     return None if rule is None or rule.constant() else rule
 
 
 def refuse_lost_members(copy: Any, template_time: float) -> None:
-    """Refuse rules that fail at a time of which the model did not know.
+    """Refuse rules that fail at a time that the model does not declare.
 
-    Pyomo takes a `KeyError` in a rule for a wish to skip the member; an equation would be lost.
+    Pyomo reads a `KeyError` in a rule as a request to skip the member; an equation would be lost.
 
     Raises
     ------
@@ -114,10 +115,10 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
 
 
 def refuse_changed_members(copy: Any) -> None:
-    """Refuse members that no longer say what their rule says.
+    """Refuse members that differ from the expression that their rule returns.
 
-    The engine reads an equation over time from its rule; a member changed by `set_value` after
-    the rule ran would be overlooked.
+    The engine reads an equation over time from its rule, so it would overlook a member that was
+    changed by `set_value` after the rule ran.
 
     Raises
     ------
@@ -139,12 +140,12 @@ def refuse_changed_members(copy: Any) -> None:
             if not _is_same(component[index].expr, stated):
                 raise TranscriptionError(
                     f"{component[index].name}: was changed after its rule made it; delete the "
-                    "component and declare it anew with a rule that says what is meant."
+                    "component and declare it anew with a rule that returns the changed expression."
                 )
 
 
 def _is_same(held: Any, stated: Any) -> bool:
-    """Compare expressions; by their text where an external function hides behind a number."""
+    """Compare expressions, by their text where an external function hides behind a number."""
     return bool(compare_expressions(held, stated)) or str(held) == str(stated)
 
 
@@ -167,7 +168,7 @@ class _Translator:
         self._functions: dict[FunctionType, FunctionType] = {}
 
     def translate(self, value: Any) -> Any:
-        """Return what stands for a value on the clone."""
+        """Return the counterpart of a value on the clone."""
         if isinstance(value, Component | ComponentData):
             return self._component(value)
         if isinstance(value, FunctionType | MethodType | partial):
@@ -202,7 +203,7 @@ class _Translator:
         translated = FunctionType(
             function.__code__, names, function.__name__, closure=cells or None
         )
-        # Known before its parts are translated: functions may refer to each other.
+        # Stored before its parts are translated, because functions may refer to each other.
         self._functions[function] = translated
         for cell, original in zip(cells, function.__closure__ or (), strict=True):
             cell.cell_contents = self.translate(original.cell_contents)
@@ -224,13 +225,13 @@ def _global_names(code: CodeType) -> set[str]:
     return set(code.co_names).union(*(_global_names(part) for part in inner))
 
 
-# An irrational fraction: no declared time can be mistaken for it.
+# An irrational fraction, so that no declared time coincides with the template time.
 _TEMPLATE_FRACTION = 0.3819660112501051
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorkingCopy:
-    """A clone of the model with one more time, whose instances serve as templates.
+    """A clone of the model with one additional time, whose instances serve as templates.
 
     Attributes
     ----------
@@ -248,15 +249,16 @@ class WorkingCopy:
     others: tuple[Any, ...] = ()
 
     def other_of(self, component: Any) -> Any:
-        """Return the other horizon that a component is over, None if it is over none."""
+        """Return the other horizon that indexes a component, None if no other does."""
         if not component.is_indexed():
             return None
         return next((time for time in self.others if _is_over(component, time)), None)
 
     def takes(self, component: Any, data: Any) -> bool:
-        """Say whether a constraint belongs here: to this horizon, or to what couples several.
+        """Return whether a constraint belongs to this horizon, or to the coupling of several.
 
-        What holds values of one horizon only belongs to that one, all else to no horizon.
+        A constraint on values of one horizon only belongs to that horizon; every other constraint
+        belongs to the coupling.
         """
         if not self.others:
             return True
@@ -284,7 +286,7 @@ def _refuse_other_than_models(model: Any) -> None:
         )
     if not model.is_constructed():
         raise TranscriptionError(
-            f"model: {model.name} is abstract; give what its create_instance() returns."
+            f"model: {model.name} is abstract; pass the model that its create_instance() returns."
         )
 
 
@@ -294,7 +296,8 @@ def continuous_sets(model: Any) -> tuple[Any, ...]:
     Raises
     ------
     TranscriptionError
-        If it is no model, or a component is over two of them, or none is over one of several.
+        If the argument is no model, a component is indexed by two of the sets, or several sets
+        exist of which one indexes no component.
     """
     _refuse_other_than_models(model)
     sets = tuple(
@@ -321,7 +324,7 @@ def continuous_sets(model: Any) -> tuple[Any, ...]:
 
 
 def _is_asked_for(model: Any, time: Any) -> bool:
-    """Say whether an active constraint or objective holds a value over a set."""
+    """Return whether an active constraint or objective holds a variable indexed by a set."""
     return any(
         _is_over(variable.parent_component(), time)
         for data in model.component_data_objects((Constraint, Objective), active=True)
@@ -329,9 +332,9 @@ def _is_asked_for(model: Any, time: Any) -> bool:
     )
 
 
-# Active components whose meaning the engine knows; a port only names variables.
+# Active components that the engine interprets; a port only names variables.
 _UNDERSTOOD = (Block, Constraint, Objective, Suffix, Port)
-# What to do about some of the others, by the name of their type.
+# Replacement to suggest for a component type that is not supported.
 _INSTEAD = {
     "Disjunction": "write the choice with smooth functions, or solve each case by itself",
     "Disjunct": "write the choice with smooth functions, or solve each case by itself",
@@ -345,7 +348,7 @@ _INSTEAD_OVER_TIME = {
 
 
 def _refuse_unknown(model: Any) -> None:
-    """Refuse every active component whose demands would be dropped."""
+    """Refuse every active component that the transcription would drop."""
     for block in model.block_data_objects(active=True, descend_into=True):
         for component in block.component_objects(active=True, descend_into=False):
             if isinstance(component, ActiveComponent) and component.ctype not in _UNDERSTOOD:
@@ -357,16 +360,16 @@ def _refuse_unknown(model: Any) -> None:
 
 
 def _is_over(component: Any, time: Any) -> bool:
-    """Say whether a component is indexed by time itself, not by a set of equal members."""
+    """Return whether a component is indexed by time itself, not by a set with equal members."""
     return any(part is time for part in component.index_set().subsets())
 
 
-# What gets another time: by Pyomo, or when it is asked for.
+# Component types that gain a member at an added time, made by Pyomo or on access.
 _EXPANDED = (Var, DerivativeVar, Param, Constraint, Expression, Integral, Suffix)
 
 
 def _drop_unexpanded(copy: Any, time: Any) -> None:
-    """Delete what says nothing, being neither active nor known, and could not get another time."""
+    """Delete inactive components of unknown type that cannot be expanded to another time."""
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED
         if is_unknown and _is_over(component, time):
@@ -374,7 +377,7 @@ def _drop_unexpanded(copy: Any, time: Any) -> None:
 
 
 def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
-    """Refuse functions by pieces that need integers or stand at every time; others are linear."""
+    """Refuse piecewise functions that need integers or are indexed by time; the rest are linear."""
     for block in model.component_objects(Block, active=True, descend_into=True):
         if isinstance(block, Piecewise) and (
             any(_is_over(block, time) for time in times)
@@ -414,7 +417,7 @@ def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
 
 
 def _keep_parameters(copy: Any, time: Any) -> None:
-    """Let parameters over time enter expressions as themselves, immutable ones too."""
+    """Keep parameters over time as symbols in expressions, immutable ones too."""
     for parameter in copy.component_objects(Param, descend_into=True):
         if parameter.mutable or not _is_over(parameter, time):
             continue
@@ -431,7 +434,7 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
     Returns
     -------
     tuple of WorkingCopy
-        One for each horizon, of the same clone; a single one for a model without time.
+        One per horizon, all of the same clone; a single one for a model without time.
 
     Raises
     ------
@@ -474,7 +477,7 @@ def _refusal(name: str, error: Exception) -> TranscriptionError:
 
 
 def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
-    """Return the component that Pyomo was making when a rule failed, else the horizons' names."""
+    """Return the component that Pyomo was building when a rule failed, else the horizons' names."""
     frames = [frame for frame, _ in walk_tb(error.__traceback__)]
     made = [frame.f_locals.get("self") for frame in frames]
     names = [held.name for held in made if isinstance(held, Component)]
@@ -482,7 +485,7 @@ def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
 
 
 def _expand(copy: Any, copies: list[WorkingCopy]) -> None:
-    """Let rules make the instances at the template times."""
+    """Make the rules build the instances at the template times."""
     try:
         expand_components(copy)
     except Exception as error:
@@ -496,13 +499,13 @@ def _expand(copy: Any, copies: list[WorkingCopy]) -> None:
         refuse_lost_members(copy, horizon.template_time)
 
 
-# Of the whole horizon: the least that is left between two times of which one is free.
+# Least distance, as a fraction of the horizon, between two consecutive times of which one is free.
 LEAST_PHASE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Clock:
-    """Phases of the horizon, each as long as its ends say; which one holds is data of a point.
+    """Phases of the horizon between times that may be free; flags select the phase that holds.
 
     Attributes
     ----------
@@ -511,11 +514,11 @@ class Clock:
     declared : tuple of float
         Declared times between which time runs evenly, the first and the last among them.
     times : tuple
-        What they are, in CasADi symbols.
+        The same times in CasADi symbols.
     fraction : SX
-        Symbol of the share of the declared horizon.
+        Symbol of the fraction of the declared horizon.
     phases : tuple of SX
-        A symbol for each phase, 1 where it holds and 0 elsewhere; none for a single phase.
+        One symbol per phase, 1 where the phase holds and 0 elsewhere; none for a single phase.
     is_free : bool
         Whether any of the times is a static variable.
     """
@@ -529,16 +532,16 @@ class Clock:
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        """Declared times as shares of the declared horizon."""
+        """Declared times as fractions of the declared horizon."""
         return tuple(self.fraction_of(time) for time in self.declared)
 
     def fraction_of(self, time: float) -> float:
-        """Return a declared time as a share of the declared horizon."""
+        """Return a declared time as a fraction of the declared horizon."""
         return (time - self.declared[0]) / (self.declared[-1] - self.declared[0])
 
     @cached_property
     def _spans(self) -> list[Any]:
-        """Change of time with the share of the horizon, phase by phase."""
+        """Derivative of time with respect to the fraction of the horizon, phase by phase."""
         ends = zip(pairwise(self.times), pairwise(self.fractions), strict=True)
         return [(after - before) / (last - first) for (before, after), (first, last) in ends]
 
@@ -548,7 +551,7 @@ class Clock:
 
     @cached_property
     def span(self) -> Any:
-        """Change of time with the share of the horizon at the template point."""
+        """Derivative of time with respect to the fraction of the horizon at the template point."""
         return sum(p * span for p, span in zip(self._holds, self._spans, strict=True))
 
     @cached_property
@@ -562,11 +565,11 @@ class Clock:
         )
 
     def span_at(self, time: float) -> Any:
-        """Return the change of time with the share of the horizon just before a declared time."""
+        """Return d time / d fraction of the horizon, just before a declared time."""
         return self._spans[self.phase_of(time)]
 
     def time_at(self, time: float) -> Any:
-        """Return what a declared time becomes."""
+        """Return the physical time, in symbols, that a declared time maps to."""
         k = self.phase_of(time)
         return self.times[k] + self._spans[k] * (self.fraction_of(time) - self.fractions[k])
 
@@ -579,7 +582,7 @@ class Clock:
         return f"{self.name}[{self.declared[position]:g}]"
 
     def orders(self) -> list[tuple[str, Any]]:
-        """Return what must not be negative for the phases to follow each other, by name."""
+        """Return, by name, the expressions that must be nonnegative to keep the phases in order."""
         whole = LEAST_PHASE * (self.times[-1] - self.times[0])
         if not self.phases:
             return []
@@ -589,20 +592,20 @@ class Clock:
         ]
 
 
-#: Declared time -> the static variable that it is to be, of a model with one continuous set; or
-#: that for each set, by its name.
+#: Declared time -> static variable that replaces it, for a model with one continuous set; or such a
+#: mapping for each set, by the set's name.
 FreeTimes = Mapping[Any, Any]
 
 
 def free_times(
     sets: tuple[Any, ...], final_time: Any, times: FreeTimes | None
 ) -> dict[str, dict[float, Any]]:
-    """Return by continuous set the static variables that its declared times are to be.
+    """Return the static variables that replace declared times, by continuous set.
 
     Raises
     ------
     TranscriptionError
-        If a set or a time is not declared, or what gives it is no static variable.
+        If a set or a time is not declared, or its replacement is not a static variable.
     """
     given: dict[str, dict[float, Any]] = {s.name: {} for s in sets}
     if final_time is not None:
@@ -628,8 +631,8 @@ def _only(sets: tuple[Any, ...], argument: str) -> Any:
     if len(sets) > 1:
         names = ", ".join(s.name for s in sets)
         raise TranscriptionError(
-            f"{argument}: the model has several ContinuousSets, {names}; say of which by its "
-            f'name, as in times={{"{sets[0].name}": {{{sets[0].last():g}: m.T}}}}.'
+            f"{argument}: the model has several ContinuousSets, {names}; name the set as in "
+            f'times={{"{sets[0].name}": {{{sets[0].last():g}: m.T}}}}.'
         )
     return sets[0]
 
@@ -657,7 +660,7 @@ def _declared(time: Any, at: Any) -> float:
 
 
 def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) -> None:
-    """Refuse what is no static variable, and one that is given for two times."""
+    """Refuse a replacement that is not a static variable, or that replaces two times."""
     taken: dict[str, float] = {}
     for at, variable in given.items():
         is_static = getattr(variable, "is_variable_type", bool)() and not variable.is_indexed()

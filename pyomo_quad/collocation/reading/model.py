@@ -42,12 +42,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 
-# Of 1 and a constraint's size: what rounding may leave of it where all is fixed.
+# Residual, relative to 1 + |body|, that rounding may leave in a constraint on fixed variables.
 _MET = 1e-9
 
 
 class RelationReader:
-    """Reads the constraints of a working copy, and what variables are held to at instants."""
+    """Reads the constraints of a working copy, and the values that variables are fixed to."""
 
     def __init__(self, writer: TemplateWriter) -> None:
         self._writer = writer
@@ -66,7 +66,8 @@ class RelationReader:
                 continue
             groups: dict[tuple[Any, ...], dict[Any, Any]] = {}
             if rule_of(component) is not None:
-                # A rule may skip its constraint at every time but those between.
+                # A rule may skip its constraint at all declared times and impose it between them
+                # only.
                 for index in component.index_set():
                     groups.setdefault(self.addresses.split(component, index).index, {})
             for index, data in component.items():
@@ -75,7 +76,8 @@ class RelationReader:
                     groups.setdefault(address.index, {})[address.time] = data
             for index, instances in groups.items():
                 active = {t: data for t, data in instances.items() if data.active}
-                # The template, made anew, is active: it goes with all that the user deactivated.
+                # The template is built anew and therefore active; drop it if the user deactivated
+                # all others.
                 declared = instances.keys() - {self.copy.template_time}
                 if declared.isdisjoint(active) and declared:
                     continue
@@ -91,7 +93,7 @@ class RelationReader:
         equations: list[PathEquation],
         conditions: list[PointCondition],
     ) -> None:
-        """Sort one constraint's instances into a path equation and point conditions."""
+        """Sort the instances of one constraint into a path equation and point conditions."""
         template = instances.pop(self.copy.template_time, None) if self.copy.time else None
         equation = None
         if self.addresses.time_position(component) is not None:
@@ -106,15 +108,15 @@ class RelationReader:
         conditions.extend(self._between(equation, template, instances))
 
     def _refuse_alike(self, component: Any, instances: list[Any]) -> None:
-        """Refuse members given one by one that say the same at every declared time."""
+        """Refuse members without a rule that are identical at every declared time."""
         if all(self._is_alike(instances[0], other) for other in instances[1:]):
             raise TranscriptionError(
-                f"{component.name}: says the same at every declared time, but has no rule for the "
-                "times between; give it one, or index it by a Set of the times that are meant."
+                f"{component.name}: is the same at every declared time, but has no rule for the "
+                "times between; give it one, or index it by a Set of the intended times."
             )
 
     def _refuse_listed(self, component: Any) -> None:
-        """Refuse what a list says of algebraic variables at every declared time, one by one."""
+        """Refuse a ConstraintList that constrains an algebraic variable at every declared time."""
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
             return
@@ -143,7 +145,7 @@ class RelationReader:
         return PointCondition(name=data.name, expression=expression, lower=lower, upper=upper)
 
     def _imposed(self, condition: PointCondition) -> PointCondition:
-        """Return a condition that is to be imposed, unless it reads a signal at an instant."""
+        """Return a condition to impose, refusing a signal that is read at a single instant."""
         signals = {symbol.name() for symbol in self.symbols.signal_points.values()}
         read = signals & symbol_names(condition.expression)
         if read:
@@ -156,11 +158,11 @@ class RelationReader:
     def _start_and_end(
         self, equation: PathEquation, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return what the end instances of a path equation add to it.
+        """Return the conditions that the end instances of a path equation add to it.
 
         The collocation points include the end but not the start.  At the start an equation
         among states only is imposed as a condition; one with rates or algebraic variables
-        has no meaning there.  An end instance that reads otherwise is a condition of its own.
+        has no meaning there.  An end instance that differs is a condition of its own.
         """
         added = []
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
@@ -176,7 +178,7 @@ class RelationReader:
     def _between(
         self, equation: PathEquation, template: Any, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return what instances at interior declared times ask for beside the path equation."""
+        """Return the conditions that instances at interior times add to the path equation."""
         added = []
         for time in self.copy.declared_times[1:-1]:
             data = instances.get(time)
@@ -188,7 +190,7 @@ class RelationReader:
         return added
 
     def _is_alike(self, first: Any, second: Any) -> bool:
-        """Say whether two instances of a constraint are one expression but for their times."""
+        """Return whether two instances of a constraint are identical except for their times."""
         pairs = [(first.expr, second.expr)]
         while pairs:
             a, b = pairs.pop()
@@ -221,9 +223,10 @@ class RelationReader:
     def _same_at(
         self, condition: PointCondition, equation: PathEquation, time: float, side: int = -1
     ) -> bool:
-        """Say whether a condition is the path equation with its time put in, on one side of it.
+        """Return whether a condition is the path equation evaluated at a time, on one side of it.
 
-        One that branches on its time may hold other numbers at that instant, which has no length.
+        A rule that branches on its time may hold other numbers at that one instant; they have no
+        effect, because an instant has no length.
         """
         table = self.symbols
         clock = table.clock
@@ -239,7 +242,7 @@ class RelationReader:
             number = value(parameter[self.addresses.join(parameter, slot.index, time)])
             old.append(slot.symbol)
             new.append(table.signal_points.get((name, fraction), casadi.SX(number)))
-        # Pyomo has folded the declared times into the condition: compare at just those.
+        # Pyomo has folded the declared times into the condition, so compare at these numbers.
         old.extend(clock.times)
         new.extend(casadi.SX(t) for t in clock.declared)
         numbers = self._writer.scheduled_beside(time, side)
@@ -255,7 +258,7 @@ class RelationReader:
         return all(same_expression(moved[k], moved[k + 3]) for k in range(3))
 
     def values_at_points(self, conditions: list[PointCondition]) -> list[tuple[str, float]]:
-        """Return what is fixed at declared times; add bounds that hold only there."""
+        """Return the slots that are fixed at declared times; add bounds that hold only there."""
         fixed = []
         table = self.symbols
         for slot in (*table.states.values(), *table.algebraics.values(), *self._rates()):
@@ -281,7 +284,7 @@ class RelationReader:
         return fixed
 
     def _rates(self) -> Iterator[Slot]:
-        """Yield derivatives over time with their bounds, as if they were variables."""
+        """Yield derivatives over time with their bounds, in the form of variables."""
         for derivative in self.copy.model.component_objects(DerivativeVar, descend_into=True):
             for position, data in derivative.items():
                 address = self.addresses.split(derivative, position)
@@ -319,7 +322,7 @@ class RelationReader:
 
 
 def _is_met_as_fixed(data: Any) -> bool:
-    """Say whether a constraint holds nothing but fixed variables, and holds."""
+    """Return whether a constraint holds fixed variables only and is satisfied."""
     if not all(v.fixed and v.value is not None for v in identify_variables(data.body)):
         return False
     return bool(data.slack() >= -_MET * (1.0 + abs(value(data.body))))
@@ -328,16 +331,16 @@ def _is_met_as_fixed(data: Any) -> bool:
 def read_declarations(
     model: Any, final_time: Any = None, times: FreeTimes | None = None
 ) -> tuple[Declarations, ModelReader]:
-    """Read what a Pyomo model declares.
+    """Read the declarations of a Pyomo model.
 
     Parameters
     ----------
     model : ConcreteModel
         With one ContinuousSet that is not discretised, or with none at all.
     final_time : Var, optional
-        A static variable of the model that is to be the end of the horizon.
+        Static variable of the model that becomes the end of the horizon.
     times : mapping, optional
-        Declared time -> static variable that it is to be.
+        Declared time -> static variable that replaces it.
 
     Returns
     -------
@@ -363,12 +366,12 @@ def read_declarations(
 
 
 class ModelReader:
-    """Reads one working copy: its relations first, then all that these need.
+    """Reads one working copy: its relations first, then the variables and parameters in them.
 
     Attributes
     ----------
     equations, conditions : list
-        What its constraints impose over time, and at points.
+        Constraints over time, and at points.
     """
 
     def __init__(self, writer: TemplateWriter) -> None:
@@ -380,12 +383,12 @@ class ModelReader:
         self.equations, self.conditions = self._relations.constraints()
 
     def require_all(self) -> None:
-        """Refuse a model without variables, or without dynamics of a derivative."""
+        """Refuse a model without free variables, or a derivative that no equation holds."""
         self._require_dynamics(self.equations)
         self._require_variables()
 
     def declarations(self, cost: Any, objective: Any) -> Declarations:
-        """Return the declarations, of which `cost` is the objective as an expression."""
+        """Return the declarations, with `cost` as the objective's expression."""
         conditions = self.conditions
         fixed = self._relations.values_at_points(conditions)
         conditions.extend(
@@ -418,12 +421,12 @@ class ModelReader:
             objective_name="" if objective is None else objective.name,
             has_horizon=self.copy.time is not None,
             table_uses=tuple(self.writer.table_uses),
-            # Last, because bounds may have brought in further parameters.
+            # Last, because writing the bounds may have added parameters.
             parameters=tuple(table.parameters.values()),
         )
 
     def _read_expressions(self) -> None:
-        """Meet the parameters of every expression over time, so that all can be evaluated."""
+        """Write every expression over time once, which registers the parameters in it."""
         for component in self.copy.model.component_objects(
             Expression, active=True, descend_into=True
         ):
@@ -434,7 +437,7 @@ class ModelReader:
                         self.writer.write_at_template(component, address.index)
 
     def _used_algebraics(self, points: tuple[PointSymbol, ...]) -> dict[str, Slot]:
-        """Return the algebraic variables that some equation, integrand or value at a time holds."""
+        """Return the algebraic variables in an equation, an integrand or a value at a time."""
         parts = [part for e in self.equations for part in (e.expression, e.lower, e.upper)]
         parts += [i.integrand for i in self.writer.integrals.values()]
         used = symbol_names(casadi.vertcat(*parts)) | {point.slot for point in points}
@@ -461,7 +464,8 @@ class ModelReader:
         moving = {s.component for s in states if s.rate.name() in used}
         said = self._said_without_rates(still, read)
         for state in still:
-            # At the ends of a discretised space an equation may say it all, without a rate.
+            # At the ends of a discretised space, an equation without a rate may determine the
+            # variable.
             if state.component not in moving or state.name not in said:
                 raise TranscriptionError(
                     f"{self._derivative_name(state)}: no equation over time holds this "
@@ -469,9 +473,9 @@ class ModelReader:
                 )
 
     def _said_without_rates(self, states: list[Slot], read: list[frozenset[str]]) -> frozenset[str]:
-        """Return which states find an equation of their own among those without rates.
+        """Return the states that an equation without rates determines, each by its own equation.
 
-        A derivative in space takes one as well: the equation that its discretisation wrote.
+        A derivative in space uses up an equation as well: the one that its discretisation wrote.
         """
         rates = {s.rate.name() for s in self.symbols.states.values()}
         algebraic = [names for names in read if not names & rates]
@@ -506,7 +510,7 @@ class ModelReader:
         nominal: dict[str, float],
         bounds: Callable[[Slot], tuple[Any, Any]],
     ) -> tuple[Slot, ...]:
-        """Write the bounds of slots as CasADi expressions and give them their magnitudes."""
+        """Write the bounds of slots as CasADi expressions and assign their magnitudes."""
         finished = []
         for slot in table.values():
             lower, upper = bounds(slot)

@@ -1,4 +1,4 @@
-"""Where numbers come from: the user's Pyomo model, or what a pickle kept of it."""
+"""Sources of numbers: the user's Pyomo model, or the values that a pickle kept of it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.reading.schedules import Phases, Schedule
     from pyomo_quad.collocation.reading.symbols import Declarations, Slot
 
-# What a derived unit of the same size and dimension is called; a moment before a work.
+# Names of derived units by size and dimension; moments come before energies.
 _CALLED = {
     "N": units.N,
     "N*m": units.get_units(units.N * units.m),
@@ -37,7 +37,7 @@ _CALLED = {
     "V": units.V,
     "A": units.A,
 }
-# An angle is a number: Pyomo keeps the radians of a squared speed, engineers do not.
+# Units of angle. Engineers omit the radians that Pyomo keeps in a squared rotor speed.
 _ANGLES = (units.dimensionless, units.rad, units.rad**2)
 _ROUNDING = 1e-12
 _ANGLE_FACTOR = re.compile(r"\*rad(\*\*[\d.]+)?")
@@ -60,7 +60,7 @@ def declared_unit(model: Any, name: str) -> str:
 
 
 def _spelled(unit: Any) -> str:
-    """Return a unit as an engineer writes it: Pyomo's N*rad**2 of a thrust is N."""
+    """Return a unit as an engineer writes it: Pyomo's N*rad**2 of a thrust becomes N."""
     text = str(unit)
     if "*" not in text and "/" not in text:
         return text
@@ -77,7 +77,7 @@ def _spelled(unit: Any) -> str:
 
 
 def declared_magnitudes(model: Any) -> dict[str, float]:
-    """Return the usual magnitudes that Suffix `scaling_factor` tells, by component or slot name."""
+    """Return the magnitudes given by Suffix `scaling_factor`, by component or slot name."""
     magnitudes: dict[str, float] = {}
     for suffix in model.component_objects(Suffix, descend_into=True):
         if suffix.local_name == "scaling_factor":
@@ -88,7 +88,7 @@ def declared_magnitudes(model: Any) -> dict[str, float]:
 
 
 class LiveModel:
-    """The user's model; what it holds is read anew at every call.
+    """The user's model, whose values are read anew at every call.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ class LiveModel:
     time : ContinuousSet or None
         The model's continuous set.
     schedules : tuple of Schedule or Phases
-        What gives the declarations' `scheduled` their values.
+        Functions that evaluate the declarations' `scheduled` slots.
     """
 
     def __init__(self, model: Any, time: Any, schedules: tuple[Schedule | Phases, ...]) -> None:
@@ -106,7 +106,7 @@ class LiveModel:
         self._addresses = AddressBook(time)
 
     def of(self, model: Any) -> LiveModel:
-        """Return what another model of the same declarations holds."""
+        """Return a source that reads another model with the same declarations."""
         time = None if self._time is None else model.find_component(self._time.name)
         return LiveModel(model, time, self.schedules)
 
@@ -133,7 +133,7 @@ class LiveModel:
         return None if found is None else float(found)
 
     def _refuse_other_values(self, variable: Any, index: tuple[Any, ...]) -> None:
-        """Refuse a variable fixed at all declared times, but not to one number."""
+        """Refuse a variable that is fixed at all declared times to different numbers."""
         held = {variable[self._addresses.join(variable, index, t)].value for t in self.times}
         if len(held) > 1:
             raise TranscriptionError(
@@ -143,7 +143,7 @@ class LiveModel:
             )
 
     def variable(self, slot: Slot, time: float | None = None) -> float | None:
-        """Return what a variable holds at a declared time, None if nothing or no variable."""
+        """Return a variable's value at a declared time, None if unset or if it is not a Var."""
         component = self.model.find_component(slot.component)
         if component.ctype is not Var:
             return None
@@ -153,12 +153,12 @@ class LiveModel:
     def first_guess(self, slot: Slot) -> Callable[[float], float] | None:
         """Return a variable's `initialize` rule as a function of time.
 
-        None where it has none, and where the variable holds other values than its rule gives.
+        None where it has no such rule, and where its values differ from those of the rule.
 
         Raises
         ------
         TranscriptionError
-            The function, where the rule knows no value.
+            Raised by the function, where the rule has no value.
         """
         component = self.model.find_component(slot.component)
         rule = initial_rule_of(component) if component.ctype is Var else None
@@ -190,12 +190,12 @@ class LiveModel:
         return component[slot.index if len(slot.index) > 1 else slot.index[0]]
 
     def signal(self, slot: Slot) -> Callable[[float], float]:
-        """Return a parameter over time as a function of it.
+        """Return a parameter over time as a function of time.
 
         Raises
         ------
         TranscriptionError
-            If it has no rule to evaluate it at any time; the function, if the rule fails.
+            If it has no rule to evaluate it at any time; raised by the function, if the rule fails.
         """
         component = self.model.find_component(slot.component)
         rule, block, join = rule_of(component), component.parent_block(), self._addresses.join
@@ -243,7 +243,7 @@ class LiveModel:
                     derivative[position].set_value(number, skip_validation=True)
 
     def load_integrals(self, totals: Mapping[str, float]) -> None:
-        """Let integrals, by full name, be worth their totals; their rules keep the integrands."""
+        """Set integrals, by full name, to their totals; their rules keep the integrands."""
         for integral in self.model.component_objects(Integral, descend_into=True):
             for data in integral.values():
                 if data.name in totals:
@@ -256,7 +256,7 @@ class LiveModel:
         over_time: Mapping[str, Callable[[float], float]],
         once: Mapping[str, float],
     ) -> None:
-        """Give the members of constraints or variables, by name, their numbers in a suffix."""
+        """Write the numbers of constraints or variables, by name, into a suffix."""
         for component in self.model.component_objects(kind, active=True, descend_into=True):
             for index, data in component.items():
                 address = self._addresses.split(component, index)
@@ -266,7 +266,7 @@ class LiveModel:
                     suffix[data] = over_time[address.name](address.time)
 
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:
-        """Return what the model holds now; what changes with time, over a horizon."""
+        """Return a copy of the model's present values; functions of time cover a horizon."""
         varying = (*declared.states, *declared.algebraics, *declared.outputs)
         components = list(self.model.component_objects(descend_into=True))
         limits = self.model.component_objects((Var, Constraint), descend_into=True)
@@ -312,7 +312,7 @@ def _kept(
     horizon: tuple[float, float],
     asked: list[float],
 ) -> Interpolant:
-    """Return polynomials of a function of time, or the reason why there are none."""
+    """Return piecewise polynomials for a function of time, or the reason why there are none."""
     try:
         edges = list(jumps(partial(as_reading, function), asked))
     except TranscriptionError as error:
@@ -322,7 +322,7 @@ def _kept(
 
 @dataclass(frozen=True, kw_only=True)
 class ModelSnapshot:
-    """What a model held when its problem was pickled; read like the model itself."""
+    """Values that a model held when its problem was pickled, with the interface of `LiveModel`."""
 
     times: tuple[float, ...]
     names: frozenset[str]
@@ -335,11 +335,11 @@ class ModelSnapshot:
 
     @property
     def model(self) -> NoReturn:
-        """Refused: the model stayed behind."""
+        """Refuse access: the model itself is not pickled."""
         _refuse_without_model()
 
     def of(self, model: Any) -> NoReturn:  # noqa: ARG002
-        """Refused: what changes with time stayed behind."""
+        """Refuse another model: the rules that vary with time are not pickled."""
         _refuse_without_model()
 
     def has(self, name: str) -> bool:
@@ -355,7 +355,7 @@ class ModelSnapshot:
         return self.parameters[slot.name]
 
     def variable(self, slot: Slot, time: float | None = None) -> float | None:
-        """Return what a variable held at a declared time, None if nothing or no variable."""
+        """Return a variable's value at a declared time, None if unset or if it was not a Var."""
         return self.variables[slot.name, time]
 
     def first_guess(self, slot: Slot) -> Interpolant | None:
@@ -363,7 +363,7 @@ class ModelSnapshot:
         return self.guesses.get(slot.name)
 
     def signal(self, slot: Slot) -> Interpolant:
-        """Return a parameter over time as a function of it."""
+        """Return a parameter over time as a function of time."""
         return self.signals[slot.name]
 
     def load(self, slot: Slot, time: float | None, number: float) -> NoReturn:  # noqa: ARG002
@@ -379,7 +379,7 @@ class ModelSnapshot:
         _refuse_without_model()
 
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:  # noqa: ARG002
-        """Return itself: it holds what it holds."""
+        """Return itself, since it is a snapshot already."""
         return self
 
 
@@ -391,5 +391,5 @@ def _refuse_without_model() -> NoReturn:
 
 
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:
-    """Return the number of a parameter over time as what a rule says."""
+    """Return the value of a signal at a time as a `Reading` without a key."""
     return Reading(None, (signal(time),))

@@ -1,4 +1,4 @@
-"""The objective of a model: at most one, and no sum over instants where an integral is meant."""
+"""The objective of a model: at most one, without sums over instants in place of an integral."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def objective_of(copy: WorkingCopy) -> Any:
-    """Return the active objective, None where only the equations are to be met.
+    """Return the active objective, None if the model declares only equations.
 
     Raises
     ------
@@ -40,10 +40,10 @@ def objective_of(copy: WorkingCopy) -> Any:
 
 
 def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
-    """Refuse an objective that says the same of a control at every declared instant.
+    """Refuse an objective that adds the same function of a control at every declared instant.
 
-    Values of a state at all declared instants are a fit or a cost of both ends; a control has no
-    meaning at an instant of no length, and only equal terms tell a sum from a fit to data.
+    Values of a state at all declared instants are a fit to data or a cost of both ends. A control
+    has no meaning at a single instant, and only equal terms distinguish a sum from a fit to data.
     """
     addresses = AddressBook(time)
     states = {d.get_state_var().name for d in copy.model.component_objects(DerivativeVar)}
@@ -64,7 +64,7 @@ def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
         return casadi.SX.sym(expression.name) if is_integral else None
 
     cost = casadi.SX(ExpressionWriter(leaf, named).write(objective.expr, objective.name))
-    # The set holds the template's time as well, at which no objective was declared.
+    # The set also holds the template time, at which no objective was declared.
     if not len(at_instants) == len(time) - 1 > 1:
         return
     first, *others = at_instants.values()
@@ -79,7 +79,7 @@ def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
 
 
 def _is_alike(cost: Any, key: Any, first: dict[Any, Any], other: dict[Any, Any]) -> bool:
-    """Say whether slopes in a variable are one function of what holds at each of two instants."""
+    """Return whether a variable's slopes are one function of the values at two instants."""
     if key not in other:
         return False
     slope, moved = casadi.gradient(cost, first[key]), casadi.gradient(cost, other[key])

@@ -1,11 +1,12 @@
-"""What a rule says at different times: a few forms, which of them holds, and the numbers in it.
+"""Rules that branch on time: their forms, the form that holds at a time, and its numbers.
 
-A rule that branches on its time, or looks numbers up by it, is no formula of time.  It is
-called at many times; what it returns is sorted into forms, expressions alike but for their
-numbers.  A form is compiled once; which form holds, and the numbers that differ, are signals:
-data of every collocation point.  Where they jump is found by bisection.
+A rule that branches on its time, or looks up numbers by it, cannot be written as a formula of time.
+The engine calls the rule at many times and sorts the returned expressions into forms that are alike
+except for their numbers. Each form is compiled once. The form that holds and the numbers that
+differ are signals: data of every collocation point. Bisection finds the times at which they jump.
 
-As polynomials, between these jumps, such functions of time outlive the rules that give them.
+For pickling, piecewise polynomials between these jumps replace the functions of time, so that they
+outlive their rules.
 """
 
 from __future__ import annotations
@@ -31,27 +32,27 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
     from pyomo_quad.collocation.reading.copy import Clock
 
-# Times, besides the declared ones, at which a rule is asked before anything is compiled.
+# Number of times, besides the declared ones, at which a rule is called before compilation.
 _PROBES = 64
-# Forms beyond which a rule is taken to say something else at every time.
+# Number of forms above which a rule is taken to return a different expression at every time.
 _MOST_FORMS = 24
-# Width, as a share of the horizon, within which a jump is bracketed.
+# Width, as a fraction of the horizon, within which a jump is bracketed.
 _RESOLUTION = 1e-14
-#: Distance from a jump, as a share of the horizon, that is one side of it and not the jump.
+#: Distance from a jump, as a fraction of the horizon, that is clearly on one side of it.
 BESIDE = 2e-12
-# A change that bisection leaves as large as this, and larger than rounding, is a jump.
+# A change that bisection reduces to no less than this fraction, above rounding, is a jump.
 _UNDIMINISHED = 0.75
 _ROUNDING = 1e-9
-# Times of which a schedule remembers what the rule said.
+# Number of times for which a schedule caches its readings.
 _REMEMBERED = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
 class Statement:
-    """What a rule says at one time: Pyomo expressions, and whether they are an equality.
+    """The result of a rule at one time: Pyomo expressions, and whether they state an equality.
 
-    Of a constraint these are lower bound, body and upper bound, None for no bound; of an
-    expression over time it is one.
+    For a constraint the parts are lower bound, body and upper bound, with None for an absent bound;
+    for an expression over time there is one part.
     """
 
     parts: tuple[Any, ...]
@@ -59,7 +60,7 @@ class Statement:
 
     @property
     def is_silent(self) -> bool:
-        """Whether it is a constraint that asks for nothing."""
+        """Whether it is a constraint without any bound."""
         if len(self.parts) == 1:
             return False
         lower, body, upper = self.parts
@@ -68,7 +69,7 @@ class Statement:
 
 @dataclass(frozen=True)
 class Reading:
-    """The numbers that hold at one time, and a key of all else that does."""
+    """The numbers that hold at one time, and a key that identifies the form."""
 
     key: Any
     numbers: tuple[float, ...]
@@ -76,7 +77,7 @@ class Reading:
 
 @dataclass(kw_only=True)
 class _Form:
-    """Statements that differ in numbers only: the first of them, and which numbers vary."""
+    """Statements that differ in numbers only: the first of them, and the positions that vary."""
 
     statement: Statement
     numbers: tuple[float, ...]
@@ -89,7 +90,7 @@ class _Form:
 
 
 class Schedule:
-    """What one rule says over time.
+    """A rule as a function of time, by forms and numbers.
 
     Parameters
     ----------
@@ -98,7 +99,7 @@ class Schedule:
     say : callable
         Time -> Statement.
     times : sequence of float
-        Declared times; the rule is asked between them and on both sides of each.
+        Declared times; the rule is called between them and on both sides of each.
 
     Attributes
     ----------
@@ -123,7 +124,7 @@ class Schedule:
             pass
         self._is_compiled = True
         self._known.clear()
-        # One for a single form too: without any signal nobody would ask what holds at a time.
+        # A single form gets a signal too; without any signal the schedule would never be evaluated.
         self._chosen = [self._slot(f"form {k}") for k in range(max(len(self._forms) - 1, 1))]
         self._numbers = [
             [self._slot(f"form {k}, number {at}") for at in form.varying]
@@ -141,12 +142,13 @@ class Schedule:
         return all(f.statement.is_equality for f in self._forms.values())
 
     def reading(self, time: float) -> Reading:
-        """Return what the rule says at a time.
+        """Return the numbers and the form of the rule at a time.
 
         Raises
         ------
         TranscriptionError
-            If it says what it said at none of the times asked before it was compiled.
+            If the rule returns a form that it returned at none of the times tried before
+            compilation.
         """
         if time not in self._known:
             statement = self._say(time)
@@ -168,8 +170,8 @@ class Schedule:
                 form.meet(found.numbers)
             if len(self._forms) > _MOST_FORMS:
                 raise TranscriptionError(
-                    f"{self.name}: its rule says something else at every time, more than "
-                    f"{_MOST_FORMS} different things; let only numbers in it depend on time, or "
+                    f"{self.name}: its rule returns a different expression at every time, more "
+                    f"than {_MOST_FORMS} forms; let only numbers in it depend on time, or "
                     "declare a constraint for each part of the horizon."
                 )
             return
@@ -178,9 +180,9 @@ class Schedule:
             for k, (held, met) in enumerate(zip(form.numbers, found.numbers, strict=True))
         ):
             raise TranscriptionError(
-                f"{self.name}: its rule says something at time {time:g} that it says at no time "
-                "tried when the model was compiled; declare the times at which it changes in the "
-                "ContinuousSet."
+                f"{self.name}: its rule returns an expression at time {time:g} that it returned at "
+                "no time tried when the model was compiled; declare the times at which it changes "
+                "in the ContinuousSet."
             )
 
     def row(self, time: float) -> list[float]:
@@ -195,8 +197,8 @@ class Schedule:
     def written(self, write: Callable[[Any, Iterator[Any]], Any], absent: Sequence[Any]) -> Any:
         """Return the parts of the statement that holds, as CasADi expressions of the slots.
 
-        `write` takes a part and what stands for its numbers, in their order; `absent` holds,
-        part by part, what a missing one is.
+        `write` takes a part and the symbols of its numbers, in their order; `absent` holds the
+        default of each part, for parts that are missing.
         """
         forms = []
         for k, form in enumerate(self._forms.values()):
@@ -216,7 +218,7 @@ class Schedule:
         return result
 
     def _let_silent_ones_agree(self, forms: list[list[Any]]) -> None:
-        """Give forms without limits another's body: a limit on one variable remains a bound."""
+        """Give forms without limits the body of one with limits, so that bounds remain bounds."""
         is_silent = [f.statement.is_silent for f in self._forms.values()]
         if any(is_silent) and not all(is_silent):
             body = forms[is_silent.index(False)][1]
@@ -226,7 +228,7 @@ class Schedule:
 
 
 class Phases:
-    """Which phase of a clock holds, read like a `Schedule`."""
+    """The phase of a clock that holds at a time, with the interface of a `Schedule`."""
 
     def __init__(self, clock: Clock) -> None:
         self.name = clock.name
@@ -237,7 +239,7 @@ class Phases:
         self._clock = clock
 
     def reading(self, time: float) -> Reading:
-        """Return which phase holds at a declared time."""
+        """Return the index of the phase that holds at a declared time."""
         return Reading(self._clock.phase_of(time), ())
 
     def row(self, time: float) -> list[float]:
@@ -256,7 +258,7 @@ def _either(holds: Any, first: Any, second: Any) -> Any:
 
 
 def _structure(part: Any, numbers: list[float]) -> Any:
-    """Return a key of an expression without its numbers, and append these to a list."""
+    """Return a key of an expression without its numbers, and append the numbers to a list."""
     if part is None:
         return None
     if part.__class__ in native_types:
@@ -277,7 +279,7 @@ def probes(times: Sequence[float]) -> list[float]:
 
 
 def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterator[float]:
-    """Yield where what is read jumps between times, in rising order."""
+    """Yield the times at which a reading jumps, in rising order."""
     for start, end in pairwise(times):
         resolution = _RESOLUTION * max(abs(times[0]), abs(times[-1]), times[-1] - times[0])
         yield from sorted(_jumps_between(reading, start, end, resolution))
@@ -301,7 +303,7 @@ def _jumps_between(
 def _steps(
     reading: Callable[[float], Reading], start: float, end: float, resolution: float
 ) -> Iterator[float]:
-    """Yield where a number of one form jumps: its change stays when the interval is halved."""
+    """Yield times at which a number jumps: its change stays when the interval is halved."""
     for k, (first, last) in enumerate(
         zip(reading(start).numbers, reading(end).numbers, strict=True)
     ):
@@ -324,10 +326,10 @@ def _steps(
 
 
 def one_sided(fraction: float, jumps_at: Sequence[float]) -> float:
-    """Return a fraction of the horizon; one at a jump is moved to just before it.
+    """Return a fraction of the horizon, moved to just before a jump that it coincides with.
 
-    As a boundary of elements belongs to the one that it ends, so does a jump there; the start
-    and the end of the horizon are moved inside.
+    A boundary between elements belongs to the element that ends there, so a jump there takes the
+    value before it. The start and the end of the horizon are moved inside.
     """
     inside = min(max(fraction, BESIDE), 1.0 - BESIDE)
     nearest = bisect_left(jumps_at, inside - BESIDE)
@@ -367,22 +369,22 @@ class Steps:
 
 
 _DEGREE = 12
-# Largest error, relative to the values of a piece, and the width that no piece is halved below.
+# Largest relative error of a piece, and the width below which no piece is halved.
 _ACCURACY = 1e-13
 _NARROWEST = 1e-14
 _MOST_PIECES = 20_000
 _NODES = chebyshev.chebpts1(_DEGREE + 1)
 _TO_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(_NODES, _DEGREE))
-# Where a polynomial is compared with its function, on [-1, 1]: between its nodes.
+# Abscissae on [-1, 1], between the nodes, at which a polynomial is compared with its function.
 _COMPARED = np.array([-0.97, -0.61, -0.28, 0.13, 0.52, 0.83, 0.99])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Interpolant:
-    """Numbers over time: Chebyshev coefficients between edges; of none, only why.
+    """Piecewise Chebyshev polynomials of numbers over time, or the reason why there are none.
 
     The coefficients of a piece have shape (degree + 1, n_numbers); a jump is an edge, and
-    belongs to the piece that it starts.
+    belongs to the piece that starts there.
     """
 
     edges: tuple[float, ...]
@@ -405,7 +407,7 @@ class Interpolant:
         return np.asarray(chebyshev.chebval(local, self.pieces[k])).tolist()
 
     def reading(self, time: float) -> Reading:
-        """Return the numbers at a time as what a rule says there."""
+        """Return the numbers at a time as a `Reading` without a key."""
         return Reading(None, tuple(self.row(time)))
 
     def __call__(self, time: float) -> float:
@@ -419,9 +421,10 @@ def interpolant(
     horizon: tuple[float, float],
     jumps: Sequence[float],
 ) -> Interpolant:
-    """Return what a function gives over a horizon; one that fails leaves its message.
+    """Return piecewise polynomials of a function over a horizon, or its message if it fails.
 
-    Between jumps, pieces are halved until a polynomial has their values: a kink is bracketed.
+    Between jumps, pieces are halved until a polynomial reproduces their values; halving brackets a
+    kink.
     """
     start, end = horizon
     refusal = (
@@ -451,7 +454,7 @@ def interpolant(
 def _fitted(
     row: Callable[[float], Sequence[float]], first: float, last: float
 ) -> tuple[FloatArray, bool]:
-    """Return the polynomial through a function at Chebyshev's nodes, and if it is the function."""
+    """Return the polynomial through a function at Chebyshev nodes, and whether it is accurate."""
     local = np.concatenate([_NODES, _COMPARED])
     times = 0.5 * (first + last) + 0.5 * (last - first) * local
     values = np.array([row(float(t)) for t in times])

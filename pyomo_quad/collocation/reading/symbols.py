@@ -1,4 +1,4 @@
-"""What a model declares, in CasADi symbols: variables, parameters and where they sit."""
+"""Declarations of a model in CasADi symbols: variables, parameters, and their addresses."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ class TimeSymbol:
     Parameters
     ----------
     template : float
-        The instant that it is equal to.
+        Index that the symbol equals.
     parameter : Param
-        What it is in arithmetic.
+        Parameter that stands for it in arithmetic.
     declared : tuple of float, optional
-        Times with which a rule may compare it.
+        Times with which a rule may compare it without reading its number.
     number : float, optional
-        What it compares as; the template's instant by default.
+        Number used in comparisons; the template's instant by default.
 
     Attributes
     ----------
     is_read : bool
-        Whether the rule asked for the number, other than to compare it with a declared time.
+        Whether the rule read the number, other than to compare it with a declared time.
     """
 
     def __init__(
@@ -63,8 +63,8 @@ class TimeSymbol:
         return self.template == other
 
     def _compare(self, relation: Callable[[Any, Any], Any], other: Any) -> bool:
-        """Return how the number compares with another, and take note of it."""
-        # Two symbols are compared when an Integral sorts its times.
+        """Return how the number compares with another, and record whether that reads it."""
+        # Pyomo compares two symbols when an Integral sorts its times.
         if isinstance(other, TimeSymbol):
             return bool(relation(self._number, other._number))  # noqa: SLF001
         if other not in self._declared:
@@ -88,7 +88,7 @@ class TimeSymbol:
         return self._number
 
     def __call__(self, *, exception: bool = True) -> float:
-        """Give Pyomo's `value` the number."""
+        """Return the number, as Pyomo's `value` asks for it."""
         del exception
         return float(self)
 
@@ -135,22 +135,22 @@ class TimeSymbol:
         return abs(self.parameter)
 
     def is_numeric_type(self) -> bool:
-        """Make Pyomo's functions ask for `as_numeric`."""
+        """Return False, so that Pyomo's functions call `as_numeric`."""
         return False
 
     def as_numeric(self) -> Any:
-        """Give Pyomo's functions the parameter."""
+        """Return the parameter, for Pyomo's functions."""
         return self.parameter
 
 
 class Instant(float):
-    """A time as the number that it is, and as an index equal to the template's instant."""
+    """A time that is its own number, but equals the template's instant as an index."""
 
     __slots__ = ("template",)
     template: float
 
     def __new__(cls, time: float, template: float) -> Self:
-        """Return the number, equal to another."""
+        """Return the number, which compares equal to the template's instant."""
         made = super().__new__(cls, time)
         made.template = template
         return made
@@ -165,7 +165,7 @@ class Instant(float):
         return not self == other
 
     def __sub__(self, other: Any) -> Any:
-        # As of two symbols: the ends of the trapezoid of an Integral are one unit apart.
+        # As with two symbols: the ends of an Integral's trapezoid are one unit apart.
         return 1.0 if isinstance(other, Instant) else float(self) - other
 
 
@@ -173,7 +173,7 @@ RegisterNumericType(Instant)
 
 
 class _TrapezoidProbe:
-    """A block that shows its continuous set as one trapezoid between equal times."""
+    """A block whose continuous set appears as one trapezoid between equal times."""
 
     def __init__(self, block: Any, continuous_set: Any, symbol: TimeSymbol | Instant) -> None:
         self._block = block
@@ -190,7 +190,7 @@ class _TrapezoidProbe:
 
 
 def time_parameter() -> Any:
-    """Return a mutable Pyomo parameter that stands for physical time, and has no value."""
+    """Return a mutable Pyomo parameter without value that stands for physical time."""
     owner = ConcreteModel()
     owner.time = Param(mutable=True)
     return owner.time
@@ -199,7 +199,7 @@ def time_parameter() -> Any:
 def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
     """Return an Integral's integrand at a time symbol or an instant.
 
-    `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids; shown a single
+    `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids. For a single
     trapezoid of unit width between equal times, that rule returns the integrand.
     """
     probe = _TrapezoidProbe(integral.parent_block(), integral.get_continuousset(), symbol)
@@ -208,7 +208,7 @@ def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
 
 @dataclass(frozen=True)
 class Address:
-    """Component name, index without time, and time (None for what does not vary)."""
+    """Component name, index without time, and time (None for a static component)."""
 
     component: str
     index: tuple[Any, ...]
@@ -236,11 +236,11 @@ class AddressBook:
 
     def __init__(self, time: ContinuousSet | None) -> None:
         self._time = time
-        # Pyomo makes a component's name anew each time that it is asked for it.
+        # Caching: Pyomo rebuilds a component's name at each access.
         self._known: dict[int, tuple[str, int | None]] = {}
 
     def time_position(self, component: Any) -> int | None:
-        """Return where time stands in a component's index, None if it does not."""
+        """Return the position of time in a component's index, None if it has no time."""
         return self._name_and_position(component)[1]
 
     def _name_and_position(self, component: Any) -> tuple[str, int | None]:
@@ -278,7 +278,7 @@ class AddressBook:
         return Address(name, rest, whole[position])
 
     def join(self, component: Any, index: tuple[Any, ...], time: Any) -> Any:
-        """Return a component's full index at a time: the inverse of `split`."""
+        """Return a component's full index at a time, the inverse of `split`."""
         position = self.time_position(component)
         if position is None:
             return index[0] if len(index) == 1 else (index or None)
@@ -290,8 +290,8 @@ class AddressBook:
 class Slot:
     """One scalar function of time (or static scalar): its name and its symbol.
 
-    `bounds` are CasADi expressions of the parameters; `nominal` is a magnitude for scaling or
-    None.
+    `lower` and `upper` are CasADi expressions of the parameters; `nominal` is a magnitude for
+    scaling or None.
     """
 
     name: str
@@ -304,7 +304,7 @@ class Slot:
     rate: Any = None
 
     def scaled(self, magnitudes: Mapping[str, float]) -> Slot:
-        """Return it with its magnitude among some by slot or component name, None without one."""
+        """Return the slot with its magnitude, found by slot or component name, else None."""
         return replace(self, nominal=magnitudes.get(self.name, magnitudes.get(self.component)))
 
 
@@ -350,12 +350,12 @@ class Integral:
 
 @dataclass(frozen=True, kw_only=True)
 class Declarations:
-    """A continuous model as the transcription needs it.
+    """A continuous model in the form that the transcription needs.
 
-    `fixed` lists slots whose value a user fixed at a declared time, as (name, fraction); the
-    value itself is read when the problem is solved.  `signals` are parameters over time,
-    `scheduled` what else changes with time and is no formula of it, such as the numbers of a
-    rule that looks them up.
+    `fixed` lists slots that a user fixed at a declared time, as (name, fraction); the value itself
+    is read when the problem is solved. `signals` are parameters over time. `scheduled` are other
+    quantities that vary with time without a formula, such as the numbers of a rule that looks them
+    up.
     """
 
     states: tuple[Slot, ...]
@@ -381,18 +381,18 @@ class Declarations:
 
     @property
     def has_signals(self) -> bool:
-        """Whether anything changes with time that is no formula of it."""
+        """Whether any quantity varies with time without a formula."""
         return bool(self.signals or self.scheduled)
 
     @property
     def path_data(self) -> tuple[Any, ...]:
-        """Symbols of the data of a point, in order: fraction, signals, schedules, parameters."""
+        """Symbols of a point's data, in order: fraction, signals, schedules, parameters."""
         slots = (*self.signals, *self.scheduled, *self.parameters)
         return (self.clock.fraction, *(s.symbol for s in slots))
 
 
 class SymbolTable:
-    """Makes a symbol when a variable or parameter is first met, and keeps it.
+    """Makes the symbol of a variable or parameter at first use, and keeps it.
 
     In a path equation a variable at the template time becomes a template symbol; anywhere
     else a variable at a time becomes a point symbol.
@@ -464,7 +464,7 @@ class SymbolTable:
         other = self._copy.other_of(data.parent_component()) if self._copy.others else None
         if other is not None:
             raise TranscriptionError(
-                f"{data.name}: a value over {other.name} cannot stand in what is declared over "
+                f"{data.name}: a value over {other.name} cannot stand in a component over "
                 f"{self._copy.time.name}; introduce a static variable equal to it."
             )
 
@@ -490,7 +490,7 @@ class SymbolTable:
         return self._scalar(self.statics, data, data.name, lower=data.lower, upper=data.upper)
 
     def _is_clock(self, data: Any) -> bool:
-        """Say whether a parameter over time is time itself."""
+        """Return whether a parameter over time is time itself."""
         component, index = data.parent_component(), self._addresses.of(data).index
         is_time_where_declared = all(
             value(component[self._addresses.join(component, index, t)], exception=False) == t

@@ -1,4 +1,4 @@
-"""Functions of states known by their values: tables, and what Pyomo calls external functions."""
+"""Functions of states given by values: tables and Pyomo's external functions."""
 
 from __future__ import annotations
 
@@ -20,20 +20,19 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
 
 _CUBIC, _QUINTIC = 3, 5
-# Samples along each axis that are tried in turn for a function that is known by calls alone, and
-# how far, relative to its largest value, an interpolant through them may miss it between them.
+# Samples along each axis, tried in turn, for a function that can only be called with numbers.
 _SAMPLES = {1: (17, 33, 65, 129, 257), 2: (9, 17, 33, 65)}
 _ACCURACY = 1e-7
 _COMPARED = 40
-# Points at which what a function makes of symbols must be what it makes of numbers.
+# Points at which a function of symbols is checked against the function of numbers.
 _CHECKED = 20
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spline:
-    """A tensor product of B-splines without knots beside its ends; beyond its range, linear.
+    """Tensor-product not-a-knot B-spline, extrapolated linearly beyond its range.
 
-    `knots` has one array for each argument, `coefficients` one axis for each.
+    `knots` has one array per argument, `coefficients` one axis per argument.
     """
 
     knots: tuple[FloatArray, ...]
@@ -53,7 +52,7 @@ class Spline:
         return cls(knots=tuple(knots), coefficients=held, degree=degree)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """Return itself: it never changes."""
+        """Return itself, since it is immutable."""
         return self
 
     @property
@@ -81,14 +80,14 @@ class Spline:
         return casadi.Function("spline", [arguments], [written, gradient, hessian])
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave the compiled function behind."""
+        """Drop the compiled function from the pickle."""
         return {name: part for name, part in vars(self).items() if name != "function"}
 
 
 def _basis(knots: FloatArray, degree: int, argument: Any) -> Any:
     """Return all basis functions at an argument, by de Boor's recurrence between its knots."""
     inner = knots[degree + 1 : -degree - 1]
-    # Of the interval that holds the argument, its knots: steps at each inner knot.
+    # Knots of the interval that holds the argument: steps at each inner knot.
     at = casadi.SX.sym("at")
     steps = casadi.vertcat(1.0, *[at >= t for t in inner], 0.0)
     is_in = steps[:-1] - steps[1:]
@@ -114,22 +113,22 @@ def _basis(knots: FloatArray, degree: int, argument: Any) -> Any:
 class Table(PythonCallbackFunction):
     """Values on a grid as a smooth function of states: ``m.density = Table(heights, densities)``.
 
-    Called in a rule, as ``m.density(m.h[t])``, it is the cubic spline through the values (without
-    knots beside the ends), twice differentiable.  Two tables of points and a matrix make a
+    Called in a rule, as ``m.density(m.h[t])``, it is the cubic not-a-knot spline through the
+    values, twice continuously differentiable. Two arrays of points and a matrix of values make a
     function of two arguments, and so on.
 
     Parameters
     ----------
     *grid : array_like
-        For each argument its points, rising, at least four; last the values, with one axis for
-        each argument.
+        The points of each argument, rising, at least four; last the values, with one axis per
+        argument.
     units, arg_units : optional
         Pyomo units of value and arguments.
 
     Raises
     ------
     TranscriptionError
-        If points are too few or do not rise, or the values do not fit them.
+        If there are too few points, points do not rise, or the shape of the values does not match.
     """
 
     def __init__(self, *grid: Any, **keywords: Any) -> None:
@@ -139,7 +138,7 @@ class Table(PythonCallbackFunction):
         super().__init__(fgh=self._at, **keywords)
 
     def __call__(self, *arguments: Any) -> Any:
-        """Return the Pyomo expression of its value at expressions or numbers."""
+        """Return the Pyomo expression of the table at expressions or numbers."""
         if len(arguments) != len(self.spline.knots):
             raise TranscriptionError(
                 f"{self.name or 'Table'}: called with {len(arguments)} arguments; it has points "
@@ -148,7 +147,7 @@ class Table(PythonCallbackFunction):
         return super().__call__(*arguments)
 
     def _at(self, arguments: Any, _order: int, _fixed: Any) -> tuple[float, list[float], Any]:
-        """Return value, gradient and upper triangle of the Hessian, as Pyomo asks for them."""
+        """Return value, gradient and upper triangle of the Hessian, in Pyomo's order."""
         value, gradient, hessian = self.spline.function(arguments)
         upper = [float(hessian[i, j]) for j in range(len(arguments)) for i in range(j + 1)]
         return float(value), [float(gradient[k]) for k in range(len(arguments))], upper
@@ -171,7 +170,7 @@ def _refuse_unfit(points: Sequence[FloatArray], values: FloatArray) -> None:
     if not points or values.shape != wanted:
         raise TranscriptionError(
             f"Table: values of shape {values.shape} for points of shape {wanted}; give the points "
-            "of each argument, then values with one axis for each."
+            "of each argument, then values with one axis per argument."
         )
     if not np.all(np.isfinite(values)):
         raise TranscriptionError("Table: some values are not finite; leave those points out.")
@@ -179,7 +178,7 @@ def _refuse_unfit(points: Sequence[FloatArray], values: FloatArray) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class TableUse:
-    """An argument of a table in an equation, and the range that it must stay in."""
+    """An argument of a table in an equation, and the range within which it must stay."""
 
     name: str
     expression: Any
@@ -188,14 +187,15 @@ class TableUse:
 
 
 def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUse]) -> Any:
-    """Return the CasADi expression of a call of an external function; note the ranges it has.
+    """Return the CasADi expression of an external function's call, and record the ranges of tables.
 
-    A table is its spline, a Python function that takes symbols is what it returns, and any other
-    the spline through its samples between the bounds of its arguments.
+    A table becomes its spline. A Python function that accepts symbols becomes the expression that
+    it returns. Any other function becomes the spline through its samples between the bounds of its
+    arguments.
     """
     function = node._fcn  # noqa: SLF001
     is_python = isinstance(function, PythonCallbackFunction)
-    # Pyomo appends a number by which it finds a Python function.
+    # Pyomo appends an argument that identifies the Python function.
     count = node.nargs() - is_python
     inputs, stated = list(arguments[:count]), [node.arg(k) for k in range(count)]
     if isinstance(function, Table):
@@ -221,7 +221,7 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
 
 
 def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> Any:
-    """Return what a Python function makes of symbols, None if it needs numbers."""
+    """Return a Python function evaluated on symbols, None if it needs numbers."""
     if function._fcn is None:  # noqa: SLF001
         return None
     symbols = casadi.SX.sym("arguments", len(inputs))
@@ -232,7 +232,7 @@ def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> An
         found = casadi.Function("function", [symbols], [said])
         lower, upper = np.transpose([_range(argument) for argument in stated])
         places = np.random.default_rng(seed=0).uniform(lower, upper, (_CHECKED, len(inputs)))
-        # CasADi makes a NaN of a symbol that is asked for its number.
+        # CasADi turns a symbol into NaN if the function converts it to a number.
         is_same = all(
             np.isclose(float(found(at)), function._fcn(*at.tolist()), 1e-9, equal_nan=True)  # noqa: SLF001
             for at in places
@@ -250,7 +250,7 @@ def _bounds(argument: Any) -> tuple[float | None, float | None]:
 
 
 def _range(argument: Any) -> tuple[float, float]:
-    """Return where a function is checked: between the bounds of its argument, if it has both."""
+    """Return the interval on which a function is checked: its argument's bounds, if both exist."""
     lower, upper = _bounds(argument)
     return (0.1, 0.9) if lower is None or upper is None else (float(lower), float(upper))
 
@@ -310,7 +310,7 @@ def _on_grid(call: Callable[..., float], points: Sequence[FloatArray]) -> FloatA
 
 
 def _miss(call: Callable[..., float], spline: Spline, size: float) -> float:
-    """Return how far a spline misses its function at points between the samples, relative."""
+    """Return the largest relative error of a spline between the samples of its function."""
     generator = np.random.default_rng(seed=0)
     lower, upper = np.transpose(spline.ranges)
     places = generator.uniform(lower, upper, (_COMPARED, len(spline.ranges)))

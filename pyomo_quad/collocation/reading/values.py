@@ -1,4 +1,4 @@
-"""Numbers for the compiled equations: held by the model, or given by the caller."""
+"""Numbers for the compiled equations, from the model or from the caller."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ Overrides = Mapping[Any, float | Callable[[float], float]]
 class Instance:
     """The numbers of one solve: parameters, horizon, fixed values and signals.
 
-    `jumps` are the fractions of the horizon where something that changes with time may jump;
-    `left_out` are names of conditions that are not imposed, because they follow from others.
+    `jumps` are the fractions of the horizon where a time-varying quantity may jump. `left_out`
+    names the conditions that are not imposed because they follow from others.
     """
 
     parameters: FloatArray
@@ -48,11 +48,11 @@ class Instance:
     left_out: frozenset[str] = frozenset()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Pickle functions of time as polynomials."""
+        """Pickle functions of time as piecewise polynomials."""
         return vars(self) | {"overrides": {n: self._kept(n, v) for n, v in self.overrides.items()}}
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Instance:
-        """Return itself: it never changes, and its functions are the caller's."""
+        """Return itself: it is immutable, and its functions are the caller's."""
         return self
 
     def _kept(
@@ -66,12 +66,12 @@ class Instance:
 
 
 class ModelValues:
-    """Gives the numbers of a model in the order of its declarations."""
+    """Returns the numbers of a model in the order of its declarations."""
 
     def __init__(self, source: LiveModel | ModelSnapshot, declared: Declarations) -> None:
         self._source = source
         self._declared = declared
-        # Names already looked up: parsing them again costs a warm re-solve a tenth of its time.
+        # Cache of names looked up: parsing them again takes a tenth of a warm re-solve's time.
         self._known: set[str] = set()
         self._widest = self.declared_horizon
 
@@ -126,13 +126,13 @@ class ModelValues:
         return _present(slot.name, self._source.parameter(slot))
 
     def signals(self, instance: Instance) -> Callable[[float], list[float]]:
-        """Return what changes with time as a function of the fraction of the horizon.
+        """Return the time-varying data as a function of the fraction of the horizon.
 
         Raises
         ------
         TranscriptionError
-            If a parameter over time has no rule and no override to evaluate it at any time; the
-            function, if a rule says something that was not compiled.
+            If a parameter over time has neither a rule nor an override. Raised by the function, if
+            a rule returns a form that was not compiled.
         """
         start, end = self._rule_horizon(instance.horizon)
         found = self._signal_functions(instance.overrides)
@@ -147,9 +147,9 @@ class ModelValues:
     def jumps(
         self, overrides: Overrides | None, horizon: tuple[float, float] | None
     ) -> tuple[float, ...]:
-        """Return where signals may jump, as fractions of the horizon.
+        """Return the fractions of the horizon at which signals may jump.
 
-        These are the declared times, and where a rule or parameter is found to jump.
+        These are the declared times and the times at which a rule or parameter is found to jump.
         """
         if not self._declared.has_signals:
             return ()
@@ -166,7 +166,7 @@ class ModelValues:
         return tuple(f for k, f in enumerate(fractions) if k == 0 or f - fractions[k - 1] > BESIDE)
 
     def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
-        """Return the horizon in the time of rules: the declared one where any time is free."""
+        """Return the horizon in the rules' time, which is the declared one if any time is free."""
         found = self.declared_horizon if self._declared.clock.is_free else horizon
         self._widest = min(self._widest[0], found[0]), max(self._widest[1], found[1])
         return found
@@ -214,10 +214,10 @@ class ModelValues:
         return pairs
 
     def first_guesses(self, slot: Slot, fractions: FloatArray) -> FloatArray | None:
-        """Return what the variable's `initialize` rule gives at fractions of the horizon.
+        """Return the values of the variable's `initialize` rule at fractions of the horizon.
 
-        None where it has no rule or holds other values, and where the rule knows no others than
-        those at the declared times.
+        None where it has no rule or holds other values, and where the rule has values at the
+        declared times only.
         """
         first, last = self.declared_horizon
         guess = self._source.first_guess(slot)
@@ -250,11 +250,11 @@ class ModelValues:
         self._source.load_rates(self._declared_time(*self.declared_horizon, fraction), rate)
 
     def load_integrals(self, totals: Mapping[str, float]) -> None:
-        """Let the model's integrals, by full name, be worth their solved totals."""
+        """Set the model's integrals, by full name, to their solved totals."""
         self._source.load_integrals(totals)
 
     def snapshot(self) -> ModelSnapshot:
-        """Return what the model holds, over the widest horizon that was asked for so far."""
+        """Return the model's present values, over the widest horizon requested so far."""
         return self._source.snapshot(self._declared, self._widest)
 
 

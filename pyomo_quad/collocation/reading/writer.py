@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.reading.copy import WorkingCopy
     from pyomo_quad.collocation.reading.symbols import Address, Slot
 
-# Points at which two expressions must agree to be the same.
+# Number of points at which two expressions must agree to count as equal.
 _COMPARED = 5
 
 _UNARY: dict[str, Callable[[Any], Any]] = {
@@ -88,8 +88,8 @@ class ExpressionWriter:
     leaf : callable
         Takes a Pyomo variable or mutable parameter (data object) and returns its symbol.
     named : callable, optional
-        Takes a named expression and returns what to write instead of its own expression: a
-        CasADi symbol, another Pyomo expression, or None to keep it.
+        Takes a named expression and returns its replacement: a CasADi symbol, another Pyomo
+        expression, or None to keep its own expression.
 
     Notes
     -----
@@ -117,7 +117,7 @@ class ExpressionWriter:
         Raises
         ------
         TranscriptionError
-            If the expression holds something that has no smooth CasADi counterpart.
+            If the expression holds a function without a smooth CasADi counterpart.
         """
         self._owner = owner
         return self._visitor.walk_expression(expression)
@@ -158,7 +158,7 @@ class ExpressionWriter:
         return self._apply(node, arguments)
 
     def apply(self, node: Any, arguments: list[Any], owner: str) -> Any:
-        """Return the CasADi expression of an operation on arguments that are written already."""
+        """Return the CasADi expression of an operation on arguments that are already written."""
         self._owner = owner
         return self._apply(node, arguments)
 
@@ -181,9 +181,9 @@ class ExpressionWriter:
 
 
 def same_expression(first: Any, second: Any) -> bool:
-    """Say whether two CasADi expressions are the same function of the same symbols.
+    """Return whether two CasADi expressions are the same function of the same symbols.
 
-    Constants may have been folded in one of them, so that trees that differ are compared by
+    Constants may have been folded in one of them, so expressions whose trees differ are compared by
     their values at a few points.
     """
     first, second = casadi.SX(first), casadi.SX(second)
@@ -198,12 +198,12 @@ def same_expression(first: Any, second: Any) -> bool:
 
 def symbol_names(expression: Any) -> frozenset[str]:
     """Return the names of the symbols in a CasADi expression."""
-    # Making an SX of an SX takes longer than finding its symbols.
+    # Converting an SX to an SX takes longer than finding its symbols.
     held = expression if isinstance(expression, casadi.SX) else casadi.SX(expression)
     return frozenset(s.name() for s in casadi.symvar(held))
 
 
-# What a lower bound, a body and an upper bound are that a rule does not give.
+# Defaults of a lower bound, a body and an upper bound that a rule does not return.
 _ABSENT = (-casadi.inf, 0.0, casadi.inf)
 
 
@@ -213,11 +213,11 @@ class TemplateWriter:
     Attributes
     ----------
     integrals : dict
-        The integrals met so far, by name.
+        Integrals found so far, by name.
     table_uses : list
-        Arguments of tables met so far.
+        Arguments of tables found so far.
     schedules : list
-        What is no formula of time: what rules say, and which phase holds.
+        Quantities without a formula of time: forms and numbers of rules, and the phase that holds.
     """
 
     def __init__(
@@ -237,7 +237,7 @@ class TemplateWriter:
         self._in_path = False
 
     def write(self, expression: Any, owner: str, *, over_time: bool = False) -> Any:
-        """Return an expression in symbols; one over time may not read a single instant."""
+        """Return an expression in symbols; refuse values at single instants if it is over time."""
         before, self._in_path = self._in_path, over_time
         try:
             return self._writer.write(expression, owner)
@@ -245,15 +245,15 @@ class TemplateWriter:
             self._in_path = before
 
     def bound(self, bound: Any, otherwise: float, name: str) -> Any:
-        """Return a bound that may be absent."""
+        """Return the CasADi expression of a bound, or `otherwise` if it is absent."""
         return casadi.SX(otherwise if bound is None else self.write(bound, name))
 
     def path_equation(
         self, component: Any, index: tuple[Any, ...], instance: Any
     ) -> PathEquation | None:
-        """Return what a constraint imposes over time, None if its rule skips it there.
+        """Return a constraint's path equation, None if its rule skips it between declared times.
 
-        `instance` is the constraint's own at the template, of which there may be none.
+        `instance` is the constraint's member at the template time; None if there is none.
         """
         rule, name = rule_of(component), indexed_name(component.name, index)
         if rule is None and instance is None:
@@ -297,14 +297,15 @@ class TemplateWriter:
         )
 
     def changed_bounds(self, slot: Slot) -> tuple[Any, Any] | None:
-        """Return the bounds that a user gave to every declared time instead of those declared.
+        """Return the bounds that a user assigned at every declared time, None if unchanged.
 
-        A state's ends may be meant alone, unless one is fixed, of which no bounds are needed.
+        Bounds changed at the ends of a state alone may be meant for these instants. A fixed end
+        needs no bounds and does not count.
 
         Raises
         ------
         TranscriptionError
-            If it is not clear what holds between.
+            If the bounds between the declared times are ambiguous.
         """
         members = [self._member(slot, time) for time in self.copy.declared_times]
         if any(m.bounds == self.declared_bounds(m) for m in members):
@@ -337,10 +338,10 @@ class TemplateWriter:
         return variable[self.addresses.join(variable, slot.index, time)]
 
     def _over_time(self, name: str, say: Callable[[Any], Statement]) -> tuple[list[Any], bool]:
-        """Return the parts of what a rule says as functions of time, and if they are an equality.
+        """Return the parts of a rule as functions of time, and whether they state an equality.
 
-        The rule is called once with a symbol.  Where that does not do, because the rule reads
-        the number, it is called at the times needed.
+        The rule is called once with a symbol for time. If that fails because the rule reads the
+        number, the rule is called at as many times as needed.
         """
         symbol = TimeSymbol(self.copy.template_time, self._clock)
         statement = _attempt(say, symbol)
@@ -356,7 +357,7 @@ class TemplateWriter:
         return schedule.written(write, _ABSENT), schedule.is_equality
 
     def _said(self, name: str, say: Callable[[Any], Statement], time: float) -> Statement:
-        """Return what a rule says at one time."""
+        """Return the statement of a rule at one time."""
         template = self.copy.template_time
         if self.symbols.clock.is_free:
             declared = self.copy.declared_times
@@ -377,7 +378,7 @@ class TemplateWriter:
         return statement
 
     def at_instant(self, data: Any) -> Any:
-        """Return a constraint at a declared time in terms of the time that this turns out to be."""
+        """Return a constraint at a declared time in terms of the physical time that it maps to."""
         component, address = data.parent_component(), self.addresses.of(data)
         rule, clock = rule_of(component), self.symbols.clock
         if not clock.is_free or rule is None or address.time is None:
@@ -389,20 +390,20 @@ class TemplateWriter:
         position = self.addresses.join(component, address.index, symbol)
         try:
             said = rule(component.parent_block(), position)
-        except Exception as error:  # noqa: BLE001  the rule is the user's, and did with the number
+        except Exception as error:  # noqa: BLE001  the user's rule, which accepted a number
             _refuse_number(data.name, error)
         if symbol.is_read:
             _refuse_number(data.name)
         return ConstraintData(expr=said)
 
     def is_scheduled(self, name: str) -> bool:
-        """Say whether a component's rule is no formula of time."""
+        """Return whether a component's rule has no formula of time."""
         return any(s.name == name for s in self.schedules)
 
     def scheduled_beside(self, time: float, side: int = -1) -> dict[str, tuple[Any, float]]:
-        """Return the symbols of all schedules and their numbers beside a declared time.
+        """Return the symbols of all schedules, with their numbers on one side of a declared time.
 
-        Just before it, or after it where `side` is 1.
+        `side` is -1 for just before the time, 1 for just after.
         """
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
         near = BESIDE * (last - first)
@@ -423,7 +424,7 @@ class TemplateWriter:
         return casadi.SX(absent if part is None else self.write(part, name, over_time=True))
 
     def _with_numbers(self, part: Any, numbers: Iterator[Any], name: str) -> Any:
-        """Write an expression with other numbers, given in the order of its own."""
+        """Write an expression with its numbers replaced, in their order."""
         if part.__class__ in native_types:
             return next(numbers)
         if not part.is_expression_type() or part.is_named_expression_type():
@@ -432,7 +433,7 @@ class TemplateWriter:
         return self._writer.apply(part, arguments, name)
 
     def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
-        """Return what a user names in template symbols, None if it is nothing over time.
+        """Return a named component in template symbols, None if it is not over time.
 
         Raises
         ------
@@ -445,7 +446,7 @@ class TemplateWriter:
         return self.write_at_template(found, index)
 
     def components_over_time(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
-        """Yield name and index of all that `over_time` can write."""
+        """Yield name and index of every component that `over_time` can write."""
         kinds = (Var, DerivativeVar, Param, Expression)
         for component in self.copy.model.component_objects(kinds, descend_into=True):
             if self.addresses.time_position(component) is not None:
@@ -478,7 +479,7 @@ class TemplateWriter:
         return symbol
 
     def named(self, expression: Any) -> Any:
-        """Return what to write for a named expression, None for its own expression."""
+        """Return the replacement of a named expression, None to keep its own expression."""
         component = expression.parent_component()
         if component is None:
             return None
@@ -491,7 +492,7 @@ class TemplateWriter:
         return self._expression(component, address.index, rule)
 
     def _expression(self, component: Any, index: tuple[Any, ...], rule: Any) -> Any:
-        """Return what an expression or parameter over time is by its rule, read once."""
+        """Return the expression that a component's rule gives over time, read once."""
         name, block = indexed_name(component.name, index), component.parent_block()
         if name in self._by_rule:
             return self._by_rule[name]
@@ -503,7 +504,7 @@ class TemplateWriter:
         return self._by_rule[name]
 
     def _parameter_over_time(self, data: Any, address: Address) -> Any:
-        """Return a parameter as a function of a time that has a derivative."""
+        """Return a parameter as a differentiable function of time."""
         component = data.parent_component()
         rule = rule_of(component)
         if rule is None or address.time is None:
@@ -538,9 +539,9 @@ class TemplateWriter:
 
 
 def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement | None:
-    """Return what a rule says of time as a symbol, None if it cannot do with one."""
+    """Return the statement of a rule with a symbol for time, None if the rule needs a number."""
     try:
-        # What Pyomo logs of a failure that the rule's second reading mends would only mislead.
+        # Hide Pyomo's log of this failure: the second reading of the rule recovers from it.
         with LoggingIntercept(None, "pyomo.core"):
             return _as_numeric(say(symbol))
     except Exception:  # noqa: BLE001  the rule is the user's: it may raise anything
@@ -556,24 +557,25 @@ def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
 
 
 def _as_numeric(statement: Statement) -> Statement:
-    """Put the parameter for time itself where a rule returned its time as it is."""
+    """Replace time by its parameter where a rule returned time itself."""
     parts = (p.as_numeric() if isinstance(p, TimeSymbol) else p for p in statement.parts)
     return replace(statement, parts=tuple(parts))
 
 
 def is_unbounded(lower: Any, upper: Any) -> bool:
-    """Say whether neither of two CasADi bounds holds anything."""
+    """Return whether two CasADi bounds are both absent."""
     sides = (lower, -casadi.inf), (upper, casadi.inf)
     return all(casadi.is_equal(side, casadi.SX(limit)) for side, limit in sides)
 
 
 def _relation(said: Any, name: str) -> Statement:
-    """Return what the rule of a constraint returned as lower bound, body and upper bound."""
+    """Return lower bound, body and upper bound of a constraint rule's result."""
     if said is Constraint.Skip or said is Constraint.Feasible or said is True:
         return Statement(parts=(None, 0.0, None))
     if said is Constraint.Infeasible or said is False:
         raise TranscriptionError(
-            f"{name}: its rule says that it cannot be met; correct the rule or relax a limit in it."
+            f"{name}: its rule returned Constraint.Infeasible; correct the rule or relax a limit "
+            "in it."
         )
     data = ConstraintData(expr=said)
     return Statement(parts=data.to_bounded_expression(), is_equality=bool(data.equality))

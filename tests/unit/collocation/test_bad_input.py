@@ -301,7 +301,9 @@ def test_what_is_no_model():
     for wrong, name in ((m.part, "ScalarBlock"), ({"x": 1}, "dict")):
         with pytest.raises(TranscriptionError, match=rf"^model: a {name}; must be a ConcreteModel"):
             compile(wrong)
-    with pytest.raises(TranscriptionError, match=r"^model: unknown is abstract; give what its cre"):
+    with pytest.raises(
+        TranscriptionError, match=r"^model: unknown is abstract; pass the model that"
+    ):
         compile(AbstractModel())
 
 

@@ -84,5 +84,5 @@ def test_active_limits_are_listed_with_their_value():
 
 
 def test_family_without_limits_is_refused(failed):
-    with pytest.raises(TranscriptionError, match="weakest: has no limits that could give way"):
+    with pytest.raises(TranscriptionError, match="weakest: has no limits that could be relaxed"):
         diagnose(failed, families=frozenset({"weakest"}))

@@ -334,7 +334,7 @@ def test_a_final_time_of_several():
         m, "^final_time: the model has several horizons, first.t, second.t; give", final_time=m.T
     )
     refused(
-        m, "^times: the model has several ContinuousSets, first.t, second.t; say", times={1: m.T}
+        m, "^times: the model has several ContinuousSets, first.t, second.t; name", times={1: m.T}
     )
     refused(
         m, "^times: third is not a Con.* which has first.t, second.t", times={"third": {1: m.T}}
@@ -353,9 +353,7 @@ def test_coupling_at_a_time_that_is_no_boundary():
 def test_a_value_of_another_horizon_over_time():
     m = least_effort()
     m.follow = Constraint(m.first.t, rule=lambda m, t: m.first.x[t] <= m.second.x[0])
-    refused(
-        m, r"^second.x\[0\]: a value over second.t cannot stand in what is declared over first.t"
-    )
+    refused(m, r"^second.x\[0\]: a value over second.t cannot stand in a component over first.t")
 
 
 def test_a_parameter_of_one_horizon_in_what_couples():

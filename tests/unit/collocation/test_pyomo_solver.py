@@ -136,7 +136,7 @@ def test_a_time_limit_counts_on_from_mesh_to_mesh(solver, clock):
     first = whole.history[0].iterations
     results = solver.solve(bryson_denham.build(), tolerance=1e-8, timelimit=2.0 * first + 6.0)
     assert results.solver.termination_condition is TerminationCondition.maxTimeLimit
-    assert len(results.solution_on_mesh.history) > 1
+    assert "on mesh 1;" not in results.solver.message
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0])

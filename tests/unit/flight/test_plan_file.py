@@ -5,15 +5,17 @@ import multiprocessing
 import pickle
 from concurrent.futures import ProcessPoolExecutor
 from copy import deepcopy
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
 from pyomo_quad import Plan
 from pyomo_quad.flight import Planner
+from pyomo_quad.flight.orders import OrderSearch
 from pyomo_quad.flight.verification import verify_controls
 from pyomo_quad.model import parameter_values
+from pyomo_quad.report.tables import plan_summary
 from pyomo_quad.scenario import ScenarioError
 from tests.flights import PLANNER, plan, scenario
 from tests.starts import noted_starts
@@ -54,6 +56,16 @@ def test_all_that_is_saved_comes_back(saved):
         np.testing.assert_array_equal(
             getattr(loaded.trajectories, name), getattr(fresh.trajectories, name)
         )
+
+
+def test_the_search_for_an_order_comes_back(tmp_path):
+    search = OrderSearch(order=(2, 0, 1), cost_J=1013.0, bound_J=1000.0, solved=7, legs=12)
+    found = replace(plan("paper_calm", *COARSE), order_search=search)
+    found.save(tmp_path / "plan.npz")
+    assert Plan.load(tmp_path / "plan.npz").order_search == search
+    told = plan_summary(found, wall_s={})["order"]
+    assert told["waypoints"] == [2, 0, 1]
+    assert told["gap_percent"] == pytest.approx(1.3)
 
 
 def test_a_loaded_plan_starts_another_solve_like_a_fresh_one(saved):

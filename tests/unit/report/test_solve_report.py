@@ -2,11 +2,13 @@
 
 import re
 from contextlib import nullcontext
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
 
 from pyomo_quad.flight import PlanStatus
+from pyomo_quad.flight.orders import OrderSearch
 from pyomo_quad.report import style
 from pyomo_quad.report.document import save_drawings
 from pyomo_quad.report.gallery import plan_drawings
@@ -61,6 +63,16 @@ def test_report_says_what_the_plan_says(report, run):
     assert "| Miss of the goal (m) |  | 3e-07 | 0.0001 |" in text
     assert "- the wind is strong" in text
     assert "| 3 | 19 | 88 | 19 | 711.7000 | 3.1e-07 |" in text
+
+
+@pytest.mark.usefixtures("_no_figures")
+def test_the_order_that_was_found_is_told_with_its_gap(tmp_path, run):
+    search = OrderSearch(order=(2, 0, 1), cost_J=1013.0, bound_J=1000.0, solved=7, legs=12)
+    plan = SimpleNamespace(**vars(run.plan) | {"order_search": search})
+    write_solve_report(tmp_path, plan, ())
+    text = (tmp_path / "report.md").read_text()
+    assert "2, 0, 1, counted from 0" in text
+    assert "no other order is cheaper by more than 1.30 %. 7 of 12 legs were solved" in text
 
 
 def test_title_is_escaped(report):

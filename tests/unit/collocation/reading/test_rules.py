@@ -285,9 +285,7 @@ def test_members_without_a_rule_that_are_alike_are_refused(kind):
     m.cap = kind(m)
     for t in m.t:
         m.cap[t] = m.u[t] <= CAP
-    with pytest.raises(
-        TranscriptionError, match=r"^cap: says the same at every declared time, but"
-    ):
+    with pytest.raises(TranscriptionError, match=r"^cap: is the same at every declared time, but"):
         solve(m)
 
 

@@ -170,7 +170,7 @@ def test_a_solution_beyond_a_table_is_not_converged():
     solution = solve(falling(Table(heights, density(heights)), end=14.0))
     assert not solution.is_converged
     assert solution.message.startswith("drag in pull: its argument is ")
-    assert "outside its range [500, 2000]; give more of the table, or bound" in solution.message
+    assert "outside its range [500, 2000]; extend the table, or bound" in solution.message
 
 
 def test_a_table_in_a_model_without_time():

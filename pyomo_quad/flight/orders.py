@@ -1,0 +1,296 @@
+"""Cheapest orders of places by a table of leg costs, and a cost that no order can undercut.
+
+A table has the start in row 0, the goal in the last column and the places between them; the cost
+from one place to another may differ from the cost back.  Derivation of the bound:
+docs/theory/orders.md, eqs. (2) to (5).
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+_Order = tuple[int, ...]
+
+#: Places whose cheapest orders are found exactly; of more by search.
+MOST_EXACT = 12
+# Descents of the search after the first, each from a disturbed best order.
+_KICKS = 30
+# Blocks exchanged in a disturbance.
+_EXCHANGES = 3
+# Steps of the ascent to the bound, and by what factor its step falls where the bound has not risen
+# for so many steps.
+_ASCENT_STEPS = 400
+_SHRINK, _PATIENCE = 0.7, 10
+# Relative gain below which two orders cost the same.
+_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrderSearch:
+    """How the order of a plan's waypoints was found.
+
+    Attributes
+    ----------
+    order : tuple of int
+        The waypoints of the scenario in the order of the plan.
+    cost_J : float
+        Sum of the energies of its legs, each flown alone from hover to hover; beside it what the
+        time costs.
+    bound_J : float
+        No order's sum is below; legs not solved for count at an optimistic prediction.
+    solved, legs : int
+        Legs solved for, of all those that an order may have.
+    """
+
+    order: tuple[int, ...]
+    cost_J: float
+    bound_J: float
+    solved: int
+    legs: int
+
+    @property
+    def gap(self) -> float:
+        """By what share the order may be dearer than the best, by the energies of its legs."""
+        return self.cost_J / self.bound_J - 1.0
+
+    @property
+    def line(self) -> str:
+        """The search in one line."""
+        return (
+            f"order of {len(self.order)} waypoints: by the energies of its legs, flown one by one, "
+            f"at most {self.gap:.2%} above the best; {self.solved} of {self.legs} legs solved, "
+            "the others predicted from these"
+        )
+
+
+def best_orders(costs: FloatArray, count: int) -> list[_Order]:
+    """Return the cheapest orders of the places between start and goal, the cheapest first.
+
+    Exact up to `MOST_EXACT` places; above, the best that a local search finds.
+
+    Parameters
+    ----------
+    costs : ndarray, shape (n + 2, n + 2)
+        Cost of each leg; infinite where none leads.
+    count : int
+        Number of orders wanted; fewer are returned where there are fewer.
+
+    Returns
+    -------
+    list of tuple of int
+        Each order as indices of places, from 0 to n - 1.
+    """
+    return (exact_orders if len(costs) - 2 <= MOST_EXACT else search_orders)(costs, count)
+
+
+def cost_of(costs: FloatArray, order: _Order) -> float:
+    """Return the sum of the costs of the legs of an order."""
+    places = np.array([0, *(k + 1 for k in order), len(costs) - 1])
+    return float(costs[places[:-1], places[1:]].sum())
+
+
+def exact_orders(costs: FloatArray, count: int) -> list[_Order]:
+    """Return the cheapest orders by dynamic programming.
+
+    Over the set of places passed so far and the last of them [1]_, with the `count` best of each
+    kept.
+
+    .. [1] Held and Karp, "A dynamic programming approach to sequencing problems", SIAM J. 10
+       (1962).
+    """
+    n = len(costs) - 2
+    best = np.full((1 << n, n, count), inf)
+    came_from = np.full((1 << n, n, count), -1, dtype=np.int32)
+    for k in range(n):
+        best[1 << k, k, 0] = costs[0, k + 1]
+    for passed in range(1, (1 << n) - 1):
+        left = [k for k in range(n) if not passed >> k & 1]
+        # A set of places and its last one have a single predecessor: the set without it.
+        reached = best[passed].reshape(-1, 1) + np.repeat(costs[1:-1, 1:-1], count, axis=0)[:, left]
+        kept = np.argsort(reached, axis=0, kind="stable")[:count]
+        for column, there in enumerate(left):
+            rows = kept[:, column]
+            best[passed | 1 << there, there, : len(rows)] = reached[rows, column]
+            came_from[passed | 1 << there, there, : len(rows)] = rows
+    every = (1 << n) - 1
+    ended = (best[every] + costs[1:-1, -1:]).ravel()
+    # Ranks that no order filled stay infinite, and lead back nowhere.
+    begun = best[every].ravel() < inf
+    ranked = [k for k in np.argsort(ended, kind="stable").tolist() if begun[k]][:count]
+    return [_traced_back(came_from, every, row, count) for row in ranked]
+
+
+def _traced_back(came_from: NDArray[np.int32], passed: int, row: int, count: int) -> _Order:
+    order: list[int] = []
+    while row >= 0:
+        last, rank = divmod(row, count)
+        order.append(last)
+        row = int(came_from[passed, last, rank])
+        passed &= ~(1 << last)
+    return tuple(reversed(order))
+
+
+def search_orders(costs: FloatArray, count: int) -> list[_Order]:
+    """Return the cheapest orders that an iterated local search finds.
+
+    A step takes the best of all exchanges of two neighbouring blocks, which keep every direction
+    of flight, and of all reversals of a block [1]_.  Descents are repeated from disturbances of
+    the best order so far; the random numbers are the same in every call.
+
+    .. [1] Kanellakis and Papadimitriou, "Local search for the asymmetric traveling salesman
+       problem", Operations Research 28 (1980).
+    """
+    finite = _without_infinities(costs)
+    neighbours, random = _neighbours(len(costs) - 2), np.random.default_rng(0)
+    best = _descended(finite, neighbours, _nearest_first(finite))
+    found = {_named(best): _cost(finite, best[None])[0]}
+    for _ in range(_KICKS):
+        kicked = best
+        for exchange in random.integers(len(neighbours), size=_EXCHANGES):
+            kicked = kicked[neighbours[exchange]]
+        tried = _descended(finite, neighbours, kicked)
+        found[_named(tried)] = _cost(finite, tried[None])[0]
+        best = min(best, tried, key=lambda order: found[_named(order)])
+    beside = best[neighbours]
+    found |= zip(map(_named, beside), _cost(finite, beside), strict=True)
+    return sorted(found, key=lambda order: (found[order], order))[:count]
+
+
+def _without_infinities(costs: FloatArray) -> FloatArray:
+    """Return costs whose infinite ones are larger than any order of finite ones."""
+    finite = costs[np.isfinite(costs)]
+    large = 1.0 + len(costs) * float(np.max(np.abs(finite), initial=0.0))
+    return np.where(np.isfinite(costs), costs, large)
+
+
+def _neighbours(n: int) -> IntArray:
+    """Return the orders one step from the order 0, 1, ... n - 1, in rows."""
+    every = np.arange(n)
+    rows = [
+        np.concatenate([every[:i], every[j:k], every[i:j], every[k:]])
+        for i, j, k in combinations(range(n + 1), 3)
+    ]
+    rows += [
+        np.concatenate([every[:i], every[i:k][::-1], every[k:]])
+        for i, k in combinations(range(n + 1), 2)
+        if k - i > 1
+    ]
+    return np.array(rows)
+
+
+def _named(order: IntArray) -> _Order:
+    return tuple(int(k) - 1 for k in order)
+
+
+def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
+    """Return the cost of each order, a row of the indices of the table."""
+    between = costs[orders[:, :-1], orders[:, 1:]].sum(axis=1)
+    return np.asarray(costs[0, orders[:, 0]] + between + costs[orders[:, -1], -1])
+
+
+def _nearest_first(costs: FloatArray) -> IntArray:
+    """Return the order that always goes to the cheapest place that is left."""
+    order, left = [0], list(range(1, len(costs) - 1))
+    while left:
+        order.append(left.pop(int(np.argmin(costs[order[-1], left]))))
+    return np.array(order[1:])
+
+
+def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntArray:
+    """Return the local optimum that the steepest descent from an order reaches."""
+    cost = _cost(costs, order[None])[0]
+    while True:
+        beside = order[neighbours]
+        tried = _cost(costs, beside)
+        best = int(np.argmin(tried))
+        if tried[best] >= cost - _ROUNDING * abs(cost):
+            return order
+        order, cost = beside[best], tried[best]
+
+
+def least_cost(costs: FloatArray, reached: float) -> float:
+    """Return a lower bound on the cost of every order.
+
+    The larger of the assignment of a successor to each place, and of the trees of [1]_ on the
+    table made symmetric: see docs/theory/orders.md.
+
+    Parameters
+    ----------
+    costs : ndarray, shape (n + 2, n + 2)
+        Cost of each leg, for at least one place between start and goal.
+    reached : float
+        Cost of some order, at which the ascent aims; no bound is above.
+
+    .. [1] Held and Karp, "The traveling-salesman problem and minimum spanning trees", Operations
+       Research 18 (1970).
+    """
+    finite = _without_infinities(costs)
+    successors = finite[:-1, 1:].copy()
+    # A leg to itself is none, nor is one past all places.
+    np.fill_diagonal(successors[1:], np.max(finite) * len(costs))
+    successors[0, -1] = np.max(finite) * len(costs)
+    assigned = float(successors[linear_sum_assignment(successors)].sum())
+    return min(max(assigned, _tree_bound(_made_symmetric(costs, finite), reached)), reached)
+
+
+def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
+    """Return the cheaper direction of each leg, after potentials that no order's cost depends on.
+
+    Climbs, and head wind against tail wind, are differences of potentials, eq. (3); a leg that
+    leads one way only tells nothing of them.
+    """
+    potential = np.zeros(len(costs))
+    is_both = np.isfinite(costs + costs.T)[1:-1, 1:-1]
+    skew = np.where(is_both, (finite - finite.T)[1:-1, 1:-1], 0.0)
+    potential[1:-1] = -skew.mean(axis=1) / 2.0
+    level = finite + potential[:, None] - potential[None, :]
+    symmetric = np.minimum(level, level.T)
+    symmetric[0, :] = symmetric[:, 0] = level[0, :]
+    symmetric[-1, :] = symmetric[:, -1] = level[:, -1]
+    symmetric[0, -1] = symmetric[-1, 0] = inf
+    return symmetric
+
+
+def _tree_bound(costs: FloatArray, reached: float) -> float:
+    """Return the greatest cost found of a least tree under prices of the places, eq. (5)."""
+    degrees = np.full(len(costs), 2.0)
+    degrees[[0, -1]] = 1.0
+    prices, best, eager, idle = np.zeros(len(costs)), -inf, 1.0, 0
+    for _ in range(_ASCENT_STEPS):
+        tree, met = _least_tree(costs + prices[:, None] + prices[None, :])
+        bound = tree - float(prices @ degrees)
+        idle = 0 if bound > best else idle + 1
+        best = max(best, bound)
+        missing = met - degrees
+        if not missing.any():
+            break
+        if idle > _PATIENCE:
+            eager, idle = _SHRINK * eager, 0
+        prices += eager * max(reached - bound, 0.0) / float(missing @ missing) * missing
+    return best
+
+
+def _least_tree(costs: FloatArray) -> tuple[float, FloatArray]:
+    """Return the cost of the least spanning tree, eq. (4), and how many of its legs each has.
+
+    By Prim's algorithm.
+    """
+    n = len(costs)
+    degrees, nearest, by = np.zeros(n), costs[0].copy(), np.zeros(n, dtype=int)
+    is_left = np.ones(n, dtype=bool)
+    is_left[0] = False
+    cost = 0.0
+    for _ in range(n - 1):
+        here = int(np.argmin(np.where(is_left, nearest, inf)))
+        cost += float(nearest[here])
+        degrees[[here, by[here]]] += 1.0
+        is_left[here] = False
+        closer = costs[here] < nearest
+        nearest, by = np.where(closer, costs[here], nearest), np.where(closer, here, by)
+    return cost, degrees

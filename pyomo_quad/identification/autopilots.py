@@ -1,0 +1,234 @@
+"""Logs of autopilots, PX4 `.ulg` and ArduPilot `.BIN`, as the table that `logs` reads.
+
+Each log is one flight, named as its file.  Rows not on the ground count as cruise, the payload is
+0, and where no barometer says better the air has the density of sea level.
+"""
+
+from collections.abc import Mapping
+from contextlib import closing, redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from pyomo_quad.identification.columns import (
+    AIR_VELOCITY,
+    CRUISE,
+    DENSITY,
+    FLIGHT,
+    PAYLOAD,
+    PHASE,
+    POWER,
+    TIME,
+    VELOCITY,
+)
+from pyomo_quad.scenario import ScenarioError
+from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
+
+# Logs of the PX4 autopilot: unit, topics and fields, the newest firmware's name first.
+Topic = dict[str, NDArray[np.float64]]
+_MICROSECONDS = 1e-6
+_POSITION, _BATTERY, _LANDED = "vehicle_local_position", "battery_status", "vehicle_land_detected"
+_WINDS = ("wind", "wind_estimate")
+_AIR = "vehicle_air_data"
+_TOPICS = (_POSITION, _BATTERY, _LANDED, *_WINDS, _AIR)
+_CURRENTS, _VOLTAGES = ("current_a", "current_average_a"), ("voltage_v", "voltage_filtered_v")
+
+
+def read_ulog(file: Path) -> pd.DataFrame:
+    """Return a PX4 log averaged over seconds, in the columns of `COLUMNS`.
+
+    The log is one flight, named as its file.  All rows that are not on the ground count as cruise;
+    the payload is 0, and without a barometer the air has the density of sea level.  The wind is
+    the estimate of the autopilot.
+
+    Raises
+    ------
+    ScenarioError
+        If `pyulog` is missing, or the log lacks a topic or a field.
+    """
+    try:
+        from pyulog import ULog  # noqa: PLC0415  an extra
+    except ImportError:
+        raise ScenarioError(
+            "PX4 logs need the package pyulog; pip install 'pyomo_quad[logs]'."
+        ) from None
+    try:
+        # The reader prints the faults that it finds.
+        with file.open("rb") as stream, redirect_stdout(StringIO()):
+            read = ULog(stream, message_name_filter_list=list(_TOPICS)).data_list
+            topics = {d.name: d.data for d in read if d.multi_id == 0}
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:
+        # The reader raises exceptions of many types for damaged logs.
+        raise ScenarioError("is no whole PX4 log; copy it anew.") from error
+    battery = topics.get(_BATTERY, {})
+    currents = [name for name in _CURRENTS if name in battery and np.any(battery[name] > 0.0)]
+    if battery and not currents:
+        raise ScenarioError("battery_status has no current; fit a power module and log it.")
+    averaged = _by_second(topics, currents)
+    averaged.insert(0, FLIGHT, file.stem)
+    return averaged
+
+
+def _field(topics: dict[str, Topic], topic: str, *names: str) -> NDArray[np.float64]:
+    """Return the field of a topic under the first of the names that it has."""
+    if topic not in topics:
+        raise ScenarioError(f"has no topic {topic}; log it.")
+    for name in names:
+        if name in topics[topic]:
+            return np.asarray(topics[topic][name], dtype=float)
+    raise ScenarioError(f"{topic} has no {' or '.join(names)}; log it.")
+
+
+def _by_second(topics: dict[str, Topic], currents: list[str]) -> pd.DataFrame:
+    times = _field(topics, _POSITION, "timestamp") * _MICROSECONDS
+
+    def at_positions(topic: str, *names: str) -> np.ndarray:
+        values = _field(topics, topic, *names)
+        return np.interp(times, topics[topic]["timestamp"] * _MICROSECONDS, values)
+
+    power = at_positions(_BATTERY, *_VOLTAGES) * at_positions(_BATTERY, *currents)
+    wind = next((name for name in _WINDS if name in topics), None)
+    if wind is None:
+        raise ScenarioError("has no topic wind; let the estimator of wind run (EKF2_DRAG_CTRL).")
+    north, east, down = (_field(topics, _POSITION, name) for name in ("vx", "vy", "vz"))
+    is_flying = np.ones(len(times), dtype=bool)
+    if _LANDED in topics:
+        is_flying = at_positions(_LANDED, "landed") < 0.5
+    density = np.full(len(times), SEA_LEVEL_DENSITY)
+    if "rho" in topics.get(_AIR, {}):
+        density = at_positions(_AIR, "rho")
+    frame = pd.DataFrame(
+        {
+            TIME: times - times[0],
+            PHASE: np.where(is_flying, CRUISE, 0),
+            PAYLOAD: 0.0,
+            DENSITY: density,
+            POWER: power,
+            VELOCITY[0]: north,
+            VELOCITY[1]: east,
+            VELOCITY[2]: -down,
+            AIR_VELOCITY[0]: north - at_positions(wind, "windspeed_north"),
+            AIR_VELOCITY[1]: east - at_positions(wind, "windspeed_east"),
+        }
+    )
+    return _seconds_aloft(frame)
+
+
+# Logs of ArduPilot: messages, and events of its land detector.
+_EKF, _EKF_WIND, _EKF_BATTERY, _BAROMETER, _EVENT = "XKF1", "XKF2", "BAT", "BARO", "EV"
+_MESSAGES = (_EKF, _EKF_WIND, _EKF_BATTERY, _BAROMETER, _EVENT)
+_LANDED_EVENT, _FLYING_EVENT = 18, 28
+# Gas constant of dry air, J/(kg K), and 0 degrees Celsius in K.
+_GAS, _FREEZING = 287.05, 273.15
+_USUAL_CELSIUS = 15.0
+
+
+def read_ardupilot(file: Path) -> pd.DataFrame:
+    """Return an ArduPilot log averaged over seconds, in the columns of `COLUMNS`.
+
+    Motion and wind are those of the first core of EKF3; where the filter estimates no wind, the
+    air stands still.
+
+    Raises
+    ------
+    ScenarioError
+        If `pymavlink` is missing, or the log lacks a message.
+    """
+    try:
+        from pymavlink.DFReader import DFReader_binary  # noqa: PLC0415  an extra
+    except ImportError:
+        raise ScenarioError(
+            "ArduPilot logs need the package pymavlink; pip install 'pyomo_quad[logs]'."
+        ) from None
+    with file.open("rb"):
+        pass  # an operating system's own message, if it cannot be read
+    rows: dict[str, list[dict[str, float]]] = {name: [] for name in _MESSAGES}
+    try:
+        with redirect_stdout(StringIO()):
+            log = DFReader_binary(str(file))
+            with closing(log.filehandle), log.data_map:
+                while (message := log.recv_match(type=list(_MESSAGES))) is not None:
+                    rows[message.get_type()].append(message.to_dict())
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:
+        # The reader raises exceptions of many types for damaged logs.
+        raise ScenarioError("is no whole ArduPilot log; copy it anew.") from error
+    if not any(rows.values()):
+        raise ScenarioError("is no whole ArduPilot log; copy it anew.")
+    averaged = _ardupilot_by_second({name: pd.DataFrame(held) for name, held in rows.items()})
+    averaged.insert(0, FLIGHT, file.stem)
+    return averaged
+
+
+def _first_of(message: pd.DataFrame, name: str, *needed: str) -> pd.DataFrame:
+    """Return the rows of the first core or instance of a message."""
+    if not {"TimeUS", *needed} <= set(message):
+        raise ScenarioError(
+            f"has no message {name} with {', '.join(needed)}; log it (LOG_BITMASK)."
+        )
+    for number in ("C", "I", "Inst"):
+        if number in message:
+            return message[message[number] == message[number].min()]
+    return message
+
+
+def _ardupilot_by_second(messages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    motion = _first_of(messages[_EKF], _EKF, "VN", "VE", "VD")
+    battery = _first_of(messages[_EKF_BATTERY], _EKF_BATTERY, "Volt", "Curr")
+    times = motion["TimeUS"].to_numpy(float)
+
+    def at(message: pd.DataFrame, values: pd.Series) -> NDArray[np.float64]:
+        return np.interp(times, message["TimeUS"].to_numpy(float), values.to_numpy(float))
+
+    if not (battery["Curr"] > 0.0).any():
+        raise ScenarioError("BAT has no current; fit a power module and log it.")
+    wind_north = wind_east = np.zeros(len(times))
+    if len(messages[_EKF_WIND]):
+        wind = _first_of(messages[_EKF_WIND], _EKF_WIND, "VWN", "VWE")
+        wind_north, wind_east = at(wind, wind["VWN"]), at(wind, wind["VWE"])
+    density = np.full(len(times), SEA_LEVEL_DENSITY)
+    if len(messages[_BAROMETER]):
+        air = _first_of(messages[_BAROMETER], _BAROMETER, "Press")
+        ground = air.get("GndTemp", pd.Series(_USUAL_CELSIUS, index=air.index))
+        celsius = ground.where(ground != 0.0, _USUAL_CELSIUS)
+        density = at(air, air["Press"] / (_GAS * (celsius + _FREEZING)))
+    frame = pd.DataFrame(
+        {
+            TIME: (times - times[0]) * _MICROSECONDS,
+            PHASE: np.where(_is_flying(messages[_EVENT], times), CRUISE, 0),
+            PAYLOAD: 0.0,
+            DENSITY: density,
+            POWER: at(battery, battery["Volt"] * battery["Curr"]),
+            VELOCITY[0]: motion["VN"].to_numpy(float),
+            VELOCITY[1]: motion["VE"].to_numpy(float),
+            VELOCITY[2]: -motion["VD"].to_numpy(float),
+            AIR_VELOCITY[0]: motion["VN"].to_numpy(float) - wind_north,
+            AIR_VELOCITY[1]: motion["VE"].to_numpy(float) - wind_east,
+        }
+    )
+    return _seconds_aloft(frame)
+
+
+def _is_flying(events: pd.DataFrame, times: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return whether the land detector says aloft; all the time where it is not logged."""
+    if not {"TimeUS", "Id"} <= set(events):
+        return np.ones(len(times), dtype=bool)
+    told = events[events["Id"].isin((_LANDED_EVENT, _FLYING_EVENT))]
+    if told.empty:
+        return np.ones(len(times), dtype=bool)
+    latest = np.searchsorted(told["TimeUS"].to_numpy(float), times, side="right") - 1
+    aloft = (told["Id"] == _FLYING_EVENT).to_numpy()
+    # Before the first event the state is the opposite of the one that it announces.
+    return np.where(latest >= 0, aloft[np.maximum(latest, 0)], ~aloft[0])
+
+
+def _seconds_aloft(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return the mean of each second in flight."""
+    frame = frame[frame[PHASE] == CRUISE]
+    return frame.groupby(np.floor(frame[TIME])).mean().reset_index(drop=True)

@@ -1,0 +1,273 @@
+"""Parameters of a vehicle from powers of steady flight: a polar, hover alone, a series of payloads.
+
+Method: see docs/theory/identification.md, "Steady points".
+
+A point is a flight without acceleration, so that the declared equations give its power as they give
+that of a logged row.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from pyomo_quad.flight import Planner
+from pyomo_quad.identification.columns import (
+    AIR_VELOCITY,
+    CRUISE,
+    DENSITY,
+    FLIGHT,
+    PAYLOAD,
+    PHASE,
+    POWER,
+    TIME,
+    VELOCITY,
+    LogColumn,
+    wanted_columns,
+)
+from pyomo_quad.identification.fitting import Fit, confounded, undetermined
+from pyomo_quad.identification.motion import LoggedMotion
+from pyomo_quad.identification.validation import FloatArray
+from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.messages import printable
+
+AIRSPEED, CLIMB, ENDURANCE = "airspeed_m_s", "climb_m_s", "endurance_s"
+#: Columns of a table of steady points; all but the power, or the endurance, may be left out.
+STEADY_COLUMNS = {
+    POWER: LogColumn("W", "power drawn from the pack", ("power",)),
+    ENDURANCE: LogColumn("s", "time aloft on the pack, where no power was measured"),
+    AIRSPEED: LogColumn("m/s", "level airspeed, 0 when absent", ("missionspeed", "speed_m_s")),
+    PAYLOAD: LogColumn("kg", "mass carried, the vehicle's own when absent", ("payload",)),
+    CLIMB: LogColumn("m/s", "steady climb, 0 when absent"),
+    DENSITY: LogColumn("kg/m^3", "density of the air, the scenario's when absent"),
+}
+#: Fields fitted to steady points unless others are asked for.
+STEADY_FITTED = ("profile_power_coefficient", "induced_power_factor", "drag_quadratic")
+#: Share of the pack that a stated endurance uses: makers keep a reserve, 20 % by usual practice.
+USED_SHARE = 0.8
+_SAMPLES = 60
+_MOST_POINTS = 10_000
+# Relative error of a power that was read once, where no residual says better.
+_READING_ERROR = 0.05
+# Points for each fitted number below which the residual says little.
+_FEW_PER_NUMBER = 3
+# Seconds between the two equal rows that stand for a point.
+_STEP_S = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SteadyParameter:
+    """Fitted value of a vehicle's field, its standard deviation, and the base's value."""
+
+    name: str
+    base: float
+    value: float
+    deviation: float
+    is_determined: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class SteadyFit:
+    """A vehicle fitted to steady points.
+
+    `points` has the columns of `STEADY_COLUMNS`, `power` is the computed power of each, and
+    `unseen` that by a fit without the point, NaN where there are too few.  `together` names the
+    fields that the points cannot tell apart, `cautions` what else limits the result.
+    """
+
+    scenario: Scenario
+    points: pd.DataFrame
+    parameters: tuple[SteadyParameter, ...]
+    power: FloatArray
+    unseen: FloatArray
+    together: tuple[tuple[str, str], ...]
+    cautions: tuple[str, ...]
+
+    @property
+    def error_percent(self) -> float:
+        """Mean of the absolute error of the points, in per cent."""
+        return _mean_error(self.power, self.points)
+
+    @property
+    def unseen_error_percent(self) -> float:
+        """The same of points that the fit had not seen, NaN where there are too few."""
+        return _mean_error(self.unseen, self.points)
+
+
+def _mean_error(power: FloatArray, points: pd.DataFrame) -> float:
+    return float(100.0 * np.mean(np.abs(power / points[POWER].to_numpy() - 1.0)))
+
+
+def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
+    """Read steady points, with every column of `STEADY_COLUMNS` filled in.
+
+    Raises
+    ------
+    ScenarioError
+        If the file cannot be read, or a value cannot be that of a flight.
+    """
+    frame = _read_csv(file)
+    if POWER not in frame:
+        steady = Planner().steady_flight(scenario)
+        stored = USED_SHARE * steady.stored_energy(1.0, _SAMPLES)
+        frame[POWER] = stored / frame[ENDURANCE]
+    vehicle = scenario.vehicle
+    defaults = {AIRSPEED: 0.0, PAYLOAD: vehicle.payload, CLIMB: 0.0}
+    for name, value in (defaults | {DENSITY: scenario.power.air_density}).items():
+        if name not in frame:
+            frame[name] = value
+    names = [POWER, AIRSPEED, PAYLOAD, CLIMB, DENSITY]
+    points = frame[names].astype(float)
+    for name in names:
+        column = points[name]
+        least = 0.0 if name in {POWER, DENSITY} else -np.inf
+        wrong = ~np.isfinite(column) | (column <= least)
+        if wrong.any():
+            row = int(wrong.to_numpy().argmax())
+            raise ScenarioError(
+                f"{printable(str(file))}: {name} = {column.iloc[row]:g} in row {row + 1}; must be "
+                f"a number{' > 0' if least == 0.0 else ''}; correct the row or leave it out."
+            )
+    return points
+
+
+def _read_csv(file: Path) -> pd.DataFrame:
+    """Return the known columns of a table of points, with at least one row of numbers."""
+    source, wanted = printable(str(file)), wanted_columns(STEADY_COLUMNS)
+    try:
+        held = pd.read_csv(file, nrows=_MOST_POINTS)
+    except (OSError, ValueError, pd.errors.ParserError):
+        raise ScenarioError(f"{source}: cannot be read; give a CSV of points; {wanted}.") from None
+    called = {other: own for own, c in STEADY_COLUMNS.items() for other in c.other_names}
+    frame = held.rename(columns=called)
+    frame = frame[[name for name in STEADY_COLUMNS if name in frame]]
+    if POWER not in frame and ENDURANCE not in frame:
+        raise ScenarioError(f"{source}: has neither {POWER} nor {ENDURANCE}; {wanted}.")
+    if frame.empty:
+        raise ScenarioError(f"{source}: has no row; give one point at least, such as hover.")
+    for name in map(str, frame):
+        if not pd.api.types.is_numeric_dtype(frame[name]):
+            raise ScenarioError(f"{source}: column {name} holds text; it must hold numbers.")
+    return frame
+
+
+def as_flights(points: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
+    """Return points as logs have flights: each by two equal rows, which have no acceleration."""
+    twice = points.loc[points.index.repeat(2)].reset_index(drop=True)
+    read = twice[AIRSPEED] / scenario.vehicle.anemometer_factor
+    return pd.DataFrame(
+        {
+            FLIGHT: np.repeat(np.arange(len(points)), 2),
+            TIME: np.tile([0.0, _STEP_S], len(points)),
+            PHASE: CRUISE,
+            PAYLOAD: twice[PAYLOAD],
+            DENSITY: twice[DENSITY],
+            POWER: twice[POWER],
+            VELOCITY[0]: twice[AIRSPEED],
+            VELOCITY[1]: 0.0,
+            VELOCITY[2]: twice[CLIMB],
+            AIR_VELOCITY[0]: read,
+            AIR_VELOCITY[1]: 0.0,
+        }
+    )
+
+
+def computed_power(scenario: Scenario, points: pd.DataFrame) -> FloatArray:
+    """Return the power of a vehicle at steady points, W, by the declared equations."""
+    return LoggedMotion(scenario, as_flights(points, scenario)).power()[::2]
+
+
+def identify_steady(
+    scenario: Scenario, points: pd.DataFrame, names: Sequence[str] = STEADY_FITTED
+) -> SteadyFit:
+    """Fit a vehicle's parameters to steady points and say what the points cannot tell.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Of `vehicle_scenario`.
+    points : DataFrame
+        Of `read_steady`.
+    names : sequence of str
+        Of `fitting.FITTABLE`.
+    """
+    frame = as_flights(points, scenario)
+    motion = LoggedMotion(scenario, frame)
+    asked = Fit(motion, scenario, names)
+    lost = undetermined(asked)
+    kept = [name for name in names if name not in lost][: len(points)]
+    fit = Fit(motion, scenario, kept)
+    everything = np.ones(len(frame), dtype=bool)
+    values = fit.over(everything)
+    power = fit.power(values)[::2]
+    unseen = np.full(len(points), np.nan)
+    if len(points) > len(kept) + 1:
+        flights = frame[FLIGHT].to_numpy()
+        for k in range(len(points)):
+            unseen[k] = fit.power(fit.over(flights != k, values))[2 * k]
+    spread = _deviations(fit, values, power, points) if kept else np.zeros(0)
+    found = dict(zip(kept, zip(values, spread, strict=True), strict=True))
+    return SteadyFit(
+        scenario=scenario.with_values(
+            {f"vehicle.{n}": float(v) for n, v in zip(kept, values, strict=True)}
+        ),
+        points=points,
+        parameters=tuple(_parameter(name, scenario, found) for name in names),
+        power=power,
+        unseen=unseen,
+        together=confounded(asked, [name for name in names if name not in found]),
+        cautions=tuple(_cautions(points, kept)),
+    )
+
+
+def _parameter(
+    name: str, scenario: Scenario, found: dict[str, tuple[float, float]]
+) -> SteadyParameter:
+    base = float(getattr(scenario.vehicle, name))
+    value, deviation = found.get(name, (base, 0.0))
+    return SteadyParameter(
+        name=name,
+        base=base,
+        value=float(value),
+        deviation=float(deviation),
+        is_determined=name in found,
+    )
+
+
+def _deviations(
+    fit: Fit, values: FloatArray, power: FloatArray, points: pd.DataFrame
+) -> FloatArray:
+    """Return standard deviations of linear least squares, by the residual or a reading's error."""
+    slopes = fit.slopes(values, np.ones(2 * len(points), dtype=bool))
+    measured = points[POWER].to_numpy()
+    freedom = len(points) - len(values)
+    reading = _READING_ERROR * float(np.mean(measured))
+    residual = float(np.sqrt(np.sum((power - measured) ** 2) / max(freedom, 1)))
+    few = len(points) < _FEW_PER_NUMBER * len(values)
+    error = max(reading, residual) if few else residual
+    covariance = error**2 * np.linalg.pinv(slopes.T @ slopes)
+    return np.sqrt(np.diag(covariance))
+
+
+def _is_constant(column: "pd.Series[float]") -> bool:
+    return bool((column == column.iloc[0]).all())
+
+
+def _cautions(points: pd.DataFrame, kept: Sequence[str]) -> list[str]:
+    cautions = []
+    if len(points) < _FEW_PER_NUMBER * max(1, len(kept)):
+        cautions.append(
+            f"{len(points)} points for {len(kept)} fitted numbers; their deviations take a reading "
+            f"to be off by {100 * _READING_ERROR:g} %: give {_FEW_PER_NUMBER} points or more for "
+            "each number."
+        )
+    if _is_constant(points[AIRSPEED]):
+        cautions.append(
+            "all points are at one airspeed: power at other airspeeds is theory; add points of "
+            "level flight, such as at 5, 10 and 15 m/s."
+        )
+    if _is_constant(points[PAYLOAD]):
+        cautions.append("all points carry the same: how power grows with mass is theory.")
+    return cautions

@@ -1,0 +1,98 @@
+"""Files of `identify --steady`: table, figure, vehicle file, summary and report."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from pyomo_quad.collocation import SolveError
+from pyomo_quad.flight import Planner
+from pyomo_quad.identification.columns import PAYLOAD, POWER
+from pyomo_quad.identification.report import VEHICLE_NAME, vehicle_file
+from pyomo_quad.identification.steady import AIRSPEED, SteadyFit
+from pyomo_quad.report import Figures
+from pyomo_quad.report.document import Drawing, write_study
+from pyomo_quad.report.style import FULL_WIDTH, SERIES_STYLES
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.version import __version__
+
+POINTS_NAME = "points.csv"
+#: Columns that the table of points has beside the measured ones.
+COMPUTED, UNSEEN, ERROR = "computed_W", "computed_unseen_W", "error_percent"
+_CURVE_POINTS = 25
+
+
+def write_steady(folder: Path, found: SteadyFit, base: str, figures: Figures) -> None:
+    """Write the results of a fit to steady points into an empty folder."""
+    table = point_table(found.points, found.power)
+    source = f"identified from {len(found.points)} steady points, plus or minus"
+    changed = {
+        one.name: (one.value, f"{source} {one.deviation:.2g}")
+        for one in found.parameters
+        if one.is_determined
+    }
+    (folder / VEHICLE_NAME).write_text(vehicle_file(changed, base), encoding="utf-8")
+    write_study(
+        folder,
+        "identification/steady.md.j2",
+        tables={POINTS_NAME: table.assign(**{UNSEEN: found.unseen})},
+        summary={
+            "points": len(found.points),
+            "parameters": {one.name: asdict(one) for one in found.parameters},
+            "error_percent": found.error_percent,
+            "unseen_error_percent": (
+                None if np.isnan(found.unseen_error_percent) else found.unseen_error_percent
+            ),
+            "together": [list(pair) for pair in found.together],
+            "cautions": list(found.cautions),
+            "version": __version__,
+        },
+        drawings=[
+            Drawing(
+                name="steady",
+                title="Power of steady flight",
+                caption="Dots: measured. Lines: the declared equations with the fitted numbers.",
+                draw=lambda: draw_points(found.scenario, found.points),
+            )
+        ],
+        figures=figures,
+        found=found,
+        base=base,
+        VEHICLE_NAME=VEHICLE_NAME,
+    )
+
+
+def point_table(points: pd.DataFrame, power: np.ndarray) -> pd.DataFrame:
+    """Return points with the computed power of each, and its error."""
+    return points.assign(**{COMPUTED: power, ERROR: 100.0 * (power / points[POWER] - 1.0)})
+
+
+def draw_points(scenario: Scenario, points: pd.DataFrame) -> Figure:
+    """Draw measured power over airspeed or, where all points hover, over payload."""
+    figure = Figure(figsize=(FULL_WIDTH, 3.2))
+    axes = figure.subplots()
+    figure.subplots_adjust(left=0.09, right=0.98, top=0.96, bottom=0.15)
+    hovers = bool((points[AIRSPEED] == 0.0).all())
+    over = PAYLOAD if hovers else AIRSPEED
+    style = SERIES_STYLES[0]
+    axes.plot(points[over], points[POWER], color=style.color, linestyle="none", marker=style.marker)
+    least = float(points[over].min()) if hovers else 0.0
+    at = np.linspace(least, float(points[over].max()), _CURVE_POINTS)
+    payload = float(points[PAYLOAD].median())
+    curve = [
+        steady_power(scenario, one if hovers else payload, 0.0 if hovers else one) for one in at
+    ]
+    axes.plot(at, curve, color=SERIES_STYLES[1].color)
+    axes.set(xlabel="Mass carried (kg)" if hovers else "Airspeed (m/s)", ylabel="Power (W)")
+    return figure
+
+
+def steady_power(scenario: Scenario, payload: float, airspeed: float) -> float:
+    """Return the power of level flight, W; NaN where the vehicle has no such flight."""
+    steady = Planner().steady_flight(scenario.with_values({"vehicle.payload": float(payload)}))
+    try:
+        return steady.trim([float(airspeed), 0.0, 0.0]).power_W
+    except SolveError:
+        return float("nan")

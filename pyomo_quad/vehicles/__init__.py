@@ -1,0 +1,1 @@
+"""Vehicles from what their owners know, and library vehicles held against measurements."""

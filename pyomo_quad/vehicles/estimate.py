@@ -1,0 +1,55 @@
+"""A number of a vehicle with where it comes from: given, computed, or estimated with a range."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Kind(StrEnum):
+    """Where a number comes from."""
+
+    GIVEN = "given"
+    COMPUTED = "computed"
+    ESTIMATED = "estimated"
+    MEASURED = "fitted to the hover measurement"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """A number with its range and its origin in words.
+
+    The range holds what vehicles of this kind have, by the source named in `said`; that of a given
+    or computed number is the number itself.
+    """
+
+    value: float
+    low: float
+    high: float
+    kind: Kind
+    said: str
+
+    @property
+    def source(self) -> str:
+        """What a file says of the number."""
+        if self.low < self.high:
+            return f"{self.kind.value}: {self.said}; range {self.low:.3g} to {self.high:.3g}"
+        return f"{self.kind.value}: {self.said}"
+
+    @property
+    def spread(self) -> float:
+        """Width of the range over the value."""
+        return (self.high - self.low) / self.value if self.value else 0.0
+
+
+def given(value: float, said: str) -> Estimate:
+    """Return a number that the owner gives."""
+    return Estimate(value=value, low=value, high=value, kind=Kind.GIVEN, said=said)
+
+
+def computed(value: float, formula: str) -> Estimate:
+    """Return a number that follows from others by a formula."""
+    return Estimate(value=value, low=value, high=value, kind=Kind.COMPUTED, said=formula)
+
+
+def estimated(value: float, said: str, low: float, high: float) -> Estimate:
+    """Return an estimated number with the factors of it between which it lies."""
+    return Estimate(value=value, low=low * value, high=high * value, kind=Kind.ESTIMATED, said=said)

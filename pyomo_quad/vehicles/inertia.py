@@ -1,0 +1,51 @@
+"""Moments of inertia from a mass model of arms, motors, pack and body.
+
+Derivation: see docs/theory/vehicle_from_data.md, eq. (9).
+"""
+
+from dataclasses import dataclass
+
+# Shares of the mass without the pack, of multirotors of 0.5 to 4 kg: motors with propellers and
+# controllers at the ends of the arms, arms as rods from the centre, the rest a cylinder.
+MOTOR_SHARE, _ARM_SHARE = 0.22, 0.15
+# Radius and height of the body over the arm, and the pack's proportions.
+_BODY_RADIUS, _BODY_HEIGHT = 0.35, 0.3
+_PACK_WIDTH, _PACK_HEIGHT = 0.31, 0.26
+_PACK_DENSITY = 2300.0  # kg/m^3
+
+
+@dataclass(frozen=True, kw_only=True)
+class MassModel:
+    """Masses [kg] of a vehicle's parts and the length of its arms [m]."""
+
+    mass: float
+    pack_mass: float
+    arm: float
+    rotors: int
+
+    @property
+    def empty(self) -> float:
+        """Mass without the pack; a pack heavier than half is taken as half, kg."""
+        return max(self.mass - self.pack_mass, 0.5 * self.mass)
+
+    @property
+    def motor(self) -> float:
+        """Mass at the end of one arm, kg."""
+        return MOTOR_SHARE * self.empty / self.rotors
+
+    def moments(self) -> tuple[float, float, float]:
+        """Return the moments of inertia about body x, y and z, kg m^2, eq. (9)."""
+        tips = MOTOR_SHARE * self.empty * self.arm**2
+        arms = _ARM_SHARE * self.empty * self.arm**2 / 3
+        body = (1 - MOTOR_SHARE - _ARM_SHARE) * self.empty
+        radius, height = _BODY_RADIUS * self.arm, _BODY_HEIGHT * self.arm
+        pack = self.mass - self.empty
+        volume = pack / _PACK_DENSITY
+        length = (volume / (_PACK_WIDTH * _PACK_HEIGHT)) ** (1 / 3)
+        wide, high = _PACK_WIDTH * length, _PACK_HEIGHT * length
+        across = (tips + arms) / 2 + body * (3 * radius**2 + height**2) / 12
+        return (
+            across + pack * (wide**2 + high**2) / 12,
+            across + pack * (length**2 + high**2) / 12,
+            tips + arms + body * radius**2 / 2 + pack * (length**2 + wide**2) / 12,
+        )

@@ -1,0 +1,290 @@
+"""A whole vehicle from what its owner knows: mass and propeller, and whatever else there is.
+
+Derivation: see docs/theory/vehicle_from_data.md.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import cos, pi, sin, sqrt
+
+from pyomo_quad.scenario import ScenarioError
+from pyomo_quad.scenario.vehicle import RPM
+from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
+from pyomo_quad.vehicles.estimate import Estimate, Kind, computed, estimated, given
+from pyomo_quad.vehicles.inertia import MOTOR_SHARE, MassModel
+from pyomo_quad.vehicles.pack import Pack, usual_pack
+from pyomo_quad.vehicles.propulsion import INDUCED, Propeller, RotorHover
+
+GRAVITY = 9.81
+ROTOR_COUNTS = (4, 6, 8)
+# Distance of neighbouring rotors over their diameter.
+_SPACING = 1.25
+# Motor constant: torque squared over copper loss, (N m)^2/W, of a motor of 1 kg; it grows with the
+# mass to the power of 5/3.
+_MOTOR_CONSTANT, _MOTOR_EXPONENT = 0.15, 5 / 3
+# Rotor speed of full throttle over that of hover, for a speed constant that is not given, and the
+# share of the pack's nominal voltage that the motors then see.
+_FULL_OVER_HOVER, _FULL_VOLTAGE = 1.8, 0.85
+# Mass of a propeller of 10 in, kg, and the exponent by which it grows with the diameter.
+_PROPELLER_KG, _PROPELLER_EXPONENT, _TEN_INCHES_M = 0.012, 2.5, 0.254
+# Of 1.5 kg; grows with the mass.
+_ELECTRONICS_W, _ELECTRONICS_EXPONENT, _AT_KG = 5.0, 0.4, 1.5
+# The Matrice 100's, read from the tilt in flight: kg/s per kg, and kg/m at its mass.
+_DRAG_LINEAR_PER_KG = 0.322 / 3.715
+_DRAG_QUADRATIC, _DRAG_MASS_KG = 0.038, 3.715
+# Of the induced power factor: the Matrice 100's.
+_DESCENT_SHARE = 0.476 / 1.15
+_TILT_DEG = 35.0
+#: Share by which a measured hover power may be off: a sensor's gain and a breeze.
+MEASUREMENT_ERROR = 0.03
+#: Factors between which the loss of motor and controller, and the blades' drag, may lie.
+DRIVE_RANGE, BLADE_RANGE = (0.85, 1.2), (0.6, 1.6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Known:
+    """What an owner knows of a vehicle, SI units; mass and propeller at least.
+
+    `voltage_constant` is in rad/s/V and `hover_power` in W, both None where unknown.
+    """
+
+    name: str
+    mass: float
+    propeller: Propeller
+    arm: float | None = None
+    voltage_constant: float | None = None
+    pack: Pack | None = None
+    hover_power: float | None = None
+    hover_said: str = ""
+    rotors: int = 4
+    density: float = SEA_LEVEL_DENSITY
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimatedVehicle:
+    """A vehicle with the origin of every number: `fields` and `limits` as its file has them."""
+
+    known: Known
+    pack: Pack
+    hover: RotorHover
+    fields: Mapping[str, Estimate]
+    limits: Mapping[str, Estimate]
+    rotor_positions: tuple[tuple[float, float], ...] | None
+    #: Hover power by the estimates alone, W, whatever was measured.
+    estimated_hover_W: float
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether a hover measurement fixes the power."""
+        return self.known.hover_power is not None
+
+
+def estimate_vehicle(known: Known) -> EstimatedVehicle:
+    """Complete what is known to a vehicle.
+
+    Raises
+    ------
+    ScenarioError
+        If the numbers contradict each other.
+    """
+    pack = known.pack or usual_pack(known.mass)
+    thrust = known.mass * GRAVITY / known.rotors
+    hover = known.propeller.hover(thrust, known.density)
+    arm = _arm(known)
+    constants = _motor(known, pack, hover)
+    powers, alone = _powers(known, hover)
+    model = MassModel(mass=known.mass, pack_mass=pack.mass, arm=arm.value, rotors=known.rotors)
+    fields = {
+        "mass": given(known.mass, "--mass, with its pack"),
+        "arm_length": arm,
+        **_inertias(model),
+        **_rotor(known, hover, model),
+        **constants,
+        **powers,
+        **_drag(known.mass),
+    }
+    vehicle = EstimatedVehicle(
+        known=known,
+        pack=pack,
+        hover=hover,
+        fields=fields,
+        limits=_limits(pack, hover, fields),
+        rotor_positions=_positions(known.rotors, arm.value),
+        estimated_hover_W=alone,
+    )
+    if vehicle.limits["rotor_speed_max"].value < hover.speed:
+        kv = constants["voltage_constant"].value / RPM
+        raise ScenarioError(
+            f"--kv {kv:.4g} rpm/V: at {pack.label} the rotors turn at "
+            f"{vehicle.limits['rotor_speed_max'].value:.4g} rad/s at most, and hover needs "
+            f"{hover.speed:.4g}; correct kv, the battery, the mass or the propeller."
+        )
+    return vehicle
+
+
+def _arm(known: Known) -> Estimate:
+    if known.arm is not None:
+        return given(known.arm, "--arm")
+    length = _SPACING * known.propeller.diameter / (2 * sin(pi / known.rotors))
+    return estimated(length, "neighbouring rotors 1.25 diameters apart", 0.85, 1.3)
+
+
+def _inertias(model: MassModel) -> dict[str, Estimate]:
+    said = "mass model: 22 % of the mass without the pack at the ends of the arms, 15 % in them"
+    names = ("Ix", "Iy", "Iz")
+    return {
+        name: estimated(value, said, 0.6, 1.6)
+        for name, value in zip(names, model.moments(), strict=True)
+    }
+
+
+def _rotor(known: Known, hover: RotorHover, model: MassModel) -> dict[str, Estimate]:
+    propeller = known.propeller
+    blades = _PROPELLER_KG * (propeller.diameter / _TEN_INCHES_M) ** _PROPELLER_EXPONENT
+    bell = 0.5 * model.motor * (0.1 * propeller.diameter / 2) ** 2
+    thrust = propeller.thrust_over_speed_squared(known.density)
+    return {
+        "rotor_radius": given(propeller.radius, "--propeller, half the diameter"),
+        "thrust_coefficient": estimated(
+            thrust, "C_T = 0.0427 + 0.144 p/D (Budinger et al. 2020)", 0.85, 1.2
+        ),
+        "drag_torque_coefficient": estimated(
+            hover.torque / hover.speed**2,
+            f"shaft power of hover, figure of merit {hover.figure_of_merit:.2f} (blade element)",
+            0.8,
+            1.3,
+        ),
+        "rotor_inertia": estimated(
+            blades * propeller.diameter**2 / 12 + bell,
+            f"thin blade of {1e3 * blades:.2g} g and the motor's bell",
+            0.5,
+            2.0,
+        ),
+    }
+
+
+def _motor(known: Known, pack: Pack, hover: RotorHover) -> dict[str, Estimate]:
+    if known.voltage_constant is not None:
+        speed_constant = given(known.voltage_constant, "--kv, rpm/V times 2 pi/60")
+    else:
+        full = _FULL_OVER_HOVER * hover.speed
+        speed_constant = estimated(
+            full / (_FULL_VOLTAGE * pack.nominal_voltage),
+            f"full throttle at {_FULL_OVER_HOVER:g} times the speed of hover",
+            0.7,
+            1.6,
+        )
+    torque_constant = 1 / speed_constant.value
+    weight = MOTOR_SHARE * max(known.mass - pack.mass, 0.5 * known.mass) / known.rotors
+    resistance = torque_constant**2 / (_MOTOR_CONSTANT * weight**_MOTOR_EXPONENT)
+    return {
+        "voltage_constant": speed_constant,
+        "torque_constant": computed(torque_constant, "1 / voltage_constant"),
+        "motor_resistance": estimated(
+            resistance,
+            f"kt^2 / (0.15 m^(5/3)) of a motor of {1e3 * weight:.2g} g",
+            0.4,
+            2.5,
+        ),
+    }
+
+
+def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float]:
+    """Return the numbers of the momentum model, and the hover power by the estimates alone, W."""
+    electronics = _ELECTRONICS_W * (known.mass / _AT_KG) ** _ELECTRONICS_EXPONENT
+    loss = 1 / hover.drive_efficiency
+    alone = known.rotors * hover.shaft_power * loss + electronics
+    low, high = DRIVE_RANGE
+    kind, said = Kind.ESTIMATED, f"drive efficiency {hover.drive_efficiency:.2f} by shaft power"
+    factor = loss
+    if known.hover_power is not None:
+        if known.hover_power <= electronics:
+            raise ScenarioError(
+                f"hover: {known.hover_power:.4g} W is no more than the electronics' "
+                f"{electronics:.3g} W; must be the power of the whole vehicle aloft."
+            )
+        factor = loss * (known.hover_power - electronics) / (alone - electronics)
+        kind, said = Kind.MEASURED, f"{known.hover_said}, over {alone:.4g} W by the estimates"
+        low, high = 1 - MEASUREMENT_ERROR, 1 + MEASUREMENT_ERROR
+        # No rotor hovers on less than its ideal power.
+        ideal = known.rotors * hover.ideal_power
+        if known.hover_power - electronics < ideal:
+            raise ScenarioError(
+                f"hover: {known.hover_power:.4g} W; ideal rotors of this size and mass take "
+                f"{ideal:.4g} W; correct the hover current and voltage, the mass or the propeller."
+            )
+
+    def number(value: float, words: str, least: float = low, most: float = high) -> Estimate:
+        scaled = value * factor
+        return Estimate(
+            value=scaled, low=least * scaled, high=most * scaled, kind=kind, said=f"{words}, {said}"
+        )
+
+    blade_low, blade_high = BLADE_RANGE
+    induced = number(INDUCED, "1.15 times an ideal rotor's over the drive efficiency")
+    climb = number(1.0, "momentum theory's 1 over the drive efficiency")
+    powers = {
+        "induced_power_factor": replace(
+            induced, value=max(induced.value, 1.0), low=max(induced.low, 1.0)
+        ),
+        "profile_power_coefficient": number(
+            hover.profile_over_thrust,
+            "blade element, sigma c_d / 8 over C_T^1.5",
+            low * blade_low,
+            high * blade_high,
+        ),
+        "climb_power_factor": climb,
+        "descent_power_factor": estimated(
+            _DESCENT_SHARE * induced.value,
+            "share of the induced power: the Matrice 100's",
+            0.5,
+            1.5,
+        ),
+        "electronics_power": estimated(electronics, "5 W (mass / 1.5 kg)^0.4", 0.4, 2.5),
+    }
+    return powers, alone
+
+
+def _drag(mass: float) -> dict[str, Estimate]:
+    quadratic = _DRAG_QUADRATIC * (mass / _DRAG_MASS_KG) ** (2 / 3)
+    return {
+        "drag_linear": estimated(_DRAG_LINEAR_PER_KG * mass, "the Matrice 100's by mass", 0.4, 3.0),
+        "drag_quadratic": estimated(quadratic, "the Matrice 100's by mass^(2/3)", 0.5, 2.0),
+    }
+
+
+def _limits(pack: Pack, hover: RotorHover, fields: Mapping[str, Estimate]) -> dict[str, Estimate]:
+    speed_constant = fields["voltage_constant"].value
+    torque_constant, resistance = fields["torque_constant"].value, fields["motor_resistance"].value
+    drag, inertia = fields["drag_torque_coefficient"].value, fields["rotor_inertia"].value
+    voltage = _FULL_VOLTAGE * pack.nominal_voltage
+    # The speed at which the electromotive force and the copper's share make up the voltage.
+    copper, back = resistance * drag / torque_constant, 1 / speed_constant
+    fastest = (sqrt(back**2 + 4 * copper * voltage) - back) / (2 * copper)
+    spare = max(voltage - back * hover.speed, 0.1 * voltage)
+    jerk = (torque_constant * spare / resistance - hover.torque) / inertia
+    tilt = _TILT_DEG * pi / 180
+    said = "autopilots' usual 35 degrees"
+    return {
+        "roll_max": estimated(tilt, said, 0.6, 1.3),
+        "pitch_max": estimated(tilt, said, 0.6, 1.3),
+        "rotor_speed_min": given(0.0, "none"),
+        "rotor_speed_max": estimated(
+            fastest, f"full throttle on {voltage:.3g} V by kv and resistance", 0.8, 1.1
+        ),
+        "rotor_acceleration_max": estimated(
+            max(jerk, hover.speed), f"{voltage:.3g} V on a motor at hover", 0.3, 1.5
+        ),
+    }
+
+
+def _positions(rotors: int, arm: float) -> tuple[tuple[float, float], ...] | None:
+    """Return the places of six or eight rotors in a ring, None for the cross of four."""
+    if rotors not in ROTOR_COUNTS:
+        raise ScenarioError(
+            f"--rotors {rotors}; must be one of {', '.join(map(str, ROTOR_COUNTS))}."
+        )
+    if rotors == ROTOR_COUNTS[0]:
+        return None
+    angles = [2 * pi * k / rotors for k in range(rotors)]
+    return tuple((round(arm * cos(a), 6), round(arm * sin(a), 6)) for a in angles)

@@ -1,0 +1,111 @@
+"""A battery from its label, "4S5000": cells, capacity, resistance and discharge curve.
+
+Sources and ranges: see docs/theory/vehicle_from_data.md, eqs. (7) and (8).
+"""
+
+import re
+from dataclasses import dataclass
+
+from pyomo_quad.scenario import ScenarioError
+from pyomo_quad.scenario.messages import shown
+from pyomo_quad.vehicles.estimate import Estimate, computed, estimated, given
+
+_LABEL = re.compile(
+    r"([0-9]{1,2})\s*[sS]\s*(?:([0-9]{1,2})\s*[pP]\s*)?([0-9]{2,6})(?:\s*[mM][aA][hH])?"
+)
+#: V, of one lithium-polymer cell: its label says so.
+NOMINAL_V = 3.7
+# Energy over mass of packs for multirotors, J/kg: 150 Wh/kg.
+_ENERGY_PER_KG = 150 * 3600
+# Ohm times ampere hours of one cell: 1C pulls 15 mV from it.
+_RESISTANCE_BY_CAPACITY = 0.015
+# Lithium-polymer cell by eq. (5) of the paper: 4.17 V full, 3.78 V at half, 3.54 V at a tenth.
+_CONSTANT_V, _POLARISATION_V, _EXPONENTIAL_V = 3.73, 0.022, 0.46
+_EXPONENTIAL_SHARE = 3.2  # times the capacity
+_SECONDS_PER_HOUR = 3600.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pack:
+    """Cells in series and parallel, and the capacity of the whole pack, A h."""
+
+    series: int
+    parallel: int
+    capacity: float
+    is_given: bool
+
+    @property
+    def nominal_voltage(self) -> float:
+        """Voltage on the label, V."""
+        return self.series * NOMINAL_V
+
+    @property
+    def mass(self) -> float:
+        """Mass by the energy that it holds, kg, eq. (7)."""
+        return self.nominal_voltage * self.capacity * _SECONDS_PER_HOUR / _ENERGY_PER_KG
+
+    @property
+    def label(self) -> str:
+        """What is printed on it."""
+        cells = f"{self.series}S" + (f"{self.parallel}P" if self.parallel > 1 else "")
+        return f"{cells} {1000 * self.capacity:g} mAh"
+
+    def fields(self) -> dict[str, Estimate]:
+        """Return the numbers of a battery's file."""
+        capacity = self.capacity / self.parallel
+        resistance = _RESISTANCE_BY_CAPACITY / capacity
+
+        def of_label(value: float) -> Estimate:
+            if self.is_given:
+                return given(value, f"battery {self.label}")
+            return estimated(value, "pack of 30 % of the mass at 150 Wh/kg", 0.5, 1.6)
+
+        curve = "lithium-polymer cell, 4.2 V full, 3.8 V at half, 3.5 V at a tenth of its charge"
+        return {
+            "cells_series": of_label(self.series),
+            "cells_parallel": of_label(self.parallel),
+            "capacity": of_label(capacity),
+            "cell_resistance": estimated(
+                resistance, "15 mohm Ah of a cell with its leads, half when new and warm", 0.5, 2.0
+            ),
+            "E0": estimated(_CONSTANT_V, curve, 0.98, 1.02),
+            "K": estimated(_POLARISATION_V, curve, 0.5, 2.0),
+            "A": estimated(_EXPONENTIAL_V, curve, 0.8, 1.2),
+            "B": computed(_EXPONENTIAL_SHARE / capacity, "3.2 / capacity, same curve"),
+        }
+
+
+def pack_of(text: str) -> Pack:
+    """Read a pack's label: cells in series and mAh, "4S5000", or with cells in parallel "6S2P9000".
+
+    Raises
+    ------
+    ScenarioError
+        If the text is no label.
+    """
+    match = _LABEL.fullmatch(text.strip())
+    if match is None or int(match[1]) < 1 or int(match[2] or 1) < 1 or float(match[3]) <= 0:
+        raise ScenarioError(
+            f"--battery {shown(text)[1:-1]}; must be the cells in series and the mAh, such as "
+            "4S5000, or 6S2P9000 with two in parallel."
+        )
+    return Pack(
+        series=int(match[1]),
+        parallel=int(match[2] or 1),
+        capacity=float(match[3]) / 1000,
+        is_given=True,
+    )
+
+
+# Cells in series of vehicles up to a mass, kg, and of all heavier ones.
+_SERIES = ((0.1, 1), (0.35, 2), (0.9, 3), (2.5, 4))
+_MOST_SERIES = 6
+_MASS_SHARE = 0.3
+
+
+def usual_pack(mass: float) -> Pack:
+    """Return the pack that vehicles of a mass, kg, usually have, eq. (7)."""
+    series = next((cells for most, cells in _SERIES if mass <= most), _MOST_SERIES)
+    energy = _MASS_SHARE * mass * _ENERGY_PER_KG
+    capacity = energy / (series * NOMINAL_V * _SECONDS_PER_HOUR)
+    return Pack(series=series, parallel=1, capacity=float(f"{capacity:.2g}"), is_given=False)

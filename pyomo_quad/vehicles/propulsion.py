@@ -1,0 +1,130 @@
+"""Thrust, torque and losses of a propeller and its motor, from the propeller's two numbers.
+
+Derivation, sources and ranges: see docs/theory/vehicle_from_data.md, eqs. (1) to (4).
+
+symbol | name | unit | meaning
+D, p | diameter, pitch | m | as printed on the propeller, "10x4.5" in inches
+C_T | thrust_coefficient_of | - | T = C_T rho n^2 D^4, n in revolutions per second
+sigma | _SOLIDITY | - | blade area over disc area
+c_d | _blade_drag | - | mean drag coefficient of the blade
+FM | figure_of_merit | - | ideal over shaft power in hover
+eta | drive_efficiency | - | shaft power over electrical power, of motor and controller
+"""
+
+import re
+from dataclasses import dataclass
+from math import pi, sqrt
+
+from pyomo_quad.scenario import ScenarioError
+from pyomo_quad.scenario.messages import shown
+
+_INCH_M = 0.0254
+_SIZE = re.compile(r"([0-9]{1,2}(?:\.[0-9]{1,3})?)\s*[xX*]\s*([0-9]{1,2}(?:\.[0-9]{1,3})?)")
+# C_T = a + b p/D of 2-bladed propellers for multirotors: Budinger, Reysset, Ochotorena, Delbecq,
+# "Scaling laws and similarity models for the preliminary design of multirotor drones", Aerospace
+# Science and Technology 98 (2020), to APC's data.
+_THRUST_FIT = (0.0427, 0.144)
+_USUAL_PITCH = 0.45  # over the diameter
+# Blade area over disc area of APC's 10 x 4.7, and the mean drag of its blades at a Reynolds number:
+# the static test of the UIUC propeller data site, C_T = 0.1228 and C_P = 0.0508 at 5417 rpm.
+_SOLIDITY = 0.11
+_DRAG_AT, _REYNOLDS_AT = 0.034, 8.0e4
+_KINEMATIC_VISCOSITY = 1.5e-5  # m^2/s, air at 15 degrees
+#: Induced power over that of an ideal rotor: Leishman (2006), section 3.2.
+INDUCED = 1.15
+# Loss of motor and controller: eta = 1 / (1 + (P_1 / P)^b) with the shaft power P of one rotor.
+_HALF_LOST_W, _LOSS_EXPONENT = 2.6, 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Propeller:
+    """Diameter and pitch of a propeller, m."""
+
+    diameter: float
+    pitch: float
+
+    @property
+    def radius(self) -> float:
+        """Radius, m."""
+        return self.diameter / 2
+
+    @property
+    def disc_area(self) -> float:
+        """Area that the blades sweep, m^2."""
+        return pi * self.radius**2
+
+    @property
+    def coefficient(self) -> float:
+        """C_T of static thrust, eq. (1)."""
+        first, second = _THRUST_FIT
+        return first + second * self.pitch / self.diameter
+
+    def thrust_over_speed_squared(self, density: float) -> float:
+        """Return thrust over rotor speed squared, N s^2, eq. (1)."""
+        return self.coefficient * density * self.diameter**4 / (2 * pi) ** 2
+
+    def hover(self, thrust: float, density: float) -> "RotorHover":
+        """Return what one rotor takes to hover at a thrust, N."""
+        speed = sqrt(thrust / self.thrust_over_speed_squared(density))
+        blade = 4 / pi**3 * self.coefficient  # over rho A (omega R)^2 in place of rho n^2 D^4
+        chord = _SOLIDITY * pi * self.radius / 2
+        reynolds = 0.75 * speed * self.radius * chord / _KINEMATIC_VISCOSITY
+        profile = _SOLIDITY / 8 * _DRAG_AT * sqrt(_REYNOLDS_AT / reynolds)
+        ideal = thrust * sqrt(thrust / (2 * density * self.disc_area))
+        induced = INDUCED * ideal
+        return RotorHover(
+            speed=speed,
+            ideal_power=ideal,
+            induced_power=induced,
+            profile_power=profile / (blade**1.5 / sqrt(2)) * ideal,
+            profile_over_thrust=profile / blade**1.5,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorHover:
+    """One rotor in hover: speed [rad/s], powers [W], profile power over T^1.5 / sqrt(rho A)."""
+
+    speed: float
+    ideal_power: float
+    induced_power: float
+    profile_power: float
+    profile_over_thrust: float
+
+    @property
+    def shaft_power(self) -> float:
+        """Power of the shaft, eq. (2)."""
+        return self.induced_power + self.profile_power
+
+    @property
+    def torque(self) -> float:
+        """Torque of the shaft, N m."""
+        return self.shaft_power / self.speed
+
+    @property
+    def figure_of_merit(self) -> float:
+        """Ideal power over shaft power."""
+        return self.ideal_power / self.shaft_power
+
+    @property
+    def drive_efficiency(self) -> float:
+        """Shaft power over electrical power, eq. (4)."""
+        return 1 / (1 + (_HALF_LOST_W / self.shaft_power) ** _LOSS_EXPONENT)
+
+
+def propeller_of(text: str) -> Propeller:
+    """Read a propeller's size as printed on it, "10x4.5", in inches; the pitch may be missing.
+
+    Raises
+    ------
+    ScenarioError
+        If the text is no size.
+    """
+    match = _SIZE.fullmatch(text.strip()) or _SIZE.fullmatch(f"{text.strip()}x0")
+    if match is None or not 0.5 <= float(match[1]) <= 60:
+        raise ScenarioError(
+            f"--propeller {shown(text)[1:-1]}; must be DIAMETERxPITCH in inches, such as 10x4.5."
+        )
+    diameter = float(match[1]) * _INCH_M
+    pitch = float(match[2]) * _INCH_M or _USUAL_PITCH * diameter
+    return Propeller(diameter=diameter, pitch=pitch)
