@@ -285,12 +285,13 @@ def solve(
         import_scipy_alone()
         from pyomo_quad.cli import solving  # noqa: PLC0415  takes seconds
         from pyomo_quad.flight.deadline import Deadline  # noqa: PLC0415
+        from pyomo_quad.flight.risk import plan_at_risk  # noqa: PLC0415
         from pyomo_quad.report.report import write_solve_report  # noqa: PLC0415
         from pyomo_quad.study.check import plan_cautions  # noqa: PLC0415
     planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
     with solving.report_folder(folder) as aside:
         with Deadline(resolved):
-            plan = planner.solve(resolved)
+            plan = plan_at_risk(resolved, planner)
             cautions = plan_cautions(plan, planner=planner)
         with watch.phase("report"):
             write_solve_report(aside, plan, cautions, rate, figures)

@@ -51,6 +51,8 @@ class Motion:
         States, as the model names them.
     degrees : tuple of int
         Degrees of the elements, in order; their sum is n_nodes - 1.
+    is_paper_plan : bool
+        Whether the plan was made without a risk, and so leaves nothing to the controller.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Motion:
     states: FloatArray
     names: tuple[str, ...]
     degrees: tuple[int, ...]
+    is_paper_plan: bool = False
 
     @classmethod
     def of(cls, plan: Plan, *, is_code_allowed: bool = False) -> Self:
@@ -79,7 +82,7 @@ class Motion:
             None if plan.solution is None else plan.dynamics,
             is_code_allowed=is_code_allowed,
         )
-        return cls._along(plan.scenario.name, held)
+        return cls._along(plan.scenario.name, held, is_paper_plan=plan.risk is None)
 
     @classmethod
     def read(cls, path: str | Path, *, is_code_allowed: bool = False) -> Self:
@@ -98,13 +101,14 @@ class Motion:
         return cls.of(Plan.load(place), is_code_allowed=is_code_allowed)
 
     @classmethod
-    def _along(cls, name: str, held: Trajectories) -> Self:
+    def _along(cls, name: str, held: Trajectories, *, is_paper_plan: bool) -> Self:
         return cls(
             name=name,
             times=held.node_times,
             states=held.states,
             names=held.state_names,
             degrees=held.mesh.degrees,
+            is_paper_plan=is_paper_plan,
         )
 
     @classmethod
@@ -135,7 +139,7 @@ class Motion:
         refuse_unproven(
             scenario, held, energy, passing_times, TABLE, is_code_allowed=is_code_allowed
         )
-        return cls._along(scenario.name, held)
+        return cls._along(scenario.name, held, is_paper_plan=summary.get("risk") is None)
 
     @cached_property
     def mesh(self) -> Mesh:

@@ -32,6 +32,8 @@ _SAMPLES = 200_000
 # s, between instants of a hold that are judged as if they were independent.
 _HOLD_STEP = 0.25
 
+# Misses that an earlier arrival at a hold makes rarer.
+AT_HOLD = ("distance from hold place", "speed at hold place")
 THERE, AT_REST = "distance from the goal at the end", "speed at the end"
 
 
@@ -95,12 +97,14 @@ _HALVINGS = 30
 
 def _crossing(room: FloatArray, deviation: FloatArray, correlation: FloatArray) -> float:
     """Return the probability of being beyond at first, and of crossing at each step after."""
-    floor = np.maximum(deviation, _ROUNDING)
-    beyond = room / floor
-    # Rice's rate of crossings, of a process whose correlation over a step is known.
+    beyond = room / np.maximum(deviation, _ROUNDING)
+    # Where the mean comes nearer, more flights are beyond after a step than before it.
+    outside = ndtr(-beyond)
+    carried = np.maximum(np.diff(outside), 0.0)
+    # Rice's rate of crossings about a mean that stays, of a known correlation over a step.
     rate = np.sqrt(np.maximum(2 * (1 - correlation), 0.0)) / (2 * pi)
     crossings = rate * np.exp(-(np.maximum(beyond[1:], 0.0) ** 2) / 2)
-    return float(min(ndtr(-beyond[0]) + crossings.sum(), 1.0))
+    return float(min(outside[0] + carried.sum() + crossings.sum(), 1.0))
 
 
 def approaches(spread: Spread, states: FloatArray, controls: FloatArray) -> Iterator[Approach]:
@@ -185,7 +189,8 @@ def missing(scenario: Scenario, spread: Spread) -> dict[str, float]:
         place = np.array(waypoint.position)
         near = max(waypoint.radius, HOVERING_M if waypoint.hold else 0.0) + ARRIVAL_DISTANCE_M
         instants = np.arange(waypoint.at, waypoint.at + waypoint.hold + 1e-9, _HOLD_STEP)
-        found[f"distance from waypoint {k + 1}"] = min(
+        words = "hold place" if waypoint.hold else "waypoint"
+        found[f"distance from {words} {k + 1}"] = min(
             sum(beyond(POSITION_STATES, at, place, near) for at in instants.tolist()), 1.0
         )
         fast = waypoint.speed_max
@@ -193,7 +198,7 @@ def missing(scenario: Scenario, spread: Spread) -> dict[str, float]:
             fast = min(fast or HOVERING_M_PER_S, HOVERING_M_PER_S)
         if fast is not None:
             within = fast + ARRIVAL_SPEED_M_PER_S
-            found[f"speed at waypoint {k + 1}"] = min(
+            found[f"speed at {words} {k + 1}"] = min(
                 sum(beyond(VELOCITY_STATES, at, still, within) for at in instants.tolist()), 1.0
             )
     return found

@@ -4,11 +4,12 @@ A margin is an amount of a field of the scenario.  Fields are parameters of the 
 that a plan with other margins is a re-solve.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.mission import Waypoint
 
 # Limit of the declared model, without its index -> the field that sets its upper and its lower end.
 # Moments and rotor accelerations have none: the controller never commands more than the limit.
@@ -32,6 +33,8 @@ _RAISED = {
     "airspace.floor",
     "airspace.clearance",
 }
+#: s. By how much a plan is at a hold before it has to be, and hovers longer.
+HOLD = "mission.hold"
 #: Fields of what the rotors can give, which the controller needs to stay on the plan.
 AUTHORITY = ("limits.rotor_speed_max", "limits.thrust_max", "limits.roll_max", "limits.pitch_max")
 # Share of the way from hover to a limit that margins may take at most: with more, a plan could
@@ -39,6 +42,10 @@ AUTHORITY = ("limits.rotor_speed_max", "limits.thrust_max", "limits.roll_max", "
 _MOST_OF_AUTHORITY = 0.8
 # m, of the way between a place of the mission and a wall.
 _LEFT_OF_ROOM = 0.01
+
+
+#: What is said of a plan without a risk.
+PAPER_PLAN = "A paper plan: it leaves nothing to the controller; mission.risk asks for margins."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,9 +59,9 @@ class RiskTaken:
     predicted : float
         By the linear covariance.
     failed, flown : int
-        Flights of the calibration that broke a limit, and all of them; both nought without any.
+        Flights that broke a limit, of those that had no part in finding the margins.
     is_had : bool
-        Whether flights, or the covariance where none were flown, keep the risk asked for.
+        Whether the flights that the margins were calibrated by keep the risk asked for.
     margins : mapping
         Field of the scenario -> by how much the plan tightened it, in the field's unit.
     paper_energy_J : float
@@ -67,9 +74,9 @@ class RiskTaken:
 
     asked: float
     predicted: float
-    failed: int = 0
-    flown: int = 0
-    is_had: bool = True
+    failed: int
+    flown: int
+    is_had: bool
     margins: Mapping[str, float] = field(default_factory=dict)
     paper_energy_J: float
     limiting: tuple[str, ...] = ()
@@ -80,16 +87,29 @@ class RiskTaken:
         more = energy - self.paper_energy_J
         return more, 100.0 * more / self.paper_energy_J
 
-    @property
-    def least(self) -> float:
-        """The risk that was reached: of the flights, or predicted where none were flown."""
-        return self.failed / self.flown if self.flown else self.predicted
+    def words(self, energy: float) -> str:
+        """Return the risk and its price for a plan of this energy, in one or two sentences."""
+        joules, percent = self.price(energy)
+        price = f"the margins cost {joules:.3g} J ({percent:.2g} %) beside the paper plan"
+        seen = f"{self.failed} of {self.flown} flights that had no part in the plan broke a limit"
+        if self.is_had:
+            return f"Risk at most {self.asked:g}: {seen}; {price}."
+        most = f", most often {self.limiting[0]}" if self.limiting else ""
+        return (
+            f"A risk of {self.asked:g} cannot be had: {seen}{most}; what would help: "
+            f"{self.advice}; {price}."
+        )
 
 
 def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
     """Return the scenario that a plan with margins is made of."""
     tables: dict[str, dict[str, Any]] = {}
+    if margins.get(HOLD):
+        waypoints = tuple(_held_longer(w, margins[HOLD]) for w in scenario.mission.waypoints)
+        tables["mission"] = {"waypoints": waypoints}
     for name, margin in margins.items():
+        if name == HOLD:
+            continue
         table, _, key = name.partition(".")
         number = getattr(getattr(scenario, table), key)
         if number is not None and margin:
@@ -100,6 +120,22 @@ def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
         for table, values in tables.items()
     }
     return scenario.model_copy(update=changed) if changed else scenario
+
+
+def _held_longer(waypoint: Waypoint, lead: float) -> Waypoint:
+    """Return a waypoint that is reached earlier and left at the same time, where it is held at."""
+    if not waypoint.hold:
+        return waypoint
+    earlier = {"at": waypoint.at - lead} if waypoint.at is not None else {}
+    return waypoint.model_copy(update={"hold": waypoint.hold + lead, **earlier})
+
+
+def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
+    """Return when flights pass the waypoints, of a plan that is early at its holds."""
+    return tuple(
+        at + (lead if waypoint.hold else 0.0)
+        for waypoint, at in zip(scenario.mission.waypoints, planned, strict=True)
+    )
 
 
 def greatest_margin(scenario: Scenario, name: str) -> float:

@@ -27,6 +27,7 @@ from pyomo_quad.collocation import (
 )
 from pyomo_quad.flight.columns import TIME, flight_columns, flight_frame
 from pyomo_quad.flight.flight import HELD_BREACH, Flight, Flown
+from pyomo_quad.flight.margins import PAPER_PLAN, RiskTaken
 from pyomo_quad.flight.orders import OrderSearch  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.routes import TriedRoute  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.verification import Passage, Verification, split_at_breaches
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from pyomo_quad.collocation import Diagnosis, Dynamics, Iteration, Relaxation, Solution
-    from pyomo_quad.flight.margins import RiskTaken
     from pyomo_quad.scenario.mission import NamedDuration
 
 
@@ -202,6 +202,7 @@ class PlanRecord(Part):
     passing_times_s: tuple[float, ...] = ()
     routes: tuple[TriedRoute, ...] = ()
     order_search: OrderSearch | None = None
+    risk: RiskTaken | None = None
 
 
 class _About(Part):
@@ -461,6 +462,11 @@ class Plan(Summarised):
         return told.lasting(self.duration_s, self.passing_times_s)
 
     @property
+    def risk_words(self) -> str:
+        """The risk that the plan was made for and its price, or that it is a paper plan."""
+        return PAPER_PLAN if self.risk is None else self.risk.words(self.energy)
+
+    @property
     def summary(self) -> dict[str, str]:
         """Scenario, status, energy, error and size."""
         return {
@@ -674,6 +680,7 @@ class Plan(Summarised):
                 passing_times_s=self.passing_times_s,
                 routes=self.routes,
                 order_search=self.order_search,
+                risk=self.risk,
             ),
             self.trajectories,
             self.warm_start,

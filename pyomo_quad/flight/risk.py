@@ -15,12 +15,19 @@ from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Progress
 from pyomo_quad.flight.baselines import reference_path
-from pyomo_quad.flight.breaching import Approach, approaches, missing
+from pyomo_quad.flight.breaching import AT_HOLD, Approach, approaches, missing
 from pyomo_quad.flight.covariance import Spread, spread_along
 from pyomo_quad.flight.ensemble import Squadron
 from pyomo_quad.flight.flight import HELD_BREACH, POSITION_STATES
 from pyomo_quad.flight.limit_words import limit_words
-from pyomo_quad.flight.margins import AUTHORITY, RiskTaken, greatest_margin, tightened
+from pyomo_quad.flight.margins import (
+    AUTHORITY,
+    HOLD,
+    RiskTaken,
+    greatest_margin,
+    passing_times,
+    tightened,
+)
 from pyomo_quad.flight.plan import Plan
 from pyomo_quad.flight.planning import Planner
 from pyomo_quad.flight.weather import as_expected, draw
@@ -35,10 +42,10 @@ FloatArray = NDArray[np.float64]
 DEFAULT_RISK = 0.01
 # Meets a plan with a risk where the scenario states no turbulence.
 _USUAL_TURBULENCE = Turbulence(intensity=Intensity.LIGHT)
-# Flights that a calibration flies, and their seed; no judge of a plan draws the same.
+# Flights that a calibration flies, and their seed; those that judge the plan have the next.
 _FLIGHTS, _SEED = 300, 20_260_515
 # Plans for margins of the covariance, and again for those that flights ask for.
-_PLANS, _CALIBRATIONS = 5, 3
+_PLANS, _CALIBRATIONS = 4, 3
 # Margins that agree with those asked for within this share, or within this share of the limit.
 _AGREED, _AGREED_OF_LIMIT = 0.1, 2e-3
 # A flight without gusts that ends farther off than this [m] had not the rotors to follow the plan.
@@ -46,6 +53,8 @@ _ASTRAY_M = 0.1
 # Shares of the way from hover to a limit that such a plan leaves, one after the other.
 _RESERVES = (0.05, 0.1, 0.2, 0.35)
 _GROWTH = 1.5
+# s, by how much earlier each plan is at a hold than the last one, and at most.
+_EARLIER_S, _EARLIEST_S = 0.3, 1.5
 
 
 def risk_asked(scenario: Scenario) -> float:
@@ -147,7 +156,9 @@ class _Search:
             plan = self._planner.solve(held, progress=self._progress)
         if not plan.is_verified:
             return None
-        return self._tried(replace(plan, scenario=self._scenario), margins)
+        times = passing_times(self._scenario, plan.passing_times_s, margins.get(HOLD, 0.0))
+        own = replace(plan, scenario=self._scenario, passing_times_s=times)
+        return self._tried(own, margins)
 
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that the flight without gusts follows, where margins can make one."""
@@ -175,7 +186,7 @@ class _Search:
         What limits far from the plan take of the risk, and misses, is left out of the shares.
         """
         held = tried.margins
-        taken = sum(tried.missed.values())
+        taken = sum(p for words, p in tried.missed.items() if not words.startswith(AT_HOLD))
         alone = {a: a.probability(held.get(a.field, 0.0), 0.0) for a in tried.near}
         # A limit that takes a hundredth of the risk needs no margin.
         pressed = [a for a, probability in alone.items() if probability > 0.01 * self._risk]
@@ -185,14 +196,21 @@ class _Search:
         for approach in pressed:
             most = greatest_margin(self._scenario, approach.field)
             needed = approach.margin_for(share, held.get(approach.field, 0.0), most)
-            margins[approach.field] = max(margins.get(approach.field, 0.0), needed)
+            if needed > 0.0:
+                margins[approach.field] = max(margins.get(approach.field, 0.0), needed)
         for name, least in self._least.items():
             margins[name] = max(margins.get(name, 0.0), least)
+        at_holds = sum(p for words, p in tried.missed.items() if words.startswith(AT_HOLD))
+        if at_holds > share or held.get(HOLD):
+            earlier = _EARLIER_S if at_holds > share else 0.0
+            margins[HOLD] = min(held.get(HOLD, 0.0) + earlier, _EARLIEST_S)
         return margins
 
     def _agree(self, held: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
         """Say whether the margins of a plan are those that its flights need."""
-        for name in {*held, *wanted}:
+        if held.get(HOLD) != wanted.get(HOLD):
+            return False
+        for name in {*held, *wanted} - {HOLD}:
             one, other = held.get(name, 0.0), wanted.get(name, 0.0)
             table, _, key = name.partition(".")
             size = abs(float(getattr(getattr(self._scenario, table), key)))
@@ -204,23 +222,26 @@ class _Search:
         """Return the plan whose margins flights confirm, or that of the least risk found."""
         found: list[tuple[int, _Tried, Counter[str]]] = []
         for _ in range(_CALIBRATIONS + 1):
-            broken = self._flown(tried)
+            broken = self._flown(tried, _SEED)
             failed = sum(1 for words in broken if words)
             counts = Counter(word for words in broken for word in words)
             found.append((failed, tried, counts))
             if failed <= self._risk * _FLIGHTS:
                 break
-            other = self._planned(tried, self._grown(tried, counts))
+            grown = self._grown(tried, counts)
+            other = None if grown == tried.margins else self._planned(tried, grown)
             if other is None:
                 break
             tried = other
-        failed, tried, counts = min(found, key=lambda one: (one[0], one[1].plan.energy))
-        limiting = tuple(word for word, _ in counts.most_common(3))
+        failed, tried, _ = min(found, key=lambda one: (one[0], one[1].plan.energy))
         is_had = failed <= self._risk * _FLIGHTS
+        judged = self._flown(tried, _SEED + 1)
+        counts = Counter(word for words in judged for word in words)
+        limiting = tuple(word for word, _ in counts.most_common(3))
         taken = RiskTaken(
             asked=self._risk,
             predicted=tried.predicted,
-            failed=failed,
+            failed=sum(1 for words in judged if words),
             flown=_FLIGHTS,
             is_had=is_had,
             margins=dict(tried.margins),
@@ -230,10 +251,10 @@ class _Search:
         )
         return replace(tried.plan, risk=taken)
 
-    def _flown(self, tried: _Tried) -> list[tuple[str, ...]]:
+    def _flown(self, tried: _Tried, seed: int) -> list[tuple[str, ...]]:
         """Return the limits that each of many flights breaks, in words."""
         expected = as_expected(replace(tried.plan, scenario=self._told).mission_flown)
-        dynamics, draws = draw(self._planner, expected, _FLIGHTS, _SEED)
+        dynamics, draws = draw(self._planner, expected, _FLIGHTS, seed)
         path = reference_path(expected, Reference.PLAN, tried.plan)
         squadron = Squadron(expected, dynamics, path, (*draws.noise, *draws.numbers))
         return [tuple(ending.broken) for ending in squadron.fly(draws).endings]
@@ -248,14 +269,18 @@ class _Search:
         for word, count in counts.items():
             if count > allowed:
                 own = {a.field for a in tried.near if limit_words(a.name) == word}
-                fields |= own or set(AUTHORITY)
+                fields |= own or ({HOLD} if word.startswith(AT_HOLD) else set(AUTHORITY))
         margins = dict(tried.margins)
+        if HOLD in fields:
+            margins[HOLD] = min(margins.get(HOLD, 0.0) + _EARLIER_S, _EARLIEST_S)
+            fields.remove(HOLD)
         for name in fields:
             deviation = max(
                 (float(a.deviation.max()) for a in tried.near if a.field == name), default=0.0
             )
             most = greatest_margin(self._scenario, name)
-            margins[name] = min(max(_GROWTH * margins.get(name, 0.0), deviation), most)
+            held = margins.get(name, 0.0)
+            margins[name] = min(max(_GROWTH * held, held + deviation / 2), most)
         return margins
 
     def _advice(self, limiting: tuple[str, ...]) -> str:
