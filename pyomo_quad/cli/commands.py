@@ -12,7 +12,7 @@ import typer
 
 from pyomo_quad.cli.endings import ExitCode, Stopped, before_the_end
 from pyomo_quad.cli.looking import check, export, init, library, plot, schema
-from pyomo_quad.cli.own_vehicle import vehicle
+from pyomo_quad.cli.own_vehicle import vehicle, vehicles
 from pyomo_quad.cli.startup import import_scipy_alone
 from pyomo_quad.cli.studies import identify, outside_plant, paper, polar, predict, rotorpy_vehicle
 from pyomo_quad.cli.sweeping import sweep, sweep_report
@@ -30,6 +30,7 @@ from pyomo_quad.cli.terminal import (
     complain,
     folder_of,
     gives_up_output,
+    positive_count,
     real_number,
 )
 from pyomo_quad.report import Figures
@@ -51,7 +52,7 @@ class Controller(StrEnum):
 
 
 class Plant(StrEnum):
-    """Vehicle model in flight: the declared equations, or a simulator that others wrote."""
+    """Vehicle model in flight: the declared equations, or RotorPy's."""
 
     DECLARED = "declared"
     ROTORPY = "rotorpy"
@@ -61,44 +62,147 @@ _Controller = Annotated[
     Controller,
     typer.Option(
         "--controller",
-        help="Feedback, the plan's controls without it, the mission planned again in flight, or "
+        help="Adaptive feedback, the plan's controls without feedback, re-planning in flight, or "
         "RotorPy's own.",
     ),
 ]
 _Knowledge = Annotated[
-    Knowledge, typer.Option("--knowledge", help="mpc: what re-planning knows of the wind.")
+    Knowledge, typer.Option("--knowledge", help="mpc: information on the wind in re-planning.")
 ]
 _Plant = Annotated[
     Plant, typer.Option("--plant", help="Vehicle model: the declared equations, or RotorPy.")
 ]
 _Reference = Annotated[
     Reference | None,
-    typer.Option("--reference", help="What to follow: quintic by default, the plan in open loop."),
+    typer.Option("--reference", help="Reference: quintic by default, the plan in open loop."),
+]
+
+
+_Flown = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SCENARIO|PLAN",
+        help="Scenario file (TOML); with --flights also a file of Plan.save or a report folder.",
+    ),
+]
+_Flights = Annotated[
+    int | None,
+    typer.Option(
+        "--flights",
+        metavar="N",
+        parser=positive_count,
+        help="Fly the plan so often, each time in a wind of its own.",
+    ),
+]
+_Seed = Annotated[int, typer.Option("--seed", metavar="N", help="--flights: of the winds.", min=0)]
+_Cruises = Annotated[
+    list[float] | None,
+    typer.Option(
+        "--cruise",
+        metavar="M/S",
+        parser=real_number,
+        help="--flights: an autopilot at this speed in the same winds; repeatable.",
+    ),
 ]
 
 
 def fly(
-    scenario: ScenarioFile,
+    scenario: _Flown,
     *,
     controller: _Controller = Controller.ADAPTIVE,
     reference: _Reference = None,
     knowledge: _Knowledge = Knowledge.ESTIMATED,
     plant: _Plant = Plant.DECLARED,
+    flights: _Flights = None,
+    seed: _Seed = 0,
+    cruise: _Cruises = None,
     out: Output = None,
     overrides: Overrides = None,
+    figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Fly a scenario under feedback, its plan in open loop, or with its rest planned again."""
+    """Fly a scenario under feedback, its plan in open loop, re-planned, or many times in wind."""
+    if flights is not None or is_plan(scenario):
+        _refuse_other_flights(scenario, flights, controller, plant, reference)
+        import_scipy_alone()
+        from pyomo_quad.cli.ensembles import fly_many  # noqa: PLC0415  takes seconds
+
+        return fly_many(
+            scenario,
+            flights or 1,
+            seed=seed,
+            cruises=cruise or (),
+            out=out,
+            overrides=overrides or (),
+            figures=figures,
+            is_quiet=quiet,
+            as_json=as_json,
+            is_code_allowed=allow_code,
+        )
+    return _fly_once(
+        scenario,
+        controller,
+        reference,
+        knowledge,
+        plant,
+        out=out,
+        overrides=overrides or (),
+        quiet=quiet,
+        as_json=as_json,
+        allow_code=allow_code,
+    )
+
+
+def is_plan(path: Path) -> bool:
+    """Say whether a path names a plan, and not the scenario of one."""
+    return path.is_dir() or path.suffix == ".npz"
+
+
+def _refuse_other_flights(
+    path: Path,
+    flights: int | None,
+    controller: Controller,
+    plant: Plant,
+    reference: Reference | None,
+) -> None:
+    if flights is None:
+        raise typer.BadParameter(
+            f"{path} is a plan, not a scenario; add --flights 1000, or give the scenario."
+        )
+    if controller is not Controller.ADAPTIVE or plant is not Plant.DECLARED:
+        raise typer.BadParameter(
+            "--flights are of the declared vehicle under --controller adaptive; leave --controller "
+            "and --plant out."
+        )
+    if reference not in {None, Reference.PLAN}:
+        raise typer.BadParameter(
+            "--flights follow the plan, not another --reference; leave it out, or add --cruise."
+        )
+
+
+def _fly_once(
+    scenario: Path,
+    controller: Controller,
+    reference: Reference | None,
+    knowledge: Knowledge,
+    plant: Plant,
+    *,
+    out: Path | None,
+    overrides: Sequence[str],
+    quiet: bool,
+    as_json: bool,
+    allow_code: bool,
+) -> int:
     watch = Stopwatch()
     followed = _followed(controller, reference)
     _refuse_unfit(controller, plant)
-    resolved = load_scenario(scenario, overrides or ())
+    resolved = load_scenario(scenario, overrides)
     if controller is Controller.MPC and resolved.baseline.mpc is None:
         resolved = resolved.with_values({"baseline.mpc": {}})
     flown = [plant] if plant is Plant.ROTORPY else []
-    # A single flight must not replace the report of the scenario, in reports/NAME.
+    # A single flight must not replace the report of the scenario in reports/NAME.
     name = "-".join((resolved.name, *flown, controller, followed or knowledge))
     folder = out or Path("reports") / name
     refuse_output_folder(folder)
@@ -213,9 +317,9 @@ def compare(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Put the flights of many scenarios into one table, with a figure and a page.
+    """Compare the flights of many scenarios in one table, with a figure and a page.
 
-    A finished run that matches is taken from its folder.
+    A finished run of the same scenario is read from its folder.
     """
     missions = [load_scenario(file, overrides or ()) for file in scenarios]
     refuse_output_folder(out)
@@ -241,7 +345,7 @@ def compare(
                 record = RunRecord.of(result)
                 status = max(status, solving.exit_code_of(result.plan))
             elif not is_quiet:
-                print(f"{mission.name}: taken from {folder}, which holds this very run.")
+                print(f"{mission.name}: read from {folder}, which holds the same run.")
             records.append(record)
         comparison = combine([record.comparison for record in records])
         write_compare_report(
@@ -288,7 +392,9 @@ def solve(
         from pyomo_quad.flight.risk import plan_at_risk  # noqa: PLC0415
         from pyomo_quad.report.report import write_solve_report  # noqa: PLC0415
         from pyomo_quad.study.check import plan_cautions  # noqa: PLC0415
-    planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
+    planner = solving.planner_for(
+        resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json, keeps_usable=True
+    )
     with solving.report_folder(folder) as aside:
         with Deadline(resolved):
             plan = plan_at_risk(resolved, planner)
@@ -313,7 +419,7 @@ app = typer.Typer(
 )
 for _command in (
     *(init, run, solve, compare, check, library, schema, fly, export, plot, identify, predict),
-    *(polar, vehicle, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
+    *(polar, vehicle, vehicles, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
 ):
     app.command()(_command)
 
@@ -331,7 +437,7 @@ def _before_any_command(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Version.")
     ] = False,
 ) -> None:
-    """Read the options that stand before the command."""
+    """Handle the options before the command."""
 
 
 def _end_other_processes() -> None:
@@ -358,17 +464,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, Stopped, typer.Abort):
         complain("pyomo-quad: interrupted; no report was written.")
         return ExitCode.INTERRUPTED
-    except Exception as error:  # noqa: BLE001  the last line of defence: one line and a status
+    except Exception as error:  # noqa: BLE001  any other error becomes one line and a status
         return _explain(error)
     return int(status or 0)
 
 
-# Messages of C++ libraries and of the loader of shared objects when memory runs out.
+# Messages of C++ libraries and of the dynamic loader when memory runs out.
 _NO_MEMORY = ("std::bad_alloc", "Cannot allocate memory")
 
 
 def _lacks_memory(error: BaseException | None) -> bool:
-    """Say whether an error, or any error in its chain of causes, is a lack of memory."""
+    """Return whether an error, or any error in its chain of causes, is a lack of memory."""
     while error is not None:
         if isinstance(error, MemoryError) or any(said in str(error) for said in _NO_MEMORY):
             return True

@@ -23,6 +23,7 @@ class ExitCode(IntEnum):
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PATIENCE_S = 0.5  # a user who stops a command expects the prompt at once
+_REPORT_S = 60.0  # or, once, the report of the usable plan that is there
 _LINE = b"pyomo-quad: interrupted; no report was written.\n"
 # Erase the progress line of a solve, and show the cursor, which that line hid.
 _CLEAR = b"\r\x1b[K\x1b[?25h"
@@ -30,8 +31,8 @@ _CLEAR = b"\r\x1b[K\x1b[?25h"
 _last_acts: list[Callable[[], object]] = []
 
 
-class Stopped(Exception):  # noqa: N818  what the user wanted is no error
-    """The user stopped a command which printed no message about it."""
+class Stopped(Exception):  # noqa: N818  a stop by the user is not an error
+    """The user stopped a command, and no message has been printed yet."""
 
 
 class SolveStopped(Stopped):
@@ -43,10 +44,14 @@ class SolveStopped(Stopped):
 
 
 class Interruption:
-    """Record of the user's request to stop."""
+    """Record of the user's request to stop.
+
+    With `has_result` set, the command has the time to write its result, unless the user insists.
+    """
 
     def __init__(self) -> None:
         self.is_requested = False
+        self.has_result = False
 
     def request(self, _signal: int, _frame: FrameType | None) -> None:
         """Record the first signal; raise at the second where no timer ends the process.
@@ -56,15 +61,15 @@ class Interruption:
         KeyboardInterrupt
             When the user insists, in a process that is not the command's own.
         """
-        if self.is_requested and not _enforce():
+        if self.is_requested and not _enforce(_PATIENCE_S):
             raise KeyboardInterrupt
         if not self.is_requested:
             self.is_requested = True
-            _enforce()
+            _enforce(_REPORT_S if self.has_result else _PATIENCE_S)
 
 
 def end_on_signals() -> None:
-    """Let Ctrl-C, SIGTERM and SIGHUP end this process from now on."""
+    """Make Ctrl-C, SIGTERM and SIGHUP end this process from now on."""
     for number in (*_heeded(), signal.SIGALRM):
         signal.signal(number, _end)
 
@@ -76,7 +81,7 @@ def _heeded() -> list[signal.Signals]:
 
 
 def leave(status: int) -> int:
-    """End the process now if a signal asked for it; else return the status."""
+    """End the process at once if a signal requested it; else return the status."""
     if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
         os._exit(status)
     gc.freeze()  # the process ends: freeing its objects one by one would take 0.3 s
@@ -90,7 +95,7 @@ def before_the_end(act: Callable[[], object]) -> None:
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[Interruption]:
-    """Record a signal as a request to stop; the process ends `_PATIENCE_S` later in any case."""
+    """Record a signal as a request to stop; the process ends soon after in any case."""
     interruption = Interruption()
     with _handled_by(interruption.request):
         yield interruption
@@ -106,16 +111,16 @@ def raise_on_interrupt() -> Iterator[None]:
         is_asked = True
         for number in _SIGNALS:
             signal.signal(number, signal.SIG_IGN)
-        _enforce()
+        _enforce(_PATIENCE_S)
         raise KeyboardInterrupt
 
     with _handled_by(once):
         try:
             yield
         except KeyboardInterrupt:
-            raise Stopped from None  # typer would end without a message
+            raise Stopped from None  # typer would exit without a message
         except Exception:
-            # Libraries turn KeyboardInterrupt into errors of their own, such as ImportError.
+            # Libraries convert KeyboardInterrupt into errors of their own, such as ImportError.
             if is_asked:
                 raise Stopped from None
             raise
@@ -131,11 +136,15 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
             signal.signal(number, former)
 
 
-def _enforce() -> bool:
-    """End the process `_PATIENCE_S` from now if it is the command's own; return whether it is."""
+def _enforce(patience_s: float) -> bool:
+    """End the process so many seconds from now, or sooner if that was asked for already.
+
+    Return whether the process is the command's own; another process is left alone.
+    """
     is_own = signal.getsignal(signal.SIGALRM) is _end
-    if is_own and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0:
-        signal.setitimer(signal.ITIMER_REAL, _PATIENCE_S)
+    left_s = signal.getitimer(signal.ITIMER_REAL)[0]
+    if is_own and not 0.0 < left_s <= patience_s:
+        signal.setitimer(signal.ITIMER_REAL, patience_s)
     return is_own
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import typer
 
@@ -33,15 +33,18 @@ from pyomo_quad.study.run import fly_cruise
 def make_plan(planner: Planner, scenario: Scenario) -> Plan:
     """Solve the plan that a flight follows, or print the failure and exit."""
     plan = plan_at_risk(scenario, planner)
-    status = exit_code_of(plan)
-    if status is ExitCode.VERIFIED:
+    if plan.is_flyable:
         return plan
+    status = exit_code_of(plan)
     complain(f"{scenario.name}: no plan to follow, {plan.status.value}: {plan.message}")
     raise typer.Exit(status)
 
 
-def make_flight(scenario: Scenario, fly: Callable[[], Flight]) -> Flight:
-    """Fly, or print why the flight is impossible and exit."""
+_Outcome = TypeVar("_Outcome")
+
+
+def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
+    """Fly, once or many times, or print why the flight is impossible and exit."""
     try:
         return fly()
     except SolveError as error:
@@ -52,7 +55,7 @@ def make_flight(scenario: Scenario, fly: Callable[[], Flight]) -> Flight:
 def fly_declared(
     planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
 ) -> Flight:
-    """Fly the adaptive controller along a reference or, without one, the plan in open loop."""
+    """Fly the adaptive controller along a reference, or the plan in open loop if None."""
     if reference is Reference.CRUISE:
         return fly_cruise(scenario, None, plan, planner)
     dynamics = vehicle_flown(planner, scenario)

@@ -1,4 +1,4 @@
-"""Commands around a scenario: `init`, `check`, `library` and `schema`, `export` and `plot`."""
+"""Commands on a scenario or its results: `init`, `check`, `library`, `schema`, `export`, `plot`."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -58,6 +58,7 @@ from pyomo_quad.scenario.messages import PyomoQuadError, printable, shown
 if TYPE_CHECKING:
     from pyomo_quad.model.screening import Finding, ModelInspection
     from pyomo_quad.report.style import StyledFlight
+    from pyomo_quad.study.effort import Effort
 
 _LONGEST_LIST = 6
 
@@ -70,7 +71,7 @@ def check(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Validate a scenario and print every field with its unit and where it came from."""
+    """Validate a scenario and print every field with its unit and origin."""
     resolved = load_scenario(scenario, overrides or ())
     # Pyomo takes a second to import: a refused scenario need not wait for it.
     import_scipy_alone()
@@ -81,14 +82,18 @@ def check(
     inspection = inspect_model(builder(resolved))
     if as_json or not quiet:
         from pyomo_quad.study.check import check_mission  # noqa: PLC0415
+        from pyomo_quad.study.effort import estimate_effort  # noqa: PLC0415
 
         findings = check_mission(resolved, builder=builder)
+        unknowns = len(inspection.states) + len(inspection.other_variables)
+        effort = estimate_effort(resolved, unknowns)
         if as_json:
-            print(json.dumps(_as_mapping(resolved, inspection, findings), indent=2))
+            print(json.dumps(_as_mapping(resolved, inspection, findings, effort), indent=2))
         else:
             result_console().print(_table(resolved))
             for line in _verdict(inspection, findings):
                 print(line)
+            print(f"Effort: {effort.line}")
             for remark in resolved.remarks:
                 print(f"Note: {remark}")
     return ExitCode.VERIFIED if inspection.is_unit_consistent else ExitCode.BAD_INPUT
@@ -107,7 +112,7 @@ def _verdict(inspection: "ModelInspection", findings: Sequence["Finding"]) -> It
     for error in inspection.unit_errors:
         yield f"Units: inconsistent in {error}"
     if not findings:
-        yield "Mission: nothing found that it must break, and nothing doubtful."
+        yield "Mission: no impossible demand and no doubtful value found."
     for finding in findings:
         yield f"Mission, {finding.severity}: {finding.message}"
 
@@ -136,7 +141,10 @@ def _shown(value: Any) -> str:  # noqa: ANN401
 
 
 def _as_mapping(
-    scenario: Scenario, inspection: "ModelInspection", findings: Sequence["Finding"]
+    scenario: Scenario,
+    inspection: "ModelInspection",
+    findings: Sequence["Finding"],
+    effort: "Effort",
 ) -> dict[str, Any]:
     return {
         "scenario": scenario.name,
@@ -148,6 +156,7 @@ def _as_mapping(
             "is_unit_consistent": inspection.is_unit_consistent,
         },
         "findings": [asdict(finding) for finding in findings],
+        "effort": {"seconds": effort.seconds, "features": dict(effort.features)},
         "notes": list(scenario.remarks),
     }
 
@@ -160,7 +169,7 @@ def library(
     *,
     as_json: AsJson = False,
 ) -> int:
-    """List the library, or show one of its entries with the source of each number."""
+    """List the library, or show an entry with the source of each number."""
     if kind is not None and name is not None:
         _show_entry(library_entry(kind, name), as_json=as_json)
         return ExitCode.VERIFIED
@@ -207,7 +216,7 @@ def init(
     ] = "parcel",
     quiet: Quiet = False,
 ) -> int:
-    """Write a commented scenario that runs, and the schema by which editors complete it."""
+    """Write a commented scenario that runs, and the schema with which editors complete it."""
     own = template if name is None else name
     text = started_scenario(template, own)
     schema_file = Path("scenario.schema.json")
@@ -235,7 +244,7 @@ def write_new(file: Path, text: str) -> None:
         with file.open("x", encoding="utf-8", newline="\n") as stream:
             stream.write(text)
     except FileExistsError:
-        raise ScenarioError(f"{file}: is there already; give another NAME or move it.") from None
+        raise ScenarioError(f"{file}: exists already; give another NAME or move it.") from None
 
 
 _REQUIRED = ("name", "mission")
@@ -248,7 +257,7 @@ def _schema_text(model: type[BaseModel], kind: str, required: tuple[str, ...]) -
 
 def schema(
     out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Where the three files go.")
+        Path, typer.Option("--out", metavar="DIR", help="Folder of the three files.")
     ] = Path(),
 ) -> int:
     """Write the JSON Schemas of scenarios and studies, and a page that lists every field."""
@@ -264,9 +273,9 @@ def schema(
     for kind, (model, required) in kinds.items():
         pages[f"{kind}.schema.json"] = _schema_text(model, kind, required)
     if not out.is_dir():
-        raise ScenarioError(f"--out {out}: is no folder; make it first.")
+        raise ScenarioError(f"--out {out}: is not a folder; create it first.")
     with ExitStack() as files:
-        # Check that all three files may be written before the first is written.
+        # Check that all three files may be written before writing the first.
         asides = {name: files.enter_context(output_file(out / name)) for name in pages}
         for name, aside in asides.items():
             aside.write_text(pages[name], encoding="utf-8")
@@ -276,7 +285,7 @@ def schema(
 
 
 class Reader(StrEnum):
-    """Programs that read plans: the formats of `pyomo_quad.exports`, which import slowly."""
+    """Formats of `pyomo_quad.exports`, listed here because that package imports slowly."""
 
     QGROUNDCONTROL = "qgroundcontrol"
     PX4 = "px4"
@@ -292,14 +301,14 @@ def export(
     *,
     to: Annotated[Reader, typer.Option("--to", help="Who reads it.")],
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="What to write; for ros2 a folder.")
+        Path | None, typer.Option("--out", metavar="FILE", help="File to write; for ros2 a folder.")
     ] = None,
     origin: Annotated[
         str | None,
         typer.Option(
             "--origin",
             metavar="LAT,LON,ALT",
-            help="Where on the globe the plan's origin lies (degrees, metres above the sea).",
+            help="Position of the plan's origin (degrees, metres above the sea).",
         ),
     ] = None,
     path_error: Annotated[
@@ -308,7 +317,7 @@ def export(
             "--path-error",
             metavar="M",
             parser=real_number,
-            help="How far waypoints or pieces may leave the plan at any time.",
+            help="Largest distance of waypoints or pieces from the plan at any time.",
         ),
     ] = None,
     rate: Annotated[
@@ -413,7 +422,7 @@ def _flight(run: Path) -> "tuple[StyledFlight, float, Scenario | None]":
 
 
 def _mission(summary: dict[str, Any]) -> Scenario | None:
-    """Return a report's scenario with its passing times, None where this version cannot read it."""
+    """Return a report's scenario with its passing times, None if this version cannot read it."""
     try:
         scenario = Scenario.model_validate(summary["scenario_resolved"])
         return scenario.lasting(summary["duration_s"], summary.get("passing_times_s", ()))

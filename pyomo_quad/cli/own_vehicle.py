@@ -1,4 +1,4 @@
-"""Commands about vehicles: one from what its owner knows, and the library against measurements."""
+"""Commands on vehicles: estimation from an owner's data, and comparison with measurements."""
 
 import sys
 from pathlib import Path
@@ -8,7 +8,9 @@ import typer
 
 from pyomo_quad.cli.endings import ExitCode, raise_on_interrupt
 from pyomo_quad.cli.looking import write_new
-from pyomo_quad.cli.terminal import Quiet, complain, real_number
+from pyomo_quad.cli.terminal import FigureChoice, Quiet, ReportFolder, complain, real_number
+from pyomo_quad.report import Figures
+from pyomo_quad.report.folder import output_folder, refuse_output_folder
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.messages import shown
 
@@ -59,9 +61,9 @@ def vehicle(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the files go.")] = Path(),
     quiet: Quiet = False,
 ) -> int:
-    """Write a vehicle and its battery from what their owner knows, each number with its source.
+    """Write a vehicle and its battery from their owner's data, each number with its source.
 
-    All but mass and propeller may be left out; on a terminal what is left out is asked for.
+    Only mass and propeller are required; on a terminal the command asks for missing data.
     """
     from pyomo_quad.vehicles.files import (  # noqa: PLC0415  takes a second
         pack_name,
@@ -71,7 +73,7 @@ def vehicle(
     from pyomo_quad.vehicles.owner import estimate_vehicle  # noqa: PLC0415
     from pyomo_quad.vehicles.uncertainty import power_band  # noqa: PLC0415
 
-    if sys.stdin.isatty() and not quiet:
+    if is_asked(is_quiet=quiet):
         mass = _asked(mass, "mass aloft, kg", is_needed=True)
         propeller = propeller or typer.prompt("propeller, inches, such as 10x4.5")
         arm = _asked(arm, "centre to motor shaft, m")
@@ -93,8 +95,13 @@ def vehicle(
     return ExitCode.VERIFIED
 
 
+def is_asked(*, is_quiet: bool) -> bool:
+    """Return whether someone sits at a terminal who can answer."""
+    return not is_quiet and sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
+
+
 def _asked(given: float | None, words: str, *, is_needed: bool = False) -> float | None:
-    """Return what was given, or the answer to a question; None where the answer is empty."""
+    """Return a given number, or the answer to a question; None if the answer is empty."""
     while given is None:
         answer = typer.prompt(words, default="" if not is_needed else None, show_default=False)
         if not answer.strip() and not is_needed:
@@ -205,3 +212,31 @@ def _lines(estimated: "EstimatedVehicle", band: "PowerBand", out: Path) -> list[
     lines.append(f"Written to {out / f'{known.name}.toml'} and {out / pack_name(known.name)}.")
     lines.append("A scenario beside them that flies 40 m:")
     return lines + ["  " + line for line in example_mission(known.name).splitlines()]
+
+
+_VEHICLES_FOLDER = Path("reports") / "vehicles"
+
+
+def vehicles(
+    *,
+    out: ReportFolder = _VEHICLES_FOLDER,
+    figures: FigureChoice = Figures.SVG,
+    quiet: Quiet = False,
+) -> int:
+    """Hold every library vehicle, and six data sheets, against measured powers: a page of each."""
+    refuse_output_folder(out)
+    from pyomo_quad.flight import Planner  # noqa: PLC0415  takes a second
+    from pyomo_quad.vehicles.holding import held_vehicles  # noqa: PLC0415
+    from pyomo_quad.vehicles.report import write_vehicles  # noqa: PLC0415
+
+    planner = Planner()
+    with raise_on_interrupt(), output_folder(out) as aside:
+        held = held_vehicles(planner)
+        sheets = write_vehicles(aside, held, planner, figures)
+    if not quiet:
+        for row in sheets.itertuples():
+            print(f"{row.vehicle}: {row.estimated_W:.4g} W, measured {row.measured_W:.4g} W")
+        for one in held:
+            print(f"{one.name}: {one.mean_error:.1f} % over {len(one.points)} points")
+        print(f"Written to {out}.")
+    return ExitCode.VERIFIED

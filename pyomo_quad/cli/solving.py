@@ -1,6 +1,6 @@
 """Common parts of the commands that solve; importing them imports the engine, which is slow."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from math import isnan
@@ -18,6 +18,7 @@ from pyomo_quad.collocation import Iteration, Problem, Progress, TranscriptionEr
 from pyomo_quad.flight import Plan, Planner, PlanStatus
 from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.planning import Builder
+from pyomo_quad.flight.search import State, accuracy_words
 from pyomo_quad.model import model_builder
 from pyomo_quad.report.folder import output_folder
 from pyomo_quad.report.tables import PLAN_NAME, plan_table, summary_text, write_table
@@ -29,11 +30,12 @@ if TYPE_CHECKING:
 
     from pyomo_quad.study.run import RunResult
 
-# An interrupted solve keeps its best iterate if the relative violation of equations is below.
+# An interrupted solve keeps its best iterate if its relative violation is below this.
 _WORTH_KEEPING = 1e-4
 
 _EXIT_CODES = {
     PlanStatus.VERIFIED: ExitCode.VERIFIED,
+    PlanStatus.USABLE: ExitCode.VERIFIED,
     PlanStatus.SOLVED: ExitCode.NOT_VERIFIED,
     PlanStatus.NOT_CONVERGED: ExitCode.NOT_SOLVED,
     PlanStatus.INFEASIBLE: ExitCode.NOT_SOLVED,
@@ -44,9 +46,10 @@ _EXIT_CODES = {
 class _CommandPlanner(Planner):
     """A planner that shows progress, stops at a signal and reports model errors as bad input."""
 
-    def __init__(self, builder: Builder, *, is_quiet: bool) -> None:
+    def __init__(self, builder: Builder, *, is_quiet: bool, keeps_usable: bool) -> None:
         super().__init__(builder)
         self._is_quiet = is_quiet
+        self._keeps_usable = keeps_usable
 
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
         try:
@@ -60,35 +63,43 @@ class _CommandPlanner(Planner):
         *,
         warm_start: Plan | WarmStart | None = None,
         progress: Progress | None = None,
+        show: Callable[[State], None] | None = None,
     ) -> Plan:
-        with live_line(is_quiet=self._is_quiet) as show, stop_on_interrupt() as interruption:
+        with live_line(is_quiet=self._is_quiet) as told, stop_on_interrupt() as interruption:
+
+            def tell(state: State) -> None:
+                interruption.has_result = self._keeps_usable and state.has_usable
+                for follower in filter(None, (told, show)):
+                    follower(state)
 
             def follow(now: Iteration) -> bool:
-                if show is not None:
-                    show(now)
                 is_wanted = progress is None or progress(now) is not False
                 return is_wanted and not interruption.is_requested
 
             try:
-                plan = super().solve(scenario, warm_start=warm_start, progress=follow)
+                plan = super().solve(scenario, warm_start=warm_start, progress=follow, show=tell)
             except TranscriptionError as error:
                 raise ScenarioError(str(error)) from error
-        if interruption.is_requested:
+        if interruption.is_requested and not (self._keeps_usable and plan.is_flyable):
             raise SolveStopped(plan)
         return plan
 
 
-def planner_for(scenario: Scenario, *, is_code_allowed: bool, is_quiet: bool) -> Planner:
+def planner_for(
+    scenario: Scenario, *, is_code_allowed: bool, is_quiet: bool, keeps_usable: bool = False
+) -> Planner:
     """Return a planner for the scenario's model that shows progress and stops at signals.
+
+    Stopped, it raises `SolveStopped`; with `keeps_usable` it returns the usable plan it may have.
 
     Raises
     ------
     ScenarioError
-        If the scenario's own builder is not allowed or cannot be loaded, and later if the model
-        that it declares cannot be solved at all.
+        If the scenario's own builder is not allowed or cannot be loaded; and, raised later, if the
+        model cannot be transcribed.
     """
     builder = model_builder(scenario, is_code_allowed=is_code_allowed)
-    return _CommandPlanner(builder, is_quiet=is_quiet)
+    return _CommandPlanner(builder, is_quiet=is_quiet, keeps_usable=keeps_usable)
 
 
 @contextmanager
@@ -98,12 +109,12 @@ def report_folder(folder: Path) -> Iterator[Path]:
     Yields
     ------
     Path
-        An empty folder that takes its place at the end of the block.
+        An empty folder that replaces the report at the end of the block.
 
     Raises
     ------
     Exit
-        With the status of an interrupted command, after its one line.
+        With the status of an interrupted command, after printing its one line.
     """
     try:
         with output_folder(folder) as aside:
@@ -114,7 +125,7 @@ def report_folder(folder: Path) -> Iterator[Path]:
 
 
 def _kept(plan: Plan, folder: Path) -> str:
-    """Write an iterate that nearly satisfies the equations beside the report, and return where."""
+    """Save an iterate that nearly satisfies the equations; return a message with its place."""
     best = min((line.infeasibility for line in plan.iterations), default=1.0)
     if plan.solution is None or best > _WORTH_KEEPING:
         return "no report was written"
@@ -122,7 +133,7 @@ def _kept(plan: Plan, folder: Path) -> str:
     with output_folder(beside) as aside:
         plan.save(aside / "plan.npz")
         write_table(plan_table(plan), aside / PLAN_NAME)
-    return f"its best iterate is in {beside}, and {folder} is as it was"
+    return f"its best iterate is in {beside}, and {folder} is unchanged"
 
 
 def exit_code_of(plan: Plan) -> ExitCode:
@@ -131,6 +142,7 @@ def exit_code_of(plan: Plan) -> ExitCode:
 
 
 _OUTCOMES = {
+    PlanStatus.USABLE: "usable",
     PlanStatus.SOLVED: "solved but not verified",
     PlanStatus.NOT_CONVERGED: "not converged",
     PlanStatus.INFEASIBLE: "infeasible",
@@ -148,28 +160,30 @@ _SHOWN = {
     ComparisonColumn.SAVING_OF_EXCESS: ("excess\nsaved %", "z.1f"),
     ComparisonColumn.TERMINAL_MISS: ("miss\nm", ".1e"),
 }
-# Reasons why a flight is not compared; the first that applies is shown.
+# Reasons for not comparing a flight; the first that applies is shown.
 _AMISS = {
     ComparisonColumn.ARRIVED: "missed",
     ComparisonColumn.LIMITS_KEPT: "limits",
     ComparisonColumn.VERIFIED: "unverified",
 }
-# Columns with one value for all flights are left out: the lines above the table give it.
+# Columns with one value for all flights are omitted; the lines above the table give it.
 _TOLD_ABOVE = (ComparisonColumn.SCENARIO, ComparisonColumn.DURATION)
 
 
 def verdict_lines(plan: Plan) -> Iterator[str]:
     """Yield the lines on a plan: its energy, or the worst equations and limits of a failure."""
-    if plan.is_verified:
+    if plan.is_flyable:
         beside = against_hovering(plan.energy - plan.hover_energy_J, digits=3)
         yield (
-            f"{plan.scenario.name}: verified, {plan.energy:.3f} J, {beside} "
+            f"{plan.scenario.name}: {plan.status.value}, {plan.energy:.3f} J, {beside} "
             f"for the same {plan.duration_s:g} s; {plan.iteration_count} "
             f"iterations, {plan.timings['solve']:.2f} s."
         )
         yield f"{plan.scenario.name}: {plan.risk_words}"
     for found in plan.scenario.contradictions:
         yield f"{plan.scenario.name}: no such vehicle can exist: {found.message}"
+    if plan.is_flyable:
+        yield f"{plan.scenario.name}: {accuracy_words(plan)}."
     if plan.failure is not None:
         diagnosis = plan.failure.diagnosis
         limits = [replace(limit, name=limit_words(limit.name)) for limit in diagnosis.active]
@@ -210,7 +224,7 @@ def _certificate_lines(result: "RunResult") -> Iterator[str]:
     else:
         bound = f"No flight of this mission spends less than {certificate.lower_bound_J:.3f} J"
         if gap is None:
-            yield f"{bound}; the plan was made for another wind than the one that blows."
+            yield f"{bound}; the plan was made for a forecast that differs from the actual wind."
         else:
             yield f"{bound}: the optimum is at most {gap:.3f} % above the best."
 
@@ -221,7 +235,7 @@ def comparison_table(comparison: "pd.DataFrame") -> Table:
     Returns
     -------
     Table
-        The columns on what the optimum saves, without columns that are empty for these flights.
+        The table of the optimum's savings, without columns that are empty for these flights.
     """
     shown = {
         column: how

@@ -60,7 +60,7 @@ def paper(
 
 @contextmanager
 def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list[str]]]:
-    """Yield a folder for a study's report; at the end print the study's lines and the folder.
+    """Yield a folder for a study's report; afterwards print the study's lines and the folder.
 
     Yields
     ------
@@ -135,7 +135,7 @@ def outside_plant(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Fly the paper's vehicle and two of RotorPy's in RotorPy, and report what differs and why."""
+    """Fly the paper's vehicle and two of RotorPy's in RotorPy, and report the differences."""
     refuse_output_folder(out)
     from pyomo_quad.flight.outside_plant import MULTIROTOR, rotorpy_module  # noqa: PLC0415  heavy
 
@@ -168,7 +168,7 @@ def rotorpy_vehicle(
     return ExitCode.VERIFIED
 
 
-# Column of a list of flights, and its value for flights that are read.
+# Column of a list of flights, and its value for flights to read.
 _SPLIT, _READ = "split", "fit"
 
 Logs = Annotated[
@@ -224,7 +224,7 @@ def identify(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Fit a vehicle's power to measured flights: a vehicle file, and how far to trust it."""
+    """Fit a vehicle's power to measured flights: a vehicle file and its accuracy."""
     if bool(logs) is (steady is not None):
         raise ScenarioError("identify: give LOGS of flights, or --steady CSV of steady points.")
     source = logs[0] if logs else steady
@@ -292,11 +292,10 @@ def _parameter_lines(
     parameters: "Sequence[SteadyParameter | IdentifiedParameter]",
     together: Sequence[tuple[str, str]],
 ) -> Iterator[str]:
-    """Say what was fitted, and what the measurements cannot tell apart."""
+    """Yield a line per fitted parameter, with the parameters it cannot be told from."""
     partners = dict(together)
     for one in parameters:
-        end = getattr(one, "is_at_bound", False) and one.is_determined
-        edge = " (at the end of its range)" if end else ""
+        edge = " (at the end of its range)" if one.is_at_bound and one.is_determined else ""
         kept = "" if one.is_determined else " (kept: the measurements do not determine it"
         partner = partners.get(one.name, "")
         kept += "" if one.is_determined else f", nor tell it from {partner})" if partner else ")"
@@ -343,7 +342,7 @@ def _read(logs: list[Path], vehicle: str, flights: Path | None) -> "tuple[Scenar
         refuse_wrong_units(frame, scenario.vehicle.mass, str(file))
     frame, copies = once_each(together(read))
     for copy, flight in copies.items():
-        complain(printable(f"logs: flight {copy} is flight {flight} again; it counts once."))
+        complain(printable(f"logs: flight {copy} duplicates flight {flight}; it counts once."))
     if flights is not None:
         frame = _chosen(frame, flights)
     return scenario, frame

@@ -36,8 +36,8 @@ Scheduler = Annotated[
     typer.Option("--scheduler", metavar="ADDRESS", help="Use the workers of a Dask cluster."),
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Only count cases and estimate time.")]
-Fresh = Annotated[bool, typer.Option("--fresh", help="Discard the results that are there.")]
-Yes = Annotated[bool, typer.Option("--yes", help="Many cases are meant.")]
+Fresh = Annotated[bool, typer.Option("--fresh", help="Discard existing results.")]
+Yes = Annotated[bool, typer.Option("--yes", help="Allow a large number of cases.")]
 Verbose = Annotated[bool, typer.Option("--verbose", help="A line for each case.")]
 SweepFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a sweep.")]
 
@@ -125,9 +125,9 @@ def _summary_line(design: "SweepDesign", summary: "SweepSummary", folder: Path) 
     kept = f", {summary.already_finished} were there" if summary.already_finished else ""
     lost = f", {summary.lost} lost with their worker" if summary.lost else ""
     ending = (
-        f"; interrupted with {summary.missing} missing: the same command goes on"
+        f"; interrupted with {summary.missing} missing: run the same command to continue"
         if summary.is_interrupted
-        else "; the same command tries again what was lost"
+        else "; run the same command to retry the lost cases"
         if summary.lost
         else ""
     )
@@ -171,7 +171,7 @@ class _Listener:
         self._began = monotonic()
 
     def start(self, total: int, already_ended: int) -> None:
-        """Take the number of cases, and of those which have ended before."""
+        """Record the number of cases, and of cases ended in earlier runs."""
         self.total, self.done = total, already_ended
         self._show()
 

@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from math import isfinite
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated
@@ -20,7 +21,7 @@ from pyomo_quad.scenario.fields import number_in_text
 from pyomo_quad.scenario.messages import shown
 
 if TYPE_CHECKING:
-    from pyomo_quad.collocation import Iteration
+    from pyomo_quad.flight.search import State
 
 _LOST = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 _WIDTH_WITHOUT_TERMINAL = 140
@@ -42,7 +43,7 @@ def complain(message: str) -> None:
     try:
         print(" ".join(message.split()), file=sys.stderr, flush=True)
     except OSError:
-        _send_to_nowhere(2)  # standard error is closed: no message can be seen
+        _send_to_nowhere(2)  # standard error is closed: no message can be shown
 
 
 def claim_streams() -> bool:
@@ -51,7 +52,8 @@ def claim_streams() -> bool:
         try:
             os.fstat(descriptor)
         except OSError:
-            # Otherwise the next file to be opened, such as a report, would take the printed text.
+            # Otherwise the next file to be opened, such as a report, would receive the printed
+            # text.
             os.open(os.devnull, os.O_RDWR)
     has_output = sys.stdout is not None
     for name in ("stdout", "stderr"):
@@ -80,14 +82,14 @@ _SECONDS_BETWEEN_LINES = 10.0  # in a log file; a shorter solve writes no line
 
 
 @contextmanager
-def live_line(*, is_quiet: bool) -> Iterator[Callable[["Iteration"], None] | None]:
-    """Show the solver's progress in one line on the terminal.
+def live_line(*, is_quiet: bool) -> Iterator[Callable[["State"], None] | None]:
+    """Show the progress of a search in one line on the terminal.
 
-    Where standard error is no terminal, a plain line follows it every few seconds instead.
+    If standard error is not a terminal, a plain line is written every few seconds instead.
 
     Yields
     ------
-    callable or None
+    To call at each iteration; None if quiet.
         To call at each iteration; None when quiet.
     """
     if is_quiet:
@@ -100,28 +102,35 @@ def live_line(*, is_quiet: bool) -> Iterator[Callable[["Iteration"], None] | Non
         return
     with Live(console=console, refresh_per_second=_REFRESHES_PER_SECOND, transient=True) as live:
 
-        def follow(now: "Iteration") -> None:
-            live.update(Text(_state_of(now, perf_counter() - started)))
+        def follow(now: "State") -> None:
+            live.update(Text(_state_of(now)))
 
         yield follow
 
 
-def _plain_lines(started: float) -> Callable[["Iteration"], None]:
+def _plain_lines(started: float) -> Callable[["State"], None]:
     next_at = started + _SECONDS_BETWEEN_LINES
 
-    def follow(now: "Iteration") -> None:
+    def follow(now: "State") -> None:
         nonlocal next_at
         if (moment := perf_counter()) >= next_at:
             next_at = moment + _SECONDS_BETWEEN_LINES
-            complain(_state_of(now, moment - started))
+            complain(_state_of(now))
 
     return follow
 
 
-def _state_of(now: "Iteration", elapsed_s: float) -> str:
+def _state_of(now: "State") -> str:
+    """Return the stage, the best energy so far, its uncertainty and the time used."""
+    best = "no energy yet"
+    if isfinite(now.energy_J):
+        known = f" ± {100.0 * now.uncertainty:.2g} %" if isfinite(now.uncertainty) else ""
+        best = f"best so far {now.energy_J:.2f} J{known}"
+    kept = ", usable" if now.has_usable else ""
     return (
-        f"iteration {now.iteration:4d}   energy {now.objective:10.3f} J   "
-        f"infeasibility {now.infeasibility:8.1e}   {now.mesh_points} points   {elapsed_s:5.1f} s"
+        f"{now.stage}: {best}{kept}; iteration {now.iteration.iteration} on "
+        f"{now.iteration.mesh_points} points; "
+        f"{now.spent_s:.1f} s of the processor"
     )
 
 
@@ -159,7 +168,7 @@ def real_number(text: str) -> float:
     Raises
     ------
     BadParameter
-        If the text is no such number.
+        If the text is not a number.
     """
     try:
         return number_in_text(text)
@@ -173,7 +182,7 @@ def positive_count(text: str) -> int:
     Raises
     ------
     BadParameter
-        If the text is no such number.
+        If the text is not a whole number of at least 1.
     """
     digits = text.strip()
     if digits.isascii() and digits.isdecimal() and 1 <= len(digits) <= _MOST_DIGITS and int(digits):

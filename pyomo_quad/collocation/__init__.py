@@ -14,13 +14,13 @@ from pyomo_quad.collocation.dynamics import (
     Dynamics,
     Instants,
     Law,
-    Violation,
     split_algebraics,
 )
 from pyomo_quad.collocation.enclosure import Enclosure, symbols
 from pyomo_quad.collocation.errors import EngineError, SolveError, TranscriptionError
 from pyomo_quad.collocation.guess import WarmStart
 from pyomo_quad.collocation.joint import JointProblem, JointSolution, compiled_of
+from pyomo_quad.collocation.limits import Violation
 from pyomo_quad.collocation.mesh import (
     Mesh,
     Summarised,
@@ -38,7 +38,7 @@ from pyomo_quad.collocation.reading.copy import FreeTimes
 from pyomo_quad.collocation.reading.schedules import Steps
 from pyomo_quad.collocation.reading.tables import Table
 from pyomo_quad.collocation.refining.error import Allowance
-from pyomo_quad.collocation.refining.remeshing import RefinementOptions
+from pyomo_quad.collocation.refining.remeshing import RefinementOptions, mesh_for_states
 from pyomo_quad.collocation.solution import MeshRecord, Solution
 from pyomo_quad.collocation.stepping import SteppedFlights, SteppedLoops
 
@@ -89,6 +89,7 @@ __all__ = [
     "diagnose",
     "interpolate",
     "interpolate_rates",
+    "mesh_for_states",
     "real_array",
     "solve",
     "split_algebraics",

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 class First(Enum):
-    """Where an attempt begins."""
+    """Initial point of an attempt."""
 
     GIVEN = auto()
     SIMULATED = auto()
@@ -45,27 +45,27 @@ class First(Enum):
     PRICED = auto()
 
 
-# Iterations of an attempt on the mesh that failed: what succeeds there does so early.
+# Iterations of an attempt on the mesh that failed; successful attempts need fewer.
 _PATIENCE = 200
 
 
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """One way to solve.
+    """One strategy for a solve.
 
     Attributes
     ----------
     name : str
     first : First
-        The first point: as asked for, what a simulation gives, the point of least violation, also
-        without conditions that follow from others, the optimum on a coarse mesh, or that of
-        equations at a price.
+        The initial point: as requested, from a simulation, the point of least violation, the same
+        without redundant conditions, the optimum on a coarse mesh, or the optimum of the elastic
+        program.
     finer : int
-        How many times more elements the first mesh has.
+        Factor on the number of elements of the first mesh.
     barrier : str, optional
         Ipopt's strategy for its barrier.
     is_scaled : bool
-        Whether Ipopt sees the program scaled.
+        Whether Ipopt solves the scaled program.
     """
 
     name: str
@@ -85,7 +85,7 @@ class Attempt:
         )
 
 
-#: Where nothing is free, and where equations leave nothing free.
+#: For problems without freedom, and for problems whose equations leave none.
 SIMULATED = Attempt(name="from a simulation", first=First.SIMULATED)
 REDUCED = (
     Attempt(name="without conditions that follow from others", first=First.REDUCED),
@@ -96,13 +96,13 @@ WITH_OTHER_SETTINGS = (
     Attempt(name="adaptive barrier, unscaled", barrier="adaptive", is_scaled=False),
     Attempt(name="monotone barrier, unscaled", barrier="monotone", is_scaled=False),
 )
-#: On the mesh that failed.
+#: Attempts on the mesh that failed.
 ON_THE_MESH = (
     Attempt(name="from the point of least violation", first=First.FEASIBLE),
     *WITH_OTHER_SETTINGS,
 )
-#: On others: a first mesh may be too coarse for what limits ask, or too fine for how far the first
-#: point is off.
+#: Attempts on other meshes: a first mesh may be too coarse for the limits, or too fine for the
+#: error of the first point.
 ON_OTHER_MESHES = (
     Attempt(name="on a mesh four times finer", finer=4),
     Attempt(name="on a mesh twice as fine", finer=2),
@@ -119,15 +119,15 @@ class FirstSolve:
     Attributes
     ----------
     solve_on : callable
-        Solve once on a mesh; see `Problem.solve_on_mesh`.
+        Solves once on a mesh; see `Problem.solve_on_mesh`.
     finish : callable
-        (solve_on, mesh, warm start) -> the solution, refined where that is asked for.
+        (solve_on, mesh, warm start) -> the solution, refined if a tolerance is given.
     bounds_of : callable
         Program -> its bounds with all conditions.
     simulate : callable, optional
-        Return a trajectory that is simulated, None where something is free; none with a guess.
+        Returns a simulated trajectory, None if any variable is free; None if there is a guess.
     mesh : Mesh or None
-        To begin with.
+        The initial mesh.
     warm_start : WarmStart, optional
     instance : Instance
     options : SolverOptions
@@ -135,7 +135,7 @@ class FirstSolve:
     is_overdetermined : bool
         Whether there are more equations than free unknowns.
     is_mesh_free : bool
-        Whether the first mesh is nobody's choice.
+        Whether the first mesh may be changed, because the caller gave none.
     """
 
     solve_on: Callable[..., Solution]
@@ -151,42 +151,42 @@ class FirstSolve:
     is_mesh_free: bool
 
     def __call__(self) -> Solution:
-        """Return the first solution that did not fail, else the first failure and its verdict."""
+        """Return the first successful solution, else the first failure with its verdict."""
         for way in REDUCED[: 1 + self.is_mesh_free] if self.is_overdetermined else ():
-            reduced = self._tried(way, None)
+            reduced = self._attempted(way, None)
             if reduced is not None and not reduced.status.has_failed:
                 return reduced
         first = self.finish(self.solve_on, self.mesh, self.warm_start)
-        # Fewer iterations than one attempt may take: an answer is wanted soon, as in flight.
+        # A low iteration limit shows that a quick answer is needed, as in flight.
         is_hasty = self.options.max_iterations < _PATIENCE
         if is_hasty or not first.status.has_failed:
             return _noted(first)
-        return _unbounded(first) if first.ipopt_code == DIVERGED_CODE else self._again(first)
+        return _unbounded(first) if first.ipopt_code == DIVERGED_CODE else self._retried(first)
 
-    def _again(self, first: Solution) -> Solution:
-        """Return the first solution of the further attempts, else the failure with its verdict."""
-        simulated = self._tried(SIMULATED, first)
+    def _retried(self, first: Solution) -> Solution:
+        """Return the first success of the further attempts, else the failure with its verdict."""
+        simulated = self._attempted(SIMULATED, first)
         if simulated is not None and not simulated.status.has_failed:
             return simulated
         found = violation_of(first, self.options, self.progress)
         if found is not None and found.result.status is Status.INTERRUPTED:
             return first.updated(status=Status.INTERRUPTED)
         failed = first if found is None else judged(first, found)
-        for way in self._ways(failed):
-            solution = self._tried(way, failed)
+        for way in self._further_attempts(failed):
+            solution = self._attempted(way, failed)
             if solution is not None and not solution.status.has_failed:
                 return _noted(solution)
         return failed
 
-    def _ways(self, failed: Solution) -> tuple[Attempt, ...]:
-        """Return the further attempts; an infeasible mesh is not tried again."""
+    def _further_attempts(self, failed: Solution) -> tuple[Attempt, ...]:
+        """Return the further attempts; a mesh found infeasible is not tried again."""
         is_square = failed.bounds.surplus == 0
         reduced = REDUCED[: 1 + self.is_mesh_free] if is_square else ()
         own = () if failed.status is Status.INFEASIBLE else ON_THE_MESH
         return (*reduced, *own, *(ON_OTHER_MESHES if self.is_mesh_free and self.simulate else ()))
 
-    def _tried(self, way: Attempt, failed: Solution | None) -> Solution | None:
-        """Solve in one way, None where it does not apply."""
+    def _attempted(self, way: Attempt, failed: Solution | None) -> Solution | None:
+        """Solve by one strategy, None if it does not apply."""
         solve_on = partial(
             self.solve_on, options=way.settings(self.options), is_scaled=way.is_scaled
         )
@@ -207,10 +207,10 @@ class FirstSolve:
         return self.finish(partial(solve_on, guess=path), mesh, None) if path else None
 
     def _reduced(self, solve_on: Callable[..., Solution], mesh: Mesh | None) -> Solution | None:
-        """Solve without conditions that follow from others, and see that they are met.
+        """Solve without redundant conditions, and check that the solution satisfies them.
 
-        They are found at the point of least violation near the guess: with them a coarse mesh has
-        solutions that are none of the equations, if it has any.
+        They are detected at the point of least violation near the guess: with them, a coarse mesh
+        has spurious solutions or none.
         """
         none = replace(self.options, max_iterations=0)
         near = solve_on(mesh, self.warm_start, options=none)
@@ -248,14 +248,14 @@ def _unbounded(solution: Solution) -> Solution:
     objective = program.compiled.declared.objective_name
     way = "grows" if program.is_negated else "falls"
     message = (
-        f"unbounded: {objective} {way} without end while {name} diverges; bound {name}, or let "
+        f"unbounded: {objective} {way} without bound while {name} diverges; bound {name}, or let "
         f"{objective} hold what it costs."
     )
     return solution.updated(message=message)
 
 
 def _noted(solution: Solution) -> Solution:
-    """Return a solution that says so where it has more equations than unknowns."""
+    """Return a solution with a message if it has more equations than unknowns."""
     if solution.bounds.surplus <= 0 or not solution.status.is_solved:
         return solution
     note = (
@@ -268,7 +268,7 @@ def _noted(solution: Solution) -> Solution:
 def violation_of(
     failed: Solution, options: SolverOptions, progress: Progress | None
 ) -> LeastViolation | None:
-    """Return the least violation near a failed solution, None if it is no number."""
+    """Return the least violation near a failed solution, None if it is not finite."""
     z = failed.unknowns
     if not np.all(np.isfinite(z)) or not np.all(np.isfinite(failed.program.constraints(z))):
         return None
@@ -277,7 +277,7 @@ def violation_of(
     )
 
 
-# Rows that a message names.
+# Number of rows that a message names.
 _NAMED = 3
 
 
@@ -299,7 +299,7 @@ def judged(failed: Solution, found: LeastViolation) -> Solution:
 
 
 def violation(failed: Solution, row: int, slack: float) -> tuple[str, str]:
-    """Return the name of an equation, and where it is missed by how much in its own unit."""
+    """Return the name of an equation, and place and amount of its violation in its own unit."""
     place = row_place(failed.program, row)
     missed, unit = slack / failed.scaling.rows[row], failed.problem.source.unit(place.name)
     return place.name, f"{place} by {missed:.3g} {unit}".rstrip()

@@ -16,6 +16,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.limits import LimitValues, Violation
 from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.reading.schedules import BESIDE, Steps
 from pyomo_quad.collocation.reading.writer import symbol_names
@@ -36,31 +37,6 @@ _NEWTON_TOLERANCE = 1e-13
 # Steps where their count is fixed, from nought as well.  The first may lead 2^12 times too far, as
 # a hovering rotor's induced velocity does, which later steps halve before they converge.
 _NEWTON_STEPS = 20
-
-
-@dataclass(frozen=True)
-class Violation:
-    """The worst violation of one limit: its name, size in its own unit, bound and time."""
-
-    name: str
-    size: float
-    bound: float
-    time: float
-
-    @property
-    def relative(self) -> float:
-        """Size relative to the larger of 1 and the bound."""
-        return self.size / max(1.0, abs(self.bound))
-
-
-@dataclass(frozen=True)
-class LimitValues:
-    """A limit at n instants: its name, what it is of, and between what that must be."""
-
-    name: str
-    values: FloatArray
-    lower: FloatArray
-    upper: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,7 +194,7 @@ class Dynamics:
         return casadi.vertcat(*own)
 
     def written(self, moment: Any, x: Any, u: Any, parameters: Any = None) -> tuple[Any, Any]:
-        """Return dx/dt and the objective's integrand as CasADi expressions of their symbols.
+        """Return dx/dt and the objective's integrand as CasADi expressions of the given symbols.
 
         `parameters` is a column of `parameter_column`; without it they are the vehicle's own.
         """
@@ -371,6 +347,11 @@ class Dynamics:
         return tuple(n for n in self.state_names if n in at_start and (n, 1.0) not in given)
 
     @property
+    def tables_read(self) -> tuple[str, ...]:
+        """What the equations over time read tables with."""
+        return tuple(use.name for use in self._formulation.compiled.tables.over_time)
+
+    @property
     def parameter_names(self) -> tuple[str, ...]:
         """Full names of the parameters that the equations read."""
         return tuple(p.name for p in self._formulation.compiled.declared.parameters)
@@ -409,10 +390,7 @@ class Dynamics:
         return [
             tuple(
                 sorted(
-                    (
-                        _worst(limit.name, limit.values[own], limit.lower[own], limit.upper[own], t)
-                        for limit in limits
-                    ),
+                    (limit.worst(own, t) for limit in limits),
                     key=lambda v: -v.relative,
                 )
             )
@@ -444,17 +422,6 @@ class Dynamics:
             held = values[:, names.index(bound.variable)]
             limits.append(LimitValues(bound.name, held, simple_low[:, k], simple_high[:, k]))
         return limits
-
-
-def _worst(
-    name: str, values: FloatArray, lower: FloatArray, upper: FloatArray, t: FloatArray
-) -> Violation:
-    below, above = lower - values, values - upper
-    size = np.maximum(below, above)
-    at = int(np.argmax(size))
-    bound = lower[at] if below[at] > above[at] else upper[at]
-    bound = float(bound) if np.isfinite(bound) else 0.0
-    return Violation(name, max(float(size[at]), 0.0), bound, float(t[at]))
 
 
 def _column(symbols: list[Any]) -> Any:
@@ -746,11 +713,13 @@ class ClosedLoop:
         )
         controls, own_rates = written(joint, command)
         rates, integrand = self._dynamics.written(moment, joint[: self._n_states], controls)
+        # To tell whether two calls are the same, CasADi writes each table down in full.
+        has_tables = bool(self._dynamics.tables_read)
         return casadi.Function(
             "closed_loop",
             [moment, joint, command],
             [casadi.densify(casadi.vertcat(rates, own_rates, integrand)), casadi.densify(controls)],
-            {"cse": True},
+            {"cse": not has_tables},
         )
 
     def rates(

@@ -34,13 +34,14 @@ from pyomo_quad.collocation.program.bounds import (
     without_settled_rows,
 )
 from pyomo_quad.collocation.program.elastic import elastic_point
+from pyomo_quad.collocation.program.feasible import feasible_point
 from pyomo_quad.collocation.program.ipopt import (
     TIME_LIMIT_CODE,
     Counter,
-    Deadline,
     Progress,
     SolverOptions,
     Status,
+    WallClockLimit,
     run,
     run_past_the_barrier,
 )
@@ -64,28 +65,28 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.reading.values import Instance, Overrides
     from pyomo_quad.collocation.refining.refinement import Damping
 
-# Steps between the nodes of a first mesh, and a state that no simulation means.
+# Steps between the nodes of a first mesh, and a state above which a simulation has diverged.
 _SUBSTEPS, _LARGEST_STATE = 10, 1e12
-#: Largest relative error of a solution that is refined without a tolerance being asked for.
+#: Default of the required relative error.
 DEFAULT_TOLERANCE = 1e-6
 
 
 class Problem(Summarised, Formulation):
     """A Pyomo.DAE model compiled for collocation.
 
-    It can be pickled.  What is restored solves and evaluates as before, with the numbers that the
-    model held then; the model itself stays behind.
+    It can be pickled.  The restored problem solves and evaluates as before, with the numbers that
+    the model held when it was pickled; the model itself is not included.
 
     Parameters
     ----------
     model : ConcreteModel
         With one ContinuousSet that is not discretised, or none.
     final_time : Var, optional
-        A static variable of the model that is to be the end of the horizon; the continuous
-        set's own end then only fixes where boundary conditions are declared.
+        Static variable of the model that becomes the end of the horizon; the end of the continuous
+        set then only defines where boundary conditions are declared.
     times : mapping, optional
-        Declared time -> static variable of the model that it is to be, as {1.0: m.T1}; other
-        declared times keep their share of the phase that they lie in.
+        Declared time -> static variable that replaces it, as in {1.0: m.T1}; other declared times
+        keep their fraction of the phase in which they lie.
 
     Raises
     ------
@@ -95,7 +96,7 @@ class Problem(Summarised, Formulation):
 
     @property
     def summary(self) -> dict[str, str]:
-        """How many of each kind the model declares."""
+        """Number of components of each kind in the model."""
         declared = self.compiled.declared
         counts = {
             "states": declared.states,
@@ -137,31 +138,31 @@ class Problem(Summarised, Formulation):
         Parameters
         ----------
         mesh : Mesh, optional
-            Solved on as it is when no `tolerance` is given; else the mesh to start from.
+            Used unchanged if no `tolerance` is given; otherwise the initial mesh.
         tolerance : float, optional
-            Largest relative error of the states wanted; default 1e-6 when no mesh is given.
+            Required relative error of the states; default 1e-6 if no mesh is given.
         parameters : mapping, optional
             New values of mutable parameters, by component or full name; a function of time
             for a parameter over time.
         horizon : (float, float), optional
             Start and end of the horizon, in place of the continuous set's.
         guess : mapping, optional
-            First values by slot name: functions of time, constants, or samples beside
-            "time"; a frame from `Solution.to_frame` is one.
+            Initial values by slot name: functions of time, constants, or samples beside "time", for
+            example a frame of `Solution.to_frame`.
         warm_start : Solution or WarmStart, optional
-            On any mesh: its trajectory and multipliers are the first point.
+            On any mesh; its trajectory and multipliers are the initial point.
         options : SolverOptions, optional
         refinement : RefinementOptions, optional
         starts : int, default 1
-            First points tried on the first mesh, all but one at random between the bounds; the
-            best optimum is kept.  No global optimum is promised.
+            Number of initial points on the first mesh, all but one random between the bounds; the
+            best optimum is kept. This does not guarantee a global optimum.
         progress : callable, optional
             Called at each iteration; returning False stops the solve.
 
         Returns
         -------
         Solution
-            With its status; a failure of the numerics is a result, not an exception.
+            The result with its status; a failure of the numerics is a result, not an exception.
 
         Raises
         ------
@@ -270,7 +271,7 @@ class Problem(Summarised, Formulation):
         )()
 
     def _simulated(self, mesh: Mesh, instance: Instance) -> Trajectory | None:
-        """Return what the equations make of the first states, None where something is free."""
+        """Return the trajectory simulated from the first states, None if any variable is free."""
         mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
         program, declared = self.program(mesh, instance), self.compiled.declared
         bounds = bounds_of(program, self.data_at_starts(instance), instance.fixed)
@@ -302,7 +303,7 @@ class Problem(Summarised, Formulation):
     def _best_of(
         starts: int, solve: Callable[..., Solution], first: WarmStart | None
     ) -> Solution | None:
-        """Return the best optimum from a first point and random ones, None if there is none."""
+        """Return the best optimum from a first point and random points, None without any."""
         found = []
         for seed in range(starts):
             try:
@@ -310,7 +311,7 @@ class Problem(Summarised, Formulation):
             except TranscriptionError:
                 if seed == 0:
                     raise
-                continue  # A random point may lie where an equation has no value.
+                continue  # At a random point an equation may be undefined.
             if solution.status is Status.INTERRUPTED:
                 break
             if solution.is_converged:
@@ -333,12 +334,13 @@ class Problem(Summarised, Formulation):
         breach: float = inf,
         progress: Progress | None = None,
     ) -> Solution:
-        """Solve once on one mesh; `solve` and `Damping` say what the arguments mean.
+        """Solve once on one mesh; see `solve` and `Damping` for the arguments.
 
-        A `seed` above 0 starts at random between the bounds; `is_elastic`, at what slacks lead to;
-        without `is_scaled` Ipopt sees the program as declared;
-        `to_the_gap`, the solve goes on where the barrier's gap is no small share of the objective.
-        A finite `breach` is what a warm start may be off its bounds between the points.
+        A `seed` above 0 starts at a random point between the bounds; `is_elastic` starts at the
+        optimum of the elastic program; without `is_scaled` Ipopt solves the program as declared. If
+        `to_the_gap` is true, the solve continues until the complementarity gap is negligible
+        relative to the objective. A finite `breach` is the bound violation between collocation
+        points that a warm start may have.
         """
         if mesh is not None:
             mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
@@ -382,6 +384,35 @@ class Problem(Summarised, Formulation):
             return found
         return replace(found, restraint=changed.restraint(result, kept, found.mesh.elements))
 
+    def flyable(
+        self,
+        near: Solution,
+        mesh: Mesh,
+        *,
+        parameters: Overrides | None = None,
+        horizon: tuple[float, float] | None = None,
+        breach: float = 0.0,
+        met: float = 1e-7,
+        progress: Progress | None = None,
+    ) -> Solution:
+        """Return the first trajectory near a solution that obeys all equations on another mesh.
+
+        No optimum: few iterations from a coarse mesh lead to what can be flown; see
+        `program.feasible`.  Bounds may be broken by a relative `breach`, scaled
+        equations by `met`.
+        """
+        instance = self.instance(parameters, horizon)
+        program = self.program(mesh.with_breakpoints(self.required_breakpoints(instance)), instance)
+        at_start = self.data_at_starts(instance)
+        bounds = bounds_of(program, at_start, instance.fixed, instance.left_out)
+        z = initial_point(program, bounds, self.values, near.trajectory)
+        bounds = without_settled_rows(program, bounds, z)
+        scaling = scaling_of(program, bounds, z)
+        found = feasible_point(
+            program, bounds, scaling, z, breach=breach, met=met, progress=progress
+        )
+        return solution_from(self, program, instance, found, bounds=bounds, scaling=scaling)
+
     def dynamics(
         self,
         *,
@@ -391,7 +422,7 @@ class Problem(Summarised, Formulation):
     ) -> Dynamics:
         """Return the explicit right-hand side of the model for a simulation.
 
-        Static variables take the values they hold in the model unless given.
+        Static variables take their values in the model unless given.
         """
         declared = self.compiled.declared
         if statics is None:
@@ -400,9 +431,10 @@ class Problem(Summarised, Formulation):
         return Dynamics(self, self.instance(parameters, horizon), statics)
 
     def load(self, solution: Solution) -> None:
-        """Put a solution's values into the Pyomo model, at the times it declares.
+        """Load a solution's values into the Pyomo model, at its declared times.
 
-        So are duals, reduced costs and costates into suffixes of these names, if it has them.
+        Duals, reduced costs and costates are loaded into suffixes of these names, if the model has
+        them.
         """
         load_values(solution)
 
@@ -412,7 +444,7 @@ def march(
     times: FloatArray,
     start: FloatArray,
 ) -> FloatArray:
-    """Return states at times by the classical Runge-Kutta rule, good enough to start from."""
+    """Return states at times by the classical Runge-Kutta method, for an initial guess."""
     none, states = np.zeros(0), [start]
     with np.errstate(all="ignore"):
         for first, last in pairwise(times.tolist()):
@@ -439,11 +471,11 @@ def within_budget(
     tolerance: float | None,
     progress: Progress | None,
 ) -> S:
-    """Solve from a warm start within the iterations that a cold one took, else from a cold one.
+    """Solve from a warm start within the iterations of its cold start, else from a cold start.
 
-    The first solve may take what the cold start took on its first mesh, all together what it took
-    in all, where that is known of the same tolerance; else there is no limit.  Where a new cold
-    start fails, the warm one goes on.
+    The first solve may take the iterations of the cold start's first mesh, and all solves together
+    those of all its meshes, if they are known for the same tolerance; otherwise there is no limit.
+    If the new cold start fails, the warm start is continued.
     """
     demand = tolerance or 0.0
     warm = None
@@ -488,16 +520,16 @@ def limited(
     has_mesh: bool,
     finished: list[S],
 ) -> S:
-    """Solve, to a tolerance where one is wanted, within a limit of time and of tables.
+    """Solve, to a tolerance if one is given, within the time limit and the tables' ranges.
 
-    A refinement that is interrupted or fails leaves the most accurate of its finished meshes.
+    If a refinement is interrupted or fails, the most accurate finished mesh is returned.
     """
     if tolerance is not None and not tolerance > 0.0:
         raise TranscriptionError(f"tolerance: {tolerance:g}; must be above 0.")
     options = options or SolverOptions()
     deadline = None
     if options.max_wall_s is not None:
-        progress = deadline = Deadline(limit_s=options.max_wall_s, progress=progress)
+        progress = deadline = WallClockLimit(limit_s=options.max_wall_s, progress=progress)
     if tolerance is None and not has_mesh:
         tolerance = DEFAULT_TOLERANCE
     solution = solve(options, progress, tolerance)
@@ -507,7 +539,7 @@ def limited(
 
 
 def load_values(*solutions: Solution) -> None:
-    """Put the values of solutions into the Pyomo model, each over its own horizon."""
+    """Load the values of solutions into the Pyomo model, each over its own horizon."""
     for solution in solutions:
         declared, values = solution.problem.compiled.declared, solution.problem.values
         for slot, number in zip(declared.statics, solution.trajectory.statics, strict=True):
@@ -526,7 +558,7 @@ def load_values(*solutions: Solution) -> None:
 
 
 def _without_objective(solution: S) -> S:
-    """Return a solution that says so where there is nothing to be optimised."""
+    """Return a solution with a message if there is no objective."""
     declared = solution.parts[0].problem.compiled.declared
     if declared.objective_name or solution.status is not Status.CONVERGED:
         return solution
@@ -537,7 +569,7 @@ def _without_objective(solution: S) -> S:
 
 
 def _undoubted(solution: S) -> S:
-    """Return a solution that is not converged where multipliers and Hamiltonian say so."""
+    """Return a solution that is not converged if multipliers and Hamiltonian contradict it."""
     for part in solution.parts if solution.status is Status.CONVERGED else ():
         names, warnings = diverging_multipliers(part), hamiltonian_warnings(part)
         if names and warnings:
@@ -551,7 +583,7 @@ def _undoubted(solution: S) -> S:
 
 
 def _within_tables(solution: S) -> S:
-    """Return a solution that says so where it reads a table beyond its range."""
+    """Return a solution with a message if it reads a table beyond its range."""
     line = next(filter(None, map(outside_tables, solution.parts)), "")
     if not line:
         return solution
@@ -561,7 +593,7 @@ def _within_tables(solution: S) -> S:
 
 
 def _finished_of(finished: list[S], ended: S) -> S:
-    """Return the most accurate finished mesh's solution in place of an iterate of no optimum."""
+    """Return the most accurate finished mesh's solution in place of an unconverged iterate."""
     whole = [solution for solution in finished if not solution.parts[0].instance.left_out]
     if not whole or ended.status not in (Status.INTERRUPTED, Status.NOT_CONVERGED):
         return ended
@@ -574,8 +606,8 @@ def _finished_of(finished: list[S], ended: S) -> S:
     return best.updated(status=ended.status, message=message, ipopt_code=ended.ipopt_code)
 
 
-def _in_time(solution: S, deadline: Deadline) -> S:
-    """Return a solution that says so where the deadline ended its solve."""
+def _in_time(solution: S, deadline: WallClockLimit) -> S:
+    """Return a solution with a message if the deadline ended its solve."""
     if not deadline.is_over or solution.status is not Status.INTERRUPTED:
         return solution
     message = (

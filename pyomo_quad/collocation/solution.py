@@ -534,7 +534,7 @@ def solution_from(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prices:
+class Sensitivities:
     """Sensitivities of the declared objective, by name: functions of declared time, and numbers."""
 
     over_time: dict[str, Callable[[float], float]] = field(default_factory=dict)
@@ -571,16 +571,16 @@ def load_suffixes(*solutions: Solution) -> None:
                     own.load_suffix(wanted[name], kinds[name], prices.over_time, prices.once)
 
 
-def _suffixes(solution: Solution) -> dict[str, Prices]:
+def _suffixes(solution: Solution) -> dict[str, Sensitivities]:
     """Return the contents of the suffixes by name."""
     problem = solution.problem
-    dual, reduced = _prices(solution)
-    costates = Prices()
+    dual, reduced = _sensitivities(solution)
+    costates = Sensitivities()
     if problem.has_horizon and problem.compiled.declared.states:
         names = [s.name for s in problem.compiled.declared.states]
         sign = -1.0 if solution.program.is_negated else 1.0
         at = {name: _costate(solution, k, sign) for k, name in enumerate(names)}
-        costates = Prices(over_time=at)
+        costates = Sensitivities(over_time=at)
     return {"dual": dual, "rc": reduced, "costate": costates}
 
 
@@ -603,12 +603,12 @@ def _fraction(solution: Solution, time: float) -> FloatArray:
     return np.array([(time - first) / (last - first)])
 
 
-def _prices(solution: Solution) -> tuple[Prices, Prices]:
+def _sensitivities(solution: Solution) -> tuple[Sensitivities, Sensitivities]:
     """Return the sensitivities to constraints and to bounds."""
     program, multipliers = solution.program, solution.multipliers
     declared = program.compiled.declared
     sign = -1.0 if program.is_negated else 1.0
-    dual, reduced = Prices(), Prices()
+    dual, reduced = Sensitivities(), Sensitivities()
     rows = -sign * multipliers.rows
     if program.mesh is not None:
         over_time = rows[: program.first_condition_row].reshape(program.n_points, -1)
@@ -617,7 +617,7 @@ def _prices(solution: Solution) -> tuple[Prices, Prices]:
     conditions = rows[program.first_condition_row : program.first_integral_row]
     for condition, held in zip(declared.conditions, conditions.tolist(), strict=True):
         dual.once[condition.name] = held
-    _share_bounds(solution, sign, dual, reduced)
+    _assign_bounds(solution, sign, dual, reduced)
     return dual, reduced
 
 
@@ -627,7 +627,9 @@ def _widths(solution: Solution) -> FloatArray:
     return np.asarray(solution.timeline.span_at(mesh.point_fractions) * mesh.quadrature_weights)
 
 
-def _share_bounds(solution: Solution, sign: float, dual: Prices, reduced: Prices) -> None:
+def _assign_bounds(
+    solution: Solution, sign: float, dual: Sensitivities, reduced: Sensitivities
+) -> None:
     """Assign the multipliers of bounds to the variables and constraints that declare them."""
     program, bounds = solution.program, solution.bounds
     compiled = program.compiled

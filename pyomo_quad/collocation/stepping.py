@@ -1,8 +1,8 @@
-"""Many vehicles under one law at once, each with numbers of its own, in steps of fixed length.
+"""Simulation of many vehicles under one law, with individual numbers, in steps of fixed length.
 
-A step is the classical Runge-Kutta method of order 4; with its four stages it is one function,
-mapped over the vehicles.  What a vehicle's numbers are may change from step to step, so that noise
-which is held over a step, a parameter over time, is one of them.
+A step is the classical Runge-Kutta method of order 4; its four stages form one function, which is
+mapped over the vehicles. The individual numbers may change from step to step, so that they include
+noise that is held over a step, a parameter over time.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from pyomo_quad.collocation.mesh import FloatArray
 
-# Vehicles in one call: a map over more costs memory and saves nothing.
+# Vehicles in one call; a map over more takes more memory and saves no time.
 _AT_ONCE = 250
 
 
@@ -41,18 +41,18 @@ class SteppedFlights:
 
 
 class SteppedLoops:
-    """Vehicles under a law, flown side by side.
+    """Many vehicles under a law, simulated together.
 
     Parameters
     ----------
     dynamics : Dynamics
         The vehicle.
     law : callable
-        As of a `ClosedLoop`.
+        Control law, as in `ClosedLoop`.
     n_command, n_own : int
-        How many numbers the law follows, and how many states it has.
+        Number of commands that the law follows, and number of its own states.
     varied : sequence of str
-        Full names of the parameters, over time or not, in which the vehicles differ.
+        Full names of the parameters, constant or over time, that differ between the vehicles.
     """
 
     def __init__(
@@ -102,17 +102,17 @@ class SteppedLoops:
         start : ndarray, shape (n, n_joint)
             Joint states at the first time.
         command : callable
-            Time in s -> what the law follows, the same for all vehicles.
+            Time in s -> command of the law, the same for all vehicles.
         numbers : sequence of ndarray, shape (n,) or (n_steps, n)
-            Of each parameter in which the vehicles differ: one number for the whole flight, or one
-            for each step.
+            Values of each parameter that differs between the vehicles: one number for the whole
+            flight, or one for each step.
         sampled : ndarray of bool, shape (n_steps + 1,)
-            At which times the flights are kept.
+            Times at which the flights are stored.
 
         Raises
         ------
         SolveError
-            If a vehicle's state stops being a number.
+            If a vehicle's state is no longer finite.
         """
         count, steps = len(start), len(times) - 1
         flown = np.empty((int(sampled.sum()), *start.shape))
@@ -132,7 +132,7 @@ class SteppedLoops:
         lost = ~np.isfinite(flown).all(axis=(0, 2))
         if lost.any():
             raise SolveError(
-                f"flights in fixed steps: {int(lost.sum())} of {count} left all numbers; take "
+                f"flights in fixed steps: {int(lost.sum())} of {count} are no longer finite; take "
                 "shorter steps, or check the gains and limits of the scenario."
             )
         shape = (len(flown) * count, -1)
@@ -146,16 +146,16 @@ class SteppedLoops:
     def _around(
         self, begin: float, end: float, command: Callable[[float], Sequence[float]]
     ) -> list[FloatArray]:
-        """Return what all vehicles share in a step: its length, moments and commands."""
+        """Return the inputs that all vehicles share in a step: its length, times and commands."""
         middle = 0.5 * (begin + end)
-        # Where equations jump, a step begins behind the jump and the last one ends before it.
+        # If the equations jump, a step starts after the jump and the previous step ends before it.
         moments = map(self._dynamics.moment, (self._dynamics.just_after(begin), middle, end))
         commands = map(command, (begin, middle, end))
         return [np.array([end - begin]), *map(np.array, moments), *map(np.array, commands)]
 
 
 def _step(flow: Any, dynamics: Dynamics, sizes: tuple[int, int, int], n_varied: int) -> Any:
-    """Return a step as a function of what vehicles share, of the joint state and own numbers."""
+    """Return a step as a function of shared inputs, joint state and individual numbers."""
     n_moment, n_joint, n_command = sizes
     length = dynamics.symbol("length", 1)
     moments = [dynamics.symbol(f"moment{k}", n_moment) for k in range(3)]
@@ -170,7 +170,7 @@ def _step(flow: Any, dynamics: Dynamics, sizes: tuple[int, int, int], n_varied: 
 
 
 class _Blocks:
-    """A step, mapped over vehicles in blocks; what they share is not copied for each."""
+    """A step mapped over vehicles in blocks; shared inputs are not copied for each vehicle."""
 
     def __init__(self, step: Any, count: int) -> None:
         self._blocks = []

@@ -1,7 +1,7 @@
 """Export formats of plans: their options, their files, and their deviation from the plan.
 
-A stream of setpoints is for PX4's offboard mode and, as a trajectory message, for ROS 2; few
-waypoints with speeds, on the globe, are a mission of QGroundControl.
+Streams of setpoints serve PX4's offboard mode and, as a trajectory message, ROS 2; a few geodetic
+waypoints with speeds form a mission of QGroundControl.
 """
 
 import inspect
@@ -35,14 +35,14 @@ from pyomo_quad.scenario.messages import shown
 
 FloatArray = NDArray[np.float64]
 
-#: Below, PX4 leaves its offboard mode [Hz]; above, no link carries the stream.
+#: Rates [Hz] below which PX4 leaves its offboard mode, and above which no link carries the stream.
 SLOWEST_STREAM_HZ, FASTEST_STREAM_HZ = 2.0, 1000.0
-# MAVLink's SET_POSITION_TARGET_LOCAL_NED: MAV_FRAME_LOCAL_NED, and no field ignored.
+# MAVLink's SET_POSITION_TARGET_LOCAL_NED: MAV_FRAME_LOCAL_NED, with no field ignored.
 _LOCAL_NED, _ALL_FIELDS = 1, 0
 _LONGEST_STREAM_S = (2**32 - 1) / 1000.0  # time_boot_ms is an unsigned number of 32 bits
 _MS_PER_S = 1000.0
 _NS_PER_S = 1_000_000_000
-#: The name under which a bag holds its one message.
+#: Topic of the single message in a bag.
 TOPIC = "/trajectory"
 _MESSAGE = "trajectory_msgs/msg/MultiDOFJointTrajectory"
 _WORLD, _BODY = "map", "base_link"
@@ -52,12 +52,12 @@ def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
     """Return SET_POSITION_TARGET_LOCAL_NED messages, one a row: x north, y east, z down.
 
     The plan's x is east and its y north, so its yaw counts from east and MAVLink's from north.
-    Numbers are those of 32 bits that the message holds.
+    Numbers have the 32 bits of the message.
 
     Raises
     ------
     ScenarioError
-        If the plan lacks a state, or the rate or the duration is beyond PX4.
+        If the plan lacks a state, or the rate or duration exceeds PX4's limits.
     """
     motion.require((*POSITION_STATES, *VELOCITY_STATES, ATTITUDE_STATES[2]), "PX4's offboard mode")
     if not SLOWEST_STREAM_HZ < rate_hz <= FASTEST_STREAM_HZ:
@@ -100,8 +100,8 @@ def offboard_deviation(motion: Motion, stream: pd.DataFrame) -> tuple[float, flo
 def write_bag(motion: Motion, rate_hz: float, folder: Path) -> int:
     """Write a ROS 2 bag of one trajectory message, and return its number of points.
 
-    The world is x east, y north and z up, the body x forward, y left and z up (REP 103); linear
-    velocities and accelerations are of the world, angular velocities of the body.
+    The world axes are x east, y north and z up, the body axes x forward, y left and z up (REP 103).
+    Linear velocities and accelerations are in world axes, angular velocities in body axes.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def _between(motion: Motion, t: FloatArray, place: FloatArray, velocity: FloatAr
 
 
 def _north_east_down(values: FloatArray) -> FloatArray:
-    """Turn east, north, up into north, east, down, and back."""
+    """Convert east, north, up to north, east, down, and back."""
     return values[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
 
 
@@ -182,25 +182,25 @@ def _wrapped(angle: FloatArray) -> FloatArray:
     return np.asarray(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
 
 
-# WGS 84: equatorial radius [m] and flattening, as NIMA TR8350.2 defines them.
+# WGS 84: equatorial radius [m] and flattening, as defined by NIMA TR8350.2.
 _EQUATOR = 6_378_137.0
 _FLATTENING = 1.0 / 298.257223563
 _ECCENTRICITY_2 = _FLATTENING * (2.0 - _FLATTENING)
 _LATITUDE_STEPS = 6  # each gains more than two digits; near the ground three suffice
 
-# Altitudes are from below the Dead Sea to above the highest summit.
+# Altitudes range from below the Dead Sea to above the highest summit.
 _GLOBE = {
     "latitude": (-90.0, 90.0, "deg"),
     "longitude": (-180.0, 180.0, "deg"),
     "altitude": (-500.0, 9000.0, "m"),
 }
 
-# A slower leg becomes a pause of the mission: autopilots do not hold such a speed [m/s].
+# A slower leg becomes a pause of the mission, because autopilots do not hold such a speed [m/s].
 _SLOWEST = 0.05
-#: Items of a mission that PX4 holds on its smaller boards.
+#: Number of mission items that PX4 stores on its smaller boards.
 MOST_ITEMS = 500
 _CHECKED = 4001  # samples of a flight at which the distance of the legs is checked
-# MAVLink's commands and frame, and the autopilot and vehicle that the file names.
+# MAVLink's commands and frame, and the autopilot and vehicle named in the file.
 _NAV_WAYPOINT, _DO_CHANGE_SPEED = 16, 178
 _GLOBAL_RELATIVE_ALTITUDE, _MISSION = 3, 2
 _PX4, _QUADROTOR = 12, 2
@@ -233,7 +233,7 @@ class GeodeticOrigin:
 
 @dataclass(frozen=True, kw_only=True)
 class Legs:
-    """Straight legs at even speed through places (n, 3) [m], each reached at its time (n,) [s]."""
+    """Straight legs at constant speed through places (n, 3) [m], reached at the times (n,) [s]."""
 
     times: FloatArray
     places: FloatArray
@@ -244,11 +244,11 @@ class Legs:
 
 
 def thin(motion: Motion, path_error_m: float) -> Legs:
-    """Approximate a plan by straight legs, at no time further from it than the path error.
+    """Approximate a plan by straight legs that deviate at no time by more than the path error.
 
-    The plan is split where it is furthest from where a flight at even speed would be at that time,
-    until it is near enough everywhere (the top-down time-ratio algorithm of Meratnia and de By,
-    2004).
+    The plan is split where it is farthest from the position, at the same time, of a flight at
+    constant speed, until the deviation is small enough everywhere (the top-down time-ratio
+    algorithm of Meratnia and de By, 2004).
     """
     motion.require(POSITION_STATES, "a QGroundControl mission")
     t = motion.samples(_CHECKED / motion.duration)
@@ -273,7 +273,7 @@ def mission(legs: Legs, origin: GeodeticOrigin, name: str, path_error_m: float) 
     Raises
     ------
     ScenarioError
-        If the legs are more than an autopilot holds.
+        If there are more legs than an autopilot stores.
     """
     items: list[dict[str, Any]] = []
     globe = origin.geodetic(legs.places)
@@ -297,7 +297,7 @@ def mission(legs: Legs, origin: GeodeticOrigin, name: str, path_error_m: float) 
     return {
         "fileType": "Plan",
         "version": 1,
-        # QGroundControl reads any text here, which names the program that wrote the file.
+        # QGroundControl accepts any text here; it names the program that wrote the file.
         "groundStation": MARK,
         "geoFence": {"circles": [], "polygons": [], "version": 2},
         "rallyPoints": {"points": [], "version": 2},
@@ -315,7 +315,7 @@ def mission(legs: Legs, origin: GeodeticOrigin, name: str, path_error_m: float) 
 
 def _waypoint(place: FloatArray, hold_s: float = 0.0) -> dict[str, Any]:
     latitude, longitude, height = (float(value) for value in place)
-    # Yaw None: the autopilot's own.  Radii of 0 are those that the autopilot is set to.
+    # Yaw None: the autopilot chooses. Radii of 0: the settings of the autopilot.
     item = _item(
         _NAV_WAYPOINT, _GLOBAL_RELATIVE_ALTITUDE, [hold_s, 0, 0, None, latitude, longitude, height]
     )
@@ -346,7 +346,7 @@ def _geodetic(place: FloatArray) -> FloatArray:
         normal = _normal_radius(latitude)
         latitude = np.arctan2(z + normal * _ECCENTRICITY_2 * np.sin(latitude), across)
     normal = _normal_radius(latitude)
-    # This formula of the height divides by zero neither at the poles nor at the equator.
+    # This formula of the height is regular at the poles and at the equator.
     height = (
         across * np.cos(latitude)
         + z * np.sin(latitude)
@@ -361,7 +361,7 @@ def origin_of(text: str) -> GeodeticOrigin:
     Raises
     ------
     ScenarioError
-        If it is not three numbers, or no place on the globe.
+        If it is not three numbers, or not a position on the globe.
     """
     try:
         given = dict(zip(_GLOBE, map(number_in_text, text.split(",")), strict=True))
@@ -402,9 +402,9 @@ class Export:
     what : str
         Name of the parts, such as "setpoints".
     position_error_m : float
-        Largest distance from the plan at any time of a vehicle that follows the export.
+        Largest distance from the plan, at any time, of a vehicle that follows the export exactly.
     yaw_error_rad : float or None
-        Largest deviation of the heading; None where the autopilot chooses the heading.
+        Largest deviation of the heading; None if the autopilot chooses the heading.
     is_paper_plan : bool
         Whether the plan was made without a risk, and so leaves nothing to the controller.
     """
@@ -426,10 +426,10 @@ _Written = tuple[int, str, float, float | None]
 
 @dataclass(frozen=True, kw_only=True)
 class _Writer:
-    """How a format is written, the end of its file's name, and the options that it takes.
+    """Writer of a format, the suffix of its file, and the options that it accepts.
 
     ``option`` is a number with a default, the second argument of ``write`` after the path; a
-    format on the globe takes an origin beside it.
+    geodetic format also takes an origin.
     """
 
     write: Callable[..., _Written]
@@ -440,14 +440,14 @@ class _Writer:
 
     @property
     def takes(self) -> tuple[str, ...]:
-        """Options that the format can be given."""
+        """Options that the format accepts."""
         return ("--origin", self.option) if self.is_on_globe else (self.option,)
 
 
-_DIGITS = "%.9g"  # of a number of 32 bits, none is lost
+_DIGITS = "%.9g"  # all digits of a number of 32 bits
 _MOST_ROTORPY_PIECES = 2000
 _CRAZYFLIE_MEMORY, _BYTES_OF_A_PIECE = 4096, 132
-#: Pieces that a Crazyflie's memory of trajectories holds.
+#: Number of pieces that fit into a Crazyflie's trajectory memory.
 MOST_CRAZYFLIE_PIECES = _CRAZYFLIE_MEMORY // _BYTES_OF_A_PIECE
 _SMALLEST_PATH_ERROR_M, _LARGEST_PATH_ERROR_M = 1e-6, 1000.0
 
@@ -462,43 +462,43 @@ def export_plan(
     rate_hz: float | None = None,
     is_code_allowed: bool = False,
 ) -> Export:
-    """Write a verified plan as an autopilot, a swarm, a simulator or ROS 2 reads it.
+    """Write a verified plan in the format of an autopilot, a swarm, a simulator or ROS 2.
 
-    The plan is flown again before: a file's own claim to be verified is not believed.
+    The plan is flown again first; a file's own claim to be verified is not trusted.
 
     Parameters
     ----------
     plan : Plan, str or Path
-        A plan, the file of one, or the report folder of a run.
+        A plan, its file, or the report folder of a run.
     to : Format or str
         Format of the export.
     out : str or Path, optional
-        The file to write, for ROS 2 a folder; named after the scenario in the working folder by
-        default.  An earlier export is replaced, any other file that is there is not; a device or
-        a FIFO is written to.
+        The file to write, for ROS 2 a folder; by default named after the scenario in the working
+        folder. An earlier export is replaced, any other existing file is not. A device or a FIFO is
+        written to.
     origin : str, optional
-        Where the plan's origin lies, "LAT,LON,ALT" in degrees and metres above the sea; for
-        QGroundControl, which cannot do without.
+        Position of the plan's origin, "LAT,LON,ALT" in degrees and metres above the sea; required
+        for QGroundControl.
     path_error_m : float, optional
-        The largest distance from the plan that waypoints and pieces may have.
+        The largest distance from the plan allowed for waypoints and pieces.
     rate_hz : float, optional
         Setpoints per second.
     is_code_allowed : bool, optional
-        Whether the builder that the plan's scenario names may be run, to fly it.
+        Whether the scenario's own model builder may be run, to fly the plan.
 
     Returns
     -------
     Export
-        What was written, and how far it is from the plan.
+        The export, with its deviation from the plan.
 
     Raises
     ------
     ScenarioError
-        If there is no verified plan, its flight does not confirm it, it lacks what the format
-        needs, an option is not allowed, a limit of the format is exceeded, or its library is not
-        installed.  Nothing is written.
+        If there is no verified plan, its flight does not confirm it, the plan lacks a state that
+        the format needs, an option is not allowed, a limit of the format is exceeded, or the
+        format's library is not installed. Nothing is written.
     OutputError
-        If it cannot be written there.
+        If the output cannot be written.
     """
     if to not in list(Format):
         raise ScenarioError(f"--to {to}: must be one of {', '.join(Format)}.")
@@ -540,17 +540,17 @@ def _refuse_options(to: Format, writer: _Writer, given: list[str]) -> None:
     if foreign is not None:
         takers = [name for name, other in _WRITERS.items() if foreign in other.takes]
         raise ScenarioError(
-            f"{foreign} means nothing to {to}; it is for {' and '.join(takers)}: leave it out."
+            f"{foreign} is not an option of {to}, only of {' and '.join(takers)}; leave it out."
         )
     if "--origin" in writer.takes and "--origin" not in given:
         raise ScenarioError(
-            f"--to {to} needs --origin LAT,LON,ALT: where on the globe the plan's origin lies, "
+            f"--to {to} needs --origin LAT,LON,ALT: the position of the plan's origin, "
             "such as 47.3977,8.5456,488."
         )
 
 
 def _refuse_source(path: Path, source: Path) -> None:
-    """Refuse an output path that holds the plan to export."""
+    """Refuse an output path that contains the plan to export."""
     read, written = final_folder(source), final_folder(path)
     if written == read or written in read.parents:
         raise ScenarioError(f"--out {path}: holds the plan that is exported; choose another --out.")
@@ -591,10 +591,10 @@ def _write_ros2(motion: Motion, path: Path, rate_hz: float) -> _Written:
 
 def _write_crazyflie(motion: Motion, path: Path, error_m: float) -> _Written:
     durations, coefficients = fit_pieces(motion, error_m, MOST_CRAZYFLIE_PIECES)
-    # The vehicle holds numbers of 32 bits: the deviation includes their rounding.
+    # The vehicle stores numbers of 32 bits; the deviation includes their rounding.
     rows = np.column_stack([durations, coefficients.reshape(len(durations), -1)])
     rows = rows.astype(np.float32)
-    # Readers skip the names. Files of other programs give no unit of the duration.
+    # Readers ignore the names. Files of other programs give no unit of the duration.
     names = ["duration_s"]
     names += [f"{axis}^{power}" for axis in ("x", "y", "z", "yaw") for power in range(8)]
     header = ",".join(names)
@@ -620,7 +620,7 @@ def _write_rotorpy(motion: Motion, path: Path, error_m: float) -> _Written:
     return len(durations), "pieces", *piece_deviation(motion, durations, coefficients)
 
 
-# The file is a program: it takes numbers of the plan and no text.
+# The file is a program, so it takes numbers of the plan but no text.
 _ROTORPY_TITLE = "A trajectory for RotorPy: from NAME import trajectory. It needs NumPy."
 _ROTORPY_MODULE = '''"""{title}"""
 

@@ -1,4 +1,4 @@
-"""Motion of a verified plan at any time, from a plan or from its report.
+"""Motion of a verified plan as a function of time, from a plan or its report.
 
 Polynomials of degree 7 approximate the motion for Crazyflie swarms and for RotorPy.
 """
@@ -20,7 +20,7 @@ from pyomo_quad.flight import Plan, PlanStatus
 from pyomo_quad.flight.columns import ALL_COLUMNS, TIME
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.plan import Trajectories
-from pyomo_quad.flight.proof import EXACT, TABLE, refuse_unproven
+from pyomo_quad.flight.proof import TABLE, exactly, refuse_unproven
 from pyomo_quad.report.tables import PLAN_NAME, SUMMARY_NAME, read_report, refuse_report
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.messages import PyomoQuadError, printable, shown
@@ -37,6 +37,86 @@ _AGAIN = "solve the scenario again"
 
 
 @dataclass(frozen=True, kw_only=True)
+class ProvenPlan:
+    """A plan that its mission's own equations have confirmed, with that mission.
+
+    Attributes
+    ----------
+    mission : Scenario
+        With the times of the plan.
+    held : Trajectories
+        Read from a report's table, it holds every column both as a state and as a control.
+    is_paper_plan : bool
+        Whether it was made without a risk, and so leaves nothing to the controller.
+    """
+
+    mission: Scenario
+    held: Trajectories
+    is_paper_plan: bool = True
+
+
+def read_proven(path: str | Path, *, is_code_allowed: bool = False) -> ProvenPlan:
+    """Read a plan from a file of `Plan.save` or from the report folder of a run, and fly it again.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no plan, it is damaged or not verified, or the flight does not confirm it.
+    """
+    place = Path(path)
+    if place.is_dir():
+        return _proven_report(place, is_code_allowed=is_code_allowed)
+    return _proven(Plan.load(place), is_code_allowed=is_code_allowed)
+
+
+def _proven(plan: Plan, *, is_code_allowed: bool) -> ProvenPlan:
+    held = plan.trajectories
+    _refuse_unverified(plan.scenario.name, plan.status.value)
+    refuse_unproven(
+        plan.scenario,
+        held,
+        plan.energy,
+        plan.passing_times_s,
+        exactly(plan.accuracy_checked),
+        None if plan.solution is None else plan.dynamics,
+        is_code_allowed=is_code_allowed,
+    )
+    return ProvenPlan(mission=plan.mission_flown, held=held, is_paper_plan=plan.risk is None)
+
+
+def _proven_report(folder: Path, *, is_code_allowed: bool) -> ProvenPlan:
+    summary, frame = read_report(folder)
+    name, status, degrees = (summary.get(key) for key in ("scenario", "status", "mesh"))
+    degrees = degrees.get("degrees") if isinstance(degrees, dict) else None
+    is_whole = isinstance(degrees, list) and all(type(degree) is int for degree in degrees)
+    if not isinstance(name, str) or not isinstance(status, str) or not is_whole:
+        refuse_report(folder / SUMMARY_NAME, "is not the summary of a solve")
+    _refuse_unverified(printable(name), printable(status))
+    if len(frame) != sum(degrees or ()) + 1:
+        refuse_report(
+            folder / PLAN_NAME,
+            f"has {len(frame)} rows instead of one for each of the mesh's {sum(degrees or ()) + 1} "
+            "nodes, as after a solve with --rate",
+        )
+    try:
+        held = _trajectories(frame, tuple(degrees or ()))
+    except TranscriptionError as error:
+        refuse_report(folder, f"holds no mesh ({str(error).rstrip('.')})")
+    try:
+        scenario = Scenario.model_validate(summary["scenario_resolved"])
+        energy, passed = float(summary["energy_J"]), summary["passing_times_s"]
+        passing_times = tuple(float(time) for time in passed)
+    except (PyomoQuadError, KeyError, TypeError, ValueError):
+        refuse_report(folder / SUMMARY_NAME, "has no mission with which to fly the plan again")
+    refuse_unproven(scenario, held, energy, passing_times, TABLE, is_code_allowed=is_code_allowed)
+    return ProvenPlan(
+        mission=scenario.lasting(held.horizon[1], passing_times),
+        held=held,
+        is_paper_plan=summary.get("risk") is None,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class Motion:
     """The state polynomials of a verified plan; world axes x, y and z up, SI units.
 
@@ -48,11 +128,11 @@ class Motion:
         Times of the mesh's nodes [s], strictly increasing.
     states : ndarray, shape (n_nodes, n_states)
     names : tuple of str
-        States, as the model names them.
+        States, by their names in the model.
     degrees : tuple of int
         Degrees of the elements, in order; their sum is n_nodes - 1.
     is_paper_plan : bool
-        Whether the plan was made without a risk, and so leaves nothing to the controller.
+        As of a `ProvenPlan`.
     """
 
     name: str
@@ -69,77 +149,35 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If the plan is not verified, or the flight does not confirm it.
+            If the plan is neither verified nor usable, or the flight does not confirm it.
         """
-        held = plan.trajectories
-        _refuse_unverified(plan.scenario.name, plan.status.value)
-        refuse_unproven(
-            plan.scenario,
-            held,
-            plan.energy,
-            plan.passing_times_s,
-            EXACT,
-            None if plan.solution is None else plan.dynamics,
-            is_code_allowed=is_code_allowed,
-        )
-        return cls._along(plan.scenario.name, held, is_paper_plan=plan.risk is None)
+        return cls._along(_proven(plan, is_code_allowed=is_code_allowed))
 
     @classmethod
     def read(cls, path: str | Path, *, is_code_allowed: bool = False) -> Self:
         """Read a plan's motion from a file of `Plan.save` or from the report folder of a run.
 
-        What is read is flown once more; a builder that its scenario names is run where allowed.
+        The plan is flown once more; a model builder named in its scenario is run only if allowed.
 
         Raises
         ------
         ScenarioError
-            If there is no plan, it is damaged or not verified, or the flight does not confirm it.
+            If there is no plan, it is damaged, it is neither verified nor usable, or the flight
+            does not confirm it.
         """
-        place = Path(path)
-        if place.is_dir():
-            return cls._of_report(place, is_code_allowed=is_code_allowed)
-        return cls.of(Plan.load(place), is_code_allowed=is_code_allowed)
+        return cls._along(read_proven(path, is_code_allowed=is_code_allowed))
 
     @classmethod
-    def _along(cls, name: str, held: Trajectories, *, is_paper_plan: bool) -> Self:
+    def _along(cls, plan: ProvenPlan) -> Self:
+        held = plan.held
         return cls(
-            name=name,
+            name=plan.mission.name,
             times=held.node_times,
             states=held.states,
             names=held.state_names,
             degrees=held.mesh.degrees,
-            is_paper_plan=is_paper_plan,
+            is_paper_plan=plan.is_paper_plan,
         )
-
-    @classmethod
-    def _of_report(cls, folder: Path, *, is_code_allowed: bool) -> Self:
-        summary, frame = read_report(folder)
-        name, status, degrees = (summary.get(key) for key in ("scenario", "status", "mesh"))
-        degrees = degrees.get("degrees") if isinstance(degrees, dict) else None
-        is_whole = isinstance(degrees, list) and all(type(degree) is int for degree in degrees)
-        if not isinstance(name, str) or not isinstance(status, str) or not is_whole:
-            refuse_report(folder / SUMMARY_NAME, "is not the summary of a solve")
-        _refuse_unverified(printable(name), printable(status))
-        if len(frame) != sum(degrees or ()) + 1:
-            refuse_report(
-                folder / PLAN_NAME,
-                f"has {len(frame)} rows, not one for each of the mesh's {sum(degrees or ()) + 1} "
-                "nodes, as --rate makes it",
-            )
-        try:
-            held = _trajectories(frame, tuple(degrees or ()))
-        except TranscriptionError as error:
-            refuse_report(folder, f"holds no mesh ({str(error).rstrip('.')})")
-        try:
-            scenario = Scenario.model_validate(summary["scenario_resolved"])
-            energy, passed = float(summary["energy_J"]), summary["passing_times_s"]
-            passing_times = tuple(float(time) for time in passed)
-        except (PyomoQuadError, KeyError, TypeError, ValueError):
-            refuse_report(folder / SUMMARY_NAME, "has no mission by which to fly the plan again")
-        refuse_unproven(
-            scenario, held, energy, passing_times, TABLE, is_code_allowed=is_code_allowed
-        )
-        return cls._along(scenario.name, held, is_paper_plan=summary.get("risk") is None)
 
     @cached_property
     def mesh(self) -> Mesh:
@@ -152,7 +190,7 @@ class Motion:
         return float(self.times[-1] - self.times[0])
 
     def require(self, needed: Sequence[str], reader: str) -> None:
-        """Refuse a plan that lacks states which a format needs.
+        """Refuse a plan that lacks states required by a format.
 
         Raises
         ------
@@ -188,7 +226,7 @@ class Motion:
         return self.slopes(t, VELOCITY_STATES)
 
     def yaw(self, t: FloatArray) -> FloatArray:
-        """Return yaw angles [rad], counter-clockwise from x, never wrapped, shape (n,)."""
+        """Return yaw angles [rad], counter-clockwise from x, not wrapped, shape (n,)."""
         return self.values(t, ATTITUDE_STATES[2:])[:, 0]
 
     def yaw_rate(self, t: FloatArray) -> FloatArray:
@@ -201,7 +239,7 @@ class Motion:
         return np.asarray(Rotation.from_euler("ZYX", roll_pitch_yaw[:, ::-1]).as_quat())
 
     def samples(self, rate_hz: float) -> FloatArray:
-        """Return times after the start, both ends among them, at a rate or a little above [s]."""
+        """Return times after the start, including both ends, at a rate or slightly above [s]."""
         count = int(np.ceil(self.duration * rate_hz * (1.0 - 1e-12)))
         return np.linspace(0.0, self.duration, max(count, 1) + 1)
 
@@ -213,7 +251,7 @@ class Motion:
 
 
 def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
-    """Return the elements of these degrees that have their nodes at these times."""
+    """Return the mesh with elements of these degrees and nodes at these times."""
     ends = times[np.concatenate(([0], np.cumsum(degrees)))]
     fractions = (ends - ends[0]) / (ends[-1] - ends[0])
     return Mesh(breakpoints=tuple(fractions.tolist()), degrees=degrees)
@@ -222,7 +260,7 @@ def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
 def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectories:
     """Return the trajectories of a report's table at the nodes of a mesh.
 
-    All of its columns stand as states and as controls: which they are, the equations know.
+    All columns serve as states and as controls; the equations select those they need.
     """
     times = frame[TIME].to_numpy(dtype=float)
     columns = [c for c in ALL_COLUMNS if c.name in frame]
@@ -244,23 +282,24 @@ def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectori
 
 
 def _refuse_unverified(name: str, status: str) -> None:
-    if status != PlanStatus.VERIFIED:
+    if status not in (PlanStatus.VERIFIED, PlanStatus.USABLE):
         raise ScenarioError(
-            f"{name}: status = {shown(status)}; must be verified, for nothing else is to be flown; "
+            f"{name}: status = {shown(status)}; must be verified or usable, for nothing else is to "
+            "be flown; "
             f"{_AGAIN}."
         )
 
 
 DEGREE = 7
 _FIRST_PIECES = 4
-# Share of the flight over which the jerk at an end is a finite difference.
+# Step of the finite difference for the jerk at an end, as a fraction of the flight.
 _END_STEP = 1e-3
 _CHECKED_PER_PIECE = 16
 _MOST_CHECKED = 20_001
 
 
 class PolynomialTrajectory:
-    """Piecewise polynomial trajectory of the flat outputs, as RotorPy reads trajectories.
+    """Piecewise polynomial trajectory of the flat outputs, with RotorPy's interface.
 
     Parameters
     ----------
@@ -277,7 +316,7 @@ class PolynomialTrajectory:
         self.coefficients = np.asarray(coefficients, dtype=float)
 
     def derivative(self, t: float, order: int) -> np.ndarray:
-        """Return a derivative of x, y, z and yaw; before the start and after the end it hovers."""
+        """Return a derivative of x, y, z and yaw; constant before the start and after the end."""
         inside = min(max(float(t), 0.0), float(self.ends[-1]))
         if order > 0 and inside != t:
             return np.zeros(4)
@@ -287,7 +326,7 @@ class PolynomialTrajectory:
         return np.asarray(held)
 
     def update(self, t: float) -> dict[str, np.ndarray | float]:
-        """Return the flat outputs of one time as RotorPy's controllers read them."""
+        """Return the flat outputs at one time in the form of RotorPy's controllers."""
         place, speed, acceleration, jerk, snap = (self.derivative(t, k) for k in range(5))
         return {
             "x": place[:3],
@@ -304,15 +343,15 @@ class PolynomialTrajectory:
 def fit_pieces(
     motion: Motion, path_error_m: float, most_pieces: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Fit equal pieces to a plan within the path error, as few as possible.
+    """Fit the smallest number of equal pieces that meets the path error to a plan.
 
-    The pieces are those of a spline of degree 7 through the plan, which has the plan's velocity,
-    acceleration and jerk at both ends; all but its last derivative are continuous.
+    The pieces belong to a spline of degree 7 through the plan, with the plan's velocity,
+    acceleration and jerk at both ends; all derivatives except the last are continuous.
 
     Raises
     ------
     ScenarioError
-        If so many pieces do not suffice.
+        If the largest number of pieces does not suffice.
     """
     motion.require((*POSITION_STATES, *VELOCITY_STATES, ATTITUDE_STATES[2]), "a polynomial")
     found = 0.0
@@ -343,7 +382,7 @@ def piece_deviation(
 
 
 def _counts(most: int) -> Iterator[int]:
-    """Yield numbers of pieces to try, each a little above the one before."""
+    """Yield numbers of pieces to try, each slightly larger than the previous one."""
     pieces = _FIRST_PIECES
     while pieces < most:
         yield pieces
@@ -355,7 +394,7 @@ def _pieces(motion: Motion, pieces: int) -> tuple[FloatArray, FloatArray]:
     t = np.linspace(0.0, motion.duration, pieces + 1)
     outputs = np.column_stack([motion.position(t), motion.yaw(t)])
     spline = make_interp_spline(t, outputs, k=DEGREE, bc_type=_end_slopes(motion))
-    # A piece is the Taylor polynomial of its start.
+    # Each piece is a Taylor polynomial about its start.
     held = [spline(t[:-1], order) / factorial(order) for order in range(DEGREE + 1)]
     return np.diff(t), np.stack(held, axis=2)
 

@@ -1,4 +1,4 @@
-"""The flights that an optimum is compared with: a reference under feedback, the plan without."""
+"""Flights to compare with an optimum: a reference under feedback, and the plan without feedback."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -38,8 +38,6 @@ from pyomo_quad.flight.references import ReferencePath, SampledPath, minimum_sna
 from pyomo_quad.flight.routes import cruise
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
-    ENERGY_TOLERANCE,
-    MISS_TOLERANCE,
     fly_controls,
     shares_lacking,
     voltage_lacking,
@@ -47,6 +45,7 @@ from pyomo_quad.flight.verification import (
 from pyomo_quad.model.mission import HOVERING_M, HOVERING_M_PER_S
 from pyomo_quad.model.turbulence import FILTER_STATES
 from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.mission import Hover
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.scenario.vehicle import Vehicle
@@ -61,17 +60,17 @@ _STATE_OF_CHARGE = "battery.state_of_charge"
 
 
 def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None) -> FloatArray:
-    """Return the state in which a flight starts: that of the plan, or hover as declared.
+    """Return the initial state of a flight: that of the plan, or declared hover.
 
     Returns
     -------
     ndarray, shape (n_states,)
-        In the order of the dynamics.
+        In the state order of the dynamics.
 
     Raises
     ------
     ScenarioError
-        If a model of the user's own has a state that only a plan could give a value.
+        If a user's own model has a state whose initial value only a plan could give.
     """
     if plan is not None:
         held = plan.trajectories
@@ -82,8 +81,8 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
     unknown = next((name for name in dynamics.state_names if name not in known), None)
     if unknown is not None:
         raise ScenarioError(
-            f"{scenario.name}: nothing says where state {unknown} of the model starts; fly it "
-            "with a plan."
+            f"{scenario.name}: the initial value of state {unknown} of the model is unknown; fly "
+            "it with a plan."
         )
     return np.array([known[name] for name in dynamics.state_names])
 
@@ -97,7 +96,7 @@ def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
 
 
 def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
-    """Return the states that the mission gives at the start: hover, and the charge of the pack."""
+    """Return the states that the mission gives at the start: hover, and the pack's charge."""
     known = _hovering(scenario, scenario.mission.start, dynamics)
     if _CHARGE_DRAWN in dynamics.state_names and dynamics.has(_STATE_OF_CHARGE):
         known[_CHARGE_DRAWN] = _charge_drawn(scenario, dynamics)
@@ -105,7 +104,7 @@ def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
 
 
 def wanted_at_goal(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
-    """Return the final values that the mission wants: hover at the goal."""
+    """Return the final values required by the mission: hover at the goal."""
     lighter = sqrt(scenario.mass_at_goal / scenario.vehicle.total_mass)
     return _hovering(scenario, scenario.mission.goal, dynamics, lighter)
 
@@ -121,7 +120,7 @@ def _hovering(
 
 
 def _charge_drawn(scenario: Scenario, dynamics: Dynamics) -> float:
-    """Return the charge at which the declared state of charge, linear in it, is the initial one."""
+    """Return the charge drawn at the initial state of charge, which is linear in it."""
     states = np.zeros((2, len(dynamics.state_names)))
     states[1, dynamics.state_names.index(_CHARGE_DRAWN)] = 1.0
     controls = np.zeros((2, len(dynamics.control_names)))
@@ -129,19 +128,19 @@ def _charge_drawn(scenario: Scenario, dynamics: Dynamics) -> float:
     return (scenario.battery.initial_state_of_charge - full) / (less - full)
 
 
-# Gives energies to 1e-7 and better with either integrator.
+# This tolerance gives energies to 1e-7 or better with either integrator.
 _TOLERANCE = 1e-7
-# Longest step, s: a smooth stretch must not step over a gust or a change of the reference.
+# Longest step, s, so that a smooth stretch does not step over a gust or a change of reference.
 LONGEST_STEP = 0.1
-# A flight under control takes some 500 evaluations per second; ten times that is a tumble, which
-# would keep the integrator busy for hours.
+# A controlled flight takes some 500 evaluations per second of flight. Ten times that number
+# indicates a tumble, which would keep the integrator busy for hours.
 _MOST_EVALUATIONS_PER_SECOND = 5000
-# Samples of a flight's table per second of flight.
+# Rows of a flight's table per second of flight.
 RATE_HZ = 100.0
 
 
 class TumblingGuard:
-    """Gives a flight up that takes more evaluations than any under control."""
+    """Stops a flight that takes more evaluations than any controlled flight."""
 
     def __init__(self, flight: str, duration: float) -> None:
         self.evaluations = 0
@@ -149,7 +148,7 @@ class TumblingGuard:
         self._most = _MOST_EVALUATIONS_PER_SECOND * max(1.0, duration)
 
     def evaluated(self, t: float) -> None:
-        """Count an evaluation of the right-hand side, within the time limit."""
+        """Count an evaluation of the right-hand side, and check the time limit."""
         keep_time()
         self.evaluations += 1
         if self.evaluations > self._most:
@@ -196,13 +195,13 @@ def fly(
     initial_state : ndarray, shape (n_states,)
         State of the vehicle at the first time.
     times : ndarray, shape (n,)
-        Rising times at which the flight is returned, s.
+        Rising times of the returned samples, s.
 
     Raises
     ------
     SolveError
-        If the integration breaks down before the last time, or takes so many evaluations that
-        the vehicle must be tumbling.
+        If the integration fails before the last time, or takes so many evaluations that the vehicle
+        must be tumbling.
     """
     loop = _Loop(dynamics, controller, reference, duration=times[-1] - times[0])
     span = float(times[0]), float(times[-1])
@@ -225,7 +224,7 @@ def fly(
 
 
 class _Loop:
-    """The right-hand side; its state is vehicle, controller, energy, one after the other."""
+    """The right-hand side; its state consists of vehicle, controller and energy, in this order."""
 
     def __init__(
         self,
@@ -256,7 +255,7 @@ class _Loop:
         return self._system.rates(t, joint, self._controller.command(self._reference, t))
 
     def flight(self, times: FloatArray, rows: FloatArray) -> ClosedLoopFlight:
-        """Return a flight of the joint states at some times."""
+        """Return a flight from the joint states at some times."""
         commands = np.array([self._controller.command(self._reference, t) for t in times.tolist()])
         return ClosedLoopFlight(
             flown=Flown(
@@ -277,14 +276,14 @@ _PATHS = {
     Reference.QUINTIC: quintic,
     Reference.MINIMUM_SNAP: minimum_snap,
 }
-# Samples of the plan per second between which its reference is interpolated.
+# Samples of the plan per second, between which the reference is interpolated.
 _PLAN_RATE_HZ = 5.0
-# Place, its rate and the rate of that, as the declared model names them.
+# Place, its rate and its acceleration, by their names in the declared model.
 _PLACE = (*POSITION_STATES, "rigid_body.psi")
 _RATE = (*VELOCITY_STATES, "rigid_body.dpsi_dt")
 _ACCELERATION = tuple(f"rigid_body.d{name}_dt" for name in ("vx", "vy", "vz", "r"))
 _YAW_REACTION = "rotors.yaw_reaction"
-# s, over which the planned yaw rate is differentiated along the flight.
+# s, step of the difference quotient of the planned yaw rate.
 _INSTANT = 1e-4
 
 
@@ -296,18 +295,18 @@ def baseline_name(reference: Reference, speed: float | None = None) -> str:
 def fly_baseline(
     scenario: Scenario, reference: Reference, *, dynamics: Dynamics, plan: Plan | None = None
 ) -> Flight:
-    """Fly a mission under the adaptive controller, in the wind that `dynamics` has.
+    """Fly a mission under the adaptive controller, in the wind of `dynamics`.
 
-    A cruise flies a mission that `cruise_at` gave its times.
+    A cruise flies the mission with the times of `cruise_at`.
 
-    It is verified when a flight by another integrator, which shares no code with the first, ends
-    at the same place and has spent the same energy, within the tolerances that plans are held to,
-    and the battery can give its power.
+    The flight is verified if a second integrator, which shares no code with the first, ends at the
+    same place with the same energy, within the tolerances for plans, and if the battery can give
+    the power.
 
     Raises
     ------
     ScenarioError
-        If the plan is to be followed and there is none, or the model is not a quadrotor's.
+        If the reference is the plan and there is none, or the model is not a quadrotor's.
     SolveError
         If the flight is out of control.
     """
@@ -341,12 +340,12 @@ def fly_reference(
     integrator: Integrator = Integrator.RUNGE_KUTTA,
     rate_hz: float = RATE_HZ,
 ) -> ClosedLoopFlight:
-    """Fly once, and keep the controller's own states; see `fly_baseline`.
+    """Fly once, and return the controller's states too; see `fly_baseline`.
 
     Parameters
     ----------
     rate_hz : float, optional
-        Samples per second; both ends are always kept.
+        Samples per second; both ends are always included.
     """
     refuse_other_vehicles(scenario, dynamics)
     duration = scenario.mission.fixed_duration
@@ -363,7 +362,7 @@ def fly_reference(
 def reference_path(
     scenario: Scenario, reference: Reference, plan: Plan | None = None
 ) -> ReferencePath:
-    """Return where the controller should be at each time.
+    """Return a reference as a function of time.
 
     Returns
     -------
@@ -373,7 +372,7 @@ def reference_path(
     Raises
     ------
     ScenarioError
-        If the plan is to be followed and there is none.
+        If the reference is the plan and there is none.
     """
     if reference in _PATHS:
         return _PATHS[reference](scenario.mission)
@@ -407,15 +406,15 @@ def assembled_flight(
     plan: Plan | None,
     began: float,
 ) -> Flight:
-    """Return a flight of its parts, priced at the plan's costates where there is one.
+    """Return a flight assembled from parts, with the owed energy by the plan's costates if any.
 
-    It is verified when two integrators agree about each part, which both begin in one state, and
-    the battery can give its power.
+    It is verified if, for each part, two integrators agree that start from the same state, and if
+    the battery can give the power.
     """
     flown = _joined([part for part, _ in flown_twice])
     final = dict(zip(dynamics.state_names, flown.states[-1].tolist(), strict=True))
     doubt = "; ".join(_doubts(dynamics, flown_twice, flown))
-    # The costates of a flight through another wind price another mission's end.
+    # The costates of a flight in another wind do not apply to the end of this mission.
     is_told = scenario.wind.forecast is None
     flight = Flight.from_flown(
         name,
@@ -427,14 +426,18 @@ def assembled_flight(
         wall_s=perf_counter() - began,
         owed_energy_J=plan.owed_energy(final) if plan is not None and is_told else nan,
         allowed=_ALLOWED_UNDER_CONTROL,
+        accuracy=scenario.solver.accuracy,
     )
     missed = tuple(missed.words for missed in _missed_waypoints(scenario, dynamics, flown))
     return replace(flight, broken_limits=(*flight.broken_limits, *missed), doubt=doubt)
 
 
-# A flight under control may pass a waypoint, and hold there, as much further off and faster than it
-# should as it may arrive; the limits of a hold are of squares.  That a heading is kept is asked of
-# plans: blown off it, feedback must turn back, and where it ends is judged as all of the end is.
+# Two integrators must agree about a flight to these figures.
+_AGREEING = FIGURES[Accuracy.PROOF]
+# A controlled flight may pass a waypoint, and hold there, with the distance and speed that are
+# allowed on arrival; the limits of a hold are on squares. The limit that keeps the heading applies
+# to plans only: feedback must be free to turn back to the heading, and the final heading is judged
+# with the rest of the final state.
 _ALLOWED_UNDER_CONTROL = {
     "mission.hold_distance": (HOVERING_M + ARRIVAL_DISTANCE_M) ** 2 - HOVERING_M**2,
     "mission.hold_speed": (HOVERING_M_PER_S + ARRIVAL_SPEED_M_PER_S) ** 2 - HOVERING_M_PER_S**2,
@@ -453,7 +456,7 @@ def broken_under_control(
     broken = {
         limit_words(breach.name): breach.relative
         for breach in breaches
-        if is_broken(breach, _ALLOWED_UNDER_CONTROL)
+        if is_broken(breach, _ALLOWED_UNDER_CONTROL, FIGURES[scenario.solver.accuracy].breach)
     }
     missed = _missed_waypoints(scenario, dynamics, flown)
     return broken | {limit_words(miss.limit): miss.relative for miss in missed}
@@ -461,7 +464,7 @@ def broken_under_control(
 
 @dataclass(frozen=True, kw_only=True)
 class _Missed:
-    """A limit at a waypoint that a flight breaks, by how much, and that in words."""
+    """A violated limit at a waypoint: its name, the relative violation, and a message."""
 
     limit: str
     relative: float
@@ -469,7 +472,7 @@ class _Missed:
 
 
 def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> Iterator[_Missed]:
-    """Yield what a flight does not keep of its waypoints, whose times are given."""
+    """Yield the violations of waypoints with given times."""
     states = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     for k, waypoint in enumerate(scenario.mission.waypoints):
         if waypoint.at is None:
@@ -500,7 +503,7 @@ def _planned_path(plan: Plan) -> SampledPath:
 
 
 def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> SampledPath:
-    """Return a plan as a reference, with accelerations and air of the equations it obeys."""
+    """Return a plan as a reference, with the accelerations and air forces of its equations."""
     times = even_times(*held.horizon, _PLAN_RATE_HZ)
     controls = held.controls_at(times, dynamics.control_limits(HELD_BREACH))
     flown = times, held.states_at(times), controls
@@ -512,7 +515,8 @@ def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> Sampled
         air[:, : len(AIR_FORCE)] = forces / vehicle.total_mass
     values, rates, accelerations = np.split(rows, 3, axis=1)
     if dynamics.has(_YAW_REACTION):
-        # Rotors that gather speed turn the body more than their drag does; the law knows only that.
+        # The acceleration of the rotors turns the body more than their drag; the control law models
+        # this effect only.
         reaction = dynamics.table(((_YAW_REACTION, None),), *flown)[:, 0]
         air[:, -1] = reaction / vehicle.Iz
         accelerations[:, -1] = _yaw_acceleration(dynamics, *flown)
@@ -522,7 +526,7 @@ def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> Sampled
 def _yaw_acceleration(
     dynamics: Dynamics, times: FloatArray, states: FloatArray, controls: FloatArray
 ) -> FloatArray:
-    """Return the rate of the planned yaw rate [rad/s^2], which the body rates give no longer."""
+    """Return the derivative of the planned yaw rate [rad/s^2], which is not a state of the plan."""
     steps = _INSTANT * np.array(
         [dynamics.rates(t, x, u) for t, x, u in zip(times.tolist(), states, controls, strict=True)]
     )
@@ -534,22 +538,22 @@ def _yaw_acceleration(
 def _doubts(
     dynamics: Dynamics, flown_twice: Sequence[tuple[Flown, Flown]], flown: Flown
 ) -> Iterator[str]:
-    """Yield why two integrators do not confirm a flight, or why the pack cannot feed it."""
+    """Yield the reasons why two integrators, or the battery, do not confirm a flight."""
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])
     spent = np.array([[flown.energy[-1] for flown in pair] for pair in flown_twice])
     apart = float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).sum())
     total, other = spent.sum(axis=0)
-    allowed = ENERGY_TOLERANCE * max(1.0, abs(total))
+    allowed = _AGREEING.energy_flown * max(1.0, abs(total))
     added = ""
     if len(flown_twice) > 1:
         added = (
-            f", all {len(flown_twice)} parts between plans together, each with errors of its own; "
-            "a longer baseline.mpc.interval makes fewer"
+            f", the sum over {len(flown_twice)} parts between plans, each with its own error; "
+            "a longer baseline.mpc.interval makes fewer parts"
         )
-    if not apart <= MISS_TOLERANCE:
+    if not apart <= _AGREEING.miss:
         yield (
-            f"two integrators end {apart:.2g} m apart; must be at most {MISS_TOLERANCE:g} m{added}"
+            f"two integrators end {apart:.2g} m apart; must be at most {_AGREEING.miss:g} m{added}"
         )
     if not abs(total - other) <= allowed:
         yield (
@@ -557,8 +561,8 @@ def _doubts(
             f"most {allowed:.2g} J{added}"
         )
     shares = {
-        "power or charge that the flight takes": max(shares_lacking(dynamics, flown)),
-        "voltage at which the motors keep their speed": voltage_lacking(dynamics, flown),
+        "power or charge that the flight needs": max(shares_lacking(dynamics, flown)),
+        "voltage that the motors need to keep their speed": voltage_lacking(dynamics, flown),
     }
     for needed, lacking in shares.items():
         if not lacking <= BALANCE_TOLERANCE:
@@ -569,7 +573,7 @@ def _doubts(
 
 
 def _joined(parts: Sequence[Flown]) -> Flown:
-    """Return parts of a flight as one; where two meet, the first one's end is kept."""
+    """Return the parts of a flight as one; where two parts meet, the end of the first is kept."""
     spent = np.cumsum([0.0, *(part.energy[-1] for part in parts)])
     kept = [slice(0, None), *(slice(1, None) for _ in parts[1:])]
     return Flown(
@@ -593,5 +597,5 @@ def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
 
 
 def even_times(start: float, end: float, rate_hz: float) -> FloatArray:
-    """Return times so many per second, both ends among them."""
+    """Return equally spaced times at a rate, both ends included."""
     return np.linspace(start, end, max(2, round((end - start) * rate_hz) + 1))

@@ -1,4 +1,4 @@
-"""Columns of a flight's table: name, model component, and how tables and figures print them.
+"""Columns of a flight's table: name, model component, and formatting in tables and figures.
 
 An angle is stored in rad and printed in degrees: ``scale`` turns a stored value into the printed
 unit.
@@ -41,14 +41,13 @@ class Column:
     name : str
         Heading in the table.
     component, index : str, int or None
-        The component of the model that the column shows, and its index beside time.
+        The component of the model in the column, and its index without time.
     words, symbol, unit : str
         Name in words, symbol (LaTeX) and unit in print.
     scale : float
-        Printed value of a stored value of 1.
+        Factor from the stored value to the printed value.
     smallest_span : float
-        Least difference between the ends of an axis [printed unit], which keeps rounding noise
-        from filling a panel.
+        Least range of an axis [printed unit], so that rounding noise does not fill a panel.
     """
 
     name: str
@@ -66,17 +65,17 @@ class Column:
 
     @property
     def variable(self) -> str:
-        """Name of the shown variable in the model, with its index beside time."""
+        """Name of the model's variable, with its index without time."""
         return self.component if self.index is None else f"{self.component}[{self.index}]"
 
     @property
     def title(self) -> str:
-        """Symbol, name and unit, as over a panel."""
+        """Symbol, name and unit, for the title of a panel."""
         return f"${self.symbol}$, {self.words} ({self.unit})"
 
     @property
     def label(self) -> str:
-        """Name and unit, as beside an axis."""
+        """Name and unit, for the label of an axis."""
         name = f"{self.words[:1].upper()}{self.words[1:]}"
         return f"{name} ({self.unit})" if self.unit else name
 
@@ -110,7 +109,7 @@ _OF_THE_WHOLE = (
         "state_of_charge_percent", "state_of_charge", "state of charge", r"\mathrm{SoC}", "%", 0.1
     ),
 )
-# Each stands for one column a rotor, whose number takes the place of the braces.
+# Each is a pattern for one column per rotor; the rotor's number replaces the braces.
 _SPEEDS = (
     _rotor("omega_{}_rad_per_s", "omega", "rotor speed", r"\omega_{}", "rad/s", 5.0),
     _rotor("alpha_{}_rad_per_s2", "alpha", "acceleration of rotor {}", r"\alpha_{}", "rad/s²", 1.0),
@@ -149,7 +148,7 @@ _COLUMN_OF = {shown.variable or shown.name: shown for shown in ALL_COLUMNS}
 
 
 def column_of(variable: str) -> Column:
-    """Return the column that shows a variable of the model, or the one named ``variable``."""
+    """Return the column of a model's variable, or the column named ``variable``."""
     return _COLUMN_OF[variable]
 
 
@@ -161,7 +160,7 @@ def flight_columns(
     Parameters
     ----------
     dynamics : Dynamics
-        Of the model that was flown; columns whose component it lacks are left out.
+        Dynamics of the flown model; columns whose component it lacks are omitted.
     t : ndarray, shape (n,)
         Times [s].
     states : ndarray, shape (n, n_states)

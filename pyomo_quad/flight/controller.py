@@ -10,7 +10,7 @@ compiled together with the vehicle.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from math import exp, inf, tan
+from math import acos, exp, inf, tan
 from typing import Protocol
 
 import numpy as np
@@ -54,13 +54,13 @@ class EquatedRates:
     def angle_accelerations(
         self, _attitude: Vector, _body_rates: Vector, body_accelerations: Vector
     ) -> Vector:
-        """Return the accelerations about the body's axes."""
+        """Return the body accelerations, which equal the accelerations of the angles here."""
         return body_accelerations
 
     def body_accelerations(
         self, _attitude: Vector, _body_rates: Vector, angle_accelerations: Vector
     ) -> Vector:
-        """Return the accelerations of the angles."""
+        """Return the accelerations of the angles, which equal the body accelerations here."""
         return angle_accelerations
 
 
@@ -81,7 +81,7 @@ class EulerRates:
     def angle_accelerations(
         self, attitude: Vector, body_rates: Vector, body_accelerations: Vector
     ) -> Vector:
-        """Return what the body's accelerations and the turning of the axes add up to."""
+        """Return the angle accelerations from the body's accelerations and the turning axes."""
         linear = self.angle_rates(attitude, body_accelerations)
         turning = self._turning(attitude, body_rates)
         return [a + b for a, b in zip(linear, turning, strict=True)]
@@ -174,7 +174,7 @@ class Allocation:
     Parameters
     ----------
     mixer : ndarray, shape (4, n_rotors)
-        Of `mixer_matrix`.
+        Matrix returned by `mixer_matrix`.
     limits : Limits
         Rotor speeds, thrust and moments allowed.
     """
@@ -361,9 +361,9 @@ class BacksteppingLoop:
     """
 
     outer: tuple[float, float, float]
-    """k1, 1/s, one for each axis; equal ones where `reach` is finite."""
+    """k1, 1/s, per axis; equal for all axes if `reach` is finite."""
     inner: tuple[float, float, float]
-    """k2, 1/s, one for each axis."""
+    """k2, 1/s, per axis."""
     reach: float
     """L: size of the error beyond which the closing rate no longer grows; may be infinite."""
     identification: float
@@ -465,6 +465,11 @@ def _shrink(vector: Sequence[float], reach: float) -> float:
     return 1 / np.sqrt(1 + (a * a + b * b + c * c) / reach**2)
 
 
+# Share of the roll and pitch allowed that is commanded: the rest is for the attitude's error, which
+# in light turbulence stayed within a degree.
+_SHARE_OF_TILT = 0.97
+# rad, of a vehicle whose thrust hardly carries it: with less nothing is left to steer with.
+_LEAST_TILT = 0.1
 # Share of the weight that the thrust must keep carrying: a falling quadrotor cannot steer.
 _LEAST_SUPPORT = 0.3
 
@@ -514,6 +519,19 @@ def _size(vector: Sequence[float]) -> float:
     return np.sqrt(_dot(vector, vector))
 
 
+def followed_tilt(believed: Scenario) -> float:
+    """Return the largest tilt [rad] that the controller asks for.
+
+    Unless `baseline.gains.tilt_max` is less, both angles at their limits give it; no more, though,
+    than leaves the thrust at its largest to carry the weight.
+    """
+    limits, gains, gravity = believed.limits, believed.baseline.gains, believed.gravity
+    spare = limits.thrust_max / believed.vehicle.total_mass - gravity
+    level = acos(gravity / (gravity + gains.thrust_share * max(spare, 0.0)))
+    allowed = min(limits.largest_tilt, max(level, _LEAST_TILT))
+    return allowed if gains.tilt_max is None else min(gains.tilt_max, limits.largest_tilt)
+
+
 class ThrustEnvelope:
     """Accelerations, without gravity, that thrust and tilt can give.
 
@@ -533,7 +551,7 @@ class ThrustEnvelope:
         self._slope = tan(tilt_max)
 
     def limited(self, acceleration: Sequence[float]) -> tuple[float, float, float]:
-        """Shorten an acceleration, smoothly, to what thrust and tilt allow.
+        """Shorten an acceleration, smoothly, to the limits of thrust and tilt.
 
         Parameters
         ----------
@@ -563,7 +581,7 @@ class ThrustEnvelope:
 MEASURED_STATES = tuple(
     f"rigid_body.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "phi", "theta", "psi")
 ) + tuple(f"rigid_body.{name}" for name in ("p", "q", "r"))
-"""What the controller measures, in this order, beside the rotor speeds."""
+"""States that the controller measures, in this order, besides the rotor speeds."""
 
 CONTROLLER_STATES = (
     *(f"position_lag_{axis}_m" for axis in "xyz"),
@@ -588,8 +606,8 @@ _ATTITUDE = slice(STATES_PER_LOOP, 2 * STATES_PER_LOOP)
 _COMMAND = slice(2 * STATES_PER_LOOP, len(CONTROLLER_STATES))
 
 COMMAND_SIZE = 14
-"""What the controller follows: place, rate and acceleration of a setpoint, four numbers each, and
-the accelerations along world x and y to come once a tilt commanded now has come about."""
+"""Length of a command: place, rate and acceleration of a setpoint, four numbers each, and the
+future accelerations along world x and y at the time when a tilt commanded now is reached."""
 _SETPOINT = slice(0, 4), slice(4, 8), slice(8, 12)
 _AHEAD = slice(12, COMMAND_SIZE)
 
@@ -631,11 +649,13 @@ class AdaptiveController:
             for moment, inertia in zip(available, self._inertia[:2], strict=True)
         )
         spare = limits.thrust_max / self._mass - believed.gravity
+        acceleration_max = believed.gravity + gains.thrust_share * spare
         self._envelope = ThrustEnvelope(
             gravity=believed.gravity,
-            acceleration_max=believed.gravity + gains.thrust_share * spare,
-            tilt_max=min(gains.tilt_max, limits.roll_max, limits.pitch_max),
+            acceleration_max=acceleration_max,
+            tilt_max=followed_tilt(believed),
         )
+        self._tilt_limits = _SHARE_OF_TILT * limits.roll_max, _SHARE_OF_TILT * limits.pitch_max
         self._position_loop, self._attitude_loop = _loops(believed)
         self._learnt = learnt if believed.baseline.adaptation else (0.0,) * _AXES
 
@@ -670,7 +690,7 @@ class AdaptiveController:
         ]
 
     def command(self, reference: ReferencePath, t: float) -> list[float]:
-        """Return what to follow at time t, s: `COMMAND_SIZE` numbers."""
+        """Return the command at time t, s: `COMMAND_SIZE` numbers."""
         # Little ahead at the start, where the vehicle is level.
         lead = self._tilt_lag * (1 - exp(-t / self._tilt_lag))
         place, rate, acceleration = reference(t)
@@ -746,9 +766,13 @@ class AdaptiveController:
     ) -> tuple[list[float], list[float]]:
         """Return the commanded tilt acceleration and the rates of the filter's states."""
         angles, angle_rates = command[:2], command[2:]
+        targets = [
+            _clipped(angle, -limit, limit)
+            for angle, limit in zip(tilt_toward(force, yaw), self._tilt_limits, strict=True)
+        ]
         accelerations = []
         for target, angle, rate, most in zip(
-            tilt_toward(force, yaw), angles, angle_rates, self._tilt_acceleration_max, strict=True
+            targets, angles, angle_rates, self._tilt_acceleration_max, strict=True
         ):
             closing = braking_rate(target - angle, self._tilt_gain, most)
             accelerations.append(bend(_CRITICAL * self._tilt_gain * (closing - rate), most))

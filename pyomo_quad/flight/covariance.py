@@ -1,8 +1,8 @@
-"""Covariance of a flight under feedback in turbulence, of a linear closed loop along the plan.
+"""Covariance of a flight under feedback in turbulence, by linearising the closed loop.
 
-Vehicle, adaptive controller and the filters of the turbulence are one system, linearised along the
-flight that meets no gust; see docs/theory/risk.md, eqs. (4) to (6).  What is known roughly, the
-errors of forecast, mass and power, are constant states of it.
+Vehicle, adaptive controller and the filters of the turbulence form one system, linearised along the
+flight without gusts; see docs/theory/risk.md, eqs. (4) to (6). The errors of forecast, mass and
+power are constant states of this system.
 """
 
 from dataclasses import dataclass
@@ -43,17 +43,17 @@ _OFF_NOUGHT = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Flights of one plan in turbulence as a normal distribution about their mean, over time.
+    """Distribution of flights in turbulence over time: normal, about the flight without gusts.
 
     Attributes
     ----------
     t : ndarray, shape (n,)
     states, controls : ndarray, shapes (n, n_states), (n, n_controls)
-        The flight that meets no gust.
+        The flight without gusts.
     covariance : ndarray, shape (n, n_states, n_states)
-        Of the vehicle's states.
+        Covariance of the vehicle's states.
     onward : ndarray, shape (n - 1, n_states, n_states)
-        Of the states at one time and at the next.
+        Covariance between the states at one time and at the next.
     dynamics : Dynamics
         The vehicle in the wind, without gusts.
     """
@@ -76,13 +76,13 @@ class Spread:
 
 
 def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
-    """Return how flights under the adaptive controller spread about a plan.
+    """Return the spread about a plan of flights under the adaptive controller.
 
     Parameters
     ----------
     scenario : Scenario
-        The mission with fixed times, and `wind.turbulence`; errors of forecast, mass and power as
-        it states them.
+        The mission with fixed times, `wind.turbulence`, and the stated errors of forecast, mass and
+        power.
     """
     mean = _MeanFlight(scenario, plan, planner)
     count = ceil(scenario.mission.fixed_duration / NOISE_STEP)
@@ -117,7 +117,7 @@ def discrete(A: FloatArray, B: FloatArray, step: float) -> tuple[FloatArray, Flo
     Parameters
     ----------
     A, B : ndarray, shapes (n, n_x, n_x), (n, n_x, n_u)
-        Constant over each step.
+        Matrices, constant over each step.
     """
     n, n_x, n_u = B.shape
     joined = np.zeros((n, n_x + n_u, n_x + n_u))
@@ -137,13 +137,13 @@ def propagated(
         Covariance at the start.
     transitions : ndarray, shape (n, n_x, n_x)
     noise : ndarray, shape (n, n_x, n_noise)
-        What white noise of unit variance over a step adds.
+        Effect of white noise of unit variance over a step.
     constants : ndarray, shape (n, n_x, n_constants)
-        What normal numbers of unit variance add, which stay the same from step to step.
+        Effect of normal numbers of unit variance that are the same in all steps.
     """
     n, n_x, n_constants = constants.shape
     gusts = [start]
-    # Of the states over each constant: they answer all steps with one number.
+    # Responses of the states to each constant, which acts with one value in all steps.
     answers = [np.zeros((n_x, n_constants))]
     between = []
     for F, G, H in zip(transitions, noise, constants, strict=True):
@@ -156,7 +156,7 @@ def propagated(
 
 
 class _MeanFlight:
-    """The flight of a plan under feedback that meets no gust, and the closed loop along it."""
+    """The flight of a plan under feedback without gusts, and the closed loop along it."""
 
     def __init__(self, scenario: Scenario, plan: Plan, planner: Planner) -> None:
         told = as_expected(scenario)
@@ -201,15 +201,15 @@ class _MeanFlight:
     def slopes(
         self, t: FloatArray, joint: FloatArray, commands: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the closed loop's derivatives by joint state, and by noise and unknowns."""
-        # Where an error is nought to the last bit, the derivative of its size is no number.
+        """Return the closed loop's derivatives by the joint state, and by noise and unknowns."""
+        # Where an error is exactly zero, the derivative of its norm is not defined.
         by_moment, by_joint = self.loop.slopes(t, joint + _OFF_NOUGHT, commands)
         columns = [1 + self.dynamics.signal_names.index(name) for name in NOISE]
         by_unknowns = self._by_unknowns(t, joint, commands)
         return by_joint, np.concatenate([by_moment[:, :, columns], by_unknowns], axis=2)
 
     def _by_unknowns(self, t: FloatArray, joint: FloatArray, commands: FloatArray) -> FloatArray:
-        """Return central differences of the slopes by what is known roughly, over one deviation."""
+        """Return central differences of the slopes by the uncertain parameters, per deviation."""
         n_states = len(self.dynamics.state_names)
         states, controls = joint[:, :n_states], self.loop.controls(t, joint, commands)
         found = np.zeros((*joint.shape, len(self._unknowns)))

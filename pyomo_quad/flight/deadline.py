@@ -1,6 +1,6 @@
-"""The time limit of a command: its solves and its flights all look at one clock.
+"""The time limit of a command, shared by its solves and its flights.
 
-The time is the processor's, so that what else the machine does changes no answer.
+It counts processor time, so that the load of the machine does not change any result.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class TimeIsUpError(SolveError):
 
 @dataclass
 class _Watch:
-    """When the time is up, on the clock of the process that looks."""
+    """The end of the time limit, on the clock of the observing process."""
 
     limit_s: float
     end: float
@@ -38,10 +38,10 @@ class _Watch:
         return cls(limit_s=limit_s, end=now + limit_s, seen=now, process=os.getpid())
 
     def look(self) -> bool:
-        """Say whether the time is up."""
+        """Return whether the time is over."""
         now = time.thread_time()
         if os.getpid() != self.process:
-            # The clock of a copy of a process begins anew, at what was left when it was copied.
+            # In a copied process the clock starts anew, with the time that was left at the copy.
             self.process, self.end = os.getpid(), now + self.end - self.seen
         self.seen = now
         self.is_over = self.is_over or now > self.end
@@ -52,15 +52,16 @@ _CURRENT: ContextVar[_Watch | None] = ContextVar("time_limit", default=None)
 
 
 class Deadline:
-    """Stops a solve, and all that is done in its block, at the scenario's time limit.
+    """Stops a solve, and all other work in its block, at the scenario's time limit.
 
-    A deadline inside the block of another is that one: what a command does it does together.
+    A deadline inside the block of another one shares its limit, because a command has a single
+    limit.
 
     Parameters
     ----------
     scenario : Scenario
     progress : callable, optional
-        The caller's own callback, which may stop a solve before.
+        The caller's own callback, which may stop a solve earlier.
     """
 
     def __init__(self, scenario: Scenario, progress: Progress | None = None) -> None:
@@ -75,7 +76,7 @@ class Deadline:
         _CURRENT.reset(self._token)
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Return False once the time is up, or the caller's own callback says so."""
+        """Return False if the time is over, or if the caller's own callback returns False."""
         if self._watch.look():
             return False
         return self._progress is None or self._progress(iteration) is not False
@@ -87,17 +88,17 @@ class Deadline:
 
     @property
     def is_over(self) -> bool:
-        """Whether the time was up when it was last looked at."""
+        """Whether the time was over at the last check."""
         return self._watch.is_over
 
 
 def keep_time() -> None:
-    """Look at the clock of the deadline in whose block this is called, if any.
+    """Check the time limit of the enclosing deadline, if any.
 
     Raises
     ------
     TimeIsUpError
-        If its time is up.
+        If the time is over.
     """
     watch = _CURRENT.get()
     if watch is not None and watch.look():

@@ -1,12 +1,12 @@
-"""Many flights of one plan at once, each in a wind and with a mass of its own.
+"""Ensembles of flights of one plan, each with its own wind and mass, integrated together.
 
-The controller's law and the declared equations are those of a single flight; only the integration
-differs: Runge-Kutta steps of fixed length, mapped over the flights.  A step is at most
-`LONGEST_STEP_S`, the time over which the noise of turbulence is constant, and a short one beside
-the controller's fastest loop; a test holds it against SciPy's adaptive integration.
+The control law and the declared equations are those of a single flight. Only the integration
+differs: Runge-Kutta steps of fixed length, mapped over the flights. A step is at most
+`LONGEST_STEP_S`, the time over which the noise of turbulence is constant, and short compared with
+the controller's fastest loop; a test compares it with SciPy's adaptive integration.
 
-Every flight is judged as a single one is: by the declared limits, between waypoints and at them,
-and by how it arrives.
+Every flight is judged like a single flight: by the declared limits, between and at the waypoints,
+and by its arrival.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -47,16 +47,16 @@ from pyomo_quad.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
 
-#: s, of the integration; the noise of turbulence is constant over as long.
+#: s, longest step of the integration, over which the noise of turbulence is constant.
 LONGEST_STEP_S = 0.02
 # Length of a step times the largest gain, at which a flight ends within 1e-4 m of the exact one,
 # and times the rate of the fastest mode, at which the method is stable: its limit is 2.78.
 _SHARE_OF_LAG, _STABLE = 1.2, 2.2
 _OFF_NOUGHT = 1e-6
-# Steps from one sample of a flight to the next: 25 in a second, between which 10 m/s round a
-# corner of 2 m depart from their chord by a centimetre.
+# Steps between two samples of a flight. At 25 samples per second, a path at 10 m/s around a corner
+# of 2 m radius deviates from its chord by 1 cm.
 _STEPS_PER_SAMPLE = 2
-# Flights whose limits are looked at in one call; more take more memory and no less time.
+# Flights whose limits are checked in one call; more of them take more memory and no less time.
 _JUDGED_AT_ONCE = 25
 
 NOT_THERE = "distance from the goal at the end"
@@ -66,7 +66,7 @@ NOT_FED = "power or charge of the pack"
 
 @dataclass(frozen=True, kw_only=True)
 class Draws:
-    """The numbers in which n flights differ, by full name of parameter or state.
+    """The numbers that differ between n flights, by full name of parameter or state.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Draws:
     start: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def part(self, chosen: slice) -> "Draws":
-        """Return some of the flights."""
+        """Return the draws of some of the flights."""
         return Draws(
             count=len(range(self.count)[chosen]),
             numbers={name: values[chosen] for name, values in self.numbers.items()},
@@ -95,13 +95,13 @@ class Draws:
 
 @dataclass(frozen=True, kw_only=True)
 class Ending:
-    """What became of one flight.
+    """Outcome of one flight.
 
     Attributes
     ----------
     broken : mapping
-        Words of a limit -> by how much the flight broke it, relative to the larger of 1 and the
-        limit; empty where it arrived and kept every limit.
+        Words of a limit -> the flight's violation of it, relative to the larger of 1 and the limit;
+        empty if the flight arrived and kept every limit.
     """
 
     energy_J: float
@@ -120,13 +120,13 @@ class Ending:
 
 @dataclass(frozen=True, kw_only=True)
 class FlownOften:
-    """Many flights at the same times, and what became of each.
+    """Many flights at the same times, with the outcome of each.
 
     Attributes
     ----------
     t : ndarray, shape (n_samples,)
     tracks : mapping to ndarray, shape (n_samples, n)
-        Over time, the `TRACKS`.
+        The quantities of `TRACKS` over time.
     endings : tuple of Ending
     """
 
@@ -137,7 +137,7 @@ class FlownOften:
 
 SPEED, TILT, OFF = "speed_m_per_s", "tilt_rad", "distance_from_reference_m"
 TRACKS = ("x_m", "y_m", "z_m", SPEED, TILT, ENERGY, OFF)
-"""Names of what is kept of each flight over time."""
+"""Names of the quantities stored over time for each flight."""
 
 
 class Squadron:
@@ -146,13 +146,13 @@ class Squadron:
     Parameters
     ----------
     scenario : Scenario
-        The mission, its times given, and what the controller knows of the vehicle.
+        The mission, with fixed times, and the vehicle as the controller knows it.
     dynamics : Dynamics
-        The vehicle in the wind that blows, before anything is drawn.
+        The vehicle in the actual wind, before draws are applied.
     reference : callable
         Time in s -> Setpoint.
     varied : sequence of str
-        Parameters, over time or not, in which the flights differ.
+        Parameters, constant or over time, that differ between the flights.
     """
 
     def __init__(
@@ -177,7 +177,7 @@ class Squadron:
         self._times = _step_times(scenario, self._fastest_rate())
 
     def fly(self, draws: Draws) -> FlownOften:
-        """Fly as many times as there are draws."""
+        """Fly once for each draw."""
         keep_time()
         steps = np.floor(0.5 * (self._times[1:] + self._times[:-1]) / LONGEST_STEP_S).astype(int)
         held = {
@@ -208,7 +208,7 @@ class Squadron:
             n_own=len(CONTROLLER_STATES),
         )
         command = np.array([self._controller.command(self._reference, 0.0)])
-        # Where an error is nought to the last bit, the derivative of its size is no number.
+        # Where an error is exactly zero, the derivative of its norm is not defined.
         begun = self._started(Draws(count=1)) + _OFF_NOUGHT
         _, by_joint = loop.slopes(np.zeros(1), begun, command)
         return float(-np.linalg.eigvals(by_joint[0]).real.min())
@@ -248,9 +248,9 @@ class Squadron:
     def _endings(
         self, flown: SteppedFlights, draws: Draws, off: FloatArray, tilt: FloatArray
     ) -> Iterator[Ending]:
-        """Yield what became of each flight, of which `off` and `tilt` are the greatest."""
+        """Yield the outcome of each flight, given its largest deviation `off` and tilt."""
         count, samples = draws.count, len(flown.t)
-        # Flight by flight, each with all its times.
+        # One flight at a time, with all its samples.
         states, controls = (
             np.ascontiguousarray(held.swapaxes(0, 1))
             for held in (flown.joint[:, :, : len(self._columns)], flown.controls)
@@ -290,7 +290,7 @@ class Squadron:
             )
 
     def _missed(self, state: FloatArray) -> tuple[float, float]:
-        """Return how far from the goal [m], and how fast [m/s], a flight ends."""
+        """Return distance from the goal [m] and speed [m/s] at the end of a flight."""
         wanted = wanted_at_goal(self._scenario, self._dynamics)
         missed = {n: state[self._columns[n]] - value for n, value in wanted.items()}
         place, speed = (
@@ -301,7 +301,7 @@ class Squadron:
 
 
 def _step_times(scenario: Scenario, fastest_rate: float) -> FloatArray:
-    """Return the ends of all steps: those of the noise, of parts of them, and of the mission."""
+    """Return the ends of all steps: the steps of the noise, their parts, and the mission's end."""
     gains, end = scenario.baseline.gains, scenario.mission.fixed_duration
     fastest = max(gains.rotor, gains.attitude_rate, gains.force_identification)
     parts = ceil(LONGEST_STEP_S * max(fastest / _SHARE_OF_LAG, fastest_rate / _STABLE))
@@ -311,5 +311,5 @@ def _step_times(scenario: Scenario, fastest_rate: float) -> FloatArray:
     return np.unique(np.concatenate([even[apart], given]))
 
 
-# s, between two times that are the same.
+# s, difference below which two times are equal.
 _SAME_TIME_S = 1e-9

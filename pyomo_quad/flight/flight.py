@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Summarised
 from pyomo_quad.flight.limit_words import breach_words
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,14 +28,13 @@ rotor, and so little of a flight of metres that leaving it out saves no energy w
 ARRIVAL_SPEED_M_PER_S = 0.1
 """Final speed beyond which a flight passes the goal rather than arriving: from it, the controller
 with its default gains stops within the distance above."""
-#: Largest breach of a limit between points, relative to the larger of 1 and the limit.
-VIOLATION_TOLERANCE = 1e-4
-#: Breach of a control's limit, likewise, at which a flight holds it.
-HELD_BREACH = 0.5 * VIOLATION_TOLERANCE
-#: The states that say where the vehicle is, as the declared model names them.
+#: Violation of a control's limit, relative to the larger of 1 and the limit, to which a flight
+#: clips the control: half of what the highest accuracy allows.
+HELD_BREACH = 0.5 * FIGURES[Accuracy.PROOF].breach
+#: The position states, by their names in the declared model.
 POSITION_STATES = ("rigid_body.x", "rigid_body.y", "rigid_body.z")
 VELOCITY_STATES = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")
-#: What the air does to the vehicle beside its rotors' thrust [N], along world axes.
+#: Aerodynamic force on the vehicle other than thrust [N], along world axes.
 AIR_FORCE = tuple(f"aerodynamics.force_{axis}" for axis in "xyz")
 
 
@@ -57,12 +57,12 @@ class Resolve:
 
     t: float
     arrived_at: float
-    """When its plan came [s]."""
+    """Time at which its plan arrived [s]."""
     solve_s: float
-    """Processor time that it took, whatever the flight was charged."""
+    """Processor time of the solve, independent of the delay in the simulated flight."""
     is_converged: bool
     is_late: bool
-    """Whether its plan came in flight after the moment that it was made for."""
+    """Whether its plan arrived after the time that the plan was made for."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -78,23 +78,23 @@ class Flight(Summarised):
     energy_J : float
         Energy spent, integrated with the flight.
     terminal_miss : mapping
-        State name to final value minus wanted value, in the state's unit.
+        State name to final value minus required value, in the state's unit.
     terminal_miss_m : float
-        Distance between final and wanted position.
+        Distance between final and required position.
     max_violation : float
-        Worst breach of a limit, relative to the larger of 1 and the limit.
+        Worst violation of a limit, relative to the larger of 1 and the limit.
     worst_constraint : str
-        The limit that breach is of.
+        The limit of that violation.
     is_verified : bool
-        Whether something that did not make the flight confirmed it, and the battery's power
-        balance closes all along it.
+        Whether an independent integration confirmed the flight, and the battery's power balance
+        closes all along it.
     doubt : str
-        Why a flight under control is not verified, what was found and what is allowed.
+        Reason why a controlled flight is not verified, with the value found and the value allowed.
     owed_energy_J : float
-        What the end state still owes: the price of bringing it to the end wanted, at the plan's
-        costates; NaN where no plan prices it.
+        Energy needed to reach the required end from the flight's end state, estimated from the
+        plan's costates; NaN if no plan has costates for it.
     broken_limits : tuple of str
-        Every limit of the model that the flight breaks, and by how much, the worst first.
+        Every limit of the model that the flight violates, with the amount, the worst first.
     resolves : tuple of Resolve
         The solves of a flight that was re-planned.
     """
@@ -126,7 +126,7 @@ class Flight(Summarised):
         }
 
     def priced(self, end_prices: Mapping[str, float]) -> Flight:
-        """Return the flight with what its end owes at a plan's `end_prices`, NaN without any."""
+        """Return the flight with its owed energy by a plan's `end_prices`, NaN without any."""
         owed = sum(price * self.terminal_miss.get(name, 0.0) for name, price in end_prices.items())
         return replace(self, owed_energy_J=owed if end_prices else nan)
 
@@ -143,10 +143,12 @@ class Flight(Summarised):
         wall_s: float,
         owed_energy_J: float = nan,
         allowed: Mapping[str, float] | None = None,
+        accuracy: Accuracy = Accuracy.PROOF,
     ) -> Flight:
-        """Make a flight of its samples and the final values wanted of its states.
+        """Make a flight from its samples and the required final values of its states.
 
-        ``allowed`` is how far past a limit of a name, whatever its index, a flight may go.
+        ``allowed`` is the tolerated violation of a limit, by name without index; ``accuracy``, of
+        the mission, gives the relative violation tolerated of every limit.
         """
         miss = terminal_miss_of(dynamics, flown.states[-1], wanted)
         breaches = dynamics.violations(flown.t, flown.states, flown.controls)
@@ -163,32 +165,35 @@ class Flight(Summarised):
             is_verified=is_verified,
             wall_s=wall_s,
             owed_energy_J=owed_energy_J,
-            broken_limits=broken_limits(dynamics, breaches, allowed or {}),
+            broken_limits=broken_limits(
+                dynamics, breaches, allowed or {}, FIGURES[accuracy].breach
+            ),
         )
 
 
 def broken_limits(
-    dynamics: Dynamics, breaches: Sequence[Violation], allowed: Mapping[str, float]
+    dynamics: Dynamics, breaches: Sequence[Violation], allowed: Mapping[str, float], breach: float
 ) -> tuple[str, ...]:
-    """Return the limits broken by more than rounding, or than allowed: "roll angle by 0.2 rad"."""
+    """Return the limits violated by more than a relative breach, and than allowed of their names.
+
+    As "roll angle by 0.2 rad".
+    """
     return tuple(
-        breach_words(breach, dynamics.unit(breach.name))
-        for breach in breaches
-        if is_broken(breach, allowed)
+        breach_words(found, dynamics.unit(found.name))
+        for found in breaches
+        if is_broken(found, allowed, breach)
     )
 
 
-def is_broken(breach: Violation, allowed: Mapping[str, float]) -> bool:
-    """Say whether a limit is broken by more than rounding, and than is allowed of its name."""
-    return breach.relative > VIOLATION_TOLERANCE and breach.size > allowed.get(
-        breach.name.partition("[")[0], 0.0
-    )
+def is_broken(found: Violation, allowed: Mapping[str, float], breach: float) -> bool:
+    """Say whether a limit is violated by more than a relative breach, and than its name allows."""
+    return found.relative > breach and found.size > allowed.get(found.name.partition("[")[0], 0.0)
 
 
 def terminal_miss_of(
     dynamics: Dynamics, state: FloatArray, wanted: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return final minus wanted value of each state that a value is wanted of."""
+    """Return final minus required value of each state with a required value."""
     final = dict(zip(dynamics.state_names, state, strict=True))
     return {name: float(final[name] - value) for name, value in wanted.items()}
 

@@ -1,4 +1,4 @@
-"""Flights by SciPy's integrators, begun anew wherever a parameter of the equations steps."""
+"""Flights by SciPy's integrators, restarted wherever a parameter of the equations steps."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,20 +12,20 @@ from scipy.integrate import solve_ivp
 FloatArray = NDArray[np.float64]
 Rates = Callable[[float, FloatArray], FloatArray]
 
-# How far inside its piece a time at which it begins or ends is read, as a share of the piece.
+# Distance inside its piece at which an end of the piece is evaluated, relative to the piece.
 _INSIDE = 1e-6
-# s. A piece shorter than this is the rounding of two times that are one.
+# s. A piece shorter than this is the rounding of two equal times.
 _SHORTEST = 1e-7
 
 
 @dataclass(frozen=True, kw_only=True)
 class Integrated:
-    """States at the times asked for, shape (n_states, n_times), or why there are fewer of them."""
+    """States at the requested times, shape (n_states, n_times), or why some are missing."""
 
     y: FloatArray
     message: str
     stopped_at: float | None
-    """When the integrator gave up [s]; None where it did not."""
+    """Time at which the integrator stopped [s]; None if it reached the end."""
 
 
 def integrate(
@@ -38,17 +38,17 @@ def integrate(
 ) -> Integrated:
     """Integrate rates over a span, from edge to edge.
 
-    An integrator that steps over a jump of its rates repeats steps until they are as short as its
-    tolerance asks, hundreds of evaluations for each jump; one that begins anew needs a score.
+    An integrator that steps over a jump of the rates repeats steps until they are as short as its
+    tolerance requires: hundreds of evaluations per jump. A restart takes about twenty.
 
     Parameters
     ----------
     times : sequence of float
         Rising times within the span at which states are returned.
     edges : sequence of float
-        Rising times between which the rates are smooth; those outside the span are not read.
+        Rising times between which the rates are smooth; edges outside the span are ignored.
     **options
-        Of `scipy.integrate.solve_ivp`.
+        Options of `scipy.integrate.solve_ivp`.
     """
     wanted = np.asarray(times, dtype=float)
     inner = [edge for edge in edges if span[0] + _SHORTEST < edge < span[1] - _SHORTEST]
@@ -73,7 +73,7 @@ def integrate(
 
 
 def _within(rates: Rates, first: float, last: float) -> Rates:
-    """Return rates that read the equations of one piece at its ends too."""
+    """Return rates that use the equations of one piece at its ends too."""
     margin = _INSIDE * (last - first)
 
     def inside(t: float, y: FloatArray) -> FloatArray:

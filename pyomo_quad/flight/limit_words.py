@@ -1,13 +1,13 @@
-"""The limits of the declared model as users call them, in units that they can picture.
+"""Names of the declared model's limits for users, with amounts in familiar units.
 
-Limits of a model of the user's own keep the names and units that the user gave them.
+Limits of a user's own model keep the names and units that the user gave them.
 """
 
 from math import sqrt
 
 from pyomo_quad.collocation import Violation
 
-#: Name of a limit without its index -> words, with the place of the rotor, waypoint or zone.
+#: Name of a limit without its index -> words, with a placeholder for rotor, waypoint or zone.
 WORDS = {
     "airspace.ceiling_limit": "ceiling",
     "airspace.floor_limit": "floor",
@@ -35,15 +35,15 @@ WORDS = {
     "rotors.alpha": "acceleration of rotor {}",
     "rotors.omega": "speed of rotor {}",
 }
-# The equations number waypoints from 0, and every figure and table from 1, as the mission's legs.
+# The equations number waypoints from 0; figures and tables number them from 1, like legs.
 _COUNTED_FROM_0 = "mission."
 _UNITS = {"N*m": "N m", "rad/s**2": "rad/s²"}
-# The equations limit the squares of lengths of vectors, which have a derivative at zero.
+# The equations limit squared lengths, which are differentiable at zero.
 _ROOTS = {"m**2": "m", "m**2/s**2": "m/s"}
 
 
 def limit_words(name: str) -> str:
-    """Return how users call a limit, "speed at hold place 1" of ``mission.hold_speed[0]``."""
+    """Return a limit's name for users: "speed at hold place 1" for ``mission.hold_speed[0]``."""
     declared, _, index = name.partition("[")
     index = index.removesuffix("]")
     if declared.startswith(_COUNTED_FROM_0) and index.isdecimal():
@@ -52,15 +52,15 @@ def limit_words(name: str) -> str:
 
 
 def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
-    """Return an amount of a limit and its unit as users know them: m/s of m**2/s**2."""
+    """Return an amount of a limit and its unit for users: m/s for m**2/s**2."""
     if name.partition("[")[0] not in WORDS:
         return size, unit
     return (sqrt(size), _ROOTS[unit]) if unit in _ROOTS else (size, _UNITS.get(unit, unit))
 
 
 def breach_words(breach: Violation, unit: str) -> str:
-    """Return which limit is broken, and by how much: "roll angle by 0.15 rad"."""
-    # Of a square it is how far the length lies beyond its limit, not the root of the difference.
+    """Return the name and the amount of a violated limit: "roll angle by 0.15 rad"."""
+    # For a square, this is the excess of the length over its limit, not the root of the difference.
     reached, plain = limit_amount(breach.name, abs(breach.bound) + breach.size, unit)
     size = reached - limit_amount(breach.name, abs(breach.bound), unit)[0]
     return f"{limit_words(breach.name)} by {size:.2g} {plain}".rstrip()

@@ -1,8 +1,8 @@
-"""Cheapest orders of places by a table of leg costs, and a cost that no order can undercut.
+"""Cheapest orders of places from a table of leg costs, and a lower bound for all orders.
 
-A table has the start in row 0, the goal in the last column and the places between them; the cost
-from one place to another may differ from the cost back.  Derivation of the bound:
-docs/theory/orders.md, eqs. (2) to (5).
+A table has the start in row 0, the goal in the last column, and the places between them; the cost
+of a leg may depend on its direction. Derivation of the bound: docs/theory/orders.md, eqs. (2) to
+(5).
 """
 
 from dataclasses import dataclass
@@ -17,35 +17,36 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 _Order = tuple[int, ...]
 
-#: Places whose cheapest orders are found exactly; of more by search.
+#: Number of places up to which the cheapest orders are exact; above it a search finds them.
 MOST_EXACT = 12
-# Descents of the search after the first, each from a disturbed best order.
+# Further descents of the search, each from a disturbed best order.
 _KICKS = 30
-# Blocks exchanged in a disturbance.
+# Block exchanges in a disturbance.
 _EXCHANGES = 3
-# Steps of the ascent to the bound, and by what factor its step falls where the bound has not risen
-# for so many steps.
+# Number of steps of the ascent to the bound, and the factor by which the step is reduced when the
+# bound has not risen for a number of steps.
 _ASCENT_STEPS = 400
 _SHRINK, _PATIENCE = 0.7, 10
-# Relative gain below which two orders cost the same.
+# Relative gain below which two orders count as equal.
 _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
 class OrderSearch:
-    """How the order of a plan's waypoints was found.
+    """Result of the search for the order of a plan's waypoints.
 
     Attributes
     ----------
     order : tuple of int
         The waypoints of the scenario in the order of the plan.
     cost_J : float
-        Sum of the energies of its legs, each flown alone from hover to hover; beside it what the
-        time costs.
+        Sum of the energies of its legs, each flown alone from hover to hover, plus the price of
+        time.
     bound_J : float
-        No order's sum is below; legs not solved for count at an optimistic prediction.
+        Lower bound on this sum for all orders; legs without a solve count with an optimistic
+        prediction.
     solved, legs : int
-        Legs solved for, of all those that an order may have.
+        Number of legs solved, and of all legs that an order may have.
     """
 
     order: tuple[int, ...]
@@ -56,12 +57,12 @@ class OrderSearch:
 
     @property
     def gap(self) -> float:
-        """By what share the order may be dearer than the best, by the energies of its legs."""
+        """Relative excess of the order's cost over the lower bound."""
         return self.cost_J / self.bound_J - 1.0
 
     @property
     def line(self) -> str:
-        """The search in one line."""
+        """One-line description of the search."""
         return (
             f"order of {len(self.order)} waypoints: by the energies of its legs, flown one by one, "
             f"at most {self.gap:.2%} above the best; {self.solved} of {self.legs} legs solved, "
@@ -72,14 +73,14 @@ class OrderSearch:
 def best_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders of the places between start and goal, the cheapest first.
 
-    Exact up to `MOST_EXACT` places; above, the best that a local search finds.
+    Exact up to `MOST_EXACT` places; above, the best orders that a local search finds.
 
     Parameters
     ----------
     costs : ndarray, shape (n + 2, n + 2)
-        Cost of each leg; infinite where none leads.
+        Cost of each leg; infinite if the leg is not allowed.
     count : int
-        Number of orders wanted; fewer are returned where there are fewer.
+        Number of orders to return; fewer are returned if there are fewer.
 
     Returns
     -------
@@ -98,8 +99,8 @@ def cost_of(costs: FloatArray, order: _Order) -> float:
 def exact_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders by dynamic programming.
 
-    Over the set of places passed so far and the last of them [1]_, with the `count` best of each
-    kept.
+    The states are the set of places passed and the last of them [1]_; the `count` best orders of
+    each state are kept.
 
     .. [1] Held and Karp, "A dynamic programming approach to sequencing problems", SIAM J. 10
        (1962).
@@ -111,7 +112,7 @@ def exact_orders(costs: FloatArray, count: int) -> list[_Order]:
         best[1 << k, k, 0] = costs[0, k + 1]
     for passed in range(1, (1 << n) - 1):
         left = [k for k in range(n) if not passed >> k & 1]
-        # A set of places and its last one have a single predecessor: the set without it.
+        # Each set of places with a last place has one predecessor set: the set without that place.
         reached = best[passed].reshape(-1, 1) + np.repeat(costs[1:-1, 1:-1], count, axis=0)[:, left]
         kept = np.argsort(reached, axis=0, kind="stable")[:count]
         for column, there in enumerate(left):
@@ -120,7 +121,7 @@ def exact_orders(costs: FloatArray, count: int) -> list[_Order]:
             came_from[passed | 1 << there, there, : len(rows)] = rows
     every = (1 << n) - 1
     ended = (best[every] + costs[1:-1, -1:]).ravel()
-    # Ranks that no order filled stay infinite, and lead back nowhere.
+    # Ranks without an order stay infinite and have no predecessor.
     begun = best[every].ravel() < inf
     ranked = [k for k in np.argsort(ended, kind="stable").tolist() if begun[k]][:count]
     return [_traced_back(came_from, every, row, count) for row in ranked]
@@ -139,9 +140,9 @@ def _traced_back(came_from: NDArray[np.int32], passed: int, row: int, count: int
 def search_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders that an iterated local search finds.
 
-    A step takes the best of all exchanges of two neighbouring blocks, which keep every direction
-    of flight, and of all reversals of a block [1]_.  Descents are repeated from disturbances of
-    the best order so far; the random numbers are the same in every call.
+    Each step takes the best of all exchanges of two neighbouring blocks, which keep every direction
+    of flight, and of all reversals of a block [1]_. Descents are repeated from disturbed copies of
+    the best order; the random numbers are the same in every call.
 
     .. [1] Kanellakis and Papadimitriou, "Local search for the asymmetric traveling salesman
        problem", Operations Research 28 (1980).
@@ -163,14 +164,14 @@ def search_orders(costs: FloatArray, count: int) -> list[_Order]:
 
 
 def _without_infinities(costs: FloatArray) -> FloatArray:
-    """Return costs whose infinite ones are larger than any order of finite ones."""
+    """Return costs with infinite entries replaced by numbers above any finite order's cost."""
     finite = costs[np.isfinite(costs)]
     large = 1.0 + len(costs) * float(np.max(np.abs(finite), initial=0.0))
     return np.where(np.isfinite(costs), costs, large)
 
 
 def _neighbours(n: int) -> IntArray:
-    """Return the orders one step from the order 0, 1, ... n - 1, in rows."""
+    """Return the orders that differ by one step from the order 0, 1, ... n - 1, in rows."""
     every = np.arange(n)
     rows = [
         np.concatenate([every[:i], every[j:k], every[i:j], every[k:]])
@@ -195,7 +196,7 @@ def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
 
 
 def _nearest_first(costs: FloatArray) -> IntArray:
-    """Return the order that always goes to the cheapest place that is left."""
+    """Return the order that always continues to the remaining place of least leg cost."""
     order, left = [0], list(range(1, len(costs) - 1))
     while left:
         order.append(left.pop(int(np.argmin(costs[order[-1], left]))))
@@ -203,7 +204,7 @@ def _nearest_first(costs: FloatArray) -> IntArray:
 
 
 def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntArray:
-    """Return the local optimum that the steepest descent from an order reaches."""
+    """Return the local optimum reached by steepest descent from an order."""
     cost = _cost(costs, order[None])[0]
     while True:
         beside = order[neighbours]
@@ -217,22 +218,22 @@ def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntA
 def least_cost(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of every order.
 
-    The larger of the assignment of a successor to each place, and of the trees of [1]_ on the
-    table made symmetric: see docs/theory/orders.md.
+    The larger of two bounds: the least assignment of a successor to each place, and the tree bound
+    of [1]_ on a symmetric table; see docs/theory/orders.md.
 
     Parameters
     ----------
     costs : ndarray, shape (n + 2, n + 2)
         Cost of each leg, for at least one place between start and goal.
     reached : float
-        Cost of some order, at which the ascent aims; no bound is above.
+        Cost of some order, the target of the ascent; no bound exceeds it.
 
     .. [1] Held and Karp, "The traveling-salesman problem and minimum spanning trees", Operations
        Research 18 (1970).
     """
     finite = _without_infinities(costs)
     successors = finite[:-1, 1:].copy()
-    # A leg to itself is none, nor is one past all places.
+    # A leg to the same place is not allowed, nor is a leg past all places.
     np.fill_diagonal(successors[1:], np.max(finite) * len(costs))
     successors[0, -1] = np.max(finite) * len(costs)
     assigned = float(successors[linear_sum_assignment(successors)].sum())
@@ -240,10 +241,11 @@ def least_cost(costs: FloatArray, reached: float) -> float:
 
 
 def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
-    """Return the cheaper direction of each leg, after potentials that no order's cost depends on.
+    """Return the cheaper direction of each leg, after subtracting potentials.
 
-    Climbs, and head wind against tail wind, are differences of potentials, eq. (3); a leg that
-    leads one way only tells nothing of them.
+    The cost of an order does not depend on potentials, eq. (3). Climbs, and head wind against tail
+    wind, are differences of potentials; a leg allowed in one direction only gives no information on
+    them.
     """
     potential = np.zeros(len(costs))
     is_both = np.isfinite(costs + costs.T)[1:-1, 1:-1]
@@ -258,7 +260,7 @@ def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
 
 
 def _tree_bound(costs: FloatArray, reached: float) -> float:
-    """Return the greatest cost found of a least tree under prices of the places, eq. (5)."""
+    """Return the largest cost found of a minimum tree under prices of the places, eq. (5)."""
     degrees = np.full(len(costs), 2.0)
     degrees[[0, -1]] = 1.0
     prices, best, eager, idle = np.zeros(len(costs)), -inf, 1.0, 0
@@ -277,9 +279,9 @@ def _tree_bound(costs: FloatArray, reached: float) -> float:
 
 
 def _least_tree(costs: FloatArray) -> tuple[float, FloatArray]:
-    """Return the cost of the least spanning tree, eq. (4), and how many of its legs each has.
+    """Return the cost of the minimum spanning tree, eq. (4), and the degree of each place.
 
-    By Prim's algorithm.
+    Prim's algorithm.
     """
     n = len(costs)
     degrees, nearest, by = np.zeros(n), costs[0].copy(), np.zeros(n, dtype=int)

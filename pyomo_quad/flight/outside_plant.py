@@ -2,15 +2,15 @@
 
 here | RotorPy
 mass, inertias, thrust and drag torque over rotor speed squared | mass, Ixx.., k_eta, k_m
-places and spins of the rotors, read off the declared mixer | rotor_pos, rotor_directions
+places and spins of the rotors, derived from the declared mixer | rotor_pos, rotor_directions
 drag of rotors, translational lift, parasitic drag by axis | k_d, k_z, k_h, c_Dx..
 quadratic drag | added to c_Dx = c_Dy = c_Dz, on body axes
 linear drag | added to k_d = k_z, times four rotors at the speed of hover, at the rotors
 
-RotorPy's rotors have no inertia: the gyroscopic moment and the reaction of the body to their
-acceleration are added to its own moments.  Its motors follow a command with a lag; at every moment
-the command is chosen that gives them the acceleration wanted.  Energy is the declared power at
-RotorPy's rotor speeds.  `Habits` restores, one by one, the behaviour of RotorPy's own simulation.
+RotorPy's rotors have no inertia, so the gyroscopic moment and the reaction of the body to their
+acceleration are added to RotorPy's own moments. Its motors follow a command with a lag; at every
+moment the command is chosen that produces the desired acceleration. Energy is the declared power at
+RotorPy's rotor speeds. `Habits` restores, one at a time, the features of RotorPy's own simulation.
 
 .. [1] Folk, Paulos and Kumar, "RotorPy: A Python-based Multirotor Simulator with Aerodynamics for
    Education and Research", arXiv 2306.04485.
@@ -66,20 +66,20 @@ OutsideLaw = Callable[[float, FloatArray, Sequence[float]], Answer]
 PLANT = "rotorpy"
 MULTIROTOR = "vehicles.multirotor"
 _MISSING = "RotorPy is not installed; install it with pip install 'pyomo_quad[rotorpy]'."
-# Tolerance of controlled flights, and of the plan's own controls, whose errors nothing corrects.
+# Tolerance of controlled flights, and of the plan's controls without feedback, whose errors grow.
 _TOLERANCE, _TIGHT = 1e-7, 1e-11
-# Default absolute tolerance of SciPy's integrators, which RotorPy leaves as it is.
+# Default absolute tolerance of SciPy's integrators, which RotorPy does not change.
 _ABSOLUTE = 1e-6
-# The yaw reaction couples body rates and commands at thousands of 1/s under SE3: explicit
+# With SE3, the yaw reaction couples body rates and commands at thousands of 1/s: explicit
 # integrators would take steps of a third of a millisecond.
 _STIFF: tuple[str, str] = ("Radau", Integrator.MULTISTEP)
-# Held commands divide a flight into parts of milliseconds, each of one or two steps.
+# Held commands divide a flight into parts of milliseconds, which take one or two steps each.
 _EXPLICIT: tuple[str, str] = ("RK45", Integrator.RUNGE_KUTTA)
-# Share of a part of a flight after its start at which its law is evaluated.
+# Relative distance after the start of a part of a flight at which its law is evaluated.
 _INSIDE = 1e-9
 # Samples of the wind per second, between which a cubic spline interpolates.
 _WIND_RATE_HZ = 1000.0
-# Places in RotorPy's state vector.
+# Indices in RotorPy's state vector.
 _POSITION, _VELOCITY, _QUATERNION = slice(0, 3), slice(3, 6), slice(6, 10)
 _BODY_RATES, _WIND, _SPEEDS = slice(10, 13), slice(13, 16), slice(16, 20)
 _SIZE = 20
@@ -100,7 +100,7 @@ class BodyFrame:
     turn: float = 0.0
     """Angle from our body x to theirs [rad]."""
     order: tuple[int, ...] = (0, 1, 2, 3)
-    """Number of our rotor for each of theirs."""
+    """Number of the declared rotor for each of RotorPy's rotors."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +112,7 @@ class Habits:
     has_gyroscopic_moment: bool = True
     has_yaw_reaction: bool = True
     command_rate_hz: float | None = None
-    """Rate of commands that are held meanwhile and followed by the motors with their lag."""
+    """Rate of commands, which are held in between and followed by the motors with their lag."""
     tolerance: float | None = None
     """Relative tolerance of RotorPy's integrator."""
 
@@ -122,7 +122,7 @@ AS_IT_COMES = replace(MASSLESS_ROTORS, command_rate_hz=100.0, tolerance=1e-3)
 """Defaults of RotorPy's own simulation."""
 
 ACROSS = BodyFrame(turn=-pi / 4, order=(0, 3, 2, 1))
-"""Body of a vehicle with two rotors ahead, numbered clockwise from the left one."""
+"""Body axes with two rotors ahead, numbered clockwise from the left rotor."""
 
 
 def rotorpy_module(name: str) -> ModuleType:
@@ -182,11 +182,11 @@ class OutsidePlant:
     ----------
     scenario : Scenario
     dynamics : Dynamics
-        The declared vehicle: its power, its pack and the wind.
+        The declared vehicle: its power, its battery and the wind.
     parameters : mapping, optional
-        RotorPy's own; those of the scenario's vehicle by default.
+        RotorPy's parameters; by default those of the scenario's vehicle.
     frame : BodyFrame, optional
-        Of these parameters.
+        Body axes of these parameters.
     habits : Habits, optional
         Deviations from the declared equations.
     """
@@ -254,11 +254,11 @@ class OutsidePlant:
         return x
 
     def turned_back(self, vector: FloatArray) -> FloatArray:
-        """Turn a vector from RotorPy's body axes to the declared ones, shape (3,)."""
+        """Rotate a vector from RotorPy's body axes to the declared ones, shape (3,)."""
         return np.asarray(self._turn.apply(vector))
 
     def seen(self, x: FloatArray) -> dict[str, FloatArray]:
-        """Return declared states as RotorPy's controllers see them."""
+        """Return declared states in the form of RotorPy's controllers."""
         s = self.started(x, ())
         return {
             "x": s[_POSITION],
@@ -269,7 +269,7 @@ class OutsidePlant:
         }
 
     def ours(self, theirs: FloatArray) -> FloatArray:
-        """Return a number per rotor of RotorPy in the order of the declared rotors."""
+        """Return a number per rotor, in the order of the declared rotors."""
         ordered = np.empty_like(theirs)
         ordered[self._order] = theirs
         return ordered
@@ -285,7 +285,7 @@ class OutsidePlant:
         declared, power = self.dynamics.rates_and_integrand(t, x, np.asarray(alpha, dtype=float))
         s = joint[:_SIZE].copy()
         s[_WIND] = self._wind(t, x)
-        # Under this command the rotors accelerate as wanted, whatever their lag.
+        # With this command the rotors have the desired acceleration, whatever their lag.
         theirs = np.asarray(alpha, dtype=float)[self._order]
         command = s[_SPEEDS] + self.parameters["tau_m"] * theirs
         # RotorPy's public step integrates with a tolerance of 1e-3 and holds the command.
@@ -316,7 +316,7 @@ class OutsidePlant:
         Raises
         ------
         SolveError
-            If the vehicle tumbles or the integration breaks down.
+            If the vehicle tumbles or the integration fails.
         """
         rate = self.habits.command_rate_hz
         if rate is not None:
@@ -340,7 +340,7 @@ class OutsidePlant:
             if not flown.success:
                 raise SolveError(f"RotorPy: {flown.message} Check the gains of the scenario.")
             joint = flown.y[:, -1]
-            # Each part but the first starts where the last one ended.
+            # Each part except the first starts at the end of the previous part.
             for t, row in list(zip(flown.t.tolist(), flown.y.T, strict=True))[bool(times) :]:
                 times.append(t)
                 rows.append(row)
@@ -355,7 +355,7 @@ class OutsidePlant:
     def _slope(
         self, law: OutsideLaw, inside: float, last: float
     ) -> Callable[[float, FloatArray], FloatArray]:
-        """Return the derivative of the joint state in a part of a flight; it ends a tumble."""
+        """Return the derivative of the joint state in a part of a flight, stopping a tumble."""
         guard = TumblingGuard("RotorPy", last - inside)
 
         def slope(t: float, joint: FloatArray) -> FloatArray:
@@ -365,7 +365,7 @@ class OutsidePlant:
         return slope
 
     def _held(self, law: OutsideLaw, t: float, joint: FloatArray) -> OutsideLaw:
-        """Return a law that holds the command of a moment; the motors follow it with their lag."""
+        """Return a law that holds the present command; the motors follow it with their lag."""
         x, lag = self.read(joint), self.parameters["tau_m"]
         command = x[self._rotors] + lag * np.asarray(law(t, x, self.own(joint))[0], dtype=float)
 
@@ -380,7 +380,7 @@ _WIND_VELOCITY = ("wind.velocity_x", "wind.velocity_y", "wind.velocity_z")
 
 
 def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatArray], FloatArray]:
-    """Return the declared wind, shape (3,), over time and the declared states."""
+    """Return the declared wind, shape (3,), as a function of time and the declared states."""
     keys = tuple((name, None) for name in _WIND_VELOCITY if dynamics.has(name))
 
     def read(times: FloatArray, states: FloatArray) -> FloatArray:
@@ -389,7 +389,7 @@ def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatAr
         values[:, : len(keys)] = dynamics.table(keys, times, states, controls)
         return values
 
-    if scenario.wind.varies_with_height:
+    if scenario.wind.varies_with_place:
         return lambda t, x: read(np.array([t]), x[None, :])[0]
     times = even_times(0.0, scenario.mission.fixed_duration, _WIND_RATE_HZ)
     still = np.zeros((len(times), len(dynamics.state_names)))
@@ -401,7 +401,7 @@ def refuse_pushing_wind(scenario: Scenario) -> None:
     """Refuse a wind that acts as an acceleration; RotorPy's wind acts on the airspeed."""
     wind = scenario.wind
     is_steady = bool(wind.speed or wind.vertical)
-    blows = is_steady or wind.series is not None or _blows(wind.x) or _blows(wind.y)
+    blows = is_steady or not wind.is_formula or _blows(wind.x) or _blows(wind.y)
     if wind.coupling is WindCoupling.ACCELERATION and blows:
         raise ScenarioError(
             f"{scenario.name}: wind.coupling = acceleration has no counterpart in RotorPy, whose "
@@ -492,7 +492,7 @@ def _adaptive(
 
 
 def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0) -> OutsideLaw:
-    """Return RotorPy's own controller, with its position gains times a factor.
+    """Return RotorPy's own controller, with its position gains multiplied by `stiffness`.
 
     Its commands are clipped to the limits of the rotors.
     """
@@ -508,7 +508,7 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
             "x": np.array(place[:3]),
             "x_dot": np.array(rate[:3]),
             "x_ddot": np.array(acceleration[:3]),
-            # The controller turns RotorPy's body, not ours.
+            # The controller turns RotorPy's body axes, not the declared ones.
             "yaw": place[3] + plant.turn,
             "yaw_dot": rate[3],
         }

@@ -1,4 +1,4 @@
-"""A plan: the optimal flight as the rest of the product, and its users, see it; and its file."""
+"""A plan, the optimal flight of a scenario, and its file."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping  # noqa: TC003  read by pydantic
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Final, Literal, NoReturn, Self, overload
 from zipfile import ZipFile
@@ -32,6 +32,7 @@ from pyomo_quad.flight.orders import OrderSearch  # noqa: TC001  read by pydanti
 from pyomo_quad.flight.routes import TriedRoute  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.verification import Passage, Verification, split_at_breaches
 from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.fields import Part
 from pyomo_quad.scenario.messages import PyomoQuadError, complaints, printable
 
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
     from pyomo_quad.scenario.mission import NamedDuration
 
 
-#: Of a plan where it stands beside other flights.
+#: Samples of a plan in comparisons with other flights.
 FLIGHT_SAMPLES = 1001
 
 
@@ -55,15 +56,14 @@ class Failure:
     Attributes
     ----------
     longest : NamedDuration
-        The mission's duration; the greatest where it is free.
+        The mission's duration; the greatest duration if it is free.
     shortest_duration_s : float or None
-        The least time in which the mission can be flown within its limits; None where none was
-        found.
+        The least time in which the mission can be flown within its limits; None if none was found.
     diagnosis : Diagnosis
         The engine's: worst equations, active limits, and declarations that must be relaxed
         together.
     remedies : tuple of Relaxation
-        Single limits whose change alone would make the mission possible.
+        Single limits whose relaxation alone would make the mission possible.
     """
 
     longest: NamedDuration
@@ -73,13 +73,13 @@ class Failure:
 
     @property
     def is_too_short(self) -> bool:
-        """Whether more time would do."""
+        """Whether a longer duration would suffice."""
         return (
             self.shortest_duration_s is not None and self.shortest_duration_s > self.longest.value
         )
 
     def causes(self) -> Iterator[str]:
-        """Yield one sentence per cause or remedy, the plainest first."""
+        """Yield one sentence per cause or remedy, the simplest first."""
         if self.shortest_duration_s is not None and self.is_too_short:
             missing = self.shortest_duration_s - self.longest.value
             limits = ", ".join(str(limit.name) for limit in self.diagnosis.active) or "its limits"
@@ -90,7 +90,7 @@ class Failure:
         for remedy in self.remedies:
             yield (
                 f"{remedy.name} = {remedy.limit:.6g} {remedy.unit}: the mission would be "
-                f"possible if this alone gave way by {remedy.amount:.4g} {remedy.unit}."
+                f"possible if this limit alone were relaxed by {remedy.amount:.4g} {remedy.unit}."
             )
         for relaxation in self.diagnosis.relaxations:
             yield f"least change that makes the mission possible: {relaxation}."
@@ -127,7 +127,7 @@ class Trajectories:
     def controls_at(
         self, t: FloatArray, limits: tuple[FloatArray, FloatArray] | None = None
     ) -> FloatArray:
-        """Return the control polynomials at times, held to limits, shape (n, n_controls)."""
+        """Return the control polynomials at times, clipped to limits, shape (n, n_controls)."""
         controls = interpolate(self.mesh, self.controls, self.fractions(t), with_start=False)
         return controls if limits is None else np.clip(controls, *limits)
 
@@ -144,10 +144,10 @@ class Trajectories:
 
 
 def trajectories_of(solution: Solution) -> Trajectories:
-    """Return what a solution says over time, by name."""
+    """Return the trajectories of a solution, by name."""
     declared = solution.problem.compiled.declared
     costates = solution.costates
-    # What equations determine is no command: a flight solves for it.
+    # Variables that equations determine are not commands: a flight solves for them.
     controls, _ = split_algebraics(solution.problem)
     names = {slot.name for slot in controls}
     is_control = [slot.name in names for slot in declared.algebraics]
@@ -165,6 +165,9 @@ def trajectories_of(solution: Solution) -> Trajectories:
     )
 
 
+#: Least size of an energy by which errors are divided [J].
+LEAST_ENERGY_J = 1e-3
+
 _FORMAT: Final = 2
 _ABOUT = "about"
 _LARGEST_FILE = 256 * 1024 * 1024
@@ -174,21 +177,27 @@ _WARM_START = "warm_start."
 
 
 class PlanStatus(StrEnum):
-    """What became of a plan; only `VERIFIED` is proven by a flight."""
+    """Outcome of a plan.
+
+    A flight proves `VERIFIED` to be as accurate as was asked for.  It proves of `USABLE` that it
+    arrives, keeps all limits and spends the energy stated, to the figures of the accuracy `quick`;
+    how much less another flight may spend is known only by `Plan.energy_uncertainty`.
+    """
 
     VERIFIED = "verified"
+    USABLE = "usable"
     SOLVED = "solved"
     NOT_CONVERGED = "not_converged"
     INFEASIBLE = "infeasible"
     INTERRUPTED = "interrupted"
 
 
-# A solve that failed may leave an error that is infinite.
+# A failed solve may have an infinite error.
 _Error = Annotated[float, AllowInfNan()]
 
 
 class PlanRecord(Part):
-    """What a plan's file says beside its arrays."""
+    """The data of a plan's file other than its arrays."""
 
     status: PlanStatus
     message: str
@@ -226,7 +235,7 @@ def write_plan_file(
     trajectories: Trajectories,
     warm_start: WarmStart | None,
 ) -> None:
-    """Write a plan's description and arrays; a warm start only if all of it are numbers."""
+    """Write a plan's description and arrays; the warm start is written only if it is finite."""
     about = _About(
         format=_FORMAT,
         scenario=scenario.model_dump(mode="json"),
@@ -267,7 +276,7 @@ def read_plan_file(path: Path) -> tuple[Scenario, PlanRecord, Trajectories, Warm
     except OSError as error:
         raise ScenarioError(f"{path}: cannot be read ({error.strerror or error}).") from None
     except Exception as error:
-        # A damaged archive fails in as many ways as zip and npy readers have.
+        # The zip and npy readers raise exceptions of many types for a damaged archive.
         raise ScenarioError(_not_a_plan(path)) from error
     try:
         about = _read_about(path, text)
@@ -279,7 +288,8 @@ def read_plan_file(path: Path) -> tuple[Scenario, PlanRecord, Trajectories, Warm
 
 def _read_arrays(path: Path, file: BinaryIO) -> dict[str, NDArray[Any]]:
     with ZipFile(file) as archive:
-        # What the archive claims to unpack to: a small file can hold a flood.
+        # Unpacked size according to the archive, because a small file may unpack to a very large
+        # one.
         size = sum(part.file_size for part in archive.infolist())
     if size > _LARGEST_FILE:
         raise ScenarioError(f"{path}: holds more than {_LARGEST_FILE} bytes; not a plan.")
@@ -305,9 +315,13 @@ def _read_about(path: Path, text: NDArray[Any]) -> _About:
         _refuse(path, "error_estimate and history hold a NaN.")
     if not start < end:
         _refuse(path, f"horizon = [{start:g}, {end:g}] s; must end after it starts.")
-    is_proven = plan.verification is not None and plan.verification.is_verified
-    if plan.status is PlanStatus.VERIFIED and not is_proven:
-        _refuse(path, "status = verified, but its verification says otherwise.")
+    flown = plan.verification
+    proven = {
+        PlanStatus.VERIFIED: flown is not None and flown.is_verified,
+        PlanStatus.USABLE: flown is not None and flown.reached is not None,
+    }
+    if not proven.get(plan.status, True):
+        _refuse(path, f"status = {plan.status.value}, but its verification has failed.")
     for kind, names in (
         ("state_names", about.state_names),
         ("control_names", about.control_names),
@@ -387,26 +401,26 @@ class Plan(Summarised):
     scenario : Scenario
     status : PlanStatus
     message : str
-        How the solve ended, in one sentence.
+        Reason why the solve ended, in one sentence.
     energy : float
         Objective by the scheme's own quadrature [J].
     hover_energy_J : float
         Energy of hovering for the same time.
     trajectories : Trajectories
     verification : Verification or None
-        None where nothing was flown, because the solve failed.
+        None if nothing was flown, because the solve failed.
     error_estimate : float
-        Relative, largest over elements and states.
+        Largest relative error over elements and states.
     history : tuple of MeshRecord
         The meshes of the refinement.
     iterations : tuple of Iteration
         Ipopt's progress on the last mesh.
     attempts : tuple of str
-        What was tried, in order, when the first solve was not enough.
+        Strategies tried, in order, after the first solve was not sufficient.
     failure : Failure or None
-        Why the solve failed, where it did.
+        Diagnosis of a failed solve.
     passing_times_s : tuple of float
-        When each waypoint is reached [s].
+        Time at which each waypoint is reached [s].
     timings : mapping
         Seconds for build, compile, solve and verify.
     routes : tuple of TriedRoute
@@ -414,7 +428,7 @@ class Plan(Summarised):
     order_search : OrderSearch or None
         How the order of the waypoints was found, where the mission leaves it open.
     warm_start : WarmStart or None
-        Where another solve can begin; kept by `save`.
+        Initial point for another solve; stored by `save`.
     solution : Solution or None
         The engine's own result; None when the plan was loaded from a file.
     risk : RiskTaken or None
@@ -444,18 +458,18 @@ class Plan(Summarised):
 
     @property
     def duration_s(self) -> float:
-        """Duration of the flight [s]: the mission's, or what the plan chose."""
+        """Duration of the flight [s]: prescribed by the mission, or chosen by the plan."""
         start, end = self.trajectories.horizon
         return end - start
 
     @property
     def cost(self) -> float:
-        """Energy, and what the time costs beside it [J]."""
+        """Energy plus the price of the flight's time [J]."""
         return self.energy + self.scenario.mission.price_of_time * self.duration_s
 
     @property
     def mission_flown(self) -> Scenario:
-        """The scenario with the times that the plan has."""
+        """The scenario with the plan's duration and passing times."""
         told = self.scenario
         if not told.mission.is_free and not told.mission.waypoints:
             return told
@@ -485,8 +499,43 @@ class Plan(Summarised):
 
     @property
     def is_verified(self) -> bool:
-        """Whether a flight of the controls confirmed the plan."""
+        """Whether a flight of the controls confirmed the plan as accurate as was asked for."""
         return self.status is PlanStatus.VERIFIED
+
+    @property
+    def is_flyable(self) -> bool:
+        """Whether a flight of the controls confirmed the plan: it is verified or usable."""
+        return self.status in (PlanStatus.VERIFIED, PlanStatus.USABLE)
+
+    @property
+    def accuracy_checked(self) -> Accuracy:
+        """The accuracy whose figures the plan was held against: of a usable one, `quick`."""
+        usable = self.status is PlanStatus.USABLE
+        return Accuracy.QUICK if usable else self.scenario.solver.accuracy
+
+    @property
+    def accuracy_reached(self) -> Accuracy | None:
+        """The highest accuracy, up to the one asked for, that flight and error estimate confirm."""
+        if self.is_verified:
+            return self.scenario.solver.accuracy
+        flown = None if self.verification is None else self.verification.reached
+        known = self.energy_uncertainty
+        met = [a for a in Accuracy if flown and flown.meets(a) and known <= FIGURES[a].energy]
+        return met[-1] if met and self.is_flyable else None
+
+    @property
+    def energy_uncertainty(self) -> float:
+        """Share of the energy by which another flight nearby may spend less, as far as is known.
+
+        The error estimate of a plan that is verified, and is its energy's among others; else by how
+        much the last mesh changed the energy, infinite where there was one mesh.
+        """
+        if self.is_verified:
+            return min(self.error_estimate, self.scenario.solver.tolerance)
+        if len(self.history) < 2:
+            return inf
+        last, now = self.history[-2:]
+        return abs(now.objective - last.objective) / max(abs(now.objective), LEAST_ENERGY_J)
 
     @property
     def iteration_count(self) -> int:
@@ -495,7 +544,7 @@ class Plan(Summarised):
 
     @property
     def reached(self) -> str:
-        """How far a search came that ended early, in one sentence."""
+        """Progress of a search that ended early, in one sentence."""
         asked = self.scenario.solver.tolerance
         parts = [
             f"mesh {max(len(self.history), 1)} with {self.mesh.points} points",
@@ -505,12 +554,12 @@ class Plan(Summarised):
             last = self.iterations[-1]
             parts += [f"iteration {last.iteration}", f"infeasibility {last.infeasibility:.1e}"]
         if isfinite(self.error_estimate):
-            parts.append(f"estimated error {self.error_estimate:.1e} where {asked:g} is asked for")
+            parts.append(f"estimated error {self.error_estimate:.1e} where {asked:g} is required")
         return f"Reached: {', '.join(parts)}."
 
     @cached_property
     def dynamics(self) -> Dynamics:
-        """The declared equations that the plan was made with, ready to fly."""
+        """The declared equations of the plan, ready to fly."""
         if self.solution is None:
             raise ScenarioError(
                 f"{self.scenario.name}: this plan was loaded from a file and holds no equations; "
@@ -519,17 +568,18 @@ class Plan(Summarised):
         return self.solution.dynamics
 
     def owed_energy(self, final: Mapping[str, float]) -> float:
-        """Return what a flight of the mission still owes that ended in another state [J].
+        """Return the energy needed to complete the mission from another end state [J].
 
-        The costate is what the least energy would fall by if the end lay further on, so its
-        product with the distance from the planned end prices the rest to first order.  Where the
-        least energy is convex in the end state the true price is not larger: with it added no
-        flight lies below the optimum, and hence none below its bound.
+        The costate is the decrease of the least energy per unit by which the end state is further
+        on. Its product with the distance from the planned end is therefore the missing energy, to
+        first order. If the least energy is convex in the end state, the true value is not larger:
+        with this estimate added, no flight is below the optimum, and hence none below the lower
+        bound.
 
         Parameters
         ----------
         final : mapping
-            State name -> final value; a state that the plan does not have owes nothing.
+            State name -> final value; a state that the plan does not have adds nothing.
         """
         held = self.trajectories
         planned = dict(zip(held.state_names, held.states[-1].tolist(), strict=True))
@@ -541,7 +591,7 @@ class Plan(Summarised):
 
     @property
     def end_prices(self) -> dict[str, float]:
-        """State name -> costate at the end: what an end further on spares."""
+        """State name -> costate at the end: the energy saved per unit of that state."""
         held = self.trajectories
         return dict(zip(held.costate_names, held.costates[-1].tolist(), strict=True))
 
@@ -580,17 +630,18 @@ class Plan(Summarised):
 
     @property
     def passages(self) -> list[Passage]:
-        """Where the flight should pass, and when."""
+        """The places that the flight should pass, with times."""
         pairs = zip(self.scenario.mission.waypoints, self.passing_times_s, strict=True)
         return [Passage(time_s=at, position=w.position, radius=w.radius) for w, at in pairs]
 
     @property
     def mesh_where_broken(self) -> Mesh:
-        """The mesh, finer where the flight broke a limit."""
+        """The mesh, refined where the flight violated a limit."""
         held = self.trajectories
         if self.flown is None:
             return held.mesh
-        return split_at_breaches(self.dynamics, self.flown, held.mesh, held.horizon)
+        accuracy = self.scenario.solver.accuracy
+        return split_at_breaches(self.dynamics, self.flown, held.mesh, held.horizon, accuracy)
 
     def _sampled(
         self, times: FloatArray
@@ -635,9 +686,9 @@ class Plan(Summarised):
             terminal_miss_m=np.inf if verification is None else verification.terminal_miss_m,
             max_violation=np.inf if verification is None else verification.max_violation,
             worst_constraint="" if verification is None else verification.worst_constraint,
-            is_verified=self.is_verified,
+            is_verified=self.is_flyable,
             wall_s=sum(self.timings.values()),
-            owed_energy_J=0.0,  # its energy is that of the planned end, which is the one wanted
+            owed_energy_J=0.0,  # its end is the required one
             broken_limits=() if verification is None else verification.broken_limits,
         )
 
@@ -652,7 +703,7 @@ class Plan(Summarised):
         return frame
 
     def guess(self) -> pd.DataFrame:
-        """Return states and controls at the nodes as a first guess for another solve."""
+        """Return states and controls at the nodes as an initial guess for another solve."""
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
         held, times = self.trajectories, self.trajectories.node_times
@@ -663,7 +714,7 @@ class Plan(Summarised):
         return frame
 
     def save(self, path: str | Path) -> None:
-        """Write the plan to a file that `load` reads: arrays and JSON, nothing pickled."""
+        """Write the plan to a file for `load`: arrays and JSON, nothing pickled."""
         write_plan_file(
             Path(path),
             self.scenario,
@@ -688,15 +739,15 @@ class Plan(Summarised):
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a plan that `save` wrote; it holds no equations, and so cannot be flown again.
+        """Read a plan that `save` wrote; it has no equations and cannot be flown again.
 
-        Another solve can start from it as from the plan that was saved.
+        Another solve can start from it as from the original plan.
 
         Raises
         ------
         ScenarioError
-            If the file is missing, too large, or not a plan of this version; the line names what
-            is wrong with it.
+            If the file is missing, too large, or not a plan of this version; the message names the
+            error.
         """
         scenario, record, trajectories, warm_start = read_plan_file(Path(path))
         values = {name: getattr(record, name) for name in PlanRecord.model_fields}

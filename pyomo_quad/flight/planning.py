@@ -1,15 +1,16 @@
-"""From a scenario to a plan: build, compile, solve, fly; and what is tried when that fails."""
+"""From a scenario to a plan: build, compile, solve, fly; with retries after a failure."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from math import inf, nan
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pyomo_quad.collocation import (
     Allowance,
@@ -27,19 +28,20 @@ from pyomo_quad.collocation import (
     compile,
 )
 from pyomo_quad.flight.deadline import Deadline
-from pyomo_quad.flight.flight import HELD_BREACH, VIOLATION_TOLERANCE
+from pyomo_quad.flight.flight import HELD_BREACH
 from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
 from pyomo_quad.flight.recent import Recent
 from pyomo_quad.flight.rescue import (
     Effort,
     Rescuer,
     at_its_easiest,
+    best_speed,
     by_way_of,
     declared_free_times,
     easier_numbers,
     fine_mesh,
+    given_up,
     guess_of,
-    in_time,
     is_long,
     rough_mesh,
     shortest_flight,
@@ -53,15 +55,18 @@ from pyomo_quad.flight.routes import (
     find_journeys,
     guess_along,
     journey_as_flown,
+    length_of,
+    promising,
     with_plain_passages,
 )
+from pyomo_quad.flight.search import Search, State
 from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.tour import cheapest, find_orders
+from pyomo_quad.flight.usable import flyable_from
+from pyomo_quad.flight.verdict import energy_of, horizon_of, plan_of, verified
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
-    MISS_TOLERANCE,
     shares_lacking,
-    verify_controls,
 )
 from pyomo_quad.model import build_model, parameter_values, structure_key
 from pyomo_quad.model.battery import GIVEN_SHARE
@@ -69,9 +74,11 @@ from pyomo_quad.model.build import guess_key
 from pyomo_quad.model.limits import without_reserve
 from pyomo_quad.model.wind import still_air
 from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.mission import Aim, Order
 
 Builder = Callable[[Scenario], Any]
+FloatArray = NDArray[np.float64]
 
 # How much longer than the least time flights are that come closer and closer to it: the last is
 # bang-bang, and hard to prove.  A step closer ends after so many times the effort of the first.
@@ -90,18 +97,8 @@ _MOST_STEADY = 2
 #: Problems compiled from the declared model, for all planners of the process: scenario and problem
 #: by the scenario's structure.
 PROBLEMS: Recent[tuple[Scenario, Problem]] = Recent(_MOST_PROBLEMS)
-# The verification allows twice as much.
-_ALLOWANCE = Allowance(
-    control_breach=HELD_BREACH,
-    limit_breach=0.5 * VIOLATION_TOLERANCE,
-    final_miss=0.5 * MISS_TOLERANCE,
-)
-
-_STATUS = {
-    Status.NOT_CONVERGED: PlanStatus.NOT_CONVERGED,
-    Status.INFEASIBLE: PlanStatus.INFEASIBLE,
-    Status.INTERRUPTED: PlanStatus.INTERRUPTED,
-}
+# Share of what a flight may miss or break that the error estimate of a mesh may.
+_ESTIMATED = 0.5
 
 
 class Planner:
@@ -125,7 +122,7 @@ class Planner:
 
     @property
     def builder(self) -> Builder:
-        """What makes the Pyomo model of a scenario."""
+        """Function that builds the Pyomo model of a scenario."""
         return self._builder
 
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
@@ -165,7 +162,7 @@ class Planner:
         if steady is None:
             problem, _ = self.problem_for(scenario)
             numbers = (self.parameters(scenario) or {}) | still_air(problem.model)
-            still = problem.dynamics(parameters=numbers, horizon=_horizon(scenario))
+            still = problem.dynamics(parameters=numbers, horizon=horizon_of(scenario))
             steady = self._steady.store(scenario, SteadyFlight(scenario, still, known))
         return steady
 
@@ -179,7 +176,7 @@ class Planner:
         Its limits are those of the controller, which has what plans leave as a reserve.
         """
         problem, numbers = self.problem_for(scenario)[0], self.parameters(scenario)
-        return problem.dynamics(parameters=without_reserve(numbers), horizon=_horizon(scenario))
+        return problem.dynamics(parameters=without_reserve(numbers), horizon=horizon_of(scenario))
 
     def solve(
         self,
@@ -187,6 +184,7 @@ class Planner:
         *,
         warm_start: Plan | WarmStart | None = None,
         progress: Progress | None = None,
+        show: Callable[[State], None] | None = None,
     ) -> Plan:
         """Solve a scenario and verify the result by flying it.
 
@@ -198,19 +196,25 @@ class Planner:
             and its multipliers if they belong to the same equations, are the first point.
         progress : callable, optional
             Called at each Ipopt iteration; returning False stops the solve.
+        show : callable, optional
+            Called at each iteration with the stage of the search and the best energy so far.
 
         Returns
         -------
         Plan
-            With its status; a failure of the numerics is a result, not an exception. One that
-            takes longer than `solver.time_limit` of processor time, the flight that checks it
-            included, is not converged and says so; nothing else depends on how fast the machine is.
+            With its status; a failure of the numerics is a result, not an exception. A search that
+            is stopped, fails late, or takes longer than `solver.time_limit` of processor time, the
+            flight that checks its plan included, ends with the best usable plan so far; without
+            one it is not converged and says so.  Nothing else depends on how fast the machine is.
         """
         solve = self._solve_quickest if scenario.mission.aim is Aim.TIME else self._solve
         with Deadline(scenario, progress) as deadline:
+            search = Search(deadline, show)
             if scenario.mission.order is Order.BEST and scenario.mission.waypoints:
-                return in_time(self._solve_in_best_order(scenario, solve, deadline), deadline)
-            return in_time(solve(scenario, warm_start, deadline), deadline)
+                plan = self._solve_in_best_order(scenario, solve, search)
+            else:
+                plan = solve(scenario, warm_start, search)
+            return search.ended(given_up(plan, deadline))
 
     def _solve_in_best_order(
         self, scenario: Scenario, solve: Callable[..., Plan], progress: Progress
@@ -240,7 +244,7 @@ class Planner:
                 solution = self._first_solve(problem, told, None, progress)
                 if not solution.status.has_failed:
                     return solution
-            # What is hard for one order is hard for all: none but the first is tried both ways.
+            # A difficulty of one order is one of all orders, so only the first is tried both ways.
             plain = self._plainly(told, self._arguments(told, progress) | {"tolerance": None}, None)
             is_plain = plain is not None
             return solution if plain is None else plain
@@ -318,17 +322,17 @@ class Planner:
             rescue = self._rescuer(problem, told, progress)(solution)
             solution = rescue.solution
         timings["solve"] = time.perf_counter() - started
-        plan = _plan_of(scenario, solution, timings, self._hover_energy(told, solution))
+        plan = plan_of(scenario, solution, timings, self._hover_energy(told, solution))
         plan = replace(plan, routes=routes)
         if rescue is not None:
             plan = replace(plan, attempts=rescue.attempts, failure=rescue.failure)
         if not solution.status.is_solved:
             return plan
-        plan = self._confirmed(_verified(plan, solution), problem, told, progress)
+        plan = self._confirmed(verified(plan, solution), problem, told, progress)
         return self._fed(plan, progress)
 
     def _fed(self, plan: Plan, progress: Progress) -> Plan:
-        """Return the plan or, where its pack lacks power, one within what the pack can give."""
+        """Return the plan or, if its pack lacks power, a plan within the pack's capability."""
         limits, flown = plan.scenario.limits, plan.flown
         is_own = self._builder is not build_model or limits.battery_power_share_max is not None
         is_met = plan.solution is not None and plan.solution.status is Status.CONVERGED
@@ -351,8 +355,8 @@ class Planner:
         tried = f"pack held to {share} of its greatest power: {solution.status.value}"
         attempts = (*plan.attempts, tried)
         if solution.status.is_solved:
-            fed = _plan_of(plan.scenario, solution, timings, plan.hover_energy_J)
-            fed = _verified(replace(fed, attempts=attempts, routes=plan.routes), solution)
+            fed = plan_of(plan.scenario, solution, timings, plan.hover_energy_J)
+            fed = verified(replace(fed, attempts=attempts, routes=plan.routes), solution)
             fed = self._confirmed(fed, problem, within, progress)
             if fed.is_verified:
                 return fed
@@ -387,8 +391,8 @@ class Planner:
             timings = dict(plan.timings)
             timings["solve"] += time.perf_counter() - started
             attempts = (*plan.attempts, f"flight astray: tolerance {tolerance:.0e}")
-            tried = _plan_of(plan.scenario, tighter, timings, plan.hover_energy_J)
-            plan = _verified(replace(tried, attempts=attempts, routes=plan.routes), tighter)
+            tried = plan_of(plan.scenario, tighter, timings, plan.hover_energy_J)
+            plan = verified(replace(tried, attempts=attempts, routes=plan.routes), tighter)
         return plan
 
     def _by_routes(
@@ -406,7 +410,7 @@ class Planner:
         """
         arguments, easier = self._arguments(told, progress), easier_numbers(problem, told)
         try:
-            journeys = find_journeys(told.airspace, told.mission.positions)[:most]
+            journeys = self._journeys(problem, told, most)
         except NoRouteError as error:
             unsolved = {"tolerance": None, "options": SolverOptions(max_iterations=0)}
             closed = problem.solve(**arguments | unsolved | {"progress": None})
@@ -429,9 +433,13 @@ class Planner:
             is_plain = True
             return fly(journey)
 
+        keep = arguments["refinement"].on_mesh
+
         def refine(flown: Solution, meshes: int | None) -> Solution:
             if told.solver.max_refinements == 0 and not easier:
                 return flown
+            if keep is not None:
+                keep(flown)
             on_mesh = arguments | {"mesh": flown.mesh}
             if meshes is None and easier:
                 return by_way_of(easier, problem, on_mesh, flown.trajectory)
@@ -441,8 +449,39 @@ class Planner:
             return problem.solve(**on_mesh, warm_start=flown)
 
         return best_of_journeys(
-            journeys, fly, refine, partial(_energy, told), partial(journey_as_flown, told)
+            journeys, fly, refine, partial(energy_of, told), partial(journey_as_flown, told)
         )
+
+    def _journeys(self, problem: Problem, told: Scenario, most: int | None) -> tuple[Journey, ...]:
+        """Return the journeys to fly, the shortest first, at most so many: for a proof, all."""
+        journeys = find_journeys(told.airspace, told.mission.positions)[:most]
+        if told.solver.accuracy is Accuracy.PROOF or len(journeys) == 1:
+            return journeys
+        return promising(journeys, self._cost_per_metre(problem, told, journeys[0]))
+
+    def _cost_per_metre(
+        self, problem: Problem, told: Scenario, shortest: Journey
+    ) -> Callable[[FloatArray], float]:
+        """Return what a metre of steady flight costs along a direction, at one speed for all."""
+        mission = told.mission
+        horizon = (0.0, told.nominal_duration)
+        dynamics = problem.dynamics(parameters=self.parameters(told), horizon=horizon)
+        steady = SteadyFlight(told, dynamics)
+        speed = length_of(shortest) / told.nominal_duration
+        if mission.is_free:
+            way = shortest[0].places[-1] - shortest[0].places[0]
+            length = float(np.linalg.norm(way))
+            course = way / length if length > 0.0 else np.array([1.0, 0.0, 0.0])
+            speed = best_speed(steady, course, mission.price_of_time)
+        speed = min(speed, told.limits.speed_max or inf)
+
+        def cost(course: FloatArray) -> float:
+            try:
+                return (steady.trim(speed * course).power_W + mission.price_of_time) / speed
+            except SolveError:
+                return inf
+
+        return cost
 
     def _plainly(self, told: Scenario, chosen: dict[str, Any], guess: Any) -> Solution | None:
         """Solve the mission past the waypoints themselves; None where it passes them anyway."""
@@ -497,7 +536,7 @@ class Planner:
         return problem.solve(**arguments | chosen, warm_start=rough)
 
     def _arguments(self, told: Scenario, progress: Progress | None) -> dict[str, Any]:
-        settings = told.solver
+        settings, figures = told.solver, FIGURES[told.solver.accuracy]
         options = SolverOptions(max_iterations=settings.max_iterations)
         limits_move = bool(told.mission.is_free or told.mission.waypoints or told.airspace.keep_out)
         if limits_move:
@@ -506,17 +545,46 @@ class Planner:
             "mesh": Mesh.uniform(settings.elements, settings.degree),
             "tolerance": settings.tolerance,
             "parameters": self.parameters(told),
-            "horizon": _horizon(told),
+            "horizon": horizon_of(told),
             "options": options,
             "refinement": RefinementOptions(
                 first_elements=settings.elements,
                 first_degree=settings.degree,
                 max_meshes=settings.max_refinements + 1,
-                allowance=_ALLOWANCE,
+                allowance=Allowance(
+                    control_breach=HELD_BREACH,
+                    limit_breach=_ESTIMATED * figures.breach,
+                    final_miss=_ESTIMATED * figures.miss,
+                ),
                 limits_move=limits_move,
+                on_mesh=self._keeper(told, progress),
             ),
             "progress": progress,
         }
+
+    def _keeper(
+        self, told: Scenario, progress: Progress | None
+    ) -> Callable[[Solution], None] | None:
+        """Return what keeps the usable plans among the meshes that a search finishes."""
+        search = progress if isinstance(progress, Search) else None
+        if search is None:
+            return None
+
+        def flown(solution: Solution) -> Plan:
+            hovering = self._hover_energy(told, solution)
+            timings = {"build": 0.0, "compile": 0.0, "solve": search.spent_s}
+            plan = plan_of(told, solution, timings, hovering)
+            return replace(verified(plan, solution, Accuracy.QUICK), status=PlanStatus.SOLVED)
+
+        def flyable(solution: Solution) -> Iterator[Plan]:
+            problem, _ = self.problem_for(told)
+            arguments = self._arguments(told, progress)
+            return map(flown, flyable_from(problem, arguments, solution, told.airspace))
+
+        def keep(solution: Solution) -> None:
+            search.finished(solution, energy_of(told, solution), flown, flyable)
+
+        return keep
 
     def _rescuer(self, problem: Problem, told: Scenario, progress: Progress | None) -> Rescuer:
         arguments = self._arguments(told, progress)
@@ -531,7 +599,7 @@ class Planner:
 
         return Rescuer(
             longest=told.mission.longest,
-            # What was flown on a finer mesh need not be flyable on the first.
+            # A flight found on a finer mesh may be infeasible on the first mesh.
             solve=lambda held: by_way_of(easier, problem, arguments | {"mesh": held.mesh}, held),
             solve_plainly=lambda: self._plainly(told, easiest | {"tolerance": None}, None),
             solve_slowly=slowly,
@@ -540,7 +608,7 @@ class Planner:
         )
 
     def _hover_energy(self, told: Scenario, solution: Solution) -> float:
-        """Return the energy of hovering through the mission, NaN for what cannot hover."""
+        """Return the energy of hovering through the mission, NaN if the vehicle cannot hover."""
         held = trajectories_of(solution)
         known = dict(zip(held.state_names, held.states[0].tolist(), strict=True))
         try:
@@ -551,79 +619,11 @@ class Planner:
         return power * (end - start)
 
 
-def _plan_of(
-    scenario: Scenario,
-    solution: Solution,
-    timings: dict[str, float],
-    hover_energy: float,
-) -> Plan:
-    return Plan(
-        scenario=scenario,
-        status=_STATUS.get(solution.status, PlanStatus.SOLVED),
-        message=solution.message,
-        energy=_energy(scenario, solution),
-        hover_energy_J=hover_energy,
-        trajectories=trajectories_of(solution),
-        verification=None,
-        error_estimate=solution.error_estimate,
-        history=solution.history,
-        iterations=solution.iterations,
-        timings=timings,
-        warm_start=solution.warm_start,
-        solution=solution,
-        passing_times_s=tuple(
-            solution.value("mission.passing_time", index=k)
-            for k in range(len(scenario.mission.waypoints))
-        ),
-    )
-
-
 def _statics_for(problem: Problem, solution: Solution) -> np.ndarray:
-    """Return the static variables of a problem as a solution of a similar one has them."""
+    """Return a problem's static variables with their values in a similar problem's solution."""
     slots = solution.problem.compiled.declared.statics
     held = dict(zip((slot.name for slot in slots), solution.trajectory.statics, strict=True))
     return np.array([held[slot.name] for slot in problem.compiled.declared.statics])
-
-
-def _horizon(scenario: Scenario) -> tuple[float, float] | None:
-    """Return start and end of a scenario's horizon [s], None where a variable holds the end."""
-    return None if scenario.mission.is_free else (0.0, scenario.mission.fixed_duration)
-
-
-def _energy(scenario: Scenario, solution: Solution) -> float:
-    """Return the energy of a solution, without what its time costs beside [J]."""
-    if not scenario.mission.is_free:
-        return solution.objective
-    return float(solution.running_objective[-1])
-
-
-def _verified(plan: Plan, solution: Solution) -> Plan:
-    """Return the plan with the verdict of flying its controls."""
-    started = time.perf_counter()
-    held = plan.trajectories
-    try:
-        verification, flown = verify_controls(
-            plan.dynamics,
-            held.mesh,
-            held.states,
-            held.controls,
-            held.horizon,
-            plan.energy,
-            plan.scenario.airspace,
-            plan.passages,
-        )
-    except SolveError as error:
-        return replace(plan, status=PlanStatus.SOLVED, message=str(error))
-    is_proven = verification.is_verified and solution.status is Status.CONVERGED
-    timings = dict(plan.timings) | {"verify": time.perf_counter() - started}
-    return replace(
-        plan,
-        status=PlanStatus.VERIFIED if is_proven else PlanStatus.SOLVED,
-        message=verification.shortfall or plan.message,
-        verification=verification,
-        flown=flown,
-        timings=timings,
-    )
 
 
 def solve_scenario(

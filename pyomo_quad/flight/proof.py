@@ -1,10 +1,10 @@
-"""Proof anew of a plan that was read from a file: what the file says of its proof counts nothing.
+"""Verification of a plan that was read from a file, whose own claims are not trusted.
 
-Ends and horizon must be those of the mission, and the controls, flown by SciPy through the
-scenario's own equations, must lead along the very states of the file.
+Ends and horizon must be those of the mission. The controls, flown by SciPy through the scenario's
+own equations, must reproduce the states of the file.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 
 import numpy as np
@@ -13,7 +13,6 @@ from pyomo_quad.collocation import Dynamics, SolveError, TranscriptionError
 from pyomo_quad.flight.baselines import declared_start, wanted_at_goal
 from pyomo_quad.flight.flight import (
     ARRIVAL_DISTANCE_M,
-    VIOLATION_TOLERANCE,
     FloatArray,
     Flown,
     terminal_miss_of,
@@ -22,27 +21,27 @@ from pyomo_quad.flight.plan import Trajectories
 from pyomo_quad.flight.planning import Builder, Planner
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
-    ENERGY_TOLERANCE,
-    MISS_TOLERANCE,
     Passage,
     Verification,
     verify_controls,
 )
 from pyomo_quad.model import build_model, model_builder
 from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.messages import shown
 
-# Share of a duration by which a horizon written in decimals may miss it.
+# Relative error of a horizon written in decimals.
 _SAME_TIME = 1e-9
 _AGAIN = "solve the scenario again."
 
 
 @dataclass(frozen=True, kw_only=True)
 class Allowed:
-    """By how much a flight may differ from what a file says of it.
+    """Tolerances on the difference between a flight and its file.
 
-    `miss` is of any state at any time and of the waypoints: metres, metres per second, radians,
-    or relative where a value is larger than 1.  `violation` of limits and `energy` are relative.
+    `miss` applies to any state at any time and to the waypoints: metres, metres per second,
+    radians, or relative if a value is larger than 1. `violation` of limits and `energy` are
+    relative.
     """
 
     miss: float
@@ -50,11 +49,15 @@ class Allowed:
     energy: float
 
 
-#: Of a file that holds every number of the plan.
-EXACT = Allowed(miss=MISS_TOLERANCE, violation=VIOLATION_TOLERANCE, energy=ENERGY_TOLERANCE)
-#: Of a report's table: it has each control held to its limits, and the polynomial through these
-#: is not the one that was flown.  Where controls are at their limits for long, flights of tables
-#: were found to be 2 cm, 1.4e-3 of a limit and 2e-5 of the energy off.
+def exactly(accuracy: Accuracy) -> Allowed:
+    """Return what is allowed of a file that holds every number of a plan of an accuracy."""
+    figures = FIGURES[accuracy]
+    return Allowed(miss=figures.miss, violation=figures.breach, energy=figures.energy_flown)
+
+
+#: For a report's table. It has each control clipped to its limits, and the polynomial through the
+#: clipped values differs from the flown one. If controls are at their limits for a long time,
+#: flights of tables deviate by 2 cm, 1.4e-3 of a limit and 2e-5 of the energy.
 TABLE = Allowed(miss=ARRIVAL_DISTANCE_M, violation=1e-2, energy=1e-3)
 
 
@@ -68,23 +71,23 @@ def refuse_unproven(
     *,
     is_code_allowed: bool = False,
 ) -> None:
-    """Refuse a plan that its mission's own equations do not confirm.
+    """Refuse a plan that the equations of its mission do not confirm.
 
     Parameters
     ----------
     held : Trajectories
-        Names may be of other components too; a state without a name starts as the mission says.
+        Names may include other components; a state without a name starts as the mission prescribes.
     energy : float
-        Of the whole flight [J].
+        Energy of the whole flight [J].
     dynamics : Dynamics, optional
-        The equations, where the plan still has them; else the scenario's own.
+        The plan's equations, if available; otherwise the scenario's.
     is_code_allowed : bool, optional
-        Whether a builder that the scenario names may be run.
+        Whether the scenario's own model builder may be run.
 
     Raises
     ------
     ScenarioError
-        Naming what is off, by how much, and what is allowed.
+        Naming the quantity, its deviation and the tolerance.
     """
     _refuse_other_times(scenario, held, passing_times_s)
     builder: Builder = build_model
@@ -95,7 +98,8 @@ def refuse_unproven(
             dynamics = Planner(builder).dynamics(told)
         except TranscriptionError as error:
             raise ScenarioError(f"{scenario.name}: {error}") from None
-    states, controls = _as_flown(scenario, held, dynamics)
+    ordered = in_order(scenario, held, dynamics)
+    states, controls = ordered.states, ordered.controls
     if builder is build_model and scenario.model is None:
         _refuse_other_ends(scenario, dynamics, states, allowed)
     waypoints = zip(scenario.mission.waypoints, passing_times_s, strict=True)
@@ -112,7 +116,7 @@ def refuse_unproven(
 def _refuse_failed(
     scenario: Scenario, verification: Verification, energy: float, allowed: Allowed
 ) -> None:
-    """Refuse a plan whose flight breaks limits or spends something else than it says."""
+    """Refuse a plan whose flight violates limits or spends another energy than stated."""
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
     passed = max(verification.passing_misses_m, default=0.0)
     failings = (
@@ -149,8 +153,8 @@ def _refuse_other_times(
             f"0 to {least:g} s" if least == greatest else f"0 to from {least:g} to {greatest:g} s"
         )
         raise ScenarioError(
-            f"{scenario.name}: horizon = {start:g} to {end:.9g} s; must be {allowed}, as the "
-            f"mission says; {_AGAIN}"
+            f"{scenario.name}: horizon = {start:g} to {end:.9g} s; must be {allowed}, as in the "
+            f"mission; {_AGAIN}"
         )
     ordered = np.diff([0.0, *passing_times_s, end])
     if len(passing_times_s) != len(mission.waypoints) or np.any(ordered < 0.0):
@@ -162,14 +166,18 @@ def _refuse_other_times(
         if waypoint.at is not None and abs(waypoint.at - time) > leeway:
             raise ScenarioError(
                 f"{scenario.name}: mission.waypoints[{k}] is passed at {time:g} s; must be "
-                f"{waypoint.at:g} s, as the mission says; {_AGAIN}"
+                f"{waypoint.at:g} s, as in the mission; {_AGAIN}"
             )
 
 
-def _as_flown(
-    scenario: Scenario, held: Trajectories, dynamics: Dynamics
-) -> tuple[FloatArray, FloatArray]:
-    """Return states and controls in the order of the dynamics; states not known later are NaN."""
+def in_order(scenario: Scenario, held: Trajectories, dynamics: Dynamics) -> Trajectories:
+    """Return a plan in the order of the dynamics; states that are known at the start only are NaN.
+
+    Raises
+    ------
+    ScenarioError
+        If a control is missing, or the start of a state.
+    """
     missing = set(dynamics.control_names) - set(held.control_names)
     if missing:
         raise ScenarioError(
@@ -185,16 +193,22 @@ def _as_flown(
             states[0, k] = start[name]
         else:
             raise ScenarioError(
-                f"{scenario.name}: nothing says where state {name} starts; export the file of "
-                "Plan.save."
+                f"{scenario.name}: the initial value of state {name} is unknown; export the file "
+                "of Plan.save."
             )
-    return states, held.controls[:, [held.control_names.index(n) for n in dynamics.control_names]]
+    return replace(
+        held,
+        state_names=dynamics.state_names,
+        control_names=dynamics.control_names,
+        states=states,
+        controls=held.controls[:, [held.control_names.index(n) for n in dynamics.control_names]],
+    )
 
 
 def _refuse_other_ends(
     scenario: Scenario, dynamics: Dynamics, states: FloatArray, allowed: Allowed
 ) -> None:
-    """Refuse a plan that begins or ends elsewhere than its mission does."""
+    """Refuse a plan whose initial or final state differs from that of the mission."""
     for end, wanted, found in (
         ("start", declared_start(scenario, dynamics), states[0]),
         ("end", wanted_at_goal(scenario, dynamics), states[-1]),
@@ -210,14 +224,14 @@ def _refuse_other_ends(
             value, unit = known[name] + miss[name], dynamics.unit(name)
             raise ScenarioError(
                 f"{scenario.name}: at the {end} of the plan {name} = {value:.6g} {unit}; must be "
-                f"{known[name]:.6g} {unit}, as the mission says; {_AGAIN}"
+                f"{known[name]:.6g} {unit}, as in the mission; {_AGAIN}"
             )
 
 
 def _refuse_astray(
     scenario: Scenario, held: Trajectories, dynamics: Dynamics, flown: Flown, allowed: Allowed
 ) -> None:
-    """Refuse a plan whose states are not those that its controls lead along."""
+    """Refuse a plan whose states are not reproduced by flying its controls."""
     planned = held.states_at(flown.t)
     worst, when, which = 0.0, 0.0, ""
     for k, name in enumerate(held.state_names):
@@ -229,6 +243,6 @@ def _refuse_astray(
     if not worst <= allowed.miss:
         raise ScenarioError(
             f"{scenario.name}: flown again, the plan is {worst:.3g} {dynamics.unit(which)} off in "
-            f"{which} at {when:.4g} s; must be at most {allowed.miss:g}, of what is larger than 1 "
-            f"relative; {_AGAIN}"
+            f"{which} at {when:.4g} s; must be at most {allowed.miss:g}, relative for values "
+            f"above 1; {_AGAIN}"
         )

@@ -1,4 +1,4 @@
-"""Values kept for the next question of the same kind, such as compiled problems."""
+"""Small caches, for example of compiled problems."""
 
 from collections.abc import Hashable
 from typing import Generic, TypeVar
@@ -7,12 +7,12 @@ Value = TypeVar("Value")
 
 
 class Recent(Generic[Value]):
-    """The values stored last, by key; storing one too many discards the oldest.
+    """The most recently stored values, by key; the oldest is discarded when the cache is full.
 
     Parameters
     ----------
     most : int
-        Greatest number of values held at a time; it may be changed at any time.
+        Largest number of values held; it may be changed at any time.
     """
 
     def __init__(self, most: int) -> None:

@@ -1,14 +1,14 @@
-"""References: where the controller should be at each time.
+"""References: the desired motion of the vehicle as a function of time.
 
 reference | path | meets at both ends
-step | the goal from the first moment on | nothing: the controller makes the path
+step | the goal from the start | nothing: the path depends on the controller
 quintic | polynomial of degree 5 | position, zero velocity and acceleration
 minimum_snap | polynomial of degree 7 | position, zero velocity, acceleration and jerk
 plan | the optimal plan, between its samples a polynomial of degree 5 | the plan
 cruise | straight legs at a speed, by the module `routes` | rest, as at every corner
 
-The plan was made for a wind, the forecast, and what that does to the vehicle is part of it: the
-controller then adapts to what the forecast did not say.  The others know of no wind.
+The plan includes the effect of the forecast wind on the vehicle, so the controller adapts only to
+the difference from the forecast. The other references ignore the wind.
 
 The quintic minimises the integral of the squared jerk, the polynomial of degree 7 that of the
 squared snap [1]_.  Both go straight from start to goal in the duration of the mission, or as
@@ -39,15 +39,15 @@ _STEP = Polynomial((1,))
 
 
 class Setpoint(NamedTuple):
-    """What the vehicle should do at one moment, for (x, y, z, yaw)."""
+    """Desired motion of the vehicle at one time, for (x, y, z, yaw)."""
 
     place: Sequence[float]
     """Position in world axes, m, and yaw, rad."""
     rate: Sequence[float]
     """m/s and rad/s."""
     acceleration: Sequence[float]
-    """What the rotors should give, m/s^2 and rad/s^2: the derivative of the rate, less what the
-    reference expects the air to give."""
+    """Acceleration by the rotors, m/s^2 and rad/s^2: the derivative of the rate, less the
+    acceleration that the reference expects from the air."""
 
 
 ReferencePath = Callable[[float], Setpoint]
@@ -56,14 +56,14 @@ _AT_REST = (0.0, 0.0, 0.0, 0.0)
 
 
 class StraightPath:
-    """A straight line from start to goal, run through as a polynomial of time.
+    """A straight line from start to goal, traversed by a polynomial of time.
 
     Parameters
     ----------
     mission : Mission
-        Gives both ends and the duration.
+        The mission, with both ends and the duration.
     progress : Polynomial
-        Share of the way done over the share of the duration elapsed.
+        Fraction of the way as a function of the fraction of the duration.
     """
 
     def __init__(self, mission: Mission, progress: Polynomial) -> None:
@@ -90,7 +90,7 @@ class StraightPath:
 
 
 def quintic_progress(elapsed: FloatArray) -> FloatArray:
-    """Return the share of the way done at shares of the duration elapsed, from rest to rest."""
+    """Return the fraction of the way at fractions of the duration, from rest to rest."""
     return np.asarray(_QUINTIC(elapsed))
 
 
@@ -102,15 +102,15 @@ def _horner(falling_coefficients: Sequence[float], x: float) -> float:
 
 
 class WaypointPath:
-    """Splines through the waypoints at their times, at rest at both ends and where one holds.
+    """Splines through the waypoints at their times, at rest at both ends and at holds.
 
     Parameters
     ----------
     mission : Mission
         With a time for each waypoint and a fixed duration.
     derivatives : int
-        How many are nought at rest; the spline of degree 2 n + 1 minimises the integral of the
-        square of the next one.
+        Number of derivatives that are zero at rest; the spline of degree 2 n + 1 minimises the
+        integral of the square of the next derivative.
     """
 
     def __init__(self, mission: Mission, derivatives: int) -> None:
@@ -138,7 +138,7 @@ class WaypointPath:
 
 
 class _Steps:
-    """Each waypoint at once, until its time; then the next, and the goal."""
+    """A step to each waypoint, until its time; then to the next one, and to the goal."""
 
     def __init__(self, mission: Mission) -> None:
         self._places, self._times = stops_of(mission)
@@ -151,12 +151,12 @@ class _Steps:
 
 
 def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
-    """Return (x, y, z, yaw) of start, waypoints and goal, and when each is reached.
+    """Return (x, y, z, yaw) of start, waypoints and goal, and the time of each.
 
     Raises
     ------
     ScenarioError
-        If the time of a waypoint is for a plan to choose.
+        If the time of a waypoint is free.
     """
     times = [0.0]
     for k, waypoint in enumerate(mission.waypoints):
@@ -176,25 +176,25 @@ def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
 
 
 def step(mission: Mission) -> ReferencePath:
-    """Ask for the goal at once."""
+    """Return a step to the goal."""
     return _Steps(mission) if mission.waypoints else StraightPath(mission, _STEP)
 
 
 def quintic(mission: Mission) -> ReferencePath:
-    """Go from rest to rest with the least squared jerk, a polynomial of degree 5 in time."""
+    """Return a path from rest to rest with the least squared jerk, of degree 5 in time."""
     return WaypointPath(mission, 2) if mission.waypoints else StraightPath(mission, _QUINTIC)
 
 
 def minimum_snap(mission: Mission) -> ReferencePath:
-    """Go from rest to rest with the least squared snap, a polynomial of degree 7 in time."""
+    """Return a path from rest to rest with the least squared snap, of degree 7 in time."""
     return WaypointPath(mission, 3) if mission.waypoints else StraightPath(mission, _MINIMUM_SNAP)
 
 
 class SampledPath:
-    """A path known at some times, with the polynomial of degree 5 through each pair of them.
+    """A path given by samples, with a polynomial of degree 5 between each pair of samples.
 
-    Position, velocity and acceleration are continuous and exact at the samples; a disturbance
-    that the path was made for is a cubic spline.
+    Position, velocity and acceleration are continuous, and exact at the samples. A disturbance that
+    the path accounts for is a cubic spline.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ class SampledPath:
     values, rates, accelerations : array_like, shape (n, 4)
         Columns x, y, z in m and yaw in rad, and their first two derivatives.
     disturbances : array_like, shape (n, 4), optional
-        Accelerations that the path expects from elsewhere than the rotors.
+        Accelerations of the path that come from other sources than the rotors.
     """
 
     def __init__(
@@ -221,7 +221,8 @@ class SampledPath:
         place = PPoly.from_bernstein_basis(BPoly.from_derivatives(knots, samples))
         expected = np.zeros_like(samples[:, 0]) if disturbances is None else disturbances
         degree, coordinates = len(place.c) - 1, place.c.shape[-1]
-        # One polynomial for all twelve numbers, since evaluating one costs as much as one number.
+        # One polynomial for all twelve numbers, because evaluating it costs no more than for one
+        # number.
         rows = np.zeros((degree + 1, len(knots) - 1, 3, coordinates))
         rows[:, :, 0] = place.c
         rows[1:, :, 1] = place.derivative().c
@@ -234,8 +235,8 @@ class SampledPath:
     def __call__(self, t: float) -> Setpoint:
         """Return the setpoint at time t, s.
 
-        Beyond the samples the nearest place is held with the acceleration asked for there:
-        whoever looks ahead over the end is asked for nothing new.
+        Beyond the samples, the nearest place is held with its acceleration, so that a controller
+        that looks ahead beyond the end gets no new demand.
         """
         held = min(max(t, self._knots[0]), self._knots[-1])
         k = min(bisect_right(self._knots, held), len(self._pieces)) - 1

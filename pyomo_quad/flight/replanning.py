@@ -1,21 +1,22 @@
-"""Re-planning in flight, model-predictive control: the rest of the mission solved again and again.
+"""Re-planning in flight (model-predictive control): repeated solves of the remaining mission.
 
 Every interval the state is measured, and the flight of the rest of the mission with the least
 energy is solved for, from where the vehicle will be once the solve is done, warm-started from the
-plan that is being flown.  Its controls are applied until the next plan.  Where that comes late, or
-not at all, the last plan goes on, from then on under the adaptive controller, which also flies the
-last seconds: there a plan that meets the goal exactly answers every gust at any price, and what it
-believes of the wind to come errs as much as a gust changes meanwhile.
+plan that is being flown.  Its controls are applied until the next plan.  If the next plan is late
+or its solve fails, the previous plan continues under the adaptive controller.  The adaptive
+controller also flies the last seconds: a plan that meets the goal exactly would there counteract
+every gust at any cost, based on a forecast whose error is as large as the gust's change.
 
-Waypoints are passed at their times.  Shortly before one, and as long as the vehicle holds there,
-nothing is planned again: the last plan goes on, under the adaptive controller.  Behind it another
-mission is left, of its own equations, which is compiled and solved for once before take-off.
+Waypoints are passed at their times.  Shortly before a waypoint, and while the vehicle holds there,
+there is no re-planning: the last plan continues under the adaptive controller.  The mission after
+the waypoint has its own equations; it is compiled and solved once before take-off.
 
-Zones are planned round with three centimetres to spare, for what a coarse mesh misses.
+Plans keep an additional distance of three centimetres from zones, for the error of a coarse mesh.
 
-What no equation explains, a wind that was not told or a mass that is not what was believed, shows
-in the acceleration: the identifier of the adaptive law estimates it, and the plans count on it.
-What is amiss upwards is taken for the mass, an untold updraft included; the rest is a wind.
+A wind that differs from the forecast, or a mass that differs from the assumed mass, causes an
+acceleration that the equations do not explain.  The identifier of the adaptive law estimates it,
+and the plans include it.  Its vertical part is attributed to the mass, even if an updraft causes
+it; the rest is attributed to the wind.
 """
 
 from collections.abc import Callable, Hashable, Mapping
@@ -122,7 +123,7 @@ def replanned_name(knowledge: Knowledge) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class _Belief:
-    """What has been learnt in flight: the mass [kg], the horizontal acceleration of the air."""
+    """Estimates from the flight: the mass [kg], the horizontal acceleration by the air."""
 
     mass: float
     unexplained: tuple[float, float]
@@ -130,24 +131,24 @@ class _Belief:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Remainder:
-    """What is left of a mission behind some of its waypoints."""
+    """The remaining mission after some of its waypoints."""
 
     problem: Problem
     begin: float
-    """When the last waypoint behind is left [s]."""
+    """Time at which the last of these waypoints is left [s]."""
     passages: tuple[float, ...]
-    """When those ahead are reached and left [s]."""
+    """Times at which the remaining waypoints are reached and left [s]."""
     end: float
-    """Of the mission [s]."""
+    """End time of the mission [s]."""
     is_holding: bool
-    """Whether it holds at the next waypoint."""
+    """Whether the mission has a hold at the next waypoint."""
     released: float
-    """What has been left behind [kg]."""
+    """Payload released so far [kg]."""
     numbers: Mapping[str, float]
 
     @property
     def planned_until(self) -> float:
-        """Until when it is planned again [s]."""
+        """Time until which re-planning continues [s]."""
         if not self.passages:
             return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
         ahead = self.passages[0] - self.begin
@@ -155,14 +156,14 @@ class _Remainder:
         return self.passages[0] - min(near[0], near[1] * ahead)
 
     def timeline(self, t: float) -> Timeline:
-        """Return the times of what is left at a time."""
+        """Return the times of the remaining mission, from a given time."""
         return Timeline(
             fractions=np.array(self.problem.compiled.declared.clock.fractions),
             times=np.array([t, *self.passages, self.end]),
         )
 
     def guess(self, mesh: Mesh, now: Timeline, last: Solution) -> Trajectory:
-        """Return what a plan of the mission as it was says of what is left, on a mesh of that."""
+        """Return the part of a previous plan that remains, on a mesh of the remaining mission."""
         path = last.trajectory
         nodes, points = (
             last.timeline.fraction(now.time(fractions))
@@ -182,13 +183,13 @@ class _Remainder:
 
 @dataclass(frozen=True, kw_only=True)
 class _Course:
-    """A plan that is flown, and what it was made with."""
+    """A plan in flight, with the estimates and the remaining mission that it was made for."""
 
     plan: Trajectories
     belief: _Belief
     rest: _Remainder
     estimate: FloatArray
-    """What the belief explains of the acceleration that no equation does [m/s^2]."""
+    """Unexplained acceleration that the belief accounts for [m/s^2]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,18 +201,18 @@ class _Leg:
     end: float
     is_tracked: bool
     learnt: tuple[float, float, float]
-    """Acceleration that the plan does not count on, as the identifier has it [m/s^2]."""
+    """Estimated acceleration that the plan does not include [m/s^2]."""
 
 
 class Replanner:
-    """Solves the rest of a mission with what is believed of it.
+    """Solves the remaining mission with the present estimates of mass and wind.
 
     Parameters
     ----------
     scenario : Scenario
         The mission and the vehicle as believed.
     knowledge : Knowledge
-        Of the wind.
+        Information on the wind.
     planner : Planner
         Keeps the compiled equations.
     """
@@ -244,20 +245,20 @@ class Replanner:
         self._last: dict[_Remainder, Solution] = {}
 
     def released(self, t: float) -> float:
-        """Return what has been left behind until a time [kg]."""
+        """Return the payload released until a time [kg]."""
         return max((rest.released for rest in self.remainders if rest.begin < t), default=0.0)
 
     def at(self, t: float) -> _Remainder:
-        """Return what is left of the mission at a time."""
+        """Return the remaining mission at a time."""
         return next(rest for rest in self.remainders[::-1] if rest.begin <= t)
 
     def prepare(self, plan: Trajectories, belief: _Belief) -> None:
-        """Solve what is left behind each waypoint once, from where a first plan leaves it."""
+        """Solve the mission after each waypoint once, from the state of a first plan there."""
         for rest in self.remainders[1:]:
             self.solve(rest.begin, plan.states_at(np.array([rest.begin]))[0], belief)
 
     def solve(self, t: float, state: FloatArray, belief: _Belief) -> Solution:
-        """Return the rest of the mission from a time and a state on."""
+        """Return the solution of the remaining mission from a time and a state on."""
         limits = self._scenario.limits
         held = dict(zip(self.dynamics.state_names, state.tolist(), strict=True))
         # Rotors that run a little beyond their limit leave no flight within it to be found.
@@ -326,7 +327,7 @@ _REMAINING: dict[Hashable, tuple[Problem, ...]] = {}
 
 
 def _remainders(believed: Scenario) -> tuple[_Remainder, ...]:
-    """Return what is left of a mission behind none, one, .. all of its waypoints."""
+    """Return the remaining missions after none, one, ... all of the waypoints."""
     mission, times = believed.mission, believed.nominal_times
     ahead = [
         believed.model_copy(
@@ -360,7 +361,7 @@ def _compiled(left: Scenario) -> Problem:
 
 
 class _Observer:
-    """The identifier of the adaptive law: what accelerates the vehicle beside the equations."""
+    """The identifier of the adaptive law: estimates the acceleration not in the equations."""
 
     def __init__(self, scenario: Scenario, replanner: Replanner, velocity: FloatArray) -> None:
         gains = scenario.baseline.gains
@@ -386,7 +387,7 @@ class _Observer:
         return self._states[-3:].copy()
 
     def belief(self, flown: Flown) -> _Belief:
-        """Return what explains the estimate at the end of a part of the flight."""
+        """Return the mass and wind that explain the estimate at the end of a part of the flight."""
         last = flown.t[-1:], flown.states[-1:], flown.controls[-1:]
         acceleration = self._dynamics.table(_SLOPES, *last)[0]
         forces = self._dynamics.table(_FORCES, *last)[0]
@@ -464,14 +465,14 @@ class _Aircraft:
 
 
 def _with_mass(scenario: Scenario, belief: _Belief, released: float) -> Scenario:
-    """Return what the controller knows of the vehicle, with the mass learnt less what is left."""
+    """Return the controller's vehicle, with the estimated mass less the released payload."""
     vehicle = scenario.vehicle
     learnt = vehicle.model_copy(update={"mass": belief.mass - released - vehicle.payload})
     return scenario.model_copy(update={"vehicle": learnt})
 
 
 class _ReplannedFlight:
-    """One flight: its parts so far, the plan that is being flown, and what has been observed."""
+    """One flight: its parts so far, the plan in flight, and the observations."""
 
     def __init__(
         self,

@@ -1,10 +1,10 @@
-"""What leads to a solve that is hard, is tried when it fails, and is said when that fails too.
+"""Fallbacks for failed solves: initial guesses, retries and diagnosis.
 
-A long flight is searched for from the steady flight between its ends: gather speed, cruise, brake.
-A vehicle changes its attitude within a second however long its flight is.  Where equal elements
-would be longer than that, they are short at both ends and grow towards the middle, and the first
-guess is the steady flight there: at the speed that the duration asks for, or, where that is free,
-at which a metre costs least.
+The initial guess of a long flight is steady flight between its ends: accelerate, cruise, brake.
+A vehicle changes its attitude within a second, whatever the duration of the flight.  If equal
+elements would be longer than that, the mesh has short elements at both ends that grow towards the
+middle.  The speed of the steady flight follows from the duration or, if that is free, is the speed
+of least energy per metre.
 """
 
 from __future__ import annotations
@@ -76,13 +76,13 @@ _TIME_TOLERANCE = 1e-4
 _TIMED = RefinementOptions(damping=1.0, allowance=Allowance(limit_breach=inf))
 
 
-def in_time(plan: Plan, deadline: Deadline) -> Plan:
-    """Return a plan, given up where the time limit left neither a flight nor a proof."""
-    if not deadline.is_over or plan.status in (PlanStatus.VERIFIED, PlanStatus.INFEASIBLE):
+def given_up(plan: Plan, deadline: Deadline) -> Plan:
+    """Return a plan, not converged where the time limit left neither a flight nor a proof."""
+    if not deadline.is_over or plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
         return plan
     message = (
         f"given up after solver.time_limit = {deadline.limit_s:g} s; allow more time, or ask for "
-        f"a looser solver.tolerance or fewer solver.elements. {plan.reached}"
+        f"a lower solver.accuracy or fewer solver.elements. {plan.reached}"
     )
     if plan.attempts:
         message += f" Tried: {'; '.join(plan.attempts)}."
@@ -105,7 +105,7 @@ class Effort:
 
 @dataclass(frozen=True, kw_only=True)
 class Rescue:
-    """What became of it: the last solution, what was tried, and why it failed if it did."""
+    """Outcome of a rescue: the last solution, the attempts, and the failure if it failed."""
 
     solution: Solution
     attempts: tuple[str, ...]
@@ -113,7 +113,7 @@ class Rescue:
 
 
 class Rescuer:
-    """Tries a failed mission again.
+    """Retries a failed mission.
 
     Parameters
     ----------
@@ -236,14 +236,17 @@ def _has_ended(solution: Solution) -> bool:
 
 
 def easier_numbers(problem: Problem, told: Scenario) -> tuple[dict[str, float], ...]:
-    """Return the easier numbers that a compiled problem has, the easiest first."""
+    """Return parameter values that make a compiled problem easier, the easiest first."""
     held = {p.name for p in problem.compiled.declared.parameters}
     return tuple(numbers for numbers in wider_smoothings(told) if numbers.keys() <= held)
 
 
 def under(arguments: dict[str, Any], numbers: dict[str, float]) -> dict[str, Any]:
-    """Return a solve's arguments with other numbers."""
-    return arguments | {"parameters": (arguments["parameters"] or {}) | numbers}
+    """Return a solve's arguments with other numbers, whose plans are none of the mission."""
+    return arguments | {
+        "parameters": (arguments["parameters"] or {}) | numbers,
+        "refinement": replace(arguments["refinement"], on_mesh=None),
+    }
 
 
 def at_its_easiest(
@@ -284,7 +287,7 @@ def _by_way_of(
     guess: Any,
     reached: Solution | None = None,
 ) -> tuple[Solution, Solution | None]:
-    """Return the solution, and the first one that was reached on the way."""
+    """Return the solution, and the first intermediate solution."""
     first = reached
     for numbers in easier:
         eased = under(arguments, numbers)
@@ -321,7 +324,7 @@ def shortest_flight(
     Parameters
     ----------
     model : ConcreteModel
-        Of the scenario; its objective is replaced.
+        Model of the scenario; its objective is replaced.
     scenario : Scenario
     progress : callable or None
         Called at each iteration; returning False stops the solve.
@@ -387,7 +390,7 @@ _ROUGH, _FINE = (0.1, 1.25, 4), (0.04, 1.15)
 # In an element longer than this [s] place and velocity feel how the attitude bends inside: its
 # degree is so much higher.
 _BENDING_S, _MORE = 1.0, 2
-# What a guess gathers speed with, m/s^2 and m/s^3, and the speeds among which it looks, m/s.
+# Acceleration and jerk of a guess, m/s^2 and m/s^3, and the range of its speeds, m/s.
 _ACCELERATION, _JERK = 2.0, 4.0
 _SPEEDS = 1.0, 30.0
 _SPEED_TOLERANCE = 0.1
@@ -440,7 +443,7 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
     course = way / distance
     speed = _speed_for(distance, mission.longest.value)
     if mission.is_free:
-        best = _best_speed(steady, course, mission.price_of_time)
+        best = best_speed(steady, course, mission.price_of_time)
         speed = max(speed, min(best, scenario.limits.speed_max or inf))
     try:
         resting, cruising = (steady.held_in(steady.trim(v * course)) for v in (0.0, speed))
@@ -483,7 +486,7 @@ def _speed_for(distance: float, duration: float) -> float:
     return _ACCELERATION / 2 * (left - sqrt(max(room, 0.0)))
 
 
-def _best_speed(steady: SteadyFlight, course: FloatArray, price_of_time: float) -> float:
+def best_speed(steady: SteadyFlight, course: FloatArray, price_of_time: float) -> float:
     """Return about the speed over ground at which a metre of the course costs least [m/s]."""
 
     def cost(speed: float) -> float:

@@ -82,7 +82,7 @@ def plan_at_risk(
         cannot be had, the plan of the least risk found.
     """
     paper = planner.solve(scenario, progress=progress, **solve)
-    if risk_asked(scenario) >= 1.0 or not paper.is_verified or planner.builder is not build_model:
+    if risk_asked(scenario) >= 1.0 or not paper.is_flyable or planner.builder is not build_model:
         return paper
     return _Search(scenario, planner, paper, progress).best()
 
@@ -152,9 +152,9 @@ class _Search:
         """Return a plan with margins, begun from another; None where there is none."""
         held = tightened(self._scenario, margins)
         plan = self._planner.solve(held, warm_start=last.plan, progress=self._progress)
-        if not plan.is_verified:
+        if not plan.is_flyable:
             plan = self._planner.solve(held, progress=self._progress)
-        if not plan.is_verified:
+        if not plan.is_flyable:
             return None
         times = passing_times(self._scenario, plan.passing_times_s, margins.get(HOLD, 0.0))
         own = replace(plan, scenario=self._scenario, passing_times_s=times)
@@ -162,23 +162,28 @@ class _Search:
 
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that the flight without gusts follows, where margins can make one."""
-        limits = self._scenario.limits
-        most_tilt = self._scenario.baseline.gains.tilt_max
         for share in _RESERVES:
             if tried.astray <= _ASTRAY_M:
                 break
             margins = {name: share * greatest_margin(self._scenario, name) for name in AUTHORITY}
-            for name, angle in (
-                ("limits.roll_max", limits.roll_max),
-                ("limits.pitch_max", limits.pitch_max),
-            ):
-                margins[name] = max(margins[name], angle - most_tilt)
+            for name, more in self._steeper_than_the_controller().items():
+                margins[name] = max(margins[name], more)
             other = self._planned(tried, margins)
             if other is None:
                 break
             # What lets the vehicle follow its plan at all is not given back.
             tried, self._least = other, margins
         return tried
+
+    def _steeper_than_the_controller(self) -> dict[str, float]:
+        """Return how much more plans may tilt than a controller with a limit of its own."""
+        limits, most = self._scenario.limits, self._scenario.baseline.gains.tilt_max
+        if most is None:
+            return {}
+        return {
+            "limits.roll_max": limits.roll_max - most,
+            "limits.pitch_max": limits.pitch_max - most,
+        }
 
     def _margins(self, tried: _Tried) -> dict[str, float]:
         """Return the margins that the risk needs: equal shares for the limits that need any.

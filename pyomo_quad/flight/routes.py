@@ -1,19 +1,20 @@
-"""Routes round the zones of an airspace, one for each way of passing them, and cruise along one.
+"""Routes round the zones of an airspace, one per class, and cruise along a route.
 
-Places beside every zone that is in the way are joined where the straight line between them is free;
-Dijkstra's algorithm finds the shortest way through them.  A zone between start and goal is passed
-on the left or right, over or under it.  The shortest route fixes a side of each zone; forbidding
-these one after the other, with those before it kept, splits all others into classes [1]_, whose own
-shortest routes follow in order of length.
+Places beside every obstructing zone are joined where the straight line between them is free;
+Dijkstra's algorithm finds the shortest path through them.  A zone between start and goal is passed
+on the left or right, over or under it.  The shortest route determines a side of each zone.
+Forbidding these sides one at a time, while keeping the sides before it, divides all other routes
+into classes [1]_, whose shortest routes follow in order of length.
 
-Cruise is what an autopilot makes of a mission: one speed and straight legs with limited jerk.
-Each is flown from rest to rest in the seven phases of [2]_: the jerk is j, 0, -j to reach the
-speed, 0 along the leg, and -j, 0, j to stop.  On a leg too short for the speed the cruise is left
-out and a lower speed reached; too short for the largest acceleration, that too.
+Cruise is the flight of an autopilot: one speed and straight legs with limited jerk.  Each leg is
+flown from rest to rest in the seven phases of [2]_: the jerk is j, 0, -j to reach the speed, 0
+along the leg, and -j, 0, j to stop.  A leg that is too short for the speed has no cruise phase and
+a lower peak speed; if it is also too short for the largest acceleration, it has a lower peak
+acceleration.
 
-The vehicle stops at every waypoint, holds there as long as the mission says, and stops at every
-corner of the shortest clear way round keep-outs; at the goal it hovers.
-Times that the mission gives are not kept: a cruise takes its own.
+The vehicle stops at every waypoint, holds there as prescribed, and stops at every corner of the
+shortest clear path round keep-outs; at the goal it hovers.  The mission's times are ignored: a
+cruise has its own.
 
 .. [1] Murty, "An algorithm for ranking all the assignments in order of increasing cost",
    Operations Research 16 (1968).
@@ -51,8 +52,8 @@ from pyomo_quad.scenario.airspace import Airspace, KeepOut
 FloatArray = NDArray[np.float64]
 Place = tuple[float, float, float]
 
-#: Routes that are flown, the shortest of as many classes, and how much longer than the shortest of
-#: all they may be: a detour that doubles the way saves no energy.
+#: Largest number of routes, the shortest of as many classes, and their largest length relative to
+#: the shortest route: a detour that doubles the length saves no energy.
 MOST_ROUTES = 8
 _LONGEST = 2.0
 _GUESS_SAMPLES = 201
@@ -60,14 +61,14 @@ _GUESS_SAMPLES = 201
 
 @dataclass(frozen=True, kw_only=True)
 class Route:
-    """One way from a start to a goal.
+    """A route from a start to a goal.
 
     Attributes
     ----------
     places : ndarray, shape (n, 3)
-        Corners of the way, start and goal included [m].
+        Corners of the route, start and goal included [m].
     sides : tuple of (str, Side)
-        On which side each zone between start and goal is passed, by name.
+        Name of each zone between start and goal, and the side on which it is passed.
     """
 
     places: FloatArray
@@ -75,12 +76,12 @@ class Route:
 
     @property
     def length(self) -> float:
-        """Length of the way [m]."""
+        """Length of the route [m]."""
         return float(np.linalg.norm(np.diff(self.places, axis=0), axis=1).sum())
 
     @property
     def name(self) -> str:
-        """The sides in words."""
+        """Description of the sides."""
         words = (
             f"{side.value} of {zone}" if side in _BESIDE else f"{side.value} {zone}"
             for zone, side in self.sides
@@ -88,7 +89,7 @@ class Route:
         return ", ".join(words) or "straight"
 
     def places_at(self, shares: FloatArray) -> FloatArray:
-        """Return the places after some shares of the length, shape (n, 3)."""
+        """Return the places at fractions of the length, shape (n, 3)."""
         steps = np.linalg.norm(np.diff(self.places, axis=0), axis=1)
         reached = np.concatenate([[0.0], np.cumsum(steps)])
         at = np.asarray(shares) * reached[-1]
@@ -101,12 +102,12 @@ _BESIDE = (Side.LEFT, Side.RIGHT)
 def find_routes(
     airspace: Airspace, start: Place, goal: Place, most: int = MOST_ROUTES
 ) -> tuple[Route, ...]:
-    """Return the shortest route of each class, the shortest first, at most so many.
+    """Return the shortest route of each class, the shortest first, at most `most` of them.
 
     Returns
     -------
     tuple of Route
-        Empty where no way of a width of `MARGIN_M` is free.
+        Empty if no passage of width `MARGIN_M` is free.
     """
     ends = np.array([start, goal], dtype=float)
     relevant = zones_hit(airspace.keep_out, ends, airspace.clearance)
@@ -124,7 +125,7 @@ def find_routes(
 
 
 def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str, ...]:
-    """Return the names of zones without any one of which a route would be free, or of all."""
+    """Return the zones that each block all routes on their own or, without any, all zones."""
     zones = airspace.keep_out
 
     def has_route(kept: Sequence[KeepOut]) -> bool:
@@ -143,7 +144,7 @@ def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str
 
 
 def no_way(airspace: Airspace, start: Place, goal: Place) -> str:
-    """Say in one line which zones close every route from a start to a goal."""
+    """Return a one-line message that names the zones that block every route to a goal."""
     names = zones_that_block(airspace, start, goal)
     told = [name for name in ("floor", "ceiling") if getattr(airspace, name) is not None]
     rooms = "".join(f", or move airspace.{name}" for name in told)
@@ -165,12 +166,12 @@ Journey = tuple[Route, ...]
 
 
 def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, ...]:
-    """Return the shortest ways from stop to stop, at most `MOST_ROUTES`, the shortest first.
+    """Return the shortest journeys through all stops, at most `MOST_ROUTES`, shortest first.
 
     Raises
     ------
     NoRouteError
-        Naming the zones that leave a leg no way.
+        Naming the zones that block a leg.
     """
     journeys: list[Journey] = [()]
     for start, goal in pairwise(stops):
@@ -182,33 +183,71 @@ def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, 
     return tuple(journeys)
 
 
+# Share of the least estimate above which a journey is not flown: straight legs without corners and
+# changes of speed misjudge by how much a detour is dearer, as a rule they make it too little.
+_DEARER = 0.01
+
+
+def promising(
+    journeys: Sequence[Journey], cost_per_metre: Callable[[FloatArray], float]
+) -> tuple[Journey, ...]:
+    """Return the journeys whose estimated cost is near the least, in their order.
+
+    Parameters
+    ----------
+    cost_per_metre : callable
+        Of steady flight along a direction, a unit vector; infinite where there is none.
+    """
+    known: dict[tuple[float, ...], float] = {}
+
+    def cost(journey: Journey) -> float:
+        total = 0.0
+        for step in (step for route in journey for step in np.diff(route.places, axis=0)):
+            length = float(np.linalg.norm(step))
+            if length > 0.0:
+                course = step / length
+                key = tuple(np.round(course, _DIGITS).tolist())
+                if key not in known:
+                    known[key] = cost_per_metre(course)
+                total += length * known[key]
+        return total
+
+    costs = [cost(journey) for journey in journeys]
+    most = (1.0 + _DEARER) * min(costs, default=inf)
+    return tuple(journey for journey, c in zip(journeys, costs, strict=True) if c <= most)
+
+
+# Decimals to which directions are the same.
+_DIGITS = 6
+
+
 def length_of(journey: Journey) -> float:
     """Return the length of a journey [m]."""
     return sum(route.length for route in journey)
 
 
 class NoRouteError(Exception):
-    """Zones leave no way from a stop to the next."""
+    """Zones block every route from a stop to the next."""
 
 
 def guess_along(
     journey: Journey, times: Sequence[float], *, is_open: bool = False
 ) -> dict[str, FloatArray]:
-    """Return places and velocities along a journey as a first guess.
+    """Return places and velocities along a journey as an initial guess.
 
     Parameters
     ----------
     times : sequence of float
-        When each waypoint is reached and left, and the end [s].
+        Times at which each waypoint is reached and left, and the end [s].
     is_open : bool, optional
-        Whether the end is free: then the guess is told in shares of the horizon.
+        Whether the end is free; the guess is then a function of the fraction of the horizon.
     """
     begun = (0.0, *times[1::2])
     instants, places = [], []
     for route, first, last in zip(journey, begun, (*times[0:-1:2], times[-1]), strict=True):
         elapsed = np.linspace(0.0, 1.0, _GUESS_SAMPLES)
         instants.append(first + (last - first) * elapsed)
-        # A waypoint is passed without a stop, as a rule.
+        # A waypoint is usually passed without a stop.
         progress = quintic_progress(elapsed) if len(journey) == 1 else elapsed
         places.append(route.places_at(progress))
     when, kept = np.unique(np.concatenate(instants), return_index=True)
@@ -220,9 +259,9 @@ def guess_along(
 
 
 def with_plain_passages(told: Scenario) -> Scenario | None:
-    """Return a mission that passes the waypoints themselves, at any speed; None if it does.
+    """Return a mission that passes waypoints exactly, at any speed; None if it is the same.
 
-    From the middle of a ball, or from another speed, the slopes of such a limit lead nowhere.
+    At the centre of a ball, or at another speed, the slopes of these limits are uninformative.
     """
     at_ease = {"radius": 0.0, "speed_max": None}
     waypoints = tuple(w.model_copy(update=at_ease) for w in told.mission.waypoints)
@@ -240,7 +279,7 @@ class _Graph:
     ends : ndarray, shape (2, 3)
         Start and goal.
     relevant : list of KeepOut
-        The zones to find ways round; all others are looked at by the caller.
+        The zones to avoid; the caller checks all other zones.
     """
 
     def __init__(self, airspace: Airspace, ends: FloatArray, relevant: list[KeepOut]) -> None:
@@ -298,7 +337,7 @@ class _Graph:
                     kept[number] = frozenset({side})
 
     def _shortest(self, allowed: tuple[frozenset[int], ...]) -> tuple[float, list[int]] | None:
-        """Return length and nodes of the shortest way that crosses planes on allowed sides."""
+        """Return length and nodes of the shortest path that crosses planes on allowed sides."""
         is_open = np.ones(len(self._first), dtype=bool)
         for crossings, sides in zip(self._crossings, allowed, strict=True):
             is_open &= np.isin(crossings, [-1, *sides])
@@ -314,7 +353,7 @@ class _Graph:
         return float(lengths[1]), nodes[::-1]
 
     def _sides_of(self, nodes: list[int]) -> list[int]:
-        """Return the side on which a way passes each zone, -1 for a plane that it never crosses."""
+        """Return the side on which a path passes each zone, -1 for a plane it does not cross."""
         number = {pair: k for k, pair in enumerate(zip(self._first, self._last, strict=True))}
         lines = [number[min(pair), max(pair)] for pair in pairwise(nodes)]
         sides = []
@@ -327,7 +366,7 @@ class _Graph:
 def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Journey:
     """Return a journey with the sides on which its flight passes the zones.
 
-    Begun on one side, a search may end on another.
+    A solve may end on another side of a zone than it started.
     """
     names = [slot.name for slot in solution.problem.compiled.declared.states]
     track = solution.trajectory.states[:, [names.index(name) for name in POSITION_STATES]]
@@ -350,20 +389,20 @@ def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Jo
 
 @dataclass(frozen=True, kw_only=True)
 class TriedRoute:
-    """What became of a route.
+    """Result of trying a route.
 
     Attributes
     ----------
     name : str
-        On which sides zones are passed.
+        Sides on which the zones are passed.
     length_m : float
-        Of the shortest way in its class.
+        Length of the shortest route in its class.
     energy_J : float or None
-        Of the flight; on the first mesh or two unless it was refined.  None where none was found.
+        Energy of the flight, on the first or second mesh unless refined.  None if none was found.
     is_refined : bool
         Whether it was solved to the mission's tolerance.
     is_kept : bool
-        Whether it is the plan's.
+        Whether it is the route of the plan.
     """
 
     name: str
@@ -373,15 +412,15 @@ class TriedRoute:
     is_kept: bool
 
 
-# The first mesh misjudges an energy by up to 1e-3 of it, and the next one by 1e-4: flights whose
-# energies differ by less are solved on the next mesh, or to the end, the best so many of them.
+# Relative errors of an energy on the first mesh and on the next: the best flights whose energies
+# differ by less are solved on the next mesh, or to the tolerance.
 _NEAR_ON_FIRST, _NEAR_ON_NEXT = 1e-3, 1e-4
 _MOST_ON_NEXT, _MOST_REFINED = 4, 3
-# Meshes, the flight's own among them.
+# Number of meshes, including the flight's own.
 _TO_THE_NEXT = 2
 
 
-# States of two flights that differ by less than this are the same flight's.
+# Relative difference of states below which two flights are the same.
 _SAME = 1e-3
 
 
@@ -400,15 +439,15 @@ def best_of_journeys(
     energy_of: Callable[[Solution], float],
     as_flown: Callable[[Journey, Solution], Journey],
 ) -> tuple[Solution, tuple[TriedRoute, ...]]:
-    """Fly all journeys on one mesh, refine the best, and return it with what became of each.
+    """Solve all journeys on one mesh, refine the best, and return it with all results.
 
-    Where two of them become one flight, as over and beside a sphere, on this mesh or the next, the
-    longer one is left out.
+    If the solutions of two journeys coincide on this mesh or the next, as for the journeys over and
+    beside a sphere, the longer journey is left out.
 
     Parameters
     ----------
     refine : callable
-        Solves a flight again on finer and finer meshes, on at most so many, or to the end.
+        Solves a flight on successively finer meshes, up to a number of them or to the tolerance.
     as_flown : callable
         Returns a journey with the sides on which its flight passes the zones.
     """
@@ -455,7 +494,7 @@ def best_of_journeys(
 
 
 def _nearest(known: Mapping[int, Solution], share: float, most: int) -> list[int]:
-    """Return the flights whose cost is within a share of the least, the cheapest first."""
+    """Return the flights whose cost is within a fraction of the least, the cheapest first."""
     costs = {k: _cost(s) for k, s in known.items() if s.status.is_solved}
     least = min(costs.values(), default=inf)
     order = sorted(costs, key=lambda k: costs[k])
@@ -466,19 +505,19 @@ def _cost(solution: Solution) -> float:
     return solution.objective if solution.status.is_solved else inf
 
 
-#: s of hovering at the goal, of which a flight takes the first that suffices to arrive.
+#: s, durations of hover at the goal; a flight takes the first that suffices to arrive.
 SETTLINGS_S = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
-# s; phases shorter than this are none.
+# s, duration below which a phase is left out.
 _INSTANT = 1e-9
 
 
 class SpeedProfile(NamedTuple):
-    """Where phases of constant jerk begin and end, each of shape (n,)."""
+    """Ends of phases of constant jerk; each array has shape (n,)."""
 
     times: FloatArray
-    """s from the first."""
+    """Times from the start, s."""
     distances: FloatArray
-    """m done."""
+    """Distances from the start, m."""
     speeds: FloatArray
     """m/s."""
     accelerations: FloatArray
@@ -498,7 +537,7 @@ def speed_profile(distance: float, speed: float, acceleration: float, jerk: floa
     Returns
     -------
     SpeedProfile
-        At the ends of its seven phases, n = 8; some may last no time.
+        At the ends of its seven phases, n = 8; some phases may have zero duration.
     """
     peak = min(speed, _peak_speed(distance, acceleration, jerk))
     bending = min(acceleration / jerk, sqrt(peak / jerk))
@@ -517,13 +556,13 @@ def speed_profile(distance: float, speed: float, acceleration: float, jerk: floa
                 a + lasting * change,
             )
         )
-    # At rest and there, but for rounding.
+    # Remove rounding errors at the end.
     rows[-1] = (rows[-1][0], distance, 0.0, 0.0)
     return SpeedProfile(*np.array(rows).T)
 
 
 def _peak_speed(distance: float, acceleration: float, jerk: float) -> float:
-    """Return the speed reached where nothing but the distance limits it."""
+    """Return the peak speed if only the distance limits it."""
     unbent = acceleration / jerk
     reached = acceleration / 2 * (sqrt(unbent**2 + 4 * distance / acceleration) - unbent)
     if reached >= acceleration * unbent:
@@ -532,14 +571,14 @@ def _peak_speed(distance: float, acceleration: float, jerk: float) -> float:
 
 
 def cruise_at(scenario: Scenario, speed: float | None = None, settling_s: float = 0.0) -> Scenario:
-    """Return a mission with the times that cruising takes, at a speed [m/s] or the one it has.
+    """Return a mission with the times of a cruise at a speed [m/s], by default its own.
 
-    At the goal it hovers for `settling_s`.
+    The vehicle hovers at the goal for `settling_s`.
 
     Raises
     ------
     ScenarioError
-        If a leg leads nowhere, or zones leave it no way.
+        If a leg has zero length, or zones block it.
     """
     told = scenario
     if speed is not None:
@@ -554,7 +593,7 @@ def cruise_at(scenario: Scenario, speed: float | None = None, settling_s: float 
 
 
 def cruise(scenario: Scenario) -> SampledPath:
-    """Return the path of a mission that has the times of `cruise_at`."""
+    """Return the path of a mission with the times of `cruise_at`."""
     stops, times = stops_of(scenario.mission)
     holds = (0.0, *(waypoint.hold for waypoint in scenario.mission.waypoints))
     knots: list[float] = []
@@ -582,7 +621,7 @@ def cruise(scenario: Scenario) -> SampledPath:
 
 
 def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
-    """Return the straight pieces of each leg, as the step in m and how it is flown."""
+    """Return the straight pieces of each leg: displacement in m and speed profile."""
     baseline, airspace = scenario.baseline, scenario.airspace
     if baseline.cruise_speeds is None or len(baseline.cruise_speeds) > 1:
         raise ScenarioError(

@@ -1,11 +1,11 @@
-"""Steady flight read off the compiled equations: hover, trim, and what each asks of the pack.
+"""Steady flight from the compiled equations: hover, trim, and the load on the battery.
 
-Nothing of the vehicle is written here.  A trim is the state and the controls at which the very
-equations that were solved leave everything at rest but the place, which moves at a given velocity;
-a model of the user's own is trimmed like the declared one.
+This file has no formula of the vehicle. A trim consists of the states and controls with which the
+compiled equations keep all states constant except the position, which moves at a given velocity. A
+user's own model is trimmed in the same way.
 
-The lower bound reads its momentum balance and its power here: see docs/theory/bound.md, eqs. (1)
-and (6).
+The lower bound takes its momentum balance and its power from here: see docs/theory/bound.md, eqs.
+(1) and (6).
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ _FIRST_ROTOR = 1
 _INDUCED = "power.induced_velocity"
 _UNCREDITED = "power.uncredited_power"
 _STILL = np.zeros(3)
-# Largest rate that a trim leaves in a state meant to rest, in the state's own unit per second.
+# Largest rate that a trim leaves in a state at rest, in the state's own unit per second.
 _AT_REST = 1e-7
-# Steps that take what the search leaves, so much at most, down to rounding: its last slopes do.
+# Residual of the search below which a few Newton steps with its last slopes reduce it to rounding.
 _NEARLY, _SHARPENINGS = 1e-2, 4
 _PRECISION = 1e-15
-# Velocities at which linearity is tried, m/s: each axis alone, and all of them together.
+# Velocities at which linearity is tested, m/s: each axis alone, and all axes together.
 _TRIALS = np.array([[3.0, 0, 0], [0, 3.0, 0], [0, 0, 3.0], [-5.0, 7.0, -2.0]])
 _ROUNDING = 1e-9
 
@@ -58,8 +58,8 @@ class Trim:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hover:
-    """Hover in still air at the start of the mission: what one stands to pay per second."""
+class HoverState:
+    """Hover in still air at the start of the mission: its speeds and power."""
 
     rotor_speed_rad_per_s: float
     thrust_N: float
@@ -71,17 +71,16 @@ class Hover:
 
 
 class SteadyFlight:
-    """A vehicle in steady flight, as its compiled equations have it.
+    """A vehicle in steady flight, by its compiled equations.
 
     Parameters
     ----------
     scenario : Scenario
-        Gives the place and the state of charge.
+        The scenario, with the initial position and state of charge.
     dynamics : Dynamics
-        The equations, in the air that is to be flown through; `Planner.steady_flight` gives them
-        in still air.
+        The equations, in the air of the flight; `Planner.steady_flight` uses still air.
     known : mapping, optional
-        State name -> value at the start, for states of a model of the user's own.
+        State name -> initial value, for states of a user's own model.
     """
 
     def __init__(
@@ -96,16 +95,17 @@ class SteadyFlight:
     def trim(self, velocity: ArrayLike = _STILL, near: Trim | None = None) -> Trim:
         """Return the steady flight at a velocity over ground.
 
-        Place and heading are those of the start, and so is a state that the mission gives at its
-        start and leaves free at its end, such as the charge drawn: what the flight uses up has no
-        rest.  All other states, and the controls, are solved for.
+        Place and heading are those of the start. A state that the mission fixes at its start and
+        leaves free at its end, such as the charge drawn, keeps its initial value, because a
+        quantity that the flight uses up is never at rest. All other states, and the controls, are
+        solved for.
 
         Parameters
         ----------
         velocity : array_like, shape (3,), optional
             In world axes, m/s; hover by default.  In still air it is the airspeed too.
         near : Trim, optional
-            From which the search begins: one at nearly that velocity.
+            Initial guess: a trim at a similar velocity.
 
         Raises
         ------
@@ -148,20 +148,20 @@ class SteadyFlight:
         if not np.max(np.abs(found.fun), initial=0.0) <= _AT_REST:
             raise SolveError(
                 f"steady flight: the model has none at {np.array(velocity).tolist()} m/s; "
-                "its limits aside, some state never comes to rest."
+                "even without its limits, some state is never at rest."
             )
         states, controls = flight(found.x)
         power = self._dynamics.integrand(t, states, controls)
         return Trim(states=states, controls=controls, power_W=float(power))
 
     def reading(self, names: tuple[str, ...], trim: Trim) -> FloatArray:
-        """Return quantities without a further index, by full name, in a steady flight."""
+        """Return quantities without an index besides time, by full name, in a steady flight."""
         return self._rows(tuple((n, None) for n in names), trim.states[None], trim.controls[None])[
             0
         ]
 
     def held_in(self, trim: Trim) -> dict[str, float]:
-        """Return states of a steady flight by name, beside place and velocity, and v_i if any."""
+        """Return a trim's states by name, except position and velocity, with v_i if declared."""
         moved = {*self._dynamics.states_used_up, *POSITION_STATES, *VELOCITY_STATES}
         named = dict(zip(self._dynamics.state_names, trim.states.tolist(), strict=True))
         held = {name: value for name, value in named.items() if name not in moved}
@@ -174,9 +174,9 @@ class SteadyFlight:
         return trim.states[self._rotors]
 
     def endurance(self, trim: Trim, depth: float, samples: int) -> float:
-        """Return for how long the full pack holds a steady flight, down to a depth (0 to 1), s.
+        """Return how long the full pack sustains a steady flight, down to a depth of 0 to 1 [s].
 
-        Infinite where it draws nothing, and nought where the pack cannot give the power.
+        Infinite if it draws no power, and zero if the pack cannot give the power.
         """
         states = np.tile(trim.states, (samples, 1))
         controls = np.tile(trim.controls, (samples, 1))
@@ -204,14 +204,14 @@ class SteadyFlight:
         return float(np.mean(self._hovering.states[self._rotors]))
 
     @cached_property
-    def hover(self) -> Hover:
-        """Hover of a quadrotor with the battery as it is at the start of the mission."""
+    def hover(self) -> HoverState:
+        """Hover of a quadrotor with the battery in its initial state."""
         names = (
             *("rotors.total_thrust", "battery.current", "battery.voltage"),
             "battery.greatest_power",
         )
         thrust, current, voltage, greatest = self._read(names, self._hovering.states).tolist()
-        return Hover(
+        return HoverState(
             rotor_speed_rad_per_s=self.hover_speed,
             thrust_N=thrust,
             power_W=self.hover_power,
@@ -222,25 +222,25 @@ class SteadyFlight:
         )
 
     def thrust(self, speed: ArrayLike) -> FloatArray:
-        """Return the total thrust [N] with all rotors at each of some speeds [rad/s]."""
+        """Return the total thrust [N] with all rotors at each of several speeds [rad/s]."""
         return self._over_speeds("rotors.total_thrust", speed)
 
     def power(self, speed: ArrayLike) -> FloatArray:
-        """Return the power [W] with all rotors at each of some constant speeds [rad/s]."""
+        """Return the power [W] with all rotors at each of several constant speeds [rad/s]."""
         return self._over_speeds("power.total", speed)
 
     def uncredited_power(self, speed: ArrayLike) -> FloatArray:
-        """Return the power [W] before a floor takes what braking earns; see `model.power`."""
+        """Return the power [W] without the floor on the power of braking; see `model.power`."""
         rotors = range(_FIRST_ROTOR, _FIRST_ROTOR + len(self._rotors))
         if not self._dynamics.has(_UNCREDITED):
             return self.power(speed)
         return np.sum([self._over_speeds(_UNCREDITED, speed, index=j) for j in rotors], axis=0)
 
     def power_of_accelerating(self, speed: ArrayLike) -> FloatArray:
-        """Return what all rotors draw for each rad/s^2 that they gain at some speeds [J s/rad].
+        """Return the power of all rotors per unit of acceleration at some speeds [J s/rad].
 
-        That part of the power is linear in the acceleration and so stored, not spent; what an
-        acceleration costs beside it, either way, is left out.
+        This part of the power is linear in the acceleration, therefore stored and not spent. The
+        remaining cost of an acceleration, which does not depend on its sign, is excluded.
         """
         name = _UNCREDITED if self._dynamics.has(_UNCREDITED) else "power.rotor_power"
         up, down = (self.rotor_value(name, speed, sign) for sign in (1.0, -1.0))
@@ -271,7 +271,7 @@ class SteadyFlight:
     def pack_under(self, power: float) -> tuple[float, float, float]:
         """Return current [A], voltage [V] and charge per second [A h/s] of the pack under a load.
 
-        The load [W] is that of all rotors at one speed; the pack is as at the start.
+        The load [W] is that of all rotors at one speed; the pack is in its initial state.
         """
         states = self._start.copy()
         states[self._rotors] = self._speed_where(self.power, power)
@@ -280,11 +280,11 @@ class SteadyFlight:
 
     @property
     def greatest_pack_power(self) -> float:
-        """The most that the pack can give at the start, W."""
+        """Greatest power of the pack at the start, W."""
         return float(self._read(("battery.greatest_power",), self._start)[0])
 
     def stored_energy(self, depth: float, samples: int) -> float:
-        """Return the energy [J] that the full pack gives without load down to a depth (0 to 1)."""
+        """Return the energy [J] of the full pack, without load, down to a depth of 0 to 1."""
         states = np.tile(self._start, (samples, 1))
         column = self._dynamics.state_names.index(_CHARGE)
         drawn = states[:, column] = np.linspace(0.0, depth * self.pack_capacity, samples)
@@ -308,7 +308,7 @@ class SteadyFlight:
         return float(rates[self._dynamics.state_names.index(_CHARGE)])
 
     def _speed_where(self, reading: object, wanted: float) -> float:
-        """Return the speed of all rotors at which a rising reading takes a value."""
+        """Return the speed of all rotors at which a rising reading has a given value."""
 
         def excess(speed: float) -> float:
             return float(reading(speed)) - wanted  # type: ignore[operator]
@@ -348,12 +348,12 @@ class SteadyFlight:
 
 
 class MomentumDemand:
-    """The thrust vector that the momentum balance asks for.
+    """The thrust vector required by the momentum balance.
 
-    With the rotors at rest the acceleration is that of weight and air alone; what a motion needs
-    beyond it the thrust has to supply, whatever the attitude.  Where that is linear in the velocity
-    each axis reads: thrust(t) = mass * acceleration + drag * velocity + standing(t), with the
-    weight and the wind in `standing`.
+    With the rotors stopped, the acceleration is that of weight and air alone; the thrust must
+    supply the rest of a motion's acceleration, in any attitude. If the balance is linear in the
+    velocity, each axis reads: thrust(t) = mass * acceleration + drag * velocity + standing(t), with
+    weight and wind in `standing`.
 
     Parameters
     ----------
@@ -365,8 +365,8 @@ class MomentumDemand:
     mass, drag : ndarray, shape (3,)
         Force per acceleration [kg] and per velocity [kg/s] along each world axis.
     is_linear : bool
-        Whether the demand is linear in the velocity and separate in the axes; `drag` has no
-        meaning when it is not.
+        Whether the balance is linear in the velocity and separable by axes; otherwise `drag` has no
+        meaning.
     """
 
     def __init__(self, dynamics: Dynamics) -> None:
@@ -399,7 +399,7 @@ class MomentumDemand:
         return np.asarray(self._dynamics.rates(time, states, self._controls)[self._velocity])
 
     def _mass(self, axis: int) -> float:
-        """Return the thrust per acceleration along an axis, with the vehicle tilted towards it."""
+        """Return thrust / acceleration along an axis, with the vehicle tilted towards it."""
         names, start = self._dynamics.state_names, self._dynamics.start
         states = self._at_rest.copy()
         if axis == 0:
@@ -415,7 +415,7 @@ class MomentumDemand:
 
 
 def battery_shortfalls(scenario: Scenario, steady: SteadyFlight) -> tuple[str, ...]:
-    """Say in which ways the pack is too small even for hovering through the mission."""
+    """Return the shortfalls of the pack for hovering through the mission, one line each."""
     hover = steady.hover
     pack = scenario.battery
     cells = f"battery {pack.use}, {pack.cells_series} x {pack.cells_parallel} cells"

@@ -1,7 +1,7 @@
-"""The order in which waypoints are passed: leg energies, the cheapest orders, the best few flown.
+"""Choice of the order of waypoints: leg energies, cheapest orders, solves of the best few.
 
-Few legs of all those possible are solved for: those between neighbours, and those of the cheapest
-orders.  The energies of the others are predicted from these, see docs/theory/orders.md, eq. (1).
+Only legs between neighbours and legs of the cheapest orders are solved for.  The energies of all
+other legs are predicted from these, see docs/theory/orders.md, eq. (1).
 """
 
 from __future__ import annotations
@@ -32,30 +32,32 @@ if TYPE_CHECKING:
     LegSolver = Callable[[Scenario, Mesh, Route | None, Solution | None], Solution]
     _Leg = tuple[int, int]
 
-#: Orders whose whole missions are solved: leg energies leave out what passing at speed saves.
+#: Orders whose whole missions are solved, because leg energies ignore the saving of not stopping.
 BEST_FEW = 3
 _LEG_MESH = Mesh.uniform(8, 4)
-# Up to so many legs, all are solved for: from fewer no prediction is worth its error.
+# Number of legs up to which all are solved for: with few legs, predictions are inaccurate.
 _FEW_LEGS = 30
-# Places that are nearest to each, whose legs are solved for first, and legs of all lengths beside,
-# without which the prediction would reach beyond what it was fitted to.
+# Number of nearest neighbours per place whose legs are solved for first, and of further legs of all
+# lengths, so that the prediction does not extrapolate.
 _NEAREST, _OF_ALL_LENGTHS = 3, 10
 # Optimism about a leg that is not solved for, in root mean square errors of the prediction.
 _OPTIMISM = 2.0
+# Terms of the prediction, of which there are at most half as many as legs solved for.
+_TERMS = 12
 # Regularisation of the prediction, relative to its features' largest values.
 _RIDGE = 1e-3
-# Times that a search's cheapest orders are solved for; an exact one is done when all of its are.
+# Rounds of solving the legs of the cheapest orders; an exact search ends when all are solved.
 _MOST_ROUNDS = 6
 
 
 def in_order(scenario: Scenario, order: Sequence[int]) -> Scenario:
-    """Return a scenario with its waypoints in an order that is given."""
+    """Return a scenario with its waypoints in a given order."""
     waypoints = tuple(scenario.mission.waypoints[k] for k in order)
     return scenario.with_mission(waypoints=waypoints, order=Order.GIVEN)
 
 
 class LegTable:
-    """What it costs to fly from each place of a mission to each other, hover to hover.
+    """Energies of the legs between all places of a mission, from hover to hover.
 
     Parameters
     ----------
@@ -71,63 +73,68 @@ class LegTable:
         self._ways = _shortest_ways(scenario)
         self._count = len(scenario.mission.positions)
         self._usual = _usual_length(self._count, self._ways)
-        self._costs: dict[_Leg, float] = {}
+        self._known: dict[_Leg, float] = {}
+        self._failed: set[_Leg] = set()
         self._last: Solution | None = None
 
     @property
     def legs(self) -> tuple[_Leg, ...]:
-        """Legs that an order may have and the zones leave open; none where they shut a place in."""
+        """Legs that an order may have and zones do not block; none if zones enclose a place."""
         return () if isinf(self._usual) else tuple(self._ways)
 
     @property
     def solved(self) -> int:
         """Number of legs solved for."""
-        return len(self._costs)
+        return len(self._known)
 
     @property
     def lengths(self) -> FloatArray:
-        """Length of each leg's shortest way [m], infinite where none leads."""
+        """Length of each leg's shortest route [m], infinite if there is none."""
         return self._table({leg: way.length for leg, way in self._ways.items()})
 
     def costs(self) -> FloatArray:
-        """Return the energy of each leg solved for [J], infinite elsewhere.
+        """Return the energy of each leg solved for [J], and a low prediction of all others.
 
-        Start, waypoints and goal are rows and columns; what the time costs is counted beside.
+        Start, waypoints and goal are rows and columns; the price of time is included. The
+        prediction is the regression of eq. (1) in docs/theory/orders.md, less twice its
+        cross-validated root mean square error. A leg whose solve failed is predicted without that
+        margin: its share of the time may be too short from hover to hover, and yet long enough in
+        passing.
         """
-        return self._table(self._costs)
-
-    def optimistic_costs(self) -> FloatArray:
-        """Return the energy of each leg solved for, and a low prediction of all others [J].
-
-        The prediction is the regression of eq. (1) in docs/theory/orders.md, less twice its root
-        mean square error in legs left out.
-        """
-        missing = [leg for leg in self.legs if leg not in self._costs]
-        known = {leg: cost for leg, cost in self._costs.items() if not isinf(cost)}
-        if not missing or not known:
-            return self.costs()
-        features = np.array([self._features(leg) for leg in known])
+        missing = [leg for leg in self.legs if leg not in self._known]
+        if not missing:
+            return self._table(self._known)
+        if not self._known:
+            return self.lengths
+        terms = max(1, min(_TERMS, len(self._known) // 2))
+        features = np.array([self._features(leg)[:terms] for leg in self._known])
+        energies = np.array(list(self._known.values()))
         scales = np.maximum(np.abs(features).max(axis=0), np.finfo(float).tiny)
         features /= scales
-        normal = features.T @ features + _RIDGE * np.eye(len(scales))
+        normal = features.T @ features + _RIDGE * np.eye(terms)
         fit = np.linalg.solve(normal, features.T)
-        coefficients = fit @ np.array(list(known.values()))
-        # Of a linear fit, the error in a leg left out follows from the fit with it.
+        # Leave-one-out error of a linear fit, from the fit with all legs.
         left_out = 1.0 - np.einsum("lf,fl->l", features, fit)
-        errors = (features @ coefficients - np.array(list(known.values()))) / left_out
+        errors = (features @ fit @ energies - energies) / left_out
         margin = _OPTIMISM * float(np.sqrt(np.mean(errors**2)))
-        others = np.array([self._features(leg) for leg in missing]) / scales @ coefficients
-        predicted = np.maximum(others - margin, 0.0)
-        return self._table(self._costs | dict(zip(missing, predicted.tolist(), strict=True)))
+        others = np.array([self._features(leg)[:terms] for leg in missing]) / scales
+        margins = np.array([0.0 if leg in self._failed else margin for leg in missing])
+        predicted = np.maximum(others @ fit @ energies - margins, 0.0)
+        return self._table(self._known | dict(zip(missing, predicted.tolist(), strict=True)))
 
     def solve_for(self, legs: Iterable[_Leg]) -> bool:
-        """Solve for legs that are not yet, and say whether there were any."""
-        missing = [leg for leg in dict.fromkeys(legs) if leg not in self._costs]
+        """Solve for those legs that were not tried yet; return whether there were any."""
+        missing = [leg for leg in dict.fromkeys(legs) if leg not in self._known]
+        missing = [leg for leg in missing if leg not in self._failed]
         for leg in missing:
-            self._costs[leg] = self._flown(leg)
+            found = self._flown(leg)
+            if found.status.is_solved:
+                self._last, self._known[leg] = found, float(found.objective)
+            else:
+                self._failed.add(leg)
         return bool(missing)
 
-    def _flown(self, leg: _Leg) -> float:
+    def _flown(self, leg: _Leg) -> Solution:
         mission, way = self._scenario.mission, self._ways[leg]
         ends = (Hover(position=mission.positions[k], yaw=mission.start.yaw) for k in leg)
         alone = self._scenario.with_mission(
@@ -135,11 +142,7 @@ class LegTable:
         )
         if not mission.is_free:
             alone = alone.lasting(way.length / self._usual * mission.fixed_duration)
-        found = self._solve(alone, _LEG_MESH, way if way.sides else None, self._last)
-        if not found.status.is_solved:
-            return inf
-        self._last = found
-        return float(found.objective)
+        return self._solve(alone, _LEG_MESH, way if way.sides else None, self._last)
 
     def _features(self, leg: _Leg) -> list[float]:
         """Return the terms in which the energy of a leg is linear, eq. (1)."""
@@ -148,7 +151,8 @@ class LegTable:
         length = self._ways[leg].length
         courses = [dx * dx / length, dy * dy / length, dx * dy / length, dz * dz / length]
         detour = length - float(np.linalg.norm(there - here))
-        return [1.0, length**0.5, length, height * length, detour, dx, dy, dz, *courses]
+        # Those that tell most first: from few legs only the first terms are fitted.
+        return [1.0, length, length**0.5, dx, dy, dz, height * length, *courses, detour]
 
     def _table(self, costs: Mapping[_Leg, float]) -> FloatArray:
         table = np.full((self._count, self._count), inf)
@@ -162,13 +166,13 @@ def find_orders(
 ) -> tuple[OrderSearch, ...]:
     """Return the orders of waypoints that are cheapest by the energies of their legs.
 
-    Exact up to `orders.MOST_EXACT` waypoints: no leg that is not solved for would make a cheaper
-    order, were it as cheap as its optimistic prediction.
+    Exact up to `orders.MOST_EXACT` waypoints: no unsolved leg would lead to a cheaper order, even
+    at its optimistic prediction.
 
     Returns
     -------
     tuple of OrderSearch
-        The cheapest first; the order as given, where zones shut a place in.
+        The cheapest first; the given order if zones enclose a place.
     """
     table = LegTable(scenario, solve)
     n = len(scenario.mission.waypoints)
@@ -177,14 +181,14 @@ def find_orders(
     table.solve_for(table.legs if len(table.legs) <= _FEW_LEGS else _first_legs(table.lengths))
     rounds = 0
     while True:
-        costs = table.optimistic_costs()
+        costs = table.costs()
         cheapest_orders = best_orders(costs, count)
         rounds += 1
         is_last = n > MOST_EXACT and rounds >= _MOST_ROUNDS
         if not table.solve_for(leg for order in cheapest_orders for leg in _legs_of(order)):
             break
         if is_last:
-            costs = table.optimistic_costs()
+            costs = table.costs()
             break
     reached = cost_of(costs, cheapest_orders[0])
     bound = reached if n <= MOST_EXACT else least_cost(costs, reached)
@@ -201,12 +205,19 @@ def find_orders(
     return tuple(sorted(found, key=lambda search: search.cost_J))
 
 
+def legs_expected(waypoints: int) -> int:
+    """Return for how many legs the order of so many waypoints is solved for, at least."""
+    every = waypoints * (waypoints + 1)
+    first = _NEAREST * (waypoints + 1) + _OF_ALL_LENGTHS
+    return every if every <= _FEW_LEGS else min(every, first)
+
+
 def _legs_of(order: Sequence[int]) -> list[_Leg]:
     return list(pairwise((0, *(k + 1 for k in order), len(order) + 1)))
 
 
 def _first_legs(lengths: FloatArray) -> list[_Leg]:
-    """Return legs to the nearest places from each, of the shortest order, and of all lengths."""
+    """Return the legs between nearest places, of the shortest order, and of all lengths."""
     near = [(k, int(j)) for k, row in enumerate(lengths) for j in np.argsort(row)[:_NEAREST]]
     (shortest,) = best_orders(lengths, 1)
     by_length = np.argsort(lengths, axis=None)[: np.isfinite(lengths).sum()]
@@ -216,7 +227,7 @@ def _first_legs(lengths: FloatArray) -> list[_Leg]:
 
 
 def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
-    """Return the shortest way of each leg that a tour may have and the zones leave open."""
+    """Return the shortest route of each leg that a tour may have and zones do not block."""
     places, ways = scenario.mission.positions, {}
     last = len(places) - 1
     for here, there in permutations(range(len(places)), 2):
@@ -228,7 +239,7 @@ def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
 
 
 def _usual_length(count: int, ways: Mapping[_Leg, Route]) -> float:
-    """Return the length of the tour that always flies to the nearest place that is left."""
+    """Return the length of the tour that always continues to the nearest remaining place."""
     lengths = np.full((count, count), inf)
     for leg, way in ways.items():
         lengths[leg] = way.length
@@ -247,7 +258,7 @@ def cheapest(
     roughly: Callable[[Scenario], Solution],
     solve: Callable[[Scenario, Solution | None], Plan],
 ) -> Plan:
-    """Return the plan of the cheapest of some orders, each solved on one mesh as a whole first."""
+    """Return the plan of the cheapest of some orders, after a solve of each on one mesh."""
     attempts: list[str] = []
     flown: list[tuple[float, OrderSearch, Solution | None]] = []
     for search in found:

@@ -1,4 +1,4 @@
-"""Proof of a plan by something that did not make it: its controls, flown by SciPy."""
+"""Verification of a plan by an independent method: its controls, flown by SciPy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from pyomo_quad.flight.deadline import keep_time
 from pyomo_quad.flight.flight import (
     HELD_BREACH,
     POSITION_STATES,
-    VIOLATION_TOLERANCE,
     FloatArray,
     Flown,
     broken_limits,
@@ -23,21 +22,24 @@ from pyomo_quad.flight.flight import (
     terminal_miss_of,
 )
 from pyomo_quad.flight.integration import integrate
+from pyomo_quad.model.wind_field import unknown_wind
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy, Figures
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from pyomo_quad.scenario import Scenario
     from pyomo_quad.scenario.airspace import Airspace
 
 
-RELATIVE_TOLERANCE = 1e-12
-ABSOLUTE_TOLERANCE = 1e-12
+_PROOF = FIGURES[Accuracy.PROOF]
 SAMPLES_PER_ELEMENT = 8
-# The error of a rotor's speed, which nothing corrects, moves a place with the fourth power of the
-# time [s]: longer flights are integrated as much more sharply, down to what rounding leaves.
+# An uncorrected error of a rotor's speed grows into an error of position with the fourth power of
+# time [s]. Longer flights are integrated with a correspondingly smaller tolerance, bounded by
+# rounding.
 _LONG_S, _POWER, _SHARPEST = 30.0, 4, 3e-14
-# And in more steps of each element, so many in that time: DOP853 takes the square of what it sees
-# for its error, and steps across ripples of 1e-6 of a control that are worth 1e-7 rad/s.
+# They also take this many more steps per element, because DOP853 underestimates small errors: it
+# steps across ripples of 1e-6 in a control, which change a rotor speed by 1e-7 rad/s.
 _STEPS = 4
 
 
@@ -50,8 +52,9 @@ def fly_controls(
     *,
     samples_per_element: int | Sequence[int] = SAMPLES_PER_ELEMENT,
     method: str = "DOP853",
+    integration: float = _PROOF.integration,
 ) -> Flown:
-    """Fly piecewise polynomial controls open loop, held to their limits.
+    """Fly piecewise polynomial controls open loop, clipped to their limits.
 
     Parameters
     ----------
@@ -61,12 +64,14 @@ def fly_controls(
     horizon : (float, float)
         Start and end time [s].
     samples_per_element : int or sequence of int, optional
-        At how many times of each element, all of them or one by one, the flight is returned.
+        Number of samples in each element, for all of them or one by one.
+    integration : float, optional
+        Relative and absolute tolerance of the integrator.
 
     Raises
     ------
     SolveError
-        If the integrator gives up.
+        If the integrator fails.
     """
     return OpenLoop(dynamics).fly(
         mesh,
@@ -75,11 +80,12 @@ def fly_controls(
         horizon,
         samples_per_element=samples_per_element,
         method=method,
+        integration=integration,
     )
 
 
 class OpenLoop:
-    """A vehicle whose controls are given, ready to be flown over parts of a horizon."""
+    """A vehicle under given controls, compiled to be flown over parts of a horizon."""
 
     def __init__(self, dynamics: Dynamics) -> None:
         n_controls = len(dynamics.control_names)
@@ -100,13 +106,14 @@ class OpenLoop:
         part: tuple[float, float] | None = None,
         samples_per_element: int | Sequence[int] = SAMPLES_PER_ELEMENT,
         method: str = "DOP853",
+        integration: float = _PROOF.integration,
     ) -> Flown:
-        """Fly piecewise polynomial controls, over a part of their horizon where one is given."""
+        """Fly piecewise polynomial controls, over their horizon or a given part of it."""
         borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
         begin, end = horizon if part is None else part
         counts = np.broadcast_to(samples_per_element, mesh.elements)
         share = min(1.0, _LONG_S / (horizon[1] - horizon[0]))
-        tolerance = max(_SHARPEST, RELATIVE_TOLERANCE * share**_POWER)
+        tolerance = max(_SHARPEST, integration * share**_POWER)
         step = inf if share == 1.0 else share / _STEPS
         state = np.append(start, 0.0)
         parts_t: list[FloatArray] = [np.array([begin])]
@@ -129,6 +136,7 @@ class OpenLoop:
                 self._steps_between(first, last),
                 method=method,
                 rtol=tolerance,
+                atol=integration,
                 max_step=step * (borders[element + 1] - borders[element]),
             )
             state = flown[:, -1]
@@ -155,9 +163,9 @@ def _integrate(
     edges: Sequence[float],
     **options: float | str,
 ) -> FloatArray:
-    """Return states, the energy last, at the times of one element but the first.
+    """Return states, with the energy last, at the times of one element except the first.
 
-    Its equations hold from `inside` on.
+    The element's equations apply from `inside` on.
     """
 
     def rates(t: float, y: FloatArray) -> FloatArray:
@@ -170,7 +178,6 @@ def _integrate(
         state,
         times[1:],
         edges,
-        atol=ABSOLUTE_TOLERANCE,
         **options,
     )
     if flown.stopped_at is not None:
@@ -181,14 +188,9 @@ def _integrate(
     return flown.y
 
 
-#: Largest miss of any final state: metres, metres per second, radians, or, for what is
-#: larger than one (rotor speeds), relative.
-MISS_TOLERANCE = 1e-4
-#: Largest relative difference of flown and planned energy.
-ENERGY_TOLERANCE = 1e-6
-#: Largest share of the power drawn that voltage times current of the pack may lack: the guard
-#: that keeps a current finite beyond the pack's greatest power lets it lack more.  As much may
-#: its voltage be below what the motors need.
+#: Largest fraction of the power drawn that may be missing from voltage times current of the pack;
+#: the guard that keeps the current finite beyond the pack's greatest power makes this fraction
+#: larger. The same tolerance applies to the voltage that the motors need.
 BALANCE_TOLERANCE = 1e-3
 
 _VOLTAGE = "battery.voltage"
@@ -198,13 +200,13 @@ BALANCE_KEYS = tuple((name, None) for name in _BALANCE)
 #: Place of the state of charge [percent] among them.
 CHARGE_KEY = len(_BALANCE) - 1
 _MOTOR_VOLTAGE = "power.terminal_voltage"
-# The motors of standing rotors need no voltage, of which no share can be told.
+# The motors of stopped rotors need no voltage, so no fraction of it can be missing.
 _STANDSTILL_V = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """What the re-simulation of a plan found.
+    """Results of re-simulating a plan.
 
     Attributes
     ----------
@@ -215,19 +217,22 @@ class Verification:
     worst_miss : str
         State whose miss is largest, relative to the larger of 1 and its value.
     max_violation, worst_constraint : float, str
-        Worst breach of a limit between points, relative, and the limit's name.
+        Worst violation of a limit between points, relative, and the limit's name.
     broken_limits : tuple of str
-        Every limit broken by more than the tolerance, and by how much.
+        Every limit violated by more than the tolerance, with the amount.
     energy_difference_J, flown_energy_J : float
     passing_misses_m : tuple of float
-        By how much the flight passes each waypoint further off than allowed.
+        Excess of the flight's distance from each waypoint over the allowed distance.
     battery_imbalance : float
-        Largest share of the power, or of the charge, drawn that the pack cannot give.
+        Largest fraction of the power, or of the charge, drawn that the pack cannot give.
     voltage_lacking : float
-        Largest share of the voltage at which a motor keeps its speed that the pack cannot give;
-        negative where it gives more.
+        Largest fraction of a motor's voltage that the pack cannot give; negative if the pack gives
+        more than needed.
     is_verified : bool
-        All of the above within this module's tolerances.
+        Whether all of the above are within the figures of the required accuracy.
+    reached : Accuracy or None
+        The highest accuracy, up to the required one, whose figures all of the above meet; None
+        if they meet none.
     """
 
     terminal_miss: Mapping[str, float]
@@ -242,6 +247,7 @@ class Verification:
     passing_misses_m: tuple[float, ...] = ()
     battery_imbalance: float = 0.0
     voltage_lacking: float = 0.0
+    reached: Accuracy | None = None
 
     @property
     def is_fed(self) -> bool:
@@ -250,7 +256,7 @@ class Verification:
 
     @property
     def shortfall(self) -> str:
-        """What the pack lacks and how to mend that, in one line; empty where it lacks nothing."""
+        """Shortfall of the pack and its remedy, in one line; empty if there is none."""
         if self.battery_imbalance > BALANCE_TOLERANCE:
             return (
                 f"battery: the pack lacks {100.0 * self.battery_imbalance:.3g} % of the power or "
@@ -258,18 +264,18 @@ class Verification:
             )
         if not self.is_fed:
             return (
-                f"battery: the pack lacks {100.0 * self.voltage_lacking:.3g} % of the voltage at "
-                "which the motors keep their speed; give it more cells in series, or motors of a "
+                f"battery: the pack lacks {100.0 * self.voltage_lacking:.3g} % of the voltage that "
+                "the motors need to keep their speed; give it more cells in series, or motors of a "
                 "higher vehicle.voltage_constant."
             )
         return ""
 
 
 def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
-    """Return the largest share of a motor's voltage that the pack cannot give; negative if none.
+    """Return the largest fraction of a motor's voltage that the pack cannot give.
 
-    It is the voltage, of motor and of pack, at which the rotors keep the speeds of an instant:
-    the limit on their acceleration stands for the voltage that changing speed takes.
+    Negative if there is none missing. Both voltages are those at constant rotor speed; the limit on
+    the rotors' acceleration stands for the additional voltage of changing the speed.
     """
     if not dynamics.has(_MOTOR_VOLTAGE) or not dynamics.has(_VOLTAGE):
         return 0.0
@@ -281,11 +287,22 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
     return float(np.max((highest - given) / np.maximum(_STANDSTILL_V, highest)))
 
 
-def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
-    """Return the largest shares of the power, and of the charge, that the pack cannot give.
+def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
+    """Return one line on where a flight leaves the wind field that its plan was told, or nothing.
 
-    The declared equations stay finite beyond what a pack delivers and beyond empty; a flight
-    there is no flight.  A model without a battery lacks nothing.
+    A flight of a model without places leaves nothing.
+    """
+    if not set(POSITION_STATES) <= set(dynamics.state_names):
+        return ""
+    columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
+    return unknown_wind(scenario.as_forecast(), flown.t, flown.states[:, columns])
+
+
+def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
+    """Return the largest fractions of the power and of the charge that the pack cannot give.
+
+    The declared equations stay finite beyond the pack's greatest power and beyond empty, but a real
+    vehicle cannot fly there. A model without a battery lacks nothing.
     """
     if not has_balance(dynamics):
         return 0.0, 0.0
@@ -304,15 +321,12 @@ def balance_lacking(balance: FloatArray) -> tuple[float, float]:
     return float(np.max(lacking)), float(-np.min(charge) / 100.0)
 
 
-# Between samples as close as this [m] a straight flight cuts into a ball of half a metre by less
-# than 1e-5 m, and into the edge of a zone by less than 4e-4 m.
-_SAMPLE_SPACING = 5e-3
-
-
 def _samples_near_zones(
-    airspace: Airspace, dynamics: Dynamics, mesh: Mesh, states: FloatArray
+    airspace: Airspace, dynamics: Dynamics, mesh: Mesh, states: FloatArray, spacing: float
 ) -> list[int]:
-    """Return at how many times of each element to look whether the flight keeps out of all zones.
+    """Return the number of samples in each element needed to check all keep-outs.
+
+    Samples are at most `spacing` [m] apart.
 
     The states are those planned at the nodes, shape (n_points + 1, n_states).
     """
@@ -323,21 +337,25 @@ def _samples_near_zones(
         length = float(np.linalg.norm(np.diff(held, axis=0), axis=1).sum())
         depths = (float(zone.depth(held).max()) for zone in airspace.keep_out)
         is_near = max(depths, default=-np.inf) + airspace.clearance > -length
-        close = ceil(length / _SAMPLE_SPACING) if is_near else 0
+        close = ceil(length / spacing) if is_near else 0
         counts.append(max(SAMPLES_PER_ELEMENT, close))
     return counts
 
 
-# Into how many the element is split in which a flight broke a limit.
+# Number of parts into which an element is split if the flight violated a limit in it.
 _PARTS = 4
 
 
 def split_at_breaches(
-    dynamics: Dynamics, flown: Flown, mesh: Mesh, horizon: tuple[float, float]
+    dynamics: Dynamics,
+    flown: Flown,
+    mesh: Mesh,
+    horizon: tuple[float, float],
+    accuracy: Accuracy = Accuracy.PROOF,
 ) -> Mesh:
-    """Return a mesh with those elements split in which a flight broke a limit most."""
+    """Return a mesh in which the elements with the worst violations of limits are split."""
     breaches = dynamics.violations(flown.t, flown.states, flown.controls)
-    times = [breach.time for breach in breaches if breach.relative > VIOLATION_TOLERANCE]
+    times = [breach.time for breach in breaches if breach.relative > FIGURES[accuracy].breach]
     start, end = horizon
     elements = set(mesh.locate((np.array(times) - start) / (end - start)).tolist())
     return mesh.with_breakpoints(
@@ -357,7 +375,7 @@ class Passage:
 
 
 def _passing_miss(dynamics: Dynamics, flown: Flown, passage: Passage) -> float:
-    """Return by how much a flight is further off a place than it may be [m]."""
+    """Return the excess of a flight's distance from a place over the allowed distance [m]."""
     nearest = int(np.argmin(np.abs(flown.t - passage.time_s)))  # an element ends there
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     off = np.linalg.norm(flown.states[nearest, columns] - passage.position)
@@ -373,8 +391,9 @@ def verify_controls(
     energy: float,
     airspace: Airspace | None = None,
     passages: Sequence[Passage] = (),
+    accuracy: Accuracy = Accuracy.PROOF,
 ) -> tuple[Verification, Flown]:
-    """Fly a plan's controls and compare.
+    """Fly a plan's controls and compare the result with the plan.
 
     Parameters
     ----------
@@ -384,14 +403,25 @@ def verify_controls(
     energy : float
         Objective of the plan [J].
     airspace : Airspace, optional
-        Beside its zones the flight is looked at closely.
+        Airspace whose zones are checked with dense samples.
     passages : sequence of Passage, optional
-        Where the flight should pass, and when.
+        Places that the flight should pass, with times.
+    accuracy : Accuracy, optional
+        The required accuracy, which sets the tolerance and the sampling of the flight.
     """
+    figures = FIGURES[accuracy]
     samples: int | list[int] = SAMPLES_PER_ELEMENT
     if airspace is not None and set(POSITION_STATES) <= set(dynamics.state_names):
-        samples = _samples_near_zones(airspace, dynamics, mesh, states)
-    flown = fly_controls(dynamics, mesh, controls, states[0], horizon, samples_per_element=samples)
+        samples = _samples_near_zones(airspace, dynamics, mesh, states, figures.spacing)
+    flown = fly_controls(
+        dynamics,
+        mesh,
+        controls,
+        states[0],
+        horizon,
+        samples_per_element=samples,
+        integration=figures.integration,
+    )
     planned = dict(zip(dynamics.state_names, states[-1], strict=True))
     miss = terminal_miss_of(dynamics, flown.states[-1], planned)
     relative = {name: abs(m) / max(1.0, abs(planned[name])) for name, m in miss.items()}
@@ -402,6 +432,13 @@ def verify_controls(
     lacking = voltage_lacking(dynamics, flown)
     flown_energy = float(flown.energy[-1])
     passing = tuple(_passing_miss(dynamics, flown, passage) for passage in passages)
+    found = _Found(
+        miss=max(relative[worst_miss], *passing, 0.0),
+        breach=breach.relative,
+        energy=abs(flown_energy - energy) / max(1.0, abs(energy)),
+        lacking=max(imbalance, lacking),
+    )
+    reached = found.reached(accuracy)
     verification = Verification(
         terminal_miss=miss,
         terminal_miss_m=position_miss(miss),
@@ -410,17 +447,34 @@ def verify_controls(
         worst_constraint=breach.name,
         energy_difference_J=flown_energy - energy,
         flown_energy_J=flown_energy,
-        is_verified=bool(
-            relative[worst_miss] <= MISS_TOLERANCE
-            and breach.relative <= VIOLATION_TOLERANCE
-            and abs(flown_energy - energy) <= ENERGY_TOLERANCE * max(1.0, abs(energy))
-            and max(passing, default=0.0) <= MISS_TOLERANCE
-            and max(imbalance, lacking) <= BALANCE_TOLERANCE
-            and np.isfinite(flown_energy)
-        ),
-        broken_limits=broken_limits(dynamics, breaches, {}),
+        is_verified=reached is accuracy,
+        broken_limits=broken_limits(dynamics, breaches, {}, figures.breach),
         passing_misses_m=passing,
         battery_imbalance=imbalance,
         voltage_lacking=lacking,
+        reached=reached,
     )
     return verification, flown
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Found:
+    """Worst errors of a flight, as `Figures` and `BALANCE_TOLERANCE` limit them."""
+
+    miss: float
+    breach: float
+    energy: float
+    lacking: float
+
+    def reached(self, asked: Accuracy) -> Accuracy | None:
+        """Return the highest accuracy whose figures are met, at most the one asked for."""
+        met = [a for a in Accuracy if asked.meets(a) and self._meets(FIGURES[a])]
+        return met[-1] if met else None
+
+    def _meets(self, figures: Figures) -> bool:
+        return bool(
+            self.miss <= figures.miss
+            and self.breach <= figures.breach
+            and self.energy <= figures.energy_flown
+            and self.lacking <= BALANCE_TOLERANCE
+        )

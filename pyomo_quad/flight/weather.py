@@ -1,7 +1,7 @@
-"""The vehicle in the wind that its flights meet: turbulence, and what was told wrongly.
+"""The vehicle in the actual wind of its flights: turbulence, and errors of the forecast.
 
-A user knows the wind to come, the mass and the power of hover only roughly.  Each of these errors
-is a normal number of its own, with the standard deviation that the scenario states.
+A user knows the future wind, the mass and the hover power only approximately. Each of these errors
+is an independent normal number with the standard deviation stated in the scenario.
 """
 
 from math import cos, hypot, sin
@@ -27,20 +27,20 @@ from pyomo_quad.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
 
-# Of a mission as planned and as flown at a cruise speed, with a neighbour each.
+# Missions as planned and as flown at a cruise speed, with one neighbour each.
 _MOST = 4
 _PROBLEMS: Recent[Problem] = Recent(_MOST)
 
 
 def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
-    """Return the vehicle as `Planner.dynamics` does, in the turbulence of the scenario's wind.
+    """Return the vehicle of `Planner.dynamics` in the turbulence of the scenario's wind.
 
-    Where the wind has no turbulence they are the same.
+    Without turbulence the two are the same.
 
     Parameters
     ----------
     scenario : Scenario
-        Of a fixed duration.
+        A scenario with a fixed duration.
     """
     if scenario.wind.turbulence is None:
         return planner.dynamics(scenario)
@@ -53,38 +53,51 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
 
 
 def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[Dynamics, Draws]:
-    """Draw the winds of many flights, and what is known only roughly.
+    """Draw the winds, masses and powers of many flights.
+
+    Where the forecast states how far it errs, each flight has a wind of its own round it; else all
+    flights have the wind that blows.
 
     Returns
     -------
     Dynamics
-        The vehicle in the mean wind.
+        The vehicle without any error and gust.
     Draws
-        Turbulence and errors of each flight, the same for a seed whatever count and duration.
+        Of each flight, the same for a seed and a number of the flight whatever the count and the
+        duration.
     """
+    told = scenario.as_forecast().wind
+    if told.speed_deviation or told.direction_deviation:
+        scenario = as_expected(scenario)
     changes = unknowns(planner, scenario)
     if scenario.wind.turbulence is None and not changes:
         return planner.dynamics(scenario), Draws(count=count)
     end = scenario.mission.fixed_duration
-    numbers = without_reserve(parameter_values(scenario) | turbulence_values(scenario)) or {}
-    dynamics = problem_in_turbulence(scenario).dynamics(parameters=numbers, horizon=(0.0, end))
-    gusts = [Gusts((seed, flight)) for flight in range(count)]
+    given = without_reserve(parameter_values(scenario) | turbulence_values(scenario)) or {}
+    dynamics = problem_in_turbulence(scenario).dynamics(parameters=given, horizon=(0.0, end))
+    errors = np.array(
+        [
+            np.random.default_rng((seed, k, _OF_ERRORS)).standard_normal(len(changes))
+            for k in range(count)
+        ]
+    )
+    numbers: dict[str, FloatArray] = {}
+    for change, error in zip(changes, errors.T, strict=True):
+        for name, size in change.items():
+            numbers[name] = numbers.get(name, given.get(name, 0.0)) + size * error
+    gusts = [Gusts((seed, k)) for k in range(count)]
     noise = np.stack([gust.noise(end) for gust in gusts], axis=-1)
     start = [gust.start for gust in gusts]
-    errors = np.array(
-        [np.random.default_rng((seed, k, 1)).standard_normal(4) for k in range(count)]
-    )
-    drawn: dict[str, FloatArray] = {}
-    for number, change in enumerate(changes):
-        for name, by in change.items():
-            middle = drawn.get(name, np.full(count, numbers.get(name, 0.0)))
-            drawn[name] = middle + by * errors[:, number]
     return dynamics, Draws(
         count=count,
-        numbers=drawn,
+        numbers=numbers,
         noise=dict(zip(NOISE, np.swapaxes(noise, 0, 1), strict=True)),
         start={name: np.array([begun[name] for begun in start]) for name in FILTER_STATES},
     )
+
+
+# Tells the generator of a flight's errors from that of its gusts.
+_OF_ERRORS = 1
 
 
 def problem_in_turbulence(scenario: Scenario) -> Problem:
@@ -98,21 +111,21 @@ def problem_in_turbulence(scenario: Scenario) -> Problem:
 
 
 def as_expected(scenario: Scenario) -> Scenario:
-    """Return the scenario in the wind that plans expect: the forecast, with the turbulence."""
+    """Return the scenario in the wind that plans assume: the forecast, plus the turbulence."""
     told = scenario.as_forecast()
     turbulence = {"turbulence": scenario.wind.turbulence}
     return told.model_copy(update={"wind": told.wind.model_copy(update=turbulence)})
 
 
 def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return what is known roughly, each as the change of parameters by one standard deviation.
+    """Return the uncertain quantities, each as the change of parameters by one standard deviation.
 
-    The parameters, by full name, are those of `problem_in_turbulence`; changes add up.
+    The parameters, by full name, are those of `problem_in_turbulence`; changes are added.
     """
     told = scenario.as_forecast()
     along, aside = mean_wind(told.wind).tolist()
     speed = hypot(along, aside)
-    # In calm air the error of the speed has the direction in which a steady wind would blow.
+    # In calm air, the error of the speed has the direction of the scenario's steady wind.
     ahead = (along / speed, aside / speed) if speed else _direction(told)
     faster, turned = told.wind.speed_deviation, told.wind.direction_deviation * speed
     watts = scenario.power.hover_power_deviation

@@ -1,9 +1,9 @@
-"""Zones beside a leg: which straight lines cut them, on which side they are passed, and where.
+"""Zones beside a leg: lines that cut them, sides on which they are passed, and places beside.
 
-The side is read where the leg passes the zone: in the upright plane across the course, through the
-middle of what the zone covers of the leg, or through the place on the leg that is nearest to the
-zone.  This plane parts the start from the goal and cuts the zone however tall it is; a plane
-through the zone's centre need not.
+The side is determined where the leg passes the zone: in the vertical plane across the course,
+through the middle of the part of the leg inside the zone, or else through the point of the leg
+nearest to the zone. This plane separates the start from the goal and cuts the zone for any height;
+a plane through the zone's centre may not.
 """
 
 from collections.abc import Sequence
@@ -19,17 +19,17 @@ from pyomo_quad.scenario.airspace import Ball, KeepOut
 
 FloatArray = NDArray[np.float64]
 
-#: m. Places beside a zone are this far from it and its clearance; a gap so narrow is none.
+#: m. Distance of places from a zone with its clearance; a narrower gap counts as closed.
 MARGIN_M = 0.15
 _CORNERS = 12
-# Between the directions of a cube's corners, edges and faces lie at most 54.8 degrees.
+# The directions of a cube's corners, edges and faces are at most 54.8 degrees apart.
 _DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 _SPHERE_MARGIN = 1.0 / cos(54.8 / 2 * pi / 180)
 ROUNDING = 1e-9
 
 
 class Side(StrEnum):
-    """On which side a route passes a zone, as seen in flight."""
+    """Side on which a route passes a zone, as seen in flight."""
 
     LEFT = "left"
     RIGHT = "right"
@@ -38,7 +38,7 @@ class Side(StrEnum):
 
 
 def zones_hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) -> list[KeepOut]:
-    """Return the zones that a way of straight lines from place to place cuts into."""
+    """Return the zones that straight lines from place to place cut."""
     return [
         zone
         for zone in zones
@@ -52,7 +52,7 @@ def zones_hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) ->
 def are_blocked(
     zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> NDArray[np.bool_]:
-    """Say which straight lines, from places of shape (n, 3) to others, cut into a zone."""
+    """Return which straight lines, between pairs of places of shape (n, 3), cut a zone."""
     entered, left = _spans_inside(zone, starts, ends, clearance)
     return np.asarray(np.minimum(left, 1.0) - np.maximum(entered, 0.0) > ROUNDING)
 
@@ -60,9 +60,9 @@ def are_blocked(
 def _spans_inside(
     zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return between which shares of straight lines, prolonged, they are in a zone.
+    """Return the fractions at which straight lines, extended, enter and leave a zone.
 
-    Where they are in none of it, the last is below the first.
+    If a line misses the zone, the second fraction is smaller than the first.
     """
     entered, left = np.full(len(starts), -inf), np.full(len(starts), inf)
     for ball in zone.balls:
@@ -74,7 +74,7 @@ def _spans_inside(
 def _span_inside(
     ball: Ball, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return between which shares of straight lines, prolonged, they are in a ball, or (1, 0)."""
+    """Return the fractions at which straight lines, extended, enter and leave a ball, or (1, 0)."""
     axes = list(ball.axes)
     away, along = starts[:, axes] - ball.centre, (ends - starts)[:, axes]
     radius = ball.radius + clearance - ROUNDING
@@ -93,7 +93,7 @@ def _span_inside(
 def sides_passed(
     zone: KeepOut, ends: FloatArray, clearance: float, starts: FloatArray, stops: FloatArray
 ) -> NDArray[np.intp]:
-    """Return the number of the side on which each line passes a zone, -1 where it does not."""
+    """Return the number of the side on which each line passes a zone, -1 if it does not pass it."""
     section = _section(zone, ends, clearance)
     if section is None:
         return np.full(len(starts), -1)
@@ -108,10 +108,10 @@ def sides_passed(
 
 
 class _Section(NamedTuple):
-    """What the plane in which a leg passes a zone cuts out of it."""
+    """Section of a zone in the plane where a leg passes it."""
 
     middle: FloatArray
-    """m; shape (3,), as the directions along the course, to its left and up, of length one."""
+    """m, shape (3,); so are the unit vectors along the course, to its left and up."""
     along: FloatArray
     left: FloatArray
     up: FloatArray
@@ -122,24 +122,24 @@ class _Section(NamedTuple):
 
 
 def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
-    """Return the section of a zone where a leg passes it, None where that is one of its ends."""
+    """Return the section of a zone where a leg passes it, None if that is at an end of the leg."""
     share, reach = _passage(zone, ends, clearance)
     if not ROUNDING < share < 1.0 - ROUNDING:
         return None
     along, left, up = _frame(ends)
     middle = ends[0] + share * (ends[1] - ends[0])
     middle, _ = _chord(zone, middle, left, reach)
-    # This chord and the next are the longest, in a round section too.
+    # This chord and the next are the longest ones, also in a round section.
     middle, half_height = _chord(zone, middle, up, reach)
     middle, half_width = _chord(zone, middle, left, reach)
     return _Section(middle, along, left, up, half_width, half_height)
 
 
 def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, float]:
-    """Return the share of a leg where it passes a zone, and the clearance that reaches the leg.
+    """Return the fraction of a leg where it passes a zone, and the clearance that reaches the leg.
 
-    It is the middle of what is within the zone and its clearance or, where nothing is, within the
-    least clearance that would reach the leg.
+    The fraction is the middle of the part of the leg within the zone and its clearance or, if there
+    is none, within the least clearance that reaches the leg.
     """
 
     def span(reach: float) -> tuple[float, float]:
@@ -161,16 +161,16 @@ def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, 
 def _chord(
     zone: KeepOut, place: FloatArray, direction: FloatArray, reach: float
 ) -> tuple[FloatArray, float]:
-    """Return the middle of a straight line's part inside a zone, and half of its length."""
+    """Return the middle and half the length of a straight line's part inside a zone."""
     (first,), (last,) = _spans_inside(zone, place[None], (place + direction)[None], reach)
     return place + (first + last) / 2 * direction, float(last - first) / 2
 
 
 def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the directions of a leg's course, to its left and up, of length one.
+    """Return unit vectors along a leg's course, to its left and up.
 
-    The course is level unless the leg is upright: a steep leg, too, passes a tall zone on the left
-    or right.
+    The course is horizontal unless the leg is vertical: a steep leg, too, passes a tall zone on the
+    left or right.
     """
     upward = np.array([0.0, 0.0, 1.0])
     along = (ends[1] - ends[0]) * (1.0, 1.0, 0.0)
@@ -182,7 +182,7 @@ def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArray:
-    """Return places all round a zone, whose straight lines along it do not cut into it."""
+    """Return places all around a zone, so that straight lines between neighbours miss it."""
     reach = clearance + MARGIN_M
     share, _ = _passage(zone, ends, clearance)
     passing = ends[0] + share * (ends[1] - ends[0])
@@ -197,7 +197,7 @@ def places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArr
             circle = np.column_stack([np.cos(angles), np.sin(angles)])
             choices.append(ball.centre + radius / cos(pi / _CORNERS) * circle)
         else:
-            # A shortest way may pass anywhere along an edge, above all where it is straight.
+            # A shortest path may cross an edge anywhere, in particular a straight edge.
             (axis,) = ball.axes
             near = np.append(ends[:, axis], passing[axis])
             sides = ball.centre[0] + radius * np.array([-1.0, 1.0])

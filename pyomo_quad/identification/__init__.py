@@ -1,1 +1,1 @@
-"""Vehicles from their own flights: logs read, parameters identified, energies predicted."""
+"""Vehicles from measured flights: reading logs, identifying parameters, predicting energies."""

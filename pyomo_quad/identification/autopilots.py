@@ -1,7 +1,7 @@
-"""Logs of autopilots, PX4 `.ulg` and ArduPilot `.BIN`, as the table that `logs` reads.
+"""Logs of autopilots, PX4 `.ulg` and ArduPilot `.BIN`, in the form of the table of `logs`.
 
-Each log is one flight, named as its file.  Rows not on the ground count as cruise, the payload is
-0, and where no barometer says better the air has the density of sea level.
+Each log is one flight, named after its file. All airborne rows count as cruise, the payload is 0,
+and without a barometer the density is that at sea level.
 """
 
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ from pyomo_quad.identification.columns import (
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 
-# Logs of the PX4 autopilot: unit, topics and fields, the newest firmware's name first.
+# Logs of the PX4 autopilot: unit, topics and fields, the name in the newest firmware first.
 Topic = dict[str, NDArray[np.float64]]
 _MICROSECONDS = 1e-6
 _POSITION, _BATTERY, _LANDED = "vehicle_local_position", "battery_status", "vehicle_land_detected"
@@ -40,9 +40,9 @@ _CURRENTS, _VOLTAGES = ("current_a", "current_average_a"), ("voltage_v", "voltag
 def read_ulog(file: Path) -> pd.DataFrame:
     """Return a PX4 log averaged over seconds, in the columns of `COLUMNS`.
 
-    The log is one flight, named as its file.  All rows that are not on the ground count as cruise;
-    the payload is 0, and without a barometer the air has the density of sea level.  The wind is
-    the estimate of the autopilot.
+    The log is one flight, named after its file. All airborne rows count as cruise, the payload is
+    0, and without a barometer the density is that at sea level. The wind is the autopilot's
+    estimate.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def read_ulog(file: Path) -> pd.DataFrame:
             "PX4 logs need the package pyulog; pip install 'pyomo_quad[logs]'."
         ) from None
     try:
-        # The reader prints the faults that it finds.
+        # The reader prints the errors that it finds.
         with file.open("rb") as stream, redirect_stdout(StringIO()):
             read = ULog(stream, message_name_filter_list=list(_TOPICS)).data_list
             topics = {d.name: d.data for d in read if d.multi_id == 0}
@@ -75,7 +75,7 @@ def read_ulog(file: Path) -> pd.DataFrame:
 
 
 def _field(topics: dict[str, Topic], topic: str, *names: str) -> NDArray[np.float64]:
-    """Return the field of a topic under the first of the names that it has."""
+    """Return the field of a topic under the first of the given names that exists."""
     if topic not in topics:
         raise ScenarioError(f"has no topic {topic}; log it.")
     for name in names:
@@ -131,8 +131,8 @@ _USUAL_CELSIUS = 15.0
 def read_ardupilot(file: Path) -> pd.DataFrame:
     """Return an ArduPilot log averaged over seconds, in the columns of `COLUMNS`.
 
-    Motion and wind are those of the first core of EKF3; where the filter estimates no wind, the
-    air stands still.
+    Motion and wind are those of the first core of EKF3; if the filter does not estimate the wind,
+    the air is calm.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
             "ArduPilot logs need the package pymavlink; pip install 'pyomo_quad[logs]'."
         ) from None
     with file.open("rb"):
-        pass  # an operating system's own message, if it cannot be read
+        pass  # raise the operating system's own error if the file cannot be read
     rows: dict[str, list[dict[str, float]]] = {name: [] for name in _MESSAGES}
     try:
         with redirect_stdout(StringIO()):
@@ -216,7 +216,7 @@ def _ardupilot_by_second(messages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 
 
 def _is_flying(events: pd.DataFrame, times: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether the land detector says aloft; all the time where it is not logged."""
+    """Return whether the land detector reports airborne; always true if it is not logged."""
     if not {"TimeUS", "Id"} <= set(events):
         return np.ones(len(times), dtype=bool)
     told = events[events["Id"].isin((_LANDED_EVENT, _FLYING_EVENT))]
@@ -224,7 +224,7 @@ def _is_flying(events: pd.DataFrame, times: NDArray[np.float64]) -> NDArray[np.b
         return np.ones(len(times), dtype=bool)
     latest = np.searchsorted(told["TimeUS"].to_numpy(float), times, side="right") - 1
     aloft = (told["Id"] == _FLYING_EVENT).to_numpy()
-    # Before the first event the state is the opposite of the one that it announces.
+    # Before the first event, the state is the opposite of the state that the event reports.
     return np.where(latest >= 0, aloft[np.maximum(latest, 0)], ~aloft[0])
 
 

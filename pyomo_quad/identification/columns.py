@@ -30,12 +30,12 @@ COLUMNS: Mapping[str, LogColumn] = {
     VELOCITY[2]: LogColumn("m/s", "climb", ("vu_m_s",)),
     **dict.fromkeys(AIR_VELOCITY, LogColumn("m/s", _AIR_READ)),
 }
-#: Values of `PHASE` of the rows that are read.
+#: Values of `PHASE` in the rows that are used.
 FLYING = (1, 2, 3)
 CRUISE = 2
 
 
 def wanted_columns(columns: Mapping[str, LogColumn] = COLUMNS) -> str:
     """List the columns of a table with their units, on one line."""
-    told = (f"{name} [{column.unit}]" if column.unit else name for name, column in columns.items())
+    told = (f"{name} ({column.unit})" if column.unit else name for name, column in columns.items())
     return f"the columns are {', '.join(told)}"

@@ -20,9 +20,9 @@ from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, PALE, SERIES_STYLES
 
 # Flights drawn over time.
 _SHOWN = 3
-# Airspeed at which the power curve ends at the latest: beyond it few flights have data.
+# Greatest airspeed of the power curve, beyond which few flights have data.
 _FASTEST_M_S = 17.0
-# Rows of an airspeed that give it a mean.
+# Least number of rows at an airspeed for a mean.
 _FEWEST_ROWS = 20
 _IN_KILOJOULES = 1e-3
 
@@ -33,15 +33,15 @@ def identification_drawings(found: Identification) -> tuple[Drawing, ...]:
         Drawing(
             name="energies",
             title="Energy of each flight",
-            caption="Left: computed against measured energy, each flight by a fit that had not "
-            "seen it. Right: the error over the measured energy, with the band of two per cent.",
+            caption="Left: computed against measured energy, each flight by a fit without that "
+            "flight. Right: the relative error over the measured energy, with the 2 % band.",
             draw=lambda: draw_energies(found),
         ),
         Drawing(
             name="power_over_time",
             title="Power over time",
             caption="Three flights, slow, usual and fast: measured power of each second, and "
-            "computed by a fit that had not seen the flight. Between the dotted lines is cruise.",
+            "computed by a fit without that flight. Cruise is between the dotted lines.",
             draw=lambda: draw_power(found),
         ),
         Drawing(
@@ -49,7 +49,7 @@ def identification_drawings(found: Identification) -> tuple[Drawing, ...]:
             title="The power curve, with the data in it",
             caption="Lines: power of level, steady flight by the declared equations in the mean "
             "density of the flights. Dots: mean measured power of the seconds of cruise at each "
-            "airspeed, with half of them inside the bar; gusts and turns are in it.",
+            "airspeed, gusts and turns included; the bar spans half of them.",
             draw=lambda: draw_curve(found),
         ),
     )
@@ -127,7 +127,7 @@ def draw_curve(found: Identification) -> Figure:
         binned = groups.describe()[["mean", "25%", "75%"]][groups.size() >= _FEWEST_ROWS]
         mean, low, high = binned.to_numpy().T
         axes.errorbar(
-            # Set aside, so that no series hides another.
+            # Shifted, so that no series hides another.
             binned.index + 0.12 * (place - 1),
             mean,
             yerr=np.abs(np.stack([mean - low, high - mean])),

@@ -2,9 +2,10 @@
 
 Method: see docs/theory/identification.md, eqs. (2) to (4).
 
-The residual is the mean power of windows of some seconds, measured less computed: over one second
-airspeed and acceleration are noise as much as flight, and a fit to single rows takes that noise
-for a flatter power curve.  Large residuals (gusts, the ground) count less than by their square.
+The residual is the mean measured power less the mean computed power of windows of some seconds.
+Over one second, airspeed and acceleration are dominated by noise, and a fit to single rows would
+interpret this noise as a flatter power curve. Large residuals (gusts, the ground) are weighted less
+than by their square.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,10 +30,10 @@ from pyomo_quad.identification.validation import (
 from pyomo_quad.scenario import Scenario, ScenarioError, library_entry, library_names
 from pyomo_quad.scenario.tables import Vehicle
 
-#: Fields of the vehicle that are fitted unless others are asked for.  Induced power is not among
-#: them: in hover it goes with the thrust as profile power does, so it keeps its textbook value.
+#: Fields of the vehicle fitted by default. The induced power factor is excluded, because in hover
+#: it depends on thrust as the profile power does; it keeps its textbook value.
 FITTED = ("profile_power_coefficient", "climb_power_factor", "descent_power_factor")
-#: All fields that may be asked for.
+#: All fields that can be fitted.
 FITTABLE = (
     *FITTED,
     "induced_power_factor",
@@ -42,29 +43,30 @@ FITTABLE = (
     "drag_quadratic",
 )
 _POWER_BLOCK, _VEHICLE_BLOCK = "power.", "vehicle."
-_OF_MOTION = ("drag_linear", "drag_quadratic")
-# Length of a window, s: long beside the noise of airspeed and acceleration.
+# Parameters that the motion depends on -> the power of the airspeed that they multiply.
+_OF_MOTION = {"drag_linear": 1, "drag_quadratic": 2}
+# Length of a window, s: long compared with the noise of airspeed and acceleration.
 _WINDOW_S = 10.0
-# Residual, W, beyond which a window counts by its size and no more by its square.
+# Residual, W, above which a window counts linearly instead of quadratically.
 _LARGE_RESIDUAL_W = 20.0
-# The flights determine a parameter if a change by this share of its size, compensated by the other
-# parameters as well as they can, moves the windows' power by this share: 0.5 W of 450 W.
+# The flights determine a parameter if changing it by this fraction of its size, with the best
+# compensation by the other parameters, changes the windows' power by this fraction: 0.5 W of 450 W.
 _SHARE = 0.1
 _LEAST_EFFECT = 1.1e-3
-# Drag that is small, kg/s and kg/m: a tenth of it is the least change that is looked for.
+# Small drag, kg/s and kg/m; a tenth of it is the least change that is tested.
 _SMALL_DRAG = 0.02
-# Cosine between the effects of two parameters from which on nothing tells them apart.
+# Cosine between the effects of two parameters above which they cannot be distinguished.
 _ALIKE = 0.95
-# Fewer rows or flights than these are too few; beyond the many, thinning them takes too long.
+# Fewer rows or flights than these are too few; above the largest number, thinning takes too long.
 _FEW_ROWS, _FEW_FLIGHTS, _MANY_ROWS = 300, 5, 5_000
-# Change by thinning the rows, in deviations and as a share, from which on they are too coarse.
+# Change after thinning the rows, in deviations and relative, above which they are too coarse.
 _DEVIATIONS, _CHANGE = 2.0, 0.05
 _HALVES = 2
-# Draws of flights: a standard deviation from 200 is known to 5 %.
+# Bootstrap draws of flights: 200 draws give a standard deviation to 5 %.
 _DRAWS = 200
-# Step of the difference quotients, share of a parameter's size.
+# Step of the difference quotients, relative to a parameter's size.
 _STEP = 1e-3
-# Distance from a bound, share of the size, at which a fit starts; ten times that is at the bound.
+# Relative distance from a bound at which a fit starts; ten times that counts as at the bound.
 _NEAR_BOUND = 1e-6
 
 
@@ -72,9 +74,10 @@ _NEAR_BOUND = 1e-6
 class IdentifiedParameter:
     """Identified value of a vehicle's field, with its uncertainty and the base's value.
 
-    `deviation` is its standard deviation over flights drawn anew, 0 where the base's value was
-    kept.  `first_half` and `second_half` are fits to one half of the flights each, with no flight
-    in common: unlike the base, which may have been fitted to these flights, they are independent.
+    `deviation` is its bootstrap standard deviation over flights, 0 if the base's value was kept.
+    `first_half` and `second_half` are fits to one half of the flights each. The halves have no
+    flight in common, so the two fits are independent; the base may have been fitted to these very
+    flights.
     """
 
     name: str
@@ -92,9 +95,9 @@ class IdentifiedParameter:
 class Identification:
     """A vehicle identified from flights, and the errors of its computed powers.
 
-    `correlations` has the determined parameters as rows and columns; `cross_validated` is the
-    power of each row by a fit that had not seen its flight.  `together` pairs each parameter that
-    is not determined with the one it cannot be told from, and `cautions` says where the rows are
+    `correlations` has the determined parameters as rows and columns; `cross_validated` is the power
+    of each row by a fit without its flight. `together` pairs each parameter that is not determined
+    with the parameter that it cannot be distinguished from, and `cautions` lists where the rows are
     too few or too coarse.
     """
 
@@ -117,7 +120,7 @@ class Identification:
     def excess(self, slowest: float, fastest: float) -> float:
         """Return the mean of measured less computed power in cruise between two airspeeds, W.
 
-        NaN where no row cruises there.
+        NaN if no row cruises in this range.
         """
         is_between = (slowest <= self.airspeeds) & (self.airspeeds < fastest)
         is_meant = (self.frame[PHASE] == CRUISE).to_numpy() & is_between
@@ -133,9 +136,9 @@ class Fit:
     ----------
     motion : LoggedMotion
     scenario : Scenario
-        First values of the fit, and all other fields of the vehicle.
+        Initial values of the fit, and all other fields of the vehicle.
     names : sequence of str
-        Of `FITTABLE`.
+        Names from `FITTABLE`.
     """
 
     def __init__(self, motion: LoggedMotion, scenario: Scenario, names: Sequence[str]) -> None:
@@ -144,6 +147,9 @@ class Fit:
         self.names = tuple(names)
         self.base = np.array([getattr(scenario.vehicle, name) for name in names])
         self.bounds = np.array([_bounds(name) for name in names]).T.reshape(2, len(self.names))
+        for k, name in enumerate(self.names):
+            if name in _OF_MOTION:
+                self.bounds[1, k] = _most_drag(scenario, self.frame, _OF_MOTION[name])
         self._window = _windows(self.frame)
         self._measured = self.frame[POWER].to_numpy()
 
@@ -183,7 +189,7 @@ class Fit:
     def drawn_anew(self, values: FloatArray) -> FloatArray:
         """Return fits to flights drawn with replacement, shape (draws, n).
 
-        Each is a robust fit of the equations' first-order change about the fit to all flights,
+        Each is a robust fit of the equations linearised about the fit to all flights, which is
         exact for parameters that enter linearly.
         """
         everything = np.ones(len(self.frame), dtype=bool)
@@ -207,13 +213,13 @@ class Fit:
 
 
 def component(name: str) -> str:
-    """Return the full name of the parameter that stands for a field of the vehicle."""
+    """Return the full name of the model's parameter for a field of the vehicle."""
     return f"{_VEHICLE_BLOCK if name in _OF_MOTION else _POWER_BLOCK}{name}"
 
 
 def _robust(residual: object, start: FloatArray, bounds: FloatArray) -> FloatArray:
     low, high = bounds
-    inside = np.clip(start, low + _NEAR_BOUND, high - _NEAR_BOUND)
+    inside = np.clip(start, low + _NEAR_BOUND, np.maximum(high - _NEAR_BOUND, low + _NEAR_BOUND))
     found = least_squares(
         residual, inside, bounds=bounds, loss="soft_l1", f_scale=_LARGE_RESIDUAL_W
     )
@@ -226,8 +232,15 @@ def _bounds(name: str) -> tuple[float, float]:
     return (0.0 if low is None else float(low.ge), np.inf if high is None else float(high.le))
 
 
+def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
+    """Return the drag number that tilts level flight at the greatest airspeed by 45 degrees."""
+    north, east = (frame[name].to_numpy() for name in AIR_VELOCITY)
+    fastest = float(np.hypot(north, east).max()) * scenario.vehicle.anemometer_factor
+    return scenario.vehicle.mass * scenario.gravity / max(fastest, 1.0) ** power
+
+
 def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
-    """Return the number of each row's window, which ends where its flight or phase does."""
+    """Return the number of each row's window; a window ends with its flight or phase."""
     stretch = [frame[FLIGHT], frame[PHASE]]
     since = frame[TIME] - frame.groupby(stretch, sort=False)[TIME].transform("min")
     keys = [*stretch, np.floor(since / _WINDOW_S)]
@@ -235,7 +248,7 @@ def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
 
 
 def undetermined(fit: Fit) -> tuple[str, ...]:
-    """Return the parameters without an effect of their own on the power of the flights."""
+    """Return the parameters without an independent effect on the power of the flights."""
     everything = np.ones(len(fit.frame), dtype=bool)
     slopes = fit.slopes(fit.base, everything)
     slopes *= _SHARE * np.maximum(np.abs(fit.base), _size(fit))
@@ -257,14 +270,14 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the size of each parameter below which it counts as small."""
+    """Return the size below which each parameter counts as small."""
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
 
 def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Return each parameter that is not determined with the one whose effect is most like its own.
+    """Return each undetermined parameter with the parameter that has the most similar effect.
 
-    A parameter without any effect on the power goes with none, which is empty.
+    A parameter without an effect on the power is paired with the empty name.
     """
     slopes = fit.slopes(fit.base, np.ones(len(fit.frame), dtype=bool))
     norms = np.linalg.norm(slopes, axis=0)
@@ -287,20 +300,20 @@ def identify(
     Parameters
     ----------
     scenario : Scenario
-        Of `vehicle_scenario`.
+        A scenario of `vehicle_scenario`.
     frame : DataFrame
-        Of `read_logs`, of two flights at least.
+        The frame of `read_logs`, with at least two flights.
 
     Raises
     ------
     ScenarioError
-        If there is one flight only.
+        If there is only one flight.
     """
     flights = frame[FLIGHT].unique()
     if len(flights) < 2:
         raise ScenarioError(
-            "logs: one flight only; identification needs two at least, so that one can judge the "
-            "other, and the more the better."
+            "logs: one flight only; identification needs at least two flights, one of them for "
+            "validation, and is better with more; or give points of steady flight by --steady."
         )
     motion = LoggedMotion(scenario, frame)
     asked = Fit(motion, scenario, names)
@@ -328,7 +341,7 @@ def identify(
 
 
 def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArray) -> Iterator[str]:
-    """Yield in which ways the rows are too few, or too far apart for the motion in them."""
+    """Yield cautions if the rows are too few, or too far apart for their motion."""
     frame = fit.frame
     flights, rows = frame[FLIGHT].nunique(), len(frame)
     if rows < _FEW_ROWS or flights < _FEW_FLIGHTS:
@@ -386,7 +399,7 @@ def _parameters(
 
 
 def _base_source(scenario: Scenario, field: str) -> str:
-    """Return the source of a number of the base that its file names."""
+    """Return the source of a number of the base, as named in the base's file."""
     vehicle, kind = scenario.vehicle.use, "vehicles"
     if vehicle in library_names(kind):
         return library_entry(kind, vehicle).sources.get(field, "default")
@@ -400,7 +413,7 @@ def changes(identification: Identification) -> Mapping[str, tuple[float, str]]:
         one.name: (
             one.value,
             f"identified from {count} flights, plus or minus {one.deviation:.2g}"
-            + (" (at the least it may be)" if one.is_at_bound else ""),
+            + (" (at its lower bound)" if one.is_at_bound else ""),
         )
         for one in identification.parameters
         if one.is_determined

@@ -1,7 +1,7 @@
-"""Logs of flights: required columns, and refusal of damaged or implausible ones.
+"""Logs of flights: required columns, and refusal of damaged or implausible logs.
 
-A log is a table, Parquet or CSV, of about one row a second, or the file of an autopilot.  Its
-columns are those of `COLUMNS`; others are not read.  World axes here are north, east and up.
+A log is a table, Parquet or CSV, with about one row per second, or the file of an autopilot. Its
+columns are those of `COLUMNS`; others are ignored. World axes here are north, east and up.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -36,33 +36,33 @@ from pyomo_quad.scenario.fields import Sound
 from pyomo_quad.scenario.messages import printable, shown
 from pyomo_quad.scenario.vehicle import CARRIED
 
-# Power is their product where a log has no column of it.
+# A log without a column of power must have both of these; power is their product.
 _ELECTRIC = (VOLTAGE, CURRENT)
 _TEXTS = (FLIGHT,)
-# Longest gap between two rows of a flight, over the median of its steps.
+# Longest gap between two rows of a flight, relative to the median of its steps.
 _LONGEST_GAP = 10.0
-# Least power of a row: sensors read a few watts below zero when nothing is drawn.
+# Least power of a row: sensors show a few watts below zero at zero power.
 _LEAST_POWER_W = -20.0
-# Greatest medians, and the unit that a greater one must have.
+# Greatest plausible medians, and the unit that a greater median indicates.
 _MOST: Mapping[str, tuple[float, str]] = {
     VOLTAGE: (1e3, "millivolts"),
     CURRENT: (2e3, "milliamperes"),
 }
-# Bounds on a flight's median power, W/kg: a multirotor hovers on 100 to 300.
-_MOST_POWER_PER_KG, _LEAST_POWER_PER_KG = 5e3, 5.0
-# Payload over the vehicle's own mass: beyond this the column must hold grams.
+#: Bounds on a flight's median power, W/kg: a multirotor hovers at 100 to 300 W/kg.
+MOST_POWER_PER_KG, LEAST_POWER_PER_KG = 5e3, 5.0
+# Payload relative to the vehicle's own mass above which the column must be in grams.
 _MOST_PAYLOAD = 20.0
 # Ranges that every row must keep.
-_SPEED = Sound(-1e3, 1e3, "the fastest aeroplane had 981 m/s")
+_SPEED = Sound(-1e3, 1e3, "multirotors fly far below 1000 m/s")
 _SOUND: Mapping[str, Sound] = {
     PAYLOAD: CARRIED,
-    DENSITY: Sound(1e-2, 2.0, "the air on earth has 1.5 at its densest and 0.02 at 30 km"),
+    DENSITY: Sound(1e-2, 2.0, "air has about 1.5 at most, and 0.02 at 30 km"),
     POWER: Sound(-1e8, 1e8, "the largest helicopter has 2e7 W"),
     **dict.fromkeys((*VELOCITY, *AIR_VELOCITY), _SPEED),
 }
-# Longest step between rows, s: with greater ones the motion between is unknown.
+# Longest step between rows, s: with a longer step the motion in between is unknown.
 _LONGEST_STEP_S = 60.0
-# A file within these fits into the memory of a small computer, unpacked.
+# A file within these limits fits into the memory of a small computer, unpacked.
 _LARGEST_FILE_BYTES, _MOST_ROWS = 500_000_000, 2_000_000
 _LONGEST_NAME, _LONGEST_HEADER_BYTES = 200, 1_000_000
 _BATCH_ROWS = 65_536
@@ -107,7 +107,7 @@ def _read_rows(file: Path) -> pd.DataFrame:
 def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
     """Return the flights of several logs in one frame.
 
-    If two logs share a name of a flight, the name of each log precedes those of its flights.
+    If two logs share a flight's name, each name is prefixed with that of its log.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
     if not flights.is_unique:
         twice = printable(str(flights[flights.duplicated()].iloc[0]))
         raise ScenarioError(
-            f"logs: flight {twice} is there twice; give each log once, under a name of its own."
+            f"logs: flight {twice} is given twice; give each log once, under a name of its own."
         )
     return pd.concat(held, ignore_index=True)
 
@@ -134,10 +134,10 @@ def _names(frames: Sequence[pd.DataFrame]) -> "pd.Series[Any]":
 
 
 def once_each(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Return the flights without copies under other names, and the original's name by the copy's.
+    """Return the flights without duplicates, and the original's name by the duplicate's name.
 
-    Two flights are the same if their rows agree in single precision, with times counted from the
-    first row: a copy in decimals may lack the last digits.
+    Two flights are duplicates if their rows agree in single precision, with times counted from the
+    first row; a copy in decimals may lack the last digits.
     """
     numbers = frame[[name for name in COLUMNS if name not in _TEXTS]]
     first: dict[bytes, str] = {}
@@ -165,7 +165,7 @@ def _read(file: Path, source: str) -> pd.DataFrame:
     reader: Any = readers.get(file.suffix.lower())
     if reader is None:
         raise ScenarioError(
-            f"{source}: is no log; give a .parquet, .csv, PX4 .ulg or ArduPilot .BIN file."
+            f"{source}: is not a log; give a .parquet, .csv, PX4 .ulg or ArduPilot .BIN file."
         )
     if file.is_file() and file.stat().st_size > _LARGEST_FILE_BYTES:
         raise ScenarioError(f"{source}: larger than {_LARGEST_FILE_BYTES} bytes; split it.")
@@ -174,7 +174,7 @@ def _read(file: Path, source: str) -> pd.DataFrame:
     except ScenarioError as error:
         raise ScenarioError(f"{source}: {error}") from None
     except MemoryError:
-        raise  # Arrow's own errors, caught below, include it
+        raise  # not as one of Arrow's errors below
     except OSError as error:
         reason = error.strerror or "not whole"
         raise ScenarioError(f"{source}: cannot be read ({printable(reason)}).") from None
@@ -206,7 +206,7 @@ def _wanted(names: Iterable[str]) -> dict[str, str]:
 
 
 def _read_parquet(file: Path) -> pd.DataFrame:
-    # A small file may unpack to more than fits into memory, and its header may state less.
+    # A small file may unpack to more than fits into memory, and its header may claim less.
     with parquet.ParquetFile(file) as packed:
         about = packed.metadata
         groups = [about.row_group(k) for k in range(about.num_row_groups)]
@@ -223,7 +223,7 @@ def _read_parquet(file: Path) -> pd.DataFrame:
         )
     if unpacked > _LARGEST_FILE_BYTES:
         raise ScenarioError(f"unpacks to more than {_LARGEST_FILE_BYTES} bytes; split it.")
-    # As a dictionary, each distinct text takes memory once.
+    # With dictionary encoding, each distinct text takes memory once.
     texts = [name for name, kind in kinds.items() if not _is_number(kind)]
     with parquet.ParquetFile(file, read_dictionary=texts) as packed:
         batches, rows = [], 0
@@ -247,7 +247,7 @@ def _is_number(kind: pa.DataType) -> bool:
 
 
 def _refuse_kind(name: str, kind: pa.DataType, *, is_text: bool) -> None:
-    """Refuse a column that holds neither numbers nor, where allowed, texts."""
+    """Refuse a column that has neither numbers nor, if allowed, text."""
     held = kind.value_type if types.is_dictionary(kind) else kind
     is_string = types.is_string(held) or types.is_large_string(held)
     if _is_number(kind) or (is_text and is_string):
@@ -278,7 +278,7 @@ def _read_csv(file: Path) -> pd.DataFrame:
         if stream.read() not in b"\r\n":
             raise ScenarioError("ends within a line; copy it anew, or end its last line.")
     wanted = _wanted(map(str, pd.read_csv(file, nrows=0)))
-    # Read as a whole: in parts, pandas warns of columns whose parts differ in type.
+    # Read as a whole, because pandas warns of columns whose chunks differ in type.
     options: dict[str, Any] = {"usecols": list(wanted), "nrows": _MOST_ROWS + 1}
     frame = pd.read_csv(file, low_memory=False, **options).rename(columns=wanted)
     _refuse_rows(len(frame))
@@ -293,7 +293,7 @@ def _complaints(frame: pd.DataFrame) -> Iterator[str]:
         missing = frame[name].isna() if name in _TEXTS else ~np.isfinite(frame[name])
         if missing.any():
             place = _place(frame, int(missing.to_numpy().argmax()))
-            yield f"{name} is no number at {place}; drop the row or fill it."
+            yield f"{name} is not a number at {place}; drop the row or fill it."
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         yield from _time_complaints(str(flight), rows[TIME].to_numpy(float))
     yield from _unit_complaints(frame)
@@ -316,7 +316,7 @@ def _complaints(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield the flights that have a quantity in thousandths of its unit."""
+    """Yield the flights with a quantity in thousandths of its unit."""
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         for name, (most, thousandths) in _MOST.items():
             usual = float(rows[name].median()) if name in frame else 0.0
@@ -328,7 +328,7 @@ def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def _unsound(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield the values beyond the ranges of all vehicles and of the air."""
+    """Yield the values outside the plausible ranges of vehicles and air."""
     for name, sound in _SOUND.items():
         values = frame[name].to_numpy()
         is_beyond = (values < sound.low) | (values > sound.high)
@@ -369,20 +369,20 @@ def _time_complaints(flight: str, times: np.ndarray) -> Iterator[str]:
 
 
 def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None:
-    """Refuse a flight whose power, per mass, or payload must be in another unit.
+    """Refuse a flight whose power per mass, or payload, must be in another unit.
 
     Raises
     ------
     ScenarioError
-        If the median power of a flight is that of milliwatts or kilowatts, or its payload that of
-        grams.
+        If the median power of a flight is plausible only in milliwatts or kilowatts, or its payload
+        only in grams.
     """
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         power, payload = float(rows[POWER].median()), float(rows[PAYLOAD].median())
         wrong = None
-        if power > _MOST_POWER_PER_KG * mass_kg:
+        if power > MOST_POWER_PER_KG * mass_kg:
             wrong = POWER, f"{power:.4g} W", "milliwatts; divide"
-        elif power < _LEAST_POWER_PER_KG * mass_kg:
+        elif power < LEAST_POWER_PER_KG * mass_kg:
             wrong = POWER, f"{power:.4g} W", "kilowatts; multiply"
         elif payload > _MOST_PAYLOAD * mass_kg:
             wrong = PAYLOAD, f"{payload:.4g} kg", "grams; divide"

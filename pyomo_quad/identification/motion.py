@@ -2,8 +2,8 @@
 
 Method: see docs/theory/identification.md, eq. (1).
 
-This file holds no formula of the vehicle.  Airspeed and acceleration come from the log; attitude
-and rotor speed are those at which the compiled equations give that acceleration, and the same
+This file has no formula of the vehicle. Airspeed and acceleration come from the log. Attitude and
+rotor speed are solved for, so that the compiled equations give that acceleration; the same
 equations give the power.
 """
 
@@ -35,14 +35,14 @@ _TURNED = ("rigid_body.phi", "rigid_body.theta")
 _ROTOR = "rotors.omega["
 _ACCELERATIONS = tuple((f"rigid_body.dv{axis}_dt", None) for axis in "xyz")
 _POWER = (("power.total", None),)
-# Steps of the difference quotients: radians, and shares of the rotor speed.
+# Steps of the difference quotients: radians, and fractions of the rotor speed.
 _STEP = 1e-6
-# Newton's method takes a few where there is a solution.
+# Newton's method takes a few iterations if there is a solution.
 _MOST_ITERATIONS = 30
 # Tolerance of the acceleration, m/s^2.
 _ACCURACY = 1e-8
 _STEEPEST = 1.2  # rad, bound on roll and pitch during the iterations
-# A change of a parameter, and the rows, that show whether the motion depends on the parameter.
+# Change of a parameter, and rows, for a test of whether the motion depends on the parameter.
 _OTHER_VALUE, _FEW = 1.7, slice(0, 50)
 
 
@@ -72,9 +72,9 @@ class LoggedMotion:
     Parameters
     ----------
     scenario : Scenario
-        Of `vehicle_scenario`.
+        A scenario of `vehicle_scenario`.
     frame : DataFrame
-        Of `read_logs`.
+        The frame of `read_logs`.
     """
 
     def __init__(self, scenario: Scenario, frame: pd.DataFrame) -> None:
@@ -87,7 +87,7 @@ class LoggedMotion:
         self._rotors = [k for k, name in enumerate(names) if name.startswith(_ROTOR)]
         vehicle = scenario.vehicle
         air = frame[list(AIR_VELOCITY)].to_numpy() * vehicle.anemometer_factor
-        # The equations are those of still air, so that the velocity is the one through the air.
+        # The equations are those of still air, so that the velocity is that through the air.
         velocity = np.column_stack([air, frame[VELOCITY[2]]])
         self._states[:, [names.index(name) for name in VELOCITY_STATES]] = velocity
         self._wanted = _accelerations(frame)
@@ -104,7 +104,7 @@ class LoggedMotion:
 
     @cached_property
     def _powerless(self) -> frozenset[str]:
-        """Parameters on which the power depends and the motion does not."""
+        """Parameters that affect the power but not the motion."""
         self._instants({})
         states = self._states_found[_FEW]
 
@@ -161,7 +161,7 @@ class LoggedMotion:
             try:
                 steps = np.linalg.solve(np.stack(slopes, axis=2), missing[:, :, None])[:, :, 0]
             except np.linalg.LinAlgError:
-                break  # the acceleration of a row no longer depends on its state
+                break  # singular: the acceleration of a row is independent of its state
             for column, step in zip(self._angles, steps.T, strict=False):
                 at[:, column] = np.clip(at[:, column] + step, -_STEEPEST, _STEEPEST)
             at[:, self._rotors] *= np.clip(1.0 + steps[:, 2:], 0.5, 2.0)
@@ -186,7 +186,7 @@ class LoggedMotion:
 
 
 def _accelerations(frame: pd.DataFrame) -> FloatArray:
-    """Return the rate of the velocity over ground of each row, differenced within its flight."""
+    """Return each row's derivative of the ground velocity, by differences within its flight."""
     found = np.zeros((len(frame), len(VELOCITY)))
     for rows in frame.groupby(FLIGHT, sort=False).indices.values():
         times = frame[TIME].to_numpy()[rows]

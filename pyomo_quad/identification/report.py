@@ -31,9 +31,9 @@ from pyomo_quad.version import __version__
 VEHICLE_NAME = "vehicle.toml"
 PREDICTIONS_NAME = "predictions.csv"
 _PARAMETERS_NAME, _MODELS_NAME = "parameters.csv", "models.csv"
-# Airspeeds, m/s, between hover and the speed that leaves the wake behind.
+# Airspeeds, m/s, between hover and the speed at which the rotors leave their wake.
 _SLOW_M_S = (1.0, 4.0)
-# Flights listed as those with the largest errors.
+# Number of flights listed with the largest errors.
 _WORST = 5
 
 
@@ -75,7 +75,7 @@ def write_identification(
 
 
 def identification_summary(found: Identification) -> dict[str, object]:
-    """Return the results of an identification as JSON can hold them."""
+    """Return the results of an identification as values for JSON."""
     return {
         "flights": int(found.frame[FLIGHT].nunique()),
         "parameters": {one.name: asdict(one) for one in found.parameters},
@@ -117,7 +117,7 @@ def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str) -> str:
 
 
 def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
-    """Yield TOML with dotted keys, one number and its source a line."""
+    """Yield lines of TOML with dotted keys, each with one number and its source."""
     for name, content in table.items():
         key = f"{path}{name}"
         if not isinstance(content, Mapping):
@@ -130,5 +130,5 @@ def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
 
 
 def _quoted(value: object) -> str:
-    # JSON escapes characters beyond 16 bits by surrogates, which TOML has not.
+    # JSON escapes characters beyond 16 bits by surrogates, which TOML does not allow.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

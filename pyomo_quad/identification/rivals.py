@@ -1,12 +1,12 @@
-"""Published ways to guess a flight's power, fitted and judged like the declared equations.
+"""Published models of a flight's power, fitted and validated like the declared equations.
 
 name | power
 constant power | one number
 constant efficiency | ideal power of hover over one number, P = c (m g)^1.5 / sqrt(rho)
 regression by phase | P = a + b (m g)^1.5 / sqrt(rho) in each phase of the flight
 
-The last is the form of Rodrigues et al., "Drone flight data reveal energy and greenhouse gas
-emissions savings for very small package delivery", Patterns 3 (2022), fitted anew.
+The last model has the form of Rodrigues et al., "Drone flight data reveal energy and greenhouse gas
+emissions savings for very small package delivery", Patterns 3 (2022), with new coefficients.
 """
 
 from collections.abc import Sequence
@@ -73,7 +73,7 @@ def _extrapolation(number: int) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """An error of the declared equations, beside that of the best rival."""
+    """An error of the declared equations, compared with that of the best rival."""
 
     name: str
     unit: str
@@ -83,7 +83,7 @@ class Measure:
 
     @property
     def is_gain(self) -> bool:
-        """Whether the declared equations err less than every rival."""
+        """Whether the declared equations have a smaller error than every rival."""
         return self.own < self.best
 
 

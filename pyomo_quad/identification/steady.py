@@ -1,12 +1,12 @@
-"""Parameters of a vehicle from powers of steady flight: a polar, hover alone, a series of payloads.
+"""Parameters of a vehicle from steady powers: a polar, hover alone, or a series of payloads.
 
 Method: see docs/theory/identification.md, "Steady points".
 
-A point is a flight without acceleration, so that the declared equations give its power as they give
-that of a logged row.
+A point is a flight without acceleration, so the declared equations give its power as for a row of a
+log.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,32 +28,35 @@ from pyomo_quad.identification.columns import (
     wanted_columns,
 )
 from pyomo_quad.identification.fitting import Fit, confounded, undetermined
+from pyomo_quad.identification.logs import LEAST_POWER_PER_KG, MOST_POWER_PER_KG
 from pyomo_quad.identification.motion import LoggedMotion
 from pyomo_quad.identification.validation import FloatArray
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.messages import printable
 
 AIRSPEED, CLIMB, ENDURANCE = "airspeed_m_s", "climb_m_s", "endurance_s"
-#: Columns of a table of steady points; all but the power, or the endurance, may be left out.
+#: Columns of a table of steady points; all except power or endurance are optional.
 STEADY_COLUMNS = {
     POWER: LogColumn("W", "power drawn from the pack", ("power",)),
-    ENDURANCE: LogColumn("s", "time aloft on the pack, where no power was measured"),
+    ENDURANCE: LogColumn("s", "time aloft on the pack, in place of a power", ("endurance",)),
     AIRSPEED: LogColumn("m/s", "level airspeed, 0 when absent", ("missionspeed", "speed_m_s")),
     PAYLOAD: LogColumn("kg", "mass carried, the vehicle's own when absent", ("payload",)),
     CLIMB: LogColumn("m/s", "steady climb, 0 when absent"),
     DENSITY: LogColumn("kg/m^3", "density of the air, the scenario's when absent"),
 }
-#: Fields fitted to steady points unless others are asked for.
+#: Fields fitted to steady points by default.
 STEADY_FITTED = ("profile_power_coefficient", "induced_power_factor", "drag_quadratic")
-#: Share of the pack that a stated endurance uses: makers keep a reserve, 20 % by usual practice.
+#: Fraction of the pack used in a stated endurance: makers usually keep a reserve of 20 %.
 USED_SHARE = 0.8
 _SAMPLES = 60
 _MOST_POINTS = 10_000
-# Relative error of a power that was read once, where no residual says better.
+# Relative error of a single reading of power, if no residual gives a better estimate.
 _READING_ERROR = 0.05
-# Points for each fitted number below which the residual says little.
+# Points per fitted number below which the residual is inconclusive.
 _FEW_PER_NUMBER = 3
-# Seconds between the two equal rows that stand for a point.
+# Distance from the end of its range, as a share, at which a number counts as being at that end.
+_AT_BOUND = 1e-5
+# Seconds between the two equal rows that represent a point.
 _STEP_S = 1.0
 
 
@@ -66,15 +69,16 @@ class SteadyParameter:
     value: float
     deviation: float
     is_determined: bool
+    is_at_bound: bool
 
 
 @dataclass(frozen=True, kw_only=True)
 class SteadyFit:
     """A vehicle fitted to steady points.
 
-    `points` has the columns of `STEADY_COLUMNS`, `power` is the computed power of each, and
-    `unseen` that by a fit without the point, NaN where there are too few.  `together` names the
-    fields that the points cannot tell apart, `cautions` what else limits the result.
+    `points` has the columns of `STEADY_COLUMNS`, `power` is the computed power of each point, and
+    `unseen` the power by a fit without the point, NaN if there are too few points. `together` names
+    the fields that the points cannot distinguish, `cautions` further limitations of the result.
     """
 
     scenario: Scenario
@@ -87,12 +91,12 @@ class SteadyFit:
 
     @property
     def error_percent(self) -> float:
-        """Mean of the absolute error of the points, in per cent."""
+        """Mean absolute error of the points, in per cent."""
         return _mean_error(self.power, self.points)
 
     @property
     def unseen_error_percent(self) -> float:
-        """The same of points that the fit had not seen, NaN where there are too few."""
+        """Mean absolute error of points in fits without them, NaN if there are too few points."""
         return _mean_error(self.unseen, self.points)
 
 
@@ -101,14 +105,37 @@ def _mean_error(power: FloatArray, points: pd.DataFrame) -> float:
 
 
 def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
-    """Read steady points, with every column of `STEADY_COLUMNS` filled in.
+    """Read steady points, with every column of `STEADY_COLUMNS` completed.
 
     Raises
     ------
     ScenarioError
-        If the file cannot be read, or a value cannot be that of a flight.
+        If the file cannot be read, or a value is not possible in flight.
     """
-    frame = _read_csv(file)
+    points = filled_in(_read_csv(file), scenario)
+    for name in points:
+        column = points[name]
+        least = 0.0 if name in {POWER, DENSITY} else -np.inf
+        wrong = ~np.isfinite(column) | (column <= least)
+        if wrong.any():
+            row = int(wrong.to_numpy().argmax())
+            raise ScenarioError(
+                f"{printable(str(file))}: {name} = {column.iloc[row]:g} in row {row + 1}; must be "
+                f"a number{' > 0' if least == 0.0 else ''}; correct the row or leave it out."
+            )
+    usual, mass = float(points[POWER].median()), scenario.vehicle.mass
+    if not LEAST_POWER_PER_KG <= usual / mass <= MOST_POWER_PER_KG:
+        unit = "kilowatts; multiply" if usual < mass else "milliwatts; divide"
+        raise ScenarioError(
+            f"{printable(str(file))}: {POWER} has a median of {usual:.4g} W for a vehicle of "
+            f"{mass:.4g} kg, which must be {unit} it by 1000."
+        )
+    return points
+
+
+def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
+    """Return steady points with every column, an endurance turned into a power."""
+    frame = frame.copy()
     if POWER not in frame:
         steady = Planner().steady_flight(scenario)
         stored = USED_SHARE * steady.stored_energy(1.0, _SAMPLES)
@@ -119,18 +146,7 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
         if name not in frame:
             frame[name] = value
     names = [POWER, AIRSPEED, PAYLOAD, CLIMB, DENSITY]
-    points = frame[names].astype(float)
-    for name in names:
-        column = points[name]
-        least = 0.0 if name in {POWER, DENSITY} else -np.inf
-        wrong = ~np.isfinite(column) | (column <= least)
-        if wrong.any():
-            row = int(wrong.to_numpy().argmax())
-            raise ScenarioError(
-                f"{printable(str(file))}: {name} = {column.iloc[row]:g} in row {row + 1}; must be "
-                f"a number{' > 0' if least == 0.0 else ''}; correct the row or leave it out."
-            )
-    return points
+    return frame[names].astype(float)
 
 
 def _read_csv(file: Path) -> pd.DataFrame:
@@ -154,7 +170,7 @@ def _read_csv(file: Path) -> pd.DataFrame:
 
 
 def as_flights(points: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
-    """Return points as logs have flights: each by two equal rows, which have no acceleration."""
+    """Return points in the form of logged flights: two equal rows each, without acceleration."""
     twice = points.loc[points.index.repeat(2)].reset_index(drop=True)
     read = twice[AIRSPEED] / scenario.vehicle.anemometer_factor
     return pd.DataFrame(
@@ -182,16 +198,16 @@ def computed_power(scenario: Scenario, points: pd.DataFrame) -> FloatArray:
 def identify_steady(
     scenario: Scenario, points: pd.DataFrame, names: Sequence[str] = STEADY_FITTED
 ) -> SteadyFit:
-    """Fit a vehicle's parameters to steady points and say what the points cannot tell.
+    """Fit a vehicle's parameters to steady points and list those not determined.
 
     Parameters
     ----------
     scenario : Scenario
-        Of `vehicle_scenario`.
+        A scenario of `vehicle_scenario`.
     points : DataFrame
-        Of `read_steady`.
+        The frame of `read_steady`.
     names : sequence of str
-        Of `fitting.FITTABLE`.
+        Names from `fitting.FITTABLE`.
     """
     frame = as_flights(points, scenario)
     motion = LoggedMotion(scenario, frame)
@@ -209,12 +225,13 @@ def identify_steady(
             unseen[k] = fit.power(fit.over(flights != k, values))[2 * k]
     spread = _deviations(fit, values, power, points) if kept else np.zeros(0)
     found = dict(zip(kept, zip(values, spread, strict=True), strict=True))
+    bounds = dict(zip(kept, fit.bounds.T.tolist(), strict=True))
     return SteadyFit(
         scenario=scenario.with_values(
             {f"vehicle.{n}": float(v) for n, v in zip(kept, values, strict=True)}
         ),
         points=points,
-        parameters=tuple(_parameter(name, scenario, found) for name in names),
+        parameters=tuple(_parameter(name, scenario, found, bounds) for name in names),
         power=power,
         unseen=unseen,
         together=confounded(asked, [name for name in names if name not in found]),
@@ -223,23 +240,28 @@ def identify_steady(
 
 
 def _parameter(
-    name: str, scenario: Scenario, found: dict[str, tuple[float, float]]
+    name: str,
+    scenario: Scenario,
+    found: Mapping[str, tuple[float, float]],
+    bounds: Mapping[str, Sequence[float]],
 ) -> SteadyParameter:
     base = float(getattr(scenario.vehicle, name))
     value, deviation = found.get(name, (base, 0.0))
+    low, high = bounds.get(name, (-np.inf, np.inf))
     return SteadyParameter(
         name=name,
         base=base,
         value=float(value),
         deviation=float(deviation),
         is_determined=name in found,
+        is_at_bound=bool(min(value - low, high - value) <= _AT_BOUND * max(1.0, abs(value))),
     )
 
 
 def _deviations(
     fit: Fit, values: FloatArray, power: FloatArray, points: pd.DataFrame
 ) -> FloatArray:
-    """Return standard deviations of linear least squares, by the residual or a reading's error."""
+    """Return standard deviations of linear least squares, by the residual or a reading error."""
     slopes = fit.slopes(values, np.ones(2 * len(points), dtype=bool))
     measured = points[POWER].to_numpy()
     freedom = len(points) - len(values)

@@ -19,7 +19,7 @@ from pyomo_quad.scenario import Scenario
 from pyomo_quad.version import __version__
 
 POINTS_NAME = "points.csv"
-#: Columns that the table of points has beside the measured ones.
+#: Further columns of the table of points.
 COMPUTED, UNSEEN, ERROR = "computed_W", "computed_unseen_W", "error_percent"
 _CURVE_POINTS = 25
 
@@ -70,7 +70,7 @@ def point_table(points: pd.DataFrame, power: np.ndarray) -> pd.DataFrame:
 
 
 def draw_points(scenario: Scenario, points: pd.DataFrame) -> Figure:
-    """Draw measured power over airspeed or, where all points hover, over payload."""
+    """Draw measured power over airspeed or, if all points hover, over payload."""
     figure = Figure(figsize=(FULL_WIDTH, 3.2))
     axes = figure.subplots()
     figure.subplots_adjust(left=0.09, right=0.98, top=0.96, bottom=0.15)
@@ -90,7 +90,7 @@ def draw_points(scenario: Scenario, points: pd.DataFrame) -> Figure:
 
 
 def steady_power(scenario: Scenario, payload: float, airspeed: float) -> float:
-    """Return the power of level flight, W; NaN where the vehicle has no such flight."""
+    """Return the power of level flight, W; NaN if the vehicle has no such flight."""
     steady = Planner().steady_flight(scenario.with_values({"vehicle.payload": float(payload)}))
     try:
         return steady.trim([float(airspeed), 0.0, 0.0]).power_W

@@ -1,4 +1,4 @@
-"""Errors of computed energies of flights, on flights that no fit has seen.
+"""Errors of computed flight energies, on flights that were not fitted.
 
 Method: see docs/theory/identification.md, eq. (5).  The same cross-validation and extrapolations
 judge the declared equations and their rivals.
@@ -25,11 +25,11 @@ ERROR = "error_percent"
 #: Seed of every random choice, so that two runs agree.
 SEED = 1
 _FOLDS = 10
-# Speeds, m/s, and payloads, kg, that differ by less belong to one group.
+# Speeds, m/s, and payloads, kg, that differ by less belong to the same group.
 _SPEED_STEP, _PAYLOAD_STEP = 2.0, 0.01
-# Share of the groups of speed that count as slow.
+# Fraction of the speed groups that count as slow.
 _SLOW_SHARE = 0.5
-# Quantile of a flight's ground speed in cruise that is its usual speed: gusts carry it beyond.
+# Quantile of a flight's ground speed in cruise that is its usual speed, below the gusts.
 _CRUISING = 0.9
 
 
@@ -110,7 +110,7 @@ def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
 
 
 class Extrapolation(NamedTuple):
-    """Rows to fit to and rows to try the fit on, each in words too."""
+    """Rows to fit and rows to test the fit on, each with a description."""
 
     name: str
     fitted_on: str
@@ -120,7 +120,7 @@ class Extrapolation(NamedTuple):
 
 
 def extrapolations(frame: pd.DataFrame) -> Iterator[Extrapolation]:
-    """Yield the extrapolations over payload and over speed, where the flights differ in them."""
+    """Yield the extrapolations over payload and over speed, if the flights differ in them."""
     payload = np.round(frame[PAYLOAD].to_numpy() / _PAYLOAD_STEP) * _PAYLOAD_STEP
     most, least = payload.max(), payload.min()
     if most > least:

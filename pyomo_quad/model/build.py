@@ -160,7 +160,7 @@ def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter,
     """Yield every table of parameters that the scenario's model declares."""
     yield "vehicle", vehicle.parameters_of(scenario)
     yield "wind", wind.parameters_of(scenario)
-    if scenario.wind.series is None:
+    if scenario.wind.is_formula:
         for axis, table in wind.AXIS_PARAMETERS.items():
             yield f"wind.{axis}", table
     yield "rotors", rotors.parameters_of(scenario)
@@ -217,6 +217,7 @@ def structure_key(scenario: Scenario) -> Hashable:
         scenario.power.regeneration,
         scenario.wind.coupling,
         None if series is None else (series, scenario.wind.time_offset, longest),
+        (scenario.wind.grid, scenario.wind.beyond),
         tuple(row.name for row in wind.parameters_of(scenario)),
         scenario.vehicle.has_own_rotors,
         scenario.vehicle.rotor_senses,

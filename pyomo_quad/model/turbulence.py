@@ -10,20 +10,20 @@ xi | along, across, across_lag, upwards, upwards_lag | 1 | states of the filters
 n | noise_along, noise_across, noise_upwards | 1/s^(1/2) | white noise of unit intensity
 u, v, w | gust_along, gust_across, gust_upwards | m/s | along the mean relative wind, across, up
 
-With a = V / L, each filter is one of two of state form (see docs/theory/risk.md, eqs. (1) to (3)):
+With a = V / L, each filter has one of two state forms (see docs/theory/risk.md, eqs. (1) to (3)):
 
     xi_1' = -a xi_1 + sqrt(a) n,                                   u = sigma sqrt(2) xi_1
     xi_1' = -a xi_1 + sqrt(a) n,  xi_2' = a (xi_1 - xi_2),
                                           v, w = sigma (sqrt(3) xi_1 + (1 - sqrt(3)) xi_2)
 
-The lengths of MIL-HDBK-1797 are half of those of MIL-F-8785C where its filters have twice the
-length: at low altitude both give the same spectra.
+The lengths of MIL-HDBK-1797 are half of those of MIL-F-8785C, and its filters have twice the
+length; at low altitude both give the same spectra.
 
-Gusts are frozen only to a vehicle that crosses them faster than they change by themselves, at about
-sigma / L (Tennekes and Lumley, 1972, section 1.5): V is the airspeed, at least sigma_u.  The axes
-are horizontal and vertical, as the specification has them at low altitude, and keep the direction
-of the mission's mean relative wind: axes that followed the airspeed would turn the gusts with it.
-Turbulence acts on flights alone: no plan's problem has a part of it.
+Gusts are frozen only for a vehicle that crosses them faster than they change by themselves, which
+takes about L / sigma (Tennekes and Lumley, 1972, section 1.5). Therefore V is the airspeed, but at
+least sigma_u. The axes are horizontal and vertical, as in the specification at low altitude, and
+keep the direction of the mission's mean relative wind, because axes along the airspeed would turn
+the gusts with it. Turbulence acts on flights only; no plan includes it.
 """
 
 from collections.abc import Callable, Sequence
@@ -52,15 +52,15 @@ FloatArray = NDArray[np.float64]
 
 _SPEED = units.m / units.s
 _FOOT = 0.3048 * units.m
-# Heights between which the laws of low altitude hold, MIL-F-8785C, section 3.7.3.4.
+# Heights between which the laws of low altitude are valid, MIL-F-8785C, section 3.7.3.4.
 _LOWEST, _HIGHEST = 10.0 * _FOOT, 1000.0 * _FOOT
-# Over how much height, and speed, a law passes into what is held beyond its range.
+# Ranges of height and speed over which a law blends into the constant value beyond its range.
 _HEIGHT_ROUNDING = 0.1 * units.m
 _SPEED_ROUNDING = 0.1 * _SPEED
 _ROOT_RATE = units.s**-0.5
 _WORLD = ("x", "y", "z")
 
-#: s. Step over which the noise is constant: of the spectrum, 5 % is missing at 6 Hz.
+#: s. Step over which the noise is constant: at 6 Hz, 5 % of the spectrum is missing.
 NOISE_STEP = 0.02
 _BLOCK = "wind.turbulence"
 #: The noise of each filter, by full name.
@@ -70,8 +70,8 @@ FILTER_STATES = tuple(
     f"{_BLOCK}.{state}" for state in ("along", "across", "across_lag", "upwards", "upwards_lag")
 )
 
-# In the long run the states have the variances 1/2 of xi_1 and 1/4 of xi_2, and the covariance 1/4:
-# the factor of that covariance.
+# In the stationary state, the variances are 1/2 for xi_1 and 1/4 for xi_2, and the covariance is
+# 1/4. This is the Cholesky factor of that covariance matrix.
 _LAGGING = np.array([[sqrt(1 / 2), 0.0], [sqrt(1 / 8), sqrt(1 / 8)]])
 LONG_RUN_FACTOR = np.zeros((5, 5))
 LONG_RUN_FACTOR[0, 0] = sqrt(1 / 2)
@@ -111,12 +111,12 @@ PARAMETERS = (
 
 
 def turbulence_values(scenario: Scenario) -> dict[str, float]:
-    """Return the numbers of block `wind.turbulence` by full name."""
+    """Return the parameters of block `wind.turbulence` by full name."""
     return dict(parameter_items(_BLOCK, PARAMETERS, scenario))
 
 
 def horizontal_length(height: Any) -> Any:
-    """Return L_u = L_v, MIL-F-8785C, figure 10; MIL-HDBK-1797 calls half of it so."""
+    """Return L_u = L_v, MIL-F-8785C, figure 10; MIL-HDBK-1797 defines half of this length."""
     return height / (0.177 + 0.000823 * height / _FOOT) ** 1.2
 
 
@@ -136,17 +136,17 @@ def horizontal_deviation(wind_at_6_m: Any, height: Any) -> Any:
 
 
 def longitudinal_gust(deviation: Any, state: Any) -> Any:
-    """Return u of the state of its filter."""
+    """Return u from the state of its filter."""
     return deviation * sqrt(2) * state
 
 
 def transverse_gust(deviation: Any, state: Any, lag: Any) -> Any:
-    """Return v or w of the states of its filter."""
+    """Return v or w from the states of its filter."""
     return deviation * (sqrt(3) * state + (1 - sqrt(3)) * lag)
 
 
 def filter_rate(rate: Any, state: Any, noise: Any) -> Any:
-    """Return xi_1', whose variance is 1/2 in the long run however the rate changes."""
+    """Return xi_1'; its stationary variance is 1/2, even if the rate changes."""
     return -rate * state + root(rate) * noise
 
 
@@ -161,7 +161,7 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `rigid_body` and the mean wind of `wind`, which nothing refers to yet.
+        With `time`, `rigid_body` and the mean wind of `wind`, to which no component refers yet.
     """
     b = m.wind.turbulence = Block(doc="turbulence, MIL-F-8785C at low altitude")
     declare_parameters(b, PARAMETERS, scenario)
@@ -180,7 +180,7 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _declare_scales(b: Block, m: ConcreteModel) -> None:
-    """Declare lengths, standard deviations, the speed of crossing and the filters' rates."""
+    """Declare lengths, standard deviations, the crossing speed and the filters' rates."""
 
     @b.Expression(m.time, doc="h: height at which the laws are read [m]")
     def height(_b: Block, t: float) -> NumericExpression:
@@ -272,7 +272,7 @@ def _declare_gusts(b: Block, m: ConcreteModel) -> None:
 
 
 def _add_gusts(m: ConcreteModel) -> None:
-    """Let the velocity of the wind be the mean wind and the gust, along each world axis."""
+    """Redefine the wind velocity as mean wind plus gust, along each world axis."""
     b = m.wind.turbulence
     turned = {
         "x": lambda t: (
@@ -303,13 +303,13 @@ def _add_gusts(m: ConcreteModel) -> None:
 
 
 class Gusts:
-    """Noise of one flight, and the states in which the filters begin, of a seed.
+    """Noise of one flight and initial states of the filters, from a seed.
 
     Parameters
     ----------
     seed : int or sequence of int
-        As of `numpy.random.default_rng`; flights of one ensemble have the ensemble's and their own
-        number.
+        Seed of `numpy.random.default_rng`; a flight of an ensemble has the ensemble's seed and its
+        own number.
     """
 
     def __init__(self, seed: int | Sequence[int]) -> None:
@@ -323,16 +323,16 @@ class Gusts:
 
     @property
     def start(self) -> dict[str, float]:
-        """The `FILTER_STATES` at take-off: a sample of those in the long run."""
+        """The `FILTER_STATES` at take-off: a sample of the stationary distribution."""
         drawn = LONG_RUN_FACTOR @ np.random.default_rng(self._seed).standard_normal(
             len(FILTER_STATES)
         )
         return dict(zip(FILTER_STATES, drawn.tolist(), strict=True))
 
     def noise(self, duration: float) -> FloatArray:
-        """Return the `NOISE` over each step, shape (n_steps, 3): of variance 1 / `NOISE_STEP`.
+        """Return the `NOISE` over each step, shape (n_steps, 3), of variance 1 / `NOISE_STEP`.
 
-        A longer flight has the noise of a shorter one, and more.
+        The noise of a shorter flight is the beginning of that of a longer one.
         """
         generator = np.random.default_rng(self._seed)
         generator.standard_normal(len(FILTER_STATES))

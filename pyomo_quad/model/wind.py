@@ -1,4 +1,4 @@
-"""The wind in world axes: horizontal by eq. (11)-(12), or measured and given as a table.
+"""The wind in world axes: by eq. (11)-(12), measured and given as a table, or a field.
 
 symbol | name | unit | meaning
 v_0 | mean | m/s | mean value, with the scenario's steady wind added
@@ -22,6 +22,8 @@ the same smoothing.
 A wind measured over time is the cubic spline of the wind time through its rows. It is twice
 differentiable at any time, so that a plan may choose its times. After the last row it is constant.
 
+A wind that varies from place to place is declared in `wind_field`.
+
 The gust of eq. (12) peaks at v_gmax a quarter of a period after its start.
 """
 
@@ -33,12 +35,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pyomo.core import Block, ConcreteModel, Expression, Param, exp, log, sin, sqrt
+from pyomo.core import Block, ConcreteModel, Expression, Param, exp, log, sin
 from pyomo.core.base.units_container import UnitsError, units
 from pyomo.core.expr import NumericExpression
 
 from pyomo_quad.collocation import Table
 from pyomo_quad.model.parameters import Parameter, declare_parameters
+from pyomo_quad.model.wind_field import COMPONENTS, FIELD_UNIT, declare_field, smooth_positive
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.wind import FrequencyUnit, WindAxis, WindLaw, WindProfile, WindSeries
 
@@ -106,6 +109,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the scenario's model declares in block `wind` itself."""
     wind = scenario.wind
     return (
+        *(() if wind.grid is None else (FIELD_UNIT,)),
         *(PARAMETERS if wind.series is None else ()),
         *((_VERTICAL,) if wind.vertical else ()),
         *(() if wind.profile is None else _profile_parameters(wind.profile)),
@@ -186,22 +190,44 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
     m : ConcreteModel
         With `time`, `clock` and an empty `wind`; the height of `rigid_body` for a profile.
     """
-    b = m.wind
+    b, wind = m.wind, scenario.wind
     declare_parameters(b, parameters_of(scenario), scenario)
-    if scenario.wind.varies_with_height:
+    if wind.profile is not None or (wind.series is not None and wind.series.heights):
         _declare_height(b, m)
-    if scenario.wind.profile is not None:
-        _declare_profile(b, m, scenario.wind.profile.law)
-    series = scenario.wind.series
-    if series is None:
-        _declare_formula(m, scenario)
+    if wind.profile is not None:
+        _declare_profile(b, m, wind.profile.law)
+    if wind.series is None:
+        _declare_time(b, m)
+    field = [] if wind.grid is None else declare_field(m, wind.grid, scenario)
+    if field:
+        _declare_of_field(b, m, field)
+    elif wind.series is not None:
+        _declare_series(m, wind.series, scenario)
     else:
-        _declare_series(m, series, scenario)
-    if scenario.wind.vertical:
+        _declare_formula(m, scenario)
+    rising = field[2:]
+    if wind.vertical or rising:
 
         @b.Expression(m.time, doc="wind along world z [m/s]")
-        def velocity_z(b: Block, _t: float) -> NumericExpression:
-            return 1 * b.vertical
+        def velocity_z(b: Block, t: float) -> NumericExpression:
+            steady = 1 * b.vertical if wind.vertical else 0.0 * b.field_unit
+            return sum((part[t] for part in rising), start=steady)
+
+
+def _declare_time(b: Block, m: ConcreteModel) -> None:
+    @b.Expression(m.time, doc="wind time [s]")
+    def wind_time(b: Block, t: float) -> NumericExpression:
+        return b.parent_block().clock[t] + b.time_offset
+
+
+def _declare_of_field(b: Block, m: ConcreteModel, field: Sequence[Expression]) -> None:
+    for name, part in zip(COMPONENTS[:2], field, strict=False):
+
+        def velocity(b: Block, t: float, part: Expression = part) -> NumericExpression:
+            return _at_height(b, t, 1 * part[t])
+
+        doc = f"wind along world {name[-1]} [m/s]"
+        b.add_component(name, Expression(m.time, rule=velocity, doc=doc))
 
 
 def _declare_height(b: Block, m: ConcreteModel) -> None:
@@ -213,13 +239,7 @@ def _declare_height(b: Block, m: ConcreteModel) -> None:
 
     @b.Expression(m.time, doc="height at which the wind is read [m]")
     def height(b: Block, t: float) -> NumericExpression:
-        return b.least_height + _smooth_positive(b.height_above[t])
-
-
-def _smooth_positive(number: Any, width: Any = HEIGHT_SMOOTHING) -> Any:
-    """Return a smooth max(number, 0), for a height or a time."""
-    rounding = width**2 * exp(-((number / width) ** 2))
-    return (number + sqrt(number**2 + rounding)) / 2
+        return b.least_height + smooth_positive(b.height_above[t], HEIGHT_SMOOTHING)
 
 
 def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
@@ -269,11 +289,6 @@ def _is_speed(parameter: Param) -> bool:
 
 def _declare_formula(m: ConcreteModel, scenario: Scenario) -> None:
     b = m.wind
-
-    @b.Expression(m.time, doc="wind time [s]")
-    def wind_time(b: Block, t: float) -> NumericExpression:
-        return b.parent_block().clock[t] + b.time_offset
-
     for name, table in AXIS_PARAMETERS.items():
         axis = Block(doc=f"numbers of the wind along world {name}")
         b.add_component(name, axis)
@@ -371,7 +386,7 @@ def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
 
     @b.Expression(m.time, doc="share of the measured heights below the vehicle")
     def height_share(b: Block, t: float) -> NumericExpression:
-        read = b.greatest_height - _smooth_positive(b.height_below[t])
+        read = b.greatest_height - smooth_positive(b.height_below[t], HEIGHT_SMOOTHING)
         return (read - b.least_height) / (b.greatest_height - b.least_height)
 
     doc = "first function of the spline; then its powers, and third powers from inner heights on"
@@ -439,7 +454,7 @@ class _OverTime:
         return self._table(self._held(t, float(self._spline.x[self._rows][-1])))
 
     def _held(self, t: Any, end: float) -> Any:
-        return end - _smooth_positive(end - (t + self._offset), self._width)
+        return end - smooth_positive(end - (t + self._offset), self._width)
 
     @cached_property
     def _table(self) -> Table:

@@ -19,12 +19,13 @@ from pyomo_quad.scenario import (
     WindCoupling,
     scenario_from_mapping,
 )
+from pyomo_quad.scenario.accuracy import Accuracy
 
 #: Names of the two batteries in the library.
 PAPER_CELL = "paper_cell"
 PHANTOM_PACK = "phantom_2_pack"
 
-#: The power models that the paper's vehicle has numbers for: it prints no radius of its rotors.
+#: The power models for which the paper gives the vehicle's numbers; it gives no rotor radius.
 POWER_MODELS = tuple(model for model in PowerModel if model is not PowerModel.MOMENTUM)
 
 # Name and wind of each experiment's scenario.
@@ -47,6 +48,7 @@ def paper_scenario(experiment: Experiment, values: Mapping[str, Any] | None = No
             "vehicle": {"use": "dji_phantom_2", "attitude": Attitude.PAPER},
             "wind": {"use": wind, "coupling": WindCoupling.ACCELERATION},
             "mission": {"duration": 10.0, "goal": {"position": [6.0, 7.0, 8.0], "yaw": 0.0}},
+            "solver": {"accuracy": Accuracy.PROOF},
         },
         source=f"experiment {experiment.value} of the paper",
     )
@@ -75,7 +77,7 @@ class BaselineFlight:
     flight: Flight
 
     def priced_by(self, optimum: "PaperFlight") -> Flight:
-        """Return the flight with the energy to complete it by the optimum's prices, NaN if none."""
+        """Return the flight with the energy to complete it, estimated by the optimum's costates."""
         return self.flight.priced(optimum.end_prices)
 
 
@@ -102,7 +104,7 @@ def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
 def full_speed_energy(experiment: Experiment) -> float:
     """Return the energy under f_r, J, of all rotors at full speed throughout an experiment.
 
-    To spend more, rotors must accelerate and brake all the time.
+    To spend more, the rotors would have to accelerate and brake all the time.
     """
     scenario = paper_scenario(experiment, {"power.model": PowerModel.EFFICIENCY})
     steady = Planner().steady_flight(scenario)
@@ -110,14 +112,14 @@ def full_speed_energy(experiment: Experiment) -> float:
 
 
 # These powers are flat or kinked in the controls: their solves start from the optimum under the
-# motors' power, and two end after few iterations.  Under f_r Ipopt meets no tolerance however long
-# it runs.
+# motors' power, and two of them stop after few iterations. Under f_r, Ipopt meets no tolerance,
+# however many iterations it takes.
 _STARTED_FROM_MOTOR: dict[PowerModel, dict[str, Any]] = {
     PowerModel.EFFICIENCY: {"solver.max_refinements": 0, "solver.max_iterations": 20},
     PowerModel.CONSTANT_EFFICIENCY: {"solver.max_iterations": 60},
     PowerModel.SHAFT: {},
 }
-# A power with a kink at zero needs more points than the default tolerance asks for.
+# A power with a kink at zero needs more points than the default tolerance requires.
 _TIGHTER: dict[str, Any] = {"solver.tolerance": 3e-7}
 _OPTIMA = (PlanStatus.VERIFIED, PlanStatus.SOLVED)
 _COARSE: dict[str, Any] = {"solver.elements": 20, "solver.max_refinements": 0}
@@ -141,7 +143,7 @@ class FlightCase:
 
     @property
     def scenario(self) -> Scenario:
-        """The mission with this case's choices."""
+        """The mission with the settings of this case."""
         chosen = {
             "power.model": self.power_model,
             "battery.use": self.battery,
@@ -153,14 +155,15 @@ class FlightCase:
 
 @dataclass(frozen=True, kw_only=True)
 class PaperFlight:
-    """An optimal flight with its case, and the energy of hovering beside it.
+    """An optimal flight with its case, and the energy of hovering for the same time.
 
     Attributes
     ----------
     status : PlanStatus
-        Of the solve; a flight under f_r may be verified although its solve proves no optimum.
+        Status of the solve; a flight under f_r may be verified although its solve proves no
+        optimum.
     hover_energy_J : float
-        Of hovering for the same time under the same power model.
+        Energy of hovering for the same time under the same power model.
     end_prices : mapping
         `Plan.end_prices` of a solve that found an optimum, else empty.
     """
@@ -219,7 +222,7 @@ def _plan(scenario: Scenario, planner: Planner) -> Plan:
 
 
 def _flown(plan: Plan) -> Flight:
-    """Return the flight of a plan, verified even where the solve proved no optimum."""
+    """Return the flight of a plan, verified even if the solve proved no optimum."""
     if plan.verification is not None:
         return plan.flight()
     held = plan.trajectories

@@ -95,13 +95,13 @@ def _power(study: PaperStudy) -> Iterator[Drawing]:
     yield Drawing(
         name="figure_1",
         title="Power-loss chain and efficiency map",
-        caption="Figure 1. Above: where the energy of the optimal flight of experiment 1 goes, "
-        "under the motors' electrical power; as the rotors end as they began, the air takes the "
-        f"last bar. The remainder of {chain.created:+.2f} J is no energy but an inconsistency of "
-        "the paper's numbers: k_t and 1/k_v of one motor are equal, and the printed digits are "
-        "rounded apart. Below: f_r over speed and torque, with the same flight on it; torques "
-        "beyond the axis are not shown. Hatched: f_r below zero; dotted line: the braking torque "
-        "at which it first gets there.",
+        caption="Figure 1. Above: energy balance of the optimal flight of experiment 1 under the "
+        "motors' electrical power; as the rotors end at their initial speed, the last bar is the "
+        f"work done on the air. The remainder of {chain.created:+.2f} J is no energy but an "
+        "inconsistency of the paper's numbers: k_t and 1/k_v of one motor are equal, but the "
+        "printed values are rounded differently. Below: f_r over speed and torque, with the same "
+        "flight on it; torques beyond the axis are not shown. Hatched: f_r below zero; dotted "
+        "line: the weakest braking torque at which f_r is zero.",
         draw=partial(
             draw_loss_chain, chain, study.efficiency_map, optimum, study.critical_acceleration
         ),

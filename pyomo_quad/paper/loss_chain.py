@@ -18,7 +18,8 @@ from pyomo_quad.scenario import ScenarioError
 _MAP_COLORS = "YlGnBu"
 _LEVELS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 _BAR = 0.62  # height of a bar, of the distance between bars
-# Margin left and right of the chain, as a share of all losses: with an axis from 0 none would show.
+# Margin left and right of the chain, relative to all losses; on an axis from 0 the losses would be
+# invisible.
 _CHAIN_MARGIN = 0.45
 _MILLI = 1e3
 # Margin around the flight in the right map, as a share of the range of its values.
@@ -29,7 +30,7 @@ _ZOOM_MARGIN = 0.15
 class EnergyChain:
     """Energies of a flight from the battery to the air, J.
 
-    ``constant_product`` is k_t k_v, one for a motor that conserves energy.
+    ``constant_product`` is k_t k_v, 1 for a motor that conserves energy.
     """
 
     drawn: float

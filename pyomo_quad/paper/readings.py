@@ -1,7 +1,7 @@
 """The readings of f_r, and the optimiser on fixed meshes under each.
 
-The paper does not print f_r.  Recovered from public re-implementations it passes zero under braking
-torques, so that the literal problem has no minimum once the rotors may brake hard enough.
+The paper does not print f_r. Its form recovered from public re-implementations is zero at some
+braking torques, so that the literal problem has no minimum if the rotors may brake hard enough.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from pyomo_quad.scenario import PowerModel, Scenario
 if TYPE_CHECKING:
     from pyomo.core import ConcreteModel
 
-# A floor so far below every torque [N m] and every value of f_r that smoothing it changes nothing.
+# A floor so far below every torque [N m] and every value of f_r that it has no effect.
 _NO_FLOOR = -1e3
 
 
@@ -66,13 +66,13 @@ def literal_model(scenario: Scenario) -> "ConcreteModel":
     return m
 
 
-# Meshes of the trials, and the bounds on the rotor acceleration [rad/s²]: the literal floor passes
-# the paper's optimum between the first two, and has no value beyond the second.
+# Meshes of the trials, and the bounds on the rotor acceleration [rad/s²]: the literal floor equals
+# the paper's optimum between the first two bounds, and does not exist above the second.
 _DEGREE, _ELEMENTS = 4, (5, 10, 20)
 _BOUNDS = (300.0, 1000.0, 3000.0, 10000.0)
 # Samples for the energy of a flown trial, whose power jumps within an element.
 _SAMPLES_PER_ELEMENT = 400
-# Looser than the planner's: a problem without a minimum meets no tolerance for long.
+# Looser than the planner's, because a problem without a minimum meets no tolerance for long.
 _OPTIONS = SolverOptions(tolerance=1e-6, max_iterations=100)
 
 
@@ -98,7 +98,7 @@ class TrialOutcome:
     Attributes
     ----------
     energy_J : float
-        By the quadrature on the mesh.
+        Energy by the quadrature on the mesh.
     flown_energy_J : float
         Energy when the controls are flown; NaN where f_r passes zero during the flight.
     miss_m : float
@@ -144,7 +144,7 @@ def run_trial(trial: MeshTrial) -> TrialOutcome:
 
 def _fly(scenario: Scenario, solution: Solution, priced: Dynamics) -> tuple[float, float]:
     """Return energy and miss of the solution's controls when flown."""
-    # The motion does not depend on the power model; the motors' power is finite everywhere.
+    # The motion is independent of the power model; the motors' power is finite everywhere.
     steerable = scenario.with_values({"power.model": PowerModel.MOTOR, "power.regeneration": True})
     flown = fly_controls(
         Planner(model_without_battery).dynamics(steerable),

@@ -43,7 +43,7 @@ _THROUGH_DRAG = {"wind.coupling": WindCoupling.DRAG}
 class Tolerance(NamedTuple):
     """Largest relative difference between a committed and a regenerated number of a table.
 
-    `scope` names the rows that it applies to.
+    `scope` names the rows to which it applies.
     """
 
     table: str
@@ -71,7 +71,7 @@ def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figur
 
     Parameters
     ----------
-    folder : Path
+    An existing folder without reports.
         An existing folder, empty of reports.
     study : PaperStudy
         The results.
@@ -132,7 +132,7 @@ def examination(study: PaperStudy) -> dict[str, Any]:
     trials = [outcome for outcome in study.trials if outcome.trial.reading is Reading.LITERAL]
     lowest = min(trials, key=lambda outcome: outcome.energy_J)
     believed = [outcome for outcome in trials if outcome.has_converged]
-    # One case may stand in two tables.
+    # The same case may appear in two tables.
     flown = {flight.case: flight for flight in (*study.flights, *study.wind_flights)}.values()
     return {
         "flown": len(flown),
@@ -157,14 +157,14 @@ def examination(study: PaperStudy) -> dict[str, Any]:
 
 
 def _bound_of_printed_optimum(study: PaperStudy) -> float:
-    """Return the rotor acceleration, rad/s², up to which the literal f_r has the printed floor."""
+    """Return the rotor acceleration, rad/s², at which the literal floor is the printed energy."""
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
     return float(np.interp(-OPTIMAL_ENERGY[1], -energies[finite], bounds[finite]))
 
 
 def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
-    """Return the numbers that a printed adaptive flight is compared with."""
+    """Return the numbers to compare with a printed adaptive flight."""
     has_jump = any(flown.case.reference is Reference.STEP for flown in study.baselines)
     references = Reference.QUINTIC, Reference.STEP if has_jump else Reference.QUINTIC
     smooth, jump = (

@@ -39,7 +39,7 @@ class RotorMap:
     acceleration : ndarray, shape (k,)
         rad/s², rising, symmetric about 0.
     thrust : ndarray, shape (n,)
-        Of one rotor, N.
+        Thrust of one rotor, N.
     torque, power : ndarray, shape (n, k)
         N m and W.
     efficiency : ndarray, shape (n, k)
@@ -155,7 +155,7 @@ def critical_acceleration(samples: int = 151) -> tuple[float, float]:
     Parameters
     ----------
     samples : int
-        Of speed, and of acceleration between the two bounds that enclose the zero.
+        Number of samples of speed, and of acceleration between the bounds around the zero.
 
     Returns
     -------

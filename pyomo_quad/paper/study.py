@@ -35,10 +35,10 @@ from pyomo_quad.paper.rotor_map import (
 from pyomo_quad.scenario import PowerModel
 from pyomo_quad.study.processes import process_pool
 
-# The voltage falls without bound as the charge runs out, so the stored energy ends before.
+# The voltage falls without bound as the charge runs out, so the stored energy is counted to here.
 _DEEPEST_DISCHARGE = 0.99
 _SAMPLES = 400
-# The cell as printed, cells in series as the library puts them, and the vehicle's pack.
+# The cell as printed, cells in series as in the library, and the vehicle's own pack.
 _PACKS: tuple[tuple[str, dict[str, int]], ...] = (
     (PAPER_CELL, {"battery.cells_series": 1, "battery.cells_parallel": 1}),
     (PAPER_CELL, {}),
@@ -53,7 +53,7 @@ class PackFacts:
     Attributes
     ----------
     stored_energy_J : float
-        Down to one hundredth of the charge, without load.
+        Energy down to one hundredth of the charge, without load.
     shortfalls : tuple of str
         Shortfalls of the pack for hovering through the mission, one line each.
     """
@@ -110,7 +110,7 @@ class PaperStudy:
     floors : mapping
         Reading of f_r -> bounds on the rotor acceleration and least energies.
     critical_acceleration, critical_speed : float
-        Where f_r first passes zero, rad/s² and rad/s.
+        Acceleration and speed at which f_r is first zero, rad/s² and rad/s.
     seconds : mapping
         Name of each part -> wall time.
     """

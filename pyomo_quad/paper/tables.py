@@ -1,7 +1,7 @@
 """Results of the paper's study as tables, beside the numbers that the paper prints.
 
-Columns are named with SI units.  `printed.csv` holds the paper's parameters, each with the field of
-a scenario that stands for it.
+Columns are named with SI units. `printed.csv` holds the paper's parameters, each with the scenario
+field that it corresponds to.
 """
 
 from collections.abc import Iterable
@@ -30,7 +30,7 @@ from pyomo_quad.scenario import PowerModel, Reference, describe_fields
 from pyomo_quad.study.comparison import settled_energy
 
 # By number of the experiment, from the tests of section IV.
-#: Energy of the optimum, J; the paper does not print that of the second experiment.
+#: Energy of the optimum, J; the paper prints it for the first experiment only.
 OPTIMAL_ENERGY = {1: 1890.0}
 #: Energy of the adaptive flight, J.
 ADAPTIVE_ENERGY = {1: 5770.0, 2: 9740.0}
@@ -96,7 +96,7 @@ def corrections(study: PaperStudy) -> dict[str, Any]:
 
 
 _KILO = 1e3
-# Beyond these, J and m, numbers are written with digits instead of decimals.
+# Outside these limits, in J and m, numbers are written with significant digits, not decimals.
 _LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-2
 
 
@@ -110,7 +110,7 @@ def kilojoules(energy: float, digits: int = 3) -> str:
 
 
 def metres(distance: float) -> str:
-    """Return a distance from the goal in m, with decimals or, where these vanish, digits."""
+    """Return a distance from the goal in m, with decimals or, if these are zero, digits."""
     return fixed(distance) if distance >= _SMALLEST_PLAIN else rough(distance)
 
 
@@ -171,9 +171,9 @@ def baseline_saving(study: PaperStudy, flown: BaselineFlight) -> tuple[float, fl
     Returns
     -------
     saving, saving_of_excess : float
-        Percent of the controlled flight's energy, with the energy to complete it, and of its energy
-        above hovering.  A power without an optimum has no prices to complete a flight: its flights
-        count as flown.
+        Percent of the controlled flight's energy, including the energy to complete it, and of its
+        energy above hovering. A power without an optimum has no costates to estimate that energy;
+        its flights count as flown.
     """
     optimum = find_flight(study.flights, flown.case.experiment, flown.case.power_model)
     least = optimum.flight.energy_J

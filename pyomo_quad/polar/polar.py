@@ -18,6 +18,7 @@ from scipy.optimize import minimize_scalar
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import SteadyFlight, Trim
+from pyomo_quad.model.wind_field import mean_of_field
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.wind import USUAL_HEIGHT
 
@@ -31,16 +32,16 @@ COURSE, REACH = "course_deg", "reach_m"
 AIRSPEED, POWER, RANGE = "airspeed_m_s", "power_W", "range_m"
 
 _STEP_M_S = 0.5  # between trims; a cubic spline runs through them
-_FASTEST_M_S = 40.0  # of the trims, if no limit of the vehicle ends them before
-# Payloads compared, in addition to the scenario's own: shares of the vehicle's mass.
+_FASTEST_M_S = 40.0  # greatest airspeed of the trims, unless a limit of the vehicle is lower
+# Payloads compared, besides the scenario's own, as fractions of the vehicle's mass.
 _MORE_PAYLOAD = (0.0, 0.1, 0.2)
-# Speeds of the winds that are compared, m/s, in addition to the scenario's own.
+# Wind speeds compared, m/s, besides the scenario's own.
 _WINDS_M_S = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0)
 _DIRECTIONS = 36  # every 10 degrees
-# Share of the charge that stays in the pack if the scenario sets no limit: usual practice.
+# Fraction of the charge that stays in the pack if the scenario sets no limit: usual practice.
 _LEAST_CHARGE = 0.2
 _SAMPLES = 60  # of the state of charge, in the integral of the endurance
-_SLOWEST_GROUND_SPEED = 0.05  # m/s; below, the wind holds the vehicle on the spot
+_SLOWEST_GROUND_SPEED = 0.05  # m/s; below this speed the wind stops the vehicle
 _NO_WIND = 1e-9  # m/s
 _TRIALS = 200  # ground speeds before the bounded search
 
@@ -87,9 +88,10 @@ class SteadyCurve:
         wind : float
             Speed of the wind, m/s.
         angle : float
-            Between the course and where the wind blows to, rad: nought is a tail wind.
+            Angle between the course and the direction to which the wind blows, rad; 0 is a tail
+            wind.
         price_of_time : float
-            Worth of a second, J/s.
+            Price of a second, J/s.
         """
         along, across = wind * np.cos(angle), wind * np.sin(angle)
 
@@ -161,7 +163,7 @@ class Polar:
     wind_m_s, wind_towards_rad : float
         The scenario's mean wind.
     depth : float
-        Share of the pack that is used.
+        Fraction of the pack's charge that is used.
     """
 
     scenario: Scenario
@@ -210,8 +212,14 @@ def find_polar(scenario: Scenario) -> Polar:
 
 
 def mean_wind(scenario: Scenario) -> tuple[float, float]:
-    """Return the mean wind along world x and y [m/s], at the reference height of a profile."""
+    """Return the mean wind along world x and y [m/s], at the reference height of a profile.
+
+    That of a field is its mean over all places that have wind.
+    """
     wind = scenario.wind
+    if wind.grid is not None:
+        of_field = mean_of_field(scenario, wind.grid)
+        return float(of_field[0]), float(of_field[1])
     if wind.series is not None:
         heights = wind.series.heights or (USUAL_HEIGHT,)
         along_x, along_y = (
@@ -227,7 +235,7 @@ def mean_wind(scenario: Scenario) -> tuple[float, float]:
 
 
 def _curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
-    """Trim at rising airspeeds, until a limit of the rotors or of the tilt is met."""
+    """Trim at rising airspeeds, until a limit of the rotors or of the tilt is active."""
     speeds: list[float] = []
     powers: list[float] = []
     endurances: list[float] = []
@@ -287,7 +295,7 @@ def _winds(curve: SteadyCurve, winds: Sequence[float]) -> pd.DataFrame:
 
 
 def _reach(curve: SteadyCurve, wind: float, towards: float) -> pd.DataFrame:
-    """Return how far the pack carries out and back on each course, each leg at its best speed."""
+    """Return the distance out and back on one pack on each course, each leg at its best speed."""
     rows = []
     for course in np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False):
         legs = [
@@ -295,7 +303,7 @@ def _reach(curve: SteadyCurve, wind: float, towards: float) -> pd.DataFrame:
             for turned in (0.0, np.pi)
         ]
         ranges = [leg.range_m for leg in legs]
-        # Each metre out and back takes this share of the pack.
+        # Fraction of the pack used per metre out and back.
         share = sum(1.0 / leg if leg > 0.0 else np.inf for leg in ranges)
         rows.append(
             {

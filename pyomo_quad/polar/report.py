@@ -111,7 +111,7 @@ def _table(curve: SteadyCurve) -> pd.DataFrame:
     )
 
 
-# Below this airspeed the energy per metre, which grows without bound, is not drawn.
+# Below this airspeed the energy per metre is not drawn, because it grows without bound.
 _SLOWEST_M_S = 2.0
 _KILO = 1e-3
 

@@ -1,10 +1,10 @@
-"""Tables, figures and documents of a plan or a run; the only floor that draws."""
+"""Tables, figures and documents of a plan or a run; the only package that draws."""
 
 from enum import StrEnum
 
 
 class Figures(StrEnum):
-    """Which figures a report holds; the values name what is drawn of each."""
+    """Choice of the figures in a report; the values name the file formats."""
 
     SVG = "svg"
     PNG = "png"
@@ -13,5 +13,5 @@ class Figures(StrEnum):
 
     @property
     def formats(self) -> tuple[str, ...]:
-        """Endings of the files of each figure; the first is what a report shows."""
+        """Endings of the files of each figure; a report shows the first."""
         return {"all": ("svg", "png"), "none": ()}.get(self, (str(self),))

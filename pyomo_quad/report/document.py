@@ -1,6 +1,6 @@
-"""A report's document: tables, summary, figures and text, written together.
+"""Writing of a report: tables, summary, figures and text together.
 
-Nothing here needs matplotlib until a figure is drawn.
+Matplotlib is imported only when a figure is drawn.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -44,7 +44,7 @@ class Drawing:
 
 
 def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Drawing, ...]:
-    """Return the drawings in the formats that are wanted, none for `Figures.NONE`."""
+    """Return the drawings in the requested formats, none for `Figures.NONE`."""
     if figures is Figures.NONE:
         return ()
     return tuple(replace(drawing, formats=figures.formats) for drawing in drawings)
@@ -66,10 +66,10 @@ def write_study(
     Parameters
     ----------
     folder : Path
-        An existing folder, empty of reports.
+        An existing folder without reports.
     template : str
-        The template of the text, a path below the package.  Beside ``values`` it is given
-        ``tables`` (the names of the files), ``drawings`` (those that are wanted, in the wanted
+        The template of the text, a path below the package. Besides ``values`` it receives
+        ``tables`` (the names of the files), ``drawings`` (those requested, in the requested
         formats) and ``version``.
     tables : mapping of str to DataFrame or mapping, optional
         Tables to write as CSV, by the file's name.
@@ -145,7 +145,7 @@ def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
 
 @contextmanager
 def drawn_meanwhile(drawings: Iterable[Drawing], folder: Path) -> Iterator[None]:
-    """Draw figures as `save_drawings` does, on other cores while the block is at work."""
+    """Draw figures as `save_drawings` does, on other cores while the block runs."""
     wanted = tuple(drawings)
     if not wanted:
         yield

@@ -1,4 +1,4 @@
-"""Energies of flights as bars: whole, above hovering, and scenario by scenario."""
+"""Energies of flights as bars: in total, above hovering, and by scenario."""
 
 from collections.abc import Sequence
 from itertools import zip_longest
@@ -24,7 +24,7 @@ _ROW, _EDGES = 0.32, 0.95  # inches
 BAR_WIDTH = 0.62  # of the row
 _ABSENT = 0.35  # opacity
 _TITLE = 0.35  # inches
-_NUMBER_ROOM = 1.28  # the axis goes on past the longest bar for the numbers beside the bars
+_NUMBER_ROOM = 1.28  # the axis is longer than the longest bar, to fit the numbers beside the bars
 
 
 def draw_energy_split(

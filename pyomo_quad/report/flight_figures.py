@@ -75,7 +75,7 @@ if TYPE_CHECKING:
 _CENTIMETRES = 100.0
 _SMALLEST_ERROR = 1.0  # cm
 _SMALLEST_DISTURBANCE = 0.1  # m/s^2
-# The flight with adaptation has its style of the other figures.
+# The flight with adaptation has the same style as in the other figures.
 _WITH = flight_styles((FAIR_BASELINE,))[FAIR_BASELINE]
 _WITHOUT = LineStyle(color=MUTED, dashes=(4.5, 1.6))
 
@@ -140,7 +140,7 @@ _GROUPS = (
     (ROTOR_SPEED, "Rotors", "mJ s/rad", 1e3),
 )
 _SMALLEST_PRICE = 1e-2
-# In the line of the title, where no curve is.
+# In the line of the title, where there is no curve.
 _LEGEND: dict[str, Any] = {
     "loc": "lower right",
     "bbox_to_anchor": (1.0, 0.98),

@@ -1,4 +1,4 @@
-"""Output folders and files that appear whole or not at all."""
+"""Output folders and files that are written completely or not at all."""
 
 import errno
 import fcntl
@@ -16,25 +16,25 @@ from pyomo_quad.scenario.messages import OutputError
 
 MANIFEST_NAME = ".pyomo_quad_files"
 
-# Files and folders that this process has begun beside its outputs and not yet finished.
+# Temporary files and folders of this process that are not finished yet.
 _unfinished: set[Path] = set()
 
 
 @contextmanager
 def output_folder(path: str | Path) -> Iterator[Path]:
-    """Yield a folder to write into, which becomes the final folder when the block succeeds.
+    """Yield a temporary folder that becomes the final folder when the block succeeds.
 
     Yields
     ------
     Path
-        An empty folder beside the final one.  If the block raises, it vanishes and the final
-        folder stays as it was.
+        An empty folder beside the final one. If the block raises, it is removed and the final
+        folder remains unchanged.
 
     Raises
     ------
     OutputError
-        If the folder cannot be written, is full, is in use by another run, or holds files that
-        no run wrote.
+        If the folder cannot be written, is full, is in use by another run, or holds files that no
+        run wrote.
     """
     final = final_folder(path)
     aside = _hidden(final, f"new-{os.getpid()}")
@@ -55,28 +55,29 @@ def output_folder(path: str | Path) -> Iterator[Path]:
         _refuse(path, error)
 
 
-#: Text in each single file, by which a later command knows that it may replace the file.
+#: Text in each single file, by which a later command recognises that it may replace the file.
 MARK = "Written by pyomo_quad"
-# The mark is looked for so near to either end of a file: a PDF names its creator last.
+# The mark is searched for within this distance of either end: a PDF names its creator last.
 _MARKED_WITHIN_BYTES = 65_536
 
 
 @contextmanager
 def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
-    """Yield a file to write, which becomes the final file when the block succeeds.
+    """Yield a temporary file that becomes the final file when the block succeeds.
 
-    A character device or a FIFO gets the bytes instead, and stays what it is.
+    A character device or a FIFO receives the bytes instead and is not replaced.
 
     Parameters
     ----------
     mark : str, optional
-        Text of the new file.  A regular file that is there is replaced only where it has this
-        text too, or is empty.
+        Text in the new file. An existing regular file is replaced only if it also has this text, or
+        is empty.
 
     Raises
     ------
     OutputError
-        If it cannot be written there, or another program or a person wrote the file that is there.
+        If the file cannot be written, or an existing file was written by another program or a
+        person.
     """
     final = final_folder(path)
     try:
@@ -99,7 +100,7 @@ def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
 
 def _is_stream(path: str | Path) -> bool:
     """Return whether a path leads to a character device or a FIFO."""
-    # The links of /dev/stdout end in no name that could be opened, but can be followed.
+    # The links of /dev/stdout have targets that cannot be opened by name, but can be followed.
     with suppress(FileNotFoundError):
         mode = os.stat(path).st_mode  # noqa: PTH116  a path may be a text
         return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode)
@@ -117,10 +118,10 @@ def _refuse_foreign_file(final: Path, path: str | Path, mark: str) -> None:
     if final.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
     if not final.is_file():
-        raise OutputError(f"{path}: is neither a file nor a stream; choose another --out.")
+        raise OutputError(f"{path}: is neither a regular file nor a stream; choose another --out.")
     if final.stat().st_size > 0 and not _is_marked(final, mark):
         raise OutputError(
-            f"{path}: is there and was not written by this command; move it away or choose "
+            f"{path}: exists and was not written by this command; move it away or choose "
             "another --out."
         )
 
@@ -154,7 +155,7 @@ def refuse_output_folder(path: str | Path) -> None:
 
 
 def discard_unfinished() -> None:
-    """Remove the files and folders that this process has begun and not finished."""
+    """Remove the temporary files and folders of this process."""
     for begun in _unfinished:
         _discard(begun)
 
@@ -166,7 +167,7 @@ def _discard(begun: Path) -> None:
 
 @contextmanager
 def _until_finished(begun: Path) -> Iterator[None]:
-    """Remove a file or folder at the end of the block, also if the process is ended in it."""
+    """Remove a temporary file or folder after the block, also if the process is terminated."""
     _unfinished.add(begun)
     try:
         yield
@@ -177,7 +178,7 @@ def _until_finished(begun: Path) -> Iterator[None]:
 
 def final_folder(path: str | Path) -> Path:
     """Resolve all links of an output path, and refuse the root of all folders."""
-    # Unlike `Path.resolve`, `realpath` lets a loop of links be found out by whoever opens it.
+    # Unlike `Path.resolve`, `realpath` does not raise for a loop of links; opening the path does.
     final = Path(os.path.realpath(path))
     if final == final.parent:
         raise OutputError(f"{path}: is the root of all folders; choose another --out.")
@@ -185,7 +186,7 @@ def final_folder(path: str | Path) -> Path:
 
 
 def _unused(path: Path) -> Path:
-    """Return a path at which nothing is, so that whatever is there later is this process's own."""
+    """Return a path after a check that nothing exists there yet."""
     if os.path.lexists(path):
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
     return path
@@ -203,7 +204,7 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
         descriptor = os.open(file, flags, 0o644)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # The run that held the lock removes the file; a lock on a removed file locks nothing.
+            # The run that held the lock removes the file; a lock on a removed file has no effect.
             if file.exists() and file.stat().st_ino == os.fstat(descriptor).st_ino:
                 break
         except BlockingIOError:
@@ -214,7 +215,9 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
         os.close(descriptor)
     if os.fstat(descriptor).st_size > 0:
         os.close(descriptor)
-        raise OutputError(f"{path}: needs the name {file.name!r} beside it; move that file away.")
+        raise OutputError(
+            f"{path}: needs the name {file.name!r} in the same folder; move that file away."
+        )
     try:
         with _until_finished(file):
             yield
@@ -223,10 +226,10 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
 
 
 def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
-    """Replace the final folder by the folder that is ready, if a run has left one.
+    """Replace the final folder by a completed new folder, if a run has left one.
 
-    The old folder keeps the name `aside` until it is removed.  Between two renames there is no
-    final folder: a run killed there leaves the new folder ready, which the next run puts in place.
+    The old folder is renamed to `aside` until it is removed. Between the two renames there is no
+    final folder: if a run is killed there, the next run puts the new folder in place.
     """
     ready = _hidden(final, "ready")
     if not _is_of_a_run(ready):
@@ -238,7 +241,7 @@ def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
 
 
 def _remove_leftovers(final: Path) -> None:
-    # The lock is held: whoever made these is no longer running.
+    # The lock is held, so the process that made these is no longer running.
     name = re.compile(re.escape(_hidden(final, "new-").name) + r"\d+")
     for entry in final.parent.iterdir():
         if not name.fullmatch(entry.name):
@@ -247,16 +250,16 @@ def _remove_leftovers(final: Path) -> None:
             _remove(entry)
         else:
             with suppress(OSError):
-                entry.rmdir()  # an empty one: the run was killed before it wrote
+                entry.rmdir()  # empty: the run was killed before it wrote a file
 
 
 def _is_of_a_run(folder: Path) -> bool:
-    """Return whether a run made a folder of a hidden name, by its manifest."""
+    """Return whether a run made a hidden folder, by the folder's manifest."""
     return not folder.is_symlink() and (folder / MANIFEST_NAME).is_file()
 
 
 def _remove(folder: Path) -> None:
-    """Delete a folder, its manifest last, which marks the rest if the process is killed."""
+    """Delete a folder, its manifest last, so that an interrupted deletion can be recognised."""
     for entry in folder.iterdir():
         if entry.name == MANIFEST_NAME:
             continue
@@ -268,7 +271,7 @@ def _remove(folder: Path) -> None:
 
 
 def _files(folder: Path) -> Iterator[str]:
-    """Yield all files of a folder, links to folders included; raise where it cannot be read."""
+    """Yield all files of a folder, links to folders included; raise if it cannot be read."""
 
     def fail(error: OSError) -> NoReturn:
         raise error

@@ -72,10 +72,10 @@ FRONT_FIGURE = "front"
 
 
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
-    """List the figures of a plan, whose flight comes first, with those flown beside it.
+    """List the figures of a plan, whose flight comes first, with the flights beside it.
 
-    Figures are left out if a user's model does not declare their columns, if a failed solve left
-    no numbers for them, and for a wind that does not blow.
+    A figure is left out if a user's model does not declare its columns, if a failed solve has no
+    numbers for it, or if it shows wind in calm air.
     """
     has_forecast = plan.scenario.wind.forecast is not None
     blowing = flights[1] if has_forecast and len(flights) > 1 else None
@@ -140,12 +140,12 @@ def comparison_drawings(
     overview = (
         "Left: the paths, from start (dot) to goal (star), to one scale along all "
         f"axes.{_zones(mission)} Right: {over_time}, and below the total energy, with what its "
-        "end state owes; the line in a bar is the energy of hovering for as long."
-        f"{left_out(flights)}{_coinciding(flights, hover_energy_J if is_timed_alike else 0.0)}"
+        f"axes.{_zones(mission)} Right: {over_time}, and below the total energy, including the "
+        "owed energy of the end state; the line in a bar is the energy of hovering for as long."
     )
     split = (
-        "Left: energy of each flight with what its end state owes, split at the energy of "
-        f"hovering for as long.{_undercut(flights, hover_energy_J)} Right: {beyond}."
+        "Left: energy of each flight, including the owed energy of its end state, split at the "
+        f"energy of hovering for as long.{_undercut(flights, hover_energy_J)} Right: {beyond}."
     )
     given = flights, hover_energy_J, absent
     draw_glance = partial(draw_overview, *given, mission)
@@ -159,9 +159,9 @@ def comparison_drawings(
 def adaptation_drawing(study: pd.DataFrame) -> Drawing:
     """Return the figure of the effect of adaptation, from an `adaptation_study`."""
     caption = (
-        "The adaptive controller is not told the wind. Left: its distance from its reference, with "
-        "adaptation and without. Right: the force of the wind over the mass, and its estimate by "
-        "the adaptation."
+        "The adaptive controller does not know the wind. Left: its distance from its reference, "
+        "with adaptation and without. Right: the force of the wind divided by the mass, and its "
+        "estimate by the adaptation."
     )
     return Drawing("adaptation", "Adaptation to the wind", caption, partial(draw_adaptation, study))
 
@@ -201,17 +201,17 @@ def drawings_of_comparison(comparison: pd.DataFrame) -> tuple[Drawing]:
     if not takes_one_time_each(comparison):
         energy = "Total energy"
     caption = (
-        f"{energy}, with what the end state owes: one panel for each scenario. A flight that did "
-        "not arrive is pale."
+        f"{energy}, including the owed energy of the end state: one panel per scenario. A flight "
+        "that did not arrive is pale."
     )
     draw = partial(draw_energy_by_scenario, comparison)
     return (Drawing("energy_compared", "Energy of each flight", caption, draw),)
 
 
 def view_of_paths(result: "RunResult", drawn: Sequence[Drawing]) -> tuple[dict[str, str], str]:
-    """Return the player of the flights, by the figure it stands above, and its data as JSON.
+    """Return the player of the flights by the name of its figure, and its data as JSON.
 
-    Both are empty if the figure of the paths is not among those drawn.
+    Both are empty if the figure of the paths is not drawn.
     """
     if PATH_NAME not in [drawing.name for drawing in drawn]:
         return {}, ""
@@ -245,7 +245,7 @@ def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> Drawin
 
 
 def _course(mission: "Scenario") -> str:
-    """Return the words on waypoints, zones and limits in the figure of the paths."""
+    """Return the sentences on waypoints, zones and limits in the figure of the paths."""
     airspace, said = mission.airspace, ""
     if mission.mission.waypoints:
         said += " Crosses: the waypoints, with the times at which the plan passes them."
@@ -258,7 +258,7 @@ def _course(mission: "Scenario") -> str:
 
 
 def _zones(mission: "Scenario") -> str:
-    """Return the words that name the keep-outs in a figure, empty without any."""
+    """Return the sentence that names the keep-outs in a figure, empty without any."""
     named = ", ".join(zone.name for zone in mission.airspace.keep_out)
     return f" Red: the keep-outs ({named})." if named else ""
 
@@ -284,14 +284,14 @@ def _way(flights: Sequence[StyledFlight], mission: "Scenario") -> Drawing:
 
 
 def left_out(flights: Sequence[StyledFlight]) -> str:
-    """Return the words that name paths left out of a figure or cut off; empty without any."""
+    """Return the sentence that names paths left out of a figure or cut off; empty without any."""
     said = ""
     distinct, astray = distinct_paths(flights), leaving_paths(flights)
     near = [flight for flight in flights if flight not in distinct]
     if near:
-        said += f" Too near to {flights[0].name} to be drawn apart: {_listed(near)}."
+        said += f" Too close to {flights[0].name} to be distinguished: {_listed(near)}."
     if astray:
-        said += f" Leaves the picture: {_listed(astray)}."
+        said += f" Extends beyond the figure: {_listed(astray)}."
     return said
 
 
@@ -345,13 +345,13 @@ def _own_floors(flights: Sequence[StyledFlight]) -> str:
     if take_one_time(flights):
         return ""
     return (
-        " Flights that take other times end above other hover floors: only their total energies "
-        "compare."
+        " Flights of other durations have other hover floors: only their total energies "
+        "are comparable."
     )
 
 
 def _cut(flights: Sequence[StyledFlight]) -> str:
-    """Return the words that name the flights with cut-off peaks of power, and their ranges."""
+    """Return the sentence that names the flights with cut-off peaks of power, and their ranges."""
     if POWER.name not in flights[0].frame:
         return ""
     peaks = [
@@ -359,28 +359,28 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
         for flight in cut_flights(flights)
         for power in (POWER.of(flight.frame),)
     ]
-    return f" Short peaks leave the first panel: {', '.join(peaks)}." if peaks else ""
+    return f" Short peaks extend beyond the first panel: {', '.join(peaks)}." if peaks else ""
 
 
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
-    """Return the words that name the flights whose energy curve lies on the optimum's."""
+    """Return the sentence that names flights whose energy curve is that of the optimum."""
     if ENERGY.name not in flights[0].frame:
         return ""
     same = coinciding_flights(flights, hover_energy_J / flights[0].duration_s)
     if not same:
         return ""
-    return f" The energy of {flights[0].name} hides that of {_listed(same)}."
+    return f" The curve of {flights[0].name} covers that of {_listed(same)}."
 
 
 def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     """Return the explanation of bars below the hover floor, empty without any."""
     hover_power = hover_energy_J / flights[0].duration_s
     is_below = any(flight.energy_J < hover_power * flight.duration_s for flight in flights)
-    return " Colour within the grey is what a flight takes less." if is_below else ""
+    return " Colour within the grey is the energy saved compared with hovering." if is_below else ""
 
 
 def _not_drawn(flights: Sequence[StyledFlight], drawn: Sequence[StyledFlight]) -> str:
-    """Return the words that name the flights that a figure leaves out."""
+    """Return the sentence that names the flights that a figure leaves out."""
     rest = [flight for flight in flights if flight not in drawn]
     return f" Not drawn: {_listed(rest)}." if rest else ""
 
@@ -390,8 +390,8 @@ def _costates(plan: "Plan") -> tuple[Drawing, ...]:
     if not set(COSTATES) <= set(costates):
         return ()
     caption = (
-        "Costates: the change of the least energy from there on with a small change of each state. "
-        "The Hamiltonian varies only as the wind does; in calm air it is constant."
+        "Costates: the derivative of the least remaining energy by each state. "
+        "The Hamiltonian varies only with the wind; in calm air it is constant."
     )
     draw = partial(draw_costates, costates, plan.duration_s)
     return (Drawing("costates", "Costates and Hamiltonian", caption, draw),)

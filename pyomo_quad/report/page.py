@@ -25,20 +25,20 @@ def render_html(
     views: Mapping[str, str],
     data: str,
 ) -> str:
-    """Return a report as an HTML page that loads nothing.
+    """Return a report as an HTML page without external resources.
 
     Parameters
     ----------
     markdown : str
         The report, as `render_markdown` returns it.
     is_good : bool
-        Whether its verdict is to look so.
+        Whether the verdict is shown as good.
     pictures : mapping of str to bytes
         SVG or PNG of each picture of the report, by name.
     views : mapping of str to str
-        HTML of what stands above a picture on a screen, by the picture's name.
+        HTML shown above a picture on a screen, by the picture's name.
     data : str
-        JSON of what the page's program plays, empty without.
+        JSON for the page's player, empty without one.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def _scrolled(label: str) -> str:
     return f'<div class="scroll" tabindex="0" role="group" aria-label="{label}">'
 
 
-# Where a long name may break in a narrow column: after dots, underscores and brackets.
+# Places where a long name may break in a narrow column: after dots, underscores and brackets.
 _JOINT = pattern(r"(?<=\w[._\]])(?=\w)(?<!\d.)")
 
 
@@ -101,7 +101,7 @@ class _PageRenderer(RendererHTML):
         if role == "caption":
             return f"{_scrolled(_label(inline))}<table><caption>"
         if role == "figcaption":
-            # A link to a file of the report would be broken once the page is sent.
+            # Drop links to files of the report, which would break when the page is sent alone.
             end = [child.type for child in children].index("em_close")
             del children[end + 1 :]
         return f"<{role}>"
@@ -130,7 +130,7 @@ class _PageRenderer(RendererHTML):
 
     def blockquote_close(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
         if any(token.type == "blockquote_close" for token in tokens[idx + 1 :]):
-            return "</div>\n"  # the contents stand once, below the last
+            return "</div>\n"  # the table of contents appears once, below the last box
         links = "".join(
             f'<li><a href="#{_anchor(inline.content)}">{_label(inline)}</a></li>'
             for heading, inline in pairwise(tokens)
@@ -139,7 +139,7 @@ class _PageRenderer(RendererHTML):
         return f'</div>\n<nav aria-label="Contents"><ul>{links}</ul></nav>\n'
 
     def table_open(self, *_: object) -> str:
-        return ""  # by its caption
+        return ""  # opened by its caption
 
     def table_close(self, *_: object) -> str:
         return "</table></div>\n"

@@ -45,16 +45,16 @@ from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.airspace import Airspace, KeepOut
 
 _PROJECTIONS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
-BEAT_COUNT = 5  # markers at equal times along each path: wide apart means fast
-# Relative to the size of the optimum's path: distance below which two lines look like one, and
-# distance above which a flight is left out of the limits of the figure.
+BEAT_COUNT = 5  # markers at equal times along each path: a larger distance means a higher speed
+# Relative to the size of the optimum's path: distance below which two paths are indistinguishable,
+# and distance above which a path is left out of the limits of the figure.
 COINCIDENT, ASTRAY = 0.02, 1.0
 _MARGIN = 0.08
 _MOST_TICKS = 9
 # Ratio of the shortest to the longest side below which the label of the longest axis must move.
 _FLAT = 0.3
 _SMALLEST_SIDE = 0.2  # m
-_SEEN_THROUGH = 0.18  # opacity of a zone's faces in space, of which two lie behind each other
+_SEEN_THROUGH = 0.18  # opacity of a zone's faces in space, which overlap in pairs
 # Margin around all paths, relative to their largest side: zones and limits beyond are cut off.
 _AROUND = 0.25
 _UP = 2
@@ -88,7 +88,7 @@ def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) 
     for (across, up, title), box in zip(_PROJECTIONS, boxes, strict=True):
         axes = figure.add_axes(box)
         if mission is not None:
-            _draw_mission(axes, mission, (across, up))
+            draw_mission(axes, mission, (across, up))
         _draw_projection(axes, flights, limits, (across, up), title)
     legend_below(figure, space)
     return figure
@@ -129,14 +129,14 @@ def draw_space(
         axis.set_major_locator(MaxNLocator(nbins=most, steps=TICK_STEPS))
         axis.set_pane_color("white")
         is_along = side == sides.max() and sides.min() < _FLAT * side
-        axis.set_label_text("\n" * (2 * is_along) + _axis_label(signal))
+        axis.set_label_text("\n" * (2 * is_along) + axis_label(signal))
         axis.labelpad = -4
         axis.set_tick_params(pad=-2)
         axis._axinfo["grid"].update(color="#e4e4e4", linewidth=0.5)  # noqa: SLF001
 
 
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights that go so far astray that the figure cuts them off."""
+    """Return the flights so far from the optimum's path that the figure cuts them off."""
     return _further(flights, ASTRAY)
 
 
@@ -196,7 +196,7 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
     beyond = _MARGIN * room
     ends = ((airspace.floor, -beyond), (airspace.ceiling, beyond))
     heights = [(_UP, height + margin) for height, margin in ends if height is not None]
-    # A floor or a ceiling that is further away than that is not in the picture.
+    # Leave out a floor or ceiling beyond this distance.
     sides += [side for side in heights if furthest[_UP, 0] <= side[1] <= furthest[_UP, 1]]
     for axis, place in sides:
         wanted[axis] = min(wanted[axis, 0], place), max(wanted[axis, 1], place)
@@ -205,7 +205,7 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
     )
 
 
-def _draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> None:
+def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> None:
     """Draw zones, floor, ceiling and waypoints as seen along an axis."""
     airspace = mission.airspace
     for zone in airspace.keep_out:
@@ -225,7 +225,7 @@ def _draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) ->
         place = waypoint.position[directions[0]], waypoint.position[directions[1]]
         if waypoint.radius:
             axes.add_patch(Circle(place, waypoint.radius, fill=False, ec=MUTED, linewidth=0.6))
-        # Only the view from above shows the times: from the side one waypoint may hide another.
+        # Only the view from above shows the times: from the side, one waypoint may hide another.
         has_time = waypoint.at is not None and directions[1] != _UP
         label = f"{number}: {waypoint.at:.1f} s" if has_time else str(number)
         passed.setdefault(place, []).append(label)
@@ -251,7 +251,7 @@ def _draw_projection(
     for end, _, shape in _ends(flights[0]):
         axes.plot(*end[chosen, None], marker=shape, color=INK, markersize=6, linestyle="none")
     across, up = (POSITION[direction] for direction in directions)
-    axes.set(xlabel=_axis_label(across), ylabel=_axis_label(up), title=f"Seen {title}")
+    axes.set(xlabel=axis_label(across), ylabel=axis_label(up), title=f"Seen {title}")
     box = axes.get_position()  # the figure is square
     wide, high = np.ptp(limits[chosen], axis=1)
     scale = max(wide / box.width, high / box.height) / 2
@@ -284,7 +284,8 @@ def _marker(flight: StyledFlight) -> dict[str, Any]:
     }
 
 
-def _axis_label(signal: Column) -> str:
+def axis_label(signal: Column) -> str:
+    """Return the symbol of a column and its unit, as beside an axis of a path."""
     return f"${signal.symbol}$ ({signal.unit})"
 
 
@@ -373,7 +374,7 @@ def _extent(zone: KeepOut) -> dict[str, dict[str, float]]:
 
 
 def _rounded(values: np.ndarray) -> list[Any]:
-    numbers = values.tolist()  # Python's own are written three times faster
+    numbers = values.tolist()  # Python's floats are formatted three times faster
     return [float(f"{number:.{_DIGITS}g}") if isfinite(number) else None for number in numbers]
 
 

@@ -1,4 +1,4 @@
-"""Templates filled in as Markdown."""
+"""Rendering of templates as Markdown."""
 
 import re
 from functools import cache
@@ -14,7 +14,7 @@ from pyomo_quad.flight.limit_words import limit_amount, limit_words
 from pyomo_quad.scenario import PowerModel, WindCoupling
 from pyomo_quad.study.comparison import against_hovering
 
-#: Stands where a table has no number.
+#: Text of a table cell without a number.
 NOTHING = "n/a"
 
 POWER_WORDS = {
@@ -33,6 +33,7 @@ COUPLING_WORDS = {
 
 STATUS_WORDS = {
     PlanStatus.VERIFIED: "Verified",
+    PlanStatus.USABLE: "Usable",
     PlanStatus.SOLVED: "Not verified",
     PlanStatus.NOT_CONVERGED: "Failed, not converged",
     PlanStatus.INFEASIBLE: "Failed, infeasible",
@@ -54,13 +55,13 @@ def rough(value: float, digits: int = 2) -> str:
 
 
 def yes_no(value: object) -> str:
-    """Return a truth value in a word."""
+    """Return "yes" or "no"."""
     return "yes" if value else "no"
 
 
 FIGURE_FOLDER = "figures"
 
-# Characters that are printed as nothing although Python calls them printable: fillers, joiners and
+# Characters that print as nothing although Python calls them printable: fillers, joiners and
 # selectors (Unicode's Default_Ignorable_Code_Point without its format characters).
 _BLANK = re.compile(
     "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0"
@@ -88,7 +89,7 @@ def _is_seen(letter: str) -> bool:
 
 _ENTITIES = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 _SPECIAL = re.compile(r"([\\`*_\[\]#|~$])")
-# Text that Markdown would read as a list item or a rule.
+# Text at the start of a line that Markdown would read as a list item or a rule.
 _LINE_START = re.compile(r"^([-+](?=\s|$)|-{3,}$|\d+(?=[.)](?:\s|$)))")
 
 
@@ -110,12 +111,12 @@ def _entities(text: str) -> str:
 
 def written(text: str) -> Markup:
     """Mark text as Markdown or HTML, which is not escaped again."""
-    return Markup(text)  # noqa: S704  every caller has escaped what is not its own
+    return Markup(text)  # noqa: S704  every caller has escaped foreign text
 
 
 def _code(text: str) -> Markup:
     """Return a name from a program: of a flight, a file, a field, a command."""
-    # A code span has no escapes: text that would end the span is printed without one.
+    # A code span has no escapes, so text that would end the span is printed without a span.
     if set(visible(text)) & set("`|\\\n\r") or text != text.strip() or not text:
         return written(escape_markdown(text))
     return written(f"`{text}`")

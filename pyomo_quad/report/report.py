@@ -12,13 +12,9 @@ import numpy as np
 
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.flight.columns import column_of
-from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, ARRIVAL_SPEED_M_PER_S, VIOLATION_TOLERANCE
+from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, ARRIVAL_SPEED_M_PER_S
 from pyomo_quad.flight.plan import FLIGHT_SAMPLES, PlanStatus
-from pyomo_quad.flight.verification import (
-    BALANCE_TOLERANCE,
-    ENERGY_TOLERANCE,
-    MISS_TOLERANCE,
-)
+from pyomo_quad.flight.verification import BALANCE_TOLERANCE
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import (
     PAGE_NAME,
@@ -39,6 +35,7 @@ from pyomo_quad.report.tables import (
     write_table,
 )
 from pyomo_quad.scenario import PowerModel, Reference
+from pyomo_quad.scenario.accuracy import FIGURES
 from pyomo_quad.scenario.tables import Replanning
 from pyomo_quad.study.comparison import (
     FAIR_BASELINE,
@@ -61,7 +58,7 @@ if TYPE_CHECKING:
     from pyomo_quad.study.run import RunResult
 
 _CHARGE = column_of("battery.state_of_charge").name
-_SHORTEST_PATH_M = 0.1  # below, a flight stays where it is and has no range
+_SHORTEST_PATH_M = 0.1  # a shorter flight counts as hovering and has no range
 
 COMPARISON_NAME = "comparison.csv"
 COMPARISON_REPORT_NAME = "comparison.md"
@@ -138,8 +135,8 @@ class RunRecord:
 def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     """Return the verified run of exactly this scenario in a folder, None without one.
 
-    A run by other versions is ignored, since its numbers may differ; so is a run of a user's model,
-    whose code may have changed since.
+    A run by other versions is ignored, because its numbers may differ. A run of a user's model is
+    ignored too, because the code of the model may have changed.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -194,12 +191,13 @@ def write_compare_report(
 def _title(plan: "Plan") -> str:
     """Return the report's title, with the status of a plan that is not verified."""
     title = plan.scenario.title or plan.scenario.name
-    return title if plan.is_verified else f"{STATUS_WORDS[plan.status]}: {title}"
+    return title if plan.is_flyable else f"{STATUS_WORDS[plan.status]}: {title}"
 
 
 def _plan_values(plan: "Plan") -> dict[str, Any]:
     """Return the values of a plan for the templates."""
     columns = plan.columns(np.linspace(*plan.trajectories.horizon, FLIGHT_SAMPLES))
+    figures = FIGURES[plan.accuracy_checked]
     return {
         "title": _title(plan),
         "plan": plan,
@@ -208,12 +206,13 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
         "legs": leg_rows(plan.mission_flown, columns),
         "leg": LegColumn,
         "allowed": {
-            "miss": MISS_TOLERANCE,
-            "violation": VIOLATION_TOLERANCE,
-            "energy_J": ENERGY_TOLERANCE * max(1.0, abs(plan.energy)),
+            "miss": figures.miss,
+            "violation": figures.breach,
+            "energy_J": figures.energy_flown * max(1.0, abs(plan.energy)),
             "imbalance": BALANCE_TOLERANCE,
         },
         "INFEASIBLE": PlanStatus.INFEASIBLE,
+        "USABLE": PlanStatus.USABLE,
         "PLAN_NAME": PLAN_NAME,
         "SUMMARY_NAME": SUMMARY_NAME,
     }
@@ -226,7 +225,7 @@ class FreeClimb:
     height_m: float
     potential_J: float
     spent_J: float
-    """Energy above hovering, which would have to cover the climb."""
+    """Energy above hovering, which the climb would have to come from."""
 
 
 def _free_climb(plan: "Plan") -> FreeClimb | None:
@@ -360,12 +359,12 @@ def prepare_figures(figures: Figures) -> None:
 
 
 def _gallery() -> ModuleType:
-    """Return the gallery; its import of matplotlib takes longer than a solve."""
+    """Return the gallery module; its import of matplotlib takes longer than a solve."""
     from pyomo_quad.report import gallery  # noqa: PLC0415
 
     return gallery
 
 
 def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator[Drawing]:
-    """Yield figures that the gallery lists, which is imported for the first of them."""
+    """Yield figures from the gallery, which is imported for the first of them."""
     yield from listed(_gallery())

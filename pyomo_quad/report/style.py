@@ -40,7 +40,7 @@ _BLUE, _VERMILION, _GREEN = "#0072b2", "#d55e00", "#009e73"
 _ORANGE, _PURPLE, _SKY = "#e69f00", "#a8487f", "#56b4e9"
 _BROWN, _PINK, _OLIVE, _TEAL = "#7a4b1e", "#f2a0c0", "#8a8a00", "#006d77"
 
-# A date would make two equal runs differ.
+# Without a date, because a date would make two equal runs differ.
 _UNDATED = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}}
 
 # matplotlib types the keys of its settings as literals, in some versions only.
@@ -58,7 +58,7 @@ _RC: Any = {
     "axes.titlelocation": "left",
     "axes.titlepad": 4,
     "axes.titlesize": 8.5,
-    "axes.titley": 1.0,  # a fixed place: looking for a free one takes a third of the time
+    "axes.titley": 1.0,  # a fixed position: the automatic one takes a third of the time
     "figure.dpi": _DOTS_PER_INCH,
     "font.family": "DejaVu Sans",
     "font.size": 8,
@@ -124,8 +124,8 @@ _FLIGHTS = (
     *(OPTIMAL, *(baseline_name(reference) for reference in MISSION_TIMED), OPEN_LOOP),
     *(replanned_name(knowledge) for knowledge in Knowledge),
 )
-# Every flight of the program has one style in every report; the others are for names that a caller
-# chooses.
+# Every flight of the program has one style in every report; the other styles are for names that a
+# caller chooses.
 _FLIGHT_STYLES = dict(zip(_FLIGHTS, SERIES_STYLES, strict=False))
 _OTHER_STYLES = SERIES_STYLES[len(_FLIGHTS) :]
 
@@ -176,8 +176,8 @@ def _drawn(draw: Callable[[], Figure]) -> Figure:
 
 
 def _save_png(figure: Figure, path: Path, creator: str | None) -> None:
-    # A palette image has a third of the size.  With fewer colours than these a thin line takes the
-    # colour of a thicker one.
+    # A palette image has a third of the size. With fewer colours than these, a thin line takes the
+    # colour of a thicker line.
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")

@@ -35,7 +35,7 @@ def neutral_cell(value: object) -> object:
     return value
 
 
-#: A frame, or columns by name, which spare a solve the 0.3 s of importing pandas.
+#: A frame, or columns by name, which avoid the 0.3 s of importing pandas.
 Table: TypeAlias = "pd.DataFrame | Mapping[str, Iterable[object]]"
 
 
@@ -84,7 +84,7 @@ def flight_summary(
 
 PLAN_NAME = "plan.csv"
 
-# Only the best iterate of a solve that failed has this column, last.
+# Only the best iterate of a failed solve has this column, as the last one.
 _STATUS_COLUMN = "status"
 
 
@@ -99,7 +99,7 @@ def plan_table(plan: "Plan", rate_hz: float | None = None) -> dict[str, Iterable
 
 SUMMARY_NAME = "summary.json"
 
-# Distributions whose version can change a number; the second name is that of conda's package.
+# Distributions whose version may affect a number; the second name is that of conda's package.
 _DISTRIBUTIONS = {
     "pyomo": ("pyomo",),
     "casadi": ("casadi",),
@@ -124,6 +124,11 @@ def plan_summary(
         "scenario": plan.scenario.name,
         "status": plan.status.value,
         "verified": plan.is_verified,
+        "accuracy": {
+            "asked": plan.scenario.solver.accuracy.value,
+            "reached": plan.accuracy_reached,
+            "energy": _number(plan.energy_uncertainty),
+        },
         "energy_J": _number(plan.energy),
         "duration_s": _number(plan.duration_s),
         "passing_times_s": list(plan.passing_times_s),
@@ -238,7 +243,7 @@ def _version(names: Sequence[str]) -> str:
 
 
 FLIGHT_NAME = "flight.csv"
-# Bytes of a table or a summary; the reports of the longest runs are far smaller.
+# Largest table or summary [bytes]; the reports of the longest runs are far smaller.
 _LARGEST_FILE = 256 * 1024 * 1024
 
 
@@ -260,7 +265,7 @@ def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "
     Raises
     ------
     ScenarioError
-        If a file is missing, too large, damaged or no flight.
+        If a file is missing, too large, damaged or not a flight.
     """
     file = folder / SUMMARY_NAME
     content = _content(file)
@@ -323,9 +328,9 @@ def _read_table(file: Path) -> "pd.DataFrame":
         refuse_report(file, f"has no column {TIME}")
     numbers = frame[[TIME, *(column.name for column in ALL_COLUMNS if column.name in frame)]]
     if any(kind.kind not in "fi" for kind in numbers.dtypes):
-        refuse_report(file, "holds texts among its numbers")
+        refuse_report(file, "has text among its numbers")
     if len(numbers) < 2 or not np.isfinite(numbers.to_numpy(dtype=float)).all():
-        refuse_report(file, "holds no flight of finite numbers")
+        refuse_report(file, "is not a flight with finite numbers")
     if not (np.diff(numbers[TIME]) > 0.0).all():
         refuse_report(file, f"{TIME} does not increase from row to row")
     return numbers

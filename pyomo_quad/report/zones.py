@@ -1,4 +1,4 @@
-"""Keep-out zones as a picture shows them: outlines along an axis, and faces in space."""
+"""Drawing of keep-out zones: outlines seen along an axis, and faces in space."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -43,9 +43,9 @@ def box_around(zone: KeepOut) -> FloatArray:
 def faces(zone: KeepOut, limits: FloatArray) -> FloatArray:
     """Return the surface of a zone inside a box: polygons, shape (n_faces, n_corners, 3).
 
-    ``limits`` has a row of low and high for each axis; the faces are cut off there.  A polygon of
-    fewer corners repeats its last: matplotlib fills faces of unequal length up with memory that
-    nothing was written to, and scales its axes by that.
+    ``limits`` has a row of low and high for each axis, at which the faces are cut off. A polygon
+    with fewer corners repeats its last corner, because matplotlib pads faces of unequal length with
+    uninitialised memory and includes it in the scale of its axes.
     """
     cut = [face for face in (_clipped(face, limits) for face in _whole_faces(zone)) if len(face)]
     most = max(map(len, cut), default=0)

@@ -1,4 +1,4 @@
-"""Scenarios: what a mission is made of, read from TOML and validated."""
+"""Scenarios: missions read from TOML and validated."""
 
 from pyomo_quad.scenario.description import FieldDescription, describe_fields, field_unit
 from pyomo_quad.scenario.loader import load_scenario, scenario_from_mapping

@@ -1,4 +1,4 @@
-"""The table `airspace`: how low and high a flight may go, and the zones that it keeps out of."""
+"""The table `airspace`: limits of the height of flight, and keep-out zones."""
 
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[float64]
 
-_FAR = Sound(-1e5, 1e5, "a quadrotor flies tens of kilometres, in metres")
-_WIDE = Sound(1e-2, 1e5, "the thinnest masts measure centimetres")
+_FAR = Sound(-1e5, 1e5, "coordinates lie within 100 km of the origin")
+_WIDE = Sound(1e-2, 1e5, "obstacles measure from 1 cm to 100 km")
 _ZONE_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 _MOST_ZONES = 64
 
 
 class Shape(StrEnum):
-    """What a zone looks like."""
+    """Shape of a zone."""
 
     CYLINDER = "cylinder"
     SPHERE = "sphere"
@@ -31,8 +31,8 @@ class Shape(StrEnum):
 class Ball(NamedTuple):
     """All places whose coordinates on some axes lie within a radius of a centre.
 
-    Every shape is where some balls overlap: a cylinder where a disk of x and y meets an interval
-    of z, a sphere one ball of all three axes, a box one interval of each.
+    Every shape is an intersection of balls: a cylinder of a disk in x and y and an interval of z, a
+    sphere of one ball in all three axes, a box of one interval per axis.
     """
 
     axes: tuple[int, ...]
@@ -40,8 +40,8 @@ class Ball(NamedTuple):
     radius: float
 
     def depth(self, places: "ArrayLike") -> "FloatArray":
-        """Return how far inside places of shape (..., 3) lie, negative outside [m]."""
-        import numpy as np  # noqa: PLC0415  reading a scenario does without it
+        """Return the depth of places, shape (..., 3), inside the ball; negative outside [m]."""
+        import numpy as np  # noqa: PLC0415  not needed to read a scenario
 
         held = np.asarray(places, dtype=float)[..., self.axes]
         return np.asarray(self.radius - np.linalg.norm(held - self.centre, axis=-1))
@@ -56,7 +56,7 @@ _COORDINATES = {Shape.CYLINDER: 2, Shape.SPHERE: 3}
 
 
 class KeepOut(Part):
-    """A zone that the flight keeps out of; which fields it has depends on its shape."""
+    """A keep-out zone; its shape determines its fields."""
 
     name: Text = quantity(
         "",
@@ -103,7 +103,7 @@ class KeepOut(Part):
 
     @property
     def balls(self) -> tuple[Ball, ...]:
-        """The balls that overlap in the zone."""
+        """The balls whose intersection is the zone."""
         if self.low is not None and self.high is not None:
             sides = enumerate(zip(self.low, self.high, strict=True))
             return tuple(_interval(axis, low, high) for axis, (low, high) in sides)
@@ -114,9 +114,9 @@ class KeepOut(Part):
         return (round_part, _interval(2, self.bottom, self.top))
 
     def depth(self, places: "ArrayLike") -> "FloatArray":
-        """Return how far places of shape (..., 3) must move to leave at the nearest face [m].
+        """Return the distance of places, shape (..., 3), to the nearest face, from inside [m].
 
-        Negative outside, where it is the distance beyond the face that is farthest behind.
+        Negative outside: minus the distance beyond the face that the place is farthest beyond.
         """
         import numpy as np  # noqa: PLC0415  see `Ball.depth`
 
@@ -128,7 +128,7 @@ def _interval(axis: int, low: float, high: float) -> Ball:
 
 
 class Airspace(Part):
-    """Where a flight may be."""
+    """The airspace of a flight."""
 
     floor: Number | None = quantity("m", "least height, none when absent", None, sound=_FAR)
     ceiling: Number | None = quantity("m", "largest height, none when absent", None, sound=_FAR)
@@ -137,7 +137,7 @@ class Airspace(Part):
         "distance kept from every keep-out",
         0.0,
         ge=0,
-        sound=Sound(0, 1e4, "farther from a zone it is another zone"),
+        sound=Sound(0, 1e4, "clearances are at most 10 km"),
     )
     keep_out: tuple[KeepOut, ...] = quantity("", "zones to keep out of", (), max_length=_MOST_ZONES)
 
@@ -154,7 +154,7 @@ class Airspace(Part):
         return self
 
     def complaints(self, place: Sequence[float]) -> Iterator[str]:
-        """Yield why a place is not in the airspace: which limit it breaks, and what to do."""
+        """Yield the reasons why a place is not in the airspace, each with a remedy."""
         if self.floor is not None and place[2] < self.floor:
             yield f"is below airspace.floor = {self.floor:g} m; raise it or lower the floor"
         if self.ceiling is not None and place[2] > self.ceiling:
@@ -166,6 +166,6 @@ class Airspace(Part):
                 yield f"is inside keep-out {near} by {depth:.3g} m; move one of them"
 
     def with_clearance(self, zone: KeepOut) -> str:
-        """Return the name of a zone, with the clearance kept from it if there is any."""
+        """Return the name of a zone, with its clearance if there is one."""
         near = f" with its clearance of {self.clearance:g} m" if self.clearance else ""
         return f"{zone.name}{near}"

@@ -1,7 +1,7 @@
-"""What fields there are: those of a resolved scenario, and those that a file may have.
+"""Descriptions of scenario fields: those of a resolved scenario, and those allowed in a file.
 
-The second comes as a JSON Schema, by which editors complete and check TOML while one types, and
-as the rows of a table for people.  The shipped scenarios, which own ones start from, are found in a
+The fields allowed in a file are given as a JSON Schema, with which editors complete and check TOML,
+and as the rows of a table for people. The shipped scenarios, templates for new ones, are found in a
 checkout or in the installed package.
 """
 
@@ -25,7 +25,7 @@ class FieldDescription:
     Attributes
     ----------
     path : str
-        Dotted path, as `--set` takes it.
+        Dotted path, as in `--set`.
     value : object
         Number, text, tuple or None.
     unit : str
@@ -88,7 +88,7 @@ def field_unit(path: str) -> str:
 
 
 def _origin(provenance: Mapping[str, str], path: FieldPath) -> str:
-    """Return where a field came from, or the list of tables that it is in."""
+    """Return the origin of a field, or of the innermost list of tables that holds it."""
     held = (provenance.get(spell(path[:length])) for length in range(len(path), 0, -1))
     return next(filter(None, held), "default")
 
@@ -110,16 +110,16 @@ def _fields(table: BaseModel, prefix: FieldPath = ()) -> Iterator[tuple[FieldPat
             yield (*prefix, name), table, value
 
 
-# What `quantity` notes beside a field for the messages; no editor knows it.
+# Keys that `quantity` adds to a field for messages; editors do not know them.
 _NOTES = ("unit", "allowed", "example", "other_names", "sound", "is_late", "unit_keys")
-# Read from a file that is named, never written by hand.
-_DERIVED = ("series",)
+# Read from a named file, never written by hand.
+_DERIVED = ("series", "grid")
 _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class WritableField:
-    """One field that a file may have, every column as text for people."""
+    """One field that a file may have, with every column as text."""
 
     path: str
     unit: str
@@ -129,16 +129,16 @@ class WritableField:
 
 
 def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...]) -> dict[str, Any]:
-    """Return the JSON Schema of a TOML file as it is written.
+    """Return the JSON Schema of a TOML file in its written form.
 
     Parameters
     ----------
     model : type of BaseModel
-        The table at the top.
+        The top-level table.
     title : str
-        Of the schema.
+        Title of the schema.
     required : tuple of str
-        What must stand at the top; anything below may come from the library.
+        Keys required at the top; the library may supply everything below.
     """
     schema = model.model_json_schema()
     definitions = schema.get("$defs", {})
@@ -154,7 +154,8 @@ def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...])
         }
         table["properties"] = {name: _for_editors(field) for name, field in fields.items()}
         table["properties"] |= in_units
-    definitions.pop("WindSeries", None)
+    for name in ("WindSeries", "WindGrid"):
+        definitions.pop(name, None)
     return {
         "$schema": "http://json-schema.org/draft-07/schema#",
         **schema,
@@ -236,7 +237,7 @@ def _allowed(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 
 
 def _of_type(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
-    """Say which values one type of a field allows, beyond being of that type."""
+    """Return the values that one type of a field allows, beyond the type itself."""
     held = definitions.get(option.get("$ref", "").rpartition("/")[2], {})
     if "const" in option:
         return f'"{option["const"]}"'
@@ -248,18 +249,18 @@ def _of_type(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
     return ", ".join(f"{sign} {option[key]:g}" for key, sign in _LIMITS.items() if key in option)
 
 
-# A wheel carries them inside the package; a checkout has them beside it.
+# A wheel contains the scenarios in the package; in a checkout they are beside it.
 _PACKAGE = Path(__file__).parents[1]
 _PLACES = (_PACKAGE / "shipped", _PACKAGE.parent / "scenarios")
 _STUDY = "study_"
-#: The paper's own mission goes by a short name.
+#: The paper's own mission has a short name.
 _SHORT_NAMES = {"paper": "paper_calm"}
 _NAME = re.compile(r'^name = ".*"$', re.MULTILINE)
 _SCHEMA_LINE = "#:schema ./scenario.schema.json\n"
 
 
 def shipped_scenarios() -> Mapping[str, Path]:
-    """Return the file of each shipped scenario by its name, the short ones included."""
+    """Return the file of each shipped scenario by its name, short names included."""
     place = next(place for place in _PLACES if place.is_dir())
     found = {f.stem: f for f in sorted(place.glob("*.toml")) if not f.stem.startswith(_STUDY)}
     return {short: found[name] for short, name in _SHORT_NAMES.items() if name in found} | found
@@ -276,7 +277,7 @@ def started_scenario(template: str, name: str) -> str:
     Raises
     ------
     ScenarioError
-        If there is no such scenario, or the name is none.
+        If there is no such scenario, or the new name is not valid.
     """
     shipped = shipped_scenarios()
     if template not in shipped:

@@ -1,11 +1,11 @@
-"""How a scenario field is declared: frozen, closed to unknown keys, with its unit beside it.
+"""Declaration of scenario fields: frozen, closed to unknown keys, each with its unit.
 
-Fields stand in nested tables, as TOML gives them: these have dotted paths, layers and a depth.
+Fields are arranged in nested tables, as in TOML; they have dotted paths, layers and a depth.
 """
 
 import re
 from collections.abc import Iterator, Mapping
-from functools import partial
+from functools import cache, partial
 from math import pi
 from typing import Annotated, Any, NamedTuple
 
@@ -20,7 +20,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-# Strict, so that "10" and true are refused where a number is meant; an integer still serves as one.
+# Strict, so that "10" and true are refused as numbers; an integer is accepted.
 Number = Annotated[float, Strict()]
 WholeNumber = Annotated[int, Strict()]
 Text = Annotated[str, Strict()]
@@ -30,8 +30,8 @@ Triple = tuple[Number, Number, Number]
 #: Ending of keys that give an angle in degrees.
 DEGREES = "_deg"
 
-# What a table or a command line may give as a number: Python's own `float` takes "2_0" as well,
-# and the digits of any script.
+# Numbers that a table or a command line may hold. Python's own `float` also accepts "2_0" and the
+# digits of any script.
 _DECIMAL = re.compile(
     r"[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|inf|infinity|nan)", re.IGNORECASE
 )
@@ -41,9 +41,9 @@ ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
 
 
 class Sound(NamedTuple):
-    """Smallest and largest number that anything real can have, and why in words.
+    """Plausible range of a number, and the reason in words.
 
-    Beyond lies a slip of the pen or a wrong unit, and arithmetic that overflows.
+    A number outside is a typing error or has the wrong unit, and might overflow in arithmetic.
     """
 
     low: float
@@ -60,12 +60,12 @@ class Part(BaseModel):
         allow_inf_nan=False,
         use_attribute_docstrings=False,
         protected_namespaces=(),
-        defer_build=True,  # of the many tables, only those in use are worth the time
+        defer_build=True,  # builds validators of used tables only, to save start-up time
     )
 
     @model_serializer(mode="wrap")
     def _record(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Write the table down without what it has as it was before there was a field for it."""
+        """Dump the table without fields that are newer than the record and have their default."""
         written: dict[str, Any] = dump(self)
         for name, field in type(self).model_fields.items():
             is_late = _declared_with(type(self), name, "is_late")
@@ -75,12 +75,12 @@ class Part(BaseModel):
 
 
 def number_in_text(text: str) -> float:
-    """Read a number written with the ASCII digits, point and exponent; blanks around it are none.
+    """Read a number in ASCII digits, point and exponent; surrounding blanks are ignored.
 
     Returns
     -------
     float
-        Infinite or NaN where the text says so.
+        Infinite or NaN if the text says so.
 
     Raises
     ------
@@ -113,14 +113,15 @@ def quantity(
     unit : str
         SI unit as a Pyomo unit string, ``"1"`` for a plain number, ``""`` for text.
     default : object, optional
-        Value when neither the scenario nor the library gives one; none by default.
+        Value if neither the scenario nor the library gives one; by default the field is required.
     allowed : str, optional
-        What a text must be, in words, where a pattern would be hard to read.
+        The allowed texts in words, where a pattern would be hard to read.
     is_late : bool, optional
-        Whether there are records older than the field: its default is what they mean by saying
-        nothing, and records leave it out while it has that value.
+        Whether older records lack the field. Its default is the meaning of their silence, and new
+        records leave it out while it has that value.
     initial : object, optional
-        What a scenario file means that says nothing, where that is not what a record means.
+        Value implied by a scenario file without the field, if it differs from the default of
+        records.
     unit_keys : mapping, optional
         Keys by which a file may give the field in another unit, and that unit in ``unit``.
     """
@@ -157,31 +158,32 @@ def unit_of(model: type[BaseModel], name: str) -> str:
 
 
 def allowed_text(model: type[BaseModel], name: str) -> str:
-    """Return what a text field must be, in words.
+    """Return the allowed texts of a text field, in words.
 
     Returns
     -------
     str
-        What follows "must be", empty when the field says nothing.
+        Text after "must be"; empty if the field declares none.
     """
     return str(_declared_with(model, name, "allowed"))
 
 
 def example_of(model: type[BaseModel], name: str) -> str:
-    """Return a value that a field could have, as TOML writes it; empty when none is declared."""
+    """Return an example value of a field in TOML; empty if none is declared."""
     return str(_declared_with(model, name, "example"))
 
 
 def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
-    """Return what people call a field elsewhere."""
+    """Return other names by which users may call a field."""
     return tuple(_declared_with(model, name, "other_names"))
 
 
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
-    """Return what a scenario file means by not saying a field, None where that is its default."""
+    """Return the value implied by a file without the field, None if it is the default."""
     return _declared_with(model, name, "default") or None
 
 
+@cache
 def unit_keys_of(model: type[BaseModel]) -> dict[str, tuple[str, float]]:
     """Return the keys by which a table takes numbers in other units: field and factor of each.
 
@@ -213,7 +215,7 @@ def _sound(sound: Sound, value: Any) -> Any:  # noqa: ANN401
 
 FieldPath = tuple[str | int, ...]
 
-# No field lies half as deep; what follows a path goes down it step by step.
+# No field is half as deep; the code that follows a path recurses step by step.
 _MOST_STEPS = 16
 _STEP = re.compile(r"([A-Za-z0-9_-]+)((?:\[[0-9]{1,3}\])*)")
 
@@ -224,7 +226,7 @@ def parse_path(text: str) -> FieldPath | None:
     Returns
     -------
     tuple of str and int, or None
-        The steps, None when the text is no path or leads deeper than any field.
+        The steps, None if the text is not a path or is deeper than any field.
     """
     steps: list[str | int] = []
     for part in text.strip().split("."):
@@ -245,7 +247,7 @@ def spell(path: FieldPath) -> str:
 
 
 def depth(value: object, allowed: int) -> int:
-    """Measure how deep tables and lists are nested, stopping past what is allowed.
+    """Return the nesting depth of tables and lists, counted to just above an allowed depth.
 
     Returns
     -------
@@ -267,7 +269,7 @@ def depth(value: object, allowed: int) -> int:
 
 
 def leaves(tree: Mapping[str, Any], prefix: FieldPath = ()) -> Iterator[tuple[FieldPath, Any]]:
-    """Walk over all values that are not tables."""
+    """Yield path and value of every entry that is not a table."""
     for key, value in tree.items():
         if isinstance(value, Mapping):
             yield from leaves(value, (*prefix, key))
@@ -276,7 +278,7 @@ def leaves(tree: Mapping[str, Any], prefix: FieldPath = ()) -> Iterator[tuple[Fi
 
 
 def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a copy of a nested table with another, which wins, laid over it."""
+    """Return a copy of a nested table overlaid by another one, whose values take precedence."""
     merged = dict(lower)
     for key, value in upper.items():
         below = merged.get(key)

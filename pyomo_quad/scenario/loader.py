@@ -1,4 +1,4 @@
-"""Read a scenario file, with what is set on the command line, into a scenario."""
+"""Load a scenario from a file and the settings of the command line."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -6,7 +6,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from pyomo_quad.scenario.fields import FieldPath, depth, leaves, parse_path, spell
-from pyomo_quad.scenario.messages import ScenarioError, printable, shown
+from pyomo_quad.scenario.messages import ScenarioError, listed, printable, shown
 from pyomo_quad.scenario.resolution import (
     DEEPEST_NESTING,
     Origin,
@@ -16,8 +16,13 @@ from pyomo_quad.scenario.resolution import (
 )
 from pyomo_quad.scenario.schema import Scenario
 
-# What messages call a scenario that no file holds.
+# Name in messages of a scenario that was not read from a file.
 _MAPPING = "scenario"
+# What is read from a file of the wind, and where that file is named.
+_READ_FROM = {
+    "series": "a CSV file in wind.file",
+    "grid": "a NetCDF, CSV or Parquet file in wind.field",
+}
 _BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
@@ -31,7 +36,7 @@ def load_scenario(
     Parameters
     ----------
     path : str, Path or mapping
-        A TOML file, or nested mappings that say what one would.
+        A TOML file, or nested mappings with the same content.
     overrides : sequence of str or mapping, optional
         ``PATH=VALUE`` with a TOML value, as `--set` takes them; or dotted path -> value.
 
@@ -69,11 +74,11 @@ def scenario_from_mapping(
     Parameters
     ----------
     tables : mapping
-        What a TOML file would hold.
+        Content as in a TOML file.
     source : str, optional
-        What messages call it.
+        Name of the scenario in messages.
     folder : Path, optional
-        Where relative file names start, the working folder by default.
+        Folder to which relative file names refer; the working folder by default.
 
     Returns
     -------
@@ -91,21 +96,45 @@ def scenario_from_mapping(
     return _from_written(Origin(source=source, folder=folder or FilePath(), document=tables))
 
 
+def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
+    """Return a scenario with ``PATH=VALUE`` fields changed, as `--set` takes them.
+
+    Raises
+    ------
+    ScenarioError
+        If a field or a value is not allowed.
+    """
+    parsed = _parsed(overrides)
+    return scenario.with_values({spell(p): v for p, v in parsed.items()}) if parsed else scenario
+
+
 def _from_written(origin: Origin) -> Scenario:
     written = (*(path for path, _ in leaves(origin.document)), *origin.assignments)
     for path in written:
-        if path[0] == "wind" and "series" in path:
+        derived = next((name for name in _READ_FROM if name in path), None)
+        if path[0] == "wind" and derived is not None:
             where = origin.label if path in origin.assignments else origin.source
             raise ScenarioError(
-                f"{where}: {shown(spell(path))[1:-1]} is not set by hand; name a CSV file in "
-                "wind.file."
+                f"{where}: {shown(spell(path))[1:-1]} is not set by hand; name "
+                f"{_READ_FROM[derived]}."
             )
     return Scenario.from_origin(origin)
 
 
 def _parsed(overrides: Sequence[str]) -> dict[FieldPath, Any]:
     texts = (overrides,) if isinstance(overrides, str) else overrides
-    return dict(_parse_override(text) for text in texts)
+    found: dict[FieldPath, Any] = {}
+    lines: list[str] = []
+    for text in texts:
+        try:
+            path, value = _parse_override(text)
+        except ScenarioError as error:
+            lines.append(str(error))
+        else:
+            found[path] = value
+    if lines:
+        raise ScenarioError(listed(lines))
+    return found
 
 
 def _mapped(overrides: Mapping[str, Any]) -> dict[FieldPath, Any]:

@@ -1,4 +1,4 @@
-"""What is wrong with a user's input, in one line: where, what was found, what is allowed."""
+"""Messages about a user's input, in one line: field, value found, values allowed."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
@@ -20,7 +20,7 @@ from pyomo_quad.scenario.fields import (
 
 _LONGEST_VALUE = 60
 
-# pydantic's error type -> what is allowed; {name} comes from the error's context.
+# pydantic's error type -> the allowed values; {name} comes from the error's context.
 _ALLOWED: Mapping[str, str] = {
     "greater_than": "must be > {gt}",
     "greater_than_equal": "must be >= {ge}",
@@ -51,13 +51,13 @@ def complaints(
     prefix: FieldPath = (),
     spared: Sequence[FieldPath] = (),
 ) -> list[tuple[FieldPath, str]]:
-    """Describe everything wrong with a scenario: the place of each fault, and a line.
+    """Describe all errors of a scenario: the path of each, and a line.
 
-    Unknown keys come first, since a misspelt key also leaves a key missing, which is then not
-    told.  In the `spared` places nothing is told missing or contradictory: what fills them has
-    failed before.
+    Unknown keys come first, because a misspelt key also leaves a key missing, which is then not
+    reported. In the `spared` paths, missing and contradictory fields are not reported, because the
+    source of their values has failed before.
     """
-    # pydantic calls a list too short as well that has an item at fault.
+    # pydantic also reports a list as too short if one of its items is invalid.
     order = {"extra_forbidden": 0, "missing": 2, "too_short": 3}
     found: dict[FieldPath, str] = {}
     misspelt: set[FieldPath] = set()
@@ -81,19 +81,19 @@ def complaints(
     return [((*prefix, *path), line) for path, line in found.items()]
 
 
-#: Lines of one message; a file with more faults is not a scenario.
+#: Largest number of lines in a message; a file with more errors is not a scenario.
 _MOST_LINES = 20
 
 
 def listed(lines: Sequence[str]) -> str:
-    """Return one line for each fault, the first of them if they are many."""
+    """Return one line per error, only the first of them if there are many."""
     more = len(lines) - _MOST_LINES
     left_out = [f"... and {more} more."] if more > 0 else []
     return "\n".join([*lines[:_MOST_LINES], *left_out])
 
 
 def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
-    """Return a path without pydantic's name for the branch of a field that may be a word."""
+    """Return a path without pydantic's name for the branch of a field that accepts words."""
     table, _ = declared_place(model, path[:-1])
     last = path[-1] if path else None
     is_branch = len(path) > 1 and bool(words_of(table, str(path[-2]))) and isinstance(last, str)
@@ -101,7 +101,7 @@ def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
 
 
 def words_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
-    """Return the words that a field takes in place of a number."""
+    """Return the words that a field accepts in place of a number."""
     field = model.model_fields.get(name)
     annotation: Any = field.annotation if field is not None else None
     literals = [part for part in get_args(annotation) if get_origin(part) is Literal]
@@ -109,7 +109,7 @@ def words_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def shown(value: object) -> str:
-    """Write a value as TOML does, shortened, on one line.
+    """Write a value as in TOML, shortened, on one line.
 
     Returns
     -------
@@ -131,13 +131,13 @@ def printable(text: str) -> str:
     Returns
     -------
     str
-        Of the same length.
+        Text of the same length.
     """
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[FieldPath]:
-    """Walk over the paths of all fields of a table and of the tables in it."""
+    """Yield the paths of all fields of a table and of the tables in it."""
     for name in model.model_fields:
         yield (*prefix, name)
         nested = table_of(model, name)
@@ -149,7 +149,7 @@ def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[Fiel
 def declared_place(
     model: type[BaseModel], place: Sequence[str | int]
 ) -> tuple[type[BaseModel], str]:
-    """Find the table that holds a place, and the unit of the field there.
+    """Find the table that holds a path, and the unit of the field there.
 
     Returns
     -------
@@ -236,7 +236,7 @@ def _meant(table: type[BaseModel], unknown: str) -> list[str]:
 
 
 def _example(model: type[BaseModel], name: str) -> str:
-    """Return what a field could be: its own example, or a table of what its table needs."""
+    """Return an example of a field: its own, or a table with the required fields of its table."""
     nested = table_of(model, name)
     if nested is None:
         return example_of(model, name)
@@ -260,16 +260,16 @@ def table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
 
 
 class PyomoQuadError(Exception):
-    """Base of every error that pyomo_quad raises on purpose."""
+    """Base class of all errors that pyomo_quad raises deliberately."""
 
 
 class ScenarioError(PyomoQuadError, ValueError):
-    """A scenario, library or wind file says something that is not allowed."""
+    """A scenario, library or wind file has a value that is not allowed."""
 
 
 class FeasibilityError(PyomoQuadError, ValueError):
-    """A valid scenario asks for something that the vehicle cannot physically do."""
+    """A valid scenario requires more than the vehicle is physically capable of."""
 
 
 class OutputError(PyomoQuadError, RuntimeError):
-    """The results cannot be written where they were asked for."""
+    """The results cannot be written to the requested folder."""

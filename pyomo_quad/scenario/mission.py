@@ -1,4 +1,4 @@
-"""The mission: where it starts and ends, and how long it takes or may take."""
+"""The mission: start, goal, waypoints, and a fixed or free duration."""
 
 from collections.abc import Sequence
 from enum import StrEnum
@@ -10,17 +10,17 @@ from pydantic import Field, model_validator
 from pyomo_quad.scenario.fields import Number, Part, Sound, Triple, quantity
 from pyomo_quad.scenario.messages import ScenarioError
 
-_FAR = Sound(-1e5, 1e5, "a quadrotor flies tens of kilometres, in metres")
-_TURNS = Sound(-1e4, 1e4, "a turn is 6.283 rad")
-_ALOFT = Sound(1e-3, 86_400, "no quadrotor stays aloft for more than a day")
-_NEAR = "farther from it is another place"
+_FAR = Sound(-1e5, 1e5, "coordinates lie within 100 km of the origin")
+_TURNS = Sound(-1e4, 1e4, "headings are in radians, a turn is 6.283")
+_ALOFT = Sound(1e-3, 86_400, "flights last from 1 ms to one day")
+_NEAR = "distances within a mission are below 10 km"
 FREE = "free"
 #: Waypoints whose best order is looked for.
 MOST_ORDERED = 30
 
 
 class Hover(Part):
-    """A place and a heading to hover at."""
+    """A place and a heading at which the vehicle hovers."""
 
     position: Triple = quantity(
         "m", "position x, y, z in world axes, z up", example="[6.0, 7.0, 8.0]", sound=_FAR
@@ -29,14 +29,14 @@ class Hover(Part):
 
 
 class Aim(StrEnum):
-    """What a free duration is chosen for."""
+    """Objective for which a free duration is chosen."""
 
     ENERGY = "energy"
     TIME = "time"
 
 
 class Order(StrEnum):
-    """In which order the waypoints are passed."""
+    """Order in which the waypoints are passed."""
 
     GIVEN = "given"
     BEST = "best"
@@ -50,7 +50,7 @@ class Yaw(StrEnum):
 
 
 class Waypoint(Part):
-    """A place to pass between start and goal, and what happens there."""
+    """A place to pass between start and goal, and the conditions of passing it."""
 
     position: Triple = quantity(
         "m", "position x, y, z to pass, in world axes", example="[3.0, 0.0, 2.0]", sound=_FAR
@@ -67,7 +67,7 @@ class Waypoint(Part):
         "largest speed there, any when absent",
         None,
         gt=0,
-        sound=Sound(1e-3, 1e3, "nothing with rotors flies at the speed of sound"),
+        sound=Sound(1e-3, 1e3, "rotorcraft fly below 340 m/s, the speed of sound"),
     )
     at: Number | None = quantity(
         "s", "when it is passed, for the plan to choose when absent", None, gt=0, sound=_ALOFT
@@ -77,7 +77,7 @@ class Waypoint(Part):
         "payload left there",
         0.0,
         ge=0,
-        sound=Sound(0, 1e4, "flying machines weigh from a gram to ten tonnes"),
+        sound=Sound(0, 1e4, "payloads weigh at most 10 t"),
     )
 
 
@@ -128,7 +128,7 @@ class Mission(Part):
         "what a second of a free duration costs beside the energy",
         0.0,
         ge=0,
-        sound=Sound(0, 1e9, "beyond, the least time is meant: mission.aim"),
+        sound=Sound(0, 1e9, "for the least time regardless of energy, set mission.aim"),
         is_late=True,
     )
     aim: Aim = quantity(
@@ -168,13 +168,13 @@ class Mission(Part):
 
     @property
     def positions(self) -> tuple[tuple[float, float, float], ...]:
-        """Start, waypoints and goal, m."""
+        """Positions of start, waypoints and goal, m."""
         between = (waypoint.position for waypoint in self.waypoints)
         return (self.start.position, *between, self.goal.position)
 
     @property
     def named_positions(self) -> tuple[tuple[str, tuple[float, float, float]], ...]:
-        """Start, waypoints and goal, m, each after the field that says so."""
+        """Positions of start, waypoints and goal, m, each with its field."""
         waypoints = (f"waypoints[{k}]" for k in range(len(self.waypoints)))
         names = ("start", *waypoints, "goal")
         fields = (f"mission.{name}.position" for name in names)
@@ -182,27 +182,27 @@ class Mission(Part):
 
     @property
     def released(self) -> float:
-        """Payload left on the way, kg."""
+        """Payload released on the way, kg."""
         return sum(waypoint.release for waypoint in self.waypoints)
 
     @property
     def is_turning(self) -> bool:
-        """Whether start, waypoints and goal ask for more than one heading."""
+        """Whether start, waypoints and goal have more than one heading."""
         asked = [waypoint.yaw for waypoint in self.waypoints if waypoint.yaw is not None]
         return any(yaw != self.start.yaw for yaw in (*asked, self.goal.yaw))
 
     def paced(self, legs: Sequence[float]) -> tuple[float, ...]:
-        """Return when each waypoint is reached and left, and the end.
+        """Return the times at which each waypoint is reached and left, and the end time.
 
         Parameters
         ----------
         legs : sequence of float
-            Time that each leg would like to take, s; legs before a given time share what there is.
+            Desired time of each leg, s; the legs before a prescribed time share the time available.
 
         Returns
         -------
         tuple of float
-            Two times for each waypoint, then the end, s.
+            Two times per waypoint, then the end, s.
         """
         goal = self.fixed_duration if not self.is_free else None
         given = (*(waypoint.at for waypoint in self.waypoints), goal)
@@ -228,7 +228,7 @@ class Mission(Part):
 
     @property
     def fixed_duration(self) -> float:
-        """The duration, s; of a mission whose plan chooses it, `Scenario.lasting` gives one.
+        """The fixed duration, s; `Scenario.lasting` fixes a free one.
 
         Raises
         ------
@@ -253,7 +253,7 @@ class Mission(Part):
 
     @property
     def longest(self) -> NamedDuration:
-        """The greatest duration and the field that says so."""
+        """The greatest duration and the field that holds it."""
         field = "duration_max" if self.is_free else "duration"
         return NamedDuration(f"mission.{field}", self.duration_limits[1])
 

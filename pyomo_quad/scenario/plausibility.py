@@ -1,13 +1,13 @@
-"""Whether a vehicle's numbers fit each other: motors, rotors and inertias as nature has them.
+"""Consistency of a vehicle's numbers: motors, rotors and inertias obey physical laws.
 
 symbol | meaning
 k_t, k_v | torque constant [N m/A] and voltage constant [rad/s/V]
 tau, omega | torque and speed of one rotor in hover
-P_i | ideal power of hover, T^(3/2) / sqrt(2 rho A), the least of any rotor of its disc area A
+P_i | ideal power of hover, T^(3/2) / sqrt(2 rho A), the least for a disc area A
 
-A motor turns electrical power into mechanical power without creating any where k_t k_v = 1.  No
-rotor hovers below P_i (momentum theory).  And of a body's moments of inertia none exceeds the sum
-of the other two, since each is an integral of two of three squares.
+A motor with k_t k_v = 1 conserves energy; a larger product would create power. No rotor hovers
+below P_i (momentum theory). No moment of inertia of a body exceeds the sum of the other two,
+because each is an integral of two of three squares.
 """
 
 from collections.abc import Iterator
@@ -18,27 +18,27 @@ from math import dist, inf, pi, sqrt
 from pyomo_quad.scenario.tables import Power, PowerModel
 from pyomo_quad.scenario.vehicle import RPM, MotorConstants, Vehicle
 
-#: Share by which two published numbers may contradict each other: each is rounded to three digits,
-#: and so off by up to half a per cent.
+#: Relative contradiction allowed between two published numbers: each is rounded to three digits and
+#: therefore off by up to half a per cent.
 ROUNDED = 0.01
-# From where on a contradiction within rounding is worth a remark.
+# Relative contradiction within rounding above which a remark is shown.
 _SEEN = 1e-3
-# What the rotors of small vehicles and the best of all reach in hover.
+# Figures of merit in hover of small vehicles' rotors, and of the best rotors.
 _USUAL_MERIT, _BEST_MERIT = "0.5 to 0.7", 0.8
-# Under these the motors' electrics make the power of the flight.
+# Power models in which the motors' electrical constants determine the power.
 _OF_MOTORS = (PowerModel.MOTOR, PowerModel.MOTOR_WITH_FRICTION)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """A field, and what its number contradicts, in one line that names it."""
+    """A field and the numbers that it contradicts, in one line."""
 
     field: str
     message: str
 
 
 def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
-    """Say in which way the motors give out more than they take in hover, empty if they do not."""
+    """Return a message if the motors create power in hover, empty if they do not."""
     motor = vehicle.motor
     if power.model not in _OF_MOTORS or motor is None:
         return ""
@@ -58,7 +58,7 @@ def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
 
 
 def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[Contradiction]:
-    """Yield in which ways a vehicle cannot exist as it is described."""
+    """Yield the contradictions between the numbers of a vehicle."""
     motor = vehicle.motor
     if motor is not None and not 1 - ROUNDED <= motor.product <= 1 + ROUNDED:
         yield Contradiction(
@@ -72,7 +72,7 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
     if moments[largest] > most * (1 + ROUNDED):
         yield Contradiction(
             field=f"vehicle.{largest}",
-            message=f"vehicle.{largest} = {moments[largest]:.4g} kg m^2; of no body it exceeds "
+            message=f"vehicle.{largest} = {moments[largest]:.4g} kg m^2; must be at most "
             f"{' + '.join(others)} = {most:.4g} kg m^2; correct one of the three.",
         )
     hover = _hover(vehicle, power, gravity)
@@ -85,7 +85,7 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
 
 
 def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
-    """Yield what is at the edge of what can exist, for whoever takes the energies for real."""
+    """Yield remarks on numbers at the edge of what is possible, for users who need the energies."""
     motor = vehicle.motor
     if motor is not None and _SEEN < abs(motor.product - 1) <= ROUNDED:
         slowest = _least_speed(motor, vehicle.drag_torque_coefficient)
@@ -113,9 +113,9 @@ def _motor_constants(motor: MotorConstants) -> str:
 
 
 def _least_speed(motor: MotorConstants, drag_torque_coefficient: float) -> float:
-    """Return the rotor speed [rad/s] from which on a motor takes more than it gives, 0 if any.
+    """Return the least rotor speed [rad/s] at which a motor creates no power, 0 for any speed.
 
-    The copper loss, which grows with the speed, then outweighs what k_t k_v > 1 creates.
+    The copper loss grows with the speed and outweighs, above it, the power created by k_t k_v > 1.
     """
     created = max(0.0, motor.torque_constant - 1 / motor.voltage_constant)
     return created / (motor.resistance * drag_torque_coefficient / motor.torque_constant)
@@ -131,7 +131,7 @@ def _remedy(motor: MotorConstants) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class _Hover:
-    """Powers of all rotors in hover, of the shafts and of ideal rotors, and the radius of these."""
+    """Powers in hover of all shafts and of ideal rotors, and the radius of these rotors."""
 
     told: str
     shaft_W: float
@@ -140,16 +140,16 @@ class _Hover:
 
 
 def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
-    """Return what hover takes, None where the torque of the rotors is not what makes the power."""
+    """Return the powers of hover, None if the torque of the rotors does not determine them."""
     if power.model is PowerModel.MOMENTUM:
-        return None  # its powers are at least those of ideal rotors
+        return None  # this model's powers are at least those of ideal rotors
     places = vehicle.rotor_places
     radius, said = vehicle.rotor_radius, "vehicle.rotor_radius"
     if radius is None:
         radius = min((dist(*pair) / 2 for pair in combinations(places, 2)), default=inf)
         said = "the largest radius at which they do not overlap"
     if radius <= 0:
-        return None  # one above the other
+        return None  # coaxial rotors
     speed, weight = vehicle.hover_speed(gravity), vehicle.total_mass * gravity
     shaft = len(places) * vehicle.drag_torque(speed) * speed
     disc_area = len(places) * pi * radius**2

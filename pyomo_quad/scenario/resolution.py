@@ -1,11 +1,11 @@
-"""Default, library, files, scenario and overrides laid over each other, with their origin.
+"""Layers of a scenario: defaults, library, files, scenario and overrides, with their origin.
 
-A TOML document comes from a stranger: data only, bounded in size and depth.
+A TOML document may come from an untrusted source: it is data only, bounded in size and depth.
 """
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cache
@@ -45,15 +45,16 @@ from pyomo_quad.scenario.tables import (
 from pyomo_quad.scenario.unit_keys import in_declared_units
 from pyomo_quad.scenario.vehicle import Vehicle
 from pyomo_quad.scenario.wind import Wind, in_the_air, with_coupling
+from pyomo_quad.scenario.wind_field import read_wind_field
 from pyomo_quad.scenario.wind_file import read_wind_file
 
 LARGEST_FILE_BYTES = 1_000_000
 DEEPEST_NESTING = 8
-# More brackets open at once, or a key of more parts, is an attack on the parser: it takes them one
-# inside the other, or all anew for each.
+# Limit on open brackets and on the parts of a key. The parser recurses into brackets and re-reads
+# every key, so that more of them would exhaust its stack or time.
 _MOST_OPEN = 64
 _MOST_KEY_PARTS = 32
-# Comments, texts closed or not, and the signs that nest or join; no part is read twice.
+# Matches comments, closed or unclosed texts, and the signs that nest or join; reads each part once.
 _SIGNS = re.compile(
     r"""#[^\n]*+|\"{3}(?:[^"\\]++|\\.|"(?!""))*+(?:\"{3})?|'{3}(?:[^']++|'(?!''))*+(?:'{3})?"""
     r"""|"(?:[^"\\\n]++|\\.)*+"?|'[^'\n]*+'?|[\[\]{}.,=\n]""",
@@ -62,12 +63,12 @@ _SIGNS = re.compile(
 
 
 def read_toml(file: Path) -> dict[str, Any]:
-    """Read a TOML file that may come from a stranger.
+    """Read an untrusted TOML file.
 
     Raises
     ------
     ScenarioError
-        If it is missing, too large, nested too deep or not TOML.
+        If the file is missing, too large, nested too deep or not TOML.
     """
     source = printable(str(file))
     try:
@@ -92,7 +93,7 @@ def read_toml(file: Path) -> dict[str, Any]:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML, once it is known not to nest so deep that the parser would suffer."""
+    """Parse TOML, after a check that its nesting is not too deep for the parser."""
     open_brackets, key_parts = 0, 1
     for sign in _SIGNS.finditer(text):
         match sign[0]:
@@ -110,7 +111,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def refuse_deep(tables: Mapping[str, Any], source: str) -> None:
-    """Refuse tables that nest deeper than any scenario."""
+    """Refuse tables that are nested deeper than any scenario."""
     if depth(tables, DEEPEST_NESTING) > DEEPEST_NESTING:
         raise ScenarioError(
             f"{source}: nested deeper than {DEEPEST_NESTING} levels; a scenario is a shallow file."
@@ -122,7 +123,7 @@ LIBRARY_KINDS: Mapping[str, str] = MappingProxyType(
     {"vehicles": "vehicle", "batteries": "battery", "winds": "wind"}
 )
 
-#: Table of a scenario that the library fills -> what declares its fields.
+#: Table of a scenario that the library completes -> model that declares its fields.
 _TABLES: Mapping[str, type[BaseModel]] = MappingProxyType(
     {"vehicle": Vehicle, "limits": Limits, "battery": Battery, "wind": Wind}
 )
@@ -131,13 +132,13 @@ _FIELDS, _VALUE, _SOURCE, _BATTERY = "fields", "value", "source", "battery"
 _LABELS = (_VALUE, _SOURCE)
 _VEHICLES = "vehicles"
 _SECTIONS: Mapping[str, tuple[str, ...]] = {_VEHICLES: (_FIELDS, "limits")}
-# What tells a file of one's own from a name of the library.
+# Suffix that distinguishes a user's own file from a name of the library.
 _SUFFIX = ".toml"
 
 
 @dataclass(frozen=True, kw_only=True)
 class LibraryEntry:
-    """One named set of the library.
+    """One named entry of the library.
 
     Attributes
     ----------
@@ -146,9 +147,9 @@ class LibraryEntry:
     tables : mapping
         Scenario tables that the entry fills, ``{"vehicle": {...}, "limits": {...}}``.
     sources : mapping
-        Dotted scenario field -> where its number comes from.
+        Dotted scenario field -> source of its number.
     base : LibraryEntry or None
-        The set that gives what a file of one's own leaves out.
+        The library entry that completes a user's own file.
     battery : str
         Pack that a vehicle flies with unless a scenario names one: a name of the library, or a
         file beside the vehicle's.  Empty where none is known.
@@ -174,7 +175,7 @@ class LibraryEntry:
 
 
 def library_names(kind: str) -> tuple[str, ...]:
-    """List the names of one kind.
+    """List the library's names of one kind.
 
     Parameters
     ----------
@@ -207,7 +208,7 @@ def library_names(kind: str) -> tuple[str, ...]:
 
 @cache
 def library_entry(kind: str, name: str) -> LibraryEntry:
-    """Read one named set.
+    """Read one entry of the library.
 
     Parameters
     ----------
@@ -242,9 +243,9 @@ def library_entry(kind: str, name: str) -> LibraryEntry:
 def _entry(
     kind: str, name: str, written: Mapping[str, Any], base: LibraryEntry | None
 ) -> LibraryEntry:
-    """Return the entry of sections of numbers, bare or with their sources.
+    """Return the entry made of sections of numbers, each bare or with its source.
 
-    Only its own tables are in it; those of the base lie below.
+    The entry holds its own tables only; `base` completes them.
     """
     table = LIBRARY_KINDS[kind]
     tables: dict[str, Any] = {table: {"use": name}}
@@ -279,7 +280,7 @@ def _entry(
 
 
 def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
-    """Read a set of one's own from a file written as the library's are.
+    """Read a user's own set from a file with the structure of the library's files.
 
     It has the sections `fields` and, for a vehicle, `limits`, with each number bare or as a table
     of `value` and `source`; `use` at its top names the set of the library that gives the rest, and
@@ -288,46 +289,52 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
     Raises
     ------
     ScenarioError
-        If the file cannot be read, or has anything else in it.
+        If the file cannot be read or has other content.
     """
     written = dict(read_toml(folder / name))
+    lines = list(_shape_complaints(kind, written))
+    if lines:
+        raise ScenarioError(listed([f"{name}: {line}" for line in lines]))
     use = written.pop("use", None)
-    for key, told in (("use", use), (_BATTERY, written.get(_BATTERY))):
-        if told is not None and not isinstance(told, str):
-            raise ScenarioError(f"{name}: {key} = {shown(told)}; must be text in quotes.")
+    return _entry(kind, name, written, None if use is None else library_entry(kind, use))
+
+
+def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what a file of a kind cannot have, whatever its numbers are."""
     sections = _SECTIONS.get(kind, (_FIELDS,))
     tops = ("use", _BATTERY) if kind == _VEHICLES else ("use",)
     for section, content in written.items():
         if section in tops:
-            continue
-        if section not in sections:
-            raise ScenarioError(
-                f"{name}: unknown key {shown(section)[1:-1]}; a file of {kind} has "
+            if not isinstance(content, str):
+                yield f"{section} = {shown(content)}; must be text in quotes."
+        elif section not in sections:
+            yield (
+                f"unknown key {shown(section)[1:-1]}; a file of {kind} has "
                 f"{' and '.join(f'[{known}]' for known in sections)}, and perhaps "
                 f"{' or '.join(tops)}."
             )
-        if not isinstance(content, Mapping):
-            raise ScenarioError(f"{name}: {section} = {shown(content)}; must be a table.")
-        _refuse_labels(name, content, (section,))
-    return _entry(kind, name, written, None if use is None else library_entry(kind, use))
+        elif not isinstance(content, Mapping):
+            yield f"{section} = {shown(content)}; must be a table."
+        else:
+            yield from _label_complaints(content, (section,))
 
 
-def _refuse_labels(name: str, table: Mapping[str, Any], place: FieldPath) -> None:
-    """Refuse numbers with a label other than their value and source."""
+def _label_complaints(table: Mapping[str, Any], place: FieldPath) -> Iterator[str]:
+    """Yield numbers with a label other than their value and source."""
     is_labelled = len(place) > 1 and not set(_LABELS).isdisjoint(table)
     for key, content in table.items():
         where = shown(spell((*place, key)))[1:-1]
         if (key in _LABELS) != is_labelled:
-            raise ScenarioError(
-                f"{name}: unknown key {where}; a number stands alone or as a table of its "
-                f"{_VALUE} and {_SOURCE}."
+            yield (
+                f"unknown key {where}; a number stands alone or as a table of its {_VALUE} and "
+                f"{_SOURCE}."
             )
-        if is_labelled and isinstance(content, Mapping):
-            raise ScenarioError(f"{name}: {where} = a table; must be a number or a text.")
-        if is_labelled and key == _SOURCE and not isinstance(content, str):
-            raise ScenarioError(f"{name}: {where} = {shown(content)}; must be text in quotes.")
-        if isinstance(content, Mapping):
-            _refuse_labels(name, content, (*place, key))
+        elif is_labelled and isinstance(content, Mapping):
+            yield f"{where} = a table; must be a number or a text."
+        elif is_labelled and key == _SOURCE and not isinstance(content, str):
+            yield f"{where} = {shown(content)}; must be text in quotes."
+        elif isinstance(content, Mapping):
+            yield from _label_complaints(content, (*place, key))
 
 
 def _listed(names: object) -> str:
@@ -337,11 +344,11 @@ def _listed(names: object) -> str:
 # The named sets that a scenario gets when it names none; the pack is that of its vehicle.
 DEFAULT_LIBRARY: Mapping[str, str] = {"vehicle": "dji_phantom_2", "wind": "calm"}
 
-# How long a free duration may be, and the shortest that there is, in s.
+# Field with the greatest length of a free duration, and the shortest duration, in s.
 _LONGEST: FieldPath = ("mission", "duration_max")
 _SHORTEST_S = 1e-3
 
-# A forecast is a wind of its own, told to the same vehicle.
+# A forecast is a separate wind, but for the same vehicle: it inherits these fields.
 _INHERITED_BY_FORECAST = (
     "acceleration_coefficient",
     "frequency_unit",
@@ -352,20 +359,20 @@ _INHERITED_BY_FORECAST = (
 
 @dataclass(frozen=True, kw_only=True)
 class Origin:
-    """What a scenario was made from.
+    """The sources of a scenario.
 
     Attributes
     ----------
     source : str
-        Name of the scenario for messages, its file as a rule.
+        Name of the scenario in messages, usually its file.
     folder : Path
-        Where relative file names start.
+        Folder to which relative file names refer.
     document : mapping
         The scenario's own tables, before library and overrides.
     assignments : mapping
         Path -> value, the overrides in order.
     label : str
-        What the overrides are called in messages and provenance.
+        Name of the overrides in messages and provenance.
     """
 
     source: str
@@ -378,9 +385,9 @@ class Origin:
 
 @dataclass(frozen=True, kw_only=True)
 class Resolution:
-    """Complete tables, ready to validate, and where each value came from.
+    """Complete tables, ready for validation, and the origin of each value.
 
-    `complaints` has a line for everything that could not be filled in, and `unfilled` the places
+    `complaints` has a line for each value that could not be determined, and `unfilled` the paths
     that lack fields because of it.
     """
 
@@ -391,7 +398,7 @@ class Resolution:
 
 
 def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
-    """Complete the tables of a scenario, whose fields the model declares, from the library.
+    """Complete the tables of a scenario from the library; the model declares the fields.
 
     Raises
     ------
@@ -411,6 +418,7 @@ def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
     tables = _with_assignments(origin, merge(filled.tables, own), indexed=True)
     try:
         tables = _add_wind_series(origin, tables, provenance)
+        tables = _add_wind_fields(origin, tables, provenance)
     except ScenarioError as error:
         filled.complain(str(error), ("wind",))
     tables = in_the_air(tables, origin.document if origin.is_resolved else None, provenance)
@@ -425,7 +433,7 @@ def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
 
 
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
-    """Return what files mean that say nothing, where stored scenarios mean something else."""
+    """Return the initial values of scenario files that differ from the defaults of records."""
     tables: dict[str, Any] = {}
     for path in field_paths(model):
         table, _ = declared_place(model, path[:-1])
@@ -436,7 +444,7 @@ def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def whose(origin: Origin, provenance: Mapping[str, str], path: FieldPath) -> str:
-    """Name the source that a message about a field starts with."""
+    """Return the name of the source with which a message about a field starts."""
     for length in range(len(path), 0, -1):
         said = provenance.get(spell(path[:length]))
         if said is not None:
@@ -466,7 +474,7 @@ def _with_assignments(
 
 @dataclass
 class _Filled:
-    """Tables of a scenario while the library fills them, and what could not be filled in."""
+    """Tables of a scenario while the library completes them, and the errors found on the way."""
 
     origin: Origin
     own: Mapping[str, Any]
@@ -478,12 +486,12 @@ class _Filled:
     _pack: tuple[str, str] | None = None
 
     def complain(self, line: str, *places: FieldPath) -> None:
-        """Keep a line for the message about the whole file, and the places that it leaves open."""
+        """Record a line of the message on the whole file, and the paths left incomplete."""
         self.complaints.append(line)
         self.unfilled.extend(places)
 
     def add_library(self, place: FieldPath, kind: str) -> None:
-        """Lay a named set below the scenario's own fields."""
+        """Add a library entry below the scenario's own fields."""
         written: Any = self.own
         for step in place:
             written = written.get(step, {}) if isinstance(written, Mapping) else {}
@@ -495,7 +503,7 @@ class _Filled:
         left_open = (place, *((("battery",), ("limits",)) if kind == _VEHICLES else ()))
         if not isinstance(name, str):
             self.unfilled.extend(left_open)
-            return  # validation says it better
+            return  # validation gives a better message
         is_file = name.endswith(_SUFFIX)
         folder = self.origin.folder
         try:
@@ -538,7 +546,7 @@ class _Filled:
 
 
 def _beside(file: str, pack: str) -> str:
-    """Return the pack of a vehicle's file as a scenario names it, in whose folder the file is."""
+    """Return a pack that a vehicle's file names, with a path relative to the scenario's folder."""
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 
 
@@ -549,17 +557,35 @@ def _inherit_by_forecast(tables: dict[str, Any], own: Mapping[str, Any]) -> dict
     return tables
 
 
+def _winds(tables: Mapping[str, Any], named: str) -> Iterator[tuple[FieldPath, Mapping[str, Any]]]:
+    """Yield the wind and its forecast where they name a file in a field."""
+    for place in (("wind",), ("wind", "forecast")):
+        wind: Any = tables
+        for step in place:
+            wind = wind.get(step) if isinstance(wind, Mapping) else None
+        if isinstance(wind, Mapping) and isinstance(wind.get(named), str):
+            yield place, wind
+
+
+def _add_wind_fields(
+    origin: Origin, tables: dict[str, Any], provenance: dict[str, str]
+) -> dict[str, Any]:
+    for place, wind in _winds(tables, "field"):
+        path = (*place, "field")
+        where = f"{whose(origin, provenance, path)}: {spell(path)} = {shown(wind['field'])}"
+        grid = read_wind_field(origin.folder / wind["field"], where)
+        tables = set_value(tables, (*place, "grid"), grid)
+        for part in grid:
+            provenance[spell((*place, "grid", part))] = f"file {shown(wind['field'])[1:-1]}"
+    return tables
+
+
 def _add_wind_series(
     origin: Origin, tables: dict[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
     field, longest = _longest(tables)
     known: list[tuple[float, str]] = []
-    for place in (("wind",), ("wind", "forecast")):
-        wind: Any = tables
-        for step in place:
-            wind = wind.get(step) if isinstance(wind, Mapping) else None
-        if not isinstance(wind, Mapping) or not isinstance(wind.get("file"), str):
-            continue
+    for place, wind in _winds(tables, "file"):
         where = f"{whose(origin, provenance, (*place, 'file'))}: {spell((*place, 'file'))}"
         offset = wind.get("time_offset", 0.0)
         told = (spell(field), _SHORTEST_S if longest is None else longest)
@@ -571,14 +597,14 @@ def _add_wind_series(
         if series["times"] and isinstance(offset, int | float):
             known.append((series["times"][-1] - offset, said))
     if field == _LONGEST and longest is None and known:
-        # A free duration ends where the wind is not known any more.
+        # A free duration ends at the end of the known wind.
         last, provenance[spell(field)] = min(known)
         tables = set_value(tables, field, last)
     return tables
 
 
 def _longest(tables: Mapping[str, Any]) -> tuple[FieldPath, object]:
-    """Return the field that says how long a mission may take, and what it says."""
+    """Return the field that limits the duration of a mission, and its value."""
     mission = tables.get("mission")
     told = mission if isinstance(mission, Mapping) else {}
     field = _LONGEST if told.get("duration") == FREE else ("mission", "duration")
@@ -614,5 +640,5 @@ def _add_derived_limits(tables: dict[str, Any]) -> dict[str, Any]:
     try:
         vehicle = Vehicle.model_validate(tables.get("vehicle"))
     except ValidationError:
-        return tables  # validation of the whole says it better
+        return tables  # validation of the scenario gives a better message
     return {**tables, "limits": {**derived_limits(vehicle, float(speed)), **limits}}

@@ -1,4 +1,4 @@
-"""The scenario: everything that one mission needs, validated, immutable and in SI units."""
+"""The scenario: all inputs of one mission, validated, immutable and in SI units."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -51,12 +51,12 @@ from pyomo_quad.scenario.unit_keys import Rewritten, in_declared_units, paths_in
 from pyomo_quad.scenario.vehicle import Attitude, Vehicle
 from pyomo_quad.scenario.wind import Air, Wind
 
-# Share of gravity that a vehicle without spare thrust is taken to accelerate by, and how much
-# longer than the quickest flight the first guess at a free duration is.
+# Acceleration, as a fraction of gravity, assumed for a vehicle without spare thrust; and ratio of
+# the first guess at a free duration to the duration of the quickest flight.
 _LEAST_LIFT = 0.1
 _UNHURRIED = 2.0
 _SHORTEST_WAY = 1e-2
-# Names become folder names: no separator, no leading dot, nothing that leaves the output folder.
+# Names become folder names: no separator, no leading dot, no way out of the output folder.
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 _MODEL_PATTERN = r"^[^:\x00]+\.py:[A-Za-z_][A-Za-z0-9_]*$"
 
@@ -79,7 +79,7 @@ class Scenario(Part):
         "acceleration of gravity",
         9.81,
         gt=0,
-        sound=Sound(0.1, 100, "it is 9.81 on earth, 1.62 on the moon and 24.8 on Jupiter"),
+        sound=Sound(0.1, 100, "9.81 on earth, 1.62 on the moon, 24.8 on Jupiter"),
     )
     model: Text | None = quantity(
         "",
@@ -142,7 +142,7 @@ class Scenario(Part):
         return scenario
 
     def __eq__(self, other: object) -> bool:
-        # Two scenarios with the same values are the same mission, wherever the values came from.
+        # Scenarios with equal values are the same mission, whatever the origin of the values.
         return isinstance(other, Scenario) and self.__dict__ == other.__dict__
 
     def __hash__(self) -> int:
@@ -156,7 +156,7 @@ class Scenario(Part):
 
     @property
     def folder(self) -> FilePath:
-        """Folder in which relative file names of the scenario start."""
+        """Folder to which relative file names of the scenario refer."""
         return self._origin.folder if self._origin is not None else FilePath()
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
@@ -166,7 +166,7 @@ class Scenario(Part):
         ----------
         values : mapping
             Dotted field -> new value; ``mission.goal.position[2]`` sets one number of a list.
-            Everything derived from a changed field follows it.
+            Values derived from a changed field are derived again.
 
         Returns
         -------
@@ -205,17 +205,18 @@ class Scenario(Part):
         )
 
     def lasting(self, duration: float, passing_times: Sequence[float] = ()) -> Self:
-        """Return the scenario with a fixed duration, and times at which waypoints are passed.
+        """Return the scenario with a fixed duration and optional passing times of waypoints.
 
         Parameters
         ----------
         duration : float
-            Of the flight, s; one that a plan chose, as a rule.
+            Duration of the flight, s, usually chosen by a plan.
 
         Returns
         -------
         Scenario
-            Without what a free duration is chosen by; itself where that is its duration.
+            Scenario without the criteria for a free duration; itself if it has that duration
+            already.
         """
         if duration == self.mission.duration and not passing_times:
             return self
@@ -226,7 +227,7 @@ class Scenario(Part):
         return self.with_mission(**values)
 
     def with_mission(self, **values: Any) -> Self:  # noqa: ANN401
-        """Return the scenario with some fields of its mission changed; they are not checked."""
+        """Return the scenario with some fields of its mission changed, without validation."""
         mission = self.mission.model_copy(update=values)
         changed = self.model_copy(update={"mission": mission})
         if self._origin is not None:
@@ -238,21 +239,22 @@ class Scenario(Part):
 
     @property
     def nominal_duration(self) -> float:
-        """The duration, or where it is free one that the search may start from, s."""
+        """The duration, or an initial guess of a free duration, s."""
         return self.nominal_times[-1]
 
     @property
     def nominal_times(self) -> tuple[float, ...]:
-        """When each waypoint is reached and left, and the end: given, or for a search to start."""
+        """Times at which each waypoint is reached and left, and the end: prescribed or guessed."""
         vehicle, limits = self.vehicle, self.limits
         lift = limits.thrust_max / vehicle.total_mass - self.gravity
         acceleration = min(max(lift, _LEAST_LIFT * self.gravity), self.gravity)
         spin = limits.yaw_moment_max / vehicle.Iz
         mission = self.mission
         ways = [dist(*leg) / acceleration for leg in pairwise(mission.positions)]
-        # A turn on the way, or a leg back to where it began, takes its time too.
+        # Include the time of a turn, and of a leg that returns to its start.
         ways[-1] = max(ways[-1], abs(mission.goal.yaw - mission.start.yaw) / spin)
-        # Half of the way speeding up and half of it slowing down takes 2 sqrt(way / acceleration).
+        # Accelerating over half the way and decelerating over the other takes 2 sqrt(way /
+        # acceleration).
         legs = [_UNHURRIED * 2 * sqrt(max(way, _SHORTEST_WAY)) for way in ways]
         if not mission.is_free:
             return mission.paced(legs)
@@ -265,10 +267,11 @@ class Scenario(Part):
 
     @property
     def keeps_yaw(self) -> bool:
-        """Whether the heading stays that of the start all the way.
+        """Whether the heading stays that of the start throughout.
 
-        Where power depends on thrust and airspeed alone it costs next to nothing to turn, and so
-        no heading is the best: unless one is asked for, a flight keeps its own, as autopilots do.
+        If power depends on thrust and airspeed alone, a turn has nearly no cost and the best
+        heading is not unique. Unless a heading is prescribed, such a flight keeps its heading, as
+        autopilots do.
         """
         if self.mission.yaw is not None:
             return self.mission.yaw is Yaw.KEPT
@@ -278,41 +281,41 @@ class Scenario(Part):
 
     @property
     def mass_at_goal(self) -> float:
-        """Mass in flight after all that is released on the way, kg."""
+        """Mass in flight after all releases on the way, kg."""
         return self.vehicle.total_mass - self.mission.released
 
     def as_forecast(self) -> Self:
-        """Return the scenario as the optimiser is told it.
+        """Return the scenario with the wind that is forecast to the optimiser.
 
         Returns
         -------
         Scenario
-            With the forecast in place of the wind; itself when there is no forecast.
+            Scenario with the forecast in place of the wind; itself if there is no forecast.
         """
         if self.wind.forecast is None:
             return self
         return self.model_copy(update={"wind": self.wind.forecast})
 
     def as_it_blows(self) -> Self:
-        """Return the scenario of an optimiser that is told the wind that blows."""
+        """Return the scenario in which the optimiser knows the true wind."""
         return self.model_copy(update={"wind": self.wind.model_copy(update={"forecast": None})})
 
     @property
     def contradictions(self) -> tuple[Contradiction, ...]:
-        """In which ways the vehicle cannot exist as it is described; of an own model, unknown."""
+        """Contradictions between the vehicle's numbers; none for a user's own model."""
         if self.model is not None:
             return ()
         return tuple(contradictions(self.vehicle, self.power, self.gravity))
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What of the vehicle is at the edge of what can exist; of an own model, unknown."""
+        """Remarks on numbers at the edge of what is possible; none for a user's own model."""
         if self.model is not None:
             return ()
         return tuple(remarks(self.vehicle, self.power, self.gravity))
 
     def _check(self, source: str) -> None:
-        """Refuse fields that are allowed one by one and do not go together, all at once."""
+        """Refuse fields that are valid separately but contradict each other, all in one message."""
         lines = [
             *self._power_complaints(),
             *self._airspace_complaints(),
@@ -345,7 +348,8 @@ class Scenario(Part):
 
     def _airspace_complaints(self) -> Iterator[str]:
         for field, place in self.mission.named_positions:
-            for complaint_of_place in self.airspace.complaints(place):
+            told = self.as_forecast().wind
+            for complaint_of_place in (*self.airspace.complaints(place), *told.complaints(place)):
                 yield f"{field} = {shown(list(place))} m {complaint_of_place}."
 
     def _replanning_complaints(self) -> Iterator[str]:
@@ -401,13 +405,13 @@ class Scenario(Part):
 
 
 def _meaning(name: str) -> str:
-    """Return what a field of the vehicle is, without its model and its default."""
+    """Return the description of a vehicle's field, without its model and its default."""
     meaning = (Vehicle.model_fields[name].description or name).rpartition(": ")[2]
     return meaning.partition(",")[0]
 
 
 def _in_declared_units(origin: Origin, model: type[BaseModel]) -> tuple[Origin, Rewritten]:
-    """Return an origin whose keys are the declared fields, and what was rewritten for that."""
+    """Return an origin with declared fields only, and the conversions made."""
     document = in_declared_units(origin.document, model)
     assignments, told = paths_in_declared_units(origin.assignments, model)
     both = Rewritten(

@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from enum import StrEnum
-from math import pi
+from math import acos, cos, pi
 from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.fields import (
     ONE_LINE,
     Flag,
@@ -20,11 +21,11 @@ from pyomo_quad.scenario.fields import (
 from pyomo_quad.scenario.vehicle import Vehicle
 from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 
-_MILLISECONDS = "no loop is faster than the milliseconds of motors and sensors"
+_MILLISECONDS = "motors and sensors respond within milliseconds"
 _RATE = Sound(1e-3, 1e4, _MILLISECONDS)
 _ADAPTATION = Sound(0, 1e6, _MILLISECONDS)
-_FORCE = Sound(1e-3, 1e4, "a thousand times gravity tears a vehicle apart")
-_SPEED = Sound(1e-3, 1e3, "nothing with rotors flies at the speed of sound")
+_FORCE = Sound(1e-3, 1e4, "accelerations stay below 1000 g")
+_SPEED = Sound(1e-3, 1e3, "rotorcraft fly below 340 m/s, the speed of sound")
 _MOST_SPEEDS = 20
 
 
@@ -38,17 +39,17 @@ class Reference(StrEnum):
     CRUISE = "cruise"
 
 
-#: References that take the time of the mission; the others keep their own.
+#: References that last as long as the mission; cruise has its own duration.
 MISSION_TIMED = tuple(reference for reference in Reference if reference is not Reference.CRUISE)
 
 
 class Gains(Part):
     """Gains of the adaptive backstepping law, per unit of mass and of inertia.
 
-    Dividing by mass and inertia makes the defaults serve vehicles of any size: they place the
-    poles of the position error at 1.5 and 3 rad/s, of the tilt command at 12 rad/s, of the
-    attitude error at 6 and 15 rad/s and of the rotors at 60 rad/s: each loop is at least twice as
-    fast as the one around it, and a step settles in less than 3 s.
+    Because of the division by mass and inertia, the defaults suit vehicles of any size. They place
+    the poles of the position error at 1.5 and 3 rad/s, of the tilt command at 12 rad/s, of the
+    attitude error at 6 and 15 rad/s and of the rotors at 60 rad/s. Each loop is at least twice as
+    fast as the next outer loop, and a step settles in less than 3 s.
     """
 
     position: Number = quantity("1/s", "position error to velocity (k1)", 1.5, gt=0, sound=_RATE)
@@ -65,13 +66,14 @@ class Gains(Part):
     acceleration_max: Number = quantity(
         "m/s^2", "largest correcting acceleration", 2.0, gt=0, sound=_FORCE
     )
-    tilt_max: Number = quantity(
+    tilt_max: Number | None = quantity(
         "rad",
-        "largest tilt asked of the attitude loop",
-        0.5,
+        "largest tilt asked of the attitude loop, what the limits of roll, pitch and thrust allow "
+        "when absent",
+        None,
         gt=0,
         lt=1.5,
-        sound=Sound(1e-3, 1.5, "with less nothing is left to steer with"),
+        sound=Sound(1e-3, 1.5, "below 0.001 rad the vehicle cannot be steered"),
     )
     thrust_share: Number = quantity(
         "1",
@@ -79,7 +81,7 @@ class Gains(Part):
         0.7,
         gt=0,
         le=1,
-        sound=Sound(1e-3, 1, "with less nothing is left to steer with"),
+        sound=Sound(1e-3, 1, "below 0.001 the vehicle cannot be steered"),
     )
     tilt_command: Number = quantity(
         "1/s", "tilt error to tilt rate, of the filter", 6.0, gt=0, sound=_RATE
@@ -115,12 +117,12 @@ class Gains(Part):
         "bound of that moment over the inertia",
         1.0,
         gt=0,
-        sound=Sound(1e-3, 1e8, "no airframe follows faster"),
+        sound=Sound(1e-3, 1e8, "larger than any airframe reaches"),
     )
 
 
 class Knowledge(StrEnum):
-    """What re-planning knows of the wind: the one that blows, what it observes, nothing."""
+    """Information on the wind in re-planning: the true wind, an observed wind, or none."""
 
     TOLD = "told"
     ESTIMATED = "estimated"
@@ -128,28 +130,28 @@ class Knowledge(StrEnum):
 
 
 class Clock(StrEnum):
-    """How long a solve takes in the simulated flight."""
+    """Model of the solve time in the simulated flight."""
 
     STATED = "stated"
     MEASURED = "measured"
 
 
 class Replanning(Part):
-    """Re-planning in flight: the rest of the mission solved again and again."""
+    """Re-planning in flight: the remaining mission is solved repeatedly."""
 
     interval: Number = quantity(
         "s",
         "time from one solve of the remaining mission to the next",
         0.2,
         gt=0,
-        sound=Sound(1e-2, 1e4, "no computer aboard solves a mission within milliseconds"),
+        sound=Sound(1e-2, 1e4, "a solve aboard takes at least 10 ms"),
     )
     solve_time: Number = quantity(
         "s",
-        "time that a solve may take; its plan is for where the vehicle will be then",
+        "time allowed for a solve; its plan starts where the vehicle will be then",
         0.06,
         ge=0,
-        sound=Sound(0, 1e3, "a plan that is minutes old is of no use"),
+        sound=Sound(0, 1e3, "plans that are older than 1000 s are useless"),
     )
     clock: Clock = quantity(
         "",
@@ -166,7 +168,7 @@ class Replanning(Part):
 
 
 class Baseline(Part):
-    """Which references are flown, and how the controller is set."""
+    """References to fly, and settings of the controller."""
 
     references: tuple[Reference, ...] = quantity(
         "", "trajectories to follow", MISSION_TIMED, max_length=len(Reference)
@@ -219,7 +221,7 @@ class Baseline(Part):
         return self
 
 
-_VOLTAGE = Sound(0, 100, "the cells of all chemistries have 1 to 5 V")
+_VOLTAGE = Sound(0, 100, "cells of all chemistries have 1 to 5 V")
 
 
 class Battery(Part):
@@ -235,7 +237,7 @@ class Battery(Part):
         "V",
         "constant voltage of one cell (e0)",
         gt=0,
-        sound=Sound(0.1, 100, "the cells of all chemistries have 1 to 5 V"),
+        sound=Sound(0.1, 100, "cells of all chemistries have 1 to 5 V"),
     )
     K: Number = quantity("V", "polarisation voltage of one cell (k)", ge=0, sound=_VOLTAGE)
     A: Number = quantity("V", "exponential voltage of one cell (c1)", ge=0, sound=_VOLTAGE)
@@ -243,21 +245,19 @@ class Battery(Part):
         "1/A/hr",
         "inverse exponential capacity of one cell (c2)",
         ge=0,
-        sound=Sound(
-            0, 1e4, "the first rise is over within a thousandth of the charge at the earliest"
-        ),
+        sound=Sound(0, 1e4, "the exponential zone spans at least 0.1 mAh of charge"),
     )
     capacity: Number = quantity(
         "A*hr",
         "capacity of one cell (Qbat)",
         gt=0,
-        sound=Sound(1e-4, 1e4, "cells hold from a milliampere hour to a thousand ampere hours"),
+        sound=Sound(1e-4, 1e4, "cells hold from 1 mAh to 1000 Ah"),
     )
     cell_resistance: Number = quantity(
         "ohm",
         "resistance of one cell (Rbat)",
         gt=0,
-        sound=Sound(1e-6, 100, "cells have from tenths of a milliohm to ohms"),
+        sound=Sound(1e-6, 100, "cells have from 0.1 mohm to some ohms"),
     )
     initial_state_of_charge: Number = quantity(
         "percent", "state of charge at the start", 100.0, gt=0, le=100
@@ -265,7 +265,7 @@ class Battery(Part):
 
     @model_validator(mode="after")
     def _has_a_voltage(self) -> Self:
-        # Eq. (5) of a full cell, whose voltage is the highest that it ever has.
+        # Eq. (5) of a full cell, the highest voltage of the cell.
         highest = self.E0 + self.A
         if highest <= self.K:
             raise ValueError(
@@ -276,7 +276,7 @@ class Battery(Part):
 
 
 class PowerModel(StrEnum):
-    """Which declared power the mission's energy integrates."""
+    """The declared power whose integral is the mission's energy."""
 
     MOTOR = "motor"
     EFFICIENCY = "efficiency"
@@ -297,8 +297,8 @@ USED_BY: Mapping[PowerModel, tuple[str, ...]] = {
     PowerModel.MOMENTUM: ("rotor_radius", "torque_constant", "motor_resistance"),
 }
 
-# Their power is a balance that holds whichever way the energy flows; to divide a braking power by
-# an efficiency would make braking earn more than it gave.
+# Models whose power balance holds for either direction of the energy flow. In the other models, a
+# braking power divided by an efficiency would return more energy than braking absorbs.
 _REGENERATING = (
     PowerModel.MOTOR,
     PowerModel.SHAFT,
@@ -317,7 +317,7 @@ class Power(Part):
         "efficiency: smallest torque used in f_r",
         0.0,
         ge=0,
-        sound=Sound(0, 100, "drag torques of rotors that fly are smaller"),
+        sound=Sound(0, 100, "rotors have smaller drag torques"),
     )
     efficiency_floor: Number = quantity(
         "1",
@@ -325,14 +325,14 @@ class Power(Part):
         0.05,
         gt=0,
         le=1,
-        sound=Sound(1e-4, 1, "less would mean a power of thousands of times the useful one"),
+        sound=Sound(1e-4, 1, "a smaller efficiency means more than 10,000 times the useful power"),
     )
     air_density: Number = quantity(
         "kg/m^3",
         "momentum: density of the air",
         SEA_LEVEL_DENSITY,
         gt=0,
-        sound=Sound(1e-3, 100, "it is 1.225 at sea level and 0.02 on Mars"),
+        sound=Sound(1e-3, 100, "1.225 at sea level, 0.02 on Mars"),
         is_late=True,
     )
     regeneration: Flag = quantity(
@@ -353,7 +353,7 @@ class Power(Part):
         0.1,
         gt=0,
         sound=Sound(
-            1e-6, 1e5, "it is to be small beside the power in flight, which is watts to megawatts"
+            1e-6, 1e5, "must be small compared with the power in flight, watts to megawatts"
         ),
     )
 
@@ -365,20 +365,29 @@ class Power(Part):
         return {**given, "regeneration": given.get("model", PowerModel.MOTOR) in _REGENERATING}
 
 
-# Points of the first mesh that a machine of 8 GB solves on; a thousand take about 0.1 GB.
+# Points of the first mesh that fit into 8 GB of memory; a thousand points take about 0.1 GB.
 _MOST_POINTS = 50_000
 
 
 class Solver(Part):
-    """First mesh, tolerance and bounds on the effort."""
+    """Accuracy, first mesh and bounds on the effort."""
 
+    accuracy: Accuracy = quantity(
+        "",
+        "accuracy asked for: quick, energy within 1e-3 and arrival within 0.1 m in open loop; "
+        "standard, 1e-4 and 1 cm; proof, 1e-6 and 0.1 mm, for studies",
+        Accuracy.PROOF,
+        is_late=True,
+        initial=Accuracy.STANDARD,
+    )
     tolerance: Number = quantity(
         "1",
-        "relative error of states asked for",
-        1e-6,
+        "relative error of the states to which meshes are refined; unless given 1e-3, 1e-4 or "
+        "1e-6, by the accuracy",
+        FIGURES[Accuracy.PROOF].energy,
         gt=0,
         le=1e-1,
-        sound=Sound(1e-11, 0.1, "sums of thousands of terms are rounded by about 1e-12"),
+        sound=Sound(1e-11, 0.1, "rounding errors are about 1e-12"),
     )
     elements: WholeNumber = quantity("1", "elements of the first mesh", 10, ge=1, le=100_000)
     degree: WholeNumber = quantity("1", "degree of each element of the first mesh", 4, ge=1, le=20)
@@ -391,6 +400,14 @@ class Solver(Part):
         le=1e6,
     )
     max_refinements: WholeNumber = quantity("1", "mesh refinements", 20, ge=0, le=100)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refines_as_the_accuracy_says(cls, given: Any) -> Any:  # noqa: ANN401  before validation
+        known = given.get("accuracy") if isinstance(given, Mapping) else None
+        if "tolerance" in (given or ()) or known not in list(Accuracy):
+            return given
+        return {**given, "tolerance": FIGURES[Accuracy(known)].energy}
 
     @model_validator(mode="after")
     def _fits_into_memory(self) -> Self:
@@ -406,12 +423,12 @@ class Solver(Part):
 
 #: rad/s.
 FASTEST_ROTOR = 1e5
-_ANGLE = Sound(1e-4, 2, "the angle is in radians")
-_MOMENT = Sound(0, 1e8, "ten tonnes on an arm of a kilometre have 1e8")
+_ANGLE = Sound(1e-4, 2, "angles are in radians")
+_MOMENT = Sound(0, 1e8, "the weight of 10 t on an arm of 1 km is 1e8 N m")
 
 
 class Limits(Part):
-    """Bounds that the optimiser respects and the controller is clipped to."""
+    """Bounds in the optimisation, to which the controller is clipped too."""
 
     roll_max: Number = quantity(
         "rad", "largest roll angle, eq. (10)", pi / 2, gt=0, le=pi / 2, sound=_ANGLE
@@ -424,7 +441,7 @@ class Limits(Part):
         "smallest rotor speed, eq. (10)",
         0.0,
         ge=0,
-        sound=Sound(0, FASTEST_ROTOR, "the tips of the smallest rotors reach the speed of sound"),
+        sound=Sound(0, FASTEST_ROTOR, "tips of the smallest rotors reach the speed of sound"),
     )
     rotor_speed_max: Number = quantity(
         "rad/s", "largest rotor speed, eq. (10)", gt=0, le=FASTEST_ROTOR
@@ -433,13 +450,13 @@ class Limits(Part):
         "rad/s^2",
         "largest rotor acceleration",
         gt=0,
-        sound=Sound(1e-2, 1e8, "a rotor takes from a millisecond to minutes to reach its speed"),
+        sound=Sound(1e-2, 1e8, "rotors take from 1 ms to minutes to reach their speed"),
     )
     thrust_max: Number = quantity(
         "N",
         "largest total thrust, default of all rotors",
         gt=0,
-        sound=Sound(0, 1e7, "flying machines weigh at most ten tonnes"),
+        sound=Sound(0, 1e7, "multirotors weigh at most 10 t"),
     )
     roll_moment_max: Number = quantity(
         "N*m", "largest roll moment, default of the rotors on one side", gt=0, sound=_MOMENT
@@ -459,7 +476,7 @@ class Limits(Part):
         None,
         is_late=True,
         gt=0,
-        sound=Sound(1e-2, 1e3, "nothing with rotors flies at the speed of sound"),
+        sound=Sound(1e-2, 1e3, "rotorcraft fly below 340 m/s, the speed of sound"),
     )
     reserve: Number = quantity(
         "1",
@@ -477,14 +494,14 @@ class Limits(Part):
         "largest pack current, no limit when absent",
         None,
         gt=0,
-        sound=Sound(1e-3, 1e6, "packs for flight give from milliamperes to thousands of amperes"),
+        sound=Sound(1e-3, 1e6, "flight packs give from milliamperes to thousands of amperes"),
     )
     battery_voltage_min: Number | None = quantity(
         "V",
         "lowest pack voltage, no limit when absent",
         None,
         gt=0,
-        sound=Sound(1e-3, 1e5, "packs for flight have from a volt to thousands of volts"),
+        sound=Sound(1e-3, 1e5, "flight packs have from 1 V to thousands of volts"),
     )
     battery_power_share_max: Number | None = quantity(
         "1",
@@ -494,6 +511,11 @@ class Limits(Part):
         le=1,
         is_late=True,
     )
+
+    @property
+    def largest_tilt(self) -> float:
+        """Tilt of the thrust with roll and pitch both at their limits, rad."""
+        return acos(cos(self.roll_max) * cos(self.pitch_max))
 
 
 #: Limits that follow from the rotors' greatest speed.

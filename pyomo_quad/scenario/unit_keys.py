@@ -1,6 +1,6 @@
-"""Keys that give a field in another unit, such as `roll_max_deg`, turned into the field's own.
+"""Conversion of keys that give a field in another unit, such as `roll_max_deg`.
 
-Everything after the reading of a file knows the declared fields and SI units alone.
+All later stages know only the declared fields, in SI units.
 """
 
 from collections.abc import Iterator, Mapping
@@ -15,10 +15,10 @@ from pyomo_quad.scenario.messages import shown, table_of
 
 @dataclass(frozen=True, kw_only=True)
 class Rewritten:
-    """Tables with the declared fields alone.
+    """Tables that contain declared fields only.
 
-    `spellings` says how a file wrote a field, by the field's place; `complaints` has a line for
-    each key that cannot be rewritten, and `unread` the field that it stands for.
+    `spellings` gives the key that a file used, by the field's path; `complaints` has a line for
+    each key that cannot be converted, and `unread` the field that the key stands for.
     """
 
     tables: dict[str, Any]
@@ -28,7 +28,7 @@ class Rewritten:
 
 
 def in_declared_units(tables: Mapping[str, Any], model: type[BaseModel]) -> Rewritten:
-    """Return nested tables, as a file has them, with every key in another unit rewritten."""
+    """Return nested tables, as read from a file, with every key in another unit converted."""
     rewritten = Rewritten(tables={})
     rewritten.tables.update(_table(tables, model, (), rewritten))
     return rewritten
@@ -37,7 +37,7 @@ def in_declared_units(tables: Mapping[str, Any], model: type[BaseModel]) -> Rewr
 def paths_in_declared_units(
     assignments: Mapping[FieldPath, Any], model: type[BaseModel]
 ) -> tuple[dict[FieldPath, Any], Rewritten]:
-    """Return assignments, path to value, with every key in another unit rewritten."""
+    """Return assignments, path to value, with every key in another unit converted."""
     rewritten, found = Rewritten(tables={}), {}
     for path, value in assignments.items():
         names = [step for step in path if isinstance(step, str)]
@@ -47,7 +47,7 @@ def paths_in_declared_units(
         rewritten.unread.extend(one.unread)
         if one.complaints:
             continue
-        # A rewritten path differs from the written one in its keys, never in its list indices.
+        # A converted path differs from the written path in its keys, never in its list indices.
         (own, held), *more = list(_paths(one.tables, len(names))) or [((), value)]
         if more or len(own) != len(names):
             found[path] = value
@@ -104,7 +104,7 @@ def _rewrite(
     into: Rewritten,
 ) -> None:
     if place[-1] in table:
-        into.complaints.append(f"{spell(written)} and {spell(place)} say the same; give one.")
+        into.complaints.append(f"{spell(written)} and {spell(place)} are the same field; give one.")
     elif isinstance(value, bool) or not isinstance(value, int | float):
         into.complaints.append(f"{spell(written)} = {shown(value)}; must be a number.")
         into.unread.append(place)

@@ -21,31 +21,31 @@ from pyomo_quad.scenario.fields import (
 
 ROTOR_COUNT = 4
 MOST_ROTORS = 8
-# Ahead, to the left, behind, to the right, as the signs of eq. (7) say.
+# Ahead, left, behind, right, as in the signs of eq. (7).
 _CROSS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
-_INERTIA = Sound(1e-9, 1e6, "a gram at a millimetre has 1e-9, ten tonnes at ten metres have 1e6")
-_WEIGHT = "flying machines weigh from a gram to ten tonnes"
-#: kg, of what a vehicle carries.
+_INERTIA = Sound(1e-9, 1e6, "1 g at a radius of 1 mm has 1e-9, 10 t at 10 m have 1e6")
+_WEIGHT = "multirotors weigh from 1 g to 10 t"
+#: kg, mass carried by a vehicle.
 CARRIED = Sound(0, 1e4, _WEIGHT)
-_ROTOR_DRAG = Sound(0, 1e2, "a rotor of a centimetre has about 1e-8, one of ten metres about 1")
-_FITTED = Sound(-1e9, 1e9, "f_r is a share and its arguments are not tiny")
+_ROTOR_DRAG = Sound(0, 1e2, "from about 1e-8 for a 1 cm rotor to about 1 for a 10 m rotor")
+_FITTED = Sound(-1e9, 1e9, "f_r is an efficiency between 0 and 1")
 
 
 # m, from the centre of mass to the farthest rotor.
 _LEAST_REACH, _MOST_REACH = 1e-3, 100.0
-# Share of the reach by which positions, typed with a few digits, may miss their balance.
+# Unbalance of positions typed with a few digits that is tolerated, as a fraction of the reach.
 _BALANCED = 1e-4
 
 #: rad/s in a revolution per minute.
 RPM = 2 * pi / 60
 
-# Squared volume of what rotors do about the three axes, of order one for rotors in a ring.
+# Least squared volume of the rotors' effects about the three axes, about 1 for rotors in a ring.
 _LEAST_VOLUME = 1e-6
 
 
 def _volume(*rows: Sequence[float]) -> float:
-    """Return the squared volume that three rows span: their Gram determinant."""
+    """Return the squared volume spanned by three rows: their Gram determinant."""
     (a, b, c), (_, d, e), (_, _, f) = (
         [sum(map(mul, one, other)) for other in rows] for one in rows
     )
@@ -64,7 +64,7 @@ class EfficiencyMap(Part):
 
 
 class Attitude(StrEnum):
-    """How the angles of the attitude follow from the body rates."""
+    """Relation between the attitude angles and the body rates."""
 
     EULER = "euler"
     PAPER = "paper"
@@ -84,7 +84,7 @@ class MotorConstants(NamedTuple):
 
 
 class Vehicle(Part):
-    """A multirotor of equal rotors: the paper's four on arms along body x and y, unless placed."""
+    """A multirotor with equal rotors: by default the paper's four on arms along body x and y."""
 
     use: Text = quantity("", "name of the vehicle in the library, or a file of its own, NAME.toml")
     title: Text = quantity(
@@ -115,7 +115,7 @@ class Vehicle(Part):
         "m",
         "centre of mass to rotor shaft (l)",
         gt=0,
-        sound=Sound(1e-3, 100, "rotors stand from a millimetre to a hundred metres out"),
+        sound=Sound(1e-3, 100, "arms measure from 1 mm to 100 m"),
     )
     Ix: Number = quantity("kg*m^2", "moment of inertia about body x", gt=0, sound=_INERTIA)
     Iy: Number = quantity("kg*m^2", "moment of inertia about body y", gt=0, sound=_INERTIA)
@@ -124,34 +124,26 @@ class Vehicle(Part):
         "N*s^2",
         "thrust over rotor speed squared (kb)",
         gt=0,
-        sound=Sound(
-            1e-12, 100, "a rotor of a centimetre has about 1e-10, one of ten metres about 10"
-        ),
+        sound=Sound(1e-12, 100, "from about 1e-10 for a 1 cm rotor to about 10 for a 10 m rotor"),
     )
     drag_torque_coefficient: Number = quantity(
         "N*m*s^2",
         "drag torque over rotor speed squared (kappa)",
         gt=0,
-        sound=Sound(
-            1e-15, 100, "a rotor of a centimetre has about 1e-13, one of ten metres about 1"
-        ),
+        sound=Sound(1e-15, 100, "from about 1e-13 for a 1 cm rotor to about 1 for a 10 m rotor"),
     )
     rotor_inertia: Number = quantity(
         "kg*m^2",
         "inertia of rotor and propeller (Ir)",
         gt=0,
-        sound=Sound(
-            1e-12, 1e4, "a rotor of a centimetre has about 1e-11, one of ten metres about 1e3"
-        ),
+        sound=Sound(1e-12, 1e4, "from about 1e-11 for a 1 cm rotor to about 1e3 for a 10 m rotor"),
     )
     torque_constant: Number | None = quantity(
         "N*m/A",
         "motor torque over current (kt), 1 / voltage_constant when absent",
         None,
         gt=0,
-        sound=Sound(
-            1e-6, 100, "motors for flight give from micronewton metres to newton metres per ampere"
-        ),
+        sound=Sound(1e-6, 100, "flight motors give from 1e-6 to some N m per ampere"),
         is_late=True,
     )
     voltage_constant: Number | None = quantity(
@@ -159,7 +151,7 @@ class Vehicle(Part):
         "motor speed over voltage (kv), 1 / torque_constant when absent",
         None,
         gt=0,
-        sound=Sound(1e-2, 1e5, "motors for flight turn by 0.1 to 10,000 rad/s per volt"),
+        sound=Sound(1e-2, 1e5, "flight motors turn at 0.1 to 10,000 rad/s per volt"),
         is_late=True,
         unit_keys={"kv_rpm_per_V": RPM},
     )
@@ -176,28 +168,28 @@ class Vehicle(Part):
         "dry friction of one motor (Tf)",
         0.0,
         ge=0,
-        sound=Sound(0, 100, "bearings of a rotor are nearly free"),
+        sound=Sound(0, 100, "rotor bearings have little friction"),
     )
     viscous_damping: Number = quantity(
         "N*m*s",
         "viscous friction of one motor (Df)",
         0.0,
         ge=0,
-        sound=Sound(0, 1, "bearings of a rotor are nearly free"),
+        sound=Sound(0, 1, "rotor bearings have little friction"),
     )
     drag_linear: Number = quantity(
         "kg/s",
         "linear drag on the relative airspeed",
         0.0,
         ge=0,
-        sound=Sound(0, 1e4, "a hundred square metres across the flow have about 1e3"),
+        sound=Sound(0, 1e4, "a frontal area of 100 m^2 has about 1e3"),
     )
     drag_quadratic: Number = quantity(
         "kg/m",
         "quadratic drag on the relative airspeed",
         0.0,
         ge=0,
-        sound=Sound(0, 1e3, "a hundred square metres across the flow have about 1e2"),
+        sound=Sound(0, 1e3, "a frontal area of 100 m^2 has about 1e2"),
     )
     efficiency_map: EfficiencyMap | None = quantity(
         "", "efficiency: the recovered function f_r", None, is_late=True
@@ -207,7 +199,7 @@ class Vehicle(Part):
         "momentum: radius of one rotor (R)",
         None,
         gt=0,
-        sound=Sound(1e-3, 100, "rotors reach from a millimetre to a hundred metres"),
+        sound=Sound(1e-3, 100, "rotor radii range from 1 mm to 100 m"),
         is_late=True,
     )
     induced_power_factor: Number = quantity(
@@ -250,7 +242,7 @@ class Vehicle(Part):
         "momentum: power of all but the motors",
         0.0,
         ge=0,
-        sound=Sound(0, 1e5, "electronics in flight draw milliwatts to kilowatts"),
+        sound=Sound(0, 1e5, "onboard electronics draw milliwatts to kilowatts"),
         is_late=True,
     )
     anemometer_factor: Number = quantity(
@@ -294,14 +286,14 @@ class Vehicle(Part):
         "thrust over in-plane airspeed squared, of one rotor (Faessler, Franchi, Scaramuzza)",
         0.0,
         ge=0,
-        sound=Sound(0, 1e3, "a hundred square metres across the flow have about 1e2"),
+        sound=Sound(0, 1e3, "a frontal area of 100 m^2 has about 1e2"),
         is_late=True,
     )
     parasitic_drag: Triple = quantity(
         "kg/m",
         "drag over airspeed squared, along body x, y and z",
         (0.0, 0.0, 0.0),
-        sound=Sound(0, 1e3, "a hundred square metres across the flow have about 1e2"),
+        sound=Sound(0, 1e3, "a frontal area of 100 m^2 has about 1e2"),
         is_late=True,
     )
     motor_time_constant: Number = quantity(
@@ -309,7 +301,7 @@ class Vehicle(Part):
         "lag of the motors: rotors accelerate by at most (rotor_speed_max - speed) over it",
         0.0,
         ge=0,
-        sound=Sound(0, 1e3, "a rotor takes from a millisecond to minutes to reach its speed"),
+        sound=Sound(0, 1e3, "rotors take from 1 ms to minutes to reach their speed"),
         is_late=True,
     )
     attitude: Attitude = quantity(
@@ -359,26 +351,26 @@ class Vehicle(Part):
 
     @property
     def rotor_places(self) -> tuple[tuple[float, float], ...]:
-        """Where each rotor stands along body x and y, m."""
+        """Position of each rotor along body x and y, m."""
         if self.rotor_positions is not None:
             return self.rotor_positions
         return tuple((ahead * self.arm_length, aside * self.arm_length) for ahead, aside in _CROSS)
 
     @property
     def rotor_senses(self) -> tuple[int, ...]:
-        """Where the drag of each rotor turns the body: 1 for +yaw, -1 for the other way."""
+        """Direction of each rotor's drag moment on the body: 1 for +yaw, -1 for -yaw."""
         if self.rotor_spins is not None:
             return self.rotor_spins
         return tuple(1 - 2 * (j % 2) for j in range(len(self.rotor_places)))
 
     @property
     def has_own_rotors(self) -> bool:
-        """Whether the rotors are others than the paper's cross of four."""
+        """Whether the rotor layout differs from the paper's cross of four."""
         return self.rotor_positions is not None or self.rotor_spins is not None
 
     @property
     def has_rotor_forces(self) -> bool:
-        """Whether the air acts on the rotors beside their thrust."""
+        """Whether aerodynamic forces other than thrust act on the rotors."""
         return bool(self.rotor_drag_plane or self.rotor_drag_axis or self.translational_lift)
 
     @property

@@ -1,12 +1,14 @@
-"""The table `wind`, and the air: how it blows, how it enters the balance, and how dense it is.
+"""The tables `wind` and `air`: wind velocity, its effect on the vehicle, and air density.
 
-The wind is a formula in time, or a measured series.  The density follows from height and
-temperature, and with it goes some of what a vehicle is.
+The wind is a formula of time, or a measured series. The air density follows from height and
+temperature, and the aerodynamic coefficients of the vehicle are proportional to it.
 """
 
-from collections.abc import Mapping
+from base64 import b64decode, b64encode
+from collections.abc import Iterator, Mapping
 from enum import StrEnum
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
+from zlib import compress, decompress
 
 from pydantic import ValidationError, model_validator
 
@@ -23,27 +25,34 @@ from pyomo_quad.scenario.fields import (
     set_value,
     spell,
 )
+from pyomo_quad.scenario.messages import shown
 
-#: m/s. Beyond the strongest gust measured, on Barrow Island in 1996 (WMO), by a third.
+if TYPE_CHECKING:
+    from numpy import bool_, float64
+    from numpy.typing import ArrayLike, NDArray
+
+    FloatArray = NDArray[float64]
+
+#: m/s. A third above the strongest gust measured, on Barrow Island in 1996 (WMO).
 LARGEST_WIND = 150.0
 STRONGEST_GUST = "the strongest gust measured on earth had 113 m/s"
-#: s. Thirty years; a number of that size still tells a microsecond.
+#: s. Thirty years; in double precision, times of that size still resolve a microsecond.
 LATEST_TIME = 1e9
 _WIND = Sound(-LARGEST_WIND, LARGEST_WIND, STRONGEST_GUST)
-#: m. Where the wind over open country is measured; winds are given for this height.
+#: m. Standard height of wind measurements over open country; winds are given for this height.
 USUAL_HEIGHT = 10.0
-_FAST = Sound(-1e4, 1e4, "no gust changes within a millisecond")
+_FAST = Sound(-1e4, 1e4, "gusts take longer than 1 ms")
 
 
 class WindCoupling(StrEnum):
-    """How the wind enters the momentum balance."""
+    """Coupling of the wind to the momentum balance."""
 
     ACCELERATION = "acceleration"
     DRAG = "drag"
 
 
 class FrequencyUnit(StrEnum):
-    """How the harmonic frequencies of Table 2 are read."""
+    """Unit of the harmonic frequencies in Table 2."""
 
     RADIAN_PER_SECOND = "rad/s"
     HERTZ = "hz"
@@ -62,19 +71,19 @@ class WindAxis(Part):
         "s",
         "gust period (T_g)",
         gt=0,
-        sound=Sound(1e-3, 1e6, "a gust lasts for seconds or minutes"),
+        sound=Sound(1e-3, 1e6, "gusts last from seconds to minutes"),
     )
 
 
 class WindLaw(StrEnum):
-    """How the wind grows with height."""
+    """Law of the horizontal wind over height."""
 
     POWER = "power"
     LOGARITHMIC = "logarithmic"
 
 
 class WindProfile(Part):
-    """How the horizontal wind grows with the height z above the ground."""
+    """Horizontal wind as a function of the height z above the ground."""
 
     law: WindLaw = quantity(
         "", "power: (z / reference_height)^exponent, or logarithmic: ln(z / roughness)"
@@ -84,14 +93,14 @@ class WindProfile(Part):
         "height at which the wind is as given",
         USUAL_HEIGHT,
         gt=0,
-        sound=Sound(0.5, 1e3, "winds are given for a height of metres, masts and towers"),
+        sound=Sound(0.5, 1e3, "winds are measured at 0.5 m to 1000 m"),
     )
     exponent: Number | None = quantity(
         "1",
         "exponent of the power law: about 0.11 over water, 0.14 over open country, 0.3 over a town",
         None,
         gt=0,
-        sound=Sound(1e-3, 1, "the wind over cities grows with height to the power of 0.4"),
+        sound=Sound(1e-3, 1, "exponents range up to 0.4 over cities"),
     )
     roughness: Number | None = quantity(
         "m",
@@ -99,7 +108,7 @@ class WindProfile(Part):
         "1 over a town",
         None,
         gt=0,
-        sound=Sound(1e-6, 10, "ice has 1e-5 m, a city of towers some 4 m"),
+        sound=Sound(1e-6, 10, "from 1e-5 m over ice to 4 m over a city of towers"),
     )
 
     @model_validator(mode="after")
@@ -119,7 +128,7 @@ class WindProfile(Part):
 
 
 class WindSeries(Part):
-    """A measured wind, read and validated from `wind.file`; by height alone it has no times."""
+    """A measured wind, read and validated from `wind.file`; a wind by height alone has no times."""
 
     times: tuple[Number, ...] = quantity("s", "times from the start of the mission")
     wind_x: tuple[Number, ...] = quantity("m/s", "wind toward +x")
@@ -177,6 +186,65 @@ class Turbulence(Part):
         return WIND_AT_6_M[self.intensity] if self.intensity else self.wind_at_6_m or 0.0
 
 
+class Beyond(StrEnum):
+    """What holds where a wind field says nothing: beyond its grid, or in a cell without wind."""
+
+    REFUSE = "refuse"
+    HOLD = "hold"
+
+
+class WindGrid(Part):
+    """A wind on a rectilinear grid, read and validated from `wind.field`."""
+
+    x: tuple[Number, ...] = quantity("m", "places along world x, rising")
+    y: tuple[Number, ...] = quantity("m", "places along world y, rising")
+    z: tuple[Number, ...] = quantity("m", "heights, rising; none where the field has one alone", ())
+    times: tuple[Number, ...] = quantity("s", "times, rising; none in a steady field", ())
+    speeds: Text = quantity(
+        "",
+        "wind toward +x, +y and, where it is known, +z at each place, not a number where there is "
+        "none: doubles in the order of component, x, y, z, time, least byte first, compressed by "
+        "zlib and written in base64",
+    )
+
+    @property
+    def axes(self) -> tuple[tuple[float, ...], ...]:
+        """The points of each argument that the wind depends on: x, y, then height and time."""
+        return tuple(axis for axis in (self.x, self.y, self.z, self.times) if axis)
+
+    @property
+    def components(self) -> "FloatArray":
+        """The wind toward +x, +y and, where it is known, +z, with one axis for each argument."""
+        import numpy as np  # noqa: PLC0415  reading a scenario does without it
+
+        held = np.frombuffer(decompress(b64decode(self.speeds)), dtype="<f8")
+        return held.reshape((-1, *map(len, self.axes)))
+
+    @staticmethod
+    def packed(components: "FloatArray") -> str:
+        """Return components as the text of `speeds`."""
+        return b64encode(compress(components.astype("<f8").tobytes(), level=1)).decode("ascii")
+
+    def is_known(self, places: "ArrayLike", times: "ArrayLike") -> "NDArray[bool_]":
+        """Say of places of shape (n, 3) at n wind times if the grid's nearest point has wind."""
+        import numpy as np  # noqa: PLC0415  see `components`
+
+        at, when = np.atleast_2d(places), np.broadcast_to(times, len(np.atleast_2d(places)))
+        told = zip((self.x, self.y, self.z, self.times), (*at.T, when), strict=True)
+        inside: NDArray[bool_] = np.ones(len(at), dtype=bool)
+        nearest = []
+        for points, held in ((np.array(axis), held) for axis, held in told if axis):
+            slack = _GRID_SLACK * (points[-1] - points[0])
+            inside &= (held >= points[0] - slack) & (held <= points[-1] + slack)
+            nearest.append(np.searchsorted((points[:-1] + points[1:]) / 2, held))
+        has_wind = np.asarray(np.isfinite(self.components).all(axis=0))
+        return inside & has_wind[tuple(nearest)]
+
+
+# Of the extent of a grid: a place this little outside is on its border.
+_GRID_SLACK = 1e-6
+
+
 class Wind(Part):
     """The wind in world axes."""
 
@@ -194,7 +262,7 @@ class Wind(Part):
         "turns wind velocity into acceleration, eq. (9)",
         1.0,
         ge=0,
-        sound=Sound(0, 1e3, "nothing that flies is carried along within a millisecond"),
+        sound=Sound(0, 1e3, "the wind takes longer than 1 ms to carry a vehicle along"),
     )
     frequency_unit: FrequencyUnit = quantity(
         "", "unit of the frequencies: rad/s (as eq. 11) or hz", FrequencyUnit.RADIAN_PER_SECOND
@@ -204,13 +272,13 @@ class Wind(Part):
         "rad",
         "where the steady wind blows to, 0 is +x",
         0.0,
-        sound=Sound(-1e4, 1e4, "a turn is 6.283 rad"),
+        sound=Sound(-1e4, 1e4, "directions are in radians, a turn is 6.283"),
     )
     time_offset: Number = quantity(
         "s",
         "wind time at the start of the mission",
         0.0,
-        sound=Sound(-LATEST_TIME, LATEST_TIME, "wind is not known for more than thirty years"),
+        sound=Sound(-LATEST_TIME, LATEST_TIME, "wind records cover at most thirty years"),
     )
     file: Text | None = quantity(
         "",
@@ -220,6 +288,29 @@ class Wind(Part):
         None,
     )
     series: WindSeries | None = quantity("", "the wind read from file", None)
+    field: Text | None = quantity(
+        "",
+        "file of a wind that varies from place to place, in place of eq. (11)-(12): NetCDF with CF "
+        "names and units, or CSV or Parquet with the columns x_m,y_m, perhaps z_m and time_s, then "
+        "wind_x_m_per_s,wind_y_m_per_s and perhaps wind_z_m_per_s",
+        None,
+        is_late=True,
+    )
+    field_scale: Number = quantity(
+        "1",
+        "factor on the wind of the field",
+        1.0,
+        sound=Sound(-1e3, 1e3, "a field of a thousandth of its wind is calm air"),
+        is_late=True,
+    )
+    beyond: Beyond = quantity(
+        "",
+        "where a flight leaves the field or enters a cell without wind: refuse the plan, or hold "
+        "the nearest wind",
+        Beyond.REFUSE,
+        is_late=True,
+    )
+    grid: WindGrid | None = quantity("", "the wind read from field", None, is_late=True)
     x: WindAxis = quantity("", "wind toward +x")
     y: WindAxis = quantity("", "wind toward +y")
     vertical: Number = quantity(
@@ -255,9 +346,15 @@ class Wind(Part):
     )
 
     @property
-    def varies_with_height(self) -> bool:
-        """Whether the horizontal wind depends on where the vehicle flies."""
-        return self.profile is not None or bool(self.series and self.series.heights)
+    def is_formula(self) -> bool:
+        """Whether the wind is that of eq. (11)-(12), and not read from a file."""
+        return self.series is None and self.grid is None
+
+    @property
+    def varies_with_place(self) -> bool:
+        """Whether the wind depends on where the vehicle flies."""
+        has_heights = bool(self.series and self.series.heights)
+        return self.profile is not None or has_heights or self.grid is not None
 
     @model_validator(mode="after")
     def _has_one_profile(self) -> Self:
@@ -265,7 +362,30 @@ class Wind(Part):
             raise ValueError(
                 "profile has no part in a wind whose file has heights; leave profile out"
             )
+        if self.profile is not None and self.grid is not None and self.grid.z:
+            raise ValueError(
+                "profile has no part in a wind whose field has heights; leave profile out"
+            )
+        if self.file is not None and self.field is not None:
+            raise ValueError("file and field both give the wind; leave one out")
+        idle = "field_scale" if self.field_scale != 1.0 else "beyond"
+        is_idle = self.field_scale != 1.0 or self.beyond is not Beyond.REFUSE
+        if is_idle and self.field is None and self.grid is None:
+            raise ValueError(f"{idle} has no part in a wind without field; leave {idle} out")
         return self
+
+    def complaints(self, place: tuple[float, float, float]) -> Iterator[str]:
+        """Yield why the wind at a place is not known at any time of its field."""
+        if self.grid is None or self.beyond is Beyond.HOLD:
+            return
+        times = self.grid.times or (0.0,)
+        if not self.grid.is_known([place] * len(times), times).any():
+            ends = zip("xyz", (self.grid.x, self.grid.y, self.grid.z), strict=True)
+            within = ", ".join(f"{name} {at[0]:g} to {at[-1]:g}" for name, at in ends if at)
+            yield (
+                f"has no wind in wind.field = {shown(str(self.field))}, of {within} m with missing "
+                'cells left out; move it, give more of the field, or set wind.beyond = "hold"'
+            )
 
     @model_validator(mode="before")
     @classmethod
@@ -281,7 +401,7 @@ class Wind(Part):
         return tables
 
 
-#: kg/m^3. Of the standard atmosphere at sea level, at which the numbers of vehicles hold.
+#: kg/m^3. Standard atmosphere at sea level, for which vehicles' numbers are given.
 SEA_LEVEL_DENSITY = 1.225
 # The troposphere of ISO 2533:1975.
 _SEA_LEVEL_PRESSURE = 101_325.0  # Pa
@@ -291,7 +411,7 @@ _GAS_CONSTANT = 287.05287  # J/(kg K)
 _GRAVITY = 9.80665  # m/s^2
 _EARTH_RADIUS = 6_356_766.0  # m
 _DENSITY: FieldPath = ("power", "air_density")
-# Forces and torques of the air, each proportional to its density.
+# Forces and torques proportional to the air density.
 _OF_AIR = (
     "thrust_coefficient",
     "drag_torque_coefficient",
@@ -305,7 +425,7 @@ _OF_AIR = (
 
 
 class Air(Part):
-    """The air of the standard atmosphere (ISA, ISO 2533:1975) at a height."""
+    """The air at a height of the standard atmosphere (ISA, ISO 2533:1975)."""
 
     height: Number = quantity(
         "m",
@@ -317,7 +437,7 @@ class Air(Part):
         "K",
         "temperature of the air, the standard atmosphere's when absent",
         None,
-        sound=Sound(180, 340, "air on the ground has -93 to 67 degrees Celsius"),
+        sound=Sound(180, 340, "temperatures on the ground are -93 to 67 degrees Celsius"),
     )
 
     @property
@@ -334,9 +454,10 @@ class Air(Part):
 def in_the_air(
     tables: dict[str, Any], before: Mapping[str, Any] | None, provenance: dict[str, str]
 ) -> dict[str, Any]:
-    """Return a scenario's tables with the vehicle's numbers as they are in the scenario's air.
+    """Return a scenario's tables with the vehicle's aerodynamic numbers scaled to its air density.
 
-    They hold at sea level or, in tables that were completed `before`, in the air of those.
+    The numbers are given for sea level or, in tables that were completed `before`, for the air of
+    those tables.
     """
     density, held_at = _density(tables), _density(before or {})
     if density == held_at:
@@ -356,7 +477,7 @@ def in_the_air(
     return tables
 
 
-# What makes the air hold a vehicle back, or carry it along.
+# Coefficients of forces that depend on the airspeed.
 _DRAG = (
     "drag_linear",
     "drag_quadratic",
@@ -369,11 +490,11 @@ _DRAG = (
 def with_coupling(
     tables: dict[str, Any], own: Mapping[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
-    """Return a scenario's tables with the coupling of a wind that names none, and of its forecast.
+    """Return a scenario's tables with the default coupling of the wind and of its forecast.
 
-    Wind carries a vehicle along by drag on its airspeed; eq. (9) as printed is left for a vehicle
-    without drag, which no wind would move otherwise.  A forecast is told to the same vehicle, and
-    so has the coupling of the wind unless the scenario's `own` tables give it another.
+    The default is drag on the airspeed; for a vehicle without drag, which the wind would not move
+    otherwise, it is eq. (9) as printed. A forecast applies to the same vehicle, and therefore has
+    the coupling of the wind unless the scenario's `own` tables give it another.
     """
     wind = tables.get("wind")
     if not isinstance(wind, Mapping):
@@ -395,7 +516,7 @@ def with_coupling(
 
 
 def _is_any(number: object) -> bool:
-    """Say whether a number, or one of a list, is not zero."""
+    """Return whether a number, or any number in a list, is not zero."""
     return any(number) if isinstance(number, list | tuple) else bool(number)
 
 
@@ -405,7 +526,7 @@ def _density(tables: Mapping[str, Any]) -> float:
     try:
         return Air.model_validate(tables["air"]).density
     except ValidationError:
-        return SEA_LEVEL_DENSITY  # validation of the whole says it better
+        return SEA_LEVEL_DENSITY  # validation of the scenario gives a better message
 
 
 def _scaled(number: object, factor: float) -> Any:  # noqa: ANN401

@@ -14,7 +14,7 @@ from pyomo_quad.scenario.wind import LARGEST_WIND, LATEST_TIME, STRONGEST_GUST
 WIND_COLUMNS = ("time_s", "wind_x_m_per_s", "wind_y_m_per_s")
 HEIGHT_COLUMN = "height_m"
 _TIME_COLUMN, *_WIND_SPEEDS = WIND_COLUMNS
-# What a row says beside the wind: when, at what height, or both.
+# Columns of a row besides the wind: time, height, or both.
 _KEYS = ((_TIME_COLUMN,), (HEIGHT_COLUMN,), (_TIME_COLUMN, HEIGHT_COLUMN))
 
 _LARGEST_FILE_BYTES = 20_000_000
@@ -22,7 +22,7 @@ _MOST_ROWS = 200_000
 _FEWEST_ROWS = 4  # a cubic spline needs as many
 _FEWEST_HEIGHTS, _MOST_HEIGHTS = 2, 40
 _FARTHEST_HEIGHT = 1e5
-# A step this many times longer than the usual one is a gap that a spline would make up wind for.
+# A step longer than the usual step by this factor is a gap, in which a spline would invent wind.
 _GAP_STEPS = 5.0
 _Rows = list[tuple[float, ...]]
 
@@ -36,18 +36,18 @@ def read_wind_file(
     ----------
     file : Path
         CSV file with the columns `WIND_COLUMNS`, with `HEIGHT_COLUMN` in place of or after the
-        first; over both, every time has the same heights.
+        first; with both, every time has the same heights.
     longest : tuple of str and object
         The field that says how long the mission may take, and its value, s.
     time_offset : object
-        Wind time at the start of the mission, s; anything that is not a number is left to the
-        schema to refuse, here and in `longest`.
+        Wind time at the start of the mission, s. A value that is not a number, here or in
+        `longest`, is left to the schema to refuse.
 
     Returns
     -------
     dict
         `times` where the file has them, `wind_x` and `wind_y`, and `heights` where it has them:
-        then the winds run over the heights first.
+        the heights are then the inner index of the winds.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def read_wind_file(
 
 
 def _heights(columns: Mapping[str, tuple[float, ...]], place: str) -> tuple[float, ...]:
-    """Return the heights of a wind, the same at every time, rising."""
+    """Return the heights of a wind, rising and the same at every time."""
     every = columns[HEIGHT_COLUMN]
     times = columns.get(_TIME_COLUMN, (0.0,) * len(every))
     heights = every[: times.count(times[0])]
@@ -121,7 +121,7 @@ def _check_cover(
 
 
 def _read_rows(file: Path, place: str) -> tuple[tuple[str, ...], _Rows]:
-    """Return what the rows say beside the wind, and the rows."""
+    """Return the key columns of the rows, and the rows."""
     try:
         if file.stat().st_size > _LARGEST_FILE_BYTES:
             _refuse(place, f"larger than {_LARGEST_FILE_BYTES} bytes; thin the series out")

@@ -33,10 +33,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TABLE_NAME = "flights.csv"
-# Least distances drawn, m: without feedback the integrators' rounding, with feedback a tenth of a
-# millimetre.
+# Least distances drawn, m: the integrators' rounding without feedback, 0.1 mm with feedback.
 _LEAST_SHOWN, _LEAST_LED = 1e-9, 1e-4
-# Columns of the legend, whose labels are long.
+# Number of columns of the legend, whose labels are long.
 _CAUSES_ABREAST = 3
 
 

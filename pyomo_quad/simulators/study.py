@@ -1,4 +1,4 @@
-"""Missions flown by the declared vehicle and by RotorPy's, and why their flights differ."""
+"""Missions flown by the declared vehicle and by RotorPy's, and the causes of the differences."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -57,11 +57,11 @@ CASES: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
 #: Cases that show how the difference due to the drag's place depends on time and wind.
 DRAG_CASES = (BREEZE, LONGER, WINDIER)
 # Shaft power hardly penalises the acceleration of light rotors: a tighter tolerance takes minutes,
-# and with this one the flight ends less than a tenth of a millimetre off its plan.
+# and with this one the flight ends within 0.1 mm of its plan.
 _PRICED = {"power.model": "shaft", "solver.tolerance": 1e-3}
 # Mission of RotorPy's small vehicles, m and s.
 _GOAL, _DURATION = [3.0, 2.0, 1.5], 6.0
-# More than any command asks for, rad/s².
+# Larger than any commanded acceleration, rad/s².
 _NO_SLEW_LIMIT = {"limits.rotor_acceleration_max": 1e7}
 # Samples of a flight in the figure.
 _MOST_SAMPLES = 250
@@ -71,7 +71,7 @@ Track = tuple[np.ndarray, np.ndarray]
 
 
 class Plant(StrEnum):
-    """Vehicles that fly: the declared one, and RotorPy's in its variants."""
+    """The vehicles flown: the declared vehicle, and variants of RotorPy's."""
 
     DECLARED = "declared"
     ROTORPY = "rotorpy"
@@ -156,7 +156,7 @@ class OutsideStudy:
     def row(
         self, case: str, plant: Plant, controller: str, followed: Reference = Reference.PLAN
     ) -> dict[str, Any]:
-        """Return the row of a flight; a flight out of control has no numbers."""
+        """Return the row of a flight; the row of a flight out of control has no numbers."""
         is_it = (self.flights[_IDENTITY] == [case, plant, controller, followed]).all(axis=1)
         return {str(name): value for name, value in self.flights[is_it].iloc[0].items()}
 
@@ -192,7 +192,7 @@ class Flown(NamedTuple):
 
 @dataclass(frozen=True)
 class _Mission:
-    """A planned mission, and the flights that can be made of it."""
+    """A planned mission and its possible flights."""
 
     case: str
     scenario: Scenario
@@ -241,7 +241,7 @@ class _Mission:
 
 
 def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
-    """Fly every case; a controller that loses its vehicle leaves a row without numbers."""
+    """Fly every case; a flight out of control gets a row without numbers."""
     planner = planner or Planner()
     paper = load_scenario(shipped_scenarios()["paper"])
     cases = {case: paper.with_values(settings) for case, (_, settings) in CASES.items()}
@@ -322,7 +322,7 @@ def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
 
 
 def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
-    """Return a reference with the acceleration added that balances the air's force when level."""
+    """Return a reference whose acceleration includes that against the air's force when level."""
     dynamics, mass = plant.dynamics, plant.scenario.vehicle.total_mass
     moving = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     forces = tuple((name, None) for name in AIR_FORCE)
@@ -339,7 +339,7 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
 
 
 def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
-    """Yield flights of RotorPy's vehicle as it comes, beside the declared one with its numbers."""
+    """Yield flights of an unchanged RotorPy vehicle, and of the declared vehicle like it."""
     theirs = OutsidePlant(
         mission.scenario,
         mission.dynamics,
@@ -361,7 +361,7 @@ def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
 
 
 def _flights_by_drag(mission: _Mission) -> Iterator[Flown]:
-    """Yield the flights along a plan that tell RotorPy's drag from the declared one."""
+    """Yield the flights along a plan that distinguish RotorPy's drag from the declared one."""
     plant = OutsidePlant(mission.scenario, mission.dynamics)
     for pilot in (Pilot.OPEN_LOOP, Pilot.ADAPTIVE):
         yield mission.declared(pilot)
@@ -376,7 +376,7 @@ _FLIGHTS_OF = dict.fromkeys((LONGER, WINDIER), _flights_by_drag) | dict.fromkeys
 def _rows(
     case: str, flights: Iterator[Flown]
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
-    """Yield the row of each flight, compared with the declared vehicle's, which flies before it."""
+    """Yield the row of each flight, compared with the declared vehicle's, which flies first."""
     declared: dict[tuple[str, Reference], Flight] = {}
     for flown in flights:
         identity = case, flown.plant.value, str(flown.controller), flown.followed.value

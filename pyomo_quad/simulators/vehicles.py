@@ -1,8 +1,9 @@
 """Vehicle files made of RotorPy's parameter sets.
 
-RotorPy's rotors stand diagonally, two ahead and two behind; declared rotors stand on body x and y.
-So the vehicle is turned by 45 degrees: its first rotor is ahead, its fourth to the left.  Where
-Ixx and Iyy differ, the turn creates a product of inertia, half their difference, which is left out.
+RotorPy's rotors are placed diagonally, two ahead and two behind; declared rotors are on body x and
+y. The vehicle is therefore turned by 45 degrees: its first rotor is ahead, its fourth to the left.
+If Ixx and Iyy differ, the turn creates a product of inertia, half their difference, which is
+neglected.
 """
 
 import json
@@ -14,10 +15,9 @@ from pyomo_quad.report.folder import MARK
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.messages import shown
 
-#: Sets of RotorPy whose four rotors stand across, with the mass [kg] and the length [m] of a rotor.
+#: Sets of RotorPy with four rotors in a cross, with the mass [kg] and the length [m] of a rotor.
 _ROTORS = {"hummingbird": (6e-3, 0.2), "crazyflie": (2e-4, 0.046)}
 NAMES = tuple(_ROTORS)
-_BASE = "dji_phantom_2"
 
 
 class Said(NamedTuple):
@@ -80,10 +80,10 @@ def vehicle_fields(name: str) -> dict[str, Said]:
 def vehicle_file(name: str) -> str:
     """Return a vehicle file of a RotorPy parameter set, each number with its source."""
     lines = [
-        f"# {MARK}: the {name} of RotorPy. It has no motors' electrics: those of",
-        f'# {_BASE} stand here, so that power.model = "shaft" alone says something of it.',
+        f"# {MARK}: the {name} of RotorPy. RotorPy has no motor constants and no",
+        "# pack: the estimates of the library's vehicle of that name are used here.",
         "",
-        f'use = "{_BASE}"',
+        f'use = "{name}"',
     ]
     for path, (value, source) in vehicle_fields(name).items():
         written = json.dumps(value if isinstance(value, str | list) else float(value))

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 _GAUSS_NODES = 6  # of each panel
-_PANELS = 16  # for integrals of the conjugate over the flight, which is smooth but for corners
+_PANELS = 16  # for integrals of the conjugate over the flight, which is piecewise smooth
 # Panels for integrals of the wind: doubled until two results agree to this, relative.
 _PANEL_COUNTS = [2**doubling for doubling in range(1, 13)]
 _QUADRATURE_ERROR = 1e-10
@@ -64,7 +64,8 @@ class ThrustMoments:
         rate = demand.drag / demand.mass
         times, self.widths = _gauss(duration, _PANELS)
         plain, lever = _weights(times, rate, duration)
-        # Any basis of the two weights will do; centred, the second has zero mean.
+        # The bound does not depend on the basis of the two weights; the centred second has zero
+        # mean.
         middle = self.widths @ lever / duration
         self.weights = np.stack([plain, (lever - middle) / duration])
         standing, levered = _standing_moments(demand, rate, duration)
@@ -152,7 +153,7 @@ def _standing_moments(
 
 
 _ROUNDING = 1e-10  # relative
-# Times at which standing force and wind are compared with themselves, to see if they change.
+# Times at which the standing force and the wind are sampled to see whether they are constant.
 _STANDING_SAMPLES = 101
 # Degree of the fit of thrust and power by the rotor speed, and Chebyshev nodes for it: declared
 # powers are polynomials of degree four at most in steady flight; others fail the fit's tolerance.
@@ -164,7 +165,7 @@ _SAMPLES = 3001
 _USUAL_SPEED = 2.0
 _ITERATIONS = 200  # of L-BFGS
 
-_IMPOSSIBLE = "no flight meets the mission within the rotor speed limits, so none is bounded."
+_IMPOSSIBLE = "no flight meets the mission within the rotor speed limits, so there is no bound."
 _WITH_DRAG = "with drag"
 # A bound [J], None if there is none, and the reason in words.
 _Found = tuple[float | None, str]
@@ -251,7 +252,7 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
 
 
 def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
-    """Return why waypoints and a free duration cannot be bounded; empty if they can."""
+    """Return the reason why waypoints and a free duration cannot be bounded; empty if they can."""
     times = np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES)
     standing = np.array([demand.thrust(float(t)) for t in times])
     if np.ptp(standing, axis=0).max() > _ROUNDING * np.abs(standing).max():
@@ -269,7 +270,7 @@ def _bound_as_a_whole(
     """Bound the flights of a fixed duration from start to goal, without regard to waypoints."""
     mission = scenario.mission
     if mission.released > 0.0:
-        return None, f"no bound is known for a mass that changes on the way {uncounted}."
+        return None, f"no bound is known for a mass that changes in flight {uncounted}."
     if mission.is_free:
         return None, f"no bound is known for a free duration {uncounted}."
     displacement = np.subtract(mission.goal.position, mission.start.position)
@@ -285,7 +286,7 @@ def _bound_as_a_whole(
         f"under power.model {scenario.power.model.value} bounds what they cost"
         f"{left_out if mission.waypoints else ''}; holds for every "
         "flight that meets the boundary conditions within the rotor speed limits"
-        f"{_less_room(scenario)}."
+        f"{_airspace_clause(scenario)}."
     )
 
 
@@ -302,7 +303,7 @@ def _bound_by_legs(
     least, greatest = mission.duration_limits
     if found > float(np.max(power.power)) * greatest * (1 + _ROUNDING):
         return None, _IMPOSSIBLE
-    found -= _given_back(scenario, planner)
+    found -= _energy_returned(scenario, planner)
     passing = (
         f"on each of {len(legs)} legs, their velocities at the passages free, momentum balance"
         if mission.waypoints
@@ -315,11 +316,11 @@ def _bound_by_legs(
         f"{passing} and displacement fix two means of the thrust vector, and steady power "
         f"under power.model {scenario.power.model.value} bounds what they cost; one price of "
         f"momentum bounds {times}, for every flight that meets the boundary conditions within "
-        f"the rotor speed limits{_less_room(scenario)}."
+        f"the rotor speed limits{_airspace_clause(scenario)}."
     )
 
 
-def _given_back(scenario: Scenario, planner: Planner) -> float:
+def _energy_returned(scenario: Scenario, planner: Planner) -> float:
     """Return the energy that the rotors give back on slowing to hover at the goal [J].
 
     They hover slower there after the release of parcels.
@@ -345,8 +346,8 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
     wind = wind_of(dynamics, np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES))
     if np.ptp(wind, axis=0).max() > _ROUNDING:
         return None, (
-            "no bound is known in a wind that changes with time where power or drag depends on "
-            "the airspeed otherwise than linearly, or times are free."
+            "no bound is known in a wind that changes with time if power or drag depends on the "
+            "airspeed nonlinearly, or times are free."
         )
     if mission.order is Order.BEST and mission.released > 0.0:
         return None, "no bound is known for a mass that changes where the order is open."
@@ -361,9 +362,9 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
         counted = scenario.with_mission(waypoints=())
     legs, shared = legs_of(counted)
     found = bound_of_pairs(pairs, legs, shared, steady.hover_power)
-    found -= _given_back(scenario, planner)
+    found -= _energy_returned(scenario, planner)
     if found <= 0.0:
-        return None, "no prices were found that bound the energy above nought."
+        return None, "no prices were found that bound the energy above zero."
     of_legs = f" on each of {len(legs)} legs" if counted.mission.waypoints else ""
     left_out = (
         "; waypoints are left out where their order is open" if counted is not scenario else ""
@@ -374,11 +375,11 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
         f"airspeed under power.model {scenario.power.model.value} is proven by branch and bound to "
         f"{100 * POWER_TOLERANCE:g} % of that of hover; holds at all passing times and durations "
         "allowed, for every flight that meets the boundary conditions within the rotor speed limits"
-        f"{_less_room(scenario)}."
+        f"{_airspace_clause(scenario)}."
     )
 
 
-def _less_room(scenario: Scenario) -> str:
+def _airspace_clause(scenario: Scenario) -> str:
     """Return the words that extend a bound to flights within an airspace, if there is one."""
     airspace = scenario.airspace
     if not airspace.keep_out and airspace.floor is None and airspace.ceiling is None:
@@ -389,18 +390,19 @@ def _less_room(scenario: Scenario) -> str:
 def _obstacles(scenario: Scenario) -> Iterator[str]:
     """Yield the reasons why no bound is known, the simplest first."""
     if scenario.model is not None:
-        yield f"no bound is known for a model of one's own ({scenario.model})."
+        yield f"no bound is known for a user's own model ({scenario.model})."
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield (
             "power.model efficiency has no bound: its power is not convex in the rotor "
             "acceleration, so flights that accelerate and coast in turn can undercut it."
         )
-    if scenario.wind.varies_with_height:
-        yield ("no bound is known in a wind that varies with height: its mean depends on the path.")
+    if scenario.wind.varies_with_place:
+        what = "height" if scenario.wind.grid is None else "place"
+        yield f"no bound is known in a wind that varies with {what}: its mean depends on the path."
     if acts_in_body_axes(scenario):
         yield (
-            "no bound is known for air that acts in body axes: what it does depends on attitude "
-            "and rotor speeds."
+            "no bound is known for aerodynamic forces in body axes, which depend on attitude and "
+            "rotor speeds."
         )
     if scenario.limits.rotor_speed_min >= scenario.limits.rotor_speed_max:
         yield _IMPOSSIBLE
@@ -439,9 +441,9 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
 
 
 class _SteadyPower:
-    """Thrust and power with all rotors at one constant speed, over the speeds allowed.
+    """Thrust and power with all rotors at the same constant speed, over the allowed speeds.
 
-    Power is taken without credit for braking, which makes it the larger.
+    Power is taken without credit for braking, which makes it larger.
 
     Attributes
     ----------

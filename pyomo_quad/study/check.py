@@ -1,7 +1,7 @@
 """Checks of a mission and of its plan: impossible demands, and cautions about the results."""
 
 from collections.abc import Iterator
-from math import acos, atan2, cos, hypot, inf, pi, radians, sin
+from math import atan2, hypot, inf, pi, radians, sin
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.columns import ROTORS
+from pyomo_quad.flight.controller import followed_tilt
 from pyomo_quad.flight.deadline import TimeIsUpError
 from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, position_miss, terminal_miss_of
 from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight, battery_shortfalls
@@ -34,13 +35,13 @@ def _caution(subject: str, message: str) -> Finding:
 
 
 def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
-    """Yield demands on the battery that it cannot meet, and limits that every flight must break.
+    """Yield demands that exceed the battery's capacity, and limits that every flight must exceed.
 
     Yields
     ------
     Finding
-        A caution where the pack is too small, since its equations stay finite beyond empty;
-        impossible where a limit must be broken.
+        A caution if the pack is too small, because its equations stay finite beyond empty;
+        impossible if a limit must be exceeded.
     """
     steady, limits = planner.steady_flight(scenario), scenario.limits
     for line in battery_shortfalls(scenario, steady):
@@ -65,7 +66,7 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 
 
 def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> Iterator[Finding]:
-    """Yield limits of the pack that break under the mean power of the lower bound [J]."""
+    """Yield limits of the pack that are exceeded at the mean power of the lower bound [J]."""
     limits, duration = scenario.limits, scenario.mission.fixed_duration
     current, voltage, charge_rate = steady.pack_under(bound / duration)
     taken, initial = charge_rate * duration, scenario.battery.initial_state_of_charge
@@ -94,8 +95,8 @@ def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> It
     if greatest is not None and share > greatest:
         yield _impossible(
             "limits.battery_power_share_max",
-            f"{greatest:.4g}: the mean power of any flight is at least {share:.4g} of what the "
-            "pack can give; raise the limit or add cells in series.",
+            f"{greatest:.4g}: the mean power of any flight is at least {share:.4g} of the pack's "
+            "greatest power; raise the limit or add cells in series.",
         )
 
 
@@ -103,7 +104,7 @@ def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> It
 _SLOWEST, _FASTEST = 0.6, 1.1
 _SPEEDS = 11  # samples of that range: 5 % of the hover speed apart
 _ACCELERATIONS = 16  # samples from rest to the limit, for each sign
-# A saving below this share of the power is within the smoothing of the floors of f_r.
+# A relative saving below this is within the smoothing of the floors of f_r.
 _SAVING = 1e-3
 
 
@@ -119,8 +120,8 @@ def _efficiency_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[F
     if power.regeneration:
         yield _caution(
             "power.regeneration",
-            "true: with power.model efficiency braking earns more than it gave, so the least "
-            "energy may be unbounded; set it false.",
+            "true: with power.model efficiency braking returns more energy than it absorbs, so "
+            "the least energy may be unbounded; set it false.",
         )
     hovering = steady.rotor_value("power.efficiency_polynomial", steady.hover_speed)
     if hovering < power.efficiency_floor:
@@ -141,20 +142,20 @@ def _efficiency_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[F
         yield _caution(
             "power.model",
             f"efficiency: at rotor speeds up to {dearest:.3g} rad/s (hover "
-            f"{steady.hover_speed:.4g}) speeding up and slowing down in turn costs less than a "
+            f"{steady.hover_speed:.4g}) alternating acceleration and braking costs less than a "
             f"steady speed, so the optimum depends on limits.rotor_acceleration_max = "
             f"{acceleration:.4g} rad/s^2 and on the mesh; compare with power.model motor.",
         )
 
 
 def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
-    """Return the highest rotor speed at which alternating speeds take less power than a steady one.
+    """Return the highest rotor speed at which alternating speeds need less power than steady speed.
 
     None if there is no such speed in the range searched.
     """
     hover = steady.hover_speed
     for speed in np.linspace(_FASTEST * hover, _SLOWEST * hover, _SPEEDS):
-        # Mean power while speeding up and braking in turn: the chord at zero acceleration.
+        # Mean power of alternating acceleration and braking: the chord at zero acceleration.
         up = np.linspace(0.0, limit, _ACCELERATIONS)[1:]
         faster = steady.rotor_value("power.rotor_power", speed, up)
         slower = steady.rotor_value("power.rotor_power", speed, -up)
@@ -172,7 +173,7 @@ def _voltage_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Find
     pack = hovering.battery_voltage_V
     if scenario.vehicle.motor is None:
         return
-    # Under the other models nothing else is asked of the motors' electrics, which may be unknown.
+    # The other models do not use the motors' electrical constants, which may be unknown.
     is_counted = scenario.power.model in (PowerModel.MOTOR, PowerModel.MOTOR_WITH_FRICTION)
     name = "power.terminal_voltage" if is_counted else "rotors.motor_voltage"
     motor = steady.rotor_value(name, steady.hover_speed)
@@ -185,8 +186,8 @@ def _voltage_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Find
         )
 
 
-# Search for the duration that a mission needs: it is doubled up to 4096 times the given one, then
-# bisected to 1/256 of the last step.
+# Search for the duration that a mission needs: doubling up to 4096 times the given duration, then
+# bisection to 1/256 of the last step.
 _DOUBLINGS = 12
 _HALVINGS = 8
 # Relative margin beyond which a demand exceeds a limit; quadrature of the bounds errs by some 1e-4.
@@ -204,8 +205,8 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
         )
         return
     yield from _yaw_findings(scenario, steady)
-    if scenario.wind.varies_with_height:
-        return  # the thrust needed depends on the heights that the plan chooses
+    if scenario.wind.varies_with_place:
+        return  # the thrust needed depends on the way that the plan chooses
     demand = MomentumDemand(planner.dynamics(scenario))
     if demand.is_linear:
         yield from _thrust_findings(scenario, steady, demand)
@@ -275,7 +276,7 @@ def _too_short(
 
 
 def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float) -> float:
-    """Return the longest duration found for which the available thrust [N] is too little [s].
+    """Return the longest duration found for which the available thrust [N] is insufficient [s].
 
     Infinite if no duration suffices, or the wind after the mission is unknown.
     """
@@ -302,8 +303,8 @@ def _tilt_findings(
     scenario: Scenario, moments: ThrustMoments, available: float
 ) -> Iterator[Finding]:
     limits = scenario.limits
-    # Of all attitudes allowed, roll and pitch at their limits tilt the thrust furthest.
-    largest = acos(cos(limits.roll_max) * cos(limits.pitch_max))
+    # The allowed attitude with the largest tilt has roll and pitch at their limits.
+    largest = limits.largest_tilt
     across, up = hypot(*moments.mean_thrust[:2]), float(moments.mean_thrust[2])
     tilt = atan2(across, up)
     subject = "limits.roll_max" if limits.roll_max < limits.pitch_max else "limits.pitch_max"
@@ -352,18 +353,18 @@ _ROUNDING = 1e-9
 def check_mission(
     scenario: Scenario, *, builder: Builder = build_model, planner: Planner | None = None
 ) -> tuple[Finding, ...]:
-    """List impossible demands of a mission, and doubtful values of its scenario.
+    """List impossible demands of a mission, and doubtful values in its scenario.
 
     Parameters
     ----------
     builder : callable, optional
-        Makes the Pyomo model.  Of a user's model only the declarations are screened, since the
+        Builds the Pyomo model. Of a user's model only the declarations are screened, because the
         limits of its vehicle are unknown.
 
     Returns
     -------
     tuple of Finding
-        The impossible first; empty when nothing was found, which proves nothing.
+        Impossible demands first. An empty result does not prove that a flight exists.
     """
     told = scenario.as_forecast()
     findings = [*_contradictions(scenario), *_angles_in_degrees(scenario)]
@@ -374,19 +375,20 @@ def check_mission(
             findings += pack_findings(told, planner)
         findings += power_findings(told, planner.steady_flight(told))
         findings += _idle_limits(told)
+        findings += _tilt_left_to_plans(told)
     findings += _beyond_measured_heights(told)
     findings += screen_model(planner.model(told))
     return tuple(sorted(findings, key=lambda f: list(Severity).index(f.severity)))
 
 
 def _contradictions(scenario: Scenario) -> Iterator[Finding]:
-    """Yield in which ways the vehicle cannot exist as it is described."""
+    """Yield contradictions between the vehicle's numbers."""
     for found in scenario.contradictions:
         yield Finding(severity=Severity.UNPHYSICAL, subject=found.field, message=found.message)
 
 
 def _angles_in_degrees(scenario: Scenario) -> Iterator[Finding]:
-    """Yield angles of more than a turn, which were probably meant in degrees."""
+    """Yield angles of more than one turn, probably given in degrees by mistake."""
     for field in describe_fields(scenario):
         if field.unit == "rad" and isinstance(field.value, float) and abs(field.value) > 2 * pi:
             degrees = field.value
@@ -405,9 +407,9 @@ def _beyond_measured_heights(scenario: Scenario) -> Iterator[Finding]:
     if heights and not heights[0] <= min(flown) <= max(flown) <= heights[-1]:
         yield _caution(
             "wind.file",
-            f"{scenario.wind.file} is of {heights[0]:g} to {heights[-1]:g} m, the mission goes "
-            f"from {min(flown):g} to {max(flown):g} m; beyond, the wind is held as it is at the "
-            "nearest height: give the heights that are flown.",
+            f"{scenario.wind.file} covers {heights[0]:g} to {heights[-1]:g} m, the mission goes "
+            f"from {min(flown):g} to {max(flown):g} m; outside, the wind is that of the nearest "
+            "height: add the heights of the mission to the file.",
         )
 
 
@@ -424,6 +426,39 @@ def _idle_limits(scenario: Scenario) -> Iterator[Finding]:
             )
 
 
+def _tilt_left_to_plans(scenario: Scenario) -> Iterator[Finding]:
+    """Yield a caution if plans may tilt further than the controller that is to follow them."""
+    given, without = scenario.baseline.gains.tilt_max, {"baseline.gains.tilt_max": None}
+    allowed = followed_tilt(scenario.with_values(without)) if given is not None else 0.0
+    if given is not None and given < allowed * (1 - _ROUNDING):
+        yield _caution(
+            "baseline.gains.tilt_max",
+            f"{given:.4g} rad: plans may tilt by {allowed:.4g} rad, as limits.roll_max, "
+            "limits.pitch_max and the thrust allow, and the controller would fall behind; leave it "
+            "out.",
+        )
+
+
+def _untracked_tilt(plan: "Plan") -> Iterator[str]:
+    """Yield a caution if a plan tilts further than the controller that is to follow it."""
+    held = plan.trajectories
+    if plan.verification is None or not set(_ANGLES) <= set(held.state_names):
+        return
+    roll, pitch = (held.states[:, held.state_names.index(name)] for name in _ANGLES)
+    tilt = float(np.arccos(np.cos(roll) * np.cos(pitch)).max())
+    most = followed_tilt(plan.scenario)
+    if tilt > most + _SAME_TILT:
+        yield (
+            f"the plan tilts by up to {tilt:.4g} rad, the controller by at most {most:.4g} rad, "
+            "so flights under feedback fall behind; raise baseline.gains.tilt_max, or lower "
+            "limits.roll_max and limits.pitch_max."
+        )
+
+
+_ANGLES = "rigid_body.phi", "rigid_body.theta"
+# rad, by which a plan may tilt further for moments without a flight falling behind.
+_SAME_TILT = 0.02
+
 _TORQUE = "rotors.motor_torque"
 _EFFICIENCY = "power.efficiency_polynomial"
 
@@ -437,13 +472,14 @@ def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[st
         *(() if plan.solution is None else plan.solution.warnings),
         *_efficiency_map_cautions(plan),
         *_attitude_cautions(plan, planner),
+        *_untracked_tilt(plan),
     )
 
 
 def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]:
-    """Yield how far from the goal a plan of the paper's attitude ends under exact attitude.
+    """Yield the miss at the goal of a plan with the paper's attitude, flown with exact attitude.
 
-    The paper takes body rates for Euler rates.
+    The paper sets the Euler rates equal to the body rates.
     """
     told = plan.scenario.as_forecast()
     is_printed = told.vehicle.attitude is Attitude.PAPER
@@ -464,9 +500,9 @@ def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]
         miss = position_miss(terminal_miss_of(exact, flown.states[-1], planned))
     if miss > ARRIVAL_DISTANCE_M:
         yield (
-            'vehicle.attitude = "paper": its body rates taken for Euler rates hold for this plan '
-            f"no longer: flown with exact attitude it ends {miss:.3g} m astray, more than "
-            f'{ARRIVAL_DISTANCE_M:g} m; set vehicle.attitude = "euler".'
+            'vehicle.attitude = "paper": equating body rates and Euler rates is not accurate '
+            f"enough for this plan: flown with exact attitude it misses the goal by {miss:.3g} m, "
+            f'more than {ARRIVAL_DISTANCE_M:g} m; set vehicle.attitude = "euler".'
         )
 
 
@@ -483,7 +519,7 @@ def _efficiency_map_cautions(plan: "Plan") -> Iterator[str]:
     if outside.any():
         yield (
             f"power.model efficiency: {100 * outside.mean():.0f} % of the plan's rotor states lie "
-            f"outside f_r's sound range (torque below {floors.torque_floor:g} N m or f_r below "
-            f"{floors.efficiency_floor:g}); the energy there is that of the floors, not of the "
-            "paper."
+            f"outside the valid range of f_r (torque below {floors.torque_floor:g} N m or f_r "
+            f"below {floors.efficiency_floor:g}); the energy there follows from the floors, not "
+            "from the paper."
         )

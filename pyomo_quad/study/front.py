@@ -16,7 +16,7 @@ from pyomo_quad.scenario.mission import Aim
 if TYPE_CHECKING:
     import pandas as pd
 
-# Prices of time, as shares of the power of hovering, beside the mission's own.
+# Prices of time relative to the power of hovering, in addition to the mission's own price.
 _PRICES = (0.0, 0.3, 1.0, 3.0)
 # Relative difference below which two durations are one flight, at a limit of the duration.
 _SAME_TIME = 1e-4
@@ -36,8 +36,9 @@ def energy_time_front(
 ) -> "pd.DataFrame":
     """Return energy and duration of a mission's flights at a few prices of time.
 
-    Each solve starts from the plan, and so passes zones on the plan's sides.  It keeps the plan's
-    mesh, which is fine enough for energies, but limits between its points are not checked.
+    Each solve starts from the plan, and therefore passes zones on the same sides as the plan. It
+    keeps the plan's mesh, which is accurate enough for energies; limits between its points are not
+    checked.
 
     Parameters
     ----------

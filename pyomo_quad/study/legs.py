@@ -50,7 +50,7 @@ _CORNER = 1e-6
 _STIFFNESSES = np.geomspace(1e-3, 1e2, 26)
 _RESTARTS = 3  # L-BFGS discards a curvature that the kinks have spoiled
 _ROUNDING = 1e-9  # relative
-# Value for prices that give no bound: above any energy, J.
+# Value for prices that give no bound, J: above any energy.
 _NONE = 1e12
 
 
@@ -65,9 +65,9 @@ class Leg:
     room : float
         Sum of the distances that its ends may lie from there, m.
     mass : float
-        Share of the mass at the start.
+        Mass, as a fraction of the mass at the start.
     party : int
-        Legs of one party share a time: see `Itinerary`.
+        Index of the party, a group of legs that share a time: see `Itinerary`.
     end_speed : float
         Largest speed at its end, m/s; infinite without a limit.
     """

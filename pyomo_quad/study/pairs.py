@@ -59,22 +59,23 @@ _BALANCE = "power.induced_velocity_balance"
 _PROFILE = "power.profile_power"
 _UNCREDITED = "power.uncredited_power"
 _ROTOR_SPEED = "rotors.omega["
-# Upper end of searches for an airspeed [m/s] or a rotor speed [rad/s]: above any vehicle's.
+# Upper limit of searches for an airspeed [m/s] or a rotor speed [rad/s]: above those of any
+# vehicle.
 _FASTER = 1e4
-# `Pairs.cheapest`: samples along each of the three numbers, the count of local minima that are
-# refined, and refinements of each, every time with half the spacing (25 / 2^9: to 1e-4 of a range).
+# `Pairs.cheapest`: samples along each of the three numbers, number of local minima that are
+# refined, and refinements of each, which halve the spacing (25 / 2^9: to 1e-4 of a range).
 _SAMPLES = 25
 _CANDIDATES = 8
 _ZOOMS = 9
-# `Pairs.least`: boxes along each of the three numbers before the first halving, and the count of
-# boxes after which the search ends with the bound that it has.
+# `Pairs.least`: boxes along each of the three numbers before the first halving, and number of boxes
+# at which the search ends with its present bound.
 _FIRST_BOXES = 8
 _MOST_BOXES = 500_000
-# `bound_of_pairs`: most linear programs, and headings at which each pair enters them.
+# `bound_of_pairs`: limit on linear programs, and number of headings with which each pair enters.
 _ROUNDS = 60
 _HEADINGS = 8
-# Multiple of the tolerance by which a bound by samples is lowered before it is compared: the proof
-# lowers it by the tolerance, and by the error of the samples.
+# Multiple of the tolerance by which a sampled bound is lowered before it is compared, because the
+# proof lowers it by the tolerance and by the error of the samples.
 _SURE = 1.5
 # Largest price in the linear program, relative to hover: optimal prices are far below.
 _DEAREST = 6.0
@@ -98,7 +99,7 @@ class Pairs:
     ----------
     scenario : Scenario
     dynamics : Dynamics
-        Of the vehicle in the steady wind that blows.
+        Dynamics of the vehicle in the actual steady wind.
     standing : ndarray, shape (3,)
         Thrust that holds the vehicle still at zero airspeed, N.
     most_thrust : float
@@ -200,7 +201,7 @@ class Pairs:
             return float(self._at(np.array([[first], [0.0], [0.0]]))[1, 0]) - self._most_thrust
 
         still = float(brentq(excess, 0.0, _FASTER))
-        # Air passes the disc no slower than v_i less the airspeed.
+        # Air passes the disc at least at v_i minus the airspeed.
         return still + self.fastest if self._has_induced else still
 
     def _numbers(self, prices: MotionPrices, mass: float) -> tuple[float, ...]:
@@ -359,7 +360,7 @@ def bound_of_pairs(
     Parameters
     ----------
     legs, shared
-        As `legs.legs_of` gives them.
+        The results of `legs.legs_of`.
     power : float
         Power of hover, the scale of powers, W.
     """
@@ -375,14 +376,15 @@ def bound_of_pairs(
                 for turned in pairs.turned(pair):
                     program.add(k, turned)
             least.append(value)
-        # Lowered by the most that the proof may take away.
+        # Lowered by the largest amount that the proof may subtract.
         bound = program.bound(prices, np.array(least) - _SURE * tolerance)
         if bound > best:
             best, centre = bound, tried
         solution, promised = program.solve()
         if promised - best <= 4 * POWER_TOLERANCE * abs(promised):
             break
-        # Half way from the best: the optimum of a program with few pairs lies far off.
+        # Half way from the best prices, because the optimum of a program with few pairs lies far
+        # away.
         tried = (centre + solution) / 2
     chosen = program.prices(centre)
     proven = [pairs.least(p, leg.mass, tolerance) for p, leg in zip(chosen, legs, strict=True)]
@@ -402,7 +404,8 @@ class _Program:
         self._legs, self._shared = legs, shared
         margin, weight = 2 * POWER_TOLERANCE * power, float(np.linalg.norm(standing))
         n = len(legs)
-        # In hover power grows with thrust to the power of 3/2, and kinetic energy is worth itself.
+        # In hover, power grows with thrust to the power of 3/2, and the price of kinetic energy is
+        # 1.
         self.start = np.zeros(4 + 7 * n + len(shared))
         self.start[:4] = *(1.5 * power / weight**2 * standing), 1.0
         scales = np.repeat([power / weight, 1.0, weight], [3, 1, 6 * n])

@@ -13,8 +13,8 @@ from multiprocessing.reduction import ForkingPickler
 from time import monotonic
 from typing import Any
 
-# Numerical libraries and Python read these when a worker starts.  Python's tracker of shared
-# resources outlives a killed sweep, and would warn on the terminal.
+# Numerical libraries and Python read these variables when a worker starts. Python's resource
+# tracker outlives a killed sweep and would print warnings on the terminal.
 _WARNINGS = "PYTHONWARNINGS"
 _ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
@@ -25,7 +25,7 @@ _ENVIRONMENT = {
 }
 
 
-# Copies get a minute, and this many times the seconds that this process spent on the job.
+# Time limit of the copies: a minute plus this multiple of this process's seconds on the job.
 _PATIENCE = 10.0
 _PLACES = 256  # a place in the queue is one byte
 _SIGNALS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
@@ -37,14 +37,14 @@ def side_by_side(
 ) -> Iterator[Callable[[], tuple[Any, ...]]]:
     """Run tasks in copies of this process, one per further core, and then in this process too.
 
-    A copy has all libraries and data already, and ends with this process. A task that a copy fails
-    at, or whose result it cannot send back, is done here, where its error is raised. Where copies
-    are not safe, as beside threads of BLAS that tasks would wait for, all tasks are done here.
+    A copy already has all libraries and data, and ends with this process. A task that fails in a
+    copy, or whose result the copy cannot send back, is repeated here, where its error is raised. If
+    copies are not safe, for example because tasks would wait for BLAS threads, all tasks run here.
 
     Yields
     ------
     callable
-        Does the tasks that are left, and returns the result of each task, in their order.
+        Runs the remaining tasks, and returns the result of each task, in their order.
     """
     began = monotonic()
     queue, entrance = os.pipe()
@@ -77,7 +77,7 @@ def side_by_side(
     pool = _pool(max(copies, 1), "fork", work_apart)
     answers: list[Future[dict[int, bytes]]] = []
     try:
-        with suppress(OSError):  # without memory or leave for a copy, all tasks are done here
+        with suppress(OSError):  # without memory or permission for a copy, all tasks run here
             answers += [pool.submit(_at_work) for _ in range(copies)]
         yield finish
     finally:
@@ -88,7 +88,7 @@ def side_by_side(
 def _cores(most: int, *, use_blas: bool) -> int:
     """Return the number of processes for a job: 1 where copies are unsafe or forbidden.
 
-    A copy does not have the threads that BLAS or OpenMP wait for; a worker is one of many already.
+    A copy lacks the threads that BLAS or OpenMP wait for; a worker already shares the cores.
     """
     is_safe = not use_blas or os.environ.get("OMP_NUM_THREADS") == "1"
     is_own = multiprocessing.parent_process() is None
@@ -112,12 +112,13 @@ class _QuietPool(ProcessPoolExecutor):
     """A pool whose processes ignore the signals of a terminal, which the parent handles."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # noqa: ANN401
-        # A process inherits the mask with which it starts: it neither ends while it still imports,
-        # nor runs the handlers of its parent. The parent receives the signals right after.
+        # A process inherits the signal mask with which it starts, so it neither ends during its
+        # imports nor runs its parent's handlers. The parent receives the signals right after.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
         try:
             with warnings.catch_warnings():
-                # Of a fork beside threads: `_cores` allows a fork only where these lie idle.
+                # Warns of a fork beside threads: `_cores` allows a fork only where the threads are
+                # idle.
                 warnings.simplefilter("ignore", DeprecationWarning)
                 return super().submit(fn, *args, **kwargs)
         finally:
@@ -179,7 +180,7 @@ def environment_of_workers() -> Iterator[None]:
 
 
 def _follow_parent() -> None:
-    # Workers hold both ends of the pool's pipe: without this, a killed parent leaves them waiting.
+    # Workers hold both ends of the pool's pipe; without this, they would wait for a killed parent.
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

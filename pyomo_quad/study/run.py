@@ -104,8 +104,8 @@ def run_scenario(
     Parameters
     ----------
     progress : callable, optional
-        Called at each Ipopt iteration; returning False stops the solve.  All together, in each
-        process, ends after `solver.time_limit`: what could not be flown by then is a warning.
+        Called at each Ipopt iteration; returning False stops the solve. The run ends after
+        `solver.time_limit`; flights that are missing by then become warnings.
     meanwhile : callable, optional
         Called once during the flights, for instance to import modules of the report.
     """

@@ -24,7 +24,7 @@ from pyomo_quad.study.comparison import is_comparable, settled_energy
 from pyomo_quad.version import __version__
 
 _LONGEST_REASON = 500  # characters of a stored reason: one line of a report
-# Largest output of any column, in SI units: sums and squares of such outputs do not overflow.
+# Largest output of any column, in SI units, so that sums and squares of outputs do not overflow.
 LARGEST_OUTPUT = 1e15
 
 
@@ -88,7 +88,7 @@ class CaseResult:
     warm_start : bytes or None
         Packed warm start for the children of this case.
     reason : str
-        Why the case failed, empty when it did not; the values are kept either way.
+        Reason of the failure, empty for a success; the values are kept in both cases.
     """
 
     values: Mapping[str, float]
@@ -138,7 +138,7 @@ class CaseOutcome:
     @classmethod
     def of(cls, task: CaseTask, result: CaseResult) -> "CaseOutcome":
         """Make the row of a case from the result of its solver."""
-        # A cell without a number stays empty: NaN is no answer, and JSON has none.
+        # A column without a number is left empty, because JSON has no NaN.
         finite = {n: float(v) for n, v in result.values.items() if abs(v) <= LARGEST_OUTPUT}
         return cls(
             position=task.position,
@@ -151,12 +151,12 @@ class CaseOutcome:
 
     @classmethod
     def failure(cls, task: CaseTask, reason: str) -> "CaseOutcome":
-        """Make the row of a case that gave no numbers."""
+        """Make the row of a case without results."""
         return cls.of(task, CaseResult(values={}, reason=reason))
 
     @classmethod
     def loss(cls, task: CaseTask) -> "CaseOutcome":
-        """Make the row of a case whose worker died each time; a resumed sweep retries it."""
+        """Make the row of a case whose worker died each time; a resumed sweep retries the case."""
         reason = "its worker died, also when it was tried alone; run the same command to try again"
         return replace(cls.failure(task, reason), status=CaseStatus.LOST)
 
@@ -191,9 +191,9 @@ TERMINAL_MISS = "terminal_miss_m"
 # Scenario field for which figures over duration are drawn.
 DURATION_FIELD = "mission.duration"
 
-_SAMPLES = 501  # rows of a plan's flight: its peaks and lowest voltage are read at these times
-# Stored outputs keep nine digits: a solve is accurate to six, and rounding in further digits
-# differs between machines.
+_SAMPLES = 501  # rows of a plan's flight, from which its peaks and lowest voltage are taken
+# Stored outputs have nine digits: a solve is accurate to six, and further digits differ between
+# machines by rounding.
 _DIGITS = 9
 _SMALLEST_RESIDUAL = 1e-7
 _RESIDUALS = ("max_violation", TERMINAL_MISS)
@@ -219,7 +219,8 @@ class _Flown:
     def repeats(self) -> float:
         """Number of times that the mission can be flown on one charge.
 
-        At the voltage of the first flight: the number is a little lower as the voltage falls.
+        At the voltage of the first flight; the falling voltage makes the true number slightly
+        lower.
         """
         least = self.scenario.limits.state_of_charge_min or 0.0
         usable = self.scenario.battery.initial_state_of_charge - least
@@ -233,7 +234,7 @@ class _Flown:
 
     @property
     def saved(self) -> float:
-        """Share of the flight's energy that the plan saves, where they can be compared."""
+        """Relative saving of the plan over the flight, NaN if they are not comparable."""
         if not is_comparable(self.flight):
             return np.nan
         return 1.0 - self.plan.energy / settled_energy(self.flight)
@@ -285,7 +286,7 @@ def _of_a_baseline(reference: Reference) -> _Columns:
 
 
 def unit_of_column(name: str) -> str:
-    """Return the unit of an output column of any study, as its name has it; "" without one."""
+    """Return the unit of an output column, as in its name; "" without a unit."""
     tables = (_OF_A_PLAN, _OF_A_PLAN_FLOWN, *map(_of_a_baseline, Reference))
     return next((table[name][0] for table in tables if name in table), "")
 
@@ -301,7 +302,7 @@ def output_columns(task: StudyTask, baselines: Iterable[Reference]) -> tuple[str
 def unknown_column(
     names: Iterable[str], task: StudyTask, baselines: Iterable[Reference]
 ) -> str | None:
-    """Return the first name that is no output column of a study, None if all are."""
+    """Return the first name that is not an output column of a study, None if all are."""
     known = output_columns(task, baselines)
     return next((name for name in names if name not in known), None)
 
@@ -309,7 +310,7 @@ def unknown_column(
 def _read(
     columns: _Columns, flight: Flight, plan: Plan, scenario: Scenario | None = None
 ) -> dict[str, float]:
-    """Return the numbers of a flight in the plan's world or another; NaN where there is none."""
+    """Return the numbers of a flight in the plan's scenario or another; NaN if missing."""
     flown = _Flown(flight=flight, plan=plan, scenario=scenario or plan.scenario)
     return {name: _meaningful(name, read(flown)) for name, (_, read) in columns.items()}
 

@@ -21,13 +21,13 @@ _DASK_LOGGERS = ("distributed", "tornado", "asyncio")
 def cluster_workers(address: str) -> Iterator[Workers]:
     """Stay connected to a Dask cluster for the length of a block.
 
-    Dask itself gives the cases of a lost worker to another one, and gives a case up that was lost
-    several times.  When the scheduler goes, nothing can be saved but what is committed.
+    Dask itself reassigns the cases of a lost worker, and gives a case up after several losses. If
+    the scheduler is lost, only committed results remain.
 
     Raises
     ------
     ClusterError
-        If it cannot be reached, or its workers cannot do this work.
+        If it cannot be reached, or its workers cannot run this package.
     """
     client = _connect(address)
     try:
@@ -48,7 +48,7 @@ def cluster_workers(address: str) -> Iterator[Workers]:
 
 
 def _silence_dask() -> None:
-    """Silence Dask's loggers, as a lost cluster is reported in one line here.
+    """Silence Dask's loggers, because this module reports a lost cluster in one line.
 
     The loggers set their own levels when Dask is imported, and would write tracebacks.
     """
@@ -58,7 +58,7 @@ def _silence_dask() -> None:
 
 
 class _Threads:
-    """Number of threads of a cluster's workers, asked for every `WATCH_SECONDS` at most."""
+    """Number of threads of a cluster's workers, queried at most every `WATCH_SECONDS`."""
 
     def __init__(self, client: "Client", address: str) -> None:
         self._client = client
@@ -101,7 +101,7 @@ def _connect(address: str) -> "Client":
 def _check_workers(client: "Client", address: str) -> None:
     try:
         versions = client.run(worker_version)
-    except Exception as error:  # noqa: BLE001  whatever a foreign worker raises, it cannot serve
+    except Exception as error:  # noqa: BLE001  any error of a remote worker makes it unusable
         raise ClusterError(
             f"--scheduler {address}: a worker cannot run pyomo_quad ({type(error).__name__}: "
             f"{error}); install pyomo_quad {__version__} on all workers."

@@ -20,8 +20,8 @@ from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.sweep.case import StudyTask, unknown_column
 
 _MOST_VALUES = 100_000
-# Values are stored, hashed and printed in decimal: 12 digits keep 0.3 from becoming
-# 0.30000000000000004, and are finer than any tolerance of a solve.
+# Values are stored, hashed and printed in decimal. Twelve digits avoid 0.30000000000000004 for 0.3
+# and are finer than any tolerance of a solve.
 _SIGNIFICANT_DIGITS = 12
 
 
@@ -90,7 +90,7 @@ _KINDS = ("values", "linear", "logarithmic", "uniform", "normal")
 
 
 class Axis(Part):
-    """One scenario field and the values it takes, given in exactly one way."""
+    """One scenario field and its values, given in exactly one of several ways."""
 
     path: Text = quantity("", "dotted path of a scenario field", min_length=1, max_length=200)
     group: Text | None = quantity("", "axes of one group advance together", None, max_length=60)
@@ -203,7 +203,7 @@ class Dimension:
 
     @property
     def is_sound(self) -> bool:
-        """Whether each step has one plain value for each field, of one kind along the steps."""
+        """Whether each step has one plain value per field, of the same type along the steps."""
         columns = list(zip(*self.steps, strict=False))
         kinds = [{kind_of(value) for value in column} for column in columns]
         is_whole = all(len(step) == len(self.paths) > 0 for step in self.steps)
@@ -286,12 +286,12 @@ class SweepDesign:
             raise ValueError(f"not a sweep design: {place}: {first['msg']}") from None
 
     def refuse_impossible(self) -> None:
-        """Refuse a design that no study file can ask for, such as one from a damaged store.
+        """Refuse a design that no study file produces, such as one from a damaged store.
 
         Raises
         ------
         ValueError
-            One line that names what is wrong.
+            One line that names the error.
         """
         Scenario.model_validate(self.base)
         if not self.dimensions or not all(one.is_sound for one in self.dimensions):
@@ -370,8 +370,8 @@ class Case:
     overrides : mapping
         Scenario field -> value.
     parent : int or None
-        Position of the case whose result is the warm start; None for the first, and where nothing
-        is solved.
+        Position of the case whose result is the warm start; None for the first case, and if the
+        task solves nothing.
     """
 
     position: int
@@ -415,7 +415,7 @@ def bisection_parents(count: int) -> list[int | None]:
     Returns
     -------
     list of int or None
-        For each rank the rank it starts from, None for the middle one.
+        For each rank the rank of its parent, None for the middle one.
     """
     parents: list[int | None] = [None] * count
     pending: list[tuple[int, int, int | None]] = [(0, count, None)]

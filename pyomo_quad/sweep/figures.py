@@ -32,7 +32,7 @@ from pyomo_quad.sweep.quantities import (
 from pyomo_quad.sweep.statistics import Curve, SweepResults
 
 _DIRECTION_FIELD = "wind.direction"
-# A map or a rose needs three steps; more than seven curves cannot be told apart in a legend.
+# A map or a rose needs three steps; more than seven curves are indistinguishable in a legend.
 _FEWEST_STEPS = 3
 _MOST_CURVES = 7
 
@@ -182,7 +182,7 @@ class _Figures:
 
 
 def _worst_direction(curves: Sequence[Curve], quantity: Quantity) -> str:
-    """Describe the centre of a rose and its worst direction."""
+    """Return sentences on the value at a rose's centre and on the worst direction."""
     least, _ = rose_range(curves, quantity)
     worst_rows = [quantity.worst_row(curve.rows) for curve in curves]
     worst = quantity.worst_row(pd.DataFrame(worst_rows).reset_index(drop=True))

@@ -13,13 +13,13 @@ from pyomo_quad.sweep.case import unit_of_column
 
 _PRINTED = {"kg": "kg", "m/s^2": "m/s²", "percent": "%", "A*hr": "A h", "1/A/hr": "1/(A h)"}
 _LARGE, _SIGNIFICANT = 1e5, 4
-# Of these and of savings the least is the worst, of all other results the greatest.
+# For these columns and for savings, the least value is the worst; otherwise the greatest is.
 _BETTER_LARGE = ("range_m", "endurance_s", "lowest_voltage_V")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """A column in print: its name, its unit, and the factor that turns its values into it."""
+    """A column in print: its name, its unit, and the factor from its values to that unit."""
 
     column: str
     name: str
@@ -83,7 +83,7 @@ def setting(value: object) -> str:
 
 
 def settings_name(fixed: Mapping[str, Any]) -> str:
-    """Return the name of a curve, from the fields that are the same along it."""
+    """Return the name of a curve, from the fields that are constant along it."""
     parts = [
         value.replace("_", " ")
         if isinstance(value, str)
@@ -94,12 +94,12 @@ def settings_name(fixed: Mapping[str, Any]) -> str:
 
 
 def case_name(fields: Mapping[str, Any]) -> str:
-    """Return the name of the case through which maps and sensitivities go.
+    """Return the name of the central case, through which maps and sensitivities pass.
 
     Parameters
     ----------
     fields : mapping
-        Scenario field -> value; empty where all fields are random.
+        Scenario field -> value; empty if all fields are random.
     """
     parts = [f"{path} = {_with_unit(path, value)}" for path, value in fields.items()]
     return ", ".join(parts) or "the middle of the draws"

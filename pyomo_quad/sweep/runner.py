@@ -75,7 +75,7 @@ class Sweep:
     base : Scenario
         The base scenario of the design.
     store : ResultStore
-        Open for writing; cases that finished or failed are not solved again, those that were lost
+        Open for writing. Cases that finished or failed are not solved again; cases that were lost
         with their worker are.
     listener : SweepListener
         Receives each row.
@@ -206,8 +206,8 @@ class Sweep:
     def _forget_descendants(self, case: Case) -> list[str]:
         """Delete rows that descend from a case which was lost earlier and has now been solved.
 
-        They started from the warm start of its parent.  Solved again from the result of the case,
-        they are equal to the rows of a sweep in which no worker died.
+        These rows started from the warm start of the parent. Solved again from the result of this
+        case, they are equal to the rows of a sweep in which no worker died.
         """
         if case.key not in self._lost_before:
             return []
@@ -232,7 +232,7 @@ class Sweep:
 def case_task(
     design: SweepDesign, base: Scenario, case: Case, solver: str, warm_start: bytes | None
 ) -> CaseTask | CaseOutcome:
-    """Return the task of a case, or its failed row where its scenario is not allowed."""
+    """Return the task of a case, or its failed row if its scenario is not valid."""
     task = CaseTask(
         position=case.position,
         key=case.key,
@@ -275,7 +275,7 @@ class SweepEstimate:
     seconds_per_case: float
 
     def seconds(self, workers: int) -> float:
-        """Return the time left for a number of workers of which none waits."""
+        """Return the time left for a number of workers, assuming that none of them waits."""
         return self.missing * self.seconds_per_case / workers
 
 

@@ -14,7 +14,7 @@ from pyomo_quad.sweep.case import CaseStatus
 from pyomo_quad.sweep.design import Dimension, SweepDesign
 from pyomo_quad.sweep.store import CASE_COLUMN, STATUS_COLUMN
 
-# Sensitivities to random fields are taken over the middle nine tenths of their draws.
+# Sensitivities to random fields are computed over the middle nine tenths of their draws.
 _LOW_SHARE, _HIGH_SHARE = 0.05, 0.95
 
 
@@ -35,11 +35,11 @@ class Sensitivity:
     field : str
         The scenario field, the first of its dimension.
     least, greatest : float
-        The quantity's range along the field, all else being as in the `central_case`.
+        Range of the quantity along the field, with all other fields as in the `central_case`.
     least_at, greatest_at : float
         Values of the field at the ends of the range.
     base : float
-        The quantity in the central case, of random fields in the middle of their draws; NaN where
+        The quantity in the central case, with random fields at the middle of their draws; NaN if
         that case failed.
     """
 
@@ -67,8 +67,8 @@ class Spread:
     least_case, greatest_case : int
         Cases at the ends of the range.
     linear_share : float
-        Share of the variance that a plane over the random fields explains; NaN without such
-        fields, or too few cases for a plane.
+        Fraction of the variance explained by a plane over the random fields; NaN without random
+        fields, or with too few cases for a plane.
     """
 
     least: float
@@ -79,9 +79,9 @@ class Spread:
 
     @property
     def note(self) -> str:
-        """Share of the variance that the linear effects of random fields explain, in words.
+        """Fraction of the variance explained by the linear effects of random fields, in words.
 
-        Begins with a semicolon; empty where no field is random.
+        Begins with a semicolon; empty if no field is random.
         """
         if isnan(self.linear_share):
             return ""
@@ -100,9 +100,9 @@ class Best:
     at, value : float
         The best value of the field, and the quantity there.
     below, above : float or None
-        The next values tried on either side; None where none was.
+        The next values tried on either side; None if there is no such value.
     is_below_flown, is_above_flown : bool
-        Whether these cases finished, so that the best lies between values that are dearer.
+        Whether these cases finished, so that the best value lies between more expensive ones.
     """
 
     at: float
@@ -114,7 +114,7 @@ class Best:
 
     @property
     def is_inside(self) -> bool:
-        """Whether dearer cases finished on both sides."""
+        """Whether more expensive cases finished on both sides."""
         return self.is_below_flown and self.is_above_flown
 
 
@@ -125,7 +125,7 @@ class SweepResults:
     Attributes
     ----------
     design : SweepDesign
-        Its values are those of table cells.
+        Design whose values are those of table cells.
     frame : DataFrame
         Rows of `results_frame`.
     """
@@ -140,7 +140,7 @@ class SweepResults:
 
     @cached_property
     def central_case(self) -> dict[str, Any]:
-        """Fields of the case of the grid through which maps and sensitivities go."""
+        """Fields of the case of the grid through which maps and sensitivities pass."""
         grid = (one for one in self.design.dimensions if not one.is_random)
         return {one.paths[0]: self._central(one) for one in grid}
 
@@ -150,7 +150,7 @@ class SweepResults:
         return [path for one in self.design.dimensions if one.is_random for path in one.paths]
 
     def dimension_of(self, field: str) -> Dimension | None:
-        """Return the dimension along which a field varies, None where it does not."""
+        """Return the dimension along which a field varies, None if it does not vary."""
         return next((one for one in self.design.dimensions if field in one.paths), None)
 
     def curves_along(self, field: str) -> list[Curve]:
@@ -159,7 +159,7 @@ class SweepResults:
         Returns
         -------
         list of Curve
-            One for each combination of the other dimensions, in their order, empty ones left out.
+            One for each combination of the other dimensions, in their order, without empty curves.
         """
         others = [one for one in self.design.dimensions if field not in one.paths]
         curves = []
@@ -176,7 +176,7 @@ class SweepResults:
         return {path: value for path, value in self.central_case.items() if path not in free}
 
     def plane(self, across: Dimension, up: Dimension, quantity: str) -> pd.DataFrame:
-        """Return a quantity over two dimensions, all others being as in the `central_case`.
+        """Return a quantity over two dimensions, with all other fields as in the `central_case`.
 
         Parameters
         ----------
@@ -197,8 +197,8 @@ class SweepResults:
     def sensitivities(self, quantity: str) -> list[Sensitivity]:
         """Compare how a quantity changes with each numeric dimension, the widest swing first.
 
-        A field of a grid goes through all its steps, all others being as in the `central_case`; so
-        an angle that comes round to where it began is judged fairly.  Random fields go over the
+        A field of a grid takes all its steps, with all other fields as in the `central_case`, so
+        that the result is also right for an angle that goes once around. Random fields span the
         middle nine tenths of their draws, along the plane fitted to the quantity by least squares.
         """
         rows = self.finished.dropna(subset=[quantity])
@@ -275,7 +275,7 @@ def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
 
 
 def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) -> Best:
-    """Find the value of a field at which a curve is least, and the values tried beside it."""
+    """Return the value of a field at which a curve is least, and the next values tried."""
     best = pareto_front(curve.rows, field, quantity).iloc[-1]
     at, flown = float(best[field]), set(curve.rows[field])
     below = max((value for value in tried if value < at), default=None)

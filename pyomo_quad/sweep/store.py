@@ -23,14 +23,14 @@ from pyomo_quad.version import __version__
 
 STORE_NAME = "sweep.sqlite"
 _STORE_FORMAT = 1
-# "PQSW": tells this database from any other SQLite file.
+# "PQSW": distinguishes this database from other SQLite files.
 _APPLICATION_ID = 0x50515357
 _LOCK_NAME = ".sweep.lock"
 _LOCK_SECONDS = 5.0
 # Largest cell [bytes]: a design of a million cases is smaller; a damaged store may claim more.
 _LARGEST_CELL = 2**28
 _BUSY = ("SQLITE_BUSY", "SQLITE_LOCKED")
-# SQLite's error names where it cannot write a database, or the log beside a database.
+# SQLite's error names for a database, or its log, that cannot be written.
 _UNWRITABLE = ("SQLITE_CANTOPEN", "SQLITE_READONLY")
 _UNUSABLE = (*_UNWRITABLE, "SQLITE_FULL", "SQLITE_IOERR", "SQLITE_PERM")
 
@@ -53,7 +53,7 @@ class StoreError(OutputError):
 def locked_folder(folder: Path) -> Iterator[None]:
     """Make an output folder and keep other sweeps out of it.
 
-    The kernel releases it when this process ends, however it ends.
+    The kernel releases the lock when this process ends, even if it is killed.
 
     Raises
     ------
@@ -83,13 +83,13 @@ def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[
     Raises
     ------
     StoreError
-        If SQLite refuses anything that is asked of it in the block.
+        If SQLite raises an error in the block.
     """
     connection = None
     try:
         connection = sqlite3.connect(_address(file, mode), timeout=_LOCK_SECONDS, uri=True)
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LARGEST_CELL)
-        # A store may come from a stranger: SQL in its schema must not run.
+        # A store may be untrusted: SQL in its schema must not run.
         connection.execute("PRAGMA trusted_schema = OFF")
         yield connection
     except sqlite3.DatabaseError as error:
@@ -101,10 +101,10 @@ def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[
 
 @contextmanager
 def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
-    """Connect to a database without changing it, wherever it lies.
+    """Connect to a database without changing it, in any folder.
 
-    SQLite reads a database that has a log only where it can write beside it.  On a read-only disk a
-    copy is read instead, made together with the log, so that no row is missed.
+    SQLite can read a database that has a log only if the folder is writable. On a read-only disk, a
+    copy made together with the log is read instead, so that no row is missed.
     """
     if _is_readable_in_place(file):
         with connected(file, mode="ro") as connection:
@@ -127,7 +127,7 @@ def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> N
     (count,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     if not count:
         connection.execute("PRAGMA journal_mode = WAL")
-    # One transaction: a process killed in it leaves an empty database, which is a new store.
+    # One transaction: if it is interrupted, the database stays empty and counts as a new store.
     with connection:
         connection.execute("BEGIN IMMEDIATE")
         if count:
@@ -140,7 +140,7 @@ def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> N
 
 
 def check_format(connection: sqlite3.Connection, file: Path) -> None:
-    """Refuse a database that is no store, has another format or other tables."""
+    """Refuse a database that is not a store, or has another format or other tables."""
     if _application_of(connection) != _APPLICATION_ID:
         raise _not_a_store(file)
     (found,) = connection.execute("PRAGMA user_version").fetchone()
@@ -155,13 +155,13 @@ def check_format(connection: sqlite3.Connection, file: Path) -> None:
     declared = {name: f"CREATE TABLE {name} {columns}" for name, columns in _TABLES.items()}
     for name, text in connection.execute(query):
         if declared.pop(name, None) != text:
-            raise damaged(file, f"{shown(name)} is none of its tables")
+            raise damaged(file, f"{shown(name)} is not one of its tables")
     if declared:
         raise damaged(file, f"table {next(iter(declared))} is missing")
 
 
 def damaged(file: Path, what: str) -> StoreError:
-    """Return the error for a store whose content no sweep wrote."""
+    """Return the error for a store with content that no sweep writes."""
     return StoreError(
         f"{file}: is damaged ({printable(what)}); restore it from a copy, or choose another --out."
     )
@@ -204,7 +204,7 @@ def _refused(file: Path, error: sqlite3.DatabaseError) -> StoreError:
 
 
 def refuse_kept_results(folder: Path) -> None:
-    """Refuse a folder that cannot be written but holds results, and say how to read them."""
+    """Refuse a folder that is read-only but holds results, with a hint on how to read them."""
     if (folder / STORE_NAME).is_file() and not os.access(folder, os.W_OK):
         is_read_only = os.statvfs(folder).f_flag & os.ST_RDONLY
         raise _unwritable(folder, os.strerror(errno.EROFS if is_read_only else errno.EACCES))
@@ -213,7 +213,7 @@ def refuse_kept_results(folder: Path) -> None:
 def _unwritable(folder: Path, reason: str | None) -> StoreError:
     if (folder / STORE_NAME).is_file():
         return StoreError(
-            f"{folder}: is read-only ({reason}); its results are whole: read them with "
+            f"{folder}: is read-only ({reason}); its results are complete: read them with "
             f"`pyomo-quad sweep-report {folder} --out DIR`, or sweep into another --out."
         )
     return StoreError(f"{folder}: cannot be written ({reason}); choose another --out.")
@@ -267,7 +267,7 @@ class ResultStore:
     @classmethod
     @contextmanager
     def reading(cls, folder: str | Path) -> Iterator["ResultStore"]:
-        """Open a store to read it, also while a sweep writes, and where nothing can be written.
+        """Open a store to read it, also while a sweep writes to it, and on a read-only disk.
 
         Raises
         ------
@@ -286,7 +286,7 @@ class ResultStore:
     def writing(
         cls, folder: str | Path, design: SweepDesign, *, is_fresh: bool = False
     ) -> Iterator["ResultStore"]:
-        """Open a store to add rows, making it when there is none.
+        """Open a store to add rows, and create it if there is none.
 
         Raises
         ------
@@ -307,11 +307,11 @@ class ResultStore:
 
     @property
     def design(self) -> SweepDesign:
-        """The design that the rows belong to."""
+        """The design to which the rows belong."""
         return self._design
 
     def refuse_other_version(self) -> None:
-        """Refuse to add rows beside those of another version of the package."""
+        """Refuse to add rows to those of another version of the package."""
         if self.version != __version__:
             raise StoreError(
                 f"{self.file}: its rows were made by pyomo_quad {shown(self.version)[1:-1]}, this "
@@ -322,8 +322,8 @@ class ResultStore:
     def replace_design(self, design: SweepDesign, *, is_extended: bool) -> None:
         """Store another design, which contains all cases of the rows.
 
-        In an extended one the cases have other parents: what those left before is forgotten, so
-        that no result hangs on how far the older design had come.
+        In an extended design the cases have other parents. The warm starts of the previous run are
+        deleted, so that no result depends on how far that run had come.
         """
         with self._connection:
             self._connection.execute(
@@ -343,7 +343,7 @@ class ResultStore:
         Raises
         ------
         StoreError
-            If a row is not as a sweep writes it, or is no case of the design.
+            If a row differs from the format of a sweep, or is not a case of the design.
         """
         known = {case.key for case in expand(self._design)}
         query = f"SELECT {', '.join(StoredCase.model_fields)} FROM case_row"  # noqa: S608
@@ -359,7 +359,7 @@ class ResultStore:
                 place = ".".join(map(str, first["loc"]))
                 raise damaged(self.file, f"{where}, {place}: {first['msg']}") from None
             if row.case_key not in known or row.case_key != _key_of(row):
-                raise damaged(self.file, f"{where} is no case of its design")
+                raise damaged(self.file, f"{where} is not a case of its design")
             found[row.case_key] = row
         return found
 
@@ -412,12 +412,12 @@ class ResultStore:
             ) from error
 
     def warm_start(self, key: str) -> bytes | None:
-        """Return the packed warm start that a finished case left for its children.
+        """Return the packed warm start that a finished case stored for its children.
 
         Returns
         -------
         bytes or None
-            None when the case left no warm start.
+            None if the case stored no warm start.
         """
         query = "SELECT arrays FROM warm_start WHERE case_key = ?"
         found = self._connection.execute(query, (key,)).fetchone()
@@ -458,7 +458,7 @@ REASON_COLUMN = "reason"
 def results_frame(store: ResultStore) -> pd.DataFrame:
     """Return the rows of a store in the order of its design, the same for each run.
 
-    Columns: case, the fields that vary, status, reason, then the outputs that the study keeps.
+    Columns: case, the varying fields, status, reason, then the outputs that the study keeps.
     """
     design, rows = store.design, store.rows()
     ended = [(case, rows[case.key]) for case in expand(design) if case.key in rows]
@@ -484,17 +484,17 @@ _MOST_CHANGES = 5
 def adopt_design(store: ResultStore, design: SweepDesign) -> list[str]:
     """Continue a store with a design, if its rows fit.
 
-    Rows fit when all of them are cases of the design and were solved in the same way.
+    Rows fit if all of them are cases of the design and were solved in the same way.
 
     Returns
     -------
     list of str
-        How the axes were extended, empty when they are the same.
+        Extensions of the axes, empty if they are unchanged.
 
     Raises
     ------
     StoreError
-        If the rows do not fit; it says what changed.
+        If the rows do not fit; the message names the changes.
     """
     stored = store.design
     changes = list(design.changes_since(stored))

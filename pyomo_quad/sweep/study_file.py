@@ -38,7 +38,7 @@ _MOST_SAMPLES = 100_000
 
 
 class StudyError(ScenarioError):
-    """A study file says something that is not allowed."""
+    """A study file has a value that is not allowed."""
 
 
 class SamplingMethod(StrEnum):
@@ -63,8 +63,8 @@ class Sampling(Part):
         Returns
         -------
         ndarray, shape (count, axis_count)
-            Strictly between 0 and 1.  A larger `count` keeps the first points of the method
-            ``random``, so that a study can be extended; a Latin hypercube is drawn anew.
+            Strictly between 0 and 1. With the method ``random``, a larger `count` keeps the first
+            points, so that a study can be extended; a Latin hypercube is drawn anew.
         """
         generator = np.random.default_rng(self.seed)
         if self.method is SamplingMethod.RANDOM:
@@ -149,8 +149,8 @@ def load_study(path: str | FilePath) -> LoadedStudy:
     """
     source = str(path)
     document = read_toml(FilePath(path))
-    # Tables in a list are checked one by one, so that a misspelt key is compared with the right
-    # table's keys.
+    # Tables in a list are validated one by one, so that a misspelt key is compared with the keys of
+    # the right table.
     listed = document.get("axis")
     for index, table in enumerate(listed if isinstance(listed, list) else []):
         _validate(Axis, table, source, ("axis", index))
@@ -224,7 +224,7 @@ def _fixed_values(tables: Mapping[str, Any], source: str) -> dict[FieldPath, Any
     return assignments
 
 
-# More cases need --yes: they are more often a mistake in the study file than intended.
+# Studies with more cases need --yes, because they are more often mistakes than intended.
 CASE_LIMIT = 1_000
 
 
@@ -313,7 +313,7 @@ def _check_size(count: int, source: str, *, is_large_allowed: bool) -> None:
     if count > CASE_LIMIT and not is_large_allowed:
         raise StudyError(
             f"{source}: the axes make {count} cases, more than {CASE_LIMIT}; "
-            f"take fewer values, or say --yes if they are meant."
+            f"take fewer values, or give --yes if so many are intended."
         )
 
 
@@ -337,7 +337,7 @@ def _dimensions(study: Study, base: Scenario) -> Iterator[Dimension]:
 
 
 def _as_field_type(value: object, tables: Mapping[str, Any], path: str) -> Any:  # noqa: ANN401
-    """Give a number the type of its field, so that 10.0 serves where 10 elements are meant."""
+    """Give a number the type of its field, so that 10.0 is accepted for 10 elements."""
     present: Any = tables
     for step in parse_path(path) or ():
         is_inside = isinstance(present, Mapping | list | tuple)
@@ -366,5 +366,5 @@ def _check_steps(dimension: Dimension, base: Scenario, source: str) -> None:
         try:
             base.with_values(dict(zip(dimension.paths, step, strict=True)))
         except FeasibilityError:
-            # Whether the vehicle can hover is a result of the case, given in its row.
+            # Whether the vehicle can hover is a result of each case, stored in its row.
             continue

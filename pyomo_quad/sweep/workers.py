@@ -1,8 +1,8 @@
 """The workers of a sweep: the cases under way on processes of this machine or on a cluster.
 
-Each crew works behind an Executor of `concurrent.futures`, which leaves two duties to its user: a
-broken executor is replaced, and a case whose worker died is retried alone, so that a case that
-kills its worker loses no other case.
+Each crew works behind an Executor of `concurrent.futures`, which leaves two tasks to its user:
+replacing a broken executor, and retrying alone each case whose worker died, so that a case that
+kills its worker does not cost other cases.
 """
 
 from collections import deque
@@ -22,9 +22,9 @@ from pyomo_quad.scenario.messages import PyomoQuadError
 from pyomo_quad.study.processes import end_processes, environment_of_workers, pool_of
 from pyomo_quad.sweep.case import CaseOutcome, CaseTask, perform
 
-# One task waits behind each running one, so that no worker idles while its result travels.
+# One task waits behind each running task, so that no worker idles while a result is transferred.
 _TASKS_PER_WORKER = 2
-# Seconds between two checks of whether a silent executor works, and of its workers.
+# Seconds between two checks of a silent executor and its workers.
 WATCH_SECONDS = 2.0
 
 
@@ -120,7 +120,7 @@ class Workers:
             return [future.result()]
         except CancelledError:
             raise ClusterError(f"{self.description}: no longer answers.") from None
-        # `perform` raises nothing: an exception instead of an outcome says that a worker is gone.
+        # `perform` raises nothing, so an exception shows that a worker has died.
         except Exception as error:  # noqa: BLE001
             # A case that was not running at an earlier death may be retried alone once more.
             is_lost = self._is_alone and task.key in self._accused
@@ -135,7 +135,7 @@ class Workers:
         self._accused.add(task.key)
 
     def _suspect_all(self) -> None:
-        """Set aside all running cases of a broken executor, any of which may have broken it."""
+        """Set aside all running cases of a broken executor, because each may have broken it."""
         for future, task in list(self._under_way.items()):
             if not future.done() or future.exception() is not None:
                 self._accuse(task)

@@ -1,1 +1,1 @@
-"""Vehicles from what their owners know, and library vehicles held against measurements."""
+"""Vehicles estimated from an owner's data, and comparison of vehicles with measurements."""

@@ -1,11 +1,11 @@
-"""A number of a vehicle with where it comes from: given, computed, or estimated with a range."""
+"""A number of a vehicle with its origin: given, computed, or estimated with a range."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 
 class Kind(StrEnum):
-    """Where a number comes from."""
+    """Origin of a number."""
 
     GIVEN = "given"
     COMPUTED = "computed"
@@ -15,10 +15,10 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A number with its range and its origin in words.
+    """A number with its range and a description of its origin.
 
-    The range holds what vehicles of this kind have, by the source named in `said`; that of a given
-    or computed number is the number itself.
+    The range covers vehicles of this kind, by the source named in `said`. The range of a given or
+    computed number is the number itself.
     """
 
     value: float
@@ -29,14 +29,14 @@ class Estimate:
 
     @property
     def source(self) -> str:
-        """What a file says of the number."""
+        """Source of the number, for a vehicle file."""
         if self.low < self.high:
             return f"{self.kind.value}: {self.said}; range {self.low:.3g} to {self.high:.3g}"
         return f"{self.kind.value}: {self.said}"
 
     @property
     def spread(self) -> float:
-        """Width of the range over the value."""
+        """Width of the range relative to the value."""
         return (self.high - self.low) / self.value if self.value else 0.0
 
 
@@ -51,5 +51,5 @@ def computed(value: float, formula: str) -> Estimate:
 
 
 def estimated(value: float, said: str, low: float, high: float) -> Estimate:
-    """Return an estimated number with the factors of it between which it lies."""
+    """Return an estimated number, with factors for the ends of its range."""
     return Estimate(value=value, low=low * value, high=high * value, kind=Kind.ESTIMATED, said=said)

@@ -5,10 +5,11 @@ Derivation: see docs/theory/vehicle_from_data.md, eq. (9).
 
 from dataclasses import dataclass
 
-# Shares of the mass without the pack, of multirotors of 0.5 to 4 kg: motors with propellers and
-# controllers at the ends of the arms, arms as rods from the centre, the rest a cylinder.
+# Fractions of the mass without the pack, for multirotors of 0.5 to 4 kg: motors, propellers and
+# speed controllers are at the ends of the arms; the arms are rods from the centre; the rest is a
+# cylinder.
 MOTOR_SHARE, _ARM_SHARE = 0.22, 0.15
-# Radius and height of the body over the arm, and the pack's proportions.
+# Radius and height of the body relative to the arm, and the proportions of the pack.
 _BODY_RADIUS, _BODY_HEIGHT = 0.35, 0.3
 _PACK_WIDTH, _PACK_HEIGHT = 0.31, 0.26
 _PACK_DENSITY = 2300.0  # kg/m^3
@@ -25,7 +26,7 @@ class MassModel:
 
     @property
     def empty(self) -> float:
-        """Mass without the pack; a pack heavier than half is taken as half, kg."""
+        """Mass without the pack, kg; a pack above half of the mass counts as half."""
         return max(self.mass - self.pack_mass, 0.5 * self.mass)
 
     @property

@@ -1,4 +1,4 @@
-"""A whole vehicle from what its owner knows: mass and propeller, and whatever else there is.
+"""Estimation of a complete vehicle from mass, propeller and any further data of its owner.
 
 Derivation: see docs/theory/vehicle_from_data.md.
 """
@@ -17,35 +17,36 @@ from pyomo_quad.vehicles.propulsion import INDUCED, Propeller, RotorHover
 
 GRAVITY = 9.81
 ROTOR_COUNTS = (4, 6, 8)
-# Distance of neighbouring rotors over their diameter.
+# Distance of neighbouring rotors relative to their diameter.
 _SPACING = 1.25
-# Motor constant: torque squared over copper loss, (N m)^2/W, of a motor of 1 kg; it grows with the
-# mass to the power of 5/3.
+# Motor constant, torque squared over copper loss, (N m)^2/W, of a motor of 1 kg; it is proportional
+# to the mass to the power of 5/3.
 _MOTOR_CONSTANT, _MOTOR_EXPONENT = 0.15, 5 / 3
-# Rotor speed of full throttle over that of hover, for a speed constant that is not given, and the
-# share of the pack's nominal voltage that the motors then see.
+# Ratio of the rotor speeds at full throttle and in hover, if the speed constant is unknown, and the
+# fraction of the pack's nominal voltage at the motors at full throttle.
 _FULL_OVER_HOVER, _FULL_VOLTAGE = 1.8, 0.85
-# Mass of a propeller of 10 in, kg, and the exponent by which it grows with the diameter.
+# Mass of a 10-inch propeller, kg, and the exponent of its growth with the diameter.
 _PROPELLER_KG, _PROPELLER_EXPONENT, _TEN_INCHES_M = 0.012, 2.5, 0.254
-# Of 1.5 kg; grows with the mass.
+# Electronics of a vehicle of 1.5 kg; the power grows with the mass.
 _ELECTRONICS_W, _ELECTRONICS_EXPONENT, _AT_KG = 5.0, 0.4, 1.5
-# The Matrice 100's, read from the tilt in flight: kg/s per kg, and kg/m at its mass.
+# Drag of the Matrice 100, from its tilt in flight: kg/s per kg, and kg/m at its mass.
 _DRAG_LINEAR_PER_KG = 0.322 / 3.715
 _DRAG_QUADRATIC, _DRAG_MASS_KG = 0.038, 3.715
-# Of the induced power factor: the Matrice 100's.
+# Ratio to the induced power factor, from the Matrice 100.
 _DESCENT_SHARE = 0.476 / 1.15
 _TILT_DEG = 35.0
-#: Share by which a measured hover power may be off: a sensor's gain and a breeze.
+#: Relative error of a measured hover power, from the sensor's gain and a breeze.
 MEASUREMENT_ERROR = 0.03
-#: Factors between which the loss of motor and controller, and the blades' drag, may lie.
+#: Factors on the loss of motor and speed controller, and on the blades' drag, at their range's
+#: ends.
 DRIVE_RANGE, BLADE_RANGE = (0.85, 1.2), (0.6, 1.6)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Known:
-    """What an owner knows of a vehicle, SI units; mass and propeller at least.
+    """An owner's data on a vehicle, in SI units; mass and propeller are required.
 
-    `voltage_constant` is in rad/s/V and `hover_power` in W, both None where unknown.
+    `voltage_constant` is in rad/s/V and `hover_power` in W; both are None if unknown.
     """
 
     name: str
@@ -62,7 +63,7 @@ class Known:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimatedVehicle:
-    """A vehicle with the origin of every number: `fields` and `limits` as its file has them."""
+    """A vehicle with the origin of every number: `fields` and `limits` as in its file."""
 
     known: Known
     pack: Pack
@@ -70,17 +71,17 @@ class EstimatedVehicle:
     fields: Mapping[str, Estimate]
     limits: Mapping[str, Estimate]
     rotor_positions: tuple[tuple[float, float], ...] | None
-    #: Hover power by the estimates alone, W, whatever was measured.
+    #: Hover power from the estimates alone, W, even if it was measured.
     estimated_hover_W: float
 
     @property
     def is_measured(self) -> bool:
-        """Whether a hover measurement fixes the power."""
+        """Whether a hover measurement determines the power."""
         return self.known.hover_power is not None
 
 
 def estimate_vehicle(known: Known) -> EstimatedVehicle:
-    """Complete what is known to a vehicle.
+    """Complete an owner's data to a vehicle.
 
     Raises
     ------
@@ -190,7 +191,7 @@ def _motor(known: Known, pack: Pack, hover: RotorHover) -> dict[str, Estimate]:
 
 
 def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float]:
-    """Return the numbers of the momentum model, and the hover power by the estimates alone, W."""
+    """Return the numbers of the momentum model, and the hover power from the estimates alone, W."""
     electronics = _ELECTRONICS_W * (known.mass / _AT_KG) ** _ELECTRONICS_EXPONENT
     loss = 1 / hover.drive_efficiency
     alone = known.rotors * hover.shaft_power * loss + electronics
@@ -206,7 +207,7 @@ def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float
         factor = loss * (known.hover_power - electronics) / (alone - electronics)
         kind, said = Kind.MEASURED, f"{known.hover_said}, over {alone:.4g} W by the estimates"
         low, high = 1 - MEASUREMENT_ERROR, 1 + MEASUREMENT_ERROR
-        # No rotor hovers on less than its ideal power.
+        # No rotor hovers with less than its ideal power.
         ideal = known.rotors * hover.ideal_power
         if known.hover_power - electronics < ideal:
             raise ScenarioError(
@@ -258,7 +259,7 @@ def _limits(pack: Pack, hover: RotorHover, fields: Mapping[str, Estimate]) -> di
     torque_constant, resistance = fields["torque_constant"].value, fields["motor_resistance"].value
     drag, inertia = fields["drag_torque_coefficient"].value, fields["rotor_inertia"].value
     voltage = _FULL_VOLTAGE * pack.nominal_voltage
-    # The speed at which the electromotive force and the copper's share make up the voltage.
+    # The speed at which the electromotive force and the resistive drop add up to the voltage.
     copper, back = resistance * drag / torque_constant, 1 / speed_constant
     fastest = (sqrt(back**2 + 4 * copper * voltage) - back) / (2 * copper)
     spare = max(voltage - back * hover.speed, 0.1 * voltage)
@@ -279,7 +280,7 @@ def _limits(pack: Pack, hover: RotorHover, fields: Mapping[str, Estimate]) -> di
 
 
 def _positions(rotors: int, arm: float) -> tuple[tuple[float, float], ...] | None:
-    """Return the places of six or eight rotors in a ring, None for the cross of four."""
+    """Return the places of six or eight rotors in a ring, None for a cross of four."""
     if rotors not in ROTOR_COUNTS:
         raise ScenarioError(
             f"--rotors {rotors}; must be one of {', '.join(map(str, ROTOR_COUNTS))}."

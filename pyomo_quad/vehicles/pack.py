@@ -13,11 +13,11 @@ from pyomo_quad.vehicles.estimate import Estimate, computed, estimated, given
 _LABEL = re.compile(
     r"([0-9]{1,2})\s*[sS]\s*(?:([0-9]{1,2})\s*[pP]\s*)?([0-9]{2,6})(?:\s*[mM][aA][hH])?"
 )
-#: V, of one lithium-polymer cell: its label says so.
+#: V, nominal voltage of one lithium-polymer cell.
 NOMINAL_V = 3.7
 # Energy over mass of packs for multirotors, J/kg: 150 Wh/kg.
 _ENERGY_PER_KG = 150 * 3600
-# Ohm times ampere hours of one cell: 1C pulls 15 mV from it.
+# Ohm times ampere hours of one cell: a current of 1C reduces its voltage by 15 mV.
 _RESISTANCE_BY_CAPACITY = 0.015
 # Lithium-polymer cell by eq. (5) of the paper: 4.17 V full, 3.78 V at half, 3.54 V at a tenth.
 _CONSTANT_V, _POLARISATION_V, _EXPONENTIAL_V = 3.73, 0.022, 0.46
@@ -41,12 +41,12 @@ class Pack:
 
     @property
     def mass(self) -> float:
-        """Mass by the energy that it holds, kg, eq. (7)."""
+        """Mass estimated from the pack's energy, kg, eq. (7)."""
         return self.nominal_voltage * self.capacity * _SECONDS_PER_HOUR / _ENERGY_PER_KG
 
     @property
     def label(self) -> str:
-        """What is printed on it."""
+        """Label of the pack."""
         cells = f"{self.series}S" + (f"{self.parallel}P" if self.parallel > 1 else "")
         return f"{cells} {1000 * self.capacity:g} mAh"
 
@@ -81,7 +81,7 @@ def pack_of(text: str) -> Pack:
     Raises
     ------
     ScenarioError
-        If the text is no label.
+        If the text is not a label.
     """
     match = _LABEL.fullmatch(text.strip())
     if match is None or int(match[1]) < 1 or int(match[2] or 1) < 1 or float(match[3]) <= 0:
@@ -97,14 +97,14 @@ def pack_of(text: str) -> Pack:
     )
 
 
-# Cells in series of vehicles up to a mass, kg, and of all heavier ones.
+# Cells in series for vehicles up to a mass, kg.
 _SERIES = ((0.1, 1), (0.35, 2), (0.9, 3), (2.5, 4))
 _MOST_SERIES = 6
 _MASS_SHARE = 0.3
 
 
 def usual_pack(mass: float) -> Pack:
-    """Return the pack that vehicles of a mass, kg, usually have, eq. (7)."""
+    """Return the usual pack of vehicles of a mass, kg, eq. (7)."""
     series = next((cells for most, cells in _SERIES if mass <= most), _MOST_SERIES)
     energy = _MASS_SHARE * mass * _ENERGY_PER_KG
     capacity = energy / (series * NOMINAL_V * _SECONDS_PER_HOUR)

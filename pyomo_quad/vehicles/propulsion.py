@@ -1,4 +1,4 @@
-"""Thrust, torque and losses of a propeller and its motor, from the propeller's two numbers.
+"""Thrust, torque and losses of a propeller and its motor, from the propeller's diameter and pitch.
 
 Derivation, sources and ranges: see docs/theory/vehicle_from_data.md, eqs. (1) to (4).
 
@@ -30,7 +30,7 @@ _USUAL_PITCH = 0.45  # over the diameter
 _SOLIDITY = 0.11
 _DRAG_AT, _REYNOLDS_AT = 0.034, 8.0e4
 _KINEMATIC_VISCOSITY = 1.5e-5  # m^2/s, air at 15 degrees
-#: Induced power over that of an ideal rotor: Leishman (2006), section 3.2.
+#: Induced power relative to that of an ideal rotor: Leishman (2006), section 3.2.
 INDUCED = 1.15
 # Loss of motor and controller: eta = 1 / (1 + (P_1 / P)^b) with the shaft power P of one rotor.
 _HALF_LOST_W, _LOSS_EXPONENT = 2.6, 0.3
@@ -64,9 +64,9 @@ class Propeller:
         return self.coefficient * density * self.diameter**4 / (2 * pi) ** 2
 
     def hover(self, thrust: float, density: float) -> "RotorHover":
-        """Return what one rotor takes to hover at a thrust, N."""
+        """Return the speed and powers of one rotor in hover at a thrust, N."""
         speed = sqrt(thrust / self.thrust_over_speed_squared(density))
-        blade = 4 / pi**3 * self.coefficient  # over rho A (omega R)^2 in place of rho n^2 D^4
+        blade = 4 / pi**3 * self.coefficient  # by rho A (omega R)^2, not rho n^2 D^4
         chord = _SOLIDITY * pi * self.radius / 2
         reynolds = 0.75 * speed * self.radius * chord / _KINEMATIC_VISCOSITY
         profile = _SOLIDITY / 8 * _DRAG_AT * sqrt(_REYNOLDS_AT / reynolds)
@@ -113,12 +113,12 @@ class RotorHover:
 
 
 def propeller_of(text: str) -> Propeller:
-    """Read a propeller's size as printed on it, "10x4.5", in inches; the pitch may be missing.
+    """Read a propeller's size as on its label, "10x4.5", in inches; the pitch may be missing.
 
     Raises
     ------
     ScenarioError
-        If the text is no size.
+        If the text is not a size.
     """
     match = _SIZE.fullmatch(text.strip()) or _SIZE.fullmatch(f"{text.strip()}x0")
     if match is None or not 0.5 <= float(match[1]) <= 60:

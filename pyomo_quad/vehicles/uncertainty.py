@@ -1,4 +1,4 @@
-"""What is least certain of an estimated vehicle, which measurement helps, and its polar's band.
+"""Uncertainty of an estimated vehicle: its causes, the best measurement, and the polar's band.
 
 Method: see docs/theory/vehicle_from_data.md, eq. (10).
 """
@@ -36,10 +36,10 @@ _SCALED_BY_DRIVE = (
 
 @dataclass(frozen=True, kw_only=True)
 class Cause:
-    """What is uncertain, the measurement that settles it, and its effect on the power.
+    """A cause of uncertainty, the measurement that removes it, and its effect on the power.
 
     `low` and `high` are the powers at `AIRSPEEDS` with the cause at the ends of its range, W; NaN
-    where the vehicle has no such flight.
+    if the vehicle has no steady flight there.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Cause:
 
 @dataclass(frozen=True, kw_only=True)
 class PowerBand:
-    """Power of level flight at `AIRSPEEDS`, W, with the band of all causes."""
+    """Power of level flight at `AIRSPEEDS`, W, with the band from all causes."""
 
     power: FloatArray
     low: FloatArray
@@ -58,7 +58,7 @@ class PowerBand:
     causes: tuple[Cause, ...]
 
     def ranked(self) -> tuple[tuple[Cause, float], ...]:
-        """Return the causes by their share of the power, the greatest first."""
+        """Return the causes with their relative effects on the power, the largest first."""
         shares = [
             float(np.nanmean(np.abs(one.high - one.low) / (2 * self.power))) for one in self.causes
         ]
@@ -97,7 +97,7 @@ def _together(changes: Sequence[FloatArray]) -> FloatArray:
 
 
 def level_powers(scenario: Scenario, airspeeds: Sequence[float], planner: Planner) -> FloatArray:
-    """Return the power of level flight at rising airspeeds, W; NaN from where there is none on."""
+    """Return the power of level flight at rising airspeeds, W; NaN above the greatest airspeed."""
     steady = planner.steady_flight(scenario)
     powers = np.full(len(airspeeds), np.nan)
     trim = None
@@ -111,7 +111,7 @@ def level_powers(scenario: Scenario, airspeeds: Sequence[float], planner: Planne
 
 
 def _causes(vehicle: EstimatedVehicle) -> list[tuple[str, str, Numbers, Numbers]]:
-    """Return each cause, the measurement that settles it, and the numbers at its ends."""
+    """Return each cause, the measurement that removes it, and the numbers at its ends."""
     value = {name: one.value for name, one in vehicle.fields.items()}
     ends = {name: (one.low, one.high) for name, one in vehicle.fields.items()}
     drive = DRIVE_RANGE
@@ -126,7 +126,7 @@ def _causes(vehicle: EstimatedVehicle) -> list[tuple[str, str, Numbers, Numbers]
         changed = {"profile_power_coefficient": factor * value["profile_power_coefficient"]}
         if not vehicle.is_measured:
             return changed
-        # The measured hover power stays: what the blades take more the induced power takes less.
+        # The measured hover power is kept: a larger blade loss means a smaller induced power.
         more = (factor - 1) * value["profile_power_coefficient"] * np.sqrt(2)
         return changed | {"induced_power_factor": max(1.0, value["induced_power_factor"] - more)}
 

@@ -111,9 +111,9 @@ def test_equated_rates_carry_a_quarter_turn_astray_and_the_plan_says_so():
     assert astray > 1.0
     (line,) = plan_cautions(plan)
     assert line == (
-        'vehicle.attitude = "paper": its body rates taken for Euler rates hold for this plan no '
-        f"longer: flown with exact attitude it ends {astray:.3g} m astray, more than 0.05 m; "
-        'set vehicle.attitude = "euler".'
+        'vehicle.attitude = "paper": equating body rates and Euler rates is not accurate enough '
+        f"for this plan: flown with exact attitude it misses the goal by {astray:.3g} m, more "
+        'than 0.05 m; set vehicle.attitude = "euler".'
     )
 
 

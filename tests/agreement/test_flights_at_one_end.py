@@ -233,7 +233,7 @@ def test_no_flight_on_a_pack_that_cannot_turn_the_motors_is_verified(cells_serie
     if not is_fed:
         assert not plan.is_verified
         assert plan.message.startswith("battery: the pack lacks ")
-        assert "of the voltage at which the motors keep their speed" in plan.message
+        assert "of the voltage that the motors need to keep their speed" in plan.message
 
 
 def test_motors_whose_voltage_no_equation_counts_need_none():

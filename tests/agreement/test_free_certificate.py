@@ -52,7 +52,7 @@ def test_where_no_bound_is_known_the_reason_is_given(tables, reason):
 @pytest.mark.parametrize(
     ("tables", "reason"),
     [
-        ({"wind": {"use": "paper_table_2"}}, "changes on the way in a wind that changes with time"),
+        ({"wind": {"use": "paper_table_2"}}, "changes in flight in a wind that changes with time"),
     ],
 )
 def test_where_a_mass_that_changes_has_no_bound_the_reason_is_given(tables, reason):

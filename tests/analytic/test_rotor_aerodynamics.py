@@ -69,7 +69,7 @@ def test_rotor_drag_damps_the_body_rates(number, rate, inertia, share):
 def test_no_bound_is_claimed_where_the_air_acts_in_body_axes():
     certificate = certified(scenario(vehicle={"rotor_drag_axis": 1e-4}))
     assert not certificate.applies
-    assert "air that acts in body axes" in certificate.reason
+    assert "aerodynamic forces in body axes" in certificate.reason
 
 
 def _rotors(frame, quantity):

@@ -170,8 +170,8 @@ def test_what_does_not_know_heights_says_so_of_measured_ones(tmp_path):
     assert mean_wind(told) == pytest.approx((law(7.0), 0.5 * law(7.0)))
     (said,) = (f.message for f in diagnosed(told) if f.subject == "wind.file")
     assert said.endswith(
-        "is of 0 to 7 m, the mission goes from 0 to 8 m; beyond, the wind is held as it is at the "
-        "nearest height: give the heights that are flown."
+        "covers 0 to 7 m, the mission goes from 0 to 8 m; outside, the wind is that of the nearest "
+        "height: add the heights of the mission to the file."
     )
 
 

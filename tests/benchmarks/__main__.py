@@ -1,6 +1,7 @@
 """Measure all benchmarks, or those named, and write their report.
 
-python -m tests.benchmarks [NAME ...] [--against PYTHON] [--minutes M] [--render]
+python -m tests.benchmarks [NAME ...] [--against PYTHON] [--beside CHECKOUT] [--minutes M]
+                           [--count N] [--render]
 """
 
 import argparse
@@ -17,6 +18,9 @@ MODULES = {
     "missions": "mission_speed",
     "robustness": "robustness",
     "places": "random_places",
+    "strangers": "strangers",
+    "jobs": "jobs",
+    "peers": "peer_table",
     "sweep": "sweep_speed",
     "mpc": "replanning",
 }
@@ -29,8 +33,12 @@ def main():
         "--against", type=Path, help="run: the Python of an environment to compare with."
     )
     parser.add_argument(
-        "--minutes", type=float, help="robustness, places, mpc: begin no mission after so long."
+        "--minutes",
+        type=float,
+        help="robustness, places, strangers, mpc, jobs, peers: begin nothing after it.",
     )
+    parser.add_argument("--count", type=int, help="strangers: the first so many missions only.")
+    parser.add_argument("--beside", type=Path, help="jobs: a checkout of an older commit.")
     parser.add_argument("--render", action="store_true", help="Measure nothing.")
     arguments = parser.parse_args()
     if unknown := set(arguments.names) - set(NAMES):

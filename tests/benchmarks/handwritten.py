@@ -60,8 +60,11 @@ def _wind(t, table):
     return speed
 
 
-def equations(*, has_wind):
-    """Return (x, alpha, t) -> slopes, power, thrust and moments; (6), (7), (9), (1)-(3)."""
+def equations(*, has_wind, air=None):
+    """Return (x, alpha, t) -> slopes, power, thrust and moments; (6), (7), (9), (1)-(3).
+
+    `air` is the linear drag [kg/s] on the velocity against a wind, and that wind [m/s] of x and y.
+    """
     x, alpha, t = casadi.SX.sym("x", 16), casadi.SX.sym("alpha", 4), casadi.SX.sym("t")
     _, _, _, vx, vy, vz, phi, theta, psi, p, q, r = casadi.vertsplit(x[:12])
     omega = x[12:]
@@ -73,6 +76,10 @@ def equations(*, has_wind):
     Ix, Iy, Iz = np.diag(INERTIA)
     wind_x = _wind(t, TABLE_2["x"]) if has_wind else 0
     wind_y = _wind(t, TABLE_2["y"]) if has_wind else 0
+    drag, field = air or (0.0, lambda _x, _y: (0.0, 0.0))
+    around_x, around_y = field(x[0], x[1])
+    wind_x += drag / MASS * (around_x - vx)
+    wind_y += drag / MASS * (around_y - vy)
     c, s = casadi.cos, casadi.sin
     slopes = casadi.vertcat(
         vx,
@@ -80,7 +87,7 @@ def equations(*, has_wind):
         vz,
         (c(phi) * s(theta) * c(psi) + s(phi) * s(psi)) * thrust / MASS + wind_x,
         (c(phi) * s(theta) * s(psi) - s(phi) * c(psi)) * thrust / MASS + wind_y,
-        c(phi) * c(theta) * thrust / MASS - GRAVITY,
+        c(phi) * c(theta) * thrust / MASS - GRAVITY - drag / MASS * vz,
         p,
         q,
         r,
@@ -136,8 +143,8 @@ class Program:
         return self.variable(name, CONTROL_SCALES, -limit, limit, np.zeros(4))
 
 
-def _transcribe(elements, degree, *, has_wind, mast=None, bow=0.0):
-    point = equations(has_wind=has_wind)
+def _transcribe(elements, degree, *, has_wind, mast=None, bow=0.0, air=None):
+    point = equations(has_wind=has_wind, air=air)
     nodes = casadi.collocation_points(degree, "radau")
     slope_weights, _, quadrature = casadi.collocation_coeff(nodes)
     program, energy, h = Program(), 0, DURATION / elements
@@ -166,13 +173,16 @@ def _transcribe(elements, degree, *, has_wind, mast=None, bow=0.0):
     return program, energy
 
 
-def solve_by_hand(elements, degree, *, has_wind=False, tolerance=1e-9, mast=None, bow=0.0):
+def solve_by_hand(
+    elements, degree, *, has_wind=False, tolerance=1e-9, mast=None, bow=0.0, air=None
+):
     """Solve test 1 of the paper, or test 2 with its wind.
 
-    `mast` is x, y and radius of a cylinder to keep out of, `bow` how far to +y the guess swerves.
+    `mast` is x, y and radius of a cylinder to keep out of, `bow` how far to +y the guess swerves,
+    `air` is told in `equations`.
     """
     started = seconds()
-    program, energy = _transcribe(elements, degree, has_wind=has_wind, mast=mast, bow=bow)
+    program, energy = _transcribe(elements, degree, has_wind=has_wind, mast=mast, bow=bow, air=air)
     built = seconds()
     solver = casadi.nlpsol(
         "by_hand",

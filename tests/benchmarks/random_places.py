@@ -55,11 +55,13 @@ class Zone:
         low, high = self.centre - self.size, self.centre + self.size
         head = f"name='{name}', shape='{self.shape.value}'"
         if self.shape is Shape.BOX:
-            return f"{{{head}, low={_row(low)}, high={_row(high)}}}"
+            return f"{{{head}, low={spelled(low)}, high={spelled(high)}}}"
         if self.shape is Shape.SPHERE:
-            return f"{{{head}, centre={_row(self.centre)}, radius={self.size[0]:.3f}}}"
+            return f"{{{head}, centre={spelled(self.centre)}, radius={self.size[0]:.3f}}}"
         heights = f"bottom={low[2]:.3f}, top={high[2]:.3f}"
-        return f"{{{head}, centre={_row(self.centre[:2])}, radius={self.size[0]:.3f}, {heights}}}"
+        return (
+            f"{{{head}, centre={spelled(self.centre[:2])}, radius={self.size[0]:.3f}, {heights}}}"
+        )
 
 
 def depth(zone, places):
@@ -72,7 +74,8 @@ def depth(zone, places):
     return np.minimum(aside, np.minimum(places[:, 2] - zone.bottom, zone.top - places[:, 2]))
 
 
-def _row(numbers):
+def spelled(numbers):
+    """Return numbers as a list of a scenario file."""
     return f"[{', '.join(f'{number:.3f}' for number in numbers)}]"
 
 
@@ -88,19 +91,19 @@ def missions(count, seed):
         lasting = lengths.sum() / random.uniform(*PACES_M_PER_S) + holds[1:-1].sum()
         is_free = random.uniform() < 0.5
         passings = [
-            {"position": _row(place), **_extras(random, hold)}
+            {"position": spelled(place), **_extras(random, hold)}
             for place, hold in zip(places[1:-1], holds[1:-1], strict=True)
         ]
         if not is_free and random.uniform() < 0.3:
             way = lengths[0] / lengths.sum() * random.uniform(0.9, 1.1)
             passings[0]["at"] = f"{way * lasting:.3f}"
-        spelled = [", ".join(f"{k}={v}" for k, v in passing.items()) for passing in passings]
+        written = [", ".join(f"{k}={v}" for k, v in passing.items()) for passing in passings]
         duration = ["mission.duration='free'", f"mission.price_of_time={_price(random):.1f}"]
         yield (
             f"name='places_{number:03d}'",
-            f"mission.start.position={_row(places[0])}",
-            f"mission.goal.position={_row(places[-1])}",
-            f"mission.waypoints=[{', '.join(f'{{{told}}}' for told in spelled)}]",
+            f"mission.start.position={spelled(places[0])}",
+            f"mission.goal.position={spelled(places[-1])}",
+            f"mission.waypoints=[{', '.join(f'{{{told}}}' for told in written)}]",
             *(duration if is_free else [f"mission.duration={lasting:.3f}"]),
             *_airspace(random, places, zones, clearance),
             *_air(random),
@@ -154,8 +157,8 @@ def _airspace(random, places, zones, clearance):
     chances = random.uniform(size=3)
     heights = places[:, 2]
     if zones:
-        spelled = ", ".join(zone.written(f"zone_{k}") for k, zone in enumerate(zones))
-        yield f"airspace.keep_out=[{spelled}]"
+        written = ", ".join(zone.written(f"zone_{k}") for k, zone in enumerate(zones))
+        yield f"airspace.keep_out=[{written}]"
         yield f"airspace.clearance={clearance:.3f}"
     if chances[0] < 0.5:
         yield f"airspace.floor={heights.min() - random.uniform(0.1, 1.0):.3f}"

@@ -14,7 +14,10 @@ from pathlib import Path
 
 FOLDER = Path(__file__).parents[2] / "reports" / "benchmarks"
 REPORT = "report.md"
-NAMES = ("run", "engine", "resolve", "counts", "missions", "robustness", "places", "sweep", "mpc")
+NAMES = (
+    "run", "jobs", "engine", "peers", "resolve", "counts", "missions", "strangers", "robustness",
+    "places", "sweep", "mpc",
+)  # fmt: skip
 PACKAGES = ("pyomo_quad", "pyomo", "casadi", "cyipopt-wheels", "numpy", "scipy")
 HEADING = """# Benchmarks
 

@@ -44,7 +44,8 @@ FARTHEST_M = 30.0
 DURATIONS_S = (3.0, 30.0)
 STRONGEST_WIND_M_PER_S = 6.0
 HEAVIEST_PAYLOAD_KG = 0.25
-VERIFIED, INFEASIBLE, LOST = "verified", "infeasible, proven", "lost"
+VERIFIED, USABLE, INFEASIBLE, LOST = "verified", "usable", "infeasible, proven", "lost"
+VERDICTS = (VERIFIED, USABLE, INFEASIBLE, LOST)
 _PLANNERS: dict[None, Planner] = {}
 
 
@@ -85,12 +86,12 @@ def missions(count, seed):
         yield (*settings, *pack, f"power.model='{model}'", credit)
 
 
-def fly(mission, doubt=lambda _plan: ""):
-    """Fly a mission; a verified plan of which the doubt says something is lost."""
+def fly(mission, doubt=lambda _plan: "", base=BASE):
+    """Fly a mission; a verified or usable plan of which the doubt says something is lost."""
     seed, number, settings = mission
     planner = _PLANNERS.setdefault(None, Planner())
     started, processor = perf_counter(), process_time()
-    verdict, detail, attempts = _verdict(planner, settings, doubt)
+    verdict, detail, attempts = _verdict(planner, base, settings, doubt)
     return Outcome(
         seed=seed,
         number=number,
@@ -103,16 +104,16 @@ def fly(mission, doubt=lambda _plan: ""):
     )
 
 
-def _verdict(planner, settings, doubt):
+def _verdict(planner, base, settings, doubt):
     try:
-        plan = planner.solve(load_scenario(BASE, settings))
+        plan = planner.solve(load_scenario(base, settings))
     except FeasibilityError as error:
         return INFEASIBLE, str(error), ()
     except PyomoQuadError as error:
         return LOST, str(error), ()
-    if plan.status is PlanStatus.VERIFIED:
+    if plan.status.value in (VERIFIED, USABLE):
         said = doubt(plan)
-        return (LOST if said else VERIFIED), said, plan.attempts
+        return (LOST if said else plan.status.value), said, plan.attempts
     if plan.status is PlanStatus.INFEASIBLE:
         causes = () if plan.failure is None else plan.failure.causes()
         return INFEASIBLE, next(iter(causes), plan.message), plan.attempts
@@ -122,7 +123,7 @@ def _verdict(planner, settings, doubt):
 def outcome_rows(seed, outcomes):
     """Yield a row for each verdict, with processor seconds of its missions."""
     counts = Counter(outcome.verdict for outcome in outcomes)
-    for verdict in (VERIFIED, INFEASIBLE, LOST):
+    for verdict in VERDICTS:
         times = [o.processor_s for o in outcomes if o.verdict == verdict]
         middle, high = "-", "-"
         if times:

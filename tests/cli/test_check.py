@@ -33,13 +33,24 @@ def test_check_counts_the_four_controls_and_checks_units(tmp_path, capsys):
     assert "Units: consistent in every declared relation." in said
 
 
+def test_check_estimates_the_effort_and_says_that_it_is_rough(tmp_path, capsys):
+    file = str(write_scenario(tmp_path))
+    main(["check", file])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Effort: roughly " in said
+    assert "a guess from counts that may be off by a factor of 3" in said
+    main(["check", file, "--json"])
+    effort = json.loads(capsys.readouterr().out)["effort"]
+    assert effort["seconds"] > max(effort["features"].values(), default=0.0)
+
+
 def test_check_warns_of_what_the_mission_must_break(tmp_path, capsys):
     file = write_scenario(tmp_path)
     assert main(["check", str(file), "--set", "mission.duration=0.3"]) == ExitCode.VERIFIED
     said = capsys.readouterr().out
     assert "Mission, impossible: mission.duration = 0.3 s: to reach the goal and stop needs" in said
     assert main(["check", str(file)]) == ExitCode.VERIFIED
-    assert "Mission: nothing found that it must break" in capsys.readouterr().out
+    assert "Mission: no impossible demand and no doubtful value found." in capsys.readouterr().out
 
 
 def test_check_as_json(tmp_path, capsys):
@@ -59,7 +70,8 @@ def test_check_quietly(tmp_path, capsys):
 def test_library_lists_names(capsys):
     assert main(["library"]) == ExitCode.VERIFIED
     said = capsys.readouterr().out
-    assert "vehicles: dji_matrice_100, dji_phantom_2\n" in said
+    (vehicles,) = (line for line in said.splitlines() if line.startswith("vehicles: "))
+    assert {"dji_matrice_100", "dji_phantom_2"} <= set(vehicles[len("vehicles: ") :].split(", "))
     assert "winds: calm, constant, paper_table_2\n" in said
 
 

@@ -184,7 +184,7 @@ def test_a_stopped_solve_leaves_its_best_iterate_beside_the_report(
     tmp_path, folder, monkeypatch, capsys
 ):
     def stop_when_it_is_good(now):
-        if now.infeasibility < 1e-6:
+        if now.iteration.infeasibility < 1e-6:
             signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(solving, "live_line", lambda **_: nullcontext(stop_when_it_is_good))
@@ -193,7 +193,7 @@ def test_a_stopped_solve_leaves_its_best_iterate_beside_the_report(
     beside = tmp_path / "report-interrupted"
     assert capsys.readouterr() == (
         "",
-        f"paper_calm: interrupted; its best iterate is in {beside}, and {folder} is as it was.\n",
+        f"paper_calm: interrupted; its best iterate is in {beside}, and {folder} is unchanged.\n",
     )
     assert content(folder) == before
     assert set(pd.read_csv(beside / "plan.csv")["status"]) == {"interrupted"}

@@ -1,6 +1,7 @@
 """`pyomo-quad fly` through the command's own entry: status, files, words."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -121,7 +122,7 @@ def test_an_interval_beyond_the_mission_is_one_line_and_writes_nothing(
 
 def test_a_flight_planned_again_says_why_it_is_not_confirmed(tmp_path, capsys, monkeypatch):
     # Planned again a hundred times a second, a flight misses the usual tolerance as this one does.
-    monkeypatch.setattr(baselines, "ENERGY_TOLERANCE", 1e-15)
+    monkeypatch.setattr(baselines, "_AGREEING", replace(baselines._AGREEING, energy_flown=1e-15))
     command = ["fly", PAPER_CALM, *QUICK, "--controller", "mpc", "--knowledge", "told"]
     coarse = ["--set=baseline.mpc.interval=0.8", "--out", str(tmp_path / "out")]
     assert main([*command, *coarse]) == ExitCode.NOT_VERIFIED
@@ -130,3 +131,49 @@ def test_a_flight_planned_again_says_why_it_is_not_confirmed(tmp_path, capsys, m
     assert said.endswith(f"not confirmed by a second integrator: {doubt}.")
     assert " J in the energy spent; must be at most " in doubt
     assert "a longer baseline.mpc.interval makes fewer" in doubt
+
+
+LIGHT = "--set=wind.turbulence.intensity=light"
+
+
+def test_a_plan_is_flown_many_times_from_its_report(tmp_path, capsys):
+    plan, out = tmp_path / "plan", tmp_path / "flown"
+    drag = "--set=wind.coupling=drag"
+    solve = ["solve", PAPER_CALM, *QUICK, drag, "--figures", "none", "--quiet"]
+    assert main([*solve, "--out", str(plan)]) == ExitCode.VERIFIED
+    command = ["fly", str(plan), "--flights", "6", "--seed", "3", LIGHT, "--cruise", "2"]
+    assert main([*command, "--figures", "png", "--out", str(out)]) == ExitCode.VERIFIED
+    said = capsys.readouterr().out
+    assert " of 6 flights arrived and kept every limit." in said
+    assert "Energy spared against adaptive/cruise 2 m/s in the same winds: " in said
+    summary = json.loads((out / "summary.json").read_text())
+    table = pd.read_csv(out / "flights.csv")
+    assert summary["held"] == table["held"].sum()
+    assert summary["energy_J"]["50_percent"] == pytest.approx(table["energy_J"].median())
+    assert sorted(f.name for f in (out / "figures").iterdir()) == [
+        "bands.png",
+        "energy.png",
+        "paths.png",
+    ]
+    assert "arrived and kept every limit" in (out / "report.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        (["--flights", "5"], "all 5 flights would be the same; must have something to draw"),
+        (["--flights", "5", "--controller", "mpc"], "--flights are of the declared vehicle under"),
+        (["--flights", "5", "--reference", "step"], "--flights follow the plan, not another"),
+    ],
+)
+def test_flights_that_cannot_be_many_are_one_line(options, found, tmp_path, capsys):
+    command = ["fly", PAPER_CALM, *QUICK, "--quiet", "--out", str(tmp_path / "out")]
+    assert main([*command, *options]) == ExitCode.BAD_INPUT
+    said = capsys.readouterr().err
+    assert found in said
+    assert said.count("\n") == 1
+
+
+def test_a_plan_needs_a_count_of_flights(tmp_path, capsys):
+    assert main(["fly", str(tmp_path)]) == ExitCode.BAD_INPUT
+    assert "is a plan, not a scenario; add --flights 1000" in capsys.readouterr().err

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -10,6 +9,8 @@ from PIL import Image
 
 from pyomo_quad.cli import main, terminal
 from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.collocation import Iteration
+from pyomo_quad.flight.search import Stage, State
 from tests.command import ENVIRONMENT, SCENARIOS
 
 REPORT = SCENARIOS.parent / "reports" / "paper_wind"
@@ -76,13 +77,29 @@ def test_a_shell_completes_commands_and_choices(words, offered):
 def test_a_log_gets_a_plain_line_every_few_seconds(monkeypatch, capsys):
     clock = iter([0.0, 1.0, 10.5, 12.0, 21.0])
     monkeypatch.setattr(terminal, "perf_counter", lambda: next(clock))
-    now = SimpleNamespace(iteration=12, objective=709.7, infeasibility=1e-5, mesh_points=120)
+    now = State(
+        stage=Stage.REFINING,
+        energy_J=709.7,
+        uncertainty=2e-4,
+        spent_s=10.4,
+        has_usable=True,
+        iteration=Iteration(
+            iteration=12,
+            objective=710.0,
+            infeasibility=1e-5,
+            dual_infeasibility=1e-3,
+            barrier=1e-4,
+            elapsed_s=1.0,
+            mesh_points=120,
+        ),
+    )
     with terminal.live_line(is_quiet=False) as follow:
         for _ in range(4):
             follow(now)
     lines = capsys.readouterr().err.splitlines()
-    assert [line.split()[-2] for line in lines] == ["10.5", "21.0"]
+    assert len(lines) == 2
     assert "\x1b" not in "".join(lines)
-    assert "energy 709.700 J" in lines[0]
+    assert lines[0].startswith("refinement: best so far 709.70 J ± 0.02 %, usable; iteration 12")
+    assert lines[0].endswith("10.4 s of the processor")
     with terminal.live_line(is_quiet=True) as follow:
         assert follow is None

@@ -47,7 +47,7 @@ def test_an_earlier_file_of_ours_is_replaced_and_a_strangers_is_not(tmp_path, ca
     out.write_text(OTHERS)
     assert main([*command, "--out", str(out)]) == ExitCode.FAULT
     assert capsys.readouterr().err == (
-        f"{out}: is there and was not written by this command; move it away or choose another "
+        f"{out}: exists and was not written by this command; move it away or choose another "
         "--out.\n"
     )
     assert out.read_text() == OTHERS
@@ -76,7 +76,7 @@ def test_schema_replaces_its_own_pages_and_no_readme_of_the_users(tmp_path, monk
     capsys.readouterr()
     assert main(["schema"]) == ExitCode.FAULT
     said = capsys.readouterr()
-    assert said.err.startswith("README.md: is there and was not written by this command; ")
+    assert said.err.startswith("README.md: exists and was not written by this command; ")
     assert (said.out, len(said.err.splitlines())) == ("", 1)
     assert [file.name for file in tmp_path.iterdir()] == ["README.md"]
     assert (tmp_path / "README.md").read_text() == "# My thesis\n"
@@ -114,7 +114,9 @@ def test_a_socket_is_refused(tmp_path, monkeypatch):
     with socket.socket(socket.AF_UNIX) as held:
         held.bind("plan")
         with (
-            pytest.raises(OutputError, match=r"plan: is neither a file nor a stream; choose"),
+            pytest.raises(
+                OutputError, match=r"plan: is neither a regular file nor a stream; choose"
+            ),
             output_file("plan"),
         ):
             pass

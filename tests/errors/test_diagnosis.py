@@ -130,7 +130,7 @@ DOUBTFUL = {
     "f_r where chattering pays": (
         {"power": {"model": "efficiency"}},
         "power.model",
-        "speeding up and slowing down in turn costs less than a steady speed",
+        "alternating acceleration and braking costs less than a steady speed",
     ),
     "f_r below its floor": (
         {"power": {"model": "efficiency", "efficiency_floor": 0.2}},
@@ -145,7 +145,7 @@ DOUBTFUL = {
     "f_r with regeneration": (
         {"power": {"model": "efficiency", "regeneration": True}},
         "power.regeneration",
-        "braking earns more than it gave",
+        "braking returns more energy than it absorbs",
     ),
     "a limit never reached": (
         {"limits": {"yaw_moment_max": 1.0}},

@@ -45,7 +45,7 @@ SPOILT = {
     ),
     "nan": (
         lambda: with_value("vel_up_m_s", np.nan),
-        "vel_up_m_s is no number at 15 s of flight 1; drop the row or fill it.",
+        "vel_up_m_s is not a number at 15 s of flight 1; drop the row or fill it.",
     ),
     "text": (
         lambda: three().astype({"power_W": str}).assign(power_W="much"),
@@ -64,7 +64,7 @@ SPOILT = {
     ),
     "no_phase": (
         lambda: with_value("phase", np.nan),
-        "phase is no number at 15 s of flight 1; drop the row or fill it.",
+        "phase is not a number at 15 s of flight 1; drop the row or fill it.",
     ),
     "milliseconds": (
         lambda: three().assign(time_s=lambda f: 1e3 * f.time_s),
@@ -101,7 +101,7 @@ SPOILT = {
     ),
     "one_flight": (
         lambda: recorded.flight(1, 5.0, 0.0, seconds=30),
-        "one flight only; identification needs two at least",
+        "one flight only; identification needs at least two",
     ),
     "single_row": (
         lambda: pd.concat([three(), recorded.flight(4, 5.0, 0.0, seconds=30).head(1)]),
@@ -118,13 +118,13 @@ SPOILT = {
     "no_such_air": (
         lambda: with_value("air_density_kg_m3", 12.0),
         (
-            "air_density_kg_m3 = 12 kg/m^3 at 15 s of flight 1; must be from 0.01 to 2: the air on "
-            "earth has 1.5 at its densest"
+            "air_density_kg_m3 = 12 kg/m^3 at 15 s of flight 1; must be from 0.01 to 2: air has "
+            "about 1.5 at most"
         ),
     ),
     "no_such_speed": (
         lambda: with_value("air_vel_east_m_s", -1e200),
-        "air_vel_east_m_s = -1e+200 m/s at 15 s of flight 1; must be from -1000 to 1000: the",
+        "air_vel_east_m_s = -1e+200 m/s at 15 s of flight 1; must be from -1000 to 1000",
     ),
     "no_such_power": (
         lambda: with_value("power_W", 1e12),
@@ -132,7 +132,7 @@ SPOILT = {
     ),
     "no_such_payload": (
         lambda: three().assign(payload_kg=1e30),
-        "payload_kg = 1e+30 kg at 0 s of flight 1; must be from 0 to 10000: flying machines weigh",
+        "payload_kg = 1e+30 kg at 0 s of flight 1; must be from 0 to 10000: multirotors weigh",
     ),
     "grams": (
         lambda: three().assign(payload_kg=lambda f: 500.0 * (f.flight == 2)),
@@ -194,8 +194,8 @@ def test_files_that_are_no_logs(tmp_path, capsys, monkeypatch):
     other = tmp_path / "log.xlsx"
     other.write_text("x")
     said = refused(capsys, other)
-    assert "is no log; give a .parquet, .csv, PX4 .ulg or ArduPilot .BIN file." in said
-    assert "Of a log the columns are flight, time_s [s], phase" in said
+    assert "is not a log; give a .parquet, .csv, PX4 .ulg or ArduPilot .BIN file." in said
+    assert "Of a log the columns are flight, time_s (s), phase" in said
     whole = tmp_path / "whole.parquet"
     three().to_parquet(whole)
     half = tmp_path / "half.parquet"
@@ -333,7 +333,7 @@ def test_the_same_flights_under_two_names_count_once(tmp_path, capsys):
     again = capsys.readouterr()
     assert again.out == said.out
     assert again.err.splitlines() == [
-        f"logs: flight {k + 10} is flight {k} again; it counts once." for k in (1, 2, 3)
+        f"logs: flight {k + 10} duplicates flight {k}; it counts once." for k in (1, 2, 3)
     ]
 
 
@@ -363,7 +363,7 @@ def test_a_flight_that_is_given_twice(tmp_path, capsys):
     three().to_csv(file, index=False)
     line = refused(capsys, file, str(file))
     assert line == (
-        "logs: flight log 1 is there twice; give each log once, under a name of its own."
+        "logs: flight log 1 is given twice; give each log once, under a name of its own."
     )
 
 

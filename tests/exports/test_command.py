@@ -58,9 +58,9 @@ def test_the_command_names_every_format():
         (["--to", "qgroundcontrol", "--origin", "47,8,nan"], "altitude = nan m"),
         (["--to", "qgroundcontrol", "--origin", "47,8"], 'origin "47,8": must be LAT,LON,ALT'),
         (["--to", "qgroundcontrol", "--origin", "a,b,c"], "must be LAT,LON,ALT"),
-        (["--to", "px4", "--origin", "47,8,400"], "--origin means nothing to px4"),
-        (["--to", "px4", "--path-error", "0.1"], "it is for qgroundcontrol and crazyflie and"),
-        (["--to", "crazyflie", "--rate", "10"], "--rate means nothing to crazyflie"),
+        (["--to", "px4", "--origin", "47,8,400"], "--origin is not an option of px4"),
+        (["--to", "px4", "--path-error", "0.1"], "only of qgroundcontrol and crazyflie and"),
+        (["--to", "crazyflie", "--rate", "10"], "--rate is not an option of crazyflie"),
         (
             ["--to", "crazyflie", "--path-error", "1e-6"],
             "31 pieces of degree 7, the most that the format holds, come within",
@@ -114,12 +114,15 @@ def damaged(folder, *, summary=None, table=None):
             'hop: status = "infeasible"; must be verified',
         ),
         ({"table": "x_m\n0\n"}, "has no column time_s"),
-        ({"table": "time_s,x_m\n0,a\n1,b\n"}, "holds texts among its numbers"),
-        ({"table": "time_s,x_m\n0,0\n1,nan\n"}, "holds no flight of finite numbers"),
+        ({"table": "time_s,x_m\n0,a\n1,b\n"}, "has text among its numbers"),
+        ({"table": "time_s,x_m\n0,0\n1,nan\n"}, "is not a flight with finite numbers"),
         ({"table": "time_s,x_m\n0,0\n0,1\n"}, "does not increase"),
-        ({"table": "time_s,x_m\n0,0\n1,1\n2,2\n"}, "has 3 rows, not one for each of the mesh's 2"),
+        (
+            {"table": "time_s,x_m\n0,0\n1,1\n2,2\n"},
+            "has 3 rows instead of one for each of the mesh",
+        ),
         ({"table": ""}, "is not a CSV table"),
-        ({}, "summary.json: has no mission by which to fly the plan again; solve the scenario"),
+        ({}, "summary.json: has no mission with which to fly the plan again; solve the scenario"),
     ],
 )
 def test_a_damaged_report_is_refused(tmp_path, capsys, parts, said):

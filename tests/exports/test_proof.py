@@ -59,7 +59,7 @@ def with_controls(factor):
 FORGED = {
     "moved by 5 m": (
         lambda: with_states(moved),
-        r"at the start of the plan rigid_body.x = 5 m; must be 0 m, as the mission says",
+        r"at the start of the plan rigid_body.x = 5 m; must be 0 m, as in the mission",
     ),
     "bent by 5 m on the way": (
         lambda: with_states(bent),
@@ -67,11 +67,11 @@ FORGED = {
     ),
     "another end": (
         lambda: with_states(sunk),
-        r"at the end of the plan rigid_body.z = 0 m; must be 0.5 m, as the mission says",
+        r"at the end of the plan rigid_body.z = 0 m; must be 0.5 m, as in the mission",
     ),
     "a horizon of a nanosecond": (
         lambda: replace(plan(), trajectories=replace(plan().trajectories, horizon=(0.0, 1e-9))),
-        r"horizon = 0 to 1e-09 s; must be 0 to 4 s, as the mission says",
+        r"horizon = 0 to 1e-09 s; must be 0 to 4 s, as in the mission",
     ),
     "other controls": (lambda: with_controls(1.1), r"flown again, the plan is [\d.]+"),
     "half the energy": (
@@ -100,7 +100,7 @@ FORGED = {
             scenario=flights.scenario("paper_calm", *HOP, WAYPOINT),
             passing_times_s=(1.0,),
         ),
-        r"mission.waypoints\[0\] is passed at 1 s; must be 2 s, as the mission says",
+        r"mission.waypoints\[0\] is passed at 1 s; must be 2 s, as in the mission",
     ),
 }
 SLOW = ("limits.rotor_speed_max=913.0",)
@@ -196,5 +196,5 @@ def test_a_summary_without_its_mission_is_refused(tmp_path):
     summary = json.loads((tmp_path / "summary.json").read_text())
     summary["scenario_resolved"]["vehicle"]["mass"] = -1.0
     (tmp_path / "summary.json").write_text(json.dumps(summary))
-    with pytest.raises(ScenarioError, match="has no mission by which to fly the plan again"):
+    with pytest.raises(ScenarioError, match="has no mission with which to fly the plan again"):
         export_plan(folder, "px4", tmp_path / "out.csv")

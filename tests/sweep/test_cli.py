@@ -138,4 +138,4 @@ def test_an_interrupted_sweep_ends_with_its_status_and_goes_on(number, tmp_path)
     assert process.returncode == ExitCode.INTERRUPTED
     assert "Traceback" not in err
     assert "leaked" not in err
-    assert "the same command goes on" in out or err.endswith("no report was written.\n")
+    assert "run the same command to continue" in out or err.endswith("no report was written.\n")

@@ -87,7 +87,7 @@ def test_message_about_an_axis_names_the_study_and_not_the_command_line(tmp_path
 
 def test_more_cases_than_the_limit_need_a_yes(tmp_path, monkeypatch):
     many = axis("mission.duration", "linear = { first = 4.0, last = 9.0, count = 1001 }")
-    with pytest.raises(StudyError, match=r"make 1001 cases, more than 1000; .* say --yes"):
+    with pytest.raises(StudyError, match=r"make 1001 cases, more than 1000; .* give --yes"):
         design_of(tmp_path, many)
     monkeypatch.setattr("pyomo_quad.sweep.study_file.CASE_LIMIT", 10)
     loaded = load_study(write_study(tmp_path, many.replace("1001", "11")))

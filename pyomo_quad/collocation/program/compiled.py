@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from functools import cached_property
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
@@ -261,6 +260,8 @@ class CompiledModel:
     row_integrals: tuple[int, ...]
     symbols: tuple[Any, Any]
     tables: TableArguments
+    fingerprint: str
+    """What tells the equations from others: their code and names, whatever the numbers."""
     static_of_integral: dict[int, int] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -289,15 +290,6 @@ class CompiledModel:
     def n_equations(self) -> int:
         """Number of path equations at each point."""
         return len(self.declared.equations)
-
-    @cached_property
-    def fingerprint(self) -> str:
-        """Hash of the equations' code and names, independent of the numbers in them."""
-        d = self.declared
-        names = ["maximise" if d.maximise else "minimise", *(e.name for e in d.equations)]
-        names += [slot.name for slot in (*d.states, *d.algebraics, *d.statics)]
-        code = [_anonymous(function) for function in (self.path.values, self.points.values)]
-        return sha256("\n".join([*code, *names]).encode()).hexdigest()
 
     @property
     def is_equality(self) -> NDArray[np.bool_]:
@@ -334,10 +326,15 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
     )
     rows = [e.expression for e in equations] + [i.integrand for i in declared.integrals]
     point_rows = [c.expression for c in conditions] + [declared.objective]
+    path = _stack(rows), _stack(path_variables.values()), path_data
+    points = _stack(point_rows), _stack(point_variables.values()), parameters
+    # Before there are derivatives: CasADi keeps those of a spline in it, and serialises them.
+    fingerprint = _fingerprint(declared, [_values("path", *path), _values("points", *points)])
     return CompiledModel(
         declared=declared,
-        path=_derive("path", _stack(rows), _stack(path_variables.values()), path_data),
-        points=_derive("points", _stack(point_rows), _stack(point_variables.values()), parameters),
+        path=_derive("path", *path),
+        points=_derive("points", *points),
+        fingerprint=fingerprint,
         path_bounds=_path_bounds(declared, path_data),
         variable_limits=_variable_limits(declared, path_simple, path_data),
         simple_path_bounds=path_simple,
@@ -462,6 +459,18 @@ def _table_arguments(
     return TableArguments(over_time=made[0], path=made[1], in_conditions=made[2], points=made[3])
 
 
+def _fingerprint(declared: Declarations, functions: list[Any]) -> str:
+    d = declared
+    names = ["maximise" if d.maximise else "minimise", *(e.name for e in d.equations)]
+    names += [slot.name for slot in (*d.states, *d.algebraics, *d.statics)]
+    code = [_anonymous(function) for function in functions]
+    return sha256("\n".join([*code, *names]).encode()).hexdigest()
+
+
+def _values(name: str, rows: Any, variables: Any, data: Any) -> Any:
+    return casadi.Function(name, [variables, data], [casadi.densify(rows)])
+
+
 def _anonymous(function: Any) -> str:
     """Return the code of a function without the names of its symbols, which depend on times."""
     symbols = [casadi.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
@@ -567,7 +576,7 @@ def _derive(name: str, rows: Any, variables: Any, data: Any) -> DerivedFunctions
     j_rows, j_columns = jacobian.sparsity().get_triplet()
     h_rows, h_columns = hessian.sparsity().get_triplet()
     return DerivedFunctions(
-        values=casadi.Function(name, [variables, data], [casadi.densify(rows)]),
+        values=_values(name, rows, variables, data),
         jacobian=casadi.Function(f"{name}_jacobian", [variables, data], [_nonzeros(jacobian)]),
         hessian=casadi.Function(
             f"{name}_hessian", [variables, data, weights], [_nonzeros(hessian)]

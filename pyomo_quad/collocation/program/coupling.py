@@ -61,7 +61,7 @@ class Link:
 
     @property
     def condition(self) -> PointCondition:
-        """The condition, imposed on the horizon, that the two are equal."""
+        """The condition on the horizon that the variable equals the value."""
         zero, difference = casadi.SX(0), casadi.SX(self.value) - self.slot.symbol
         return PointCondition(name=self.slot.name, expression=difference, lower=zero, upper=zero)
 

@@ -154,7 +154,7 @@ class Multipliers:
 
 
 @dataclass(kw_only=True)
-class Deadline:
+class WallClockLimit:
     """A progress callback that stops all solves together after a time limit.
 
     Attributes

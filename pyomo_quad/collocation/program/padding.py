@@ -84,7 +84,7 @@ class PaddedProgram(ChangedProgram):
 
 
 def padded(program: Any, bounds: Bounds, scaling: Scaling) -> PaddedProgram | None:
-    """Return a program padded with idle unknowns until it is not square, None if it is not."""
+    """Return a program with enough idle unknowns not to be square, None if it needs none."""
     idle = bounds.surplus + 1
     if idle <= 0:
         return None

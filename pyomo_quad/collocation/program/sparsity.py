@@ -37,7 +37,7 @@ class Elements:
     widths: FloatArray
 
     def everywhere(self, places: Places) -> Places:
-        """Return indices, shape (n, 2), in each element: shape (n_elements, n)."""
+        """Return the indices of all elements, shape (n_elements, n), from pairs, shape (n, 2)."""
         return places[:, 0] + self.first_nodes[:, None] * places[:, 1]
 
 

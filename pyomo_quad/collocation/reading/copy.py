@@ -504,13 +504,13 @@ LEAST_PHASE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Clock:
+class PhaseTimes:
     """Phases of the horizon between times that may be free; flags select the phase that holds.
 
     Attributes
     ----------
     name : str
-        Of the continuous set.
+        Name of the continuous set.
     declared : tuple of float
         Declared times between which time runs evenly, the first and the last among them.
     times : tuple

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.reading.copy import Clock
+    from pyomo_quad.collocation.reading.copy import PhaseTimes
 
 # Number of times, besides the declared ones, at which a rule is called before compilation.
 _PROBES = 64
@@ -95,7 +95,7 @@ class Schedule:
     Parameters
     ----------
     name : str
-        Of the component, for messages and symbols.
+        Name of the component, for messages and symbols.
     say : callable
         Time -> Statement.
     times : sequence of float
@@ -230,7 +230,7 @@ class Schedule:
 class Phases:
     """The phase of a clock that holds at a time, with the interface of a `Schedule`."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: PhaseTimes) -> None:
         self.name = clock.name
         self.slots = tuple(
             Slot(name=phase.name(), component=clock.name, index=(), symbol=phase)
@@ -362,7 +362,7 @@ class Steps:
         return self.values[min(max(step, 0), len(self.values) - 1)]
 
     def edges(self, start: float, end: float) -> list[float]:
-        """Return where steps begin between two times."""
+        """Return the times between two given times at which a step begins."""
         first = floor((start - self.start) / self.step) + 1
         last = min(ceil((end - self.start) / self.step), len(self.values))
         return [self.start + k * self.step for k in range(max(first, 1), last)]

@@ -12,7 +12,7 @@ from pyomo.core import ConcreteModel, Param, value
 from pyomo.dae import DerivativeVar
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.reading.copy import Clock, rule_of
+from pyomo_quad.collocation.reading.copy import PhaseTimes, rule_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -364,7 +364,7 @@ class Declarations:
     parameters: tuple[Slot, ...]
     signals: tuple[Slot, ...]
     scheduled: tuple[Slot, ...]
-    clock: Clock
+    clock: PhaseTimes
     equations: tuple[PathEquation, ...]
     conditions: tuple[PointCondition, ...]
     point_symbols: tuple[PointSymbol, ...]
@@ -420,14 +420,14 @@ class SymbolTable:
         }
         self.clock = self._clock(free)
 
-    def _clock(self, free: Mapping[float, Any]) -> Clock:
+    def _clock(self, free: Mapping[float, Any]) -> PhaseTimes:
         """Return the clock of the model, whose times may be static variables."""
         declared = self._copy.declared_times or (0.0, 1.0)
         ends = {declared[0]: "horizon.start", declared[-1]: "horizon.end"}
         times = tuple(sorted(ends.keys() | free.keys()))
         name = "" if self._copy.time is None else self._copy.time.name
         starts = times[:-1] if len(times) > 2 else ()
-        return Clock(
+        return PhaseTimes(
             name=name,
             declared=times,
             times=tuple(

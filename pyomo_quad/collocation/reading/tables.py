@@ -28,48 +28,51 @@ _COMPARED = 40
 _CHECKED = 20
 
 
+# Of a table's range, how far beyond either end its spline goes on straight.
+_BEYOND = 100.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class Spline:
     """Tensor-product not-a-knot B-spline, extrapolated linearly beyond its range.
 
-    `knots` has one array per argument, `coefficients` one axis per argument.
+    `knots` has one array per argument, `coefficients` one axis per argument; `ranges` holds the
+    first and the last point of each argument.
     """
 
     knots: tuple[FloatArray, ...]
     coefficients: FloatArray
     degree: int
+    ranges: tuple[tuple[float, float], ...]
 
     @classmethod
     def through(cls, points: Sequence[FloatArray], values: FloatArray, degree: int) -> Self:
         """Return the spline through values on a grid."""
-        from scipy.interpolate import make_interp_spline  # noqa: PLC0415  few models have tables
-
         held, knots = np.asarray(values, dtype=float), []
         for axis, at in enumerate(points):
-            spline = make_interp_spline(at, np.moveaxis(held, axis, 0), k=degree)
-            held = np.moveaxis(spline.c, 0, axis)
-            knots.append(np.asarray(spline.t))
-        return cls(knots=tuple(knots), coefficients=held, degree=degree)
+            found, coefficients = _going_on(at, np.moveaxis(held, axis, 0), degree)
+            held = np.moveaxis(coefficients, 0, axis)
+            knots.append(found)
+        ranges = tuple((float(at[0]), float(at[-1])) for at in points)
+        return cls(knots=tuple(knots), coefficients=held, degree=degree, ranges=ranges)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Return itself, since it is immutable."""
         return self
 
-    @property
-    def ranges(self) -> tuple[tuple[float, float], ...]:
-        """First and last point of each argument."""
-        return tuple((float(t[0]), float(t[-1])) for t in self.knots)
-
     def written(self, arguments: Sequence[Any]) -> Any:
-        """Return the value at CasADi expressions."""
-        held = casadi.DM(self.coefficients.reshape(-1, self.coefficients.shape[-1]))
-        shape = self.coefficients.shape
-        for axis in reversed(range(len(shape))):
-            basis = _basis(self.knots[axis], self.degree, casadi.SX(arguments[axis]))
-            column = casadi.mtimes(held, basis)
-            # CasADi stores matrices by columns, NumPy by rows.
-            held = casadi.reshape(column, shape[axis - 1] if axis else 1, -1).T
-        return held
+        """Return the value at CasADi expressions.
+
+        It calls CasADi's own spline, whose work does not grow with the table: it reads the
+        coefficients around a place alone, and so do its derivatives, which are splines again.
+        """
+        place = casadi.MX.sym("place", len(self.knots))
+        coefficients = self.coefficients.ravel(order="F").tolist()
+        knots, degrees = [t.tolist() for t in self.knots], [self.degree] * len(self.knots)
+        value = casadi.bspline(place, casadi.DM(coefficients), knots, degrees, 1, {})
+        # Of a function that is inlined, an SX expression would need every coefficient.
+        local = casadi.Function("spline", [place], [value], {"never_inline": True})
+        return local(casadi.vertcat(*[casadi.SX(argument) for argument in arguments]))
 
     @cached_property
     def function(self) -> Any:
@@ -84,30 +87,26 @@ class Spline:
         return {name: part for name, part in vars(self).items() if name != "function"}
 
 
-def _basis(knots: FloatArray, degree: int, argument: Any) -> Any:
-    """Return all basis functions at an argument, by de Boor's recurrence between its knots."""
-    inner = knots[degree + 1 : -degree - 1]
-    # Knots of the interval that holds the argument: steps at each inner knot.
-    at = casadi.SX.sym("at")
-    steps = casadi.vertcat(1.0, *[at >= t for t in inner], 0.0)
-    is_in = steps[:-1] - steps[1:]
-    n = inner.size + 1
-    near = [casadi.dot(casadi.DM(knots[k + 1 : k + 1 + n]), is_in) for k in range(2 * degree)]
-    local = [casadi.SX(1.0)]
-    for p in range(1, degree + 1):
-        left, right = near[degree - p : degree], near[degree : degree + p]
-        shares = [local[k] / (right[k] - left[k]) for k in range(p)]
-        rising = [casadi.SX(0.0), *((at - left[k]) * shares[k] for k in range(p))]
-        falling = [*((right[k] - at) * shares[k] for k in range(p)), casadi.SX(0.0)]
-        local = [up + down for up, down in zip(rising, falling, strict=True)]
-    column = casadi.vertcat(*local)
-    within = casadi.fmin(casadi.fmax(argument, knots[0]), knots[-1])
-    column = column + casadi.jacobian(column, at) * (argument - within)
-    column, is_in = casadi.substitute([column, is_in], [at], [within])
-    basis = casadi.SX(n + degree, 1)
-    for k in range(degree + 1):
-        basis[k : k + n] += is_in * column[k]
-    return basis
+def _going_on(at: FloatArray, values: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
+    """Return knots and coefficients of the spline through values, with straight ends.
+
+    A knot of one less than full multiplicity at either end leaves value and slope continuous
+    there; the values at the averages of its knots determine the spline that does so.
+    """
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415  few models have tables
+
+    spline = make_interp_spline(at, values, k=degree)
+    first, last, far = at[0], at[-1], _BEYOND * (at[-1] - at[0])
+    inner = spline.t[degree + 1 : -degree - 1]
+    ends = [np.full(degree + 1, first - far), np.full(degree - 1, first)]
+    starts = [np.full(degree - 1, last), np.full(degree + 1, last + far)]
+    knots = np.concatenate([*ends, inner, *starts])
+    count = knots.size - degree - 1
+    places = np.array([knots[k + 1 : k + 1 + degree].mean() for k in range(count)])
+    within = np.clip(places, first, last)
+    beyond = (places - within).reshape(-1, *[1] * (values.ndim - 1))
+    straight = spline(within) + beyond * spline(within, 1)
+    return knots, np.asarray(make_interp_spline(places, straight, k=degree, t=knots).c)
 
 
 class Table(PythonCallbackFunction):

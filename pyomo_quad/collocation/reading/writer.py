@@ -348,7 +348,7 @@ class TemplateWriter:
         if statement is not None and not symbol.is_read:
             parts = zip(statement.parts, _ABSENT, strict=False)
             return [self._part(p, name, absent) for p, absent in parts], statement.is_equality
-        schedule = Schedule(name, partial(self._said, name, say), self.copy.declared_times)
+        schedule = Schedule(name, partial(self._statement_at, name, say), self.copy.declared_times)
         self.schedules.append(schedule)
 
         def write(part: Any, numbers: Iterator[Any]) -> Any:
@@ -356,7 +356,7 @@ class TemplateWriter:
 
         return schedule.written(write, _ABSENT), schedule.is_equality
 
-    def _said(self, name: str, say: Callable[[Any], Statement], time: float) -> Statement:
+    def _statement_at(self, name: str, say: Callable[[Any], Statement], time: float) -> Statement:
         """Return the statement of a rule at one time."""
         template = self.copy.template_time
         if self.symbols.clock.is_free:

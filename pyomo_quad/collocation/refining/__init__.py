@@ -1,1 +1,1 @@
-"""The error of a solution, and the mesh that makes it small enough."""
+"""Error estimation and mesh refinement."""

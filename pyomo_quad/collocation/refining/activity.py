@@ -1,4 +1,4 @@
-"""Where limits hold, and where they begin or cease to hold.
+"""Active limits, and the elements where limits become active or inactive.
 
 The rule: see docs/theory/refinement.md, eq. (7).
 """
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
     from pyomo_quad.collocation.solution import Solution
 
-# Shares of the horizon that are the same but for rounding.
+# Fractions of the horizon that differ by less are equal up to rounding.
 SAME = 1e-12
 
 
 def junction_elements(solution: Solution) -> frozenset[int]:
     """Return the elements in or beside which the activity of a limit changes.
 
-    A change where the equations themselves may change is where it has to be.
+    A change at a time at which the equations themselves may change is not counted.
     """
     active = active_limits(solution)
     return _changing(solution, np.ones(active.shape[1], dtype=bool), active)
@@ -31,7 +31,7 @@ def junction_elements(solution: Solution) -> frozenset[int]:
 def switch_elements(solution: Solution) -> frozenset[int]:
     """Return the junction elements of limits on algebraic variables alone.
 
-    Where a limit on a state begins or ceases to hold, its costate may jump as well.
+    Where a limit on a state becomes active or inactive, the state's costate may jump as well.
     """
     program, layout = solution.program, solution.program.layout
     path, n = program.compiled.path, layout.n_states
@@ -57,17 +57,17 @@ def _changing(
 
 
 def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
-    """Say of each element and the end whether it starts at a condition or a jump."""
+    """Return for each element, and the end, whether it starts at a condition or a jump."""
     required = solution.problem.required_breakpoints(solution.instance)
     starts = np.asarray(solution.mesh.breakpoints)
     return np.any(np.abs(starts[:, None] - np.array([0.0, *required, 1.0])) < SAME, axis=1)
 
 
 def active_limits(solution: Solution) -> NDArray[np.bool_]:
-    """Say of every limit over time whether it holds at each point, shape (n_points, n_limits).
+    """Return whether each limit over time is active at each point, shape (n_points, n_limits).
 
-    At an interior-point solution the product of multiplier and slack is the same small
-    number everywhere; a limit is active where the multiplier is the larger of the two.
+    At an interior-point solution the product of multiplier and slack is the same small number
+    everywhere; a limit is active where the multiplier is the larger of the two.
     """
     program, layout = solution.program, solution.program.layout
     bounds, scaling = solution.bounds, solution.scaling

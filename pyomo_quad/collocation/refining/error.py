@@ -28,19 +28,19 @@ if TYPE_CHECKING:
 
 
 def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
-    """Return what an error made in one element becomes at the end, when the controls are flown.
+    """Return the effect on the final states of an error made in one element, in open loop.
 
     Parameters
     ----------
     solution : Solution
     errors : ndarray, shape (n_elements, n_states)
-        Of the states at the elements' ends.
+        Errors of the states at the elements' ends.
 
     Returns
     -------
     ndarray, shape (n_elements, n_states)
-        To first order, relative to the larger of 1 and the state's final magnitude; zero where
-        the equations do not determine every rate.
+        To first order, relative to the larger of 1 and the state's final magnitude; zero if the
+        equations do not determine every rate.
     """
     program, mesh = solution.program, solution.mesh
     variables = program.path_variables(solution.unknowns)
@@ -57,7 +57,7 @@ def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
 
 
 def _transition(solution: Solution, equations: Linearised, e: int) -> FloatArray:
-    """Return how an element's last state depends on its first, its controls kept."""
+    """Return d (last state) / d (first state) of an element, with the controls unchanged."""
     mesh = solution.mesh
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
     slopes = radau_rule(mesh.degrees[e]).differentiation / mesh.widths[e]
@@ -70,32 +70,33 @@ def _transition(solution: Solution, equations: Linearised, e: int) -> FloatArray
     return np.asarray(moved[-n:])
 
 
-# By what share rounding may take a control past where it is held.
+# Relative violation of a control's clipping limit that rounding may cause.
 _ROUNDING = 1e-9
 # Samples per collocation point at which limits are checked.
 _SAMPLES = 4
-# Panels of an element on which integrals are computed anew.
+# Panels of an element on which integrals are recomputed.
 _PANELS = 4
-# What bounds between the points cost adds to what the barrier leaves and to the states' errors: of
-# the tolerance, it is given this share.
+# Fraction of the tolerance available to the cost of bounds between the points; the barrier's gap
+# and the errors of the states use the rest.
 _RESTRAINT_SHARE = 0.5
-# Just inside an element's start, which itself belongs to the element before.
+# Just inside an element's start, because the start itself belongs to the previous element.
 _START = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Allowance:
-    """What the controls, flown as they are, may do wrong.
+    """Tolerances for flying the controls in open loop.
 
     Attributes
     ----------
     control_breach : float
-        Relative breach of a control's bound between the points at which it is held when it is
-        flown; what this changes in states and objective counts, and a smaller one by what it moves.
-    limit_breach : float
-        Of any other limit, above which it counts as it is; a smaller one counts by what it earns.
+        Relative violation of a control's bound between the points at which the flown control is
+        clipped. The effect of clipping on states and objective counts as error; a smaller violation
+        counts by the change of states that it causes.
+        Violation of any other limit above which the violation itself counts as error; a smaller
+        violation counts by its effect on the objective.
     final_miss : float
-        Of the final states, relative to the larger of 1 and their magnitude.
+        Tolerance on the final states, relative to the larger of 1 and their magnitude.
     """
 
     control_breach: float = np.inf
@@ -105,22 +106,32 @@ class Allowance:
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorEstimate:
-    """Relative errors, largest between points.
+    """Relative errors, the largest between the points.
 
     `states` has shape (n_elements, n_states), relative to the larger of the state's largest
     magnitude and its nominal one (1 unless declared); the others have shape (n_elements,).
-    `violation` is that of path equations and bounds, relative to the larger of 1 and the
-    bound.  `objective` is what an element's state errors change in the objective, which the
-    costates tell, times the number of elements but never more than the sum over all of them,
-    and relative to the objective.  `switches` is what misplaced switches of controls may cost,
-    summed up likewise, and `costs` are those of `objective`, both relative to the objective's own
-    size, and only counted once all else is below the tolerance.  `restraint` is likewise what it
-    costs that bounds are kept between the points too, of which a share of the tolerance is all, and
-    `integrals` the error of the quadrature, of the objective and of every integral, the latter
-    relative to the larger of 1 and the integral.  `miss` is what the state errors become at the
-    end, as a share of what is allowed of which the tolerance is all.  `gap` is what the barrier
-    leaves of the objective, which no mesh makes smaller.  `is_held` says where a control is held to
-    its limit, a corner that no degree resolves.
+
+    `violation`: violation of path equations and bounds, relative to the larger of 1 and the bound.
+
+    `objective`: change of the objective by an element's state errors, estimated from the costates,
+    times the number of elements but at most the sum over all elements, relative to the objective.
+
+    `switches`: possible cost of misplaced switches of controls, summed in the same way, and
+    `costs`: the same as `objective`; both relative to the objective's own size, and counted only if
+    all other errors are below the tolerance.
+
+    `restraint`: cost of the bounds between the points, summed in the same way, in units of the
+    fraction of the tolerance available to it.
+
+    `integrals`: error of the quadrature of the objective and of every integral, the latter relative
+    to the larger of 1 and the integral.
+
+    `miss`: effect of the state errors on the final states, scaled so that the allowed miss equals
+    the tolerance.
+
+    `gap`: relative gap that the barrier leaves in the objective, which no mesh reduces.
+
+    `is_held`: whether a control is clipped to its limit, a corner that no degree resolves.
     """
 
     states: FloatArray
@@ -136,7 +147,7 @@ class ErrorEstimate:
 
     @property
     def per_element(self) -> FloatArray:
-        """Largest of all, shape (n_elements,)."""
+        """Largest of all errors, shape (n_elements,)."""
         return np.maximum.reduce(
             [
                 self.states.max(axis=1, initial=0.0),
@@ -152,13 +163,13 @@ class ErrorEstimate:
 
     @property
     def of_integrals(self) -> float:
-        """Largest of the objective and the integrals."""
+        """Largest error of the objective and the integrals."""
         parts = (self.objective, self.restraint, self.integrals)
         return float(max(part.max(initial=0.0) for part in parts))
 
     @property
     def largest(self) -> float:
-        """Largest of all."""
+        """Largest of all errors."""
         return max(self.gap, float(self.per_element.max(initial=0.0)))
 
 
@@ -167,16 +178,16 @@ def estimate_error(
 ) -> ErrorEstimate:
     """Estimate the errors of a solution, element by element.
 
-    Polynomials may satisfy the differential equations while the weights at their points misjudge
-    an integrand, which is of a higher degree or has a corner between them: every integral is
-    computed again by Gauss' rule on panels of each element.
+    Polynomials may satisfy the differential equations although the quadrature misjudges an
+    integrand that has a higher degree, or a corner between the points. Every integral is therefore
+    recomputed by Gauss' rule on panels of each element.
 
     Parameters
     ----------
     solution : Solution
     tolerance : float, optional
-        What a final miss that is just allowed counts, and below which all else must be for
-        switches to count: what is coarse is refined first.
+        Error assigned to a final miss at the allowed limit. Switches count only if all other errors
+        are below it, so that coarse elements are refined first.
     allowance : Allowance, optional
     """
     allowance = allowance or Allowance()
@@ -217,18 +228,18 @@ def estimate_error(
     )
 
 
-# Of the unit that the objective is scaled by: the least that its size counts for.
+# Least size of the objective, in the unit of its scaling.
 _LEAST_SIZE = 1e-3
 
 
-# What the controls miss, whose polynomials satisfy the equations as they are, costs as much again.
+# Factor for the error of the controls, which the residual of the equations does not show.
 _UNSEEN = 2.0
-# Of the unit that the objective is scaled by, the least that an error of it is relative to.
+# Least reference of an error of the objective, in the unit of its scaling.
 _LEAST_UNIT = 1e-4
 
 
 def _unit(solution: Solution) -> float:
-    """Return what errors of the objective are relative to: its size, or 1 where it is less."""
+    """Return the reference of errors of the objective: its size, or 1 if that is smaller."""
     scaled = 1.0 / solution.scaling.objective
     return max(abs(solution.objective), min(1.0, scaled), _LEAST_UNIT * scaled)
 
@@ -263,7 +274,7 @@ def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
 
 
 def densely_sampled(solution: Solution) -> _Samples:
-    """Sample where limits are broken: at the peaks of the polynomials, anywhere between points."""
+    """Sample where limits may be violated: at peaks of the polynomials, between the points."""
     return _sampled(solution, [_dense_places(d) for d in solution.mesh.degrees])
 
 
@@ -272,11 +283,11 @@ def _dense_places(degree: int) -> FloatArray:
 
 
 def state_errors_as_interpolated(solution: Solution) -> FloatArray:
-    """Return the errors of the states, with every algebraic variable read off its polynomial.
+    """Return the errors of the states, with every algebraic variable taken from its polynomial.
 
-    Shape (n_elements, n_states).  Where an equation defines an algebraic variable between the
-    points, as in ``x' = r``, ``f = r + r^3``, the equations may hold everywhere and hide that the
-    control's own polynomial is not the optimum's.
+    Shape (n_elements, n_states). If an equation defines an algebraic variable between the points,
+    as in ``x' = r``, ``f = r + r^3``, the equations may hold everywhere although the control's own
+    polynomial differs from the optimal control.
     """
     places = [radau_rule(degree + 1).points for degree in solution.mesh.degrees]
     finer = _sampled(solution, places, is_defined=False)
@@ -285,17 +296,17 @@ def state_errors_as_interpolated(solution: Solution) -> FloatArray:
 
 
 def _sampled(solution: Solution, places: list[FloatArray], *, is_defined: bool = True) -> _Samples:
-    """Evaluate the path equations at places of each element, the last one its end.
+    """Evaluate the path equations at places of each element, the last place being its end.
 
-    Algebraic variables that an equation defines are what it says, or, not `is_defined`, what their
-    polynomials say.
+    Algebraic variables that an equation defines take the value from the equation or, without
+    `is_defined`, from their polynomials.
     """
     program, mesh, path = solution.program, solution.mesh, solution.trajectory
     counts = np.array([len(p) for p in places])
     fractions = np.concatenate(
         [mesh.breakpoints[e] + mesh.widths[e] * p for e, p in enumerate(places)]
     )
-    # A point on a boundary belongs to the element that it ends.
+    # A point on a boundary belongs to the element that ends there.
     fractions[np.cumsum(counts) - 1] = mesh.breakpoints[1:]
     variables = np.hstack(
         [
@@ -320,7 +331,7 @@ def _sampled(solution: Solution, places: list[FloatArray], *, is_defined: bool =
 def _held(
     program: Transcription, samples: _Samples, limits: tuple[FloatArray, FloatArray]
 ) -> _Samples:
-    """Return the samples with the algebraic variables held to limits, the same if all keep them."""
+    """Return the samples with algebraic variables clipped to limits, if any is outside."""
     layout, variables = program.layout, samples.variables.copy()
     chosen = slice(2 * layout.n_states, 2 * layout.n_states + layout.n_algebraics)
     variables[:, chosen] = np.clip(variables[:, chosen], *limits)
@@ -343,10 +354,10 @@ def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArra
 def _held_corrections(
     solution: Solution, free: _Samples, held: _Samples, is_held: NDArray[np.bool_]
 ) -> dict[int, FloatArray]:
-    """Return, by element, by how much states end elsewhere where a control is held to its limit.
+    """Return, by element, the change of states caused by clipping a control to its limit.
 
-    Held for a part of an element only, it is no polynomial: what is cut off is summed over the
-    dense samples, of which a peak at an element's end counts for more than it is.
+    A control that is clipped in a part of an element only is not a polynomial. The clipped amount
+    is summed over the dense samples, which overestimates a peak at an element's end.
     """
     if not np.any(is_held):
         return {}
@@ -385,12 +396,12 @@ def _restraints(solution: Solution) -> FloatArray:
 
 
 def _of_all(shares: FloatArray) -> FloatArray:
-    """Return what each element would make of a sum, were all like it, up to the sum itself."""
+    """Return each element's share times the number of elements, at most the sum of all shares."""
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
 
 def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
-    """Return what each element's quadrature errs by in the objective or an integral, relative."""
+    """Return the relative quadrature error of each element, in the objective or an integral."""
     program, mesh = solution.program, solution.mesh
     first = program.compiled.n_equations
     held = program.rows_at_points(solution.unknowns)[:, first:]
@@ -409,7 +420,7 @@ def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
 
 
 def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
-    """Return the integrands, at variables within their limits where they have no value beyond."""
+    """Return the integrands, at variables clipped to their limits if not defined beyond them."""
     compiled, n = program.compiled, program.layout.n_states
     densities = samples.rows[:, compiled.n_equations :]
     if np.all(np.isfinite(densities)):
@@ -424,9 +435,9 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 
 
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
-    """Return the weighted sum of the elements' final misses, shared out by their size.
+    """Return the weighted sum of the elements' final misses, distributed by their size.
 
-    The element that causes most of it is given all of it, so that it is refined first.
+    The element with the largest contribution gets the whole sum, so that it is refined first.
     """
     if weight == 0.0:
         return np.zeros(solution.mesh.elements)
@@ -436,12 +447,12 @@ def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> Float
 
 
 def _breaches(solution: Solution, samples: _Samples, allowance: Allowance) -> FloatArray:
-    """Return the worst breach in each element, as what it changes in states or objective.
+    """Return the worst violation in each element, by its effect on states or objective.
 
-    An equation counts by its relative residual.  A control beyond its bound, or several beyond a
-    limit on them alone, count by what they move within the element, any other limit by what its
-    multipliers say that a breach earns, unless the breach is too large to be flown: then it counts
-    as it is.
+    An equation counts by its relative residual. A control beyond its bound, or several controls
+    beyond a limit on them alone, count by the change of states within the element. Any other limit
+    counts by the effect on the objective, from its multipliers; if its violation is too large to be
+    flown, by the violation itself.
     """
     mesh = solution.mesh
     residuals, limits, controls = (
@@ -464,7 +475,7 @@ def _prices(solution: Solution) -> FloatArray:
 
 
 def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, ...]:
-    """Return the worst of each sample: of equations, of limits, and of those on controls alone."""
+    """Return the worst violation in each sample: of equations, limits, and limits on controls."""
     compiled, n = program.compiled, program.layout.n_states
     variables, data = samples.variables, samples.data
     lower, upper = MappedFunction(compiled.path_bounds, len(variables))(data)

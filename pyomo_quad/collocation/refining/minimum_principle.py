@@ -1,11 +1,11 @@
-"""Tests by Pontryagin's principle: a better control a jump away, and flatness of the optimum.
+"""Tests by Pontryagin's principle: better controls far from the present ones, and flat optima.
 
 Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
 
-A nonlinear program holds each control where small changes gain nothing.  Where the Hamiltonian has
-two valleys that is not enough: a switch then stays wherever the first mesh put it, and no finer
-mesh tells; Pontryagin's principle does.  How sharply the optimum holds its states, the equations
-alone do not tell either.
+At the solution of a nonlinear program, small changes of a control gain nothing. If the Hamiltonian
+has two local minima this is not sufficient: a switch then stays where the first mesh put it, and no
+finer mesh reveals that; Pontryagin's principle does. The equations also do not show how well the
+optimum determines its states.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.refining.error import ErrorEstimate
     from pyomo_quad.collocation.solution import Solution
 
-# Values of a control that are tried at each point, from bound to bound.
+# Number of values of a control tried at each point, from bound to bound.
 _TRIED = 17
-# Breach of a path constraint, relative to its scale, that another value may cause.
+# Violation of a path constraint, relative to its scale, that another value may cause.
 _KEPT = 1e-9
 
 
 def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
-    """Return a solution with the controls that minimise the Hamiltonian, where that pays.
+    """Return a solution with the controls that minimise the Hamiltonian, if the gain suffices.
 
-    One control at a time is moved, at every point on its own, while states and costates stay.
+    One control at a time is changed, at every point separately, with states and costates unchanged.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
     Returns
     -------
     Solution or None
-        To start from; None where no other control gains so much.
+        Initial point for another solve; None if no other control gains enough.
     """
     program, mesh = solution.program, solution.mesh
     variables = program.path_variables(solution.unknowns)
@@ -82,7 +82,7 @@ def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
             chosen[better, k] = values[better]
     if float(mesh.quadrature_weights @ best) <= tolerance * solution.nominal_objective:
         return None
-    # Bounds that no longer hold must not draw the controls back.
+    # Multipliers of bounds that are inactive now must not pull the controls back.
     moved = columns[chosen != solution.trajectory.algebraics]
     held = solution.multipliers
     below, above = np.array(held.lower), np.array(held.upper)
@@ -117,10 +117,10 @@ def _valleys(
 
 
 def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) -> NDArray[np.intp]:
-    """Return the free controls in which the Hamiltonian may have a second valley.
+    """Return the free controls in which the Hamiltonian may have a second local minimum.
 
-    Between two valleys it curves down; where rates have factors that depend on a control, the
-    Lagrangian's curvature does not tell.
+    Between two minima its curvature is negative. If a rate has a factor that depends on a control,
+    the Lagrangian's curvature is inconclusive.
     """
     program = solution.program
     free = _free_controls(program, lower, upper)
@@ -129,7 +129,7 @@ def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) ->
     layout, compiled = program.layout, program.compiled
     first, z = 2 * layout.n_states, np.array(solution.unknowns)
     least = np.full(free.size, np.inf)
-    # Other algebraic variables may be without bounds.
+    # Other algebraic variables may have no bounds.
     lowest, width = lower[:, free], (upper - lower)[:, free]
     for share in np.linspace(0.0, 1.0, _TRIED):
         z[layout.algebraic_columns[:, free]] = lowest + share * width
@@ -156,7 +156,7 @@ def _free_controls(
 
 
 def _hamiltonian(solution: Solution, variables: FloatArray) -> FloatArray:
-    """Return the Hamiltonian at the points but for a constant, infinite where a limit breaks."""
+    """Return the Hamiltonian at the points up to a constant, infinite where a limit is violated."""
     program = solution.program
     compiled, count = program.compiled, len(variables)
     data = program.data.at_points()
@@ -173,29 +173,32 @@ def _hamiltonian(solution: Solution, variables: FloatArray) -> FloatArray:
     return np.where(is_valid, value, np.inf)
 
 
-# What the controls miss, whose polynomials satisfy the equations as they are, counts as much
-# again as what the states miss.
+# Factor for the error of the controls, which the residual of the equations does not show: as much
+# again as the error of the states.
 _UNSEEN = 2.0
 # Samples per collocation point at which two meshes are compared.
 _SAMPLES = 4
-# Factor and root with which states follow what is not known of the objective, by the order of a
-# singular arc: of a pulse of control as long as it moves its state, the objective feels the third
-# power at an arc of order 1, of which a good mesh leaves less, and the fifth at one of order 2.
+# Factor and exponent that relate the error of the states to the unresolved objective, by the order
+# of a singular arc. For a pulse of control whose duration is proportional to its effect on the
+# state, the objective changes with the third power at order 1, of which a good mesh leaves less,
+# and with the fifth power at order 2.
 _FELT = {1: (4.0, 1 / 2), 2: (1.0, 1 / 5)}
-# Curvature, as a share of the objective for whole ranges, that holds nothing.
+# Curvature relative to the objective, for a change over the whole range, that counts as zero.
 _FLAT = 1e-6
-# On a limit, as far as rounding can tell.
+# Slack that is zero up to rounding.
 _LEAST_SLACK = 1e-100
 
 
 def state_error(
     solution: Solution, error: ErrorEstimate, before: Solution | None, change: float
 ) -> float:
-    """Return how far states may be from the optimal ones, relative to their magnitude.
+    """Return an estimate of the states' distance from the optimal ones, relative to their sizes.
 
-    The errors of all elements add up.  A limit that begins or ceases to hold does so where the
-    mesh lets it: there, what the last mesh moved counts as well, what is beyond the limit, and
-    what a jump may move within an element of one point that was cut for it.  And a control on a
+    The errors of all elements are added. The mesh restricts where a limit can become active or
+    inactive; there the estimate includes the change since the last mesh, the violation of the
+    limit, and the possible effect of a jump within a one-point element that was cut for it. On a
+    singular arc only the objective determines the control, and the objective is flat about its
+    optimum.
     singular arc is held by the objective alone, which is flat about its optimum.
 
     Parameters
@@ -203,9 +206,9 @@ def state_error(
     solution : Solution
     error : ErrorEstimate
     before : Solution, optional
-        On the mesh before, where activity of limits changes.
+        Solution on the previous mesh, where the activity of limits changes.
     change : float
-        Of the objective, relative, since a mesh that was as good.
+        Relative change of the objective since a mesh with the same accuracy.
     """
     moving = np.maximum(error.states, state_errors_as_interpolated(solution))
     own = max(error.largest, _UNSEEN * float(moving.sum(axis=0).max(initial=0.0)))
@@ -230,13 +233,13 @@ def state_error(
 
 
 def singular_order(solution: Solution) -> int:
-    """Return the order of a solution's singular arc, 0 where it has none; 2 stands for more too.
+    """Return the order of a solution's singular arc, 0 without one; 2 stands for higher orders too.
 
-    On it a control lies between its limits and the Hamiltonian does not curve in it and what the
-    equations make of it at once.  The arc is of order 1 if the Hamiltonian curves in the states
-    along what the control moves (Robbins 1967; Kelley, Kopp and Moyer 1967).  Elements of one
-    point, cut for jumps, do not count, nor do points on a limit of a state, which tells what the
-    control is.
+    On a singular arc a control lies between its limits, and the Hamiltonian has no curvature in the
+    control and in the variables that follow from it directly. The arc is of order 1 if the
+    Hamiltonian has curvature in the states that the control changes (Robbins 1967; Kelley, Kopp and
+    Moyer 1967). Elements of one point, cut for jumps, are not counted, nor are points on a limit of
+    a state, which determines the control.
     """
     program, n = solution.program, solution.program.layout.n_states
     held = solution.trajectory.algebraics
@@ -274,7 +277,7 @@ def singular_order(solution: Solution) -> int:
 
 
 def _barriers(solution: Solution) -> FloatArray:
-    """Return how the limits of algebraic variables curve what Ipopt minimises, at each point."""
+    """Return the barrier's curvature from the limits of algebraic variables, at each point."""
     z, multipliers, bounds = solution.unknowns, solution.multipliers, solution.bounds
     lower = multipliers.lower / np.maximum(z - bounds.lower, _LEAST_SLACK)
     upper = multipliers.upper / np.maximum(bounds.upper - z, _LEAST_SLACK)
@@ -283,7 +286,7 @@ def _barriers(solution: Solution) -> FloatArray:
 
 
 def _is_between(solution: Solution) -> NDArray[np.bool_]:
-    """Say of each point whether a control may be singular there."""
+    """Return whether a control may be singular at each point."""
     layout = solution.program.layout
     states, algebraics = layout.n_states, layout.n_algebraics
     is_told = active_limits(solution)
@@ -296,7 +299,7 @@ def _is_between(solution: Solution) -> NDArray[np.bool_]:
 def _free_directions(
     program: Transcription, z: FloatArray, points: NDArray[np.intp], scale: FloatArray
 ) -> FloatArray:
-    """Return orthonormal directions of scaled rates and algebraic variables that equations leave.
+    """Return an orthonormal basis of the scaled rates and algebraic variables left free.
 
     Shape (n_points, n_free, n_rates + n_algebraics).
     """

@@ -1,4 +1,4 @@
-"""hp-adaptive refinement: solve, estimate, change the mesh, solve again from there.
+"""hp-adaptive refinement: solve, estimate the error, change the mesh, solve again from there.
 
 Damping of controls that enter linearly: see docs/theory/refinement.md, eq. (9).
 """
@@ -38,22 +38,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Damping:
-    """What the distance of controls from the course of a solution's costs.
+    """Penalty on the distance of controls from the smoothed course of a solution's controls.
 
-    Their course are the straight lines between their means over the elements.
+    The smoothed course consists of straight lines between the means over the elements.
 
     Attributes
     ----------
     solution : Solution
-        Of the last mesh.
+        Solution on the last mesh.
     controls : ndarray of int
         Positions among the algebraic variables.
     prices : ndarray
-        For each of them, the price of a unit of its mean square distance over the horizon.
+        Penalty per unit of mean square distance over the horizon, for each control.
     gap : float
-        What the barrier shall leave of the objective, zero for as little as Ipopt does.
+        Gap that the barrier leaves in the objective, zero for the least that Ipopt reaches.
     is_still : bool
-        Whether the course has been found: then it is the controls themselves.
+        Whether the objective has settled; the course is then the controls themselves.
     """
 
     solution: Solution
@@ -63,12 +63,12 @@ class Damping:
     is_still: bool
 
     def firmer(self, factor: float, gap: float) -> Damping:
-        """Return the damping, still, with its prices multiplied and that share as gap at least."""
+        """Return the damping with multiplied penalties, at least this gap, and the course fixed."""
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
 
     def applied_to(self, program: Transcription) -> DampedProgram:
-        """Return a program of the same model with the price on its objective."""
+        """Return a program of the same model with the penalty added to its objective."""
         mesh = program.mesh or self.solution.mesh
         return DampedProgram(
             program=program,
@@ -78,19 +78,19 @@ class Damping:
         )
 
     def _near(self, fractions: FloatArray) -> FloatArray:
-        """Return what the controls are drawn to, shape (n_fractions, n_controls)."""
+        """Return the target of the damped controls, shape (n_fractions, n_controls)."""
         mesh, held = self.solution.mesh, self.solution.trajectory.algebraics[:, self.controls]
         if self.is_still:
             lower, upper = (limit[self.controls] for limit in self.solution.algebraic_limits)
             return np.clip(_smoothed(mesh, held, fractions), lower, upper)
-        # Toward the points themselves, chatter would be kept.
+        # Damping toward the point values would preserve chattering.
         middles, means = _element_means(mesh, held)
         near = [np.interp(fractions, middles, mean) for mean in means.T]
         return np.reshape(near, (self.controls.size, fractions.size)).T
 
 
 def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArray:
-    """Return values at points, in each element by the lower half of their Legendre terms."""
+    """Return values smoothed in each element: the lower half of their Legendre terms."""
     starts, found = np.asarray(mesh.breakpoints), np.empty((fractions.size, values.shape[1]))
     element = np.clip(np.searchsorted(starts, fractions) - 1, 0, mesh.elements - 1)
     for e in np.unique(element):
@@ -105,7 +105,7 @@ def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArr
 
 
 def _element_means(mesh: Mesh, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where the elements have their middles, and the means over each of values at points."""
+    """Return the midpoints of the elements, and the element means of values at points."""
     weights = mesh.quadrature_weights[:, None]
     columns = np.column_stack([mesh.point_fractions, values, np.ones(mesh.points)])
     sums = np.add.reduceat(weights * columns, mesh.first_node[:-1], axis=0)
@@ -118,20 +118,21 @@ def damping_of(
 ) -> Damping | None:
     """Return the damping toward a solution.
 
-    None where no bounded control is nearly linear, and the barrier may leave what it does.
+    None if no bounded control enters nearly linearly and no gap is requested.
 
-    Beside a corner of the cost, which curves at the corner alone, a control chatters like one that
+    Next to a corner of the cost, which has curvature at the corner only, a control chatters like a
+    control that enters linearly.
     enters linearly.
 
     Parameters
     ----------
     solution : Solution
     weight : float
-        Share of the objective that a control a whole range away from the solution's costs.
+        Cost, as a fraction of the objective, of a control that is a whole range away.
     gap : float, optional
-        Share of the objective that the barrier shall leave.
+        Gap, as a fraction of the objective, that the barrier leaves.
     is_still : bool, optional
-        Whether the costs have settled, so that controls are held where they are.
+        Whether the objective has settled, so that controls are damped toward their values.
     """
     lower, upper = solution.algebraic_limits
     width = upper - lower
@@ -152,7 +153,7 @@ def damping_of(
 
 
 def _least_curvatures(solution: Solution) -> FloatArray:
-    """Return how little the Lagrangian curves in each algebraic variable, at any point."""
+    """Return the least curvature of the Lagrangian in each algebraic variable, over all points."""
     program = solution.program
     first = 2 * program.layout.n_states
     controls = slice(first, first + program.layout.n_algebraics)
@@ -162,14 +163,14 @@ def _least_curvatures(solution: Solution) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class DampedProgram(ChangedProgram):
-    """A program with `weights / 2 * (z[columns] - near)**2` added to what Ipopt minimises."""
+    """A program with `weights / 2 * (z[columns] - near)**2` added to the minimised objective."""
 
     columns: NDArray[np.intp]
     weights: FloatArray
     near: FloatArray
 
     def objective(self, z: FloatArray) -> float:
-        """Return the objective and the price of the distance."""
+        """Return the objective plus the penalty on the distance."""
         away = z[self.columns] - self.near
         return self.program.objective(z) + 0.5 * float(self.weights @ away**2)
 
@@ -190,35 +191,37 @@ class DampedProgram(ChangedProgram):
         return np.concatenate([held, factor * self.weights])
 
 
-# The objective's last change, as a share of the tolerance, at which it counts as settled.
+# Change of the objective, in units of the tolerance, below which it counts as settled.
 _SETTLED = 0.5
-# A warm start that takes more iterations than this leaves its linear controls undetermined, as do
-# costs that settled so many meshes ago: they are damped so many times more, up to so many, and
-# without end where that was twice as many ago.
+# A warm start that takes more iterations than this leaves its linear controls undetermined, and so
+# does an objective that has been settled for this many meshes. The damping is then increased by a
+# factor, up to a limit; after twice as many meshes without a limit.
 _MANY_ITERATIONS, _MANY_SETTLED, _TOO_MANY_SETTLED = 30, 4, 8
 _FIRMER, _FIRM, _FIRMEST = 5.0, 25.0, 125.0
-# What the barrier then leaves of the objective: a share of the tolerance, and of it at most.
+# Gap that the barrier then leaves: in units of the tolerance, and at most this part of the
+# objective.
 _GAP, _LARGEST_GAP = 0.03, 3e-7
-# Where limits move, it leaves this share of the error that the last mesh had, of the tolerance at
-# least, and of the objective at most: what is not known yet is not worth sharpening.
+# Where limits move, the gap is this fraction of the last mesh's error, at least this fraction of
+# the tolerance, and at most this part of the objective: precision below the present error is not
+# useful.
 _INEXACT, _LEAST_INEXACT, _MOST_INEXACT = 0.3, 0.2, 1e-3
-# Searches from one mesh to the next that took so many iterations twice in succession, and left more
-# than this share of the error, are lost.
+# A refinement is abandoned after two consecutive solves with so many iterations, if the second
+# leaves more than this fraction of the error.
 _LOST_ITERATIONS, _LEFT = 150, 0.5
-# Times that a solution is started anew from the controls that minimise the Hamiltonian.
+# Number of restarts from the controls that minimise the Hamiltonian.
 _IMPROVEMENTS = 8
 
 
 class Solved(Protocol):
-    """A solution on one mesh or, of several horizons, on one each."""
+    """A solution on one mesh or, for several horizons, on one mesh each."""
 
     @property
     def parts(self) -> tuple[Solution, ...]:
-        """The solution on each horizon, with the history of the whole."""
+        """The solution on each horizon, with the history of the joint solve."""
 
     @property
     def status(self) -> Status:
-        """How the solve ended."""
+        """Outcome of the solve."""
 
     @property
     def ipopt_code(self) -> int:
@@ -230,11 +233,11 @@ class Solved(Protocol):
 
     @property
     def objective(self) -> float:
-        """As declared."""
+        """The objective as declared."""
 
     @property
     def message(self) -> str:
-        """Why the solve ended."""
+        """Reason why the solve ended."""
 
     @property
     def wall_s(self) -> float:
@@ -242,10 +245,10 @@ class Solved(Protocol):
 
     @property
     def warm_start(self) -> Any:
-        """What another solve can start from."""
+        """Initial point for another solve."""
 
     def updated(self, **changes: Any) -> Self:
-        """Return it with other attributes."""
+        """Return the solution with other attributes."""
 
 
 S = TypeVar("S", bound=Solved)
@@ -262,17 +265,17 @@ def refine(
 ) -> S:
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
 
-    Where limits begin or cease to hold inside an element, or controls are damped, the
-    objective must also have settled to the tolerance between the last two meshes.
+    If limits become active or inactive inside an element, or controls are damped, the objective
+    must also have settled to the tolerance between the last two meshes.
 
     Parameters
     ----------
     solve : callable
         (meshes, warm start, dampings) -> solution, with one mesh and damping for each horizon.
-    meshes : tuple
+    Initial meshes, one for each horizon.
         To begin with, one for each horizon.
     past_the_barrier : callable, optional
-        (dampings, solution) -> a solution on the same meshes with less of the barrier's gap.
+        (dampings, solution) -> a solution on the same meshes with a smaller gap of the barrier.
 
     Returns
     -------
@@ -341,7 +344,7 @@ def _shown(solution: S, refinement: RefinementOptions) -> S:
 
 
 def _firmer(firmness: float, settled: int) -> float:
-    """Return how firmly to damp from now on, where costs have settled on so many meshes."""
+    """Return the strength of damping, given the number of meshes with a settled objective."""
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
     return max(firmness, min(_FIRMER * firmness, most))
@@ -354,7 +357,7 @@ def _solved(
     dampings: tuple[Damping | None, ...],
     gap: float,
 ) -> tuple[S, tuple[Damping | None, ...]]:
-    """Solve, more firmly damped and then from the guess where that fails."""
+    """Solve; if that fails, with stronger damping, and then from the guess."""
     solved = solve(meshes, warm_start, dampings)
     if solved.status.has_failed and _are_damped(dampings):
         dampings = tuple(d and d.firmer(_FIRM, gap) for d in dampings)
@@ -370,7 +373,7 @@ def _measured(
     tolerance: float,
     refinement: RefinementOptions,
 ) -> tuple[S, tuple[ErrorEstimate, ...]]:
-    """Return a solution and its errors, with less of the barrier where that is in the way."""
+    """Return a solution and its errors, with a smaller barrier gap if the gap limits them."""
     errors = _errors(solved, tolerance, refinement)
     if sharpen is not None and _is_held_by_the_barrier(solved, errors, tolerance):
         solved = sharpen(solved)
@@ -379,10 +382,10 @@ def _measured(
 
 
 def _gap_to_leave(solution: Solved, errors: tuple[ErrorEstimate, ...], tolerance: float) -> float:
-    """Return what the barrier shall leave of the objective where limits move, as a share of it."""
+    """Return the relative gap that the barrier may leave in the objective, where limits move."""
     unknown = max(e.of_integrals for e in errors)
     if any(part.restraint is not None for part in solution.parts):
-        # Bounds kept everywhere hide that the mesh is too coarse for the optimum.
+        # Bounds between the points hide that the mesh is too coarse for the optimum.
         unknown = max(unknown, _objective_change(solution.parts[0], tolerance))
     return max(min(_INEXACT * unknown, _MOST_INEXACT), _LEAST_INEXACT * tolerance)
 
@@ -397,7 +400,7 @@ def _with_state_error(
     before: tuple[Solution | None, ...],
     tolerance: float,
 ) -> S:
-    """Return a solution with what its states may be off by, all horizons together."""
+    """Return a solution with its estimated state error, over all horizons together."""
     change = _objective_change(solution.parts[0], tolerance)
     change = change if np.isfinite(change) else 0.0
     parts = zip(solution.parts, errors, before, strict=True)
@@ -411,7 +414,7 @@ def _with_state_error(
 def _errors(
     solution: Solved, tolerance: float, refinement: RefinementOptions
 ) -> tuple[ErrorEstimate, ...]:
-    """Return the errors on each horizon; the gap of several is not shared out among them."""
+    """Return the errors on each horizon; with several horizons the gap is not assigned to any."""
     estimate = partial(estimate_error, tolerance=tolerance, allowance=refinement.allowance)
     errors = tuple(estimate(part) for part in solution.parts)
     return errors if len(errors) == 1 else tuple(replace(e, gap=0.0) for e in errors)
@@ -420,9 +423,9 @@ def _errors(
 def _is_held_by_the_barrier(
     solution: Solved, errors: tuple[ErrorEstimate, ...], tolerance: float
 ) -> bool:
-    """Say whether the barrier, or a scaling that hides the objective, is in the way.
+    """Return whether the barrier, or a scaling that hides the objective, limits the accuracy.
 
-    It is where the barrier alone is, or leaves more of the objective than any element errs by.
+    It does if only the gap exceeds the tolerance, or if the gap exceeds the error of every element.
     """
     (part,), (error,) = solution.parts, errors
     counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
@@ -441,10 +444,10 @@ class _Reached(Generic[S]):
     ----------
     solution : Solved
     shown : float, optional
-        What the restart has shown to be gained, relative to the objective: by how much any of its
-        solutions is better, less that one's own error; None before there is one.
+        Lower bound on the gain that the restart has shown, relative to the objective: the largest
+        gain of its solutions less their own errors; None before the first of them.
     earned : float
-        What it gained over the solution before it, relative to the objective.
+        Gain over the solution before it, relative to the objective.
     """
 
     solution: S
@@ -452,28 +455,29 @@ class _Reached(Generic[S]):
     earned: float = 0.0
 
     def gain(self, other: S) -> float:
-        """Return by how much another solution is better, relative to the objective."""
+        """Return the gain of another solution, relative to the objective."""
         first = self.solution.parts[0]
         earned = self.solution.objective - other.objective
         is_maximised = first.problem.compiled.declared.maximise
         return (-earned if is_maximised else earned) / first.nominal_objective
 
     def compare(self, other: S, error: float) -> None:
-        """Take note of what a solution of the restart shows, whose error is given."""
+        """Record the gain of a solution of the restart, less its given error."""
         shown = self.gain(other) - error
         self.shown = shown if self.shown is None else max(self.shown, shown)
 
     def better(self, other: S) -> S:
-        """Return the better of both, which meet the tolerance."""
+        """Return the better of the two solutions, which both meet the tolerance."""
         if self.gain(other) >= 0.0:
             return other
         return self.solution.updated(history=other.parts[0].history)
 
 
 def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
-    """Return how a search ends that met no tolerance, or what was reached before its restart.
+    """Return the result of a search that met no tolerance, or the solution before its restart.
 
-    That stands, unless the restart has shown a better solution or led to none at all.
+    The solution before the restart is returned with a warning if the restart has shown a better
+    solution, or has led to none.
     """
     if reached is None:
         return ended
@@ -482,9 +486,9 @@ def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
 
 
 def _cut_off(reached: _Reached[S]) -> S:
-    """Return what was reached by a restart, where the next one ran out of meshes.
+    """Return the solution that a restart reached, if the next restart ran out of meshes.
 
-    It may be off by as much as that restart earned.
+    Its error may be as large as the gain of that restart.
     """
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))
@@ -493,10 +497,10 @@ def _cut_off(reached: _Reached[S]) -> S:
 def _ended_or_better(
     met: S, reached: _Reached[S] | None, restarts: int, tolerance: float
 ) -> tuple[S, Solution | None]:
-    """Return what to end with, or better controls to start a solution that met the tolerance from.
+    """Return the final result, or better controls for a restart of a solution within tolerance.
 
-    A restart that earned less than the tolerance is the last: the Hamiltonian of a singular control
-    is so flat that rounding alone finds lower points of it for ever.
+    A restart with a gain below the tolerance is the last: the Hamiltonian of a singular control is
+    so flat that rounding alone would produce lower values again and again.
     """
     if reached is not None and reached.gain(met) <= tolerance:
         return reached.better(met), None
@@ -507,18 +511,18 @@ def _ended_or_better(
 
 
 def _doubted(solution: S) -> S:
-    """Return a solution that says that it is the best of small changes only."""
+    """Return a solution with the warning that it is optimal for small changes only."""
     return solution.updated(
         status=Status.TOLERANCE_NOT_MET,
         message=(
-            "by Pontryagin's principle another control earns more than the tolerance, but no "
+            "by Pontryagin's principle another control gains more than the tolerance, but no "
             "optimum was found from it; begin from another guess, or try `starts=6`."
         ),
     )
 
 
 def _improved(solution: Solved, tolerance: float) -> Solution | None:
-    """Return better controls to start from, None where there are none or several horizons."""
+    """Return better controls for a restart, None without any or with several horizons."""
     parts = solution.parts
     return improved_controls(parts[0], tolerance) if len(parts) == 1 else None
 
@@ -535,9 +539,9 @@ def _next_meshes(
     *,
     is_damped: bool,
 ) -> tuple[Mesh, ...] | None:
-    """Return the meshes to solve on next, None when the tolerance is met.
+    """Return the next meshes, None if the tolerance is met.
 
-    They may be the same once more, while the damping still moves the objective.
+    The meshes may be unchanged as long as damping still changes the objective.
     """
     parts = solution.parts
     junctions = [junction_elements(part) for part in parts]
@@ -559,14 +563,15 @@ def _next_meshes(
 
 
 def _has_settled(solution: Solved, tolerance: float) -> bool:
-    """Say whether the last mesh changed the objective by little."""
+    """Return whether the last mesh changed the objective by little."""
     return _objective_change(solution.parts[0], tolerance) <= _SETTLED * tolerance
 
 
 def _objective_change(solution: Solution, tolerance: float) -> float:
-    """Return by how much the objective moved, relative, from the last mesh but one.
+    """Return the relative change of the objective since the previous mesh.
 
-    Or from any mesh that met the tolerance: one that did not, between two that agree, says nothing.
+    Or since any mesh that met the tolerance, if smaller: a mesh that did not, between two that
+    agree, is inconclusive.
     """
     *before, now = solution.history
     met = [record for record in before[:-1] if record.error <= tolerance]
@@ -575,7 +580,7 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
 
 
 def _is_lost(records: Sequence[MeshRecord]) -> bool:
-    """Say whether two searches in succession were long, and the second gained next to nothing."""
+    """Return whether two consecutive solves were long and the second gained nearly nothing."""
     if len(records) < 3:
         return False
     last, now = records[-2:]
@@ -604,7 +609,7 @@ def _given_up(
 
 
 def _most_moved(solution: Solved, before: tuple[Solution | None, ...]) -> str:
-    """Return what says which control the last mesh moved most, where, and by how much."""
+    """Return text naming the control that the last mesh changed most, with time and amount."""
     found = []
     for part, last in zip(solution.parts, before, strict=True):
         if last is None or part.trajectory.algebraics.size == 0:

@@ -6,7 +6,7 @@ Rules and sources: see docs/theory/refinement.md, eqs. (4) to (6) and (8).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.polynomial import legendre
 
 from pyomo_quad.collocation.mesh import FloatArray, Mesh, radau_rule
 from pyomo_quad.collocation.refining.activity import SAME, known_boundaries
-from pyomo_quad.collocation.refining.error import Allowance
+from pyomo_quad.collocation.refining.error import Allowance, estimate_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,24 +32,24 @@ class RefinementOptions:
     first_elements, first_degree : int
         The first mesh.
     max_meshes : int
-        Solves before the refinement gives up.
+        Number of solves after which the refinement stops.
     min_degree, max_degree : int
-        Degrees it may choose.
+        Range of degrees.
     smooth_decay : float
         Decades by which Legendre coefficients must fall per degree in a smooth element.
     smallest_width : float
         Fraction of the horizon below which no element is split.
     max_points : int
-        Collocation points above which no finer mesh is tried.
+        Number of collocation points above which no finer mesh is tried.
     allowance : Allowance
-        What the controls, flown as they are, may do wrong.
+        Tolerances for flying the controls in open loop.
     damping : float
-        What a control that enters linearly costs when it is a whole range away from that of
-        the last mesh, as a share of the objective and in units of the tolerance.
+        Penalty for a control that enters linearly if it is a whole range away from the last mesh's
+        control, as a fraction of the objective and in units of the tolerance.
     limits_move : bool
-        Where many limits begin and cease to hold, most such junctions cost nothing: split elements
-        for their sake alone only once no error asks for it, and sharpen limits only as far as the
-        last mesh knew the costs.
+        For problems in which many limits become active and inactive. Most such junctions have no
+        cost, so elements are split for them only after all other errors meet the tolerance, and the
+        barrier's gap is reduced only as far as the last mesh's error.
     on_mesh : callable, optional
         Called with the solution of each finished mesh, its error estimate and history included;
         returning False ends the refinement, as interrupted, with the most accurate of them.
@@ -70,44 +70,44 @@ class RefinementOptions:
 
     @property
     def breach_between_points(self) -> float:
-        """By how much bounds may be broken between the points, infinite where it is not held."""
+        """Allowed violation of bounds between the points, infinite if not imposed there."""
         allowed = min(self.allowance.control_breach, self.allowance.limit_breach)
         return 0.5 * allowed if self.limits_move and allowed > 0.0 else math.inf
 
     @property
     def first_mesh(self) -> Mesh:
-        """The mesh that a refinement begins on."""
+        """The initial mesh of a refinement."""
         return Mesh.uniform(self.first_elements, self.first_degree)
 
 
-# Errors are predicted from a fit, so the aim lies below the tolerance; elements are merged
-# or lowered only where a wide margin says that they will still meet it.
+# Errors are predicted from a fit, so the target is below the tolerance; elements are merged or
+# lowered in degree only if they are predicted to meet the tolerance by a wide margin.
 _AIM = 0.3
 _MARGIN = 1e-2
-# Mergers end after so many meshes, so that they and the splits cannot chase each other.
+# Elements are merged on the first meshes only, so that merging and splitting cannot alternate.
 _MERGING_MESHES = 8
-# A control that is still held after so many meshes becomes constant in so many parts of its
-# element: nothing between their points goes beyond a limit, whatever the next solve chooses.
+# A control that is still clipped after this many meshes becomes constant in this many parts of its
+# element; a constant cannot exceed a limit between the points.
 _CHASING_MESHES, _CONSTANT_PARTS = 12, 8
-# Corners are approached by small elements; a high degree gains nothing at them.
+# Corners are resolved by small elements; a high degree does not help there.
 _CORNER_PARTS = 3
 _MOST_PARTS = 4
 _CORNER_DEGREE = 4
-# Nor does one above this where a limit of states begins or ceases to hold.
+# Nor does a degree above this where a limit on states becomes active or inactive.
 _TOUCHING_DEGREE = 6
-# A control that changes by more than this share of its range jumps.
+# A change of a control by more than this fraction of its range counts as a jump.
 _JUMP_SHARE = 0.25
-# States that curve by less than this multiple of the breach of a limit curve on its account.
+# Curvature of states below this multiple of a limit's violation is attributed to the limit.
 _STRAIGHT = 3.0
-# One degree more lets the weights integrate polynomials of two degrees more.
+# One more degree makes the quadrature exact for polynomials of two more degrees.
 _QUADRATURE_GAIN = 2.0
-# Half the width of the sliver around a jump, as a share of the element.
+# Half the width of the sliver around a jump, relative to the element.
 _SLIVER = 0.02
 
 
 @dataclass(frozen=True)
 class _Piece:
-    """A new element: where it ends, its degree, the error left, and if it was changed."""
+    """A new element: its end, its degree, its predicted error, and whether it was changed."""
 
     end: float
     degree: int
@@ -117,10 +117,26 @@ class _Piece:
 
 @dataclass(frozen=True, kw_only=True)
 class Marks:
-    """Elements that are too coarse, and elements that may not be merged or lowered."""
+    """Elements that are too coarse, and elements that must not be merged or lowered in degree."""
 
     coarse: frozenset[int]
     kept: frozenset[int]
+
+
+def mesh_for_states(
+    solution: Solution, tolerance: float, options: RefinementOptions, *, least_degree: int
+) -> tuple[Mesh, float]:
+    """Return the next mesh for a solution whose states alone count, and their largest error."""
+    error = estimate_error(solution)
+    states, none = error.states.max(axis=1, initial=0.0), np.zeros(solution.mesh.elements)
+    uncounted = ("violation", "objective", "switches", "costs", "restraint", "integrals", "miss")
+    nothing: dict[str, Any] = dict.fromkeys(uncounted, none)
+    error = replace(error, **nothing)
+    coarse = frozenset(np.flatnonzero(states > tolerance).tolist())
+    marks = Marks(coarse=coarse, kept=frozenset())
+    mesh = refined_mesh(solution, error, marks, tolerance, options)
+    degrees = tuple(max(degree, least_degree) for degree in mesh.degrees)
+    return replace(mesh, degrees=degrees), float(states.max(initial=0.0))
 
 
 def refined_mesh(
@@ -130,9 +146,9 @@ def refined_mesh(
     tolerance: float,
     options: RefinementOptions,
 ) -> Mesh:
-    """Return the next mesh for a solution whose errors are known.
+    """Return the next mesh for a solution with known errors.
 
-    Returns the same mesh when nothing may be changed any further.
+    The same mesh is returned if no further change is allowed.
     """
     mesh = solution.mesh
     pieces: list[_Piece] = []
@@ -159,7 +175,7 @@ def refined_mesh(
 def _lowered(
     solution: Solution, e: int, error: float, tolerance: float, options: RefinementOptions
 ) -> _Piece:
-    """Keep an element that is good enough, at a lower degree where its tail is negligible."""
+    """Keep an accurate element, at a lower degree if its highest terms are negligible."""
     mesh = solution.mesh
     degree = mesh.degrees[e]
     if error < _MARGIN * tolerance:
@@ -170,11 +186,11 @@ def _lowered(
 
 
 def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
-    """Split an element into what lies before a jump, a sliver that holds it, and the rest.
+    """Split an element into the part before a jump, a sliver that contains it, and the rest.
 
-    In the sliver of degree 1 the control is constant: it cannot swing beyond limits that it
-    keeps at its one point, and the sliver's state error falls with its width squared.  Where a
-    sliver beside the element, cut for a jump, did not hold all of it, thirds look for the rest.
+    In the sliver of degree 1 the control is constant, so it cannot exceed limits that it satisfies
+    at its one point, and the sliver's state error decreases with its width squared. If an adjacent
+    sliver, cut for the same jump, did not contain all of it, the element is split into thirds.
     """
     start, end, degree = mesh.breakpoints[e], mesh.breakpoints[e + 1], mesh.degrees[e]
     if 1 in (mesh.degrees[e - 1], mesh.degrees[e + 1]):
@@ -209,7 +225,7 @@ def _finer(
         return _parts(mesh, e, *parts, size)
     sizes = _legendre_sizes(solution, e)
     if degree == 2 and error.violation[e] == size and sizes[2] < _STRAIGHT * size:
-        # Straight lines keep the limits that their ends keep.
+        # Straight lines satisfy the limits that their ends satisfy.
         return _parts(mesh, e, 2, 1, size)
     if options.limits_move and error.violation[e] == size:
         return _parts(mesh, e, _MOST_PARTS, min(degree, _TOUCHING_DEGREE), size)
@@ -234,7 +250,7 @@ def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Pi
 
 
 def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[_Piece]:
-    """Merge neighbours whose merger, by the order of the scheme, is still far below."""
+    """Merge neighbours if the predicted error of the merged element is far below the tolerance."""
     required = solution.problem.required_breakpoints(solution.instance)
     merged: list[_Piece] = []
     starts: list[float] = []
@@ -255,7 +271,7 @@ def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[
 
 
 def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
-    """Return the relative sizes of the states' Legendre coefficients, worst state each."""
+    """Return the relative sizes of the states' Legendre coefficients, for the worst state."""
     mesh, states = solution.mesh, solution.trajectory.states
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
     nodes = 2.0 * radau_rule(mesh.degrees[e]).nodes - 1.0
@@ -279,9 +295,9 @@ def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
 
 
 def _decay(sizes: FloatArray) -> float:
-    """Return by how many decades the coefficients fall per degree, by least squares.
+    """Return the decades by which the coefficients fall per degree, by least squares.
 
-    The constant says nothing of smoothness, and rounding levels off the tail.
+    The constant term gives no information on smoothness, and rounding levels off the tail.
     """
     order = np.arange(1, sizes.size)
     kept = sizes[1:] > 1e-14
@@ -291,7 +307,7 @@ def _decay(sizes: FloatArray) -> float:
 
 
 def _jump(solution: Solution, e: int) -> float | None:
-    """Return where in an element a bounded control jumps, as a fraction of the horizon."""
+    """Return the place of a bounded control's jump in an element, as a fraction of the horizon."""
     mesh = solution.mesh
     if known_boundaries(solution)[e : e + 2].any():
         return None

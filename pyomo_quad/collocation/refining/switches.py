@@ -1,4 +1,4 @@
-"""What the objective may lose where a control switches within an element."""
+"""Possible loss in the objective from a control that switches within an element."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
     from pyomo_quad.collocation.solution import Solution
 
-# A variable that changes by more than this share of its range jumps.
+# A change of a variable by more than this fraction of its range counts as a jump.
 _JUMP_SHARE = 0.25
-# Elements are as wide as each other but for rounding.
+# Ratio of widths below which elements are equally wide up to rounding.
 _SAME_WIDTH = 1.0 + 1e-9
 
 
 def misplaced_switches(solution: Solution) -> FloatArray:
-    """Bound what each element's misplaced switch costs, in units of the objective.
+    """Bound the cost of each element's misplaced switch, in units of the objective.
 
-    Let J(s) be the least objective with a control that switches at time s.  A switch that is later
-    by ds lets the Hamiltonian from before the switch, H-, hold for ds in which H+ held, and the
-    costates are the slopes of the objective in the states that this changes: dJ/ds = H- - H+.  The
-    optimal switch is where the Hamiltonian does not jump (Weierstrass and Erdmann).  A mesh knows
-    the element of the switch, but not where in it: the polynomials, or the one point of a sliver,
-    hold the switch anywhere in the width w, and neither the equations between the points nor a
-    comparison with the last mesh, which may have had the same sliver, tell where.  The jump shrinks
-    on the way to the optimal switch, which is no farther than w, so that J is too large by
-    |H- - H+| w at most.
+    Let J(s) be the least objective with a control that switches at time s. If the switch is later
+    by ds, the Hamiltonian before the switch, H-, applies for ds instead of the one after, H+, and
+    the costates are the derivatives of the objective by the changed states: dJ/ds = H- - H+. At the
+    optimal switch the Hamiltonian does not jump (Weierstrass and Erdmann). A mesh determines the
+    element of the switch but not its place inside: the polynomials, or the single point of a
+    sliver, put the switch anywhere in the width w. Neither the equations between the points nor a
+    comparison with the last mesh, which may have had the same sliver, determine the place. The jump
+    of the Hamiltonian decreases towards the optimal switch, which is at most w away, so that J is
+    too large by at most |H- - H+| w.
 
     The Hamiltonian of an equation that reads time changes without a switch: each pair of
     neighbouring points is compared at the times of both.  A jump between two elements counts for

@@ -89,7 +89,7 @@ def test_a_vehicle_that_leaves_all_numbers_is_refused_with_what_to_do():
         cart(), lambda _command, x, _own: ([1e3 * x[0] ** 3], []), n_command=0, n_own=0, varied=()
     )
     sampled = np.ones(101, dtype=bool)
-    with pytest.raises(SolveError, match="1 of 2 left all numbers; take shorter steps"):
+    with pytest.raises(SolveError, match="1 of 2 are no longer finite; take shorter steps"):
         loops.fly(
             np.linspace(0.0, 50.0, 101),
             np.array([[0.0] * 3, [5.0] * 3]),

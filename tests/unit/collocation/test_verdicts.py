@@ -36,7 +36,7 @@ def pushed(sense=minimize):
 def test_an_objective_without_a_bound_is_called_unbounded(sense, way):
     solution = solve(pushed(sense), mesh=MESH)
     assert solution.status is Status.NOT_CONVERGED
-    told = rf"unbounded: place {way} without end while [uvx] diverges; bound"
+    told = rf"unbounded: place {way} without bound while [uvx] diverges; bound"
     assert re.match(told, solution.message)
     ended = SolverFactory("pyomo_quad").solve(pushed(sense), mesh=MESH).solver
     assert ended.termination_condition is TerminationCondition.unbounded
@@ -46,7 +46,7 @@ def test_a_model_without_time_is_called_unbounded():
     m = ConcreteModel()
     m.x, m.y = Var(initialize=1), Var(bounds=(0, 1))
     m.cost = Objective(expr=m.y - m.x**2)
-    assert solve(m).message.startswith("unbounded: cost falls without end while x diverges")
+    assert solve(m).message.startswith("unbounded: cost falls without bound while x diverges")
 
 
 def test_a_model_without_objective_says_that_nothing_is_optimised():

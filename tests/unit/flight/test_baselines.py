@@ -197,8 +197,8 @@ def test_parts_of_a_flight_are_confirmed_by_all_that_integrators_differ_in(apart
         assert flight.doubt.startswith(
             "two integrators end 0.00012 m apart; must be at most 0.0001"
         )
-        assert "all 2 parts between plans together" in flight.doubt
-        assert flight.doubt.endswith("a longer baseline.mpc.interval makes fewer")
+        assert "the sum over 2 parts between plans" in flight.doubt
+        assert flight.doubt.endswith("a longer baseline.mpc.interval makes fewer parts")
     spent = [(one, replace(two, energy=1.1 * one.energy, states=one.states)) for one, two in parts]
     doubt = assembled_flight("spent", told, dynamics, spent, None, 0.0).doubt
     assert "two integrators differ by 1 J in the energy spent; must be at most 1e-05 J" in doubt
@@ -247,5 +247,5 @@ class WithLamp:
 
 
 def test_a_state_of_unknown_start_is_refused():
-    with pytest.raises(ScenarioError, match=r"nothing says where state lamp\.heat of the"):
+    with pytest.raises(ScenarioError, match=r"the initial value of state lamp\.heat of the"):
         start_state(flights.scenario("paper_calm"), WithLamp())

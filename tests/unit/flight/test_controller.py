@@ -8,16 +8,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from pyomo_quad.flight.baselines import reference_path
 from pyomo_quad.flight.controller import (
     Allocation,
     ThrustEnvelope,
     bend,
     braking_rate,
+    followed_tilt,
     mixer_matrix,
     project,
     thrust_direction,
     tilt_toward,
 )
+from pyomo_quad.flight.ensemble import Draws, Squadron
+from pyomo_quad.scenario import Reference
 from tests import flights
 
 KB, KAPPA, ARM = 3.8305e-6, 2.2518e-8, 0.175
@@ -166,3 +170,44 @@ def test_projection_never_raises_v_and_keeps_the_ball(direction, rate, truth, bo
 
 def test_projection_leaves_the_inside_alone():
     assert project((0.1, 0.2, 0.3), (5.0, 6.0, 7.0), 1.0) == [5.0, 6.0, 7.0]
+
+
+def test_the_controller_tilts_as_far_as_the_limits_let_plans():
+    heavy = flights.scenario("delivery", "limits.thrust_max=200.0")
+    roll, pitch = heavy.limits.roll_max, heavy.limits.pitch_max
+    # Far from the thrust's limit, both angles at theirs tilt the third column of the rotation.
+    tilt = atan2(hypot(*rotation(roll, pitch, 0.3)[:2, 2]), rotation(roll, pitch, 0.3)[2, 2])
+    assert followed_tilt(heavy) == pytest.approx(tilt, rel=1e-12)
+    own = heavy.with_values({"baseline.gains.tilt_max": 0.3})
+    assert followed_tilt(own) == 0.3
+
+
+def test_the_controller_tilts_no_further_than_its_thrust_carries_the_weight():
+    mission = flights.scenario("paper_calm")
+    spare = mission.limits.thrust_max - mission.vehicle.total_mass * GRAVITY
+    thrust = mission.vehicle.total_mass * GRAVITY + 0.7 * spare
+    up = thrust * cos(followed_tilt(mission))
+    assert up == pytest.approx(mission.vehicle.total_mass * GRAVITY, rel=1e-9)
+
+
+DASH = (
+    "mission.duration=6.0",
+    "mission.goal.position=[50.0, 20.0, 10.0]",
+    "mission.waypoints=[]",
+    "vehicle.payload=0.0",
+    "airspace.keep_out=[]",
+    "wind.speed=0.0",
+)
+
+
+def test_a_flight_follows_what_tilts_further_than_half_a_radian_and_keeps_both_angles():
+    mission = flights.scenario("delivery", *DASH)
+    vehicle = flights.vehicle("delivery", *DASH)
+    path = reference_path(mission, Reference.QUINTIC)
+    timid = mission.with_values({"baseline.gains.tilt_max": 0.5})
+    (follows,), (lags,) = (
+        Squadron(told, vehicle, path).fly(Draws(count=1)).endings for told in (mission, timid)
+    )
+    assert follows.peak_tilt_rad > 0.55
+    assert not {"roll angle", "pitch angle"} & set(follows.broken)
+    assert follows.largest_deviation_m < 0.5 * lags.largest_deviation_m

@@ -53,7 +53,7 @@ def test_every_limit_of_the_declared_model_has_words(breaches):
 
 
 def test_broken_limits_are_told_in_the_missions_words_and_units(dynamics, breaches):
-    said = dict(line.rsplit(" by ", 1) for line in broken_limits(dynamics, breaches, {}))
+    said = dict(line.rsplit(" by ", 1) for line in broken_limits(dynamics, breaches, {}, 1e-4))
     # Speed 3 sqrt(3) m/s where 0.1 m/s is hovering; the centre of a ball of 1 m.
     assert said["speed at hold place 1"] == f"{3 * np.sqrt(3.0) - 0.1:.2g} m/s"
     away = np.linalg.norm(np.subtract(3.0, STOP["position"]))

@@ -129,6 +129,7 @@ def _few_flights(monkeypatch):
     monkeypatch.setattr(risk, "_FLIGHTS", 60)
 
 
+@pytest.mark.slow
 def test_a_plan_with_a_risk_leaves_the_margin_that_its_flights_need(tmp_path):
     paper, held = plans()
     assert paper.risk is None
@@ -152,6 +153,7 @@ def test_a_plan_with_a_risk_leaves_the_margin_that_its_flights_need(tmp_path):
     assert Plan.load(tmp_path / "plan.npz").risk == taken
 
 
+@pytest.mark.slow
 def test_flights_of_the_paper_plan_break_the_limit_that_it_flies_at():
     paper, held = plans()
     search = risk._Search(mission(risk=0.05), PLANNER, paper, None)

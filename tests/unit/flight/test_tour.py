@@ -119,11 +119,32 @@ def test_legs_not_solved_for_are_predicted_below_what_they_cost():
     told, legs = scattered(20), Legs()
     table = LegTable(told, legs)
     table.solve_for(table.legs[::5])
-    every, optimistic = all_costs(told, Legs()), table.optimistic_costs()
+    every, optimistic = all_costs(told, Legs()), table.costs()
     flown = np.isfinite(every)
     assert np.array_equal(np.isfinite(optimistic), flown)
     assert np.mean(optimistic[flown] <= every[flown] * (1 + 1e-9)) > 0.9
     assert optimistic[flown] == pytest.approx(every[flown], rel=0.1)
+
+
+def test_legs_too_fast_from_hover_to_hover_are_predicted_from_those_that_are_not():
+    """They made all orders cost the same, infinity, and the first three as written were flown."""
+
+    class Hurried(Legs):
+        def __call__(self, leg, *rest):
+            found = super().__call__(leg, *rest)
+            is_short = leg.mission.fixed_duration < self.shortest
+            return SimpleNamespace(
+                status=Status.INFEASIBLE if is_short else found.status, objective=found.objective
+            )
+
+    told, hurried = scattered(6), Hurried(wobble=0.0)
+    hurried.shortest = 0.0
+    exact = find_orders(told, hurried)[0]
+    hurried.shortest = 20.0
+    found = find_orders(told, hurried)[0]
+    assert found.solved < found.legs
+    assert np.isfinite(found.cost_J)
+    assert found.order == exact.order
 
 
 def test_a_place_that_is_shut_in_leaves_no_order_and_is_named():

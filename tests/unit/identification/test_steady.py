@@ -117,9 +117,11 @@ def test_an_endurance_is_the_pack_over_the_power(folder, scenario):
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("speed\n3\n", "has neither power_W nor endurance_s; the columns are power_W [W]"),
+        ("speed\n3\n", "has neither power_W nor endurance_s; the columns are power_W (W)"),
         ("power_W\n", "has no row; give one point at least"),
         ("power_W\n-3\n", "power_W = -3 in row 1; must be a number > 0"),
+        ("payload,power\n0,0.45\n", "which must be kilowatts; multiply it by 1000."),
+        ("payload,power\n0,450000\n", "which must be milliwatts; divide it by 1000."),
         ("power_W\nmuch\n", "column power_W holds text"),
         ("power_W,airspeed_m_s\n3,\n", "airspeed_m_s = nan in row 1; must be a number"),
     ],

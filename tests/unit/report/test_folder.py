@@ -115,7 +115,7 @@ def test_strangers_folders_of_hidden_names_are_left_alone(tmp_path):
 
 def test_a_strangers_lock_file_is_left_alone(tmp_path):
     (tmp_path / ".report.lock").write_text("years of work")
-    with pytest.raises(OutputError, match=r"needs the name '.report.lock' beside it; move that"):
+    with pytest.raises(OutputError, match=r"needs the name '.report.lock' in the same folder"):
         write_generation(tmp_path / "report", "new")
     assert (tmp_path / ".report.lock").read_text() == "years of work"
 

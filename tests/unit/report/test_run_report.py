@@ -188,7 +188,7 @@ def test_flight_that_goes_astray_does_not_hide_the_others():
     flights = styled_flights(run.flights)
     assert [flight.name for flight in leaving_paths(flights)] == ["open_loop/plan"]
     path = plan_drawings(run.plan, flights)[0]
-    assert path.caption.endswith("Leaves the picture: open_loop/plan.")
+    assert path.caption.endswith("Extends beyond the figure: open_loop/plan.")
     above = path.draw().axes[1]
     assert above.get_xlim()[1] < 12
 
@@ -227,7 +227,7 @@ def test_captions_name_what_their_figures_hide():
     assert captions["controls"].endswith(f"Not drawn: adaptive/quintic, {left}")
     assert "adaptive/quintic (" in captions["energy"]
     assert "to 400.0 W" in captions["energy"]
-    assert captions["energy"].endswith("The energy of optimal hides that of open_loop/plan.")
+    assert captions["energy"].endswith("The curve of optimal covers that of open_loop/plan.")
 
 
 UNTOLD = (

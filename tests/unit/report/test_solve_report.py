@@ -152,7 +152,7 @@ def test_paths_too_near_to_the_optimum_are_named_and_not_drawn():
     flights = styled_flights(run.flights)
     assert [flight.name for flight in distinct_paths(flights)] == ["optimal", "adaptive/quintic"]
     path = plan_drawings(run.plan, flights)[0]
-    assert path.caption.endswith("Too near to optimal to be drawn apart: open_loop/plan.")
+    assert path.caption.endswith("Too close to optimal to be distinguished: open_loop/plan.")
 
 
 def test_a_wind_is_told_with_its_profile_and_its_updraft():

@@ -53,7 +53,10 @@ def test_a_density_that_is_written_is_kept(tmp_path):
     ("line", "message"),
     [
         ("air.height = 20000.0", r"air.height = 20000 m; must be from -500 to 11000: the standard"),
-        ("air.temperature = 20.0", r"air.temperature = 20 K; must be from 180 to 340: air on the"),
+        (
+            "air.temperature = 20.0",
+            r"air.temperature = 20 K; must be from 180 to 340: temperatures on the",
+        ),
         ("air.heigth = 3.0", r"unknown key air.heigth; did you mean air.height\?"),
     ],
 )

@@ -40,7 +40,7 @@ def test_the_shipped_pages_are_those_of_the_command(tmp_path, capsys):
 
 def test_schemas_go_to_a_folder_that_is_there(tmp_path, capsys):
     assert main(["schema", "--out", str(tmp_path / "none")]) == 2
-    assert "is no folder; make it first." in capsys.readouterr().err
+    assert "is not a folder; create it first." in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -68,10 +68,11 @@ def test_what_the_loader_refuses_an_editor_marks(table, field, value):
 def test_every_field_of_a_scenario_is_listed():
     held = {field.path for field in describe_fields(load_scenario(SCENARIOS / "paper_calm.toml"))}
     listed = {field.path: field for field in writable_fields(Scenario)}
-    # One is read from wind.file, never written by hand; the others are tables that are not there.
+    # Two are read from wind.file and wind.field, never written by hand; the others are
+    # tables that are not there.
     absent = {"airspace.keep_out", "baseline.mpc", "mission.waypoints"}
     absent |= {"wind.profile", "wind.turbulence"}
-    assert held - set(listed) == {"wind.series", *absent}
+    assert held - set(listed) == {"wind.series", "wind.grid", *absent}
     assert listed["mission.duration"].unit == "s"
     assert listed["solver.tolerance"].default == "1e-06"
     assert all(field.meaning for field in listed.values())

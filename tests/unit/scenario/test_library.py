@@ -11,8 +11,19 @@ ENTRIES = [(kind, name) for kind in LIBRARY_KINDS for name in library_names(kind
 
 
 def test_names():
-    assert library_names("vehicles") == ("dji_matrice_100", "dji_phantom_2")
-    assert library_names("batteries") == ("matrice_100_pack", "paper_cell", "phantom_2_pack")
+    assert library_names("vehicles") == (
+        "crazyflie",
+        "dji_matrice_100",
+        "dji_phantom_2",
+        "freefly_alta_8",
+        "hexacopter_dorling",
+        "hummingbird",
+        "iris_difranco",
+        "iris_stolaroff",
+    )
+    assert {"matrice_100_pack", "paper_cell", "phantom_2_pack"} <= set(library_names("batteries"))
+    for name in library_names("vehicles"):
+        assert library_entry("vehicles", name).battery in library_names("batteries")
     assert library_names("winds") == ("calm", "constant", "paper_table_2")
 
 

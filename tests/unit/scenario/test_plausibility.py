@@ -65,7 +65,7 @@ def test_no_moment_of_inertia_exceeds_the_sum_of_the_others(largest):
     (found,) = scenario(vehicle=moments | {largest: 0.102}).contradictions
     assert found.field == f"vehicle.{largest}"
     assert found.message == (
-        f"vehicle.{largest} = 0.102 kg m^2; of no body it exceeds {' + '.join(others)} = 0.1 kg "
+        f"vehicle.{largest} = 0.102 kg m^2; must be at most {' + '.join(others)} = 0.1 kg "
         "m^2; correct one of the three."
     )
 
@@ -108,7 +108,7 @@ def test_what_of_the_papers_vehicle_is_at_the_edge_is_said():
 
 def test_check_and_headline_say_what_cannot_exist(tmp_path, capsys):
     file = write_scenario(tmp_path, "vehicle.Iz = 0.2", "solver.elements = 10")
-    found = "vehicle.Iz = 0.2 kg m^2; of no body it exceeds Ix + Iy = 0.162 kg m^2"
+    found = "vehicle.Iz = 0.2 kg m^2; must be at most Ix + Iy = 0.162 kg m^2"
     assert main(["check", str(file)]) == ExitCode.VERIFIED
     said = capsys.readouterr().out
     assert f"Mission, unphysical: {found}" in said

@@ -60,7 +60,7 @@ def test_nothing_is_overwritten(tmp_path, monkeypatch, capsys):
     (tmp_path / "own.toml").write_text("mine")
     (tmp_path / "scenario.schema.json").write_text("mine too")
     assert main(["init", "own"]) == ExitCode.BAD_INPUT
-    assert "own.toml: is there already; give another NAME" in capsys.readouterr().err
+    assert "own.toml: exists already; give another NAME" in capsys.readouterr().err
     assert (tmp_path / "own.toml").read_text() == "mine"
     assert main(["init", "other"]) == ExitCode.VERIFIED
     assert (tmp_path / "scenario.schema.json").read_text() == "mine too"

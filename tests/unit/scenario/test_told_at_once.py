@@ -152,7 +152,7 @@ def test_keys_with_units_are_named_as_written(tmp_path, line, told):
 
 def test_a_field_is_not_given_twice(tmp_path):
     file = write_scenario(tmp_path, "limits.roll_max = 0.5", "limits.roll_max_deg = 30")
-    with pytest.raises(ScenarioError, match=r"roll_max_deg and limits.roll_max say the same; give"):
+    with pytest.raises(ScenarioError, match=r"roll_max are the same field; give"):
         load_scenario(file)
 
 
@@ -168,3 +168,15 @@ def test_the_pack_is_that_of_the_vehicle(tmp_path):
     assert load_scenario(own).battery.cells_series == 4
     with pytest.raises(ScenarioError, match=r'battery.use is missing; the vehicle "own.toml"'):
         load_scenario(bare(tmp_path, "shaft", battery=""))
+
+
+def test_every_fault_of_a_vehicle_file_and_of_set_is_told_at_once(tmp_path):
+    (tmp_path / "own.toml").write_text(
+        'use = 7\nlimits = 3\n[wings]\nspan = 1\n[fields.mass]\nvalue = 1\nsauce = "x"\n'
+    )
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(write_scenario(tmp_path, 'vehicle.use = "own.toml"'))
+    assert len(str(caught.value).splitlines()) == 4
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(write_scenario(tmp_path), ["mission.duration", "=3", "gravity=9"])
+    assert len(str(caught.value).splitlines()) == 2

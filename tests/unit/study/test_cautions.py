@@ -39,8 +39,8 @@ def _plan_alone(monkeypatch):
 def test_half_the_plan_brakes_below_the_torque_floor():
     (caution,) = plan_cautions(plan_with(BRAKING))
     assert caution.startswith(
-        "power.model efficiency: 50 % of the plan's rotor states lie outside f_r's sound range "
-        "(torque below 0 N m or f_r below 0.05)"
+        "power.model efficiency: 50 % of the plan's rotor states lie outside the valid range of "
+        "f_r (torque below 0 N m or f_r below 0.05)"
     )
 
 

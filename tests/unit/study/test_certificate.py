@@ -70,7 +70,7 @@ def test_momentum_demand_is_read_off_the_declared_balance():
         ),
         (
             {"wind": {"use": "paper_table_2", "coupling": "drag"}, "vehicle": QUADRATIC},
-            "changes with time where power or drag depends on the airspeed",
+            "changes with time if power or drag depends on the airspeed",
         ),
         (
             {
@@ -88,7 +88,7 @@ def test_momentum_demand_is_read_off_the_declared_balance():
             },
             "a mass that changes where the order is open",
         ),
-        ({"model": "own.py:build"}, "a model of one's own"),
+        ({"model": "own.py:build"}, "a user's own model"),
         ({"mission": {"goal": {"position": [0.0, 0.0, 8.0]}, "duration": 0.3}}, "no flight meets"),
         ({"limits": {"rotor_speed_min": 1047.19, "rotor_speed_max": 1047.0}}, "no flight meets"),
     ],

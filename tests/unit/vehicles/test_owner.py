@@ -6,10 +6,11 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from pyomo_quad.cli import main
+from pyomo_quad.cli import main, own_vehicle
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.flight import Planner
 from pyomo_quad.scenario import ScenarioError, load_scenario
+from pyomo_quad.vehicles import uncertainty
 from pyomo_quad.vehicles.files import example_mission, scenario_of
 from pyomo_quad.vehicles.inertia import MassModel
 from pyomo_quad.vehicles.owner import Known, estimate_vehicle
@@ -197,6 +198,33 @@ def test_what_no_vehicle_has_is_refused_in_a_line(arguments, told, tmp_path, cap
     (line,) = capsys.readouterr().err.splitlines()
     assert told in line
     assert not list(tmp_path.iterdir())
+
+
+def test_a_terminal_is_asked_for_what_is_not_given(tmp_path, monkeypatch, capsys):
+    answers = {
+        "mass aloft, kg": ["much", "1.5"],
+        "propeller": ["10x4.5"],
+        "centre to motor": [""],
+        "kv of": ["920"],
+        "battery": [""],
+        "current in hover": ["15"],
+        "voltage in hover": ["14.8"],
+    }
+
+    def prompt(text, **_options):
+        return next(left for start, left in answers.items() if text.startswith(start)).pop(0)
+
+    monkeypatch.setattr(own_vehicle.typer, "prompt", prompt)
+    monkeypatch.setattr(own_vehicle, "is_asked", lambda **_: True)
+    monkeypatch.setattr(own_vehicle, "_lines", lambda *_: ["done"])
+    monkeypatch.setattr(uncertainty, "power_band", lambda *_: None)
+    assert main(["vehicle", "own", "--out", str(tmp_path)]) == ExitCode.VERIFIED
+    assert "must be a number" in capsys.readouterr().err
+    assert not any(answers.values())
+    (tmp_path / "hop.toml").write_text(example_mission("own"))
+    scenario = load_scenario(tmp_path / "hop.toml")
+    assert scenario.vehicle.mass == 1.5
+    assert Planner().steady_flight(scenario).hover_power == pytest.approx(222.0, rel=1e-4)
 
 
 def test_a_name_is_no_path(tmp_path):

@@ -1,0 +1,101 @@
+"""Many flights of `pyomo-quad fly --flights`: what is flown, its files and its verdict."""
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.cli.flying import make_flight, make_plan
+from pyomo_quad.cli.solving import answer, planner_for, report_folder
+from pyomo_quad.cli.terminal import Stopwatch
+from pyomo_quad.exports.motion import ProvenPlan, read_proven
+from pyomo_quad.flight import Planner
+from pyomo_quad.flight.deadline import Deadline
+from pyomo_quad.report import Figures
+from pyomo_quad.report.ensemble import write_ensemble
+from pyomo_quad.report.folder import refuse_output_folder
+from pyomo_quad.scenario import Scenario, ScenarioError, load_scenario
+from pyomo_quad.scenario.loader import with_overrides
+from pyomo_quad.study.ensemble import Ensemble, Saving, fly_cruise_often, fly_plan_often
+
+_SCENARIO = ".toml"
+
+
+def fly_many(
+    path: Path,
+    flights: int,
+    *,
+    seed: int,
+    cruises: Sequence[float],
+    out: Path | None,
+    overrides: Sequence[str],
+    figures: Figures,
+    is_quiet: bool,
+    as_json: bool,
+    is_code_allowed: bool,
+) -> ExitCode:
+    """Fly a plan, from a file, a report or a scenario to be solved, many times."""
+    plan, planner = _plan_of(
+        path, overrides, is_quiet=is_quiet or as_json, is_code_allowed=is_code_allowed
+    )
+    mission = plan.mission
+    _refuse_equal_flights(mission, flights)
+    folder = out or Path("reports") / f"{mission.name}-{flights}-flights"
+    refuse_output_folder(folder)
+    watch = Stopwatch()
+    often = partial(fly_plan_often, mission, plan.held, planner=planner, flights=flights, seed=seed)
+    cruising = partial(fly_cruise_often, mission, planner=planner, flights=flights, seed=seed)
+    with report_folder(folder) as aside:
+        with watch.phase("fly"), Deadline(mission):
+            flown = make_flight(mission, often)
+            rivals = [make_flight(mission, partial(cruising, speed)) for speed in cruises]
+        savings = [Saving.of(flown, rival) for rival in rivals]
+        summary = write_ensemble(aside, flown, savings, figures)
+    answer(_lines(flown, savings), summary, folder, is_quiet=is_quiet, as_json=as_json)
+    return ExitCode.VERIFIED
+
+
+def _plan_of(
+    path: Path, overrides: Sequence[str], *, is_quiet: bool, is_code_allowed: bool
+) -> tuple[ProvenPlan, Planner]:
+    if path.suffix != _SCENARIO:
+        read = read_proven(path, is_code_allowed=is_code_allowed)
+        mission = with_overrides(read.mission, overrides)
+        planner = planner_for(mission, is_code_allowed=is_code_allowed, is_quiet=is_quiet)
+        return ProvenPlan(mission=mission, held=read.held), planner
+    scenario = load_scenario(path, overrides)
+    planner = planner_for(scenario, is_code_allowed=is_code_allowed, is_quiet=is_quiet)
+    with Deadline(scenario):
+        plan = make_plan(planner, scenario)
+    return ProvenPlan(mission=plan.mission_flown, held=plan.trajectories), planner
+
+
+def _refuse_equal_flights(mission: Scenario, flights: int) -> None:
+    wind = mission.as_forecast().wind
+    rough = (
+        *(wind.speed_deviation, wind.direction_deviation, mission.vehicle.mass_deviation),
+        mission.power.hover_power_deviation,
+    )
+    if flights > 1 and mission.wind.turbulence is None and not any(rough):
+        raise ScenarioError(
+            f"{mission.name}: all {flights} flights would be the same; must have something to "
+            "draw: add --set wind.turbulence.intensity=light, or a deviation such as "
+            "wind.speed_deviation."
+        )
+
+
+def _lines(flown: Ensemble, savings: Sequence[Saving]) -> Iterator[str]:
+    """Yield what is to be said of the flights."""
+    name, told = flown.scenario.name, flown.summary
+    low, middle, high = flown.band("energy_J")
+    yield f"{name}: {flown.held} of {flown.count} flights arrived and kept every limit."
+    yield f"Energy {middle:.1f} J in the median, {low:.1f} to {high:.1f} J in 90 % of flights."
+    if flown.broken:
+        yield f"Limit broken most: {told['limit broken most']}."
+    for saving in savings:
+        low, middle, high = saving.percent
+        yield (
+            f"Energy spared against {saving.rival.name} in the same winds: {middle:.1f} % in the "
+            f"median, {low:.1f} to {high:.1f} % in 90 % of them; of its flights "
+            f"{saving.rival.held} arrived and kept every limit."
+        )

@@ -1,0 +1,215 @@
+"""One search for a plan: its stage, its clock, and the best usable plan that it has come by."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from math import inf, isfinite
+from typing import TYPE_CHECKING
+
+from pyomo_quad.flight.plan import LEAST_ENERGY_J, PlanStatus
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from pyomo_quad.collocation import Iteration, Solution
+    from pyomo_quad.flight.deadline import Deadline
+    from pyomo_quad.flight.plan import Plan
+
+#: Largest share of its energy by which a usable plan may differ from the mesh before: a trajectory
+#: near a coarse optimum spends a few per cent more.
+USABLE_ENERGY = 0.1
+# Error estimate of a mesh above which no flight of its controls arrives, found by experience: the
+# estimate holds the breach of limits as it is, of which a usable plan may have as much.
+_PROMISING = FIGURES[Accuracy.QUICK].breach
+# Searches that end within so many seconds of the processor keep nothing on the way, and longer ones
+# spend at most this share of their time on flights of what they keep.
+_PATIENCE_S, _SHARE = 2.0, 0.2
+# Coarse meshes from which a usable plan is sought.
+_MOST_SEARCHES = 2
+
+
+class Stage(StrEnum):
+    """What a search is doing."""
+
+    ROUTES = "routes"
+    COARSE = "coarse solves"
+    USABLE = "towards a usable plan"
+    REFINING = "refinement"
+
+
+@dataclass(frozen=True, kw_only=True)
+class State:
+    """Where a search stands.
+
+    Attributes
+    ----------
+    stage : Stage
+    energy_J : float
+        Least energy found so far, infinite before there is one.
+    uncertainty : float
+        Share of that energy by which the last mesh changed it, infinite where there was one mesh.
+    spent_s : float
+        Processor time since the search began.
+    has_usable : bool
+        Whether a usable plan is kept, which is returned when the search is stopped now.
+    iteration : Iteration
+        Of the solve under way.
+    """
+
+    stage: Stage
+    energy_J: float
+    uncertainty: float
+    spent_s: float
+    has_usable: bool
+    iteration: Iteration
+
+
+class Search:
+    """A progress callback that stops a search in time, and keeps the best usable plan so far.
+
+    Parameters
+    ----------
+    deadline : Deadline
+    show : callable, optional
+        Called with the state of the search at each iteration.
+    """
+
+    def __init__(self, deadline: Deadline, show: Callable[[State], None] | None = None) -> None:
+        self.deadline = deadline
+        self.stage = Stage.COARSE
+        self.usable: Plan | None = None
+        self._show = show
+        self._began = time.thread_time()
+        self._flights_s, self._searches = 0.0, 0
+        self._energy, self._uncertainty = inf, inf
+
+    @property
+    def spent_s(self) -> float:
+        """Processor time since the search began [s]."""
+        return time.thread_time() - self._began
+
+    def __call__(self, iteration: Iteration) -> bool:
+        """Return False once the search is to stop."""
+        if self._show is not None:
+            self._show(
+                State(
+                    stage=self.stage,
+                    energy_J=self._energy,
+                    uncertainty=self._uncertainty,
+                    spent_s=self.spent_s,
+                    has_usable=self.usable is not None,
+                    iteration=iteration,
+                )
+            )
+        return self.deadline(iteration)
+
+    def finished(
+        self,
+        solution: Solution,
+        energy_J: float,
+        flown: Callable[[Solution], Plan],
+        flyable: Callable[[Solution], Iterator[Plan]],
+    ) -> None:
+        """Fly the controls of a finished mesh if they promise a usable plan, and keep it.
+
+        From a mesh that is too coarse for that, what can be flown is found first, unless there is a
+        usable plan already.  A search that ends soon needs neither.
+
+        Parameters
+        ----------
+        solution : Solution
+        energy_J : float
+            Of the solution.
+        flown : callable
+            Returns the plan of a solution with the verdict of its flight.
+        flyable : callable
+            Yields such plans for trajectories near a solution that is not flyable itself.
+        """
+        self._note(energy_J)
+        if self.spent_s < _PATIENCE_S or self.deadline.is_over:
+            return
+        began = time.thread_time()
+        if solution.error_estimate <= _PROMISING:
+            if self._flights_s <= _SHARE * self.spent_s:
+                self.keep(flown(solution))
+        elif self.usable is None and self._searches < _MOST_SEARCHES:
+            self._searches += 1
+            self.stage = Stage.USABLE
+            for plan in flyable(solution):
+                self.keep(plan)
+                if self.usable is not None:
+                    break
+        self._flights_s += time.thread_time() - began
+        self.stage = Stage.REFINING
+
+    def _note(self, energy_J: float) -> None:
+        if isfinite(self._energy):
+            self._uncertainty = abs(energy_J - self._energy) / max(abs(energy_J), LEAST_ENERGY_J)
+        self._energy = energy_J
+
+    def keep(self, plan: Plan) -> None:
+        """Keep a plan if its flight confirms it and none before is known better."""
+        found = as_usable(plan)
+        if not found.is_flyable:
+            return
+        if self.usable is None or found.energy_uncertainty <= self.usable.energy_uncertainty:
+            self.usable = found
+
+    def ended(self, plan: Plan) -> Plan:
+        """Return the plan with which a search ends: the last one, or the best that was kept."""
+        plan = as_usable(plan)
+        if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:
+            return plan
+        cause = plan.message.partition(". ")[0].rstrip(".; ")
+        kept = self.usable
+        # Of waypoints in the best order, the kept plan has the order of its own.
+        mission = plan.scenario.mission.model_copy(
+            update={"waypoints": kept.scenario.mission.waypoints}
+        )
+        return replace(
+            kept,
+            scenario=plan.scenario.model_copy(update={"mission": mission}),
+            message=f"{_proven(kept)} {kept.scenario.solver.accuracy.value} was not reached: "
+            f"{cause}.",
+            attempts=plan.attempts,
+            timings=dict(kept.timings) | {"solve": plan.timings.get("solve", 0.0)},
+            routes=plan.routes or kept.routes,
+        )
+
+
+def as_usable(plan: Plan) -> Plan:
+    """Return a plan, usable where its flight confirms as much and no more."""
+    if plan.status in (PlanStatus.VERIFIED, PlanStatus.USABLE, PlanStatus.INFEASIBLE):
+        return plan
+    found = plan.verification
+    if found is None or found.reached is None or not plan.energy_uncertainty <= USABLE_ENERGY:
+        return plan
+    why = plan.message.rstrip(".; ")
+    usable = replace(plan, status=PlanStatus.USABLE)
+    asked = plan.scenario.solver.accuracy.value
+    return replace(usable, message=f"{_proven(usable)} {asked} was not reached: {why}.")
+
+
+def _proven(plan: Plan) -> str:
+    """Return what is proven of a usable plan, in one sentence."""
+    found = plan.verification
+    if found is None:
+        return ""
+    off = abs(found.energy_difference_J) / max(abs(plan.energy), LEAST_ENERGY_J)
+    return (
+        f"Flown open loop it ends {found.terminal_miss_m:.2g} m from the goal, breaks no limit by "
+        f"more than {max(found.max_violation, 0.0):.1g} of it, and its energy differs from the "
+        f"plan's by {off:.1g} of it; a better plan may spend less, by an estimated "
+        f"{plan.energy_uncertainty:.1g} of it."
+    )
+
+
+def accuracy_words(plan: Plan) -> str:
+    """Return which accuracy was asked for, which was reached, and to what the energy is known."""
+    asked, reached = plan.scenario.solver.accuracy, plan.accuracy_reached
+    known = plan.energy_uncertainty
+    words = f"accuracy asked for {asked.value}, reached {'none' if reached is None else reached}"
+    return f"{words}; energy known to {known:.1g} of it" if isfinite(known) else words

@@ -1,0 +1,96 @@
+"""A usable plan from a coarse one: finer meshes until its controls, flown open loop, arrive."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pyomo_quad.collocation import MeshRecord, Status, mesh_for_states
+from pyomo_quad.flight.flight import POSITION_STATES
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pyomo_quad.collocation import Problem, Solution
+    from pyomo_quad.scenario.airspace import Airspace
+
+_QUICK = FIGURES[Accuracy.QUICK]
+# Mesh by mesh, the error of states above which an element becomes finer, and how well equations are
+# obeyed.  The first mesh is but the way to the next; flown without feedback, the errors of the last
+# grow to less than a tenth of a metre in a minute.
+_MESHES = ((1e-2, 1e-4), (5e-5, 1e-7), (1e-5, 1e-9))
+# Least degree of an element, for errors to fall fast from mesh to mesh.
+_DEGREE = 6
+# Share of the breach that a usable plan may have which equations may use at their points: between
+# them there is as much again, and more.
+_AT_POINTS = 0.3
+# Share of an element at which its course is looked at for cut corners of zones.
+_LOOKS = np.linspace(0.0, 1.0, 20, endpoint=False)
+_CLEARANCE = "airspace.clearance"
+
+
+def flyable_from(
+    problem: Problem, arguments: dict[str, Any], coarse: Solution, airspace: Airspace
+) -> Iterator[Solution]:
+    """Yield trajectories near a coarse optimum that obey the equations on finer and finer meshes.
+
+    Between the points of coarse elements a course cuts the corners of zones: by as much as the
+    coarse one does, the clearance is widened.
+
+    Parameters
+    ----------
+    problem : Problem
+    arguments : dict
+        Of its `solve`, for the mission.
+    coarse : Solution
+    airspace : Airspace
+        Of the mission.
+    """
+    numbers = dict(arguments["parameters"] or {})
+    if _CLEARANCE in numbers:
+        numbers[_CLEARANCE] += _deepest_cut(coarse, airspace)
+    own = problem.instance(arguments["parameters"], arguments["horizon"])
+    found = coarse
+    for k, (tolerance, met) in enumerate(_MESHES):
+        mesh, _ = mesh_for_states(found, tolerance, arguments["refinement"], least_degree=_DEGREE)
+        found = problem.flyable(
+            found,
+            mesh,
+            parameters=numbers,
+            horizon=arguments["horizon"],
+            breach=_AT_POINTS * _QUICK.breach,
+            met=met,
+            progress=arguments["progress"],
+        )
+        if found.status is not Status.CONVERGED:
+            return
+        if k > 0:
+            # By how much it is dearer than the coarse optimum is all that is known of its energy.
+            yield replace(found, instance=own, history=(_record(coarse), _record(found)))
+
+
+def _deepest_cut(solution: Solution, airspace: Airspace) -> float:
+    """Return how far into a zone's clearance the course of a solution leads [m], zero for none."""
+    if not airspace.keep_out:
+        return 0.0
+    names = [slot.name for slot in solution.problem.compiled.declared.states]
+    borders = solution.mesh.breakpoints
+    fractions = np.concatenate([a + (b - a) * _LOOKS for a, b in pairwise(borders)])
+    places = solution.trajectory.states_at(fractions)[:, [names.index(n) for n in POSITION_STATES]]
+    depth = max(float(zone.depth(places).max()) for zone in airspace.keep_out)
+    return max(0.0, depth + airspace.clearance)
+
+
+def _record(solution: Solution) -> MeshRecord:
+    return MeshRecord(
+        elements=solution.mesh.elements,
+        points=solution.mesh.points,
+        iterations=solution.iterations[-1].iteration if solution.iterations else 0,
+        objective=solution.objective,
+        error=solution.error_estimate,
+        wall_s=solution.wall_s,
+    )

@@ -1,0 +1,93 @@
+"""Plans made of solutions, and the verdict of flying their controls."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from pyomo_quad.collocation import SolveError, Status
+from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
+from pyomo_quad.flight.verification import verify_controls, wind_lacking
+
+if TYPE_CHECKING:
+    from pyomo_quad.collocation import Solution
+    from pyomo_quad.scenario import Scenario
+    from pyomo_quad.scenario.accuracy import Accuracy
+
+_STATUS = {
+    Status.NOT_CONVERGED: PlanStatus.NOT_CONVERGED,
+    Status.INFEASIBLE: PlanStatus.INFEASIBLE,
+    Status.INTERRUPTED: PlanStatus.INTERRUPTED,
+}
+
+
+def plan_of(
+    scenario: Scenario,
+    solution: Solution,
+    timings: dict[str, float],
+    hover_energy: float,
+) -> Plan:
+    """Return the plan of a solution that nothing has flown yet."""
+    return Plan(
+        scenario=scenario,
+        status=_STATUS.get(solution.status, PlanStatus.SOLVED),
+        message=solution.message,
+        energy=energy_of(scenario, solution),
+        hover_energy_J=hover_energy,
+        trajectories=trajectories_of(solution),
+        verification=None,
+        error_estimate=solution.error_estimate,
+        history=solution.history,
+        iterations=solution.iterations,
+        timings=timings,
+        warm_start=solution.warm_start,
+        solution=solution,
+        passing_times_s=tuple(
+            solution.value("mission.passing_time", index=k)
+            for k in range(len(scenario.mission.waypoints))
+        ),
+    )
+
+
+def horizon_of(scenario: Scenario) -> tuple[float, float] | None:
+    """Return start and end of a scenario's horizon [s], None where a variable holds the end."""
+    return None if scenario.mission.is_free else (0.0, scenario.mission.fixed_duration)
+
+
+def energy_of(scenario: Scenario, solution: Solution) -> float:
+    """Return the energy of a solution, without what its time costs beside [J]."""
+    if not scenario.mission.is_free:
+        return solution.objective
+    return float(solution.running_objective[-1])
+
+
+def verified(plan: Plan, solution: Solution, accuracy: Accuracy | None = None) -> Plan:
+    """Return the plan with the verdict of flying its controls, at its own accuracy by default."""
+    started = time.perf_counter()
+    held = plan.trajectories
+    try:
+        verification, flown = verify_controls(
+            plan.dynamics,
+            held.mesh,
+            held.states,
+            held.controls,
+            held.horizon,
+            plan.energy,
+            plan.scenario.airspace,
+            plan.passages,
+            accuracy or plan.scenario.solver.accuracy,
+        )
+    except SolveError as error:
+        return replace(plan, status=PlanStatus.SOLVED, message=str(error))
+    is_proven = verification.is_verified and solution.status is Status.CONVERGED
+    timings = dict(plan.timings) | {"verify": time.perf_counter() - started}
+    lost = wind_lacking(plan.scenario, plan.dynamics, flown)
+    return replace(
+        plan,
+        status=PlanStatus.VERIFIED if is_proven and not lost else PlanStatus.SOLVED,
+        message=verification.shortfall or lost or plan.message,
+        verification=verification,
+        flown=flown,
+        timings=timings,
+    )

@@ -1,0 +1,151 @@
+"""A wind that varies from place to place: one spline of place and time for each component.
+
+symbol | name | unit | meaning
+s | field_unit | m/s | factor on the wind of the field, as a speed
+x, y, z, t | - | m, s | the vehicle's place, and the wind time
+
+Each component is the tensor product of cubic B-splines through its values on the grid, without
+knots beside the ends: twice differentiable, with exact derivatives, and its work does not grow
+with the grid (`collocation.Table`).  An axis of two or three points is the line or parabola
+through them.  Grid points without wind, as those inside a building, get that of the nearest that
+has some: a spline needs a value, and a flight that is there is refused (`unknown_wind`) unless
+the scenario holds winds.
+
+Where winds are held, the place is led back to the grid, smoothly: from a tenth of a step inside
+its border on it is the vehicle's own to 1e-10 of a step, and farther out the wind changes no more.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pyomo.core import Block, ConcreteModel, Expression, exp, sqrt
+from pyomo.core.base.units_container import units
+from pyomo.core.expr import NumericExpression
+
+from pyomo_quad.collocation import Table
+from pyomo_quad.model.parameters import Parameter
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.messages import shown
+from pyomo_quad.scenario.wind import Beyond, WindGrid
+
+FloatArray = NDArray[np.float64]
+
+COMPONENTS = ("velocity_x", "velocity_y", "velocity_z")
+FIELD_UNIT = Parameter(
+    name="field_unit",
+    units=units.get_units(units.m / units.s),
+    value=lambda s: s.wind.field_scale,
+    doc="s: factor on the wind of the field, as a speed",
+)
+_SPLINE_POINTS = 4
+# Of the least step of an axis: over how much of it a place beyond the grid is led back.
+_PASSING_STEPS = 0.02
+
+
+def smooth_positive(number: Any, width: Any) -> Any:
+    """Return the larger of a number and nought, smoothly over a width."""
+    rounding = width**2 * exp(-((number / width) ** 2))
+    return (number + sqrt(number**2 + rounding)) / 2
+
+
+def declare_field(m: ConcreteModel, grid: WindGrid, scenario: Scenario) -> list[Expression]:
+    """Declare the tables of a wind field and return its components over time [m/s].
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With `time`, `rigid_body` and `wind`, which has `wind_time` and `field_unit`.
+    """
+    b, is_held = m.wind, scenario.wind.beyond is Beyond.HOLD
+    axes, tables = _filled(grid)
+    unit_of_axis = [units.m] * len(axes)
+    if grid.times:
+        unit_of_axis[-1] = units.s
+    found = []
+    for name, values in zip(COMPONENTS, tables, strict=False):
+        table = Table(*axes, values, arg_units=unit_of_axis)
+        b.add_component(f"field_{name[-1]}", table)
+
+        def at(b: Block, t: float, table: Table = table) -> NumericExpression:
+            told = _arguments(b, grid, t)
+            if is_held:
+                told = [
+                    _led_back(one, axis, unit)
+                    for one, axis, unit in zip(told, axes, unit_of_axis, strict=True)
+                ]
+            return b.field_unit * table(*told)
+
+        doc = f"wind of the field along world {name[-1]} [m/s]"
+        field = Expression(m.time, rule=at, doc=doc)
+        b.add_component(f"of_field_{name[-1]}", field)
+        found.append(field)
+    return found
+
+
+def _arguments(b: Block, grid: WindGrid, t: float) -> list[Any]:
+    body = b.parent_block().rigid_body
+    place = [body.x[t], body.y[t], *([body.z[t]] if grid.z else [])]
+    return [*place, *([b.wind_time[t]] if grid.times else [])]
+
+
+def _led_back(argument: Any, axis: FloatArray, unit: Any) -> Any:
+    """Return an argument, or beyond its axis the nearest end, smoothly."""
+    width = _PASSING_STEPS * float(np.diff(axis).min()) * unit
+    first, last = float(axis[0]) * unit, float(axis[-1]) * unit
+    above = first + smooth_positive(argument - first, width)
+    return last - smooth_positive(last - above, width)
+
+
+def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
+    """Return the axes and the components of a grid, both as a spline needs them."""
+    from scipy.interpolate import BarycentricInterpolator  # noqa: PLC0415  for fields alone
+    from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  for fields alone
+
+    values, axes = np.array(grid.components), [np.array(axis) for axis in grid.axes]
+    has_wind = np.isfinite(values).all(axis=0)
+    if not has_wind.all():
+        steps = [float(np.diff(axis).mean()) for axis in axes]
+        nearest = distance_transform_edt(
+            ~has_wind, sampling=steps, return_distances=False, return_indices=True
+        )
+        values = values[(slice(None), *nearest)]
+    for number, axis in enumerate(axes):
+        if axis.size < _SPLINE_POINTS:
+            axes[number] = np.linspace(axis[0], axis[-1], _SPLINE_POINTS)
+            through = BarycentricInterpolator(axis, values, axis=number + 1)
+            values = through(axes[number])
+    return axes, values
+
+
+def mean_of_field(scenario: Scenario, grid: WindGrid) -> FloatArray:
+    """Return the mean wind of a field where it has some, along world x and y [m/s]."""
+    told = grid.components[:2].reshape(2, -1)
+    return np.asarray(scenario.wind.field_scale * np.nanmean(told, axis=1))
+
+
+def unknown_wind(scenario: Scenario, times: FloatArray, places: FloatArray) -> str:
+    """Return one line on the first place of a flight where its field has no wind, or nothing.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        Times in flight [s].
+    places : ndarray, shape (n, 3)
+    """
+    wind = scenario.wind
+    if wind.grid is None or wind.beyond is Beyond.HOLD:
+        return ""
+    lost = np.flatnonzero(~wind.grid.is_known(places, times + wind.time_offset))
+    if not lost.size:
+        return ""
+    at, place = float(times[lost[0]]), _spelled(places[lost[0]])
+    return (
+        f"at {at:.4g} s the flight is at {place} m, where wind.field = {shown(str(wind.field))} "
+        'has no wind: keep out of there, give more of the field, or set wind.beyond = "hold".'
+    )
+
+
+def _spelled(place: Sequence[float] | FloatArray) -> str:
+    return f"({', '.join(f'{float(number):.4g}' for number in place)})"

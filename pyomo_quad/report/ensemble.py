@@ -1,0 +1,185 @@
+"""Report of many flights of one mission: tables, summary, figures and text."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pyomo_quad.flight.columns import ENERGY as ENERGY_TRACK
+from pyomo_quad.flight.ensemble import OFF, SPEED, TILT
+from pyomo_quad.report import Figures
+from pyomo_quad.report.document import Drawing, write_study
+from pyomo_quad.report.paths import axis_label, draw_mission
+from pyomo_quad.report.signals import POSITION
+from pyomo_quad.report.style import (
+    INK,
+    SERIES_STYLES,
+    label_time,
+    legend_below,
+    panel_grid,
+)
+from pyomo_quad.study.ensemble import BAND, CONFIDENCE, Ensemble, Saving
+from pyomo_quad.version import __version__
+
+FLIGHTS_NAME, BANDS_NAME = "flights.csv", "bands.csv"
+#: Paths that the figure shows; with more of them none can be told from another.
+SHOWN_PATHS = 50
+_BINS = 40
+
+
+def write_ensemble(
+    folder: Path,
+    flown: Ensemble,
+    savings: Sequence[Saving] = (),
+    figures: Figures = Figures.SVG,
+) -> dict[str, Any]:
+    """Write tables (CSV), summary, figures and the report into an empty folder.
+
+    Returns
+    -------
+    dict
+        The summary, as it is in `summary.json`.
+    """
+    summary = ensemble_summary(flown, savings)
+    write_study(
+        folder,
+        "report/ensemble.md.j2",
+        tables={FLIGHTS_NAME: flown.table(), BANDS_NAME: flown.bands()},
+        summary=summary,
+        drawings=ensemble_drawings(flown, savings),
+        figures=figures,
+        flown=flown,
+        savings=savings,
+        told=summary,
+        confidence=CONFIDENCE,
+    )
+    return summary
+
+
+def ensemble_summary(flown: Ensemble, savings: Sequence[Saving] = ()) -> dict[str, Any]:
+    """Return what many flights say, as values for JSON."""
+    worst = flown.worst
+    return {
+        **_facts(flown),
+        "broken_limits": [
+            {"limit": name, "share": share.value, "interval": share.interval, "worst": worst[name]}
+            for name, share in flown.broken.items()
+        ],
+        "savings": [
+            {
+                "flight": saving.rival.name,
+                **_facts(saving.rival),
+                "saving_percent": dict(zip(_QUANTILES, saving.percent, strict=True)),
+                "both_held": saving.both_held,
+            }
+            for saving in savings
+        ],
+        "wall_s": {"fly": flown.wall_s + sum(saving.rival.wall_s for saving in savings)},
+        "version": __version__,
+        "scenario_resolved": flown.scenario.model_dump(mode="json"),
+    }
+
+
+_QUANTILES = tuple(f"{round(100 * share)}_percent" for share in BAND)
+# Attributes of an ending whose distribution a summary gives.
+_QUANTITIES = (
+    "energy_J",
+    "charge_used_percent",
+    "miss_m",
+    "end_speed_m_per_s",
+    "largest_deviation_m",
+)
+
+
+def _facts(flown: Ensemble) -> dict[str, Any]:
+    return {
+        "scenario": flown.scenario.name,
+        "flight": flown.name,
+        "flights": flown.count,
+        "seed": flown.seed,
+        "duration_s": flown.scenario.mission.fixed_duration,
+        "held": flown.held.count,
+        "held_share": flown.held.value,
+        "held_interval": flown.held.interval,
+        **{name: dict(zip(_QUANTILES, flown.band(name), strict=True)) for name in _QUANTITIES},
+    }
+
+
+def ensemble_drawings(flown: Ensemble, savings: Sequence[Saving]) -> tuple[Drawing, ...]:
+    """List the figures of many flights."""
+    shown = min(SHOWN_PATHS, flown.count)
+    paths = f"The first {shown} flights, and the path that they follow."
+    energy = "Energy of the flights (kJ), each in a wind of its own."
+    if savings:
+        energy += " The winds are the same for all kinds of flights."
+    bands = "Median over the flights, and the band in which 90 % of them are at each time."
+    return (
+        Drawing("paths", "Paths", paths, partial(draw_many_paths, flown)),
+        Drawing("energy", "Energy", energy, partial(draw_energies, flown, savings)),
+        Drawing("bands", "Over time", bands, partial(draw_bands, flown)),
+    )
+
+
+def draw_many_paths(flown: Ensemble) -> Figure:
+    """Draw the paths of some flights and of their reference, from above and from the front."""
+    figure, panels = panel_grid(2, 1, panel_height=2.5, legend_entries=2, share_time=False)
+    tracks = [flown.flown.tracks[f"{axis}_m"][:, :SHOWN_PATHS] for axis in "xyz"]
+    color = SERIES_STYLES[0].color
+    for axes, (across, up), title in zip(
+        panels[:, 0], ((0, 1), (0, 2)), ("from above", "from the front"), strict=True
+    ):
+        draw_mission(axes, flown.scenario, (across, up))
+        for k in range(tracks[0].shape[1]):
+            label = "flights" if k == 0 else None
+            axes.plot(
+                tracks[across][:, k], tracks[up][:, k], color=color, linewidth=0.5, label=label
+            )
+        planned = flown.planned
+        axes.plot(planned[:, across], planned[:, up], color=INK, linewidth=0.8, label="followed")
+        axes.set_title(f"Seen {title}")
+        axes.set(xlabel=axis_label(POSITION[across]), ylabel=axis_label(POSITION[up]))
+        axes.set_aspect("equal", adjustable="datalim")
+    legend_below(figure, panels[0, 0])
+    return figure
+
+
+def draw_energies(flown: Ensemble, savings: Sequence[Saving]) -> Figure:
+    """Draw histograms of the energies of flights, of each kind."""
+    kinds = [flown, *(saving.rival for saving in savings)]
+    figure, ((axes,),) = panel_grid(
+        1, 1, panel_height=2.4, legend_entries=len(kinds), share_time=False
+    )
+    energies = [kind.of_flights("energy_J") / 1e3 for kind in kinds]
+    low, high = min(map(np.min, energies)), max(map(np.max, energies))
+    edges = np.linspace(low, max(high, low * (1 + 1e-6) + 1e-9), _BINS + 1)
+    for kind, held, style in zip(kinds, energies, SERIES_STYLES, strict=False):
+        axes.hist(held, edges, color=style.color, alpha=0.55, label=kind.name)
+        axes.axvline(float(np.median(held)), color=style.color, linewidth=1.2)
+    axes.set(xlabel="Energy (kJ)", ylabel="Flights")
+    legend_below(figure, axes)
+    return figure
+
+
+# Track, title of its panel, and printed value of a stored value of 1.
+_PANELS = (
+    (OFF, "Distance from the path followed (m)", 1.0),
+    (SPEED, "Speed over ground (m/s)", 1.0),
+    (TILT, "Tilt (°)", float(np.degrees(1.0))),
+    (ENERGY_TRACK, "Energy (kJ)", 1e-3),
+)
+
+
+def draw_bands(flown: Ensemble) -> Figure:
+    """Draw quantities over time: their median over the flights and a band of 90 %."""
+    figure, panels = panel_grid(2, 2, panel_height=1.9)
+    t, color = flown.flown.t, SERIES_STYLES[0].color
+    for axes, (track, title, scale) in zip(panels.flat, _PANELS, strict=True):
+        low, middle, high = scale * np.quantile(flown.flown.tracks[track], BAND, axis=1)
+        axes.fill_between(t, low, high, color=color, alpha=0.25, linewidth=0)
+        axes.plot(t, middle, color=color)
+        axes.set_title(title)
+    label_time(panels[-1], float(t[-1]))
+    return figure

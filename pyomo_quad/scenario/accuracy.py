@@ -1,0 +1,87 @@
+"""Accuracies that a mission may ask for: what a plan claims, and what its flight must confirm.
+
+A vehicle model is good to about 2 %: `quick` and `standard` suffice for missions that are flown,
+`proof` for studies that compare small differences.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from types import MappingProxyType
+
+
+class Accuracy(StrEnum):
+    """How accurate a plan is to be, the least accurate first."""
+
+    QUICK = "quick"
+    STANDARD = "standard"
+    PROOF = "proof"
+
+    def meets(self, asked: "Accuracy") -> bool:
+        """Say whether a plan of this accuracy is as accurate as asked for, or more."""
+        order = list(Accuracy)
+        return order.index(self) >= order.index(asked)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figures:
+    """Largest errors of a plan of an accuracy.
+
+    Attributes
+    ----------
+    energy : float
+        Share of the energy by which the plan's may be above the least one, and the relative error
+        of states to which the mesh is refined.
+    energy_flown : float
+        Share of the energy by which the flight of the controls may differ from the plan.
+    miss : float
+        Of any final state when the controls are flown open loop, and of the waypoints: metres,
+        metres per second, radians or, for values above 1, relative.
+    breach : float
+        Of a limit between the points, relative to the larger of 1 and the limit.
+    integration : float
+        Relative and absolute tolerance of the flight.  Errors of a flight without feedback grow
+        about a millionfold in half a minute.
+    spacing : float
+        Distance [m] between the samples at which the flight is held against zones.
+    """
+
+    energy: float
+    energy_flown: float
+    miss: float
+    breach: float
+    integration: float
+    spacing: float
+
+
+#: What each accuracy means.  Between samples 5 mm apart a straight flight cuts into a ball of half
+#: a metre by less than 1e-5 m and into the edge of a zone by less than 4e-4 m; both grow no faster
+#: than the square, and the first power, of the spacing.
+FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
+    {
+        Accuracy.QUICK: Figures(
+            energy=1e-3,
+            energy_flown=1e-3,
+            miss=0.1,
+            breach=1e-2,
+            integration=1e-10,
+            spacing=5e-2,
+        ),
+        Accuracy.STANDARD: Figures(
+            energy=1e-4,
+            energy_flown=1e-4,
+            miss=1e-2,
+            breach=1e-3,
+            integration=1e-11,
+            spacing=1e-2,
+        ),
+        Accuracy.PROOF: Figures(
+            energy=1e-6,
+            energy_flown=1e-6,
+            miss=1e-4,
+            breach=1e-4,
+            integration=1e-12,
+            spacing=5e-3,
+        ),
+    }
+)

@@ -1,0 +1,265 @@
+"""Flights of one mission in many winds: the share that holds, and how energy and charge spread.
+
+The winds are drawn by a seed, so flights under another reference, as an autopilot's cruise, meet
+the same ones.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+from functools import partial
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pyomo_quad.collocation import Summarised
+from pyomo_quad.flight import Planner
+from pyomo_quad.flight.baselines import baseline_name, path_of, reference_path
+from pyomo_quad.flight.ensemble import TRACKS, Ending, FlownOften, Squadron
+from pyomo_quad.flight.plan import Trajectories
+from pyomo_quad.flight.proof import in_order
+from pyomo_quad.flight.references import ReferencePath
+from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at
+from pyomo_quad.flight.weather import draw
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.tables import Reference
+from pyomo_quad.study.processes import side_by_side
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FloatArray = NDArray[np.float64]
+
+#: Of an interval in which the share of all flights that hold lies.
+CONFIDENCE = 0.95
+#: Quantiles that tables and figures give of a quantity over flights.
+BAND = (0.05, 0.5, 0.95)
+# Flights in one piece of work: enough for a map, and enough pieces for all cores.
+_PIECE = 100
+
+
+@dataclass(frozen=True)
+class Share:
+    """A share of flights, and the interval in which that of all flights lies.
+
+    Attributes
+    ----------
+    count, of : int
+        Flights that have the property, and all that were flown.
+    """
+
+    count: int
+    of: int
+
+    @property
+    def value(self) -> float:
+        """The share that was seen."""
+        return self.count / self.of
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The interval of Clopper and Pearson (1934) at `CONFIDENCE`."""
+        from scipy.special import betaincinv  # noqa: PLC0415  not for every run
+
+        rest, k, n = 0.5 * (1.0 - CONFIDENCE), self.count, self.of
+        low = float(betaincinv(k, n - k + 1, rest)) if k > 0 else 0.0
+        high = float(betaincinv(k + 1, n - k, 1.0 - rest)) if k < n else 1.0
+        return low, high
+
+    def __str__(self) -> str:
+        """Words: "98.7 % (97.8 to 99.3 %)"."""
+        low, high = (100.0 * end for end in self.interval)
+        return f"{100.0 * self.value:.1f} % ({low:.1f} to {high:.1f} %)"
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Ensemble(Summarised):
+    """Flights of a mission along one reference, each in its own wind.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        The mission with its times.
+    name : str
+        Of the flights, as in a comparison: "adaptive/plan".
+    seed : int
+    flown : FlownOften
+    planned : ndarray, shape (n_samples, 3)
+        Where the reference is at the same times [m].
+    wall_s : float
+    """
+
+    scenario: Scenario
+    name: str
+    seed: int
+    flown: FlownOften
+    planned: FloatArray
+    wall_s: float
+
+    @property
+    def count(self) -> int:
+        """Flights."""
+        return len(self.flown.endings)
+
+    @property
+    def held(self) -> Share:
+        """Flights that arrived and kept every limit."""
+        return Share(sum(ending.has_held for ending in self.flown.endings), self.count)
+
+    @property
+    def broken(self) -> dict[str, Share]:
+        """Limit in words -> the flights that broke it, the most frequent first."""
+        counts = Counter(name for ending in self.flown.endings for name in ending.broken)
+        return {name: Share(count, self.count) for name, count in counts.most_common()}
+
+    @property
+    def worst(self) -> dict[str, float]:
+        """Limit in words -> its largest breach, relative to the larger of 1 and the limit."""
+        return {
+            name: max(ending.broken.get(name, 0.0) for ending in self.flown.endings)
+            for name in self.broken
+        }
+
+    def of_flights(self, quantity: str) -> FloatArray:
+        """Return an attribute of every `Ending`, shape (n,)."""
+        return np.array([getattr(ending, quantity) for ending in self.flown.endings])
+
+    def band(self, quantity: str) -> tuple[float, float, float]:
+        """Return the `BAND` of an attribute of the flights."""
+        low, middle, high = np.quantile(self.of_flights(quantity), BAND).tolist()
+        return low, middle, high
+
+    @property
+    def summary(self) -> dict[str, str]:
+        """Flights, share that held, energy, and the limit broken most."""
+        low, middle, high = self.band("energy_J")
+        most = next(iter(self.broken.items()), None)
+        return {
+            "scenario": self.scenario.name,
+            "flights": f"{self.count} of {self.name}, seed {self.seed}",
+            "arrived and kept every limit": str(self.held),
+            "energy": f"{middle:.1f} J ({low:.1f} to {high:.1f} J in 90 % of flights)",
+            "limit broken most": "none" if most is None else f"{most[0]}, in {most[1]}",
+        }
+
+    def table(self) -> "pd.DataFrame":
+        """Return one row for each flight."""
+        import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
+        endings = self.flown.endings
+        quantities = [name for name in Ending.__dataclass_fields__ if name != "broken"]
+        return pd.DataFrame(
+            {
+                "flight": range(1, self.count + 1),
+                **{name: self.of_flights(name) for name in quantities},
+                "held": [ending.has_held for ending in endings],
+                "broken_limits": ["; ".join(ending.broken) or "none" for ending in endings],
+            }
+        )
+
+    def bands(self) -> "pd.DataFrame":
+        """Return the `BAND` of every track over time."""
+        import pandas as pd  # noqa: PLC0415  as above
+
+        columns = {"time_s": self.flown.t}
+        for name in TRACKS:
+            quantiles = np.quantile(self.flown.tracks[name], BAND, axis=1)
+            for share, values in zip(BAND, quantiles, strict=True):
+                columns[f"{name}_{round(100 * share)}_percent"] = values
+        return pd.DataFrame(columns)
+
+
+def fly_plan_often(
+    scenario: Scenario, held: Trajectories, *, planner: Planner, flights: int, seed: int
+) -> Ensemble:
+    """Fly a plan many times under the adaptive controller, each flight in a wind of its own.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission with the times of the plan (`Plan.mission_flown`).
+    held : Trajectories
+        The plan, made for the scenario's forecast.
+    """
+    told = planner.dynamics(scenario.as_forecast())
+    path = path_of(in_order(scenario, held, told), told, scenario.vehicle)
+    name = baseline_name(Reference.PLAN)
+    return _flown(name, scenario, path, planner=planner, flights=flights, seed=seed)
+
+
+def fly_cruise_often(
+    scenario: Scenario, speed: float, *, planner: Planner, flights: int, seed: int
+) -> Ensemble:
+    """Fly a mission as an autopilot does at a cruise speed, in the winds that the plan meets.
+
+    It waits at the goal until half of the flights have arrived, at most the last of `SETTLINGS_S`.
+    """
+    for settling_s in SETTLINGS_S:
+        told = cruise_at(scenario, speed, settling_s)
+        path = reference_path(told, Reference.CRUISE)
+        name = baseline_name(Reference.CRUISE, speed)
+        flown = _flown(name, told, path, planner=planner, flights=flights, seed=seed)
+        if 2 * flown.held.count >= flights:
+            break
+    return flown
+
+
+def _flown(
+    name: str,
+    scenario: Scenario,
+    path: ReferencePath,
+    *,
+    planner: Planner,
+    flights: int,
+    seed: int,
+) -> Ensemble:
+    began = perf_counter()
+    dynamics, draws = draw(planner, scenario, flights, seed)
+    squadron = Squadron(scenario, dynamics, path, (*draws.numbers, *draws.noise))
+    pieces = [draws.part(slice(k, k + _PIECE)) for k in range(0, flights, _PIECE)]
+    with side_by_side([partial(squadron.fly, piece) for piece in pieces]) as finish:
+        flown = finish()
+    together = FlownOften(
+        t=flown[0].t,
+        tracks={
+            name: np.concatenate([part.tracks[name] for part in flown], axis=1) for name in TRACKS
+        },
+        endings=tuple(ending for part in flown for ending in part.endings),
+    )
+    return Ensemble(
+        scenario=scenario,
+        name=name,
+        seed=seed,
+        flown=together,
+        planned=np.array([path(t).place[:3] for t in together.t.tolist()]),
+        wall_s=perf_counter() - began,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Saving:
+    """What the plan spares against another flight of the mission in the same winds.
+
+    Attributes
+    ----------
+    rival : Ensemble
+    percent : (float, float, float)
+        `BAND` over the winds of the energy spared, in per cent of what the rival takes in the same
+        wind.
+    both_held : int
+        Flights of which both arrived and kept every limit; the others count as well.
+    """
+
+    rival: Ensemble
+    percent: tuple[float, float, float]
+    both_held: int
+
+    @classmethod
+    def of(cls, planned: Ensemble, rival: Ensemble) -> "Saving":
+        """Compare flights of one seed, wind by wind."""
+        mine, other = (flown.of_flights("energy_J") for flown in (planned, rival))
+        low, middle, high = np.quantile(100.0 * (other - mine) / other, BAND).tolist()
+        pairs = zip(planned.flown.endings, rival.flown.endings, strict=True)
+        both = sum(one.has_held and two.has_held for one, two in pairs)
+        return cls(rival=rival, percent=(low, middle, high), both_held=both)

@@ -1,0 +1,160 @@
+"""Library vehicles held against measured powers, and data sheets against published hover powers."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from pyomo_quad.flight import Planner
+from pyomo_quad.identification.columns import DENSITY, PAYLOAD, POWER
+from pyomo_quad.identification.steady import AIRSPEED, ENDURANCE, USED_SHARE, filled_in
+from pyomo_quad.scenario import Scenario, library_entry, library_names, scenario_from_mapping
+from pyomo_quad.vehicles.owner import Known, estimate_vehicle
+from pyomo_quad.vehicles.pack import pack_of
+from pyomo_quad.vehicles.propulsion import propeller_of
+from pyomo_quad.vehicles.uncertainty import level_powers
+
+FloatArray = NDArray[np.float64]
+
+#: Columns of the table of data sheets.
+SHEET, MEASURED, ESTIMATED, SHEET_ERROR = "vehicle", "measured_W", "estimated_W", "error_percent"
+_SECONDS_PER_MINUTE, _JOULES_PER_WATT_HOUR = 60.0, 3600.0
+_FOLDER = "measured"
+_SHEETS = "sheets.toml"
+# Share by which a data sheet's hover power may be off its published one.
+ALLOWED_PERCENT = 15.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Held:
+    """A library vehicle beside what was measured of it.
+
+    `points` has the columns of a table of steady points, and `computed` the power of each by the
+    vehicle's own equations, W; `fitted` says whether the vehicle's numbers come from these points.
+    """
+
+    name: str
+    scenario: Scenario
+    points: pd.DataFrame
+    computed: FloatArray
+    is_endurance: bool
+    is_fitted: bool
+    source: str
+
+    @property
+    def errors(self) -> FloatArray:
+        """Computed over measured power less one, per cent."""
+        return 100.0 * (self.computed / self.points[POWER].to_numpy() - 1.0)
+
+    @property
+    def mean_error(self) -> float:
+        """Mean absolute error, per cent."""
+        return float(np.mean(np.abs(self.errors)))
+
+    @property
+    def ranges(self) -> str:
+        """What the measurements span, in words."""
+        spans = ((AIRSPEED, "airspeed", "m/s"), (PAYLOAD, "carried", "kg"))
+        told = [
+            f"{words} {self.points[name].min():.3g} to {self.points[name].max():.3g} {unit}"
+            for name, words, unit in spans
+            if self.points[name].max() > self.points[name].min()
+        ]
+        hovers = self.points[AIRSPEED].max() == 0.0
+        return ", ".join(told) or ("hover alone" if hovers else "one airspeed")
+
+
+def held_vehicles(planner: Planner | None = None) -> tuple[Held, ...]:
+    """Return every vehicle of the library beside its measurements."""
+    planner = planner or Planner()
+    return tuple(held_against(name, planner) for name in library_names("vehicles"))
+
+
+def held_against(name: str, planner: Planner) -> Held:
+    """Return a library vehicle beside what was measured of it."""
+    entry = library_entry("vehicles", name)
+    is_momentum = "vehicle.rotor_radius" in entry.sources
+    scenario = scenario_from_mapping(
+        {
+            "name": name,
+            "vehicle": {"use": name},
+            "wind": {"use": "calm", "coupling": "drag"},
+            "power": {"model": "momentum" if is_momentum else "motor"},
+            "mission": {"goal": {"position": [1.0, 0.0, 0.0]}, "duration": 10.0},
+        },
+        source=name,
+    )
+    with _folder().joinpath(f"{name}.csv").open(encoding="utf-8") as stream:
+        read = pd.read_csv(stream)
+    points = filled_in(read, scenario).sort_values([PAYLOAD, AIRSPEED], ignore_index=True)
+    numbers = ("induced_power_factor", "profile_power_coefficient")
+    said = [entry.sources.get(f"vehicle.{number}", "") for number in numbers]
+    return Held(
+        name=name,
+        scenario=scenario,
+        points=points,
+        computed=_powers(scenario, points, planner),
+        is_endurance=ENDURANCE in read,
+        is_fitted=any("identified" in one for one in said),
+        source=_sources()[name],
+    )
+
+
+def _powers(scenario: Scenario, points: pd.DataFrame, planner: Planner) -> FloatArray:
+    found = np.full(len(points), np.nan)
+    for _, rows in points.groupby([PAYLOAD, DENSITY], sort=False):
+        loaded = scenario.with_values(
+            {
+                "vehicle.payload": float(rows[PAYLOAD].iloc[0]),
+                "power.air_density": float(rows[DENSITY].iloc[0]),
+            }
+        )
+        found[rows.index] = level_powers(loaded, rows[AIRSPEED].tolist(), planner)
+    return found
+
+
+@cache
+def _sources() -> Mapping[str, str]:
+    """Return the origin of each table of measurements, from the list beside them."""
+    rows = _folder().joinpath("README.md").read_text(encoding="utf-8").splitlines()
+    cells = [row.strip("| ").split(" | ") for row in rows if row.startswith("| `")]
+    return {file.strip("`").removesuffix(".csv"): origin for file, _, origin, _ in cells}
+
+
+def _folder() -> Any:  # noqa: ANN401  a Traversable, which has no stable home
+    return resources.files("pyomo_quad.vehicles").joinpath(_FOLDER)
+
+
+def data_sheets() -> pd.DataFrame:
+    """Return the hover powers of data sheets by the estimates alone beside the published ones."""
+    told = tomllib.loads(_folder().joinpath(_SHEETS).read_text(encoding="utf-8"))
+    rows = []
+    for name, sheet in told.items():
+        pack = pack_of(sheet["battery"])
+        known = Known(
+            name=name, mass=sheet["mass"], propeller=propeller_of(sheet["propeller"]), pack=pack
+        )
+        estimated = estimate_vehicle(known).estimated_hover_W
+        measured = sheet.get(MEASURED)
+        if measured is None:
+            energy = USED_SHARE * pack.nominal_voltage * pack.capacity * _JOULES_PER_WATT_HOUR
+            measured = energy / (sheet["endurance_min"] * _SECONDS_PER_MINUTE)
+        rows.append(
+            {
+                SHEET: sheet["title"],
+                "mass_kg": sheet["mass"],
+                "propeller_in": sheet["propeller"],
+                MEASURED: measured,
+                ESTIMATED: estimated,
+                SHEET_ERROR: 100.0 * (estimated / measured - 1.0),
+                "kind": sheet["kind"],
+                "source": sheet["source"],
+            }
+        )
+    return pd.DataFrame(rows)

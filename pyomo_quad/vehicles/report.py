@@ -1,0 +1,119 @@
+"""The report `vehicles`: a table of data sheets, and a page for each vehicle of the library."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from pyomo_quad.flight import Planner
+from pyomo_quad.identification.columns import DENSITY, PAYLOAD, POWER
+from pyomo_quad.identification.steady import AIRSPEED
+from pyomo_quad.report import Figures
+from pyomo_quad.report.document import Drawing, write_study, write_text
+from pyomo_quad.report.style import FULL_WIDTH, SERIES_STYLES
+from pyomo_quad.scenario import library_entry
+from pyomo_quad.vehicles.holding import ALLOWED_PERCENT, SHEET_ERROR, Held, data_sheets
+from pyomo_quad.vehicles.uncertainty import level_powers
+from pyomo_quad.version import __version__
+
+SHEETS_NAME, POINTS_NAME = "data_sheets.csv", "points.csv"
+COMPUTED, ERROR = "computed_W", "error_percent"
+_CURVE_POINTS = 21
+
+
+def write_vehicles(
+    folder: Path, held: tuple[Held, ...], planner: Planner, figures: Figures
+) -> pd.DataFrame:
+    """Write the report into an empty folder; return the table of data sheets."""
+    sheets = data_sheets()
+    drawings = write_study(
+        folder,
+        "vehicles/report.md.j2",
+        tables={
+            SHEETS_NAME: sheets,
+            POINTS_NAME: pd.concat([point_table(one).assign(vehicle=one.name) for one in held]),
+        },
+        summary={
+            "data_sheets": sheets.to_dict("records"),
+            "vehicles": {one.name: {"mean_error_percent": one.mean_error} for one in held},
+            "version": __version__,
+        },
+        drawings=[_drawing(one, planner) for one in held],
+        figures=figures,
+        held=held,
+        sheets=sheets.to_dict("records"),
+        worst=float(sheets[SHEET_ERROR].abs().max()),
+        allowed=ALLOWED_PERCENT,
+    )
+    shown = {drawing.name: drawing for drawing in drawings}
+    for one in held:
+        write_text(
+            folder / f"{one.name}.md",
+            "vehicles/page.md.j2",
+            one=one,
+            rows=point_table(one).to_dict("records"),
+            columns=(AIRSPEED, PAYLOAD, POWER, COMPUTED, ERROR),
+            drawings=[shown[one.name]] if one.name in shown else [],
+            sources=library_entry("vehicles", one.name).sources,
+            version=__version__,
+        )
+    return sheets
+
+
+def point_table(held: Held) -> pd.DataFrame:
+    """Return the measured points with the computed power of each, and its error."""
+    return held.points.assign(**{COMPUTED: held.computed, ERROR: held.errors})
+
+
+def _drawing(held: Held, planner: Planner) -> Drawing:
+    return Drawing(
+        name=held.name,
+        title=held.scenario.vehicle.title,
+        caption="Dots: measured. Lines: computed by the declared equations.",
+        draw=partial(draw_held, held, planner),
+    )
+
+
+def draw_held(held: Held, planner: Planner) -> Figure:
+    """Draw measured points beside the computed curve, over airspeed or over the mass carried."""
+    figure = Figure(figsize=(FULL_WIDTH, 3.2))
+    axes = figure.subplots()
+    figure.subplots_adjust(left=0.09, right=0.98, top=0.96, bottom=0.15)
+    points = held.points
+    if points[AIRSPEED].max() == 0.0:
+        _draw_loads(axes, held, planner)
+        axes.set(xlabel="Mass carried (kg)", ylabel="Power of hover (W)")
+        return figure
+    for style, (_, rows) in zip(SERIES_STYLES, points.groupby(PAYLOAD), strict=False):
+        payload = float(rows[PAYLOAD].iloc[0])
+        speeds = np.linspace(0.0, float(points[AIRSPEED].max()), _CURVE_POINTS)
+        density = float(rows[DENSITY].mean())
+        loaded = held.scenario.with_values(
+            {"vehicle.payload": payload, "power.air_density": density}
+        )
+        powers = level_powers(loaded, speeds.tolist(), planner)
+        axes.plot(speeds, powers, color=style.color, label=f"{payload:g} kg")
+        look: dict[str, Any] = {"color": style.color, "linestyle": "none", "marker": style.marker}
+        axes.plot(rows[AIRSPEED], rows[POWER], markersize=4, **look)
+    axes.set(xlabel="Airspeed (m/s)", ylabel="Power (W)")
+    if not (points[PAYLOAD] == points[PAYLOAD].iloc[0]).all():
+        axes.legend(title="Carried", frameon=False)
+    return figure
+
+
+def _draw_loads(axes: object, held: Held, planner: Planner) -> None:
+    points, style = held.points, SERIES_STYLES[0]
+    plot = axes.plot  # type: ignore[attr-defined]
+    look = {"color": style.color, "linestyle": "none", "marker": style.marker, "markersize": 4}
+    plot(points[PAYLOAD], points[POWER], **look)
+    least, most = float(points[PAYLOAD].min()), float(points[PAYLOAD].max())
+    loads = np.linspace(least, most, _CURVE_POINTS if most > least else 1)
+    powers = [
+        level_powers(held.scenario.with_values({"vehicle.payload": float(p)}), (0.0,), planner)[0]
+        for p in loads
+    ]
+    other = SERIES_STYLES[1]
+    plot(loads, powers, color=other.color, marker="" if most > least else other.marker)

@@ -1,0 +1,201 @@
+"""Seconds of jobs by this commit and by an older one, side by side in turns.
+
+    python -m tests.benchmarks jobs --beside /path/to/an/older/checkout [--minutes M]
+
+Each is a process of its own.  A run is written down as it ends, and not done again for the same
+commits: a benchmark that was stopped goes on where it was.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+from tests.benchmarks import robustness
+from tests.benchmarks.measuring import ONE_THREAD
+from tests.benchmarks.mission_speed import MISSIONS
+from tests.benchmarks.report import FOLDER, Table
+
+TITLE = "Jobs, by an older commit and by this one"
+ABOUT = (
+    "The same job by two checkouts, in turns and in processes of their own. Processor seconds of "
+    "one thread from a scenario to its verified plan, without imports, the median of some runs; of "
+    "a run, the clock on the wall from the start of the process to its end. `usable` asks for "
+    "accuracy quick, `standard` for standard and `proof` for proof; an older checkout that knows "
+    "no accuracies is asked for its tolerance by default, 1e-6. The random missions are the first "
+    "of seed 2026 of the benchmark `robustness`, their seconds those of the median mission."
+)
+ROOT = Path(__file__).parents[2]
+SCRIPT = Path(__file__).with_name("job.py")
+STRANGER = Path(__file__).with_name("stranger") / "delivery.toml"
+RESULTS = FOLDER / "jobs.jsonl"
+RANDOM_MISSIONS = 40
+TURNS = 3
+# Runs longer than this are not repeated [s].
+LONG_S = 60.0
+# A run that takes longer on the clock is ended [s].
+PATIENCE_S = 1800.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """What is run: a function of `job.py`, or a command on the clock.
+
+    `scenario` is a path or the name of a shipped scenario; `wanted` are the seconds aimed at.
+    """
+
+    wanted: float
+    function: str = "plan"
+    scenario: str = ""
+    told: dict = None
+
+
+def _mission(label):
+    name, changes = MISSIONS[label]
+    return {"scenario": name, "told": {"changes": changes, "accuracy": "standard"}}
+
+
+JOBS = {
+    "a stranger's delivery, usable": Job(
+        wanted=15, scenario=str(STRANGER), told={"accuracy": "quick"}
+    ),
+    "a stranger's delivery, standard": Job(
+        wanted=40, scenario=str(STRANGER), told={"accuracy": "standard"}
+    ),
+    "`delivery.toml`, standard": Job(wanted=8, scenario="delivery", told={"accuracy": "standard"}),
+    "`inspection.toml`, eight places in the best order": Job(
+        wanted=10, scenario="inspection", told={"accuracy": "standard"}
+    ),
+    "four keep-outs, free duration, all routes": Job(
+        wanted=4, **_mission("four keep-outs, all ways round them, free duration")
+    ),
+    "six waypoints, free duration": Job(wanted=3, **_mission("six waypoints, free duration")),
+    "free duration of the paper's mission, proof": Job(
+        wanted=1.2, scenario="paper_free", told={"accuracy": "proof"}
+    ),
+    "one kilometre, free duration": Job(wanted=3, **_mission("1 km, momentum, free duration")),
+    "ducted fan at 1e-6": Job(wanted=1.5, function="ducted_fan", told={}),
+    f"random missions of seed 2026, the first {RANDOM_MISSIONS}, median": Job(
+        wanted=2,
+        function="random_missions",
+        scenario="paper_calm",
+        told={
+            "missions": [list(told) for told in robustness.missions(RANDOM_MISSIONS, 2026)],
+        },
+    ),
+    "`run paper_calm`, wall clock": Job(wanted=2.5, function="run", scenario="paper_calm"),
+    "re-planning of `delivery.toml`, 95 % of the solves": Job(
+        wanted=0.06, function="replanning", scenario="delivery", told={"accuracy": "standard"}
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A run of a job by a commit; the seconds are infinite where it failed."""
+
+    job: str
+    commit: str
+    turn: int
+    s: float
+    ended: str
+    energy_J: float | None = None
+    peak_MiB: float | None = None
+
+
+def commit_of(checkout):
+    """Return the commit of a checkout, marked where its package was changed since."""
+    git = ["git", "-C", str(checkout)]
+    head = subprocess.check_output([*git, "rev-parse", "--short=12", "HEAD"], text=True).strip()
+    changed = subprocess.run([*git, "diff", "--quiet", "HEAD", "--", "pyomo_quad"], check=False)
+    return head + "+" * (changed.returncode != 0)
+
+
+def run(job, checkout):
+    """Return what a job by a checkout came to."""
+    environment = os.environ | ONE_THREAD | {"PYTHONPATH": str(checkout)}
+    scenario = Path(job.scenario)
+    if not scenario.is_absolute():
+        scenario = checkout / "scenarios" / f"{job.scenario}.toml"
+    command = [sys.executable, str(SCRIPT), job.function, str(checkout), str(scenario)]
+    command.append(json.dumps(job.told))
+    if job.function == "run":
+        command = [sys.executable, "-m", "pyomo_quad", "run", str(scenario), "--quiet"]
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        try:
+            finished = subprocess.run(
+                command,
+                cwd=folder,
+                env=environment,
+                capture_output=True,
+                text=True,
+                check=False,
+                timeout=PATIENCE_S,
+            )
+        except subprocess.TimeoutExpired:
+            return {"s": float("inf"), "ended": f"ended after {PATIENCE_S:g} s"}
+        wall = time.perf_counter() - began
+    if finished.returncode != 0:
+        return {"s": float("inf"), "ended": (finished.stderr.strip() or "failed").splitlines()[-1]}
+    if job.function == "run":
+        return {"s": wall, "ended": "verified"}
+    return json.loads(finished.stdout.splitlines()[-1])
+
+
+def finished_runs(results):
+    """Return the runs that a results file holds."""
+    if not results.exists():
+        return []
+    return [Run(**json.loads(line)) for line in results.read_text(encoding="utf-8").splitlines()]
+
+
+def run_all(checkouts, minutes, jobs=JOBS, results=RESULTS):
+    """Run every job by every checkout, in turns, and write each run down as it ends."""
+    deadline = time.perf_counter() + 60.0 * (np.inf if minutes is None else minutes)
+    results.parent.mkdir(parents=True, exist_ok=True)
+    commits = {commit_of(checkout): checkout for checkout in checkouts}
+    for turn in range(TURNS):
+        for name, job in jobs.items():
+            for commit, checkout in commits.items():
+                known = [r for r in finished_runs(results) if (r.job, r.commit) == (name, commit)]
+                is_long = any(r.s > LONG_S for r in known)
+                if any(r.turn == turn for r in known) or (known and is_long):
+                    continue
+                if time.perf_counter() > deadline:
+                    return list(commits)
+                found = Run(job=name, commit=commit, turn=turn, **run(job, checkout))
+                with results.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(asdict(found)) + "\n")
+    return list(commits)
+
+
+def measure(arguments):
+    """Return the table of jobs."""
+    checkouts = [ROOT] if arguments.beside is None else [arguments.beside.resolve(), ROOT]
+    return [table(run_all(checkouts, arguments.minutes), finished_runs(RESULTS))]
+
+
+def table(commits, runs, jobs=JOBS):
+    """Return a row for each job: its seconds by each commit, those wanted, and how it ended."""
+    rows = []
+    for name, job in jobs.items():
+        cells, ends = [], []
+        for commit in commits:
+            done = [r for r in runs if (r.job, r.commit) == (name, commit)]
+            spent = median(r.s for r in done) if done else None
+            cells.append("-" if spent is None else f"{spent:.3g}" if spent < 1 else f"{spent:.1f}")
+            ends += [
+                f"{r.ended}" + (f", {r.energy_J:.2f} J" if r.energy_J else "") for r in done[:1]
+            ]
+        is_met = cells[-1] != "-" and float(cells[-1]) <= job.wanted
+        rows.append([name, *cells, job.wanted, "yes" if is_met else "no", "; ".join(ends)])
+    header = ["job", *(f"{commit} s" for commit in commits), "wanted s", "reached"]
+    return Table(name="jobs", title="Jobs", header=[*header, "ended"], rows=rows)

@@ -1,0 +1,78 @@
+"""Shares of flights with their intervals, and what a plan spares in the same winds."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from pyomo_quad.study.ensemble import CONFIDENCE, Saving, Share, fly_cruise_often, fly_plan_often
+from tests import flights
+from tests.command import QUICK
+
+HOP = (
+    *(option.removeprefix("--set=") for option in QUICK),
+    'wind.coupling="drag"',
+    'wind.turbulence.intensity="light"',
+)
+
+
+@pytest.mark.parametrize(("count", "of"), [(1, 12), (7, 12), (990, 1000), (3, 1000)])
+def test_the_interval_is_where_the_binomial_tails_are_half_of_the_rest(count, of):
+    low, high = Share(count, of).interval
+    rest = 0.5 * (1 - CONFIDENCE)
+    assert binom.sf(count - 1, of, low) == pytest.approx(rest, rel=1e-9)
+    assert binom.cdf(count, of, high) == pytest.approx(rest, rel=1e-9)
+
+
+def test_no_or_all_flights_have_an_interval_of_one_side():
+    rest = 0.5 * (1 - CONFIDENCE)
+    assert Share(0, 50).interval == (0.0, pytest.approx(1 - rest ** (1 / 50)))
+    assert Share(50, 50).interval == (pytest.approx(rest ** (1 / 50)), 1.0)
+    assert str(Share(50, 50)) == "100.0 % (92.9 to 100.0 %)"
+
+
+def often(count, seed):
+    plan = flights.plan("paper_calm", *HOP)
+    return fly_plan_often(
+        plan.mission_flown, plan.trajectories, planner=flights.PLANNER, flights=count, seed=seed
+    )
+
+
+def test_a_seed_gives_the_same_winds_whatever_the_count():
+    few, many, other = often(3, 1), often(6, 1), often(3, 2)
+    assert many.of_flights("energy_J")[:3] == pytest.approx(few.of_flights("energy_J"), rel=1e-12)
+    assert np.unique([*many.of_flights("energy_J"), *other.of_flights("energy_J")]).size == 9
+    assert many.table()["flight"].tolist() == [1, 2, 3, 4, 5, 6]
+    assert many.bands().iloc[-1]["energy_J_50_percent"] == pytest.approx(many.band("energy_J")[1])
+
+
+def test_errors_of_the_mass_are_drawn_with_their_deviation():
+    heavy = ("vehicle.mass_deviation=0.05", "vehicle.mass=1.3")
+    plan = flights.plan("paper_calm", *HOP[:-1], *heavy)
+    flown = fly_plan_often(
+        plan.mission_flown, plan.trajectories, planner=flights.PLANNER, flights=40, seed=0
+    )
+    # In calm air the power of hover grows with the mass to 3/2, and the plan is nearly hover.
+    energy = flown.of_flights("energy_J")
+    spread = np.std(np.log(energy)) / (1.5 * 0.05 / 1.3)
+    assert spread == pytest.approx(1.0, abs=4 / np.sqrt(2 * 40))
+
+
+def test_a_saving_compares_flights_of_one_wind():
+    def flown(energies, held):
+        ends = [SimpleNamespace(has_held=kept) for kept in held]
+        return SimpleNamespace(
+            flown=SimpleNamespace(endings=ends), of_flights=lambda _name: np.array(energies)
+        )
+
+    saving = Saving.of(flown([80.0, 90.0], [True, True]), flown([100.0, 100.0], [True, False]))
+    assert saving.percent == pytest.approx((10.5, 15.0, 19.5))
+    assert saving.both_held == 1
+
+
+def test_an_autopilot_waits_until_it_has_arrived():
+    mission = flights.scenario("paper_calm", *HOP)
+    cruise = fly_cruise_often(mission, 2.0, planner=flights.PLANNER, flights=4, seed=0)
+    assert 2 * cruise.held.count >= 4
+    assert cruise.name == "adaptive/cruise 2 m/s"
