@@ -229,6 +229,7 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
     for found in plan.scenario.contradictions:
         yield f"{plan.scenario.name}: no such vehicle can exist: {found.message}"
     if plan.is_flyable:
+        yield f"{plan.scenario.name}: {plan.risk_words}"
         yield f"{plan.scenario.name}: {accuracy_words(plan)}."
     if plan.failure is not None:
         diagnosis = plan.failure.diagnosis

@@ -345,6 +345,8 @@ class Export:
         Largest distance from the plan, at any time, of a vehicle that follows the export exactly.
     yaw_error_rad : float or None
         Largest deviation of the heading; None if the autopilot chooses the heading.
+    is_paper_plan : bool
+        Whether the plan was made without a risk, and so leaves nothing to the controller.
     """
 
     path: str
@@ -352,6 +354,7 @@ class Export:
     what: str
     position_error_m: float
     yaw_error_rad: float | None
+    is_paper_plan: bool = False
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the result as a mapping, by the names of its fields."""
@@ -462,7 +465,14 @@ def export_plan(
     parts, what, far, yaw = writer.write(
         motion, path, writer.default if amount is None else amount, *place
     )
-    return Export(path=str(path), parts=parts, what=what, position_error_m=far, yaw_error_rad=yaw)
+    return Export(
+        path=str(path),
+        parts=parts,
+        what=what,
+        position_error_m=far,
+        yaw_error_rad=yaw,
+        is_paper_plan=motion.is_paper_plan,
+    )
 
 
 def _refuse_options(to: Format, writer: _Writer, given: list[str]) -> None:

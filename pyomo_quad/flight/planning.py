@@ -29,7 +29,7 @@ from pyomo_quad.collocation import (
 )
 from pyomo_quad.flight.deadline import Deadline
 from pyomo_quad.flight.flight import HELD_BREACH
-from pyomo_quad.flight.plan import Plan, PlanStatus, energy_of, trajectories_of
+from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
 from pyomo_quad.flight.recent import Recent
 from pyomo_quad.flight.rescue import (
     Effort,
@@ -63,7 +63,7 @@ from pyomo_quad.flight.search import Search, State
 from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.tour import cheapest, find_orders
 from pyomo_quad.flight.usable import flyable_from
-from pyomo_quad.flight.verdict import horizon_of, plan_of, verified
+from pyomo_quad.flight.verdict import energy_of, horizon_of, plan_of, verified
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
     shares_lacking,

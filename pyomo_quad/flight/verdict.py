@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pyomo_quad.collocation import SolveError, Status
-from pyomo_quad.flight.plan import Plan, PlanStatus, energy_of, trajectories_of
+from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
 from pyomo_quad.flight.verification import verify_controls, wind_lacking
 
 if TYPE_CHECKING:
@@ -53,6 +53,13 @@ def plan_of(
 def horizon_of(scenario: Scenario) -> tuple[float, float] | None:
     """Return start and end of a scenario's horizon [s], None where a variable holds the end."""
     return None if scenario.mission.is_free else (0.0, scenario.mission.fixed_duration)
+
+
+def energy_of(scenario: Scenario, solution: Solution) -> float:
+    """Return the energy of a solution, without the price of its time [J]."""
+    if not scenario.mission.is_free:
+        return solution.objective
+    return float(solution.running_objective[-1])
 
 
 def verified(plan: Plan, solution: Solution, accuracy: Accuracy | None = None) -> Plan:

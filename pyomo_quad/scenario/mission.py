@@ -169,6 +169,16 @@ class Mission(Part):
         is_late=True,
     )
 
+    risk: Number | None = quantity(
+        "1",
+        "greatest probability that a flight of the plan under feedback breaks any limit; 1, as "
+        "when absent, asks for none",
+        None,
+        gt=0,
+        le=1,
+        is_late=True,
+    )
+
     @property
     def positions(self) -> tuple[tuple[float, float, float], ...]:
         """Positions of start, waypoints and goal, m."""
