@@ -163,10 +163,9 @@ def test_flights_of_the_paper_plan_break_the_limit_that_it_flies_at():
     assert shares[1] < 0.15
 
 
-def test_a_risk_is_asked_for_by_default_where_the_duration_is_free():
+def test_a_mission_that_states_no_risk_asks_for_none():
     assert risk_asked(mission()) == 1.0
-    assert risk_asked(mission(duration="free")) == 0.01
-    assert risk_asked(mission(duration="free", risk=1.0)) == 1.0
+    assert risk_asked(mission(duration="free")) == 1.0
     assert risk_asked(mission(risk=0.2)) == 0.2
 
 
