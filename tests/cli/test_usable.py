@@ -57,4 +57,5 @@ def test_a_strangers_delivery_stopped_after_20_s_is_usable(tmp_path):
     summary = json.loads((out / "summary.json").read_text())
     assert summary["status"] == "usable"
     assert summary["terminal_miss_m"] <= 0.5
-    assert "solver.time_limit = 20 s" in (out / "report.md").read_text(encoding="utf-8")
+    assert "solver.time_limit = 20 s" in summary["solver"]["message"]
+    assert "**Usable.**" in (out / "report.md").read_text(encoding="utf-8")
