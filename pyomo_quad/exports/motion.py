@@ -77,7 +77,7 @@ def _proven(plan: Plan, *, is_code_allowed: bool) -> ProvenPlan:
         held,
         plan.energy,
         plan.passing_times_s,
-        exactly(plan.accuracy_checked),
+        exactly(plan.figures_checked),
         None if plan.solution is None else plan.dynamics,
         is_code_allowed=is_code_allowed,
     )

@@ -32,7 +32,7 @@ from pyomo_quad.flight.orders import OrderSearch  # noqa: TC001  read by pydanti
 from pyomo_quad.flight.routes import TriedRoute  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.verification import Passage, Verification, split_at_breaches
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
+from pyomo_quad.scenario.accuracy import FIGURES, USABLE, Accuracy, Figures
 from pyomo_quad.scenario.fields import Part
 from pyomo_quad.scenario.messages import PyomoQuadError, complaints, printable
 
@@ -318,7 +318,7 @@ def _read_about(path: Path, text: NDArray[Any]) -> _About:
     flown = plan.verification
     proven = {
         PlanStatus.VERIFIED: flown is not None and flown.is_verified,
-        PlanStatus.USABLE: flown is not None and flown.reached is not None,
+        PlanStatus.USABLE: flown is not None and flown.is_usable,
     }
     if not proven.get(plan.status, True):
         _refuse(path, f"status = {plan.status.value}, but its verification has failed.")
@@ -508,10 +508,10 @@ class Plan(Summarised):
         return self.status in (PlanStatus.VERIFIED, PlanStatus.USABLE)
 
     @property
-    def accuracy_checked(self) -> Accuracy:
-        """The accuracy whose figures the plan was held against: of a usable one, `quick`."""
+    def figures_checked(self) -> Figures:
+        """The largest errors that the plan was held against."""
         usable = self.status is PlanStatus.USABLE
-        return Accuracy.QUICK if usable else self.scenario.solver.accuracy
+        return USABLE if usable else FIGURES[self.scenario.solver.accuracy]
 
     @property
     def accuracy_reached(self) -> Accuracy | None:

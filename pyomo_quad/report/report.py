@@ -37,7 +37,6 @@ from pyomo_quad.report.tables import (
     write_table,
 )
 from pyomo_quad.scenario import PowerModel, Reference
-from pyomo_quad.scenario.accuracy import FIGURES
 from pyomo_quad.scenario.tables import Replanning
 from pyomo_quad.study.comparison import (
     FAIR_BASELINE,
@@ -201,7 +200,7 @@ def _title(plan: "Plan") -> str:
 def _plan_values(plan: "Plan") -> dict[str, Any]:
     """Return the values of a plan for the templates."""
     columns = plan.columns(np.linspace(*plan.trajectories.horizon, FLIGHT_SAMPLES))
-    figures = FIGURES[plan.accuracy_checked]
+    figures = plan.figures_checked
     return {
         "title": _title(plan),
         "plan": plan,
