@@ -83,7 +83,7 @@ def verified(plan: Plan, solution: Solution, accuracy: Accuracy | None = None) -
     timings = dict(plan.timings) | {"verify": time.perf_counter() - started}
     lost = wind_lacking(plan.scenario, plan.dynamics, flown)
     if lost:
-        verification = replace(verification, is_verified=False, reached=None)
+        verification = replace(verification, is_verified=False, is_usable=False, reached=None)
     is_proven = verification.is_verified and solution.status is Status.CONVERGED
     return replace(
         plan,

@@ -404,8 +404,10 @@ class Solver(Part):
     @model_validator(mode="before")
     @classmethod
     def _refines_as_the_accuracy_says(cls, given: Any) -> Any:  # noqa: ANN401  before validation
-        known = given.get("accuracy") if isinstance(given, Mapping) else None
-        if "tolerance" in (given or ()) or known not in list(Accuracy):
+        if not isinstance(given, Mapping) or "tolerance" in given:
+            return given
+        known = given.get("accuracy")
+        if known not in list(Accuracy):
             return given
         return {**given, "tolerance": FIGURES[Accuracy(known)].energy}
 
