@@ -12,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from pyomo_quad.cli.endings import ExitCode, SolveStopped, stop_on_interrupt
+from pyomo_quad.cli.endings import ExitCode, SolveStopped, has_told, stop_on_interrupt
 from pyomo_quad.cli.terminal import complain, live_line, result_console
 from pyomo_quad.collocation import Iteration, Problem, Progress, TranscriptionError, WarmStart
 from pyomo_quad.flight import Plan, Planner, PlanStatus
@@ -130,6 +130,7 @@ def report_folder(folder: Path) -> Iterator[Path]:
             yield aside
     except SolveStopped as stopped:
         complain(f"{stopped.plan.scenario.name}: interrupted; {_kept(stopped.plan, folder)}.")
+        has_told()
         raise typer.Exit(ExitCode.INTERRUPTED) from None
 
 
