@@ -7,8 +7,10 @@ import pandas as pd
 
 from pyomo_quad.collocation import ActiveLimit, Diagnosis, Mesh, MeshRecord, Residual
 from pyomo_quad.flight import PlanStatus, Verification
+from pyomo_quad.flight.margins import PAPER_PLAN
 from pyomo_quad.flight.plan import Failure
 from pyomo_quad.scenario import load_scenario
+from pyomo_quad.scenario.accuracy import FIGURES
 from pyomo_quad.scenario.mission import NamedDuration
 from pyomo_quad.study.comparison import compare_flights
 
@@ -200,9 +202,11 @@ def synthetic_plan(
         message=message,
         is_verified=status is PlanStatus.VERIFIED,
         is_flyable=status in (PlanStatus.VERIFIED, PlanStatus.USABLE),
-        accuracy_checked=scenario.solver.accuracy,
+        figures_checked=FIGURES[scenario.solver.accuracy],
         accuracy_reached=scenario.solver.accuracy if status is PlanStatus.VERIFIED else None,
         energy_uncertainty=3.1e-7,
+        risk=None,
+        risk_words=PAPER_PLAN,
         save=lambda path: path.touch(),
         verification=synthetic_verification(flight) if is_flown else None,
         error_estimate=3.1e-7,

@@ -406,6 +406,7 @@ def solve(
         import_scipy_alone()
         from pyomo_quad.cli import solving  # noqa: PLC0415  takes seconds
         from pyomo_quad.flight.deadline import Deadline  # noqa: PLC0415
+        from pyomo_quad.flight.risk import plan_at_risk  # noqa: PLC0415
         from pyomo_quad.report.report import write_solve_report  # noqa: PLC0415
         from pyomo_quad.study.check import plan_cautions  # noqa: PLC0415
     if run is not None:
@@ -417,7 +418,7 @@ def solve(
     )
     with solving.report_folder(folder) as aside:
         with Deadline(resolved):
-            plan = planner.solve(resolved, warm_start=begun)
+            plan = plan_at_risk(resolved, planner, warm_start=begun)
             cautions = plan_cautions(plan, planner=planner)
         with watch.phase("report"):
             write_solve_report(aside, plan, cautions, rate, figures)

@@ -29,6 +29,7 @@ _LINE = b"pyomo-quad: interrupted; no report was written.\n"
 _CLEAR = b"\r\x1b[K\x1b[?25h"
 
 _last_acts: list[Callable[[], object]] = []
+_is_told = False
 
 
 class Stopped(Exception):  # noqa: N818  a stop by the user is not an error
@@ -86,6 +87,12 @@ def leave(status: int) -> int:
         os._exit(status)
     gc.freeze()  # the process ends: freeing its objects one by one would take 0.3 s
     return status
+
+
+def has_told() -> None:
+    """Record that a command has printed its line: a timer that ends it later prints no other."""
+    global _is_told  # noqa: PLW0603  a fact about the process
+    _is_told = True
 
 
 def before_the_end(act: Callable[[], object]) -> None:
@@ -153,6 +160,7 @@ def _end(_signal: int, _frame: FrameType | None) -> None:
         signal.signal(number, signal.SIG_IGN)
     for act in _last_acts:
         act()
-    with suppress(OSError):
-        os.write(2, (_CLEAR if os.isatty(2) else b"") + _LINE)
+    if not _is_told:
+        with suppress(OSError):
+            os.write(2, (_CLEAR if os.isatty(2) else b"") + _LINE)
     os._exit(ExitCode.INTERRUPTED)

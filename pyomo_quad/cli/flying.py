@@ -21,6 +21,7 @@ from pyomo_quad.flight.outside_plant import (
     rotorpy_module,
 )
 from pyomo_quad.flight.replanning import fly_replanned
+from pyomo_quad.flight.risk import plan_at_risk
 from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.report.tables import FLIGHT_NAME, flight_summary, write_summary, write_table
 from pyomo_quad.scenario import Scenario
@@ -31,7 +32,7 @@ from pyomo_quad.study.run import fly_cruise
 
 def make_plan(planner: Planner, scenario: Scenario) -> Plan:
     """Solve the plan that a flight follows, or print the failure and exit."""
-    plan = planner.solve(scenario)
+    plan = plan_at_risk(scenario, planner)
     if plan.is_flyable:
         return plan
     status = exit_code_of(plan)

@@ -23,6 +23,7 @@ from pyomo_quad.cli.terminal import (
     Overrides,
     Quiet,
     ScenarioFile,
+    complain,
     real_number,
     result_console,
 )
@@ -325,6 +326,9 @@ def export(
             "--rate", metavar="HZ", parser=real_number, help="Of setpoints, 50 by default."
         ),
     ] = None,
+    as_planned: Annotated[
+        bool, typer.Option("--as-planned", help="Say nothing of a plan without a risk.")
+    ] = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
     allow_code: AllowCode = False,
@@ -349,6 +353,11 @@ def export(
         print(
             f"Written to {made.path}: {made.parts} {made.what}, never more than "
             f"{made.position_error_m:.2g} m{turned} from the plan."
+        )
+    if made.is_paper_plan and not as_planned:
+        complain(
+            f"{plan}: warning: a paper plan, which leaves nothing to the controller; solve it with "
+            "mission.risk = 0.01, or give --as-planned."
         )
     return ExitCode.VERIFIED
 

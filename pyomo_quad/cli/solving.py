@@ -12,10 +12,11 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from pyomo_quad.cli.endings import ExitCode, SolveStopped, stop_on_interrupt
+from pyomo_quad.cli.endings import ExitCode, SolveStopped, has_told, stop_on_interrupt
 from pyomo_quad.cli.terminal import complain, live_line, result_console
 from pyomo_quad.collocation import Iteration, Problem, Progress, TranscriptionError, WarmStart
 from pyomo_quad.flight import Plan, Planner, PlanStatus
+from pyomo_quad.flight.envelope import departures
 from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.planning import Builder
 from pyomo_quad.flight.search import State, accuracy_words
@@ -129,6 +130,7 @@ def report_folder(folder: Path) -> Iterator[Path]:
             yield aside
     except SolveStopped as stopped:
         complain(f"{stopped.plan.scenario.name}: interrupted; {_kept(stopped.plan, folder)}.")
+        has_told()
         raise typer.Exit(ExitCode.INTERRUPTED) from None
 
 
@@ -220,9 +222,15 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
             f"for the same {plan.duration_s:g} s; {plan.iteration_count} "
             f"iterations, {plan.timings['solve']:.2f} s."
         )
+        if left := departures(plan):
+            yield (
+                f"{plan.scenario.name}: leaves the range that measurements confirm: "
+                f"{'; '.join(left)}. limits.within_validated = true keeps it inside."
+            )
     for found in plan.scenario.contradictions:
         yield f"{plan.scenario.name}: no such vehicle can exist: {found.message}"
     if plan.is_flyable:
+        yield f"{plan.scenario.name}: {plan.risk_words}"
         yield f"{plan.scenario.name}: {accuracy_words(plan)}."
     if plan.failure is not None:
         diagnosis = plan.failure.diagnosis

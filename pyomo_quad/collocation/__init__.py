@@ -14,13 +14,13 @@ from pyomo_quad.collocation.dynamics import (
     Dynamics,
     Instants,
     Law,
-    Violation,
     split_algebraics,
 )
 from pyomo_quad.collocation.enclosure import Enclosure, symbols
 from pyomo_quad.collocation.errors import EngineError, SolveError, TranscriptionError
 from pyomo_quad.collocation.guess import WarmStart
 from pyomo_quad.collocation.joint import JointProblem, JointSolution, compiled_of
+from pyomo_quad.collocation.limits import Violation
 from pyomo_quad.collocation.mesh import (
     Mesh,
     Summarised,

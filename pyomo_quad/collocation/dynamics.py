@@ -16,6 +16,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.limits import LimitValues, Violation
 from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.reading.schedules import BESIDE, Steps
 from pyomo_quad.collocation.reading.writer import symbol_names
@@ -36,21 +37,6 @@ _NEWTON_TOLERANCE = 1e-13
 # Steps where their count is fixed, from nought as well.  The first may lead 2^12 times too far, as
 # a hovering rotor's induced velocity does, which later steps halve before they converge.
 _NEWTON_STEPS = 20
-
-
-@dataclass(frozen=True)
-class Violation:
-    """The worst violation of one limit: its name, size in its own unit, bound and time."""
-
-    name: str
-    size: float
-    bound: float
-    time: float
-
-    @property
-    def relative(self) -> float:
-        """Size relative to the larger of 1 and the bound."""
-        return self.size / max(1.0, abs(self.bound))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -399,6 +385,20 @@ class Dynamics:
 
     def violations_of(self, instants: Instants, t: FloatArray) -> list[tuple[Violation, ...]]:
         """Return `violations` of flights at the same times t, one after the other in `instants`."""
+        limits = self.limits_of(instants)
+        flights = (slice(k, k + len(t)) for k in range(0, len(instants.inputs[0]), len(t)))
+        return [
+            tuple(
+                sorted(
+                    (limit.worst(own, t) for limit in limits),
+                    key=lambda v: -v.relative,
+                )
+            )
+            for own in flights
+        ]
+
+    def limits_of(self, instants: Instants) -> list[LimitValues]:
+        """Return every limit over time, path inequality or bound, with what it is of."""
         compiled = self._formulation.compiled
         declared, n_states = compiled.declared, len(compiled.declared.states)
         rates, all_states, algebraics, statics, data = instants.inputs
@@ -411,38 +411,17 @@ class Dynamics:
         values = np.hstack([inner, algebraics])
         names = [s.name for s in (*declared.states, *declared.algebraics)]
         limits = [
-            (e.name, rows[:, k], lower[:, k], upper[:, k])
+            LimitValues(e.name, rows[:, k], lower[:, k], upper[:, k])
             for k, e in enumerate(declared.equations)
             if not e.is_equality
         ]
-        limits += [(name, values[:, k], low[:, k], high[:, k]) for k, name in enumerate(names)]
+        limits += [
+            LimitValues(name, values[:, k], low[:, k], high[:, k]) for k, name in enumerate(names)
+        ]
         for k, bound in enumerate(compiled.simple_path_bounds):
             held = values[:, names.index(bound.variable)]
-            limits.append((bound.name, held, simple_low[:, k], simple_high[:, k]))
-        flights = (slice(k, k + len(t)) for k in range(0, n, len(t)))
-        return [
-            tuple(
-                sorted(
-                    (
-                        _worst(name, x[own], least[own], most[own], t)
-                        for name, x, least, most in limits
-                    ),
-                    key=lambda v: -v.relative,
-                )
-            )
-            for own in flights
-        ]
-
-
-def _worst(
-    name: str, values: FloatArray, lower: FloatArray, upper: FloatArray, t: FloatArray
-) -> Violation:
-    below, above = lower - values, values - upper
-    size = np.maximum(below, above)
-    at = int(np.argmax(size))
-    bound = lower[at] if below[at] > above[at] else upper[at]
-    bound = float(bound) if np.isfinite(bound) else 0.0
-    return Violation(name, max(float(size[at]), 0.0), bound, float(t[at]))
+            limits.append(LimitValues(bound.name, held, simple_low[:, k], simple_high[:, k]))
+        return limits
 
 
 def _column(symbols: list[Any]) -> Any:

@@ -1,8 +1,8 @@
 """Simulation of many vehicles under one law, with individual numbers, in steps of fixed length.
 
-A step is the classical Runge-Kutta method of order 4; its four stages form one function, which is
-mapped over the vehicles. The individual numbers may change from step to step, so that they include
-noise that is held over a step, a parameter over time.
+A step is the classical Runge-Kutta method of order 4, see docs/theory/flights.md, eq. (1); its four
+stages form one function, which is mapped over the vehicles. The individual numbers may change from
+step to step, so that they include noise that is held over a step, a parameter over time.
 """
 
 from __future__ import annotations

@@ -9,7 +9,6 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from math import cos, radians, sin
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +29,7 @@ from pyomo_quad.flight import Plan
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.report.folder import MARK, final_folder, output_file, output_folder
 from pyomo_quad.scenario import ScenarioError
+from pyomo_quad.scenario.earth import GLOBE, GeodeticOrigin
 from pyomo_quad.scenario.fields import number_in_text
 from pyomo_quad.scenario.messages import shown
 
@@ -182,19 +182,6 @@ def _wrapped(angle: FloatArray) -> FloatArray:
     return np.asarray(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
 
 
-# WGS 84: equatorial radius [m] and flattening, as defined by NIMA TR8350.2.
-_EQUATOR = 6_378_137.0
-_FLATTENING = 1.0 / 298.257223563
-_ECCENTRICITY_2 = _FLATTENING * (2.0 - _FLATTENING)
-_LATITUDE_STEPS = 6  # each gains more than two digits; near the ground three suffice
-
-# Altitudes range from below the Dead Sea to above the highest summit.
-_GLOBE = {
-    "latitude": (-90.0, 90.0, "deg"),
-    "longitude": (-180.0, 180.0, "deg"),
-    "altitude": (-500.0, 9000.0, "m"),
-}
-
 # A slower leg becomes a pause of the mission, because autopilots do not hold such a speed [m/s].
 _SLOWEST = 0.05
 #: Number of mission items that PX4 stores on its smaller boards.
@@ -205,30 +192,6 @@ _NAV_WAYPOINT, _DO_CHANGE_SPEED = 16, 178
 _GLOBAL_RELATIVE_ALTITUDE, _MISSION = 3, 2
 _PX4, _QUADROTOR = 12, 2
 _GROUND_SPEED = 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class GeodeticOrigin:
-    """Position of the plan's origin on the globe: degrees on WGS 84, metres above the sea."""
-
-    latitude: float
-    longitude: float
-    altitude: float
-
-    def geodetic(self, place: FloatArray) -> FloatArray:
-        """Return latitude [deg], longitude [deg] and height over the origin [m].
-
-        Places are x east, y north and z up from the origin, shape (n, 3); so are the results.
-        """
-        latitude, longitude = radians(self.latitude), radians(self.longitude)
-        up = np.array(
-            [cos(latitude) * cos(longitude), cos(latitude) * sin(longitude), sin(latitude)]
-        )
-        east = np.array([-sin(longitude), cos(longitude), 0.0])
-        axes = np.vstack([east, np.cross(up, east), up])
-        normal = _normal_radius(np.array(latitude))
-        centre = (normal + self.altitude - np.array([0, 0, normal * _ECCENTRICITY_2])) * up
-        return _geodetic(centre + place @ axes) - np.array([0.0, 0.0, self.altitude])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -332,29 +295,6 @@ def _item(command: int, frame: int, params: list[Any]) -> dict[str, Any]:
     }
 
 
-def _normal_radius(latitude: FloatArray) -> FloatArray:
-    """Return the radius of curvature across the meridian [m]; latitudes in radians."""
-    return np.asarray(_EQUATOR / np.sqrt(1.0 - _ECCENTRICITY_2 * np.sin(latitude) ** 2))
-
-
-def _geodetic(place: FloatArray) -> FloatArray:
-    """Convert earth-centred places to latitude, longitude [deg] and ellipsoidal height [m]."""
-    x, y, z = place.T
-    across = np.hypot(x, y)
-    latitude = np.arctan2(z, across * (1.0 - _ECCENTRICITY_2))
-    for _ in range(_LATITUDE_STEPS):
-        normal = _normal_radius(latitude)
-        latitude = np.arctan2(z + normal * _ECCENTRICITY_2 * np.sin(latitude), across)
-    normal = _normal_radius(latitude)
-    # This formula of the height is regular at the poles and at the equator.
-    height = (
-        across * np.cos(latitude)
-        + z * np.sin(latitude)
-        - normal * (1.0 - _ECCENTRICITY_2 * np.sin(latitude) ** 2)
-    )
-    return np.column_stack([np.degrees(latitude), np.degrees(np.arctan2(y, x)), height])
-
-
 def origin_of(text: str) -> GeodeticOrigin:
     """Read LAT,LON,ALT in degrees and metres above the sea.
 
@@ -364,13 +304,13 @@ def origin_of(text: str) -> GeodeticOrigin:
         If it is not three numbers, or not a position on the globe.
     """
     try:
-        given = dict(zip(_GLOBE, map(number_in_text, text.split(",")), strict=True))
+        given = dict(zip(GLOBE, map(number_in_text, text.split(",")), strict=True))
     except ValueError:
         raise ScenarioError(
             f"--origin {shown(text)}: must be LAT,LON,ALT in degrees and metres above the sea, "
             "such as 47.3977,8.5456,488."
         ) from None
-    for name, (low, high, unit) in _GLOBE.items():
+    for name, (low, high, unit) in GLOBE.items():
         if not low <= given[name] <= high:
             raise ScenarioError(
                 f"--origin: {name} = {given[name]:g} {unit}; must be from {low:g} to {high:g} "
@@ -405,6 +345,8 @@ class Export:
         Largest distance from the plan, at any time, of a vehicle that follows the export exactly.
     yaw_error_rad : float or None
         Largest deviation of the heading; None if the autopilot chooses the heading.
+    is_paper_plan : bool
+        Whether the plan was made without a risk, and so leaves nothing to the controller.
     """
 
     path: str
@@ -412,6 +354,7 @@ class Export:
     what: str
     position_error_m: float
     yaw_error_rad: float | None
+    is_paper_plan: bool = False
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the result as a mapping, by the names of its fields."""
@@ -522,7 +465,14 @@ def export_plan(
     parts, what, far, yaw = writer.write(
         motion, path, writer.default if amount is None else amount, *place
     )
-    return Export(path=str(path), parts=parts, what=what, position_error_m=far, yaw_error_rad=yaw)
+    return Export(
+        path=str(path),
+        parts=parts,
+        what=what,
+        position_error_m=far,
+        yaw_error_rad=yaw,
+        is_paper_plan=motion.is_paper_plan,
+    )
 
 
 def _refuse_options(to: Format, writer: _Writer, given: list[str]) -> None:

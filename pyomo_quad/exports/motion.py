@@ -46,10 +46,13 @@ class ProvenPlan:
         With the times of the plan.
     held : Trajectories
         Read from a report's table, it holds every column both as a state and as a control.
+    is_paper_plan : bool
+        Whether it was made without a risk, and so leaves nothing to the controller.
     """
 
     mission: Scenario
     held: Trajectories
+    is_paper_plan: bool = True
 
 
 def read_proven(path: str | Path, *, is_code_allowed: bool = False) -> ProvenPlan:
@@ -74,11 +77,11 @@ def _proven(plan: Plan, *, is_code_allowed: bool) -> ProvenPlan:
         held,
         plan.energy,
         plan.passing_times_s,
-        exactly(plan.accuracy_checked),
+        exactly(plan.figures_checked),
         None if plan.solution is None else plan.dynamics,
         is_code_allowed=is_code_allowed,
     )
-    return ProvenPlan(mission=plan.mission_flown, held=held)
+    return ProvenPlan(mission=plan.mission_flown, held=held, is_paper_plan=plan.risk is None)
 
 
 def _proven_report(folder: Path, *, is_code_allowed: bool) -> ProvenPlan:
@@ -106,7 +109,11 @@ def _proven_report(folder: Path, *, is_code_allowed: bool) -> ProvenPlan:
     except (PyomoQuadError, KeyError, TypeError, ValueError):
         refuse_report(folder / SUMMARY_NAME, "has no mission with which to fly the plan again")
     refuse_unproven(scenario, held, energy, passing_times, TABLE, is_code_allowed=is_code_allowed)
-    return ProvenPlan(mission=scenario.lasting(held.horizon[1], passing_times), held=held)
+    return ProvenPlan(
+        mission=scenario.lasting(held.horizon[1], passing_times),
+        held=held,
+        is_paper_plan=summary.get("risk") is None,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,6 +131,8 @@ class Motion:
         States, by their names in the model.
     degrees : tuple of int
         Degrees of the elements, in order; their sum is n_nodes - 1.
+    is_paper_plan : bool
+        As of a `ProvenPlan`.
     """
 
     name: str
@@ -131,6 +140,7 @@ class Motion:
     states: FloatArray
     names: tuple[str, ...]
     degrees: tuple[int, ...]
+    is_paper_plan: bool = False
 
     @classmethod
     def of(cls, plan: Plan, *, is_code_allowed: bool = False) -> Self:
@@ -166,6 +176,7 @@ class Motion:
             states=held.states,
             names=held.state_names,
             degrees=held.mesh.degrees,
+            is_paper_plan=plan.is_paper_plan,
         )
 
     @cached_property

@@ -38,6 +38,8 @@ from pyomo_quad.scenario.tables import Reference
 
 FloatArray = NDArray[np.float64]
 
+_OFF_NOUGHT = 1e-9
+
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
@@ -200,7 +202,8 @@ class _MeanFlight:
         self, t: FloatArray, joint: FloatArray, commands: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the closed loop's derivatives by the joint state, and by noise and unknowns."""
-        by_moment, by_joint = self.loop.slopes(t, joint, commands)
+        # Where an error is exactly zero, the derivative of its norm is not defined.
+        by_moment, by_joint = self.loop.slopes(t, joint + _OFF_NOUGHT, commands)
         columns = [1 + self.dynamics.signal_names.index(name) for name in NOISE]
         by_unknowns = self._by_unknowns(t, joint, commands)
         return by_joint, np.concatenate([by_moment[:, :, columns], by_unknowns], axis=2)

@@ -16,7 +16,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from pyomo_quad.collocation import Dynamics, SteppedFlights, SteppedLoops
+from pyomo_quad.collocation import ClosedLoop, Dynamics, SteppedFlights, SteppedLoops
 from pyomo_quad.flight.baselines import broken_under_control, start_state, wanted_at_goal
 from pyomo_quad.flight.columns import ENERGY
 from pyomo_quad.flight.controller import (
@@ -49,9 +49,10 @@ FloatArray = NDArray[np.float64]
 
 #: s, longest step of the integration, over which the noise of turbulence is constant.
 LONGEST_STEP_S = 0.02
-# Length of a step times the rate of the fastest loop. The method is stable up to 2.78; with this
-# value a flight ends within 1e-4 m of the exact one.
-_SHARE_OF_LAG = 1.2
+# Length of a step times the largest gain, at which a flight ends within 1e-4 m of the exact one,
+# and times the rate of the fastest mode, at which the method is stable: its limit is 2.78.
+_SHARE_OF_LAG, _STABLE = 1.2, 2.2
+_OFF_NOUGHT = 1e-6
 # Steps between two samples of a flight. At 25 samples per second, a path at 10 m/s around a corner
 # of 2 m radius deviates from its chord by 1 cm.
 _STEPS_PER_SAMPLE = 2
@@ -172,8 +173,8 @@ class Squadron:
             n_own=len(CONTROLLER_STATES),
             varied=self._varied,
         )
-        self._times = _step_times(scenario)
         self._columns = {name: k for k, name in enumerate(dynamics.state_names)}
+        self._times = _step_times(scenario, self._fastest_rate())
 
     def fly(self, draws: Draws) -> FlownOften:
         """Fly once for each draw."""
@@ -194,6 +195,23 @@ class Squadron:
             sampled=sampled,
         )
         return self._judged(flown, draws)
+
+    def _fastest_rate(self) -> float:
+        """Return the rate of the fastest mode of the closed loop at take-off [1/s].
+
+        Rotors that react on the body make the yaw loop several times faster than any gain.
+        """
+        loop = ClosedLoop(
+            self._dynamics,
+            feedback_law(self._controller, self._dynamics),
+            n_command=COMMAND_SIZE,
+            n_own=len(CONTROLLER_STATES),
+        )
+        command = np.array([self._controller.command(self._reference, 0.0)])
+        # Where an error is exactly zero, the derivative of its norm is not defined.
+        begun = self._started(Draws(count=1)) + _OFF_NOUGHT
+        _, by_joint = loop.slopes(np.zeros(1), begun, command)
+        return float(-np.linalg.eigvals(by_joint[0]).real.min())
 
     def _started(self, draws: Draws) -> FloatArray:
         start = np.tile(start_state(self._scenario, self._dynamics), (draws.count, 1))
@@ -282,11 +300,11 @@ class Squadron:
         return place, speed
 
 
-def _step_times(scenario: Scenario) -> FloatArray:
+def _step_times(scenario: Scenario, fastest_rate: float) -> FloatArray:
     """Return the ends of all steps: the steps of the noise, their parts, and the mission's end."""
     gains, end = scenario.baseline.gains, scenario.mission.fixed_duration
     fastest = max(gains.rotor, gains.attitude_rate, gains.force_identification)
-    parts = ceil(LONGEST_STEP_S * fastest / _SHARE_OF_LAG)
+    parts = ceil(LONGEST_STEP_S * max(fastest / _SHARE_OF_LAG, fastest_rate / _STABLE))
     even = LONGEST_STEP_S / parts * np.arange(ceil(end / LONGEST_STEP_S * parts))
     given = np.array([*scenario.nominal_times, end])
     apart = np.abs(even[:, None] - given).min(axis=1) > _SAME_TIME_S

@@ -11,6 +11,7 @@ from pyomo_quad.collocation import Violation
 WORDS = {
     "airspace.ceiling_limit": "ceiling",
     "airspace.floor_limit": "floor",
+    "airspace.keep_in": "edge {} of the fence",
     "airspace.keep_out": "keep-out {}",
     "limits.battery_current_limit": "battery current",
     "limits.battery_power_limit": "power left in the battery",
@@ -26,6 +27,9 @@ WORDS = {
     "limits.speed_limit": "speed over ground",
     "limits.state_of_charge_limit": "state of charge",
     "limits.thrust_limit": "total thrust",
+    "limits.validated_airspeed_limit": "airspeed that measurements confirm",
+    "limits.validated_climb_limit": "climb that measurements confirm",
+    "limits.validated_descent_limit": "descent that measurements confirm",
     "limits.yaw_moment_limit": "yaw moment",
     "mission.hold_distance": "distance from hold place {}",
     "mission.hold_speed": "speed at hold place {}",

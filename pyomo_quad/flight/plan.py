@@ -27,11 +27,12 @@ from pyomo_quad.collocation import (
 )
 from pyomo_quad.flight.columns import TIME, flight_columns, flight_frame
 from pyomo_quad.flight.flight import HELD_BREACH, Flight, Flown
+from pyomo_quad.flight.margins import PAPER_PLAN, RiskTaken
 from pyomo_quad.flight.orders import OrderSearch  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.routes import TriedRoute  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.verification import Passage, Verification, split_at_breaches
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
+from pyomo_quad.scenario.accuracy import FIGURES, USABLE, Accuracy, Figures
 from pyomo_quad.scenario.fields import Part
 from pyomo_quad.scenario.messages import PyomoQuadError, complaints, printable
 
@@ -210,6 +211,7 @@ class PlanRecord(Part):
     passing_times_s: tuple[float, ...] = ()
     routes: tuple[TriedRoute, ...] = ()
     order_search: OrderSearch | None = None
+    risk: RiskTaken | None = None
 
 
 class _About(Part):
@@ -316,7 +318,7 @@ def _read_about(path: Path, text: NDArray[Any]) -> _About:
     flown = plan.verification
     proven = {
         PlanStatus.VERIFIED: flown is not None and flown.is_verified,
-        PlanStatus.USABLE: flown is not None and flown.reached is not None,
+        PlanStatus.USABLE: flown is not None and flown.is_usable,
     }
     if not proven.get(plan.status, True):
         _refuse(path, f"status = {plan.status.value}, but its verification has failed.")
@@ -429,6 +431,8 @@ class Plan(Summarised):
         Initial point for another solve; stored by `save`.
     solution : Solution or None
         The engine's own result; None when the plan was loaded from a file.
+    risk : RiskTaken or None
+        The risk that it was made for; None of a paper plan, which leaves nothing to a controller.
     """
 
     scenario: Scenario
@@ -450,6 +454,7 @@ class Plan(Summarised):
     solution: Solution | None = field(default=None, compare=False, repr=False)
     flown: Flown | None = field(default=None, compare=False, repr=False)
     passing_times_s: tuple[float, ...] = ()
+    risk: RiskTaken | None = None
 
     @property
     def duration_s(self) -> float:
@@ -469,6 +474,11 @@ class Plan(Summarised):
         if not told.mission.is_free and not told.mission.waypoints:
             return told
         return told.lasting(self.duration_s, self.passing_times_s)
+
+    @property
+    def risk_words(self) -> str:
+        """The risk that the plan was made for and its price, or that it is a paper plan."""
+        return PAPER_PLAN if self.risk is None else self.risk.words(self.energy)
 
     @property
     def summary(self) -> dict[str, str]:
@@ -498,10 +508,10 @@ class Plan(Summarised):
         return self.status in (PlanStatus.VERIFIED, PlanStatus.USABLE)
 
     @property
-    def accuracy_checked(self) -> Accuracy:
-        """The accuracy whose figures the plan was held against: of a usable one, `quick`."""
+    def figures_checked(self) -> Figures:
+        """The largest errors that the plan was held against."""
         usable = self.status is PlanStatus.USABLE
-        return Accuracy.QUICK if usable else self.scenario.solver.accuracy
+        return USABLE if usable else FIGURES[self.scenario.solver.accuracy]
 
     @property
     def accuracy_reached(self) -> Accuracy | None:
@@ -723,6 +733,7 @@ class Plan(Summarised):
                 passing_times_s=self.passing_times_s,
                 routes=self.routes,
                 order_search=self.order_search,
+                risk=self.risk,
             ),
             self.trajectories,
             self.warm_start,

@@ -27,7 +27,7 @@ from pyomo_quad.flight.verification import (
 )
 from pyomo_quad.model import build_model, model_builder
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
+from pyomo_quad.scenario.accuracy import Figures
 from pyomo_quad.scenario.messages import shown
 
 # Relative error of a horizon written in decimals.
@@ -49,9 +49,8 @@ class Allowed:
     energy: float
 
 
-def exactly(accuracy: Accuracy) -> Allowed:
-    """Return what is allowed of a file that holds every number of a plan of an accuracy."""
-    figures = FIGURES[accuracy]
+def exactly(figures: Figures) -> Allowed:
+    """Return what is allowed of a file that holds every number of a plan held against figures."""
     return Allowed(miss=figures.miss, violation=figures.breach, energy=figures.energy_flown)
 
 

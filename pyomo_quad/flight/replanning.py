@@ -2,8 +2,9 @@
 
 Every interval the state is measured, and the flight of the rest of the mission with the least
 energy is solved for, from where the vehicle will be once the solve is done, warm-started from the
-plan that is being flown.  Its controls are applied until the next plan.  If the next plan is late
-or its solve fails, the previous plan continues under the adaptive controller.  The adaptive
+plan that is being flown.  Its controls are applied until the next plan, unless it assumes calm air
+for want of a forecast: such a plan the adaptive controller follows throughout.  If the next plan is
+late or its solve fails, the previous plan continues under the adaptive controller.  The adaptive
 controller also flies the last seconds: a plan that meets the goal exactly would there counteract
 every gust at any cost, based on a forecast whose error is as large as the gust's change.
 
@@ -561,7 +562,8 @@ class _ReplannedFlight:
 
     def _advance(self, end: float) -> None:
         """Fly the plan at hand until a time, alone as long as the next is not due."""
-        border = min(max(self._due, self._t), end)
+        # A plan that is not told the wind errs from the first moment on: it is always followed.
+        border = min(max(self._due, self._t), end) if self._is_observing else self._t
         for start, stop, is_tracked in ((self._t, border, False), (border, end, True)):
             if stop - start > _SHORTEST * self._end:
                 course = self._course

@@ -291,6 +291,8 @@ class _Graph:
         is_free = (places[:, 2] >= low) & (places[:, 2] <= high)
         for zone in airspace.keep_out:
             is_free &= zone.depth(places) + airspace.clearance <= ROUNDING
+        if airspace.keep_in is not None:
+            is_free &= airspace.keep_in.room(places) >= 0.0
         is_free[:2] = True
         self._places = places[is_free]
         first, last = np.triu_indices(len(self._places), 1)

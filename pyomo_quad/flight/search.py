@@ -185,7 +185,7 @@ def as_usable(plan: Plan) -> Plan:
     if plan.status in (PlanStatus.VERIFIED, PlanStatus.USABLE, PlanStatus.INFEASIBLE):
         return plan
     found = plan.verification
-    if found is None or found.reached is None or not plan.energy_uncertainty <= USABLE_ENERGY:
+    if found is None or not found.is_usable or not plan.energy_uncertainty <= USABLE_ENERGY:
         return plan
     why = plan.message.rstrip(".; ")
     usable = replace(plan, status=PlanStatus.USABLE)

@@ -56,7 +56,7 @@ def horizon_of(scenario: Scenario) -> tuple[float, float] | None:
 
 
 def energy_of(scenario: Scenario, solution: Solution) -> float:
-    """Return the energy of a solution, without what its time costs beside [J]."""
+    """Return the energy of a solution, without the price of its time [J]."""
     if not scenario.mission.is_free:
         return solution.objective
     return float(solution.running_objective[-1])
@@ -83,7 +83,7 @@ def verified(plan: Plan, solution: Solution, accuracy: Accuracy | None = None) -
     timings = dict(plan.timings) | {"verify": time.perf_counter() - started}
     lost = wind_lacking(plan.scenario, plan.dynamics, flown)
     if lost:
-        verification = replace(verification, is_verified=False, reached=None)
+        verification = replace(verification, is_verified=False, is_usable=False, reached=None)
     is_proven = verification.is_verified and solution.status is Status.CONVERGED
     return replace(
         plan,

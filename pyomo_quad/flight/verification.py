@@ -23,7 +23,7 @@ from pyomo_quad.flight.flight import (
 )
 from pyomo_quad.flight.integration import integrate
 from pyomo_quad.model.wind_field import unknown_wind
-from pyomo_quad.scenario.accuracy import FIGURES, Accuracy, Figures
+from pyomo_quad.scenario.accuracy import FIGURES, USABLE, Accuracy, Figures
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -230,6 +230,8 @@ class Verification:
         more than needed.
     is_verified : bool
         Whether all of the above are within the figures of the required accuracy.
+    is_usable : bool
+        All of the above within the figures of a usable plan.
     reached : Accuracy or None
         The highest accuracy, up to the required one, whose figures all of the above meet; None
         if they meet none.
@@ -248,6 +250,7 @@ class Verification:
     battery_imbalance: float = 0.0
     voltage_lacking: float = 0.0
     reached: Accuracy | None = None
+    is_usable: bool = False
 
     @property
     def is_fed(self) -> bool:
@@ -453,6 +456,7 @@ def verify_controls(
         battery_imbalance=imbalance,
         voltage_lacking=lacking,
         reached=reached,
+        is_usable=found.meets(USABLE),
     )
     return verification, flown
 
@@ -468,10 +472,11 @@ class _Found:
 
     def reached(self, asked: Accuracy) -> Accuracy | None:
         """Return the highest accuracy whose figures are met, at most the one asked for."""
-        met = [a for a in Accuracy if asked.meets(a) and self._meets(FIGURES[a])]
+        met = [a for a in Accuracy if asked.meets(a) and self.meets(FIGURES[a])]
         return met[-1] if met else None
 
-    def _meets(self, figures: Figures) -> bool:
+    def meets(self, figures: Figures) -> bool:
+        """Say whether the errors are within figures."""
         return bool(
             self.miss <= figures.miss
             and self.breach <= figures.breach

@@ -75,8 +75,8 @@ def _span_inside(
     ball: Ball, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the fractions at which straight lines, extended, enter and leave a ball, or (1, 0)."""
-    axes = list(ball.axes)
-    away, along = starts[:, axes] - ball.centre, (ends - starts)[:, axes]
+    away = ball.coordinates(starts) - ball.centre
+    along = ball.coordinates(ends - starts)
     radius = ball.radius + clearance - ROUNDING
     a = np.sum(along**2, axis=1)
     b = np.sum(away * along, axis=1)
@@ -181,14 +181,29 @@ def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     return along, left, np.cross(along, left)
 
 
+def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
+    """Return places round a polygon at a distance from its edges: corners, and beside `near`."""
+    ring = zone.ring(reach)
+    following = np.roll(ring, -1, axis=0)
+    along = following - ring
+    shares = np.einsum("kni,ki->kn", near[None, :, :2] - ring[:, None], along)
+    shares = np.clip(shares / np.sum(along**2, axis=1)[:, None], 0.0, 1.0)
+    beside = ring[:, None] + shares[..., None] * along[:, None]
+    return np.unique(np.vstack([ring, beside.reshape(-1, 2)]), axis=0)
+
+
 def places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArray:
     """Return places all around a zone, so that straight lines between neighbours miss it."""
     reach = clearance + MARGIN_M
     share, _ = _passage(zone, ends, clearance)
     passing = ends[0] + share * (ends[1] - ends[0])
     choices = []
+    if zone.corners is not None:
+        choices.append(_places_along(zone, reach, np.vstack([ends, passing])))
     for ball in zone.balls:
         radius = ball.radius + reach
+        if ball.normal is not None:
+            continue
         if len(ball.axes) == 3:
             sizes = np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
             choices.append(ball.centre + _SPHERE_MARGIN * radius * _DIRECTIONS / sizes)

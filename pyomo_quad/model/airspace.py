@@ -2,17 +2,25 @@
 
 symbol | name | unit | meaning
 c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of the ball
+n_k | normal[zone, ball, axis] | - | direction across an edge of a polygon, of length one
 R_k | radius[zone, ball] | m | radius of ball k
 c | clearance | m | distance kept from every zone
 d_k | beyond[zone, ball] | m | distance from the surface of the ball, less the clearance
 w | edge_width | m | width over which two faces of a zone are blended
 
 A zone is the intersection of balls (`scenario.airspace.Ball`): a disk and an interval of height for
-a cylinder, three intervals for a box. A place is outside if it is outside one of the balls, that is
+a cylinder, three intervals for a box, an interval across each edge and one of height for a convex
+polygon. A place is outside if it is outside one of the balls, that is
 if the largest of the d_k is positive. A smooth lower bound replaces this maximum, so that no place
 inside a zone is allowed. Near an edge, where two of the d_k agree to about w, places up to 0.14 w =
 70 mm outside the zone (0.28 w = 140 mm at the corners of a box) are forbidden too. Elsewhere the
 zone is exact. The clearance moves the faces outwards, so that edges stay sharp.
+
+A polygon with k corners joins k + 1 faces in the same way, so that beside a corner, where faces
+that turn little follow each other, up to 0.14 w more is forbidden for each face that is as near.
+
+The fence (`keep_in`) is one straight limit for each of its edges, exact everywhere, corners
+included, and keeps no clearance.
 
 A flight cannot start, end or pass a waypoint on the surface of a zone, because no neighbourhood is
 free there. The declaration refuses it before any solve.
@@ -22,6 +30,7 @@ from collections.abc import Callable, Hashable, Sequence
 from functools import reduce
 from typing import Any
 
+import numpy as np
 from pyomo.core import Block, ConcreteModel, sqrt
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
@@ -29,7 +38,7 @@ from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo_quad.model.parameters import Parameter, declare_parameters, saturated
 from pyomo_quad.model.rigid_body import PLACE
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.airspace import KeepOut
+from pyomo_quad.scenario.airspace import Ball, KeepOut
 from pyomo_quad.scenario.messages import shown
 
 AXES = PLACE[:3]
@@ -46,8 +55,12 @@ _TOUCHING_M = 5e-5
 def structure_of(scenario: Scenario) -> Hashable:
     """Return a key that is equal for airspaces that can share one compiled model."""
     told = scenario.airspace
-    zones = tuple((zone.name, tuple(ball.axes for ball in zone.balls)) for zone in told.keep_out)
-    return told.floor is None, told.ceiling is None, zones
+    zones = tuple(
+        (zone.name, tuple((ball.axes, ball.normal is None) for ball in zone.balls))
+        for zone in told.keep_out
+    )
+    edges = 0 if told.keep_in is None else len(told.keep_in.edges)
+    return told.floor is None, told.ceiling is None, edges, zones
 
 
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
@@ -59,7 +72,43 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
         for name in ("floor", "ceiling")
         if getattr(told, name) is not None
     )
-    return heights + _zone_parameters(scenario) if told.keep_out else heights
+    fence = () if told.keep_in is None else _fence_parameters(scenario)
+    return heights + fence + (_zone_parameters(scenario) if told.keep_out else ())
+
+
+def _fence_parameters(scenario: Scenario) -> tuple[Parameter, ...]:
+    return (
+        Parameter(
+            name="fence_normal",
+            units=units.dimensionless,
+            value=_fence_normals,
+            doc="outward direction across an edge of the fence",
+            index=tuple(_fence_normals(scenario)),
+        ),
+        Parameter(
+            name="fence_end",
+            units=units.m,
+            value=_fence_ends,
+            doc="how far out an edge of the fence lies",
+            index=tuple(_fence_ends(scenario)),
+        ),
+    )
+
+
+def _fence_normals(scenario: Scenario) -> dict[tuple[int, str], float]:
+    fence = scenario.airspace.keep_in
+    edges = () if fence is None else fence.edges
+    return {
+        (number, axis): share
+        for number, (normal, _) in enumerate(edges, start=1)
+        for axis, share in zip(AXES[:2], normal, strict=True)
+    }
+
+
+def _fence_ends(scenario: Scenario) -> dict[int, float]:
+    fence = scenario.airspace.keep_in
+    edges = () if fence is None else fence.edges
+    return {number: end for number, (_, end) in enumerate(edges, start=1)}
 
 
 def _reader(name: str) -> Callable[[Scenario], float]:
@@ -100,7 +149,26 @@ def _zone_parameters(scenario: Scenario) -> tuple[Parameter, ...]:
             doc="radii of the balls that overlap in a zone",
             index=tuple(_radii(scenario)),
         ),
+        *_normal_parameter(scenario),
     )
+
+
+def _normal_parameter(scenario: Scenario) -> tuple[Parameter, ...]:
+    index = tuple(_normals(scenario))
+    doc = "directions across the edges of polygons"
+    across = Parameter(
+        name="normal", units=units.dimensionless, value=_normals, doc=doc, index=index
+    )
+    return (across,) if index else ()
+
+
+def _normals(scenario: Scenario) -> dict[tuple[str, int, str], float]:
+    return {
+        (zone.name, number, AXES[axis]): share
+        for zone in scenario.airspace.keep_out
+        for number, ball in enumerate(zone.balls, start=1)
+        for axis, share in enumerate(ball.normal or ())
+    }
 
 
 def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
@@ -108,8 +176,16 @@ def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
         (zone.name, number, AXES[axis]): coordinate
         for zone in scenario.airspace.keep_out
         for number, ball in enumerate(zone.balls, start=1)
-        for axis, coordinate in zip(ball.axes, ball.centre, strict=True)
+        for axis, coordinate in zip(*_axes_and_centre(ball), strict=True)
     }
+
+
+def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Return the axes of a ball's centre, and its coordinates on them."""
+    if ball.normal is None:
+        return ball.axes, ball.centre
+    (out,) = ball.centre
+    return (0, 1), (out * ball.normal[0], out * ball.normal[1])
 
 
 def _radii(scenario: Scenario) -> dict[tuple[str, int], float]:
@@ -143,6 +219,14 @@ def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
         def ceiling_limit(b: Block, t: float) -> RelationalExpression:
             return b.parent_block().rigid_body.z[t] <= b.ceiling
 
+    if scenario.airspace.keep_in is not None:
+
+        @b.Constraint(list(_fence_ends(scenario)), m.time, doc="inside of the fence [m]")
+        def keep_in(b: Block, edge: int, t: float) -> RelationalExpression:
+            body = b.parent_block().rigid_body
+            out = sum(b.fence_normal[edge, axis] * body.component(axis)[t] for axis in AXES[:2])
+            return out <= b.fence_end[edge]
+
     if scenario.airspace.keep_out:
         _declare_keep_outs(b, m, scenario)
 
@@ -152,7 +236,12 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     def beyond(b: Block, zone: str, ball: int, t: float) -> NumericExpression:
         body = b.parent_block().rigid_body
         axes = [axis for axis in AXES if (zone, ball, axis) in b.centre]
-        away = sum((body.component(axis)[t] - b.centre[zone, ball, axis]) ** 2 for axis in axes)
+        off = {axis: body.component(axis)[t] - b.centre[zone, ball, axis] for axis in axes}
+        normal = b.component("normal")
+        if normal is not None and (zone, ball, AXES[0]) in normal:
+            away = sum(normal[zone, ball, axis] * off[axis] for axis in axes) ** 2
+        else:
+            away = sum(off[axis] ** 2 for axis in axes)
         return _beyond(away, b.radius[zone, ball] + b.clearance, b.rounding)
 
     @b.Constraint(
@@ -198,7 +287,7 @@ def _room(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
     """Return the distance of a place from a zone, as the constraint computes it [m]."""
     distances = [
         _beyond(
-            sum((place[axis] - c) ** 2 for axis, c in zip(ball.axes, ball.centre, strict=True)),
+            float(np.sum((ball.coordinates(place) - ball.centre) ** 2)),
             ball.radius + clearance,
             _ROUNDING_M,
         )

@@ -10,6 +10,7 @@ declared only where they are not zero.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 from pyomo.core import Block, ConcreteModel, inequality, sqrt
 from pyomo.core.base.units_container import units
@@ -53,6 +54,21 @@ _MOTOR_LAG = Parameter(
 )
 
 
+_VALIDATED = tuple(
+    Parameter(
+        name=f"validated_{name}",
+        units=units.m / units.s,
+        value=partial(lambda name, s: getattr(s.vehicle.validated, name) or 0.0, name),
+        doc=f"largest {words} that measurements confirm",
+    )
+    for name, words in (
+        ("airspeed", "airspeed"),
+        ("climb_speed", "speed of climb"),
+        ("descent_speed", "speed of descent"),
+    )
+)
+
+
 def _reader(name: str) -> Callable[[Scenario], float]:
     return lambda scenario: getattr(scenario.limits, name)
 
@@ -71,7 +87,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
         for name, unit in _UNITS.items()
         if getattr(scenario.limits, name) is not None
     )
-    return (*bounds, *(row for row in (_RESERVE, _MOTOR_LAG) if row.value(scenario)))
+    validated = _VALIDATED if scenario.limits.within_validated else ()
+    return (*bounds, *(row for row in (_RESERVE, _MOTOR_LAG, *validated) if row.value(scenario)))
 
 
 def without_reserve(numbers: dict[str, float] | None) -> dict[str, float] | None:
@@ -98,6 +115,8 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
         _declare_speed_limit(b, m)
     if scenario.vehicle.motor_time_constant:
         _declare_motor_lag(b, m)
+    if scenario.limits.within_validated:
+        _declare_validated_range(b, m)
 
 
 def _left(b: Block, most: NumericExpression) -> NumericExpression:
@@ -119,6 +138,35 @@ def _declare_motor_lag(b: Block, m: ConcreteModel) -> None:
     @b.Constraint(m.rotors.rotor, m.time, doc="motor lag while losing speed [rad/s^2]")
     def motor_braking_limit(b: Block, j: int, t: float) -> RelationalExpression:
         return b.parent_block().rotors.alpha[j, t] >= -b.lagging_acceleration[j, t]
+
+
+def _declare_validated_range(b: Block, m: ConcreteModel) -> None:
+    """Keep to the airspeeds, climbs and descents that measured flights confirm."""
+    if b.component("validated_airspeed") is not None:
+
+        @b.Expression(m.time, doc="airspeed [m/s]")
+        def airspeed(_b: Block, t: float) -> NumericExpression:
+            body, wind = m.rigid_body, m.wind
+            updraft = wind.component("velocity_z")
+            rising = body.vz[t] if updraft is None else body.vz[t] - updraft[t]
+            across = (body.vx[t] - wind.velocity_x[t]) ** 2 + (body.vy[t] - wind.velocity_y[t]) ** 2
+            return sqrt(across + rising**2 + _SPEED_SMOOTHING**2)
+
+        @b.Constraint(m.time, doc="largest airspeed that measurements confirm [m/s]")
+        def validated_airspeed_limit(b: Block, t: float) -> RelationalExpression:
+            return b.airspeed[t] <= b.validated_airspeed
+
+    if b.component("validated_climb_speed") is not None:
+
+        @b.Constraint(m.time, doc="fastest climb that measurements confirm [m/s]")
+        def validated_climb_limit(b: Block, t: float) -> RelationalExpression:
+            return m.rigid_body.vz[t] <= b.validated_climb_speed
+
+    if b.component("validated_descent_speed") is not None:
+
+        @b.Constraint(m.time, doc="fastest descent that measurements confirm [m/s]")
+        def validated_descent_limit(b: Block, t: float) -> RelationalExpression:
+            return m.rigid_body.vz[t] >= -b.validated_descent_speed
 
 
 def _declare_speed_limit(b: Block, m: ConcreteModel) -> None:

@@ -182,13 +182,13 @@
   const zones = () => {
     for (const zone of scene.zones.map(cut)) {
       const [a, b] = [zone.low, zone.high], color = "#a33a2a";
-      if (zone.shape === "box") {
+      if (zone.shape === "box" || zone.shape === "polygon") {
+        const ring = zone.corners ? zone.corners.map(({ x, y }) => [x, y])
+          : [[a.x, a.y], [b.x, a.y], [b.x, b.y], [a.x, b.y]];
         for (const z of [a.z, b.z]) {
-          line([[a.x, a.y, z], [b.x, a.y, z], [b.x, b.y, z], [a.x, b.y, z], [a.x, a.y, z]], color);
+          line([...ring, ring[0]].map(([x, y]) => [x, y, z]), color);
         }
-        for (const [x, y] of [[a.x, a.y], [b.x, a.y], [b.x, b.y], [a.x, b.y]]) {
-          line([[x, y, a.z], [x, y, b.z]], color);
-        }
+        for (const [x, y] of ring) line([[x, y, a.z], [x, y, b.z]], color);
       } else {
         const radius = (b.x - a.x) / 2, c = [(a.x + b.x) / 2, (a.y + b.y) / 2, (a.z + b.z) / 2];
         const [ex, ey, ez] = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];

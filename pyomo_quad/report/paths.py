@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
@@ -187,11 +187,10 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
     furthest = limits + room * np.array([-1.0, 1.0])
     wanted = limits.copy()
     sides = [
-        (axis, centre + sign * (ball.radius + airspace.clearance))
+        (axis, float(end + sign * airspace.clearance))
         for zone in airspace.keep_out
-        for ball in zone.balls
-        for axis, centre in zip(ball.axes, ball.centre, strict=True)
-        for sign in (-1.0, 1.0)
+        for sign, corner in zip((-1.0, 1.0), box_around(zone), strict=True)
+        for axis, end in enumerate(corner)
     ]
     beyond = _MARGIN * room
     ends = ((airspace.floor, -beyond), (airspace.ceiling, beyond))
@@ -208,6 +207,9 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
 def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> None:
     """Draw zones, floor, ceiling and waypoints as seen along an axis."""
     airspace = mission.airspace
+    if airspace.keep_in is not None and set(directions) == {0, 1}:
+        fence = [(c[directions[0]], c[directions[1]]) for c in airspace.keep_in.corners]
+        axes.add_patch(Polygon(fence, fill=False, edgecolor=ZONE_COLOR, linewidth=1.0))
     for zone in airspace.keep_out:
         if airspace.clearance:
             grown = outline(zone, directions, airspace.clearance)
@@ -322,7 +324,7 @@ def view_data(flights: Sequence[StyledFlight], airspace: Airspace) -> dict[str, 
             if any(signal.name in optimum for signal in signals)
         ],
         "zones": [
-            {"name": zone.name, "shape": zone.shape.value, **_extent(zone)}
+            {"name": zone.name, "shape": zone.shape.value, **_extent(zone), **_ring(zone)}
             for zone in airspace.keep_out
         ],
         "ends": [(name, _rounded(place)) for place, name, _ in _ends(flights[0])],
@@ -366,6 +368,11 @@ def _described(signal: Column, group: Sequence[Column]) -> dict[str, Any]:
         "unit": signal.unit,
         "span": signal.smallest_span,
     }
+
+
+def _ring(zone: KeepOut) -> dict[str, Any]:
+    corners = zone.corners or ()
+    return {"corners": [{"x": x, "y": y} for x, y in corners]} if corners else {}
 
 
 def _extent(zone: KeepOut) -> dict[str, dict[str, float]]:

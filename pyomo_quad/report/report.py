@@ -12,6 +12,7 @@ import numpy as np
 
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.flight.columns import column_of
+from pyomo_quad.flight.envelope import departures_of
 from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, ARRIVAL_SPEED_M_PER_S
 from pyomo_quad.flight.plan import FLIGHT_SAMPLES, PlanStatus
 from pyomo_quad.flight.verification import BALANCE_TOLERANCE
@@ -36,7 +37,6 @@ from pyomo_quad.report.tables import (
     write_table,
 )
 from pyomo_quad.scenario import PowerModel, Reference
-from pyomo_quad.scenario.accuracy import FIGURES
 from pyomo_quad.scenario.tables import Replanning
 from pyomo_quad.study.comparison import (
     FAIR_BASELINE,
@@ -200,11 +200,14 @@ def _title(plan: "Plan") -> str:
 def _plan_values(plan: "Plan") -> dict[str, Any]:
     """Return the values of a plan for the templates."""
     columns = plan.columns(np.linspace(*plan.trajectories.horizon, FLIGHT_SAMPLES))
-    figures = FIGURES[plan.accuracy_checked]
+    figures = plan.figures_checked
     return {
         "title": _title(plan),
         "plan": plan,
         "asked_energy": _battery_use(plan, columns),
+        "departures": ()
+        if plan.verification is None
+        else tuple(departures_of(plan.scenario, columns)),
         "free_climb": _free_climb(plan),
         "legs": leg_rows(plan.mission_flown, columns),
         "leg": LegColumn,

@@ -154,6 +154,7 @@ def plan_summary(
         "attempts": list(plan.attempts),
         **({} if plan.order_search is None else {"order": _order(plan.order_search)}),
         **({"routes": [asdict(route) for route in plan.routes]} if plan.routes else {}),
+        **({} if plan.risk is None else {"risk": asdict(plan.risk)}),
         "failure": None if plan.failure is None else _failure(plan.failure),
         "scenario_resolved": plan.scenario.model_dump(mode="json"),
     }

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
-from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 from numpy.typing import NDArray
 
 from pyomo_quad.scenario.airspace import KeepOut, Shape
@@ -17,6 +17,9 @@ FloatArray = NDArray[np.float64]
 
 def outline(zone: KeepOut, directions: tuple[int, int], clearance: float = 0.0) -> Patch:
     """Return the outline of a zone, grown by its clearance, as seen along an axis."""
+    if zone.corners is not None and set(directions) == {0, 1}:
+        ring = zone.ring(clearance)
+        return Polygon([(corner[directions[0]], corner[directions[1]]) for corner in ring])
     for ball in zone.balls:
         if set(directions) <= set(ball.axes):
             middle = [ball.centre[ball.axes.index(axis)] for axis in directions]
@@ -37,6 +40,8 @@ def box_around(zone: KeepOut) -> FloatArray:
         for ball in zone.balls
         for axis, centre in zip(ball.axes, ball.centre, strict=True)
     }
+    for axis, along in enumerate(zip(*(zone.corners or ()), strict=True)):
+        sides[axis] = min(along), max(along)
     return np.array([sides[axis] for axis in range(3)]).T
 
 
@@ -59,6 +64,8 @@ def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:
     middle, half = (low + high) / 2, (high - low) / 2
     if zone.shape is Shape.BOX:
         ring = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+    elif zone.corners is not None:
+        ring = (zone.ring() - middle[:2]) / half[:2]
     else:
         angles = np.linspace(0.0, 2 * np.pi, _ROUND, endpoint=False)
         ring = np.column_stack([np.cos(angles), np.sin(angles)])

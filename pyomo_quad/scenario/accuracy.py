@@ -5,7 +5,7 @@ A vehicle model is good to about 2 %: `quick` and `standard` suffice for mission
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from types import MappingProxyType
 
@@ -85,3 +85,5 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
         ),
     }
 )
+#: Of a usable plan, which may end half a metre off: feedback in flight corrects that.
+USABLE = replace(FIGURES[Accuracy.QUICK], miss=0.5)

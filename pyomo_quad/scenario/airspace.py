@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
+from itertools import pairwise
+from math import atan2, hypot, tau
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 from pydantic import model_validator
@@ -26,31 +28,110 @@ class Shape(StrEnum):
     CYLINDER = "cylinder"
     SPHERE = "sphere"
     BOX = "box"
+    POLYGON = "polygon"
 
 
 class Ball(NamedTuple):
     """All places whose coordinates on some axes lie within a radius of a centre.
 
     Every shape is an intersection of balls: a cylinder of a disk in x and y and an interval of z, a
-    sphere of one ball in all three axes, a box of one interval per axis.
+    sphere of one ball in all three axes, a box of one interval per axis, and a convex polygon of an
+    interval across each edge and one of z.  An interval across an edge has a `normal` of x and y,
+    of length one, in place of the axes of its coordinate.
     """
 
     axes: tuple[int, ...]
     centre: tuple[float, ...]
     radius: float
+    normal: tuple[float, float] | None = None
+
+    def coordinates(self, places: "ArrayLike") -> "FloatArray":
+        """Return what the centre is compared with, shape (..., n), of places (..., 3) [m]."""
+        import numpy as np  # noqa: PLC0415  reading a scenario does without it
+
+        held = np.asarray(places, dtype=float)
+        if self.normal is None:
+            return held[..., self.axes]
+        return np.asarray(held[..., :2] @ np.array(self.normal))[..., None]
 
     def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return the depth of places, shape (..., 3), inside the ball; negative outside [m]."""
-        import numpy as np  # noqa: PLC0415  not needed to read a scenario
+        import numpy as np  # noqa: PLC0415  see `coordinates`
 
-        held = np.asarray(places, dtype=float)[..., self.axes]
-        return np.asarray(self.radius - np.linalg.norm(held - self.centre, axis=-1))
+        away = np.linalg.norm(self.coordinates(places) - self.centre, axis=-1)
+        return np.asarray(self.radius - away)
+
+
+#: A corner of a polygon, x and y [m].
+Corner = tuple[Number, Number]
+_FEWEST_CORNERS, _MOST_CORNERS = 3, 32
+# Of a polygon's extent: what two edges may turn inwards by rounding alone.
+_STRAIGHT = 1e-9
+
+
+def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
+    """Return twice the area of the triangle at each corner, above nought for a turn to the left."""
+    count = len(corners)
+    found = []
+    for k in range(count):
+        (x0, y0), (x1, y1), (x2, y2) = (corners[(k + step) % count] for step in (-1, 0, 1))
+        found.append((x1 - x0) * (y2 - y1) - (y1 - y0) * (x2 - x1))
+    return found
+
+
+def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
+    """Refuse corners that are not those of a convex polygon, one after the other."""
+    extent = max(max(along) - min(along) for along in zip(*corners, strict=True))
+    turns = turns_of(corners)
+    slack = _STRAIGHT * extent**2
+    area = sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in pairwise((*corners, corners[0])))
+    ways = {turn > 0.0 for turn in turns if abs(turn) > slack}
+    around = sum(abs(turn) > slack for turn in turns)
+    if len(ways) != 1 or around < _FEWEST_CORNERS or not _goes_round_once(corners):
+        raise ValueError(
+            f"{what}; its corners must be those of a polygon that encloses an area of "
+            f"{abs(area) / 2:.3g} m^2 without crossing itself, in order; correct them"
+        )
+
+
+def _goes_round_once(corners: Sequence[tuple[float, float]]) -> bool:
+    """Say whether a way that turns to one side alone goes round once, and not twice as a star."""
+    total = 0.0
+    edges = [(x1 - x0, y1 - y0) for (x0, y0), (x1, y1) in pairwise((*corners, corners[0]))]
+    for (a, b), (c, d) in pairwise((*edges, edges[0])):
+        total += atan2(a * d - b * c, a * c + b * d)
+    return abs(abs(total) - tau) < 1.0
+
+
+def _edges_of(
+    corners: Sequence[tuple[float, float]],
+) -> Iterator[tuple[tuple[float, float], float, float]]:
+    """Yield a normal of each edge, of length one, and between which ends the polygon lies."""
+    for (x0, y0), (x1, y1) in pairwise((*corners, corners[0])):
+        length = hypot(x1 - x0, y1 - y0)
+        if length > 0.0:
+            normal = (y1 - y0) / length, (x0 - x1) / length
+            along = [normal[0] * x + normal[1] * y for x, y in corners]
+            yield normal, min(along), max(along)
+
+
+def _across_edges(corners: Sequence[tuple[float, float]]) -> Iterator[Ball]:
+    """Yield the interval across each edge of a convex polygon, from it to the corner beyond.
+
+    Of two parallel edges, which bound one interval, the first yields it.
+    """
+    seen: list[tuple[float, float]] = []
+    for normal, low, high in _edges_of(corners):
+        if all(abs(normal[0] * y - normal[1] * x) > _STRAIGHT for x, y in seen):
+            seen.append(normal)
+            yield Ball((), ((low + high) / 2,), (high - low) / 2, normal)
 
 
 _FIELDS = {
     Shape.CYLINDER: ("centre", "radius", "bottom", "top"),
     Shape.SPHERE: ("centre", "radius"),
     Shape.BOX: ("low", "high"),
+    Shape.POLYGON: ("corners", "bottom", "top"),
 }
 _COORDINATES = {Shape.CYLINDER: 2, Shape.SPHERE: 3}
 
@@ -75,10 +156,20 @@ class KeepOut(Part):
         sound=_FAR,
     )
     radius: Number | None = quantity("m", "cylinder, sphere: radius", None, gt=0, sound=_WIDE)
-    bottom: Number | None = quantity("m", "cylinder: height where it begins", None, sound=_FAR)
-    top: Number | None = quantity("m", "cylinder: height where it ends", None, sound=_FAR)
+    bottom: Number | None = quantity(
+        "m", "cylinder, polygon: height where it begins", None, sound=_FAR
+    )
+    top: Number | None = quantity("m", "cylinder, polygon: height where it ends", None, sound=_FAR)
     low: Triple | None = quantity("m", "box: corner of least x, y and z", None, sound=_FAR)
     high: Triple | None = quantity("m", "box: corner of largest x, y and z", None, sound=_FAR)
+    corners: tuple[Corner, ...] | None = quantity(
+        "m",
+        "polygon: x, y of its corners, in order; one that is not convex becomes several zones",
+        None,
+        min_length=_FEWEST_CORNERS,
+        max_length=_MOST_CORNERS,
+        is_late=True,
+    )
 
     @model_validator(mode="after")
     def _has_the_fields_of_its_shape(self) -> Self:
@@ -94,10 +185,13 @@ class KeepOut(Part):
         count = _COORDINATES.get(self.shape)
         if self.centre is not None and len(self.centre) != count:
             raise ValueError(f"{what}; its centre must be {count} numbers")
+        if self.corners is not None:
+            _refuse_folded(self.corners, what)
         for axis, ball in enumerate(self.balls):
             if ball.radius <= 0.0:
-                ends = ("bottom", "top") if self.shape is Shape.CYLINDER else ("low", "high")
-                place = "" if self.shape is Shape.CYLINDER else f"[{axis}]"
+                is_box = self.shape is Shape.BOX
+                ends = ("low", "high") if is_box else ("bottom", "top")
+                place = f"[{axis}]" if is_box else ""
                 raise ValueError(f"{what}; {ends[1]}{place} must be above {ends[0]}{place}")
         return self
 
@@ -107,11 +201,30 @@ class KeepOut(Part):
         if self.low is not None and self.high is not None:
             sides = enumerate(zip(self.low, self.high, strict=True))
             return tuple(_interval(axis, low, high) for axis, (low, high) in sides)
+        if self.corners is not None and self.bottom is not None and self.top is not None:
+            return (*_across_edges(self.corners), _interval(2, self.bottom, self.top))
         centre, radius = self.centre or (), self.radius or 0.0
         round_part = Ball(tuple(range(len(centre))), centre, radius)
         if self.bottom is None or self.top is None:
             return (round_part,)
         return (round_part, _interval(2, self.bottom, self.top))
+
+    def ring(self, beyond: float = 0.0) -> "FloatArray":
+        """Return the corners of a polygon whose edges are moved outwards, shape (n, 2) [m]."""
+        import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
+
+        corners = self.corners or ()
+        turns = turns_of(corners)
+        edges = KeepIn(corners=corners).edges
+        extent = max(map(abs, turns), default=0.0)
+        # Where an edge goes straight on in the next, there is no corner.
+        kept = [k for k, turn in enumerate(turns) if abs(turn) > _STRAIGHT * extent]
+        moved = []
+        for k in kept:
+            (before, first), (after, last) = edges[k - 1], edges[k]
+            matrix = np.array([before, after])
+            moved.append(np.linalg.solve(matrix, [first + beyond, last + beyond]))
+        return np.array(moved)
 
     def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return the distance of places, shape (..., 3), to the nearest face, from inside [m].
@@ -127,6 +240,44 @@ def _interval(axis: int, low: float, high: float) -> Ball:
     return Ball((axis,), ((low + high) / 2,), (high - low) / 2)
 
 
+class KeepIn(Part):
+    """A fence on the ground that the flight stays inside of, at any height.
+
+    It is convex; of one that is not, what its edges cut off inwards are keep-outs.
+    """
+
+    corners: tuple[Corner, ...] = quantity(
+        "m",
+        "x, y of the corners of the fence, in order",
+        min_length=_FEWEST_CORNERS,
+        max_length=_MOST_CORNERS,
+        example="[[0.0, 0.0], [90.0, 0.0], [90.0, 60.0]]",
+    )
+
+    @model_validator(mode="after")
+    def _is_a_polygon(self) -> Self:
+        _refuse_folded(self.corners, "keep_in has corners")
+        return self
+
+    @property
+    def edges(self) -> tuple[tuple[tuple[float, float], float], ...]:
+        """The outward normal of each edge, of length one, and how far out the edge lies [m]."""
+        # Of corners in a turn to the left, the outward side of an edge is where normals point.
+        is_left = sum(turns_of(self.corners)) > 0.0
+        return tuple(
+            (normal, high) if is_left else ((-normal[0], -normal[1]), -low)
+            for normal, low, high in _edges_of(self.corners)
+        )
+
+    def room(self, places: "ArrayLike") -> "FloatArray":
+        """Return how far places of shape (..., 3) are from the nearest edge, negative outside."""
+        import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
+
+        normals, ends = (np.array(part) for part in zip(*self.edges, strict=True))
+        held = np.asarray(places, dtype=float)[..., :2]
+        return np.asarray((ends - held @ normals.T).min(axis=-1))
+
+
 class Airspace(Part):
     """The airspace of a flight."""
 
@@ -140,6 +291,16 @@ class Airspace(Part):
         sound=Sound(0, 1e4, "clearances are at most 10 km"),
     )
     keep_out: tuple[KeepOut, ...] = quantity("", "zones to keep out of", (), max_length=_MOST_ZONES)
+    keep_in: KeepIn | None = quantity(
+        "", "fence on the ground to stay inside of, none when absent", None, is_late=True
+    )
+    file: Text | None = quantity(
+        "",
+        "GeoJSON file of more zones to keep out of: polygons with the properties name, top (or "
+        "height) and perhaps bottom, in m above mission.origin",
+        None,
+        is_late=True,
+    )
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
@@ -159,6 +320,9 @@ class Airspace(Part):
             yield f"is below airspace.floor = {self.floor:g} m; raise it or lower the floor"
         if self.ceiling is not None and place[2] > self.ceiling:
             yield f"is above airspace.ceiling = {self.ceiling:g} m; lower it or raise the ceiling"
+        outside = 0.0 if self.keep_in is None else -float(self.keep_in.room(place))
+        if outside > 0.0:
+            yield f"is outside the fence airspace.keep_in by {outside:.3g} m; move one of them"
         for zone in self.keep_out:
             depth = float(zone.depth(place)) + self.clearance
             if depth > 0.0:

@@ -16,6 +16,7 @@ from pydantic import BaseModel
 from pyomo_quad.scenario.fields import DEGREES, FieldPath, parse_path, spell, unit_of
 from pyomo_quad.scenario.messages import ScenarioError, declared_place, shown
 from pyomo_quad.scenario.schema import NAME_PATTERN, Scenario
+from pyomo_quad.scenario.spellings import FROM, ON_EARTH, PLACES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,6 +155,8 @@ def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...])
         }
         table["properties"] = {name: _for_editors(field) for name, field in fields.items()}
         table["properties"] |= in_units
+        for name, field in fields.items():
+            table["properties"] |= _otherwise(name, field)
     for name in ("WindSeries", "WindGrid"):
         definitions.pop(name, None)
     return {
@@ -168,6 +171,19 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
     """List the fields that a file of a model may have, in the order of the schema."""
     schema = model.model_json_schema()
     return tuple(_writable(schema, schema.get("$defs", {}), ""))
+
+
+def _otherwise(name: str, field: dict[str, Any]) -> dict[str, Any]:
+    """Return the other ways to write a field (`spellings`), with what editors say of them."""
+    found: dict[str, Any] = {}
+    if field.get("unit") == "rad" and name == "direction":
+        says = "where the wind comes from, clockwise from north [deg]"
+        found[FROM] = {"type": "number", "description": says}
+    if name in PLACES:
+        kept = _for_editors(field)
+        on_earth = {"type": "object", "properties": {key: {"type": "number"} for key in ON_EARTH}}
+        found[name] = {"anyOf": [kept, on_earth], "description": kept.get("description", "")}
+    return found
 
 
 def _unit_keys(name: str, field: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
+from pyomo_quad.scenario.earth import Frame, GeodeticOrigin
 from pyomo_quad.scenario.fields import Number, Part, Sound, Triple, quantity
 from pyomo_quad.scenario.messages import ScenarioError
 
@@ -91,11 +92,23 @@ class NamedDuration(NamedTuple):
 class Mission(Part):
     """Start, goal and duration of the flight."""
 
+    frame: Frame = quantity(
+        "",
+        "directions of the world axes, enu: x east, y north, z up from the origin",
+        Frame.ENU,
+        is_late=True,
+    )
+    origin: GeodeticOrigin | None = quantity(
+        "",
+        "where x = y = z = 0 lies on earth, so that places may be given by latitude and longitude",
+        None,
+        is_late=True,
+    )
     start: Hover = quantity(
         "",
         "where the flight starts",
         Hover(position=(0.0, 0.0, 0.0)),
-        other_names=("from", "begin", "origin"),
+        other_names=("from", "begin"),
     )
     goal: Hover = quantity(
         "", "where the flight ends", other_names=("end", "target", "destination")
@@ -153,6 +166,16 @@ class Mission(Part):
         "whether the heading may change on the way; when absent it is kept under power.model "
         "momentum where start, waypoints and goal have the same",
         None,
+        is_late=True,
+    )
+
+    risk: Number | None = quantity(
+        "1",
+        "greatest probability that a flight of the plan under feedback breaks any limit; 1, as "
+        "when absent, asks for none",
+        None,
+        gt=0,
+        le=1,
         is_late=True,
     )
 

@@ -26,6 +26,7 @@ from pyomo_quad.scenario.fields import (
     set_value,
     spell,
 )
+from pyomo_quad.scenario.footprints import in_convex_parts, read_footprints
 from pyomo_quad.scenario.messages import (
     ScenarioError,
     declared_place,
@@ -35,6 +36,7 @@ from pyomo_quad.scenario.messages import (
     shown,
 )
 from pyomo_quad.scenario.mission import FREE
+from pyomo_quad.scenario.spellings import in_plain_terms, origin_of_mission
 from pyomo_quad.scenario.tables import (
     DERIVED_LIMITS,
     FASTEST_ROTOR,
@@ -416,6 +418,8 @@ def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
         filled.add_library(("wind", "forecast"), "winds")
         filled.tables = _inherit_by_forecast(filled.tables, own)
     tables = _with_assignments(origin, merge(filled.tables, own), indexed=True)
+    tables = in_plain_terms(tables, own, provenance, origin.source)
+    tables = _add_footprints(origin, tables, provenance)
     try:
         tables = _add_wind_series(origin, tables, provenance)
         tables = _add_wind_fields(origin, tables, provenance)
@@ -557,6 +561,25 @@ def _inherit_by_forecast(tables: dict[str, Any], own: Mapping[str, Any]) -> dict
     return tables
 
 
+def _add_footprints(
+    origin: Origin, tables: dict[str, Any], provenance: dict[str, str]
+) -> dict[str, Any]:
+    """Add the zones of a file, and divide polygons that are not convex."""
+    airspace = tables.get("airspace")
+    if not isinstance(airspace, Mapping):
+        return tables
+    zones = airspace.get("keep_out", ())
+    file = airspace.get("file")
+    if isinstance(file, str) and isinstance(zones, list | tuple) and not origin.is_resolved:
+        where = f"{whose(origin, provenance, ('airspace', 'file'))}: airspace.file = {shown(file)}"
+        read = read_footprints(
+            origin.folder / file, where, origin_of_mission(tables, origin.source)
+        )
+        airspace = {**airspace, "keep_out": [*zones, *read]}
+        provenance["airspace.keep_out"] = f"file {shown(file)[1:-1]}"
+    return {**tables, "airspace": in_convex_parts(airspace)}
+
+
 def _winds(tables: Mapping[str, Any], named: str) -> Iterator[tuple[FieldPath, Mapping[str, Any]]]:
     """Yield the wind and its forecast where they name a file in a field."""
     for place in (("wind",), ("wind", "forecast")):
@@ -573,7 +596,8 @@ def _add_wind_fields(
     for place, wind in _winds(tables, "field"):
         path = (*place, "field")
         where = f"{whose(origin, provenance, path)}: {spell(path)} = {shown(wind['field'])}"
-        grid = read_wind_field(origin.folder / wind["field"], where)
+        on_earth = origin_of_mission(tables, origin.source)
+        grid = read_wind_field(origin.folder / wind["field"], where, on_earth)
         tables = set_value(tables, (*place, "grid"), grid)
         for part in grid:
             provenance[spell((*place, "grid", part))] = f"file {shown(wind['field'])[1:-1]}"

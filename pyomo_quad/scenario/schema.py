@@ -323,6 +323,7 @@ class Scenario(Part):
             *self._payload_complaints(),
             *self._yaw_complaints(),
             *self._turbulence_complaints(),
+            *self._validated_complaints(),
         ]
         unable = list(self._hover_complaints())
         if lines or unable:
@@ -382,6 +383,23 @@ class Scenario(Part):
             yield (
                 f"wind.turbulence acts on the declared model only, model = {self.model!r}; leave "
                 "one of them out."
+            )
+
+    def _validated_complaints(self) -> Iterator[str]:
+        if not self.limits.within_validated:
+            return
+        most = self.vehicle.validated.payload
+        if most is not None and self.vehicle.payload > most:
+            yield (
+                f"vehicle.payload = {self.vehicle.payload:g} kg; must be at most "
+                f"vehicle.validated.payload = {most:g} kg under limits.within_validated; carry "
+                "less, or leave limits.within_validated out."
+            )
+        if all(value is None for _, value in self.vehicle.validated):
+            yield (
+                "limits.within_validated needs vehicle.validated, which this vehicle does not "
+                "state; give vehicle.validated.airspeed in m/s, or leave limits.within_validated "
+                "out."
             )
 
     def _hover_complaints(self) -> Iterator[str]:

@@ -404,8 +404,10 @@ class Solver(Part):
     @model_validator(mode="before")
     @classmethod
     def _refines_as_the_accuracy_says(cls, given: Any) -> Any:  # noqa: ANN401  before validation
-        known = given.get("accuracy") if isinstance(given, Mapping) else None
-        if "tolerance" in (given or ()) or known not in list(Accuracy):
+        if not isinstance(given, Mapping) or "tolerance" in given:
+            return given
+        known = given.get("accuracy")
+        if known not in list(Accuracy):
             return given
         return {**given, "tolerance": FIGURES[Accuracy(known)].energy}
 
@@ -502,6 +504,12 @@ class Limits(Part):
         None,
         gt=0,
         sound=Sound(1e-3, 1e5, "flight packs have from 1 V to thousands of volts"),
+    )
+    within_validated: Flag = quantity(
+        "",
+        "whether plans keep to the range that measurements confirm, vehicle.validated",
+        False,
+        is_late=True,
     )
     battery_power_share_max: Number | None = quantity(
         "1",

@@ -63,6 +63,26 @@ class EfficiencyMap(Part):
     constant: Triple = quantity("", "row without tau", sound=_FITTED)
 
 
+_SLOW = Sound(1e-2, 1e3, "nothing with rotors flies at the speed of sound")
+
+
+class Validated(Part):
+    """Range in which measured flights confirm the vehicle's power and drag; absent is unknown."""
+
+    airspeed: Number | None = quantity(
+        "m/s", "largest airspeed of the flights that confirm the vehicle", None, gt=0, sound=_SLOW
+    )
+    climb_speed: Number | None = quantity(
+        "m/s", "largest speed of their climbs, over ground", None, gt=0, sound=_SLOW
+    )
+    descent_speed: Number | None = quantity(
+        "m/s", "largest speed of their descents, over ground", None, gt=0, sound=_SLOW
+    )
+    payload: Number | None = quantity(
+        "kg", "largest mass that they carried", None, ge=0, sound=CARRIED
+    )
+
+
 class Attitude(StrEnum):
     """Relation between the attitude angles and the body rates."""
 
@@ -310,6 +330,10 @@ class Vehicle(Part):
         Attitude.PAPER,
         is_late=True,
         initial=Attitude.EULER,
+    )
+
+    validated: Validated = quantity(
+        "", "range that measurements confirm", Validated(), is_late=True
     )
 
     @property

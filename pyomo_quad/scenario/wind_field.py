@@ -7,6 +7,7 @@ number of it is used.
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
+from pyomo_quad.scenario.earth import GeodeticOrigin
 from pyomo_quad.scenario.messages import ScenarioError, printable, shown
 from pyomo_quad.scenario.wind import LARGEST_WIND, LATEST_TIME, STRONGEST_GUST, WindGrid
 
@@ -28,12 +29,13 @@ _READERS = "*.nc (NetCDF), *.csv or *.parquet"
 
 _AXES = ("x", "y", "z", "time")
 _AXIS_COLUMNS = ("x_m", "y_m", "z_m", "time_s")
+_COLUMNS_ON_EARTH = ("longitude_deg", "latitude_deg")
 _WIND_COLUMNS = ("wind_x_m_per_s", "wind_y_m_per_s", "wind_z_m_per_s")
 
 # Names of CF, the standard ones first, then those usual in files that have none.
 _AXIS_NAMES = {
-    "x": ("projection_x_coordinate", "x", "x_m"),
-    "y": ("projection_y_coordinate", "y", "y_m"),
+    "x": ("projection_x_coordinate", "longitude", "x", "x_m", "lon"),
+    "y": ("projection_y_coordinate", "latitude", "y", "y_m", "lat"),
     "z": ("height", "altitude", "height_above_mean_sea_level", "z", "z_m"),
     "time": ("time", "t", "time_s"),
 }
@@ -43,6 +45,9 @@ _WIND_NAMES = (
     ("upward_air_velocity", "w", "wind_z", "wind_z_m_per_s"),
 )
 _LENGTHS = {"m": 1.0, "metre": 1.0, "meter": 1.0, "meters": 1.0, "metres": 1.0, "km": 1000.0}
+_ANGLES = tuple(
+    f"degree{plural}{of}" for plural in ("", "s") for of in ("", "_east", "_north", "_E", "_N")
+)
 _TIMES = {"s": 1.0, "second": 1.0, "seconds": 1.0, "min": 60.0, "h": 3600.0, "hours": 3600.0}
 _KNOT = 1852.0 / 3600.0
 _SPEEDS = {
@@ -58,14 +63,22 @@ _SPEEDS = {
 }
 
 
+# Of the least step of a grid by latitude and longitude, how far off its lines may be in metres.
+_SKEW = 0.1
+
+
 class _Field(NamedTuple):
-    """Points of each axis by name, and components with one axis for each of them."""
+    """Points of each axis by name, and components with one axis for each of them.
+
+    `on_earth` are those axes of x and y that are longitudes and latitudes.
+    """
 
     axes: "dict[str, FloatArray]"
     components: "FloatArray"
+    on_earth: tuple[str, ...] = ()
 
 
-def read_wind_field(file: Path, place: str) -> dict[str, Any]:
+def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None) -> dict[str, Any]:
     """Read and check a wind over places.
 
     Parameters
@@ -74,6 +87,8 @@ def read_wind_field(file: Path, place: str) -> dict[str, Any]:
         NetCDF with CF names and units, or a table with one row for each place and time.
     place : str
         What messages start with: the field that names the file.
+    origin : GeodeticOrigin, optional
+        Where x = y = 0 lies, for a grid by latitude and longitude.
 
     Returns
     -------
@@ -99,7 +114,40 @@ def read_wind_field(file: Path, place: str) -> dict[str, Any]:
         field = _from_table(file, place)
     else:
         _refuse(place, f"is of no known kind; must be {_READERS}")
+    if field.on_earth:
+        field = _in_metres(field, origin, place)
     return _checked(field, place)
+
+
+def _in_metres(field: _Field, origin: GeodeticOrigin | None, place: str) -> _Field:
+    """Return a field by longitude and latitude with the metres of its middle lines for both.
+
+    Meridians meet at the poles: a region so large that this skews its grid is refused.
+    """
+    import numpy as np  # noqa: PLC0415  of the scenarios, few have a field
+
+    if set(field.on_earth) != set(_AXES[:2]):
+        _refuse(place, "has one coordinate in degrees and one in m; give both alike")
+    if origin is None:
+        _refuse(place, "is by latitude and longitude; give mission.origin, or x and y in m")
+    east, north = (field.axes[axis] for axis in _AXES[:2])
+    beyond = np.abs(east).max(initial=0.0) > 360.0 or np.abs(north).max(initial=0.0) > 90.0
+    if beyond or not np.isfinite(np.concatenate([east, north])).all():
+        _refuse(place, "has a latitude beyond 90 or a longitude beyond 360 degrees; correct it")
+    middle = float(np.median(east)), float(np.median(north))
+    x = origin.local([(middle[1], at, 0.0) for at in east])[:, 0]
+    y = origin.local([(at, middle[0], 0.0) for at in north])[:, 1]
+    steps = [np.abs(np.diff(axis)).min(initial=np.inf) for axis in (x, y)]
+    for row, column in ((0, 0), (0, -1), (-1, 0), (-1, -1)):
+        corner = origin.local([(north[row], east[column], 0.0)])[0]
+        off = np.abs(corner[:2] - (x[column], y[row]))
+        if (off > _SKEW * np.array(steps)).any():
+            _refuse(
+                place,
+                f"spans so much of the earth that a corner is {off.max():.3g} m off its grid in "
+                "metres; cut out the region that is flown",
+            )
+    return _Field(dict(field.axes) | {"x": x, "y": y}, field.components)
 
 
 def _refuse(place: str, reason: str) -> NoReturn:
@@ -119,11 +167,13 @@ def _from_netcdf(file: Path, place: str) -> _Field:
             data = opened.load()
     except Exception as error:  # noqa: BLE001  whatever its readers raise at a stranger's bytes
         _refuse(place, f"is not NetCDF that can be read ({_told(error)}); save it anew")
-    axes = {}
+    axes, on_earth = {}, []
     for axis, names in _AXIS_NAMES.items():
         variable = _named(data.coords, names)
         if variable is not None and variable.ndim == 1:
             axes[str(variable.dims[0])] = axis, _points(variable, axis, place)
+            if axis in _AXES[:2] and variable.attrs.get("units") in _ANGLES:
+                on_earth.append(axis)
     parts = [_named(data.data_vars, names) for names in _WIND_NAMES]
     for part, names in zip(parts[:2], _WIND_NAMES, strict=False):
         if part is None:
@@ -145,7 +195,8 @@ def _from_netcdf(file: Path, place: str) -> _Field:
         held = held.expand_dims({d: axes[d][1].size for d in missing}).transpose(*dimensions)
         factor = _factor(part, _SPEEDS, "m s-1", place)
         read.append(factor * np.asarray(held, dtype=float))
-    return _Field({axes[d][0]: axes[d][1] for d in dimensions}, np.array(read))
+    points = {axes[d][0]: axes[d][1] for d in dimensions}
+    return _Field(points, np.array(read), tuple(on_earth))
 
 
 def _named(variables: "Mapping[Any, Any]", names: tuple[str, ...]) -> Any:  # noqa: ANN401
@@ -165,6 +216,8 @@ def _points(variable: Any, axis: str, place: str) -> "FloatArray":  # noqa: ANN4
         return np.asarray((variable.values - variable.values[0]) / np.timedelta64(1, "s"))
     if np.issubdtype(variable.dtype, np.timedelta64):
         return np.asarray(variable.values / np.timedelta64(1, "s"))
+    if axis in _AXES[:2] and variable.attrs.get("units") in _ANGLES:
+        return np.asarray(variable.values, dtype=float)
     known, usual = (_TIMES, "s") if axis == "time" else (_LENGTHS, "m")
     return _factor(variable, known, usual, place) * np.asarray(variable.values, dtype=float)
 
@@ -196,6 +249,9 @@ def _from_table(file: Path, place: str) -> _Field:
         kind = "Parquet" if is_parquet else "CSV text"
         _refuse(place, f"is not {kind} that can be read ({_told(error)}); save it anew")
     columns = [str(name).strip() for name in frame.columns]
+    in_degrees = dict(zip(_COLUMNS_ON_EARTH, _AXIS_COLUMNS, strict=False))
+    on_earth = tuple(_AXES[k] for k, name in enumerate(_COLUMNS_ON_EARTH) if name in columns)
+    columns = [in_degrees.get(name, name) for name in columns]
     frame.columns = pd.Index(columns)
     keys = [name for name in _AXIS_COLUMNS if name in columns]
     speeds = [name for name in _WIND_COLUMNS if name in columns]
@@ -206,7 +262,8 @@ def _from_table(file: Path, place: str) -> _Field:
         said = f"no column {lacking[0]}" if lacking else f"a column {shown((others or columns)[0])}"
         _refuse(
             place,
-            f"has {said}; must have {','.join(_AXIS_COLUMNS[:2])}, perhaps z_m and time_s, then "
+            f"has {said}; must have {','.join(_AXIS_COLUMNS[:2])} (or "
+            f"{','.join(_COLUMNS_ON_EARTH)}), perhaps z_m and time_s, then "
             f"{','.join(_WIND_COLUMNS[:2])} and perhaps {_WIND_COLUMNS[2]}, each once",
         )
     try:
@@ -227,7 +284,7 @@ def _from_table(file: Path, place: str) -> _Field:
     components.reshape(len(speeds), -1)[:, cells] = numbers[:, len(keys) :].T
     names = [_AXES[_AXIS_COLUMNS.index(key)] for key in keys]
     points = [points for points, _ in sorted_points]
-    return _Field(dict(zip(names, points, strict=True)), components)
+    return _Field(dict(zip(names, points, strict=True)), components, on_earth)
 
 
 def _checked(field: _Field, place: str) -> dict[str, Any]:

@@ -59,7 +59,7 @@ class Share:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The interval of Clopper and Pearson (1934) at `CONFIDENCE`."""
+        """The interval of Clopper and Pearson at `CONFIDENCE`: docs/theory/flights.md, eq. (2)."""
         from scipy.special import betaincinv  # noqa: PLC0415  not for every run
 
         rest, k, n = 0.5 * (1.0 - CONFIDENCE), self.count, self.of

@@ -13,6 +13,7 @@ from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name, fly_baseline, 
 from pyomo_quad.flight.columns import WIND
 from pyomo_quad.flight.deadline import Deadline
 from pyomo_quad.flight.replanning import fly_replanned, replanned_name
+from pyomo_quad.flight.risk import plan_at_risk
 from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at
 from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
@@ -120,7 +121,7 @@ def _run(
     progress: Progress | None,
     meanwhile: Callable[[], object],
 ) -> RunResult:
-    plan = planner.solve(scenario, progress=progress)
+    plan = plan_at_risk(scenario, planner, progress=progress)
     began = perf_counter()
     mission, dynamics = plan.mission_flown, vehicle_flown(planner, plan.mission_flown)
     tried = [*_baselines(mission, plan, planner, references)] if plan.verification else []

@@ -35,6 +35,7 @@ ENGINE = {
     "formulation": 3,
     "costates": 3,
     "guess": 3,
+    "limits": 3,
     "dynamics": 3,
     "stepping": 3,
     "solution": 3,

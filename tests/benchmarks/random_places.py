@@ -43,6 +43,9 @@ AROUND_PLACES_M = 0.2
 POWER_MODELS = ("motor", "shaft")
 LONGEST_SOLVE_S = 900
 
+#: Shapes that are drawn.
+SHAPES = (Shape.CYLINDER, Shape.SPHERE, Shape.BOX)
+
 
 @dataclass(frozen=True)
 class Zone:
@@ -125,7 +128,7 @@ def _zones(random, places, count, clearance):
     while len(zones) < count:
         leg = random.integers(len(places) - 1)
         on_leg = places[leg] + random.uniform(0.2, 0.8) * (places[leg + 1] - places[leg])
-        shape = list(Shape)[random.integers(len(Shape))]
+        shape = SHAPES[random.integers(len(SHAPES))]
         size = random.uniform(0.3, 1.8, size=3) * [1.0, 1.0, random.choice([1.0, 3.0])]
         if shape is not Shape.BOX:
             size[: 3 if shape is Shape.SPHERE else 2] = size[0]

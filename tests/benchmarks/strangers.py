@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from pyomo_quad.scenario.airspace import Shape
-from tests.benchmarks.random_places import Zone, intrusion, spelled
+from tests.benchmarks.random_places import SHAPES, Zone, intrusion, spelled
 from tests.benchmarks.report import FOLDER, Table
 from tests.benchmarks.robustness import INFEASIBLE, LOST, finished, fly, fly_all, outcome_rows
 
@@ -116,7 +116,7 @@ def _zones(random, places, count, clearance):
         step = places[leg + 1] - places[leg]
         on_leg = places[leg] + random.uniform(0.2, 0.8) * step
         size = random.uniform(2.0, max(3.0, 0.12 * np.linalg.norm(step)), size=3)
-        shape = list(Shape)[random.integers(len(Shape))]
+        shape = SHAPES[random.integers(len(SHAPES))]
         if shape is not Shape.BOX:
             size[: 3 if shape is Shape.SPHERE else 2] = size[0]
         centre = on_leg + random.normal(size=3) * [*size[:2], 1.0]

@@ -134,6 +134,22 @@ def test_a_signal_at_work_keeps_the_old_report(folder, number):
     assert set(leftovers(folder)) <= {"report-interrupted"}
 
 
+@pytest.mark.parametrize(("told", "lines"), [("", 1), ("endings.has_told()", 0)])
+def test_a_timer_that_ends_a_command_repeats_no_line(told, lines):
+    program = f"""
+import signal
+from pyomo_quad.cli import endings
+endings.end_on_signals()
+{told}
+signal.raise_signal(signal.SIGALRM)
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == ExitCode.INTERRUPTED
+    assert len(ended.stderr.splitlines()) == lines
+
+
 def flying(folder):
     """Start a run and wait until a copy of it flies."""
     process = start("run", PAPER_CALM, *QUICK, "--out", str(folder))

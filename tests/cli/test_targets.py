@@ -25,10 +25,10 @@ HOP = (
     "solver.elements=20",
 )
 EXPORTS = {
-    "q.plan": ("export", REPORT, "--to", "qgroundcontrol", "--origin", "1,2,3"),
-    "p.csv": ("export", REPORT, "--to", "px4", "--rate", "10"),
-    "c.csv": ("export", REPORT, "--to", "crazyflie"),
-    "r.py": ("export", REPORT, "--to", "rotorpy"),
+    "q.plan": ("export", REPORT, "--to", "qgroundcontrol", "--as-planned", "--origin", "1,2,3"),
+    "p.csv": ("export", REPORT, "--to", "px4", "--as-planned", "--rate", "10"),
+    "c.csv": ("export", REPORT, "--to", "crazyflie", "--as-planned"),
+    "r.py": ("export", REPORT, "--to", "rotorpy", "--as-planned"),
 }
 PICTURES = {f"e{kind}": ("plot", REPORT, "energy") for kind in (".png", ".svg", ".pdf")}
 COMMANDS = EXPORTS | PICTURES

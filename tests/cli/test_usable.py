@@ -56,5 +56,6 @@ def test_a_strangers_delivery_stopped_after_20_s_is_usable(tmp_path):
     assert main(command) == ExitCode.VERIFIED
     summary = json.loads((out / "summary.json").read_text())
     assert summary["status"] == "usable"
-    assert summary["terminal_miss_m"] <= 0.1
-    assert "solver.time_limit = 20 s" in (out / "report.md").read_text(encoding="utf-8")
+    assert summary["terminal_miss_m"] <= 0.5
+    assert "solver.time_limit = 20 s" in summary["solver"]["message"]
+    assert "**Usable.**" in (out / "report.md").read_text(encoding="utf-8")

@@ -35,6 +35,18 @@ def test_a_committed_report_is_exported_under_its_own_name(tmp_path, capsys, mon
     ]
 
 
+def test_the_export_of_a_paper_plan_says_that_it_leaves_nothing_to_the_controller(
+    tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", REPORT, "--to", "px4"]) == ExitCode.VERIFIED
+    warned = capsys.readouterr().err.splitlines()
+    assert len(warned) == 1
+    assert "a paper plan, which leaves nothing to the controller; solve it with" in warned[0]
+    assert main(["export", REPORT, "--to", "px4", "--as-planned"]) == ExitCode.VERIFIED
+    assert capsys.readouterr().err == ""
+
+
 def test_the_command_names_every_format():
     assert [reader.value for reader in Reader] == [reader.value for reader in Format]
 

@@ -27,7 +27,7 @@ _PROXIMITY = 1e-4
 # Barrier, and distance from the bounds, that the search begins with.
 _BEGUN = 1e-4
 _OPTIONS = SolverOptions(
-    tolerance=1e-6,
+    tolerance=1e-10,
     max_iterations=80,
     extra=(
         ("mu_init", _BEGUN),

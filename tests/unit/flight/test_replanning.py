@@ -227,3 +227,17 @@ def test_an_interval_beyond_the_mission_is_refused():
     line = "baseline.mpc.interval = 3 s; must be below mission.duration = 3 s"
     with pytest.raises(ScenarioError, match=re.escape(line)):
         flights.scenario("paper_calm", *SHORT, "baseline.mpc.interval=3.0")
+
+
+@pytest.mark.slow
+def test_a_flight_that_is_not_told_the_wind_keeps_every_limit_and_finds_every_plan():
+    mission = flights.plan("parcel").mission_flown
+    flown = fly_replanned(
+        mission,
+        Knowledge.UNTOLD,
+        dynamics=flights.PLANNER.dynamics(mission),
+        planner=flights.PLANNER,
+    )
+    assert has_arrived(flown)
+    assert flown.broken_limits == ()
+    assert all(resolve.is_converged for resolve in flown.resolves)

@@ -70,8 +70,8 @@ def test_every_field_of_a_scenario_is_listed():
     listed = {field.path: field for field in writable_fields(Scenario)}
     # Two are read from wind.file and wind.field, never written by hand; the others are
     # tables that are not there.
-    absent = {"airspace.keep_out", "baseline.mpc", "mission.waypoints"}
-    absent |= {"wind.profile", "wind.turbulence"}
+    absent = {"airspace.keep_in", "airspace.keep_out", "baseline.mpc", "mission.origin"}
+    absent |= {"mission.waypoints", "wind.profile", "wind.turbulence"}
     assert held - set(listed) == {"wind.series", "wind.grid", *absent}
     assert listed["mission.duration"].unit == "s"
     assert listed["solver.tolerance"].default == "1e-06"

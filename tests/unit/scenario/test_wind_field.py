@@ -153,7 +153,7 @@ def _with_units(data):
         (_frame(y_m=list("abcdef")), "holds something other than numbers; remove it"),
         (_frame(y_m=np.full(6, 1.0), x_m=np.arange(6.0)), "has 1 y; must have at least 2"),
         (_frame(x_m=1e6 * np.arange(6.0)), "has x beyond 100000 m; must be within"),
-        (_frame(gust=1.0), "a column .gust.; must have x_m,y_m, perhaps z_m and"),
+        (_frame(gust=1.0), "a column .gust.; must have x_m,y_m .or longitude_deg"),
         (_netcdf(lambda d: d.drop_vars("v")), "no variable northward_wind; name it so by its"),
         (_netcdf(lambda d: d.drop_vars("x")), ".u. has the dimension .x. without a coordinate"),
         (_netcdf(_with_units), ".u. has units = .*; must be one of m s-1, m/s, "),

@@ -1,0 +1,208 @@
+"""Probability that a flight breaks a limit, of the spread of flights along a plan.
+
+See docs/theory/risk.md, eqs. (7) to (9).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from pyomo_quad.collocation import Dynamics
+from pyomo_quad.flight.covariance import Spread
+from pyomo_quad.flight.flight import (
+    ARRIVAL_DISTANCE_M,
+    ARRIVAL_SPEED_M_PER_S,
+    POSITION_STATES,
+    VELOCITY_STATES,
+)
+from pyomo_quad.flight.margins import FIELDS
+from pyomo_quad.model.mission import HOVERING_M, HOVERING_M_PER_S
+from pyomo_quad.scenario import Scenario
+
+FloatArray = NDArray[np.float64]
+
+# A deviation below this share of the larger of 1 and the limit is rounding.
+_ROUNDING = 1e-9
+# Samples of the normal distribution of an end: a probability of 1e-3 is found within 6 %.
+_SAMPLES = 200_000
+# s, between instants of a hold that are judged as if they were independent.
+_HOLD_STEP = 0.25
+
+# Misses that an earlier arrival at a hold makes rarer.
+AT_HOLD = ("distance from hold place", "speed at hold place")
+THERE, AT_REST = "distance from the goal at the end", "speed at the end"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Approach:
+    """How near flights come to one end of a limit over time.
+
+    Attributes
+    ----------
+    name : str
+        Of the limit in the declared model.
+    field : str
+        Field of the scenario that sets this end.
+    room : ndarray, shape (n,)
+        Room left by the flight without gusts, before any margin.
+    planned : ndarray, shape (n,)
+        Room left by the plan.
+    deviation : ndarray, shape (n,)
+        Standard deviation of the room.
+    correlation : ndarray, shape (n - 1,)
+        Of the room at one time and at the next.
+    """
+
+    name: str
+    field: str
+    room: FloatArray
+    planned: FloatArray
+    deviation: FloatArray
+    correlation: FloatArray
+
+    def probability(self, held: float = 0.0, margin: float = 0.0) -> float:
+        """Return the probability that a flight breaks the limit at any time.
+
+        Parameters
+        ----------
+        held : float
+            Margin of the plan as it is.
+        margin : float
+            Margin of a plan to come; where the plan is nearer than that it will give way, and
+            where it is held by its margin it will follow.
+        """
+        is_held = self.planned <= held + _ACTIVE * max(held, self.deviation.max())
+        to_come = np.where(is_held, margin, np.maximum(self.planned, margin))
+        return _crossing(self.room + (to_come - self.planned), self.deviation, self.correlation)
+
+    def margin_for(self, share: float, held: float, most: float) -> float:
+        """Return the least margin, up to a greatest, whose probability is at most a share."""
+        if self.probability(held, 0.0) <= share:
+            return 0.0
+        low, high = 0.0, most
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            low, high = (low, middle) if self.probability(held, middle) <= share else (middle, high)
+        return high
+
+
+# Of the margin or the deviation, as near to which a plan is held by the limit.
+_ACTIVE = 0.25
+_HALVINGS = 30
+
+
+def _crossing(room: FloatArray, deviation: FloatArray, correlation: FloatArray) -> float:
+    """Return the probability of being beyond at first, and of crossing at each step after."""
+    beyond = room / np.maximum(deviation, _ROUNDING)
+    # Where the mean comes nearer, more flights are beyond after a step than before it.
+    outside = ndtr(-beyond)
+    carried = np.maximum(np.diff(outside), 0.0)
+    # Rice's rate of crossings about a mean that stays, of a known correlation over a step.
+    rate = np.sqrt(np.maximum(2 * (1 - correlation), 0.0)) / (2 * pi)
+    crossings = rate * np.exp(-(np.maximum(beyond[1:], 0.0) ** 2) / 2)
+    return float(min(outside[0] + carried.sum() + crossings.sum(), 1.0))
+
+
+def approaches(spread: Spread, states: FloatArray, controls: FloatArray) -> Iterator[Approach]:
+    """Yield how near flights come to each limit over time that a field of the scenario sets.
+
+    Parameters
+    ----------
+    states, controls : ndarray
+        Of the plan at the times of the spread.
+    """
+    dynamics = spread.dynamics
+    gradients = _gradients(spread)
+    seen = dynamics.limits_of(dynamics.solved(spread.t, spread.states, spread.controls))
+    planned = dynamics.limits_of(dynamics.solved(spread.t, states, controls))
+    for mean, plan in zip(seen, planned, strict=True):
+        fields = FIELDS.get(mean.name.partition("[")[0], ("", ""))
+        for side, name in zip((1.0, -1.0), fields, strict=True):
+            bound = mean.upper if side > 0 else mean.lower
+            if not name or not np.isfinite(bound).all():
+                continue
+            slope = gradients[mean.name]
+            variance = np.einsum("ki,kij,kj->k", slope, spread.covariance, slope)
+            deviation = np.sqrt(np.maximum(variance, 0.0))
+            shared = np.einsum("ki,kij,kj->k", slope[:-1], spread.onward, slope[1:])
+            scale = np.maximum(deviation[:-1] * deviation[1:], _ROUNDING**2)
+            yield Approach(
+                name=mean.name,
+                field=name,
+                room=side * (bound - mean.values),
+                planned=side * (bound - plan.values),
+                deviation=deviation,
+                correlation=np.clip(shared / scale, -1.0, 1.0),
+            )
+
+
+def _gradients(spread: Spread) -> dict[str, FloatArray]:
+    """Return the derivative of every limit by the states, from differences over deviations."""
+    dynamics, n_states = spread.dynamics, spread.states.shape[1]
+    deviations = np.sqrt(np.maximum(np.diagonal(spread.covariance, axis1=1, axis2=2), 0.0))
+    found: dict[str, FloatArray] = {}
+    for state in range(n_states):
+        # Long before a state spreads, it is told by how much it does at most.
+        step = np.maximum(deviations[:, state], 1e-3 * deviations[:, state].max())
+        if not step.any():
+            continue
+        ends = []
+        for side in (1.0, -1.0):
+            moved = spread.states.copy()
+            moved[:, state] += side * step
+            ends.append(dynamics.limits_of(dynamics.solved(spread.t, moved, spread.controls)))
+        for more, less in zip(*ends, strict=True):
+            slope = found.setdefault(more.name, np.zeros((len(spread.t), n_states)))
+            slope[:, state] = (more.values - less.values) / (2 * step)
+    return found
+
+
+def missing(scenario: Scenario, spread: Spread) -> dict[str, float]:
+    """Return the probability that a flight misses its goal, a waypoint or a hold, by words.
+
+    No margin changes these: the plan is at the place itself.
+    """
+    draws = np.random.default_rng(0).standard_normal((_SAMPLES, 3))
+    mission = scenario.mission
+    end = mission.fixed_duration
+
+    def beyond(names: tuple[str, ...], at: float, place: FloatArray, within: float) -> float:
+        k = int(np.argmin(np.abs(spread.t - at)))
+        columns = _columns(spread.dynamics, names)
+        values, vectors = np.linalg.eigh(spread.of(*names)[k])
+        factor = vectors * np.sqrt(np.maximum(values, 0.0))
+        off = spread.states[k, columns] - place + draws @ factor.T
+        return float((np.linalg.norm(off, axis=1) > within).mean())
+
+    still = np.zeros(3)
+    found = {
+        THERE: beyond(POSITION_STATES, end, np.array(mission.goal.position), ARRIVAL_DISTANCE_M),
+        AT_REST: beyond(VELOCITY_STATES, end, still, ARRIVAL_SPEED_M_PER_S),
+    }
+    for k, waypoint in enumerate(mission.waypoints):
+        if waypoint.at is None:
+            continue
+        place = np.array(waypoint.position)
+        near = max(waypoint.radius, HOVERING_M if waypoint.hold else 0.0) + ARRIVAL_DISTANCE_M
+        instants = np.arange(waypoint.at, waypoint.at + waypoint.hold + 1e-9, _HOLD_STEP)
+        words = "hold place" if waypoint.hold else "waypoint"
+        found[f"distance from {words} {k + 1}"] = min(
+            sum(beyond(POSITION_STATES, at, place, near) for at in instants.tolist()), 1.0
+        )
+        fast = waypoint.speed_max
+        if waypoint.hold:
+            fast = min(fast or HOVERING_M_PER_S, HOVERING_M_PER_S)
+        if fast is not None:
+            within = fast + ARRIVAL_SPEED_M_PER_S
+            found[f"speed at {words} {k + 1}"] = min(
+                sum(beyond(VELOCITY_STATES, at, still, within) for at in instants.tolist()), 1.0
+            )
+    return found
+
+
+def _columns(dynamics: Dynamics, names: tuple[str, ...]) -> list[int]:
+    return [dynamics.state_names.index(name) for name in names]

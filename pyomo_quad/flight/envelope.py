@@ -1,0 +1,59 @@
+"""How far a plan leaves the range in which measured flights confirm its vehicle."""
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pyomo_quad.flight.columns import TIME, WIND, column_of
+from pyomo_quad.flight.flight import VELOCITY_STATES
+from pyomo_quad.scenario import Scenario
+
+if TYPE_CHECKING:
+    from pyomo_quad.flight.plan import Plan
+
+FloatArray = NDArray[np.float64]
+
+_SPEEDS = tuple(column_of(name).name for name in VELOCITY_STATES)
+# Of a limit, by which a plan that is held to it may exceed it between its points.
+_ROUNDING = 1e-3
+# Times at which a plan is looked at.
+_SAMPLES = 2001
+
+
+def departures(plan: "Plan") -> tuple[str, ...]:
+    """Return in what a plan leaves the validated range, by how much and for how long.
+
+    Returns
+    -------
+    tuple of str
+        Each as "airspeed to 17.2 m/s, 16 m/s confirmed, for 3.1 s".
+    """
+    return tuple(
+        departures_of(
+            plan.scenario, plan.columns(np.linspace(*plan.trajectories.horizon, _SAMPLES))
+        )
+    )
+
+
+def departures_of(scenario: Scenario, flown: Mapping[str, FloatArray]) -> Iterator[str]:
+    """Yield the `departures` of a flight, given by the columns of its table."""
+    validated, carried = scenario.vehicle.validated, scenario.vehicle.payload
+    if validated.payload is not None and carried > validated.payload:
+        yield f"payload {carried:g} kg, {validated.payload:g} kg confirmed"
+    if not {*_SPEEDS, *WIND} <= set(flown):
+        return
+    vx, vy, vz = (np.asarray(flown[name], dtype=float) for name in _SPEEDS)
+    wind_x, wind_y = (np.asarray(flown[name], dtype=float) for name in WIND)
+    relative = vx - wind_x, vy - wind_y, vz - scenario.as_forecast().wind.vertical
+    for words, speeds, most in (
+        ("airspeed", np.linalg.norm(relative, axis=0), validated.airspeed),
+        ("climb", vz, validated.climb_speed),
+        ("descent", -vz, validated.descent_speed),
+    ):
+        if most is None or speeds.max() <= most * (1 + _ROUNDING):
+            continue
+        beyond = (speeds > most).astype(float)
+        seconds = float(np.trapezoid(beyond, np.asarray(flown[TIME], dtype=float)))
+        yield f"{words} to {speeds.max():.3g} m/s, {most:g} m/s confirmed, for {seconds:.2g} s"

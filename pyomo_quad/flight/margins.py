@@ -1,0 +1,163 @@
+"""Margins that a plan leaves to the controller: by how much each of its limits is tightened.
+
+A margin is an amount of a field of the scenario.  Fields are parameters of the compiled problem, so
+that a plan with other margins is a re-solve.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.mission import Waypoint
+
+# Limit of the declared model, without its index -> the field that sets its upper and its lower end.
+# Moments and rotor accelerations have none: the controller never commands more than the limit.
+FIELDS: Mapping[str, tuple[str, str]] = {
+    "limits.roll_limit": ("limits.roll_max", "limits.roll_max"),
+    "limits.pitch_limit": ("limits.pitch_max", "limits.pitch_max"),
+    "limits.rotor_speed_limit": ("limits.rotor_speed_max", ""),
+    "limits.thrust_limit": ("limits.thrust_max", ""),
+    "limits.speed_limit": ("limits.speed_max", ""),
+    "limits.state_of_charge_limit": ("", "limits.state_of_charge_min"),
+    "limits.battery_current_limit": ("limits.battery_current_max", ""),
+    "limits.battery_voltage_limit": ("", "limits.battery_voltage_min"),
+    "airspace.floor_limit": ("", "airspace.floor"),
+    "airspace.ceiling_limit": ("airspace.ceiling", ""),
+    "airspace.keep_out": ("", "airspace.clearance"),
+}
+# Fields that a margin raises; it lowers the others.
+_RAISED = {
+    "limits.state_of_charge_min",
+    "limits.battery_voltage_min",
+    "airspace.floor",
+    "airspace.clearance",
+}
+#: s. By how much a plan is at a hold before it has to be, and hovers longer.
+HOLD = "mission.hold"
+#: Fields of what the rotors can give, which the controller needs to stay on the plan.
+AUTHORITY = ("limits.rotor_speed_max", "limits.thrust_max", "limits.roll_max", "limits.pitch_max")
+# Share of the way from hover to a limit that margins may take at most: with more, a plan could
+# hardly leave its start.
+_MOST_OF_AUTHORITY = 0.8
+# m, of the way between a place of the mission and a wall.
+_LEFT_OF_ROOM = 0.01
+
+
+#: What is said of a plan without a risk.
+PAPER_PLAN = "A paper plan: it leaves nothing to the controller; mission.risk asks for margins."
+
+
+@dataclass(frozen=True, kw_only=True)
+class RiskTaken:
+    """The risk that a plan was made for, and what that took.
+
+    Attributes
+    ----------
+    asked : float
+        Greatest probability that a flight breaks any limit.
+    predicted : float
+        By the linear covariance.
+    failed, flown : int
+        Flights that broke a limit, of those that had no part in finding the margins.
+    is_had : bool
+        Whether the flights that the margins were calibrated by keep the risk asked for.
+    margins : mapping
+        Field of the scenario -> by how much the plan tightened it, in the field's unit.
+    paper_energy_J : float
+        Of the plan without margins.
+    limiting : tuple of str
+        The limits that flights break most, in words, the most frequent first.
+    advice : str
+        What would help where the risk cannot be had.
+    """
+
+    asked: float
+    predicted: float
+    failed: int
+    flown: int
+    is_had: bool
+    margins: Mapping[str, float] = field(default_factory=dict)
+    paper_energy_J: float
+    limiting: tuple[str, ...] = ()
+    advice: str = ""
+
+    def price(self, energy: float) -> tuple[float, float]:
+        """Return what a plan of this energy costs more than the paper plan [J], [%]."""
+        more = energy - self.paper_energy_J
+        return more, 100.0 * more / self.paper_energy_J
+
+    def words(self, energy: float) -> str:
+        """Return the risk and its price for a plan of this energy, in one or two sentences."""
+        joules, percent = self.price(energy)
+        price = f"the margins cost {joules:.3g} J ({percent:.2g} %) beside the paper plan"
+        seen = f"{self.failed} of {self.flown} flights that had no part in the plan broke a limit"
+        if self.is_had:
+            return f"Risk at most {self.asked:g}: {seen}; {price}."
+        most = f", most often {self.limiting[0]}" if self.limiting else ""
+        return (
+            f"A risk of {self.asked:g} cannot be had: {seen}{most}; what would help: "
+            f"{self.advice}; {price}."
+        )
+
+
+def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
+    """Return the scenario that a plan with margins is made of."""
+    tables: dict[str, dict[str, Any]] = {}
+    if margins.get(HOLD):
+        waypoints = tuple(_held_longer(w, margins[HOLD]) for w in scenario.mission.waypoints)
+        tables["mission"] = {"waypoints": waypoints}
+    for name, margin in margins.items():
+        if name == HOLD:
+            continue
+        table, _, key = name.partition(".")
+        number = getattr(getattr(scenario, table), key)
+        if number is not None and margin:
+            side = 1.0 if name in _RAISED else -1.0
+            tables.setdefault(table, {})[key] = number + side * margin
+    changed = {
+        table: getattr(scenario, table).model_copy(update=values)
+        for table, values in tables.items()
+    }
+    return scenario.model_copy(update=changed) if changed else scenario
+
+
+def _held_longer(waypoint: Waypoint, lead: float) -> Waypoint:
+    """Return a waypoint that is reached earlier and left at the same time, where it is held at."""
+    if not waypoint.hold:
+        return waypoint
+    earlier = {"at": waypoint.at - lead} if waypoint.at is not None else {}
+    return waypoint.model_copy(update={"hold": waypoint.hold + lead, **earlier})
+
+
+def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
+    """Return when flights pass the waypoints, of a plan that is early at its holds."""
+    return tuple(
+        at + (lead if waypoint.hold else 0.0)
+        for waypoint, at in zip(scenario.mission.waypoints, planned, strict=True)
+    )
+
+
+def greatest_margin(scenario: Scenario, name: str) -> float:
+    """Return the greatest margin of a field that leaves the mission a flight to look for."""
+    told, limits, mission = scenario.airspace, scenario.limits, scenario.mission
+    heights = [place[2] for place in mission.positions]
+    if name == "airspace.floor" and told.floor is not None:
+        return max(min(heights) - told.floor - _LEFT_OF_ROOM, 0.0)
+    if name == "airspace.ceiling" and told.ceiling is not None:
+        return max(told.ceiling - max(heights) - _LEFT_OF_ROOM, 0.0)
+    if name == "airspace.clearance":
+        rooms = [
+            -float(zone.depth(place)) - told.clearance
+            for zone in told.keep_out
+            for place in mission.positions
+        ]
+        return max(min(rooms, default=0.0) - _LEFT_OF_ROOM, 0.0)
+    table, _, key = name.partition(".")
+    number = float(getattr(getattr(scenario, table), key))
+    hovering = {
+        "limits.rotor_speed_max": scenario.vehicle.hover_speed(scenario.gravity),
+        "limits.thrust_max": scenario.vehicle.total_mass * scenario.gravity,
+    }
+    share = 1.0 - limits.reserve if name in hovering else 1.0
+    return max(_MOST_OF_AUTHORITY * (number - hovering.get(name, 0.0) / share), 0.0)

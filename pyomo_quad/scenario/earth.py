@@ -1,0 +1,140 @@
+"""A place on earth: the origin of a mission, and places given by latitude and longitude.
+
+The frame of a mission is east-north-up ("enu"): x is east, y north and z up from the origin, in
+metres, and z = 0 is the plane that touches the earth there.  The earth falls away from it: 8 cm at
+1 km, 8 m at 10 km.  Latitude and longitude are those of WGS 84; altitudes are counted from one
+level, the sea's as a rule.  PROJ (`topocentric`) converts, there and back to a hundredth of a
+millimetre.
+"""
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+from pyomo_quad.scenario.fields import Number, Part, quantity
+from pyomo_quad.scenario.messages import ScenarioError, shown
+
+if TYPE_CHECKING:
+    from numpy import float64
+    from numpy.typing import ArrayLike, NDArray
+
+    FloatArray = NDArray[float64]
+
+#: Name of a coordinate on the globe -> least and greatest value, and unit.
+GLOBE = {
+    "latitude": (-90.0, 90.0, "deg"),
+    "longitude": (-180.0, 180.0, "deg"),
+    # From below the Dead Sea to above the highest summit.
+    "altitude": (-500.0, 9000.0, "m"),
+}
+_LATITUDE, _LONGITUDE, _ALTITUDE = GLOBE
+_HEIGHT = "height"
+
+
+class Frame(StrEnum):
+    """Directions of the world axes."""
+
+    ENU = "enu"
+
+
+def _degrees(name: str, meaning: str) -> Any:  # noqa: ANN401  a declaration of pydantic's
+    low, high, _ = GLOBE[name]
+    return quantity("deg", meaning, ge=low, le=high)
+
+
+class GeodeticOrigin(Part):
+    """Position of the origin on the globe: degrees on WGS 84, metres above the sea."""
+
+    latitude: Number = _degrees(_LATITUDE, "latitude of the origin, north of the equator")
+    longitude: Number = _degrees(_LONGITUDE, "longitude of the origin, east of Greenwich")
+    altitude: Number = quantity(
+        "m",
+        "altitude of the origin, above the sea",
+        0.0,
+        ge=GLOBE[_ALTITUDE][0],
+        le=GLOBE[_ALTITUDE][1],
+    )
+
+    def geodetic(self, place: "FloatArray") -> "FloatArray":
+        """Return latitude [deg], longitude [deg] and height over the origin [m].
+
+        Places are x east, y north and z up from the origin, shape (n, 3); so are the results.
+        """
+        import numpy as np  # noqa: PLC0415  reading a scenario does without it
+
+        longitude, latitude, altitude = self._topocentric().transform(
+            *np.transpose(place), direction="INVERSE"
+        )
+        return np.column_stack([latitude, longitude, altitude - self.altitude])
+
+    def local(self, globe: "ArrayLike") -> "FloatArray":
+        """Return x east, y north and z up from the origin, shape (n, 3) [m].
+
+        Places are latitude [deg], longitude [deg] and height over the origin [m], shape (n, 3).
+        """
+        import numpy as np  # noqa: PLC0415  see `geodetic`
+
+        latitude, longitude, height = np.transpose(np.asarray(globe, dtype=float))
+        return np.column_stack(
+            self._topocentric().transform(longitude, latitude, height + self.altitude)
+        )
+
+    def _topocentric(self) -> Any:  # noqa: ANN401  pyproj has no types that mypy reads here
+        from pyproj import Transformer  # noqa: PLC0415  for places on the globe alone
+
+        return Transformer.from_pipeline(
+            "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
+            "+step +proj=cart +ellps=WGS84 +step +proj=topocentric +ellps=WGS84 "
+            f"+lat_0={self.latitude!r} +lon_0={self.longitude!r} +h_0={self.altitude!r}"
+        )
+
+
+def local_place(
+    written: Mapping[str, Any], where: str, origin: GeodeticOrigin | None, count: int
+) -> list[float]:
+    """Return x, y and, of three coordinates, z of a place written by latitude and longitude.
+
+    Parameters
+    ----------
+    written : mapping
+        `latitude`, `longitude` and, of three coordinates, `altitude` above the sea or `height`
+        above the origin's.
+    where : str
+        What messages start with: the source and the field.
+
+    Raises
+    ------
+    ScenarioError
+        If it is no place on the globe, or the mission has no origin; one line.
+    """
+    keys = (_LATITUDE, _LONGITUDE, *((_ALTITUDE, _HEIGHT) if count == 3 else ()))
+    strange = next((key for key in written if key not in keys), None)
+    has_height = count == 2 or (_ALTITUDE in written) != (_HEIGHT in written)
+    if strange is not None or not has_height or not {_LATITUDE, _LONGITUDE} <= set(written):
+        upward = ", and altitude (above the sea) or height (above the origin)"
+        raise ScenarioError(
+            f"{where} = {_spelled(written)}; a place on earth has latitude and longitude"
+            f"{upward if count == 3 else ''}, and nothing else."
+        )
+    if origin is None:
+        raise ScenarioError(
+            f"{where} has a latitude, and nothing says where x = y = 0 is; give mission.origin = "
+            "{ latitude, longitude, altitude }."
+        )
+    for key, number in written.items():
+        low, high, unit = GLOBE.get(key, (-1e5, 1e5, "m"))
+        is_number = isinstance(number, int | float) and not isinstance(number, bool)
+        if not is_number or not low <= number <= high:
+            raise ScenarioError(
+                f"{where}.{key} = {shown(number)}; must be a number from {low:g} to {high:g} "
+                f"{unit}."
+            )
+    height = written.get(_HEIGHT, written.get(_ALTITUDE, origin.altitude) - origin.altitude)
+    if _HEIGHT in written:
+        height = written[_HEIGHT]
+    place = origin.local([[written[_LATITUDE], written[_LONGITUDE], height]])[0]
+    return [float(coordinate) for coordinate in place[:count]]
+
+
+def _spelled(written: Mapping[str, Any]) -> str:
+    return "{ " + ", ".join(shown(key)[1:-1] for key in written) + " }" if written else "{}"

@@ -1,0 +1,268 @@
+"""Polygons on the ground: divided into convex parts, and read from GeoJSON with their heights.
+
+A zone is convex, as its limit is the largest of the distances from its faces.  A polygon that is
+not becomes several zones, NAME-1, NAME-2 and so on, which share edges and leave no gap; of a fence,
+what its edges cut off inwards becomes zones, fence-1 and so on.
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from pyomo_quad.scenario.airspace import Shape
+from pyomo_quad.scenario.earth import GeodeticOrigin
+from pyomo_quad.scenario.messages import ScenarioError, shown
+
+_LARGEST_BYTES = 20_000_000
+_MOST_FEATURES = 1000
+# Of a polygon's extent: nearer to a straight line than this, a corner counts as on the line.
+_STRAIGHT = 1e-9
+_FENCE = "fence"
+# No flight goes above or below: the zones that a fence cuts off have no top.
+_ENDLESS_M = 1e5
+_POLYGON, _MULTIPOLYGON = "Polygon", "MultiPolygon"
+_Ring = list[tuple[float, float]]
+
+
+def in_convex_parts(airspace: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table `airspace` with convex polygons alone.
+
+    Polygons that are none are left as they are, for the schema to refuse.
+    """
+    divided = dict(airspace)
+    zones: list[Any] = []
+    written = airspace.get("keep_out", ())
+    for zone in written if isinstance(written, list | tuple) else ():
+        zones += _parts_of_zone(zone) if isinstance(zone, Mapping) else [zone]
+    fence = airspace.get("keep_in")
+    corners = _ring_of(fence.get("corners")) if isinstance(fence, Mapping) else None
+    if corners is not None and not _is_convex(corners):
+        hull, rest = _cut_off(corners)
+        divided["keep_in"] = {**fence, "corners": hull}  # type: ignore[dict-item]
+        ends = {"shape": Shape.POLYGON.value, "bottom": -_ENDLESS_M, "top": _ENDLESS_M}
+        zones += [
+            {"name": f"{_FENCE}-{k}", "corners": part, **ends}
+            for k, part in enumerate(rest, start=1)
+        ]
+    if zones:
+        divided["keep_out"] = zones
+    return divided
+
+
+def _parts_of_zone(zone: Mapping[str, Any]) -> list[Any]:
+    corners = _ring_of(zone.get("corners")) if zone.get("shape") == Shape.POLYGON else None
+    if corners is None or _is_convex(corners):
+        return [zone]
+    parts = convex_parts(corners)
+    name = zone.get("name")
+    return [
+        {**zone, "name": f"{name}-{k}", "corners": part} for k, part in enumerate(parts, start=1)
+    ]
+
+
+def _ring_of(written: Any) -> _Ring | None:  # noqa: ANN401  before validation
+    """Return corners as numbers; None unless they enclose an area without crossing themselves."""
+    from shapely import Polygon  # noqa: PLC0415  for polygons alone
+
+    if not isinstance(written, list | tuple) or len(written) < 3:
+        return None
+    for corner in written:
+        is_pair = isinstance(corner, list | tuple) and len(corner) == 2
+        if not is_pair or not all(
+            isinstance(n, int | float) and not isinstance(n, bool) and abs(n) < 1e9 for n in corner
+        ):
+            return None
+    ring = [(float(x), float(y)) for x, y in written]
+    polygon = Polygon(ring)
+    return ring if polygon.is_valid and polygon.area > 0.0 else None
+
+
+def _is_convex(corners: _Ring) -> bool:
+    from shapely import Polygon  # noqa: PLC0415  for polygons alone
+
+    polygon = Polygon(corners)
+    return bool(polygon.convex_hull.area - polygon.area <= _STRAIGHT * polygon.area)
+
+
+def convex_parts(corners: _Ring, holes: Sequence[_Ring] = ()) -> list[_Ring]:
+    """Divide a polygon into convex ones: triangles, put together while they stay convex.
+
+    It is the method of Hertel and Mehlhorn (1983): at most four times as many parts as needed.
+    """
+    from shapely import Polygon, constrained_delaunay_triangles  # noqa: PLC0415  see `_ring_of`
+
+    polygon = Polygon(corners, holes)
+    parts = [Polygon(t.exterior) for t in constrained_delaunay_triangles(polygon).geoms]
+    is_merged = True
+    while is_merged:
+        is_merged = False
+        for first in range(len(parts)):
+            for second in range(first + 1, len(parts)):
+                both = parts[first].union(parts[second])
+                if both.geom_type != _POLYGON or both.interiors:
+                    continue
+                ring = _plain(both)
+                if _is_convex(ring):
+                    parts[first] = Polygon(ring)
+                    del parts[second]
+                    is_merged = True
+                    break
+            if is_merged:
+                break
+    return [_plain(part) for part in parts]
+
+
+def _plain(polygon: Any) -> _Ring:  # noqa: ANN401  shapely has no types that mypy reads here
+    """Return the corners of a polygon, without those on a straight line between others."""
+    ring = [(float(x), float(y)) for x, y in polygon.exterior.coords[:-1]]
+    extent = polygon.area
+    kept = []
+    for k, (x, y) in enumerate(ring):
+        (x0, y0), (x1, y1) = ring[k - 1], ring[(k + 1) % len(ring)]
+        if abs((x - x0) * (y1 - y) - (y - y0) * (x1 - x)) > _STRAIGHT * extent:
+            kept.append((x, y))
+    return kept
+
+
+def _cut_off(corners: _Ring) -> tuple[_Ring, list[_Ring]]:
+    """Return the convex hull of a polygon, and convex parts of the hull outside of it."""
+    from shapely import Polygon  # noqa: PLC0415  see `_ring_of`
+
+    polygon = Polygon(corners)
+    hull = polygon.convex_hull
+    rest = hull.difference(polygon)
+    pieces = rest.geoms if hasattr(rest, "geoms") else [rest]
+    parts = [part for piece in pieces for part in convex_parts(_plain(piece))]
+    return _plain(hull), parts
+
+
+def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> list[dict[str, Any]]:
+    """Read zones to keep out of from GeoJSON (RFC 7946): longitudes and latitudes on WGS 84.
+
+    Parameters
+    ----------
+    file : Path
+        A FeatureCollection of polygons; each has `top` (or `height`), perhaps `bottom` (or
+        `min_height`), in m above the origin, and perhaps a `name`.
+    place : str
+        What messages start with: the field that names the file.
+    origin : GeodeticOrigin or None
+        Where x = y = z = 0 lies.
+
+    Returns
+    -------
+    list of dict
+        A table `airspace.keep_out` for each convex part.
+
+    Raises
+    ------
+    ScenarioError
+        If it cannot be read, or a feature is no polygon with a height; one line.
+    """
+    features = _features(file, place)
+    if origin is None:
+        _refuse(place, "is by latitude and longitude; give mission.origin")
+    zones: list[dict[str, Any]] = []
+    for number, feature in enumerate(features, start=1):
+        properties = feature.get("properties") if isinstance(feature, Mapping) else None
+        told = properties if isinstance(properties, Mapping) else {}
+        name = told.get("name")
+        name = name if isinstance(name, str) and name else f"zone{number}"
+        where = f"{place}, feature {number}"
+        bottom = _height(told, ("bottom", "min_height"), 0.0, where)
+        top = _height(told, ("top", "height"), None, where)
+        for part, rings in enumerate(_polygons(feature, where), start=1):
+            parts = convex_parts(*_in_metres(rings, origin, where))
+            for piece, ring in enumerate(parts, start=1):
+                tail = [str(n) for n, of in ((part, part > 1), (piece, len(parts) > 1)) if of]
+                zones.append(
+                    {
+                        "name": "-".join([_as_name(name), *tail]),
+                        "shape": Shape.POLYGON.value,
+                        "corners": [list(corner) for corner in ring],
+                        "bottom": bottom,
+                        "top": top,
+                    }
+                )
+    return zones
+
+
+def _refuse(place: str, reason: str) -> NoReturn:
+    raise ScenarioError(f"{place}; {reason}.") from None
+
+
+def _as_name(text: str) -> str:
+    """Return a text as the name of a zone: letters, digits and signs that names may have."""
+    kept = "".join(c if c.isascii() and (c.isalnum() or c in "_.-") else "_" for c in text)
+    return kept[:40] if kept[0].isalnum() else f"zone{kept[:36]}"
+
+
+def _features(file: Path, place: str) -> list[Any]:
+    try:
+        if file.stat().st_size > _LARGEST_BYTES:
+            _refuse(place, f"larger than {_LARGEST_BYTES} bytes; cut out what is flown past")
+        held = json.loads(file.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        _refuse(place, f"cannot be read ({error.strerror or error}); give an existing file")
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, ScenarioError):
+            raise
+        _refuse(place, "is not JSON; save it as GeoJSON")
+    features = held.get("features") if isinstance(held, Mapping) else None
+    if not isinstance(features, list):
+        _refuse(place, "is no FeatureCollection of GeoJSON; save it as one")
+    if len(features) > _MOST_FEATURES:
+        _refuse(place, f"has {len(features)} features; must have at most {_MOST_FEATURES}")
+    return features
+
+
+def _height(
+    told: Mapping[str, Any], names: tuple[str, str], otherwise: float | None, where: str
+) -> float:
+    value = next((told[name] for name in names if told.get(name) is not None), otherwise)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not abs(value) <= _ENDLESS_M:  # type: ignore[arg-type]
+        said = f"{names[0]} = {shown(value)}" if value is not None else f"no {names[0]}"
+        _refuse(where, f"has {said}; give {names[0]} or {names[1]} in m above the origin")
+    return float(value)  # type: ignore[arg-type]
+
+
+def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401  of a stranger
+    """Yield the rings of each polygon of a feature, outside first."""
+    geometry = feature.get("geometry") if isinstance(feature, Mapping) else None
+    told = geometry if isinstance(geometry, Mapping) else {}
+    kind, held = told.get("type"), told.get("coordinates")
+    if kind not in {_POLYGON, _MULTIPOLYGON} or not isinstance(held, list) or not held:
+        _refuse(
+            where, f"is {shown(kind or 'no geometry')}; must be a {_POLYGON} or {_MULTIPOLYGON}"
+        )
+    for rings in [held] if kind == _POLYGON else held:
+        if not isinstance(rings, list) or not rings:
+            _refuse(where, f"has a {_POLYGON} without a ring; correct it")
+        yield rings
+
+
+def _in_metres(rings: list[Any], origin: GeodeticOrigin, where: str) -> tuple[_Ring, list[_Ring]]:
+    """Return the outer ring and the holes of a polygon, x and y [m]."""
+    from shapely import Polygon  # noqa: PLC0415  see `_ring_of`
+
+    found = []
+    for ring in rings:
+        try:
+            globe = [(float(corner[1]), float(corner[0]), 0.0) for corner in ring]
+        except (TypeError, ValueError, LookupError):
+            globe = []
+        if len(globe) < 4 or globe[0] != globe[-1]:
+            _refuse(where, "has a ring that is not closed, or of fewer than 3 corners; correct it")
+        if any(not (abs(lat) <= 90.0 and abs(lon) <= 180.0) for lat, lon, _ in globe):
+            _refuse(
+                where,
+                "has a corner beyond 90 degrees of latitude or 180 of longitude; GeoJSON gives "
+                "longitude first, in degrees",
+            )
+        found.append([(float(x), float(y)) for x, y, _ in origin.local(globe[:-1])])
+    polygon = Polygon(found[0], found[1:])
+    if not polygon.is_valid or polygon.area <= 0.0:
+        _refuse(where, "has a polygon that crosses itself or encloses nothing; correct it")
+    return found[0], found[1:]

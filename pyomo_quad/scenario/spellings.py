@@ -1,0 +1,163 @@
+"""Other ways to write a field of a scenario, turned into the field itself before validation.
+
+written | becomes
+`wind.from = 270`, degrees, where the wind comes from, clockwise from north | `wind.direction`
+`{ latitude, longitude, altitude }` for a place, with `mission.origin` | `[x, y, z]`
+
+A wind from the west, 270 degrees, blows toward +x, which is east.
+"""
+
+from collections.abc import Iterator, Mapping
+from math import pi, radians, remainder
+from typing import Any
+
+from pydantic import ValidationError
+
+from pyomo_quad.scenario.earth import GeodeticOrigin, local_place
+from pyomo_quad.scenario.fields import FieldPath, set_value, spell
+from pyomo_quad.scenario.messages import ScenarioError, complaints, shown
+
+#: The key of a wind that tells where it comes from.
+FROM = "from"
+_DIRECTION = "direction"
+_ORIGIN = ("mission", "origin")
+#: Of a place, the field and how many coordinates it has; a cylinder's centre has two.
+PLACES = {"position": 3, "centre": 3, "low": 3, "high": 3}
+_CORNERS = "corners"
+_LATITUDE = "latitude"
+#: Keys of a place on earth.
+ON_EARTH = (_LATITUDE, "longitude", "altitude", "height")
+_CYLINDER = "cylinder"
+_MOST_TURN = 3.6e5
+
+
+def in_plain_terms(
+    tables: dict[str, Any],
+    own: Mapping[str, Any],
+    provenance: dict[str, str],
+    source: str,
+) -> dict[str, Any]:
+    """Return a scenario's tables with places in metres and winds by where they blow to.
+
+    Parameters
+    ----------
+    tables, own : mapping
+        The tables laid over each other, and those of the scenario and its overrides alone.
+    provenance : dict
+        Where each field comes from; a field that was written otherwise is added.
+    source : str
+        What messages start with.
+
+    Raises
+    ------
+    ScenarioError
+        If a field is given twice, or an angle or a place is none; one line.
+    """
+    found = list(_written_otherwise(tables, ()))
+    is_on_earth = any(isinstance(value, Mapping) for _, value in found)
+    origin = origin_of_mission(tables, source) if is_on_earth else None
+    for path, value in found:
+        where = f"{source}: {spell(path)}"
+        if isinstance(value, Mapping):
+            place: Any = local_place(value, where, origin, _count(tables, path))
+            tables, target = set_value(tables, path, place), path
+            said = provenance.get(spell((*path, _LATITUDE)), "")
+        else:
+            target = (*path[:-1], _DIRECTION)
+            _refuse_both(own, path, target, source)
+            tables = set_value(_without(tables, path), target, _towards(value, where))
+            said = provenance.pop(spell(path), "")
+        if said:
+            provenance[spell(target)] = said
+    return tables
+
+
+def _written_otherwise(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, Any]]:  # noqa: ANN401
+    """Yield the fields that are not written as the schema declares them, and their values."""
+    items: Any = ()
+    if isinstance(tree, Mapping):
+        items = tree.items()
+    elif isinstance(tree, list | tuple):
+        items = enumerate(tree)
+    for key, value in items:
+        below = (*path, key)
+        named = next((step for step in reversed(below) if isinstance(step, str)), "")
+        if isinstance(value, Mapping) and _LATITUDE in value and below != _ORIGIN:
+            if named in PLACES or named == _CORNERS:
+                yield below, value
+        elif isinstance(key, str) and not isinstance(value, Mapping):
+            is_from = key == FROM and bool(path) and path[0] == "wind"
+            if is_from:
+                yield below, value
+            else:
+                yield from _written_otherwise(value, below)
+        else:
+            yield from _written_otherwise(value, below)
+
+
+def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin | None:
+    """Return where x = y = z = 0 lies on earth, None where the mission does not say.
+
+    Raises
+    ------
+    ScenarioError
+        If it is no place on earth; one line.
+    """
+    mission = tables.get(_ORIGIN[0])
+    written = mission.get(_ORIGIN[1]) if isinstance(mission, Mapping) else None
+    if written is None:
+        return None
+    try:
+        return GeodeticOrigin.model_validate(written)
+    except ValidationError as error:
+        (_, line), *_ = complaints(error, GeodeticOrigin, _ORIGIN)
+        raise ScenarioError(f"{source}: {line}") from None
+
+
+def _count(tables: Any, path: FieldPath) -> int:  # noqa: ANN401  tables of TOML
+    """Return how many coordinates the place at a path has."""
+    if _CORNERS in path:
+        return 2
+    table = tables
+    for step in path[:-1]:
+        table = table[step]
+    is_axis = path[-1] == "centre" and table.get("shape") == _CYLINDER
+    return 2 if is_axis else PLACES.get(str(path[-1]), 3)
+
+
+def _refuse_both(own: Any, path: FieldPath, target: FieldPath, source: str) -> None:  # noqa: ANN401
+    table = own
+    for step in path[:-1]:
+        try:
+            table = table[step]
+        except (LookupError, TypeError):
+            return
+    if not isinstance(table, Mapping):
+        return
+    if _DIRECTION in table:
+        raise ScenarioError(
+            f"{source}: {spell(target)} and {spell(path)} say the same angle; leave one out."
+        )
+
+
+def _towards(value: object, where: str) -> float:
+    """Return the direction in rad that a wind blows to, of where it comes from in degrees."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not abs(value) <= _MOST_TURN:  # type: ignore[arg-type]
+        raise ScenarioError(
+            f"{where} = {shown(value)}; must be a number from {-_MOST_TURN:g} to {_MOST_TURN:g} "
+            "degrees."
+        )
+    return remainder(radians(270.0 - float(value)), 2.0 * pi)  # type: ignore[arg-type]
+
+
+def _without(tree: Any, path: FieldPath) -> Any:  # noqa: ANN401  tables of TOML
+    """Return a copy of nested tables without the field at a path."""
+    head, *rest = path
+    if isinstance(tree, Mapping):
+        if not rest:
+            return {key: value for key, value in tree.items() if key != head}
+        return {**tree, head: _without(tree[head], tuple(rest))}
+    items = list(tree)
+    items[head] = _without(items[head], tuple(rest))  # type: ignore[index]
+    return items

@@ -1,0 +1,179 @@
+"""Plans with a stated risk: probabilities against simulation, and margins against flights."""
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from pyomo_quad.flight import Plan, risk
+from pyomo_quad.flight.breaching import Approach, _crossing
+from pyomo_quad.flight.margins import HOLD, greatest_margin, passing_times, tightened
+from pyomo_quad.flight.risk import plan_at_risk, risk_asked
+from tests.declared_model import scenario
+from tests.flights import PLANNER
+
+POST = {"name": "post", "shape": "cylinder", "centre": [3.0, 0.3], "radius": 0.6}
+POST |= {"bottom": 0.0, "top": 30.0}
+
+
+@cache
+def mission(**more):
+    return scenario(
+        vehicle={"drag_linear": 0.3, "attitude": "euler"},
+        wind={"use": "calm", "coupling": "drag", "turbulence": {"intensity": "light"}},
+        mission={
+            "start": {"position": [0.0, 0.0, 10.0]},
+            "goal": {"position": [6.0, 0.0, 10.0]},
+            "duration": 8.0,
+        }
+        | more,
+        airspace={"keep_out": [POST]},
+        solver={"tolerance": 1e-4},
+    )
+
+
+def smooth_process(paths, steps, h=0.02, rate=3.0):
+    """Two lags in a row, in the long run at the start, over its standard deviation."""
+    random = np.random.default_rng(5)
+    first = np.sqrt(0.5) * random.standard_normal(paths)
+    second = first / 2 + np.sqrt(1 / 8) * random.standard_normal(paths)
+    decay, found = np.exp(-rate * h), []
+    for _ in range(steps):
+        found.append(2 * second)
+        before = first
+        kick = np.sqrt((1 - decay**2) / 2) * random.standard_normal(paths)
+        first = decay * first + kick
+        second = decay * second + (1 - decay) * (before + first) / 2
+    return np.array(found)
+
+
+@pytest.mark.parametrize("beyond", [2.0, 3.0])
+def test_the_probability_of_a_breach_bounds_that_of_simulated_flights_closely(beyond):
+    flown = smooth_process(40_000, 250)
+    seen = (flown > beyond).any(axis=0).mean()
+    correlation = np.array([np.corrcoef(a, b)[0, 1] for a, b in pairwise(flown)])
+    deviation = flown.std(axis=1)
+    bound = _crossing(np.full(250, beyond), deviation, correlation)
+    assert seen <= bound <= 1.5 * seen
+
+
+def test_the_probability_of_passing_a_limit_once_bounds_that_of_simulated_flights_closely():
+    """The mean comes near the limit and leaves it again, as past a corner of a zone."""
+    flown = smooth_process(40_000, 250)
+    correlation = np.array([np.corrcoef(a, b)[0, 1] for a, b in pairwise(flown)])
+    room = 1.5 + 40.0 * np.linspace(-1.0, 1.0, 250) ** 2
+    seen = (flown > room[:, None]).any(axis=0).mean()
+    bound = _crossing(room, flown.std(axis=1), correlation)
+    assert seen <= bound <= 1.5 * seen
+
+
+def test_a_margin_is_the_least_that_keeps_its_share():
+    n = 200
+    near = Approach(
+        name="airspace.ceiling_limit",
+        field="airspace.ceiling",
+        room=np.linspace(1.0, -0.01, n),
+        planned=np.linspace(1.0, 0.0, n),
+        deviation=np.full(n, 0.05),
+        correlation=np.full(n - 1, 0.999),
+    )
+    margin = near.margin_for(1e-3, 0.0, 1.0)
+    assert near.probability(0.0, margin) == pytest.approx(1e-3, rel=1e-3)
+    assert near.probability(0.0, 0.99 * margin) > 1e-3
+    assert near.margin_for(1e-3, 0.0, margin / 2) == pytest.approx(margin / 2)
+
+
+def test_margins_move_every_limit_inwards():
+    told = scenario(
+        airspace={
+            "floor": 0.0,
+            "ceiling": 20.0,
+            "clearance": 0.5,
+            "keep_out": [{"name": "ball", "shape": "sphere", "centre": [3, 9, 5], "radius": 1}],
+        },
+        mission={
+            "start": {"position": [0.0, 0.0, 2.0]},
+            "goal": {"position": [6.0, 0.0, 2.0]},
+            "duration": 10.0,
+            "waypoints": [{"position": [3.0, 0.0, 4.0], "hold": 1.0, "at": 5.0}],
+        },
+    )
+    margins = {
+        "limits.pitch_max": 0.1,
+        "airspace.floor": 0.2,
+        "airspace.ceiling": 0.3,
+        "airspace.clearance": 0.4,
+        HOLD: 0.5,
+    }
+    held = tightened(told, margins)
+    assert held.limits.pitch_max == pytest.approx(told.limits.pitch_max - 0.1)
+    assert (held.airspace.floor, held.airspace.ceiling) == pytest.approx((0.2, 19.7))
+    assert held.airspace.clearance == pytest.approx(0.9)
+    (waypoint,) = held.mission.waypoints
+    assert (waypoint.at, waypoint.hold) == pytest.approx((4.5, 1.5))
+    assert passing_times(told, (4.5,), 0.5) == pytest.approx((5.0,))
+    assert greatest_margin(told, "airspace.floor") < 2.0
+    assert greatest_margin(told, "airspace.ceiling") < 16.0
+
+
+@cache
+def plans():
+    paper = plan_at_risk(mission(risk=1.0), PLANNER)
+    held = plan_at_risk(mission(risk=0.05), PLANNER)
+    return paper, held
+
+
+@pytest.fixture(autouse=True)
+def _few_flights(monkeypatch):
+    monkeypatch.setattr(risk, "_FLIGHTS", 60)
+
+
+@pytest.mark.slow
+def test_a_plan_with_a_risk_leaves_the_margin_that_its_flights_need(tmp_path):
+    paper, held = plans()
+    assert paper.risk is None
+    assert "paper plan" in paper.risk_words
+    assert held.is_verified
+    taken = held.risk
+    assert taken.is_had
+    assert taken.predicted <= 0.06
+    margin = taken.margins["airspace.clearance"]
+    nearest = []
+    for plan in (paper, held):
+        places = plan.to_frame(100.0)[["x_m", "y_m"]].to_numpy()
+        nearest.append(np.linalg.norm(places - POST["centre"], axis=1).min())
+    assert nearest[0] == pytest.approx(0.6, abs=2e-3)
+    assert nearest[1] >= 0.6 + margin - 2e-3
+    joules, percent = taken.price(held.energy)
+    assert joules == pytest.approx(held.energy - paper.energy, abs=1e-2)
+    assert 0.0 < percent < 5.0
+    assert "Risk at most 0.05" in held.risk_words
+    held.save(tmp_path / "plan.npz")
+    assert Plan.load(tmp_path / "plan.npz").risk == taken
+
+
+@pytest.mark.slow
+def test_flights_of_the_paper_plan_break_the_limit_that_it_flies_at():
+    paper, held = plans()
+    search = risk._Search(mission(risk=0.05), PLANNER, paper, None)
+    broken = [search._flown(search._tried(plan, {}), 77) for plan in (paper, held)]
+    shares = [sum(1 for words in flights if words) / 60 for flights in broken]
+    assert shares[0] > 0.3
+    assert shares[1] < 0.15
+
+
+def test_a_mission_that_states_no_risk_asks_for_none():
+    assert risk_asked(mission()) == 1.0
+    assert risk_asked(mission(duration="free")) == 1.0
+    assert risk_asked(mission(risk=0.2)) == 0.2
+
+
+@pytest.mark.slow
+def test_a_risk_that_cannot_be_had_is_answered_by_what_limits_it():
+    told = mission(risk=0.001).with_values({"wind.turbulence.intensity": "severe"})
+    plan = plan_at_risk(told, PLANNER)
+    assert not plan.risk.is_had
+    assert plan.risk.limiting
+    assert "cannot be had" in plan.risk_words
+    assert plan.risk.advice in plan.risk_words
