@@ -43,7 +43,8 @@ ABOUT = (
     "SciPy's SLSQP, for its usual optimiser is not to be had by pip; rockit holds controls "
     "constant on an element. A waypoint is passed at half of the time: the second leg is flown "
     "backwards from the goal beside the first, so that peers of one phase can solve it too. A "
-    f"solve ends after {PATIENCE_S} s of the processor, and no finer mesh is tried then. No peer's "
+    f"solve ends after {PATIENCE_S} s of the processor, and no finer mesh is tried then. "
+    "A dash is not run, 'unfinished' not run on all meshes. No peer's "
     "settings were tuned, nor this engine's."
 )
 ROOT = Path(__file__).parents[2]
@@ -229,7 +230,10 @@ def cell(done):
     if reached:
         return f"{reached[0].solve_s:.2f} / {reached[0].process_s:.1f}"
     best = min(done, key=lambda r: r.error)
-    return f"not reached: {best.error:.0e}" if np.isfinite(best.error) else "no answer"
+    has_ended = any(r.said.startswith(ENDED) for r in done)
+    is_over = has_ended or len(done) == len(RUNGS.get(best.peer, MESHES))
+    told = "not reached" if is_over else "unfinished"
+    return f"{told}: {best.error:.0e}" if np.isfinite(best.error) else "no answer"
 
 
 def measure(arguments):
