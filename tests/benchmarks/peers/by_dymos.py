@@ -69,7 +69,7 @@ def solve(problem, elements):
     """Return duration, pieces of control, and iterations; see `tests.benchmarks.peers`."""
     os.chdir(tempfile.mkdtemp())  # it leaves a folder of reports where it works
     low, high, first = problem.duration
-    transcription = dymos.Radau(num_segments=elements, order=2 * DEGREE - 1, compressed=True)
+    transcription = dymos.Radau(num_segments=elements, order=DEGREE, compressed=True)
     phase = dymos.Phase(
         ode_class=Equations, ode_init_kwargs={"problem": problem}, transcription=transcription
     )
@@ -112,9 +112,9 @@ def solve(problem, elements):
         phase.set_state_val("spent", [0.0, 1.0])
         for name, (_, _, value) in problem.controls.items():
             phase.set_control_val(name, [value, value])
-        has_failed = not declared.run_driver().success
-    if has_failed:
-        raise RuntimeError("SLSQP did not converge")
+        ended_well = declared.run_driver().success
+    if not ended_well:
+        raise RuntimeError(f"SLSQP: {declared.driver._scipy_optimize_result.message}")
     times = declared.get_val(f"{ended}.time").ravel()
     values = [declared.get_val(f"{ended}.{name}").ravel() for name in problem.controls]
     held, end = np.column_stack(values), float(times[-1])
