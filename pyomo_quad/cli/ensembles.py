@@ -1,4 +1,4 @@
-"""Many flights of `pyomo-quad fly --flights`: what is flown, its files and its verdict."""
+"""`pyomo-quad fly --flights`: fly one plan many times, write the files and print the verdict."""
 
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -85,7 +85,7 @@ def _refuse_equal_flights(mission: Scenario, flights: int) -> None:
 
 
 def _lines(flown: Ensemble, savings: Sequence[Saving]) -> Iterator[str]:
-    """Yield what is to be said of the flights."""
+    """Yield the lines that the command prints about the flights."""
     name, told = flown.scenario.name, flown.summary
     low, middle, high = flown.band("energy_J")
     yield f"{name}: {flown.held} of {flown.count} flights arrived and kept every limit."

@@ -348,7 +348,7 @@ class Dynamics:
 
     @property
     def tables_read(self) -> tuple[str, ...]:
-        """What the equations over time read tables with."""
+        """Names under which the equations over time read tables."""
         return tuple(use.name for use in self._formulation.compiled.tables.over_time)
 
     @property
@@ -398,7 +398,7 @@ class Dynamics:
         ]
 
     def limits_of(self, instants: Instants) -> list[LimitValues]:
-        """Return every limit over time, path inequality or bound, with what it is of."""
+        """Return each limit over time, a path inequality or a bound, with the values it limits."""
         compiled = self._formulation.compiled
         declared, n_states = compiled.declared, len(compiled.declared.states)
         rates, all_states, algebraics, statics, data = instants.inputs

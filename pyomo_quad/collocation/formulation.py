@@ -144,7 +144,7 @@ class Evaluator:
         return written
 
     def is_over_time(self, component: str, index: Any = None) -> bool:
-        """Return whether a name is that of a variable or expression over this horizon."""
+        """Return whether a variable or expression over this horizon has a name."""
         try:
             return self._writer.over_time(component, index_tuple(index)) is not None
         except KeyError:

@@ -1,4 +1,4 @@
-"""Limits over time: what they are of, between what that must be, and how far it goes beyond."""
+"""Limits over time: the limited values, their bounds, and the worst violation."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Violation:
 
 @dataclass(frozen=True)
 class LimitValues:
-    """A limit at n instants: its name, what it is of, and between what that must be."""
+    """A limit at n instants: its name, the limited values and their bounds."""
 
     name: str
     values: FloatArray

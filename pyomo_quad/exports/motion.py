@@ -16,10 +16,10 @@ from scipy.interpolate import PPoly, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from pyomo_quad.collocation import Mesh, TranscriptionError, interpolate, interpolate_rates
-from pyomo_quad.flight import Plan, PlanStatus
+from pyomo_quad.flight import Plan
 from pyomo_quad.flight.columns import ALL_COLUMNS, TIME
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
-from pyomo_quad.flight.plan import Trajectories
+from pyomo_quad.flight.plan import FLYABLE, Trajectories
 from pyomo_quad.flight.proof import TABLE, exactly, refuse_unproven
 from pyomo_quad.report.tables import PLAN_NAME, SUMMARY_NAME, read_report, refuse_report
 from pyomo_quad.scenario import Scenario, ScenarioError
@@ -282,7 +282,7 @@ def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectori
 
 
 def _refuse_unverified(name: str, status: str) -> None:
-    if status not in (PlanStatus.VERIFIED, PlanStatus.USABLE):
+    if status not in FLYABLE:
         raise ScenarioError(
             f"{name}: status = {shown(status)}; must be verified or usable, for nothing else is to "
             "be flown; "

@@ -180,7 +180,7 @@ class PlanStatus(StrEnum):
     """Outcome of a plan.
 
     A flight proves `VERIFIED` to be as accurate as was asked for.  It proves of `USABLE` that it
-    arrives, keeps all limits and spends the energy stated, to the figures of the accuracy `quick`;
+    arrives, keeps all limits and spends the energy stated, to the figures `USABLE`;
     how much less another flight may spend is known only by `Plan.energy_uncertainty`.
     """
 
@@ -190,6 +190,10 @@ class PlanStatus(StrEnum):
     NOT_CONVERGED = "not_converged"
     INFEASIBLE = "infeasible"
     INTERRUPTED = "interrupted"
+
+
+#: Outcomes whose flight may be flown and exported.
+FLYABLE = (PlanStatus.VERIFIED, PlanStatus.USABLE)
 
 
 # A failed solve may have an infinite error.
@@ -505,7 +509,7 @@ class Plan(Summarised):
     @property
     def is_flyable(self) -> bool:
         """Whether a flight of the controls confirmed the plan: it is verified or usable."""
-        return self.status in (PlanStatus.VERIFIED, PlanStatus.USABLE)
+        return self.status in FLYABLE
 
     @property
     def figures_checked(self) -> Figures:

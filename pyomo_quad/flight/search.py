@@ -182,7 +182,7 @@ class Search:
 
 def as_usable(plan: Plan) -> Plan:
     """Return a plan, usable where its flight confirms as much and no more."""
-    if plan.status in (PlanStatus.VERIFIED, PlanStatus.USABLE, PlanStatus.INFEASIBLE):
+    if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
         return plan
     found = plan.verification
     if found is None or not found.is_usable or not plan.energy_uncertainty <= USABLE_ENERGY:

@@ -119,7 +119,7 @@ class BoundedProgram(ChangedProgram):
         )
 
     def scaling(self, own: Scaling) -> Scaling:
-        """Return the scaling of a program, extended by that of its coefficients."""
+        """Return the scaling of a program, extended by scales of its Bernstein coefficients."""
         rows = self.coefficients
         entries = np.abs(rows.data) / own.unknowns[rows.indices]
         sizes = np.maximum.reduceat(entries, rows.indptr[:-1])

@@ -229,28 +229,26 @@ def test_an_interval_beyond_the_mission_is_refused():
         flights.scenario("paper_calm", *SHORT, "baseline.mpc.interval=3.0")
 
 
-@pytest.mark.slow
-def test_a_flight_that_is_not_told_an_acceleration_by_wind_ends_near_its_goal():
-    mission = flights.plan("paper_wind").mission_flown
-    flown = fly_replanned(
+def flown_untold(name):
+    mission = flights.plan(name).mission_flown
+    return fly_replanned(
         mission,
         Knowledge.UNTOLD,
         dynamics=flights.PLANNER.dynamics(mission),
         planner=flights.PLANNER,
     )
+
+
+@pytest.mark.slow
+def test_a_flight_that_is_not_told_an_acceleration_by_wind_ends_near_its_goal():
+    flown = flown_untold("paper_wind")
     assert flown.terminal_miss_m < 0.1
     assert flown.broken_limits == ()
 
 
 @pytest.mark.slow
 def test_a_flight_that_is_not_told_the_wind_keeps_every_limit_and_finds_every_plan():
-    mission = flights.plan("parcel").mission_flown
-    flown = fly_replanned(
-        mission,
-        Knowledge.UNTOLD,
-        dynamics=flights.PLANNER.dynamics(mission),
-        planner=flights.PLANNER,
-    )
+    flown = flown_untold("parcel")
     assert has_arrived(flown)
     assert flown.broken_limits == ()
     assert all(resolve.is_converged for resolve in flown.resolves)
