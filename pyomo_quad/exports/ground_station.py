@@ -203,7 +203,10 @@ def _items(legs: Legs, origin: GeodeticOrigin, releases: set[int]) -> list[dict[
     for number, (place, span, speed) in enumerate(zip(globe[1:], spans, speeds, strict=True), 1):
         shape = {SHAPES_PATH: True} if legs.shapes_path(number) else {}
         if speed < _SLOWEST:
-            items.append(_waypoint(place, hold_s=float(span)) | shape)
+            # A hold of the mission stays where it began, whatever the plan's tolerance.
+            is_hold = not (legs.shapes_path(number - 1) or legs.shapes_path(number))
+            held = globe[number - 1] if is_hold else place
+            items.append(_waypoint(held, hold_s=float(span)) | shape)
         else:
             change = [_GROUND_SPEED, float(speed), -1, 0, 0, 0, 0]
             items.append(_item(Command.DO_CHANGE_SPEED, Frame.MISSION, change))
