@@ -56,6 +56,11 @@ class OrderSearch:
     legs: int
 
     @property
+    def name(self) -> str:
+        """The waypoints in their order."""
+        return f"waypoints in order {', '.join(str(k) for k in self.order)}"
+
+    @property
     def gap(self) -> float:
         """Relative excess of the order's cost over the lower bound."""
         return self.cost_J / self.bound_J - 1.0
