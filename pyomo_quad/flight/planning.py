@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 
@@ -24,6 +25,10 @@ Solve = Callable[[Scenario, Start | None, Search], Plan]
 
 class Planner(Problems):
     """Solves scenarios, and verifies their plans by flying them."""
+
+    def until_stopped(self) -> AbstractContextManager[Callable[[], bool]]:
+        """Return a context for several solves; its function says whether the user stopped them."""
+        return nullcontext(lambda: False)
 
     def solve(
         self,
