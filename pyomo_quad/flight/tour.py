@@ -16,7 +16,14 @@ import numpy as np
 from pyomo_quad.collocation import Mesh
 from pyomo_quad.flight.candidate import Candidate
 from pyomo_quad.flight.mission_problem import MissionProblem
-from pyomo_quad.flight.orders import MOST_EXACT, OrderSearch, best_orders, cost_of, least_cost
+from pyomo_quad.flight.orders import (
+    MOST_EXACT,
+    OrderSearch,
+    best_orders,
+    cost_of,
+    least_cost,
+    nearest_first,
+)
 from pyomo_quad.flight.route_flights import RouteFlights, guess_along
 from pyomo_quad.flight.routes import find_routes
 from pyomo_quad.flight.strategies import FIRST, carry_out
@@ -79,7 +86,9 @@ class LegTable:
         self._solve = solve
         self._ways = _shortest_ways(scenario)
         self._count = len(scenario.mission.positions)
-        self._usual = _usual_length(self._count, self._ways)
+        # The tour that always continues to the nearest remaining place.
+        usual = nearest_first(self.lengths)
+        self._usual = cost_of(self.lengths, tuple(int(k) - 1 for k in usual))
         self._known: dict[_Leg, float] = {}
         self._failed: set[_Leg] = set()
         self._last: Solution | None = None
@@ -243,20 +252,6 @@ def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
         for way in find_routes(scenario.airspace, places[here], places[there], most=1):
             ways[here, there] = way
     return ways
-
-
-def _usual_length(count: int, ways: Mapping[_Leg, Route]) -> float:
-    """Return the length of the tour that always continues to the nearest remaining place."""
-    lengths = np.full((count, count), inf)
-    for leg, way in ways.items():
-        lengths[leg] = way.length
-    here, left, length = 0, set(range(1, count - 1)), 0.0
-    while left:
-        nearest = min(left, key=lambda there: lengths[here, there])
-        length += lengths[here, nearest]
-        left.remove(nearest)
-        here = nearest
-    return float(length + lengths[here, count - 1])
 
 
 class BestOrder:
