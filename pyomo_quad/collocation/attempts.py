@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
     from pyomo_quad.collocation.guess import WarmStart
     from pyomo_quad.collocation.mesh import Trajectory
-    from pyomo_quad.collocation.program.bounds import Bounds
     from pyomo_quad.collocation.program.elastic import LeastViolation
     from pyomo_quad.collocation.program.ipopt import Progress, SolverOptions
+    from pyomo_quad.collocation.program.nonlinear import Bounds
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance
     from pyomo_quad.collocation.solution import Solution

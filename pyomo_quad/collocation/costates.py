@@ -25,8 +25,7 @@ from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.program.transcription import linearised
 
 if TYPE_CHECKING:
-    from pyomo_quad.collocation.program.bounds import Bounds
-    from pyomo_quad.collocation.program.ipopt import Multipliers
+    from pyomo_quad.collocation.program.nonlinear import Bounds, Multipliers
     from pyomo_quad.collocation.program.transcription import Transcription
 
 # Magnitude, as a fraction of objective / state size, below which a costate counts as zero.

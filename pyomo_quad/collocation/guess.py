@@ -12,7 +12,7 @@ from pyomo_quad.collocation.mesh import Mesh, Timeline, Trajectory, interpolate,
 from pyomo_quad.collocation.program.bounds import nominal_magnitudes
 from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.program.definitions import definitions, with_defined
-from pyomo_quad.collocation.program.ipopt import Multipliers
+from pyomo_quad.collocation.program.nonlinear import Multipliers
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.program.bounds import Bounds
     from pyomo_quad.collocation.program.compiled import CompiledModel
+    from pyomo_quad.collocation.program.nonlinear import Bounds
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.symbols import Slot
     from pyomo_quad.collocation.reading.values import ModelValues

@@ -27,7 +27,6 @@ from pyomo_quad.collocation.problem import (
     within_budget,
 )
 from pyomo_quad.collocation.program.bounds import (
-    Scaling,
     bounds_of,
     is_defined,
     refuse_not_finite,
@@ -37,6 +36,7 @@ from pyomo_quad.collocation.program.bounds import (
 from pyomo_quad.collocation.program.coupling import CoupledProgram, StateValue, Union, read_horizons
 from pyomo_quad.collocation.program.elastic import least_violation
 from pyomo_quad.collocation.program.ipopt import SolverOptions, Status, run
+from pyomo_quad.collocation.program.nonlinear import Scaling
 from pyomo_quad.collocation.program.transcription import unknown_place
 from pyomo_quad.collocation.reading.copy import continuous_sets
 from pyomo_quad.collocation.refining.refinement import refine
@@ -48,13 +48,8 @@ if TYPE_CHECKING:
 
     from pyomo_quad.collocation.guess import ColdStart, WarmStart
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.program.bounds import Bounds
-    from pyomo_quad.collocation.program.ipopt import (
-        IpoptResult,
-        Iteration,
-        Multipliers,
-        Progress,
-    )
+    from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Progress
+    from pyomo_quad.collocation.program.nonlinear import Bounds, Multipliers
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.copy import FreeTimes
     from pyomo_quad.collocation.reading.values import Instance, Overrides
@@ -440,9 +435,9 @@ class JointProblem(Summarised):
                 part,
                 union.programs[k],
                 instances[k],
-                union.result_of(result, k),
-                bounds=union.bounds_of(bounds, k),
-                scaling=union.scaling_of(scaling, k),
+                union.part(result, k),
+                bounds=union.part(bounds, k),
+                scaling=union.part(scaling, k),
             )
             for k, part in enumerate(self._parts)
         ]
@@ -476,7 +471,7 @@ class JointProblem(Summarised):
         for k, (program, part, guess) in enumerate(
             zip(union.programs, self._parts, guesses, strict=True)
         ):
-            own = union.bounds_of(bounds, k)
+            own = union.part(bounds, k)
             point = on_path_equalities(
                 program, own, initial_point(program, own, part.values, guess)
             )
@@ -502,7 +497,7 @@ class JointProblem(Summarised):
         held = set()
         for k, program in enumerate(union.programs):
             refuse_not_finite(program, z[union.places[k]])
-            own = union.bounds_of(bounds, k)
+            own = union.part(bounds, k)
             fixed = np.flatnonzero(own.lower == own.upper)
             held |= {str(unknown_place(program, int(column)).name) for column in fixed}
         refuse_overdetermined(CoupledProgram(union, union.programs), bounds, z, held)

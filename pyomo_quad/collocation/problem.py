@@ -42,6 +42,7 @@ from pyomo_quad.collocation.program.ipopt import (
     SolverOptions,
     Status,
     WallClockLimit,
+    barrier_gap,
     run,
     run_past_the_barrier,
 )
@@ -60,7 +61,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pyomo_quad.collocation.mesh import FloatArray, Trajectory
-    from pyomo_quad.collocation.program.bounds import Bounds
+    from pyomo_quad.collocation.program.nonlinear import Bounds
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance, Overrides
     from pyomo_quad.collocation.refining.refinement import Damping
@@ -361,9 +362,10 @@ class Problem(Summarised, Formulation):
         changed: Any = program if damping is None else damping.applied_to(program)
         kept, scales = bounds, scaling if is_scaled else scaling.none
         if within is not None and multipliers is not None:
-            changed = replace(within, program=changed)
-            kept, scales = within.bounds(bounds), within.scaling(scales)
-            multipliers = within.multipliers(multipliers)
+            changed = within.added_to(changed)
+            kept = bounds.extended(rows=(within.lower, within.upper))
+            scales = scales.extended(rows=within.scales(scales))
+            multipliers = multipliers.extended(rows=within.lower.size)
         is_damped = damping is not None and damping.controls.size > 0
         if change is not None and multipliers is not None and not is_damped:
             # Controls that next to nothing holds are found again only from a larger barrier.
@@ -375,11 +377,12 @@ class Problem(Summarised, Formulation):
         result = solve(
             changed, kept, scales, z, options=options, multipliers=multipliers, progress=progress
         )
-        own = result if within is None else within.without(result)
+        own = result.part(slice(None), slice(program.n_rows))
         found = solution_from(self, program, instance, own, bounds=bounds, scaling=scaling)
         if within is None:
             return found
-        return replace(found, restraint=changed.restraint(result, kept, found.mesh.elements))
+        gap = barrier_gap(changed, kept, result.z, result.multipliers)
+        return replace(found, restraint=within.restraint(result, gap, found.mesh.elements))
 
     def flyable(
         self,

@@ -32,7 +32,7 @@ from pyomo_quad.collocation.mesh import (
 )
 from pyomo_quad.collocation.program.bounds import limits_of
 from pyomo_quad.collocation.program.compiled import CompiledModel, MappedFunction
-from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Multipliers, Status
+from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Status
 from pyomo_quad.collocation.reading.model_source import LiveModel
 from pyomo_quad.collocation.reading.writer import symbol_names
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
     from pyomo_quad.collocation.formulation import Formulation
     from pyomo_quad.collocation.program.bernstein import Restraint
-    from pyomo_quad.collocation.program.bounds import Bounds, Scaling
+    from pyomo_quad.collocation.program.nonlinear import Bounds, Multipliers, Scaling
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance
 

@@ -9,18 +9,18 @@ for none of the first points lies on them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pyomo_quad.collocation.program.bounds import Bounds, ChangedProgram, Scaling
 from pyomo_quad.collocation.program.ipopt import SolverOptions, Status, run
+from pyomo_quad.collocation.program.nonlinear import ExtendedProgram
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.program.bounds import NonlinearProgram
     from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Progress
+    from pyomo_quad.collocation.program.nonlinear import Bounds, NonlinearProgram, Scaling
 
 # Price of the squares of the scaled unknowns' distances, beside an objective scaled to about 1.
 _PROXIMITY = 1e-4
@@ -39,34 +39,6 @@ _OPTIONS = SolverOptions(
 )
 # Iterations that any search takes: equations may be met by chance where it begins.
 _LEAST_ITERATIONS = 3
-
-
-@dataclass(frozen=True, kw_only=True)
-class NearProgram(ChangedProgram):
-    """A program with the weighted squares of the unknowns' distances from a point added."""
-
-    near: FloatArray
-    weights: FloatArray
-    share: float
-
-    def objective(self, z: FloatArray) -> float:
-        """Return the share of the objective and the price of the distance."""
-        moved = z - self.near
-        return self.share * float(self.program.objective(z)) + 0.5 * float(self.weights @ moved**2)
-
-    def gradient(self, z: FloatArray) -> FloatArray:
-        """Return the gradient of the objective."""
-        return np.asarray(self.share * self.program.gradient(z) + self.weights * (z - self.near))
-
-    def hessianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
-        (rows, columns), every = self.program.hessianstructure(), np.arange(self.near.size)
-        return np.concatenate([rows, every]), np.concatenate([columns, every])
-
-    def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Lagrangian's Hessian."""
-        held = self.program.hessian(z, multipliers, self.share * factor)
-        return np.concatenate([held, factor * self.weights])
 
 
 def feasible_point(
@@ -100,8 +72,9 @@ def feasible_point(
         has_met = now.infeasibility <= met and now.iteration >= _LEAST_ITERATIONS
         return not has_met and (progress is None or progress(now) is not False)
 
-    near = NearProgram(
+    near = ExtendedProgram(
         program=program,
+        columns=np.arange(z.size),
         near=z,
         weights=_PROXIMITY * scaling.unknowns**2,
         share=scaling.objective,

@@ -22,11 +22,11 @@ from pyomo_quad.collocation.program.linear_solvers import (
     OWN_SOLVER,
     refuse_absent_solver,
 )
-from pyomo_quad.collocation.program.padding import padded
+from pyomo_quad.collocation.program.nonlinear import ExtendedProgram, Multipliers
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.program.bounds import Bounds, NonlinearProgram, Scaling
+    from pyomo_quad.collocation.program.nonlinear import Bounds, NonlinearProgram, Scaling
 
 
 class Status(Enum):
@@ -165,15 +165,6 @@ class Iteration:
 Progress = Callable[[Iteration], bool | None]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Multipliers:
-    """Multipliers of rows and of lower and upper bounds, for the unscaled program."""
-
-    rows: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-
-
 @dataclass(kw_only=True)
 class WallClockLimit:
     """A progress callback that stops all solves together after a time limit.
@@ -250,14 +241,9 @@ class IpoptResult:
         """Whether Ipopt met its tolerance."""
         return self.status is Status.CONVERGED
 
-    def of_first(self, count: int) -> IpoptResult:
-        """Return the result restricted to the first `count` unknowns."""
-        held = self.multipliers
-        return replace(
-            self,
-            z=self.z[:count],
-            multipliers=replace(held, lower=held.lower[:count], upper=held.upper[:count]),
-        )
+    def part(self, columns: Any, rows: Any) -> IpoptResult:
+        """Return the result restricted to chosen unknowns and rows."""
+        return replace(self, z=self.z[columns], multipliers=self.multipliers.part(columns, rows))
 
 
 @dataclass
@@ -421,23 +407,18 @@ def run(
     Exception
         Any exception raised in a callback, after Ipopt has returned.
     """
-    spare = padded(program, bounds, scaling)
-    if spare is not None:
+    idle = bounds.surplus + 1
+    if idle > 0:
         result = run(
-            spare,
-            spare.bounds(bounds),
-            spare.scaling(scaling),
-            spare.point(start),
+            _with_idle_unknowns(program, start.size, idle, 1.0 / scaling.objective),
+            bounds.extended(unknowns=(np.full(idle, -np.inf), np.full(idle, np.inf))),
+            scaling.extended(unknowns=idle),
+            np.append(start, np.zeros(idle)),
             options=options,
-            multipliers=multipliers
-            and replace(
-                multipliers,
-                lower=spare.point(multipliers.lower),
-                upper=spare.point(multipliers.upper),
-            ),
+            multipliers=multipliers and multipliers.extended(unknowns=idle),
             progress=progress,
         )
-        return result.of_first(start.size)
+        return result.part(slice(start.size), slice(None))
     sign = -1.0 if program.is_negated else 1.0
     callbacks = _Callbacks(program, progress, sign, floor=_BOTTOMLESS / scaling.objective)
     problem = cyipopt.Problem(
@@ -462,6 +443,27 @@ def run(
     if callbacks.is_bottomless:
         info["status"] = DIVERGED_CODE
     return _result(callbacks, np.asarray(z), info, wall, stopped=stopped)
+
+
+def _with_idle_unknowns(
+    program: NonlinearProgram, own: int, idle: int, weight: float
+) -> ExtendedProgram:
+    """Return a program that Ipopt does not treat as a square system of equations.
+
+    If there are as many equations as free unknowns, Ipopt solves the equations alone: it stops at
+    the first point that satisfies them, whatever the objective, and it refuses a program with more
+    equations. Both are wrong if some equations follow from others, for example an end condition
+    that a conserved quantity satisfies: the feasible point is then not unique. An idle unknown
+    appears as a square in the objective and in no equation, so that it stays zero and changes
+    nothing else.
+    """
+    return ExtendedProgram(
+        program=program,
+        prices=np.zeros(idle),
+        columns=own + np.arange(idle),
+        weights=np.full(idle, weight),
+        near=np.zeros(idle),
+    )
 
 
 def barrier_gap(

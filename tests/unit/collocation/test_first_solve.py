@@ -192,7 +192,7 @@ def test_an_elastic_start_gives_back_what_it_lent():
 def test_the_derivatives_of_an_elastic_program_are_the_slopes():
     solution = compile(bryson_denham.build()).solve(mesh=Mesh.uniform(2, 3))
     elastic = priced(solution.program, solution.scaling, solution.unknowns)
-    slacks = np.random.default_rng(1).uniform(0.1, 1, 2 * elastic.rows.size)
+    slacks = np.random.default_rng(1).uniform(0.1, 1, elastic.prices.size)
     z = np.concatenate([solution.unknowns, slacks])
     steps = 1e-6 * np.eye(z.size)
     slopes = [(elastic.objective(z + d) - elastic.objective(z - d)) / 2e-6 for d in steps]

@@ -11,7 +11,8 @@ from scipy.optimize import approx_fprime
 from pyomo_quad import collocation
 from pyomo_quad.collocation import Mesh, RefinementOptions, SolverOptions, Status
 from pyomo_quad.collocation.mesh import radau_rule
-from pyomo_quad.collocation.refining.refinement import damping_of, refine
+from pyomo_quad.collocation.refining.damping import damping_of
+from pyomo_quad.collocation.refining.refinement import refine
 from tests.problems import bang_bang, bryson_denham, double_integrator, singular_arc
 
 WEIGHT, GAP = 1e-3, 1e-6
