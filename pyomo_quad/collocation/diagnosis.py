@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -232,9 +232,9 @@ def diagnose(
             "diagnose: the solution is of several horizons; diagnose one of its `horizons`."
         )
     program, scaling = solution.program, solution.scaling
-    soft = SoftRows.of(
-        program, solution.bounds, scaling, limits_of(*_limit_inputs(solution)), families
-    )
+    instance = solution.instance
+    limits = limits_of(program, solution.problem.data_at_starts(instance), instance.fixed)
+    soft = SoftRows.of(program, solution.bounds, scaling, limits, families)
     result = _least_slacks(solution, soft, progress)
     z = solution.unknowns
     slacks = result.z[-len(soft.names) :]
@@ -247,11 +247,6 @@ def diagnose(
         relaxations=() if is_met or not has_converged else _relaxations(solution, soft, slacks),
         feasible_point=program.trajectory(result.z[: z.size]) if is_met else None,
     )
-
-
-def _limit_inputs(solution: Solution) -> tuple[Any, FloatArray, dict[tuple[str, float], float]]:
-    instance = solution.instance
-    return solution.program, solution.problem.data_at_starts(instance), instance.fixed
 
 
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:

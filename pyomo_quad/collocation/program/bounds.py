@@ -107,20 +107,13 @@ def _rows(program: Transcription) -> tuple[FloatArray, FloatArray]:
 def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit]:
     """Yield the bounds of variables and the single-variable path limits."""
     layout, compiled = program.layout, program.compiled
-    declared, n = compiled.declared, program.layout.n_states
-    mapped = MappedFunction(compiled.variable_limits, layout.points + 1)
-    lower, upper, low, high = mapped(np.vstack([start_data[:1], program.data.at_points()]))
-    columns = {s.name: layout.state_columns[:, k] for k, s in enumerate(declared.states)}
-    columns |= {s.name: layout.algebraic_columns[:, k] for k, s in enumerate(declared.algebraics)}
-    for k, slot in enumerate((*declared.states, *declared.algebraics)):
-        rows = slice(0 if k < n else 1, None)
-        yield Limit(
-            name=slot.name, columns=columns[slot.name], lower=lower[rows, k], upper=upper[rows, k]
-        )
-    for k, bound in enumerate(compiled.simple_path_bounds):
-        at = columns[bound.variable]
-        rows = slice(len(low) - len(at), None)
-        yield Limit(name=bound.name, columns=at, lower=low[rows, k], upper=high[rows, k])
+    mapped = MappedFunction(compiled.limits_over_time, layout.points + 1)
+    lower, upper = mapped(np.vstack([start_data[:1], program.data.at_points()]))
+    columns = [*layout.state_columns.T, *layout.algebraic_columns.T]
+    for k, (limit, variable) in enumerate(zip(compiled.limits, compiled.limited, strict=True)):
+        at = columns[variable]
+        rows = slice(len(lower) - len(at), None)
+        yield Limit(name=limit.name, columns=at, lower=lower[rows, k], upper=upper[rows, k])
     if len(start_data) > 1:
         yield from _after_jumps(program, start_data[1:])
 
@@ -130,15 +123,11 @@ def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
     compiled, layout = program.compiled, program.layout
     nodes = program.mesh.node_fractions if program.mesh else np.zeros(0)
     at = np.abs(nodes[:, None] - data[:, 0]).argmin(axis=0)
-    lower, upper, low, high = MappedFunction(compiled.variable_limits, len(data))(data)
-    names = [s.name for s in compiled.declared.states]
-    for k, name in enumerate(names):
-        columns = layout.state_columns[at, k]
+    lower, upper = MappedFunction(compiled.limits_over_time, len(data))(data)
+    for k in np.flatnonzero(compiled.limited < layout.n_states):
+        columns = layout.state_columns[at, compiled.limited[k]]
+        name = compiled.limits[k].name
         yield Limit(name=name, columns=columns, lower=lower[:, k], upper=upper[:, k])
-    for k, bound in enumerate(compiled.simple_path_bounds):
-        if bound.variable in names:
-            columns = layout.state_columns[at, names.index(bound.variable)]
-            yield Limit(name=bound.name, columns=columns, lower=low[:, k], upper=high[:, k])
 
 
 def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Iterator[Limit]:

@@ -20,12 +20,11 @@ from pyomo.dae import Integral as PyomoIntegral
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.program.bounds import nominal_magnitudes
 from pyomo_quad.collocation.program.nonlinear import Bounds, Multipliers
+from pyomo_quad.collocation.reading.clock import FreeTimes, free_times
 from pyomo_quad.collocation.reading.copy import (
-    FreeTimes,
     WorkingCopy,
     continuous_sets,
     copies_with_template_times,
-    free_times,
 )
 from pyomo_quad.collocation.reading.model import ModelReader
 from pyomo_quad.collocation.reading.symbols import PointCondition, PointSymbol, Slot, index_of
@@ -47,7 +46,7 @@ if TYPE_CHECKING:
 class Link:
     """A static variable that equals a value of the horizon that `reader` reads.
 
-    `state` is given if the value is that of a state at a node, which is an unknown itself.
+    `state` is given if the value is an unknown itself: a state at a node.
     """
 
     slot: Slot
@@ -345,7 +344,7 @@ class Union:
         )
 
     def part(self, whole: Part, k: int) -> Part:
-        """Return what belongs to one program of bounds, scaling or a result of the union."""
+        """Return one program's part of bounds, scaling or a result of the union."""
         return whole.part(self.places[k], self.rows[k])
 
     def nominal(self, whole: Bounds, z: FloatArray) -> FloatArray:

@@ -1,10 +1,10 @@
-"""Flyable trajectories near a coarse optimum: equations first, costs by the way.
+"""Trajectories that satisfy the equations of a fine mesh, near the optimum of a coarse mesh.
 
-The optimum of a coarse mesh obeys its equations at few points, and on a finer mesh misses them by
-far.  From there Ipopt needs dozens of iterations to the optimum of the finer mesh, but few to a
-point that obeys its equations: the search stops at the first.  The unknowns' distance from where it
-began costs a little, so that flat directions stay where they are, and the bounds give way a little,
-for none of the first points lies on them.
+The optimum of a coarse mesh satisfies the equations at few points only, and violates them widely on
+a finer mesh. From there, Ipopt needs dozens of iterations to the optimum of the finer mesh, but few
+to a point that satisfies its equations, where this search stops. A small penalty on the distance
+from the initial point fixes the unknowns that hardly affect the objective. The bounds are relaxed
+slightly, because no iterate of an interior-point method lies on them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Progress
     from pyomo_quad.collocation.program.nonlinear import Bounds, NonlinearProgram, Scaling
 
-# Price of the squares of the scaled unknowns' distances, beside an objective scaled to about 1.
+# Weight of the squared distances of the scaled unknowns, beside an objective scaled to about 1.
 _PROXIMITY = 1e-4
 # Barrier, and distance from the bounds, that the search begins with.
 _BEGUN = 1e-4
@@ -37,7 +37,7 @@ _OPTIONS = SolverOptions(
         ("slack_bound_frac", _BEGUN),
     ),
 )
-# Iterations that any search takes: equations may be met by chance where it begins.
+# Least number of iterations: the initial point may satisfy the equations by chance.
 _LEAST_ITERATIONS = 3
 
 
@@ -51,19 +51,19 @@ def feasible_point(
     met: float,
     progress: Progress | None,
 ) -> IpoptResult:
-    """Return the first point of a search near another that obeys all equations.
+    """Return the first iterate near a point that satisfies all equations.
 
     Parameters
     ----------
     breach : float
-        By how much it may break bounds, relative to the larger of 1 and the bound.
+        Allowed violation of bounds, relative to the larger of 1 and the bound.
     met : float
-        Violation of the scaled equations at which they count as obeyed.
+        Violation of the scaled equations below which they count as satisfied.
 
     Returns
     -------
     IpoptResult
-        Its status is `CONVERGED` where the point obeys the equations, whatever the costs.
+        Its status is `CONVERGED` if the point satisfies the equations, whatever its objective.
     """
     has_met = False
 
@@ -85,7 +85,7 @@ def feasible_point(
 
 
 def _widened(bounds: Bounds, breach: float) -> Bounds:
-    """Return bounds that give way by a share of the larger of 1 and the bound, but no equations."""
+    """Return bounds relaxed by a fraction of the larger of 1 and the bound; equations are kept."""
 
     def moved(lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
         is_open = lower < upper

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import cyipopt
@@ -113,15 +113,15 @@ class SolverOptions:
     def for_a_change(self, parameter: float) -> SolverOptions:
         """Return the settings for a warm start whose objective is to change by little.
 
-        A barrier leaves as much of the objective as its parameter times the number of bounds: one
-        that leaves more than is to change first leads away from the warm start, and back.  Below
-        what Ipopt's tolerance asks for, it begins where that of the last solve ended: Ipopt would
-        end with any other that low as it is, and leave a gap that changes from mesh to mesh.
+        A barrier leaves a gap in the objective of its parameter times the number of bounds. A gap
+        larger than the expected change would first lead away from the warm start, and then back.
+        A parameter below Ipopt's own final one is replaced by the final one of the last solve:
+        Ipopt never changes a parameter that low, and the gap would differ from mesh to mesh.
 
         Parameters
         ----------
         parameter : float
-            That leaves as much as the objective is expected to change.
+            Barrier parameter whose gap equals the expected change of the objective.
         """
         tolerance = self.tolerance or _TOLERANCE
         is_small = parameter < _ABOVE * tolerance
@@ -166,58 +166,42 @@ Progress = Callable[[Iteration], bool | None]
 
 
 @dataclass(kw_only=True)
-class WallClockLimit:
-    """A progress callback that stops all solves together after a time limit.
+class Effort:
+    """A progress callback that stops several solves together at a limit of iterations or time.
 
     Attributes
     ----------
+    limits : (float, float)
+        Iterations allowed in the first solve, and in all solves together.
     limit_s : float
-        Wall-clock time limit [s], counted from construction.
+        Wall-clock time allowed [s], counted from construction.
+    first, count : int
+        Iterations used in the first solve, and in all.
+    is_over : bool
+        Whether a limit is exceeded.
     """
 
-    limit_s: float
     progress: Progress | None
+    limits: tuple[float, float] = (math.inf, math.inf)
+    limit_s: float = math.inf
+    first: int = 0
+    count: int = 0
+    solves: int = 0
     is_over: bool = False
 
     def __post_init__(self) -> None:
         self.started = time.perf_counter()
 
     def __call__(self, line: Iteration) -> bool | None:
-        """Return False once the time is over, else the result of the caller's own callback."""
-        self.is_over = time.perf_counter() - self.started > self.limit_s
-        if self.is_over:
-            return False
-        return None if self.progress is None else self.progress(line)
-
-
-@dataclass(kw_only=True)
-class Counter:
-    """A progress callback that stops the solves after a number of iterations.
-
-    Attributes
-    ----------
-    limits : (float, float)
-        Iterations allowed in the first solve, and in all solves together.
-    first, count : int
-        Iterations used in the first solve, and in all.
-    """
-
-    limits: tuple[float, float] = (math.inf, math.inf)
-    progress: Progress | None
-    first: int = 0
-    count: int = 0
-    solves: int = 0
-
-    @property
-    def is_over(self) -> bool:
-        """Whether a limit on the iterations is exceeded."""
-        return self.first > self.limits[0] or self.count > self.limits[1]
-
-    def __call__(self, line: Iteration) -> bool | None:
         """Return False once a limit is exceeded, else the result of the caller's own callback."""
         self.solves += line.iteration == 0
         self.count += line.iteration > 0
         self.first = self.count if self.solves == 1 else self.first
+        self.is_over = (
+            self.first > self.limits[0]
+            or self.count > self.limits[1]
+            or (self.limit_s < math.inf and time.perf_counter() - self.started > self.limit_s)
+        )
         if self.is_over:
             return False
         return None if self.progress is None else self.progress(line)
@@ -270,43 +254,44 @@ class _Callbacks:
 
     # Cached, because a program may rebuild its structure at each call.
     @cached_property
-    def _jacobian_size(self) -> int:
-        return len(self.program.jacobianstructure()[0])
+    def _sizes(self) -> dict[str, int]:
+        program = self.program
+        return {
+            "constraints": program.n_rows,
+            "jacobian": len(program.jacobianstructure()[0]),
+            "hessian": len(program.hessianstructure()[0]),
+        }
 
-    @cached_property
-    def _hessian_size(self) -> int:
-        return len(self.program.hessianstructure()[0])
-
-    def _guard(self, evaluate: Callable[[], Any], size: int | None) -> Any:
+    def _guarded(self, name: str, z: FloatArray, *more: Any) -> FloatArray:
+        """Return the program's values, and NaN after its first exception."""
         if self.error is None:
             try:
-                return evaluate()
+                return np.asarray(getattr(self.program, name)(z, *more))
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  raised again later
                 self.error = error
-        return np.nan if size is None else np.full(size, np.nan)
+        return np.full(self._sizes.get(name, z.size), np.nan)
 
     def objective(self, z: FloatArray) -> float:
-        return float(self._guard(lambda: self.program.objective(z), None))
+        return float(self._guarded("objective", z).flat[0])
 
     def gradient(self, z: FloatArray) -> FloatArray:
-        return np.asarray(self._guard(lambda: self.program.gradient(z), z.size))
+        return self._guarded("gradient", z)
 
     def constraints(self, z: FloatArray) -> FloatArray:
-        return np.asarray(self._guard(lambda: self.program.constraints(z), self.program.n_rows))
+        return self._guarded("constraints", z)
 
     def jacobianstructure(self) -> tuple[Any, Any]:
         return self.program.jacobianstructure()
 
     def jacobian(self, z: FloatArray) -> FloatArray:
         self.iterate = np.array(z)
-        return np.asarray(self._guard(lambda: self.program.jacobian(z), self._jacobian_size))
+        return self._guarded("jacobian", z)
 
     def hessianstructure(self) -> tuple[Any, Any]:
         return self.program.hessianstructure()
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        evaluate = partial(self.program.hessian, z, multipliers, factor)
-        return np.asarray(self._guard(evaluate, self._hessian_size))
+        return self._guarded("hessian", z, multipliers, factor)
 
     def intermediate(
         self,
