@@ -24,6 +24,7 @@ from pyomo_quad.cli.terminal import (
     Quiet,
     ScenarioFile,
     complain,
+    option,
     real_number,
     result_console,
 )
@@ -256,9 +257,7 @@ def _schema_text(model: type[BaseModel], kind: str, required: tuple[str, ...]) -
 
 
 def schema(
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder of the three files.")
-    ] = Path(),
+    out: Annotated[Path, option("--out", "DIR", "Folder of the three files.")] = Path(),
 ) -> int:
     """Write the JSON Schemas of scenarios and studies, and a page that lists every field."""
     from pyomo_quad.report.render import render_markdown  # noqa: PLC0415  takes a second
@@ -301,30 +300,27 @@ def export(
     *,
     to: Annotated[Reader, typer.Option("--to", help="Who reads it.")],
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="File to write; for ros2 a folder.")
+        Path | None, option("--out", "FILE", "File to write; for ros2 a folder.")
     ] = None,
     origin: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--origin",
-            metavar="LAT,LON,ALT",
-            help="Position of the plan's origin (degrees, metres above the sea).",
+            "LAT,LON,ALT",
+            "Position of the plan's origin (degrees, metres above the sea).",
         ),
     ] = None,
     path_error: Annotated[
         float | None,
-        typer.Option(
+        option(
             "--path-error",
-            metavar="M",
-            parser=real_number,
-            help="Largest distance of waypoints or pieces from the plan at any time.",
+            "M",
+            "Largest distance of waypoints or pieces from the plan at any time.",
+            real_number,
         ),
     ] = None,
     rate: Annotated[
-        float | None,
-        typer.Option(
-            "--rate", metavar="HZ", parser=real_number, help="Of setpoints, 50 by default."
-        ),
+        float | None, option("--rate", "HZ", "Of setpoints, 50 by default.", real_number)
     ] = None,
     as_planned: Annotated[
         bool, typer.Option("--as-planned", help="Say nothing of a plan without a risk.")
@@ -374,8 +370,7 @@ def plot(
     ] = "path",
     *,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="FILE", help="Ends in .png, .svg or .pdf; RUN_WHAT.png."),
+        Path | None, option("--out", "FILE", "Ends in .png, .svg or .pdf; RUN_WHAT.png.")
     ] = None,
     quiet: Quiet = False,
 ) -> int:
