@@ -167,6 +167,13 @@ class Mission(Part):
         None,
     )
 
+    rally: tuple[Triple, ...] = late_quantity(
+        "m",
+        "places to return to beside the start, x, y, z",
+        (),
+        max_length=16,
+        sound=_FAR,
+    )
     risk: Number | None = late_quantity(
         "1",
         "greatest probability that a flight of the plan under feedback breaks any limit; 1, as "
