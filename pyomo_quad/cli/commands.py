@@ -39,6 +39,7 @@ from pyomo_quad.cli.terminal import (
     complain,
     folder_of,
     gives_up_output,
+    option,
     positive_count,
     real_number,
 )
@@ -96,21 +97,18 @@ _Flown = Annotated[
 ]
 _Flights = Annotated[
     int | None,
-    typer.Option(
-        "--flights",
-        metavar="N",
-        parser=positive_count,
-        help="Fly the plan so often, each time in a wind of its own.",
+    option(
+        "--flights", "N", "Fly the plan so often, each time in a wind of its own.", positive_count
     ),
 ]
 _Seed = Annotated[int, typer.Option("--seed", metavar="N", help="--flights: of the winds.", min=0)]
 _Cruises = Annotated[
     list[float] | None,
-    typer.Option(
+    option(
         "--cruise",
-        metavar="M/S",
-        parser=real_number,
-        help="--flights: an autopilot at this speed in the same winds; repeatable.",
+        "M/S",
+        "--flights: an autopilot at this speed in the same winds; repeatable.",
+        real_number,
     ),
 ]
 
@@ -369,21 +367,16 @@ def compare(
 
 Rate = Annotated[
     float | None,
-    typer.Option(
-        "--rate",
-        metavar="HZ",
-        parser=real_number,
-        help="Rows per second of plan.csv; one per node without.",
-    ),
+    option("--rate", "HZ", "Rows per second of plan.csv; one per node without.", real_number),
 ]
 
 
 Continued = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--continue",
-        metavar="RUN",
-        help="Refine the plan of a solve's folder or file to the accuracy that was not reached, or "
+        "RUN",
+        "Refine the plan of a solve's folder or file to the accuracy that was not reached, or "
         "to a higher one; --set solver.accuracy chooses.",
     ),
 ]

@@ -18,6 +18,7 @@ from pyomo_quad.cli.terminal import (
     ScenarioFile,
     complain,
     error_console,
+    option,
 )
 from pyomo_quad.identification.columns import wanted_columns
 from pyomo_quad.report import Figures
@@ -188,9 +189,7 @@ def outside_plant(
 def rotorpy_vehicle(
     name: Annotated[str, typer.Argument(metavar="NAME", help="hummingbird or crazyflie.")],
     *,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="NAME.toml by default.")
-    ] = None,
+    out: Annotated[Path | None, option("--out", "FILE", "NAME.toml by default.")] = None,
     quiet: Quiet = False,
 ) -> int:
     """Write a vehicle file of one of RotorPy's parameter sets, each number with its source."""
@@ -218,34 +217,28 @@ Logs = Annotated[
 ]
 Steady = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--steady",
-        metavar="CSV",
-        help="Points of steady flight in place of logs, hover alone or a series of payloads "
+        "CSV",
+        "Points of steady flight in place of logs, hover alone or a series of payloads "
         "included; its columns are airspeed_m_s, power_W (or endurance_s on the vehicle's pack), "
         "payload_kg, climb_m_s, air_density_kg_m3, all but the power optional.",
     ),
 ]
-Base = Annotated[
-    str, typer.Option("--base", metavar="VEHICLE", help="Vehicle of the library, or its file.")
-]
-Vehicle = Annotated[
-    str, typer.Option("--vehicle", metavar="VEHICLE", help="Vehicle of the library, or its file.")
-]
+Base = Annotated[str, option("--base", "VEHICLE", "Vehicle of the library, or its file.")]
+Vehicle = Annotated[str, option("--vehicle", "VEHICLE", "Vehicle of the library, or its file.")]
 NewFolder = Annotated[
-    Path | None,
-    typer.Option("--out", metavar="DIR", help="Output folder, named after the first log."),
+    Path | None, option("--out", "DIR", "Output folder, named after the first log.")
 ]
 Wanted = Annotated[
-    list[str] | None,
-    typer.Option("--fit", metavar="FIELD", help="Field of the vehicle to fit; repeatable."),
+    list[str] | None, option("--fit", "FIELD", "Field of the vehicle to fit; repeatable.")
 ]
 FlightList = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--flights",
-        metavar="CSV",
-        help=f"Columns flight and {_SPLIT}: only flights with {_SPLIT} = {_READ} are read.",
+        "CSV",
+        f"Columns flight and {_SPLIT}: only flights with {_SPLIT} = {_READ} are read.",
     ),
 ]
 
