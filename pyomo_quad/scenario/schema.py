@@ -50,7 +50,7 @@ from pyomo_quad.scenario.tables import (
 )
 from pyomo_quad.scenario.unit_keys import Rewritten, in_declared_units, paths_in_declared_units
 from pyomo_quad.scenario.vehicle import Attitude, Vehicle
-from pyomo_quad.scenario.wind import Air, Wind
+from pyomo_quad.scenario.wind import Air, Wind, WindCoupling
 
 # Acceleration, as a fraction of gravity, assumed for a vehicle without spare thrust; and ratio of
 # the first guess at a free duration to the duration of the quickest flight.
@@ -325,6 +325,7 @@ class Scenario(Part):
             *self._yaw_complaints(),
             *self._turbulence_complaints(),
             *self._validated_complaints(),
+            *self._return_complaints(),
         ]
         unable = list(self._hover_complaints())
         if lines or unable:
@@ -384,6 +385,14 @@ class Scenario(Part):
             yield (
                 f"wind.turbulence acts on the declared model only, model = {self.model!r}; leave "
                 "one of them out."
+            )
+
+    def _return_complaints(self) -> Iterator[str]:
+        if self.mission.return_reserve and self.wind.coupling is not WindCoupling.DRAG:
+            yield (
+                f'mission.return_reserve under wind.coupling = "{self.wind.coupling.value}"; must '
+                f'be "{WindCoupling.DRAG.value}", for the return flies in moving air: set it, or '
+                "leave return_reserve out."
             )
 
     def _validated_complaints(self) -> Iterator[str]:

@@ -428,6 +428,10 @@ _ANGLE = Sound(1e-4, 2, "angles are in radians")
 _MOMENT = Sound(0, 1e8, "the weight of 10 t on an arm of 1 km is 1e8 N m")
 
 
+# Fraction of the charge that stays in a pack without a limit of its own: usual practice.
+_USUAL_LEAST_CHARGE = 0.2
+
+
 class Limits(Part):
     """Bounds in the optimisation, to which the controller is clipped too."""
 
@@ -514,6 +518,12 @@ class Limits(Part):
         gt=0,
         le=1,
     )
+
+    @property
+    def usable_charge(self) -> float:
+        """Fraction of a full pack's charge above its limit, or above a fifth without a limit."""
+        least = self.state_of_charge_min
+        return 1.0 - (_USUAL_LEAST_CHARGE if least is None else least / 100.0)
 
     @property
     def largest_tilt(self) -> float:
