@@ -254,4 +254,5 @@ def synthetic_run(path="scenarios/paper_wind.toml", overrides=(), flights=tuple(
         front=pd.DataFrame(),
         timings={"solve": 1.0},
         warnings=(),
+        tuning=None,
     )

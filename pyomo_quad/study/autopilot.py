@@ -8,8 +8,10 @@ mission.
 """
 
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import partial
 from math import inf, log
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +38,9 @@ from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
 from pyomo_quad.scenario.tables import CruiseSettings
 from pyomo_quad.study.comparison import has_arrived, is_comparable
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FloatArray = NDArray[np.float64]
 
@@ -237,3 +242,37 @@ def _tried(
         broken=tuple(broken),
         cost_J=energy * (1.0 + penalty),
     )
+
+
+class TuningColumn(StrEnum):
+    """Columns of the table of the settings that were tried, in order."""
+
+    SPEED = "speed_m_per_s"
+    ACCELERATION = "acceleration_m_per_s2"
+    JERK = "jerk_m_per_s3"
+    DURATION = "duration_s"
+    ENERGY = "energy_J"
+    ARRIVED = "arrived"
+    BROKEN_LIMITS = "broken_limits"
+
+
+def tuning_table(tuning: Tuning | None) -> "pd.DataFrame":
+    """Return the settings that were tried, one row each, in order; empty without a tuning.
+
+    Their energies are those of the search; `Tuning.flight` has the energy to full accuracy.
+    """
+    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
+    rows = [
+        {
+            TuningColumn.SPEED: one.settings.speed,
+            TuningColumn.ACCELERATION: one.settings.acceleration,
+            TuningColumn.JERK: one.settings.jerk,
+            TuningColumn.DURATION: one.duration_s,
+            TuningColumn.ENERGY: one.energy_J,
+            TuningColumn.ARRIVED: one.arrived,
+            TuningColumn.BROKEN_LIMITS: "; ".join(one.broken) or "none",
+        }
+        for one in (() if tuning is None else tuning.tried)
+    ]
+    return pd.DataFrame(rows, columns=[column.value for column in TuningColumn])
