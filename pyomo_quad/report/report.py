@@ -311,7 +311,7 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
         "replanning_column": ReplanningColumn,
         "REPLANNING_NAME": REPLANNING_NAME,
         "headline": headline_of(result),
-        "spent_J": settled_of,
+        "settled_of": settled_of,
         "cruise_words": cruise_words,
         "tuning": result.tuning,
         "TUNING_NAME": TUNING_NAME,
