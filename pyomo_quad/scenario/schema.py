@@ -43,6 +43,7 @@ from pyomo_quad.scenario.tables import (
     USED_BY,
     Baseline,
     Battery,
+    CruiseSettings,
     Limits,
     Power,
     PowerModel,
@@ -226,6 +227,15 @@ class Scenario(Part):
             pairs = zip(self.mission.waypoints, passing_times, strict=True)
             values["waypoints"] = tuple(w.model_copy(update={"at": at}) for w, at in pairs)
         return self.with_mission(**values)
+
+    def cruising(self, settings: CruiseSettings) -> Self:
+        """Return the scenario with one set of settings of reference cruise."""
+        values = {
+            "cruise_speeds": (settings.speed,),
+            "cruise_acceleration": settings.acceleration,
+            "cruise_jerk": settings.jerk,
+        }
+        return self.model_copy(update={"baseline": self.baseline.model_copy(update=values)})
 
     def with_mission(self, **values: Any) -> Self:  # noqa: ANN401
         """Return the scenario with some fields of its mission changed, without validation."""
