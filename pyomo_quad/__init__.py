@@ -8,6 +8,7 @@ solved.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from pyomo_quad.presentation import Picture, Presenter, register_presenter
 from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
@@ -18,10 +19,12 @@ if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
     from pyomo_quad.model import build_model
     from pyomo_quad.scenario import Scenario, load_scenario
-    from pyomo_quad.study.run import run_scenario
+    from pyomo_quad.study.run import RunResult, run_scenario
 
 __all__ = [
+    "Picture",
     "Plan",
+    "RunResult",
     "Scenario",
     "__version__",
     "build_model",
@@ -34,12 +37,22 @@ __all__ = [
 # Pyomo, CasADi and SciPy take over a second to import: only who uses them waits for them.
 _HOMES = {
     "Plan": "pyomo_quad.flight",
+    "RunResult": "pyomo_quad.study.run",
     "Scenario": "pyomo_quad.scenario",
     "build_model": "pyomo_quad.model",
     "export_plan": "pyomo_quad.exports",
     "load_scenario": "pyomo_quad.scenario",
     "run_scenario": "pyomo_quad.study.run",
 }
+
+
+def _presenter() -> Presenter:
+    from pyomo_quad.report import presenting  # noqa: PLC0415  matplotlib takes a second
+
+    return presenting
+
+
+register_presenter(_presenter)
 
 
 def solve(

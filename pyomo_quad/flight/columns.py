@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     import pandas as pd
+    import xarray as xr
 
     from pyomo_quad.collocation import Dynamics
 
@@ -30,6 +31,8 @@ WIND = ("wind_x_m_per_s", "wind_y_m_per_s")
 ROTORS = (1, 2, 3, 4)
 _ROTOR_CONTROL = "rotors.alpha["
 _IN_DEGREES = degrees(1.0)
+# Printed unit -> stored unit, where they differ.
+_STORED_UNITS = {"°": "rad", "°/s": "rad/s", "mN m": "N m"}
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,11 @@ class Column:
     def title(self) -> str:
         """Symbol, name and unit, for the title of a panel."""
         return f"${self.symbol}$, {self.words} ({self.unit})"
+
+    @property
+    def stored_unit(self) -> str:
+        """Unit of the values in the table."""
+        return _STORED_UNITS.get(self.unit, self.unit)
 
     @property
     def label(self) -> str:
@@ -190,3 +198,14 @@ def flight_frame(
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
     return pd.DataFrame(flight_columns(dynamics, t, states, controls, energy))
+
+
+def dataset_of(frame: pd.DataFrame) -> xr.Dataset:
+    """Return a flight's table as a dataset; a variable has its unit and its name in words."""
+    data = frame.to_xarray()
+    for column in ALL_COLUMNS:
+        if column.name in data:
+            data[column.name].attrs = {"units": column.stored_unit, "long_name": column.words}
+    if TIME in data.coords:
+        data[TIME].attrs = {"units": "s", "long_name": "time"}
+    return data

@@ -32,8 +32,9 @@ from pyomo_quad.collocation import (
     compile,
     diagnose,
 )
+from pyomo_quad.flight.failure import Failure
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
-from pyomo_quad.flight.plan import Failure, PlanStatus
+from pyomo_quad.flight.plan import PlanStatus
 from pyomo_quad.flight.routes import speed_profile
 from pyomo_quad.flight.steady import PITCH, ROLL
 from pyomo_quad.model import ask_for_least_time
