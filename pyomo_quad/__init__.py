@@ -58,7 +58,7 @@ register_presenter(_presenter)
 def solve(
     scenario: "Scenario | str | Path | Mapping[str, Any]", *, allow_code: bool = False
 ) -> "Plan":
-    """Solve a scenario and verify the plan by flying it.
+    """Solve a scenario, with the margins that its risk asks for, and verify the plan by flying it.
 
     Parameters
     ----------
@@ -78,14 +78,22 @@ def solve(
         If the scenario is not allowed; one line, naming the field.
     FeasibilityError
         If the rotors cannot carry the vehicle.
+
+    Examples
+    --------
+    >>> mission = {"goal": {"position": [1.0, 0.0, 0.5]}, "duration": 4.0}
+    >>> plan = solve({"name": "hop", "vehicle": {"use": "dji_phantom_2"}, "mission": mission})
+    >>> plan.is_verified
+    True
     """
-    from pyomo_quad.flight.planning import solve_scenario  # noqa: PLC0415
+    from pyomo_quad.flight import Planner  # noqa: PLC0415
+    from pyomo_quad.flight.risk import plan_at_risk  # noqa: PLC0415
     from pyomo_quad.model import model_builder  # noqa: PLC0415
     from pyomo_quad.scenario import Scenario, load_scenario  # noqa: PLC0415
 
     resolved = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     builder = model_builder(resolved, is_code_allowed=allow_code)
-    return solve_scenario(resolved, builder=builder)
+    return plan_at_risk(resolved, Planner(builder))
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401  as wide as the names it serves

@@ -194,7 +194,15 @@ def flight_columns(
 def flight_frame(
     dynamics: Dynamics, t: FloatArray, states: FloatArray, controls: FloatArray, energy: FloatArray
 ) -> pd.DataFrame:
-    """Return the table of a flight, with the columns of `flight_columns`."""
+    """Return the table of a flight, with the columns of `flight_columns`.
+
+    Examples
+    --------
+    >>> held, times = plan.trajectories, plan.times(rate_hz=1.0)
+    >>> values = held.states_at(times), held.controls_at(times), held.energy_at(times)
+    >>> list(flight_frame(plan.dynamics, times, *values))[:3]
+    ['time_s', 'x_m', 'y_m']
+    """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
     return pd.DataFrame(flight_columns(dynamics, t, states, controls, energy))

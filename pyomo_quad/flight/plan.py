@@ -599,7 +599,7 @@ class Plan(Summarised):
         Examples
         --------
         >>> data = plan.to_xarray(rate_hz=10.0)
-        >>> float(data.x_m.sel(time_s=2.0)) == plan.at(2.0)["x_m"]
+        >>> bool(data.x_m.sel(time_s=2.0) == plan.at(2.0)["x_m"])
         True
         >>> data.power_W.attrs["units"]
         'W'

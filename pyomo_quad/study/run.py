@@ -230,6 +230,14 @@ def run_scenario(
         `solver.time_limit`; flights that are missing by then become warnings.
     meanwhile : callable, optional
         Called once during the flights, for instance to import modules of the report.
+
+    Examples
+    --------
+    >>> result = run_scenario(scenario, baselines=[Reference.QUINTIC])
+    >>> [flight.name for flight in result.flights]
+    ['optimal', 'adaptive/quintic', 'open_loop/plan']
+    >>> result.gap_percent < 1.0
+    True
     """
     references = scenario.baseline.references if baselines is None else tuple(baselines)
     with Deadline(scenario):

@@ -187,26 +187,26 @@ def test_a_saving_over_the_autopilot_stands_beside_the_autopilots_settings(tmp_p
     assert "accelerates by up to 6 m/s², with a jerk of up to 8 m/s³" in headline
 
 
-README = " ".join(Path("README.md").read_text(encoding="utf-8").split())
+RESULTS = " ".join(Path("docs/evidence/results.md").read_text(encoding="utf-8").split())
 
 
-def test_the_readme_says_that_climbing_is_free_where_the_energies_stand():
+def test_the_book_says_that_climbing_is_free_where_the_energies_stand():
     scenario = load_scenario("scenarios/paper_calm.toml")
     _, potential = climb_of(scenario)
     frame = pd.read_csv("reports/paper_calm/comparison.csv").set_index("flight")
     spent = frame.excess_energy_J["optimal"]
-    first_table = README.index("| optimum | adaptive, smooth reference")
-    said = README[first_table : README.index("Free to choose its time")]
+    first_table = RESULTS.index("| optimum | adaptive, smooth reference")
+    said = RESULTS[first_table : RESULTS.index("Free to choose its time")]
     assert f"8 m are {potential:.0f} J of potential energy" in said
     assert f"{spent:.2f} J more than hovering" in said
 
 
-def test_the_readme_says_on_which_settings_of_the_autopilot_its_savings_rest():
+def test_the_book_says_on_which_settings_of_the_autopilot_its_savings_rest():
     parcel = load_scenario("scenarios/parcel.toml")
     frame = pd.read_csv("reports/parcel/comparison.csv")
     cruise = frame[frame.flight.str.startswith("adaptive/cruise")]
     cheapest = cruise.loc[cruise.energy_J.idxmin()]
     limit = f"{parcel.baseline.cruise_acceleration:g} m/s²"
     saved = f"`parcel` saves {cheapest.saving_percent:.1f} %"
-    assert f"{saved} where the autopilot accelerates by up to {limit}" in README
-    assert "run scenarios/parcel.toml --set baseline.cruise_acceleration=6" in README
+    assert f"{saved} where the autopilot accelerates by up to {limit}" in RESULTS
+    assert "run scenarios/parcel.toml --set baseline.cruise_acceleration=6" in RESULTS
