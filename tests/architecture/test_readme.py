@@ -83,7 +83,20 @@ def test_the_readme_is_one_page():
     assert max(map(len, lines)) <= 110
 
 
-def test_the_python_of_the_readme_runs():
+def test_every_link_of_the_readme_leads_somewhere():
+    inline = re.findall(r"\]\(([^)#]+)\)", README)
+    named = dict(re.findall(r"^\[([^\]]+)\]: (\S+)$", README, re.MULTILINE))
+    assert set(re.findall(r"\]\[([^\]]+)\]", README)) == set(named)
+    assert [link for link in (*inline, *named.values()) if not (ROOT / link).exists()] == []
+
+
+def test_a_hosted_runner_does_what_the_checkout_does():
+    workflow = (ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8")
+    assert "- run: .ci/run\n" in workflow
+    assert "-m sphinx -W docs" in (ROOT / ".ci/run").read_text(encoding="utf-8")
+
+
+def test_the_python_of_the_readme_names_what_there_is():
     (code,) = re.findall(r"^```python\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
     assert len(code.splitlines()) <= 11
     names = re.findall(r"result(?:\.plan)?\.(\w+)", code)
