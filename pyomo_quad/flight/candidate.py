@@ -18,10 +18,11 @@ from pyomo_quad.collocation import (
     WarmStart,
     diagnose,
 )
+from pyomo_quad.flight.failure import Failure
 from pyomo_quad.flight.least_time import shortest_flight
 from pyomo_quad.flight.long_flight import fine_mesh, guess_of, is_long, rough_mesh
 from pyomo_quad.flight.mission_problem import MissionProblem
-from pyomo_quad.flight.plan import Failure, Plan
+from pyomo_quad.flight.plan import Plan
 from pyomo_quad.flight.route_flights import RouteFlights
 from pyomo_quad.flight.verdict import plan_of, verified
 from pyomo_quad.flight.verification import BALANCE_TOLERANCE, shares_lacking

@@ -119,5 +119,11 @@ def solve_scenario(
     warm_start: Plan | WarmStart | None = None,
     progress: Progress | None = None,
 ) -> Plan:
-    """Solve one scenario with a planner of its own; see `Planner.solve`."""
+    """Solve one scenario with a planner of its own; see `Planner.solve`.
+
+    Examples
+    --------
+    >>> solve_scenario(scenario, warm_start=plan).is_verified
+    True
+    """
     return Planner(builder).solve(scenario, warm_start=warm_start, progress=progress)

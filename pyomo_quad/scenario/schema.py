@@ -206,6 +206,38 @@ class Scenario(Part):
             )
         )
 
+    def replace(self, changes: Mapping[str, Any]) -> Self:
+        """Return a revalidated copy with some fields changed, and leave this one as it is.
+
+        Parameters
+        ----------
+        changes : mapping
+            Nested as in a scenario's file, or dotted field -> new value, or both mixed.  A table
+            keeps the fields that the changes do not name; a list is replaced as a whole.
+
+        Returns
+        -------
+        Scenario
+            The changed scenario.
+
+        Raises
+        ------
+        ScenarioError
+            If a field is unknown or a value is not allowed.
+        FeasibilityError
+            If the rotors cannot carry the changed vehicle.
+
+        Examples
+        --------
+        >>> from pyomo_quad import load_scenario
+        >>> scenario = load_scenario("scenarios/paper_wind.toml")
+        >>> slow = scenario.replace({"mission": {"duration": 12.0}, "vehicle.payload": 0.1})
+        >>> slow.mission.duration, slow.vehicle.payload, scenario.mission.duration
+        (12.0, 0.1, 10.0)
+        """
+        named = {".".join(map(str, steps)): value for steps, value in leaves(changes)}
+        return self.with_values(named)
+
     def lasting(self, duration: float, passing_times: Sequence[float] = ()) -> Self:
         """Return the scenario with a fixed duration and optional passing times of waypoints.
 
