@@ -155,7 +155,7 @@ def fly(
 
 
 def is_plan(path: Path) -> bool:
-    """Say whether a path names a plan, and not the scenario of one."""
+    """Return whether a path names a plan instead of a scenario."""
     return path.is_dir() or path.suffix == ".npz"
 
 

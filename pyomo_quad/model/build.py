@@ -70,8 +70,8 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        As `build_model`, with the shaping filters of block `wind.turbulence`, and with what a
-        forecast and a power model may err by, nought until it is known: ``wind.error`` by axis
+        As `build_model`, with the shaping filters of block `wind.turbulence`, and with the errors
+        of forecast and power model as mutable parameters, initially zero: ``wind.error`` by axis
         and ``power.error``.
     """
     m = _vehicle_in_the_wind(scenario)
@@ -279,8 +279,8 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
     ----------
     spec : str
         ``file.py:function``.
-    Folder to which a relative file name refers.
-        Where a relative file name starts.
+    base_folder : Path
+        Folder to which a relative file name refers.
 
     Returns
     -------

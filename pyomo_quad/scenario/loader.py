@@ -18,7 +18,7 @@ from pyomo_quad.scenario.schema import Scenario
 
 # Name in messages of a scenario that was not read from a file.
 _MAPPING = "scenario"
-# What is read from a file of the wind, and where that file is named.
+# Parts of the wind that are read from a file -> the field that names the file.
 _READ_FROM = {
     "series": "a CSV file in wind.file",
     "grid": "a NetCDF, CSV or Parquet file in wind.field",
@@ -122,7 +122,7 @@ def _from_written(origin: Origin) -> Scenario:
 
 
 def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
-    """Return the fields and values of texts as ``solver.accuracy=proof``.
+    """Parse overrides such as ``solver.accuracy=proof``: field -> value.
 
     Raises
     ------

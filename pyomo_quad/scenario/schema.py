@@ -194,16 +194,7 @@ class Scenario(Part):
                 raise ScenarioError(f"{origin.source}: {text[:60]!r} is not the path of a field.")
             assignments.pop(path, None)
             assignments[path] = value
-        return self.from_origin(
-            Origin(
-                source=origin.source,
-                folder=origin.folder,
-                document=origin.document,
-                assignments=assignments,
-                label=origin.label,
-                is_resolved=origin.is_resolved,
-            )
-        )
+        return self.from_origin(replace(origin, assignments=assignments))
 
     def lasting(self, duration: float, passing_times: Sequence[float] = ()) -> Self:
         """Return the scenario with a fixed duration and optional passing times of waypoints.
@@ -268,7 +259,7 @@ class Scenario(Part):
 
     @property
     def keeps_yaw(self) -> bool:
-        """Whether the heading stays that of the start throughout.
+        """Whether the heading stays constant throughout the flight.
 
         If power depends on thrust and airspeed alone, a turn has nearly no cost and the best
         heading is not unique. Unless a heading is prescribed, such a flight keeps its heading, as
@@ -298,7 +289,7 @@ class Scenario(Part):
         return self.model_copy(update={"wind": self.wind.forecast})
 
     def as_it_blows(self) -> Self:
-        """Return the scenario in which the optimiser knows the true wind."""
+        """Return the scenario with the actual wind known to the optimiser."""
         return self.model_copy(update={"wind": self.wind.model_copy(update={"forecast": None})})
 
     @property

@@ -1,7 +1,6 @@
-"""Read a wind over places, and perhaps heights and times, from NetCDF, CSV or Parquet.
+"""Reading of wind fields from NetCDF, CSV or Parquet: wind over places, heights and times.
 
-The file may come from a stranger: it is data only, bounded in size, and checked whole before a
-number of it is used.
+The file may be untrusted: it is data only, bounded in size, and checked completely before use.
 """
 
 from pathlib import Path
@@ -63,14 +62,15 @@ _SPEEDS = {
 }
 
 
-# Of the least step of a grid by latitude and longitude, how far off its lines may be in metres.
+# Deviation in metres of a grid by latitude and longitude from straight lines, relative to its
+# least step.
 _SKEW = 0.1
 
 
 class _Field(NamedTuple):
-    """Points of each axis by name, and components with one axis for each of them.
+    """Points of each axis by name, and wind components with one array axis for each.
 
-    `on_earth` are those axes of x and y that are longitudes and latitudes.
+    `on_earth` names the axes, of x and y, that are longitudes and latitudes.
     """
 
     axes: "dict[str, FloatArray]"
@@ -79,16 +79,16 @@ class _Field(NamedTuple):
 
 
 def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None) -> dict[str, Any]:
-    """Read and check a wind over places.
+    """Read and check a wind field.
 
     Parameters
     ----------
     file : Path
         NetCDF with CF names and units, or a table with one row for each place and time.
     place : str
-        What messages start with: the field that names the file.
+        Start of messages: the field that names the file.
     origin : GeodeticOrigin, optional
-        Where x = y = 0 lies, for a grid by latitude and longitude.
+        Position of x = y = 0, for a grid by latitude and longitude.
 
     Returns
     -------
@@ -98,7 +98,7 @@ def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None
     Raises
     ------
     ScenarioError
-        If the file cannot be read, is no rectilinear grid, or holds no wind; one line.
+        If the file cannot be read, is not a rectilinear grid, or has no wind; one line.
     """
     suffix = file.suffix.lower()
     try:
@@ -120,9 +120,9 @@ def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None
 
 
 def _in_metres(field: _Field, origin: GeodeticOrigin | None, place: str) -> _Field:
-    """Return a field by longitude and latitude with the metres of its middle lines for both.
+    """Convert a field by longitude and latitude to metres along its middle lines.
 
-    Meridians meet at the poles: a region so large that this skews its grid is refused.
+    Meridians converge toward the poles; a region so large that its grid is skewed is refused.
     """
     import numpy as np  # noqa: PLC0415  of the scenarios, few have a field
 
@@ -200,7 +200,7 @@ def _from_netcdf(file: Path, place: str) -> _Field:
 
 
 def _named(variables: "Mapping[Any, Any]", names: tuple[str, ...]) -> Any:  # noqa: ANN401
-    """Return the variable that has one of the names, by its standard name or its own."""
+    """Return the variable with one of some names, by its standard name or its own name."""
     held = list(variables.values())
     for name in names:
         for variable in held:
@@ -288,7 +288,7 @@ def _from_table(file: Path, place: str) -> _Field:
 
 
 def _checked(field: _Field, place: str) -> dict[str, Any]:
-    """Return what a `WindGrid` holds, with rising axes and none of a single point but x and y."""
+    """Return the fields of a `WindGrid`: axes rise, and only x and y may have a single point."""
     import numpy as np  # noqa: PLC0415  see `_from_netcdf`
 
     axes, components = dict(field.axes), field.components

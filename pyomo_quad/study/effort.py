@@ -1,4 +1,4 @@
-"""How long a mission will take to plan, roughly, and which of its features cost most.
+"""Estimate of the processor time that planning a mission takes, and of its costly features.
 
 The time of a solve is that of Ipopt's iterations, each in proportion to the unknowns: variables
 per collocation point, points of the mesh, meshes, routes and orders that are tried.  The counts
@@ -44,7 +44,7 @@ _QUICK = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Counts:
-    """What the effort of a scenario depends on.
+    """Features of a scenario that determine its planning time.
 
     `unknowns` are those of a collocation point; `routes` is nought without zones in the way;
     `legs` are flown alone to find an order, nought where it is given.
@@ -62,7 +62,7 @@ class Counts:
 
     @property
     def seconds(self) -> float:
-        """Processor seconds to plan the mission, roughly."""
+        """Estimated processor time of planning, s."""
         is_moving = self.is_free or self.waypoints > 0 or self.routes > 0
         iterations = _MOVING + _PER_WAYPOINT * self.waypoints if is_moving else _PLAIN
         elements = max(self.elements, self.waypoints + 1, _ROUTE_ELEMENTS if self.routes > 0 else 0)
@@ -77,7 +77,7 @@ class Counts:
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """Seconds of a processor that planning takes, roughly, and what each feature adds to them.
+    """Estimated processor time of planning, and the share of each feature in it.
 
     `features` are named as a user knows them, the dearest first; seconds of several together are
     less than their sum or more, for they multiply.
@@ -88,7 +88,7 @@ class Effort:
 
     @property
     def line(self) -> str:
-        """The estimate in one line."""
+        """Estimate as a line of text."""
         said = (
             f"roughly {_rounded(self.seconds)} s of a processor, a guess from counts that may be "
             f"off by a factor of {ROUGHLY:g}"
@@ -104,7 +104,7 @@ def _rounded(seconds: float) -> str:
 
 
 def estimate_effort(scenario: Scenario, unknowns: int) -> Effort:
-    """Estimate what planning a scenario takes, and what each of its features adds.
+    """Estimate the processor time of planning a scenario, and the share of each feature.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def estimate_effort(scenario: Scenario, unknowns: int) -> Effort:
 
 
 def counts_of(scenario: Scenario, unknowns: int) -> Counts:
-    """Return the counts of a scenario on which its effort depends."""
+    """Count the features of a scenario that determine its planning time."""
     mission, solver = scenario.mission, scenario.solver
     try:
         journeys = find_journeys(scenario.airspace, mission.positions)

@@ -88,7 +88,7 @@ class Study(Part):
 
     name: Text = quantity("", "short name, also of the output folder", pattern=_NAME_PATTERN)
     title: Text = quantity("", "title of the report", "", max_length=200)
-    about: Text = quantity("", "what the report says first", "", max_length=1000)
+    about: Text = quantity("", "first paragraph of the report", "", max_length=1000)
     scenario: Text = quantity("", "scenario file of the base case, beside the study", min_length=1)
     task: StudyTask = quantity(
         "",
