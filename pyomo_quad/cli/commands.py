@@ -15,7 +15,15 @@ from pyomo_quad.cli.looking import check, init, library, plot, schema
 from pyomo_quad.cli.missions import export, import_
 from pyomo_quad.cli.own_vehicle import vehicle, vehicles
 from pyomo_quad.cli.startup import import_scipy_alone
-from pyomo_quad.cli.studies import identify, outside_plant, paper, polar, predict, rotorpy_vehicle
+from pyomo_quad.cli.studies import (
+    identify,
+    outside_plant,
+    paper,
+    polar,
+    predict,
+    reach,
+    rotorpy_vehicle,
+)
 from pyomo_quad.cli.sweeping import sweep, sweep_report
 from pyomo_quad.cli.terminal import (
     AllowCode,
@@ -434,7 +442,7 @@ app = typer.Typer(
 )
 for _command in (
     *(init, run, solve, compare, check, library, schema, fly, export, plot, identify, predict),
-    *(polar, vehicle, vehicles, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
+    *(polar, reach, vehicle, vehicles, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
 ):
     app.command()(_command)
 app.command("import")(import_)

@@ -130,6 +130,43 @@ def polar(
     return ExitCode.VERIFIED
 
 
+def reach(
+    scenario: ScenarioFile,
+    *,
+    has_return: Annotated[
+        bool, typer.Option("--return", help="Draw from where the pack brings the vehicle back.")
+    ] = False,
+    out: Output = None,
+    overrides: Overrides = None,
+    figures: FigureChoice = Figures.SVG,
+    quiet: Quiet = False,
+) -> int:
+    """Draw how far one pack takes a vehicle from its start in the wind, and back with --return."""
+    resolved = load_scenario(scenario, overrides or ())
+    folder = out or Path("reports") / f"{resolved.name}_reach"
+    if resolved.model is not None:
+        raise ScenarioError(f"{scenario}: model = {resolved.model!r}; reach reads declared models.")
+    refuse_output_folder(folder)
+    from pyomo_quad.polar.reach import (  # noqa: PLC0415  takes a second
+        boundary_geojson,
+        find_reach,
+        reach_summary,
+        write_reach,
+    )
+
+    with raise_on_interrupt(), _report_folder(folder, is_quiet=quiet) as (aside, lines):
+        found = find_reach(resolved, has_return=has_return)
+        write_reach(aside, found, figures)
+        told = reach_summary(found)
+        lines.append(
+            f"{told['least_reach_m'] / 1e3:.2f} to {told['greatest_reach_m'] / 1e3:.2f} km from "
+            f"the start{' and back' if has_return else ''}, by the course"
+        )
+        if boundary_geojson(found) is None:
+            lines.append("no GeoJSON: give mission.origin to place it on a map")
+    return ExitCode.VERIFIED
+
+
 def outside_plant(
     *,
     out: ReportFolder = _OUTSIDE_FOLDER,
