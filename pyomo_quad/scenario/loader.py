@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -9,7 +10,7 @@ from pyomo_quad.scenario.fields import FieldPath, depth, leaves, parse_path, spe
 from pyomo_quad.scenario.messages import ScenarioError, listed, printable, shown
 from pyomo_quad.scenario.resolution import (
     DEEPEST_NESTING,
-    Origin,
+    ScenarioSource,
     parse_toml,
     read_toml,
     refuse_deep,
@@ -62,7 +63,9 @@ def load_scenario(
         file = FilePath(path)
         source, folder, document = printable(str(file)), file.parent, read_toml(file)
     return _from_written(
-        Origin(source=source, folder=folder, document=document, assignments=written, label=label)
+        ScenarioSource(
+            source=source, folder=folder, document=document, assignments=written, label=label
+        )
     )
 
 
@@ -93,7 +96,9 @@ def scenario_from_mapping(
         If the rotors cannot carry the vehicle.
     """
     refuse_deep(tables, source)
-    return _from_written(Origin(source=source, folder=folder or FilePath(), document=tables))
+    return _from_written(
+        ScenarioSource(source=source, folder=folder or FilePath(), document=tables)
+    )
 
 
 def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
@@ -108,7 +113,7 @@ def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     return scenario.with_values({spell(p): v for p, v in parsed.items()}) if parsed else scenario
 
 
-def _from_written(origin: Origin) -> Scenario:
+def _from_written(origin: ScenarioSource) -> Scenario:
     written = (*(path for path, _ in leaves(origin.document)), *origin.assignments)
     for path in written:
         derived = next((name for name in _READ_FROM if name in path), None)

@@ -359,8 +359,8 @@ _INHERITED_BY_FORECAST = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Origin:
-    """The sources of a scenario.
+class ScenarioSource:
+    """Source of a scenario: its own tables, and the overrides.
 
     Attributes
     ----------
@@ -398,7 +398,7 @@ class Resolution:
     unfilled: tuple[FieldPath, ...] = ()
 
 
-def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
+def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     """Complete the tables of a scenario from the library; the model declares the fields.
 
     Raises
@@ -446,7 +446,7 @@ def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
     return tables
 
 
-def whose(origin: Origin, provenance: Mapping[str, str], path: FieldPath) -> str:
+def whose(origin: ScenarioSource, provenance: Mapping[str, str], path: FieldPath) -> str:
     """Return the name of the source with which a message about a field starts."""
     for length in range(len(path), 0, -1):
         said = provenance.get(spell(path[:length]))
@@ -459,7 +459,7 @@ def whose(origin: Origin, provenance: Mapping[str, str], path: FieldPath) -> str
 
 
 def _with_assignments(
-    origin: Origin, tables: Mapping[str, Any], *, indexed: bool
+    origin: ScenarioSource, tables: Mapping[str, Any], *, indexed: bool
 ) -> dict[str, Any]:
     changed = dict(tables)
     for path, value in origin.assignments.items():
@@ -479,7 +479,7 @@ def _with_assignments(
 class _Filled:
     """Tables of a scenario while the library completes them, and the errors found on the way."""
 
-    origin: Origin
+    origin: ScenarioSource
     own: Mapping[str, Any]
     provenance: dict[str, str]
     tables: dict[str, Any]
@@ -558,7 +558,7 @@ def _inherit_by_forecast(tables: dict[str, Any], own: Mapping[str, Any]) -> dict
 
 
 def _add_footprints(
-    origin: Origin, tables: dict[str, Any], provenance: dict[str, str]
+    origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
     """Add the zones of a file, and divide polygons that are not convex."""
     airspace = tables.get("airspace")
@@ -587,7 +587,7 @@ def _winds(
 
 
 def _add_wind_fields(
-    origin: Origin, tables: dict[str, Any], provenance: dict[str, str]
+    origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
     for place, wind in _winds(tables, "field"):
         path = (*place, "field")
@@ -601,7 +601,7 @@ def _add_wind_fields(
 
 
 def _add_wind_series(
-    origin: Origin, tables: dict[str, Any], provenance: dict[str, str]
+    origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
     field, longest = _longest(tables)
     known: list[tuple[float, str]] = []

@@ -38,7 +38,7 @@ from pyomo_quad.scenario.plausibility import (
     created_power,
     remarks,
 )
-from pyomo_quad.scenario.resolution import Origin, resolve, whose
+from pyomo_quad.scenario.resolution import ScenarioSource, resolve, whose
 from pyomo_quad.scenario.tables import (
     USED_BY,
     Baseline,
@@ -100,16 +100,16 @@ class Scenario(Part):
     solver: Solver = quantity("", "solver settings", Solver())
     baseline: Baseline = quantity("", "the controller to compare with", Baseline())
 
-    _origin: Origin | None = PrivateAttr(None)
+    _origin: ScenarioSource | None = PrivateAttr(None)
     _provenance: Mapping[str, str] = PrivateAttr(default_factory=dict)
 
     @classmethod
-    def from_origin(cls, origin: Origin) -> Self:
+    def from_origin(cls, origin: ScenarioSource) -> Self:
         """Resolve, validate and check a scenario as written.
 
         Parameters
         ----------
-        origin : Origin
+        origin : ScenarioSource
             The scenario's own tables and overrides.
 
         Returns
@@ -181,7 +181,7 @@ class Scenario(Part):
         FeasibilityError
             If the rotors cannot carry the changed vehicle.
         """
-        origin = self._origin or Origin(
+        origin = self._origin or ScenarioSource(
             source=self.name,
             folder=self.folder,
             document=self.model_dump(mode="json"),
@@ -420,7 +420,9 @@ def _meaning(name: str) -> str:
     return meaning.partition(",")[0]
 
 
-def _in_declared_units(origin: Origin, model: type[BaseModel]) -> tuple[Origin, Rewritten]:
+def _in_declared_units(
+    origin: ScenarioSource, model: type[BaseModel]
+) -> tuple[ScenarioSource, Rewritten]:
     """Return an origin with declared fields only, and the conversions made."""
     document = in_declared_units(origin.document, model)
     assignments, told = paths_in_declared_units(origin.assignments, model)

@@ -130,7 +130,7 @@ class Knowledge(StrEnum):
     UNTOLD = "untold"
 
 
-class Clock(StrEnum):
+class SolveTiming(StrEnum):
     """Model of the solve time in the simulated flight."""
 
     STATED = "stated"
@@ -154,10 +154,10 @@ class Replanning(Part):
         ge=0,
         sound=Sound(0, 1e3, "plans that are older than 1000 s are useless"),
     )
-    clock: Clock = quantity(
+    clock: SolveTiming = quantity(
         "",
         "how long a solve takes in flight: solve_time, which repeats, or as measured",
-        Clock.STATED,
+        SolveTiming.STATED,
     )
     knowledge: tuple[Knowledge, ...] = quantity(
         "",

@@ -28,7 +28,7 @@ from pyomo_quad.scenario.messages import (
     listed,
     shown,
 )
-from pyomo_quad.scenario.resolution import Origin, read_toml
+from pyomo_quad.scenario.resolution import ScenarioSource, read_toml
 from pyomo_quad.scenario.schema import Scenario
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.sweep.case import StudyTask, output_columns, unknown_column
@@ -203,7 +203,7 @@ def _base_scenario(study: Study, file: FilePath) -> Scenario:
     scenario_file = file.parent / study.scenario
     source = str(file)
     return Scenario.from_origin(
-        Origin(
+        ScenarioSource(
             source=str(scenario_file),
             folder=scenario_file.parent,
             document=read_toml(scenario_file),
