@@ -50,7 +50,6 @@ from pyomo_quad.scenario.tables import (
 from pyomo_quad.scenario.unit_keys import in_declared_units
 from pyomo_quad.scenario.vehicle import Vehicle
 from pyomo_quad.scenario.wind import Wind, in_the_air, with_coupling
-from pyomo_quad.scenario.wind_field import read_wind_field
 from pyomo_quad.scenario.wind_file import read_wind_file
 
 LARGEST_FILE_BYTES = 1_000_000
@@ -590,6 +589,9 @@ def _add_wind_fields(
     origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
     for place, wind in _winds(tables, "field"):
+        # Imports pandas, which scenarios without a field do without.
+        from pyomo_quad.scenario.wind_field import read_wind_field  # noqa: PLC0415
+
         path = (*place, "field")
         where = f"{whose(origin, provenance, path)}: {spell(path)} = {shown(wind['field'])}"
         on_earth = origin_of_mission(tables, origin.source)

@@ -3,20 +3,19 @@
 The file may be untrusted: it is data only, bounded in size, and checked completely before use.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
 
 from pyomo_quad.scenario.earth import GeodeticOrigin
 from pyomo_quad.scenario.messages import ScenarioError, printable, shown
 from pyomo_quad.scenario.wind import LARGEST_WIND, LATEST_TIME, STRONGEST_GUST, WindGrid
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy import float64
-    from numpy.typing import NDArray
-
-    FloatArray = NDArray[float64]
+FloatArray = NDArray[np.float64]
 
 _LARGEST_BYTES = 200_000_000
 _MOST_VALUES = 5_000_000
@@ -73,8 +72,8 @@ class _Field(NamedTuple):
     `on_earth` names the axes, of x and y, that are longitudes and latitudes.
     """
 
-    axes: "dict[str, FloatArray]"
-    components: "FloatArray"
+    axes: dict[str, FloatArray]
+    components: FloatArray
     on_earth: tuple[str, ...] = ()
 
 
@@ -124,8 +123,6 @@ def _in_metres(field: _Field, origin: GeodeticOrigin | None, place: str) -> _Fie
 
     Meridians converge toward the poles; a region so large that its grid is skewed is refused.
     """
-    import numpy as np  # noqa: PLC0415  of the scenarios, few have a field
-
     if set(field.on_earth) != set(_AXES[:2]):
         _refuse(place, "has one coordinate in degrees and one in m; give both alike")
     if origin is None:
@@ -159,7 +156,6 @@ def _told(error: Exception) -> str:
 
 
 def _from_netcdf(file: Path, place: str) -> _Field:
-    import numpy as np  # noqa: PLC0415  of the scenarios, few have a field
     import xarray  # noqa: PLC0415  for NetCDF alone
 
     try:
@@ -199,7 +195,7 @@ def _from_netcdf(file: Path, place: str) -> _Field:
     return _Field(points, np.array(read), tuple(on_earth))
 
 
-def _named(variables: "Mapping[Any, Any]", names: tuple[str, ...]) -> Any:  # noqa: ANN401
+def _named(variables: Mapping[Any, Any], names: tuple[str, ...]) -> Any:  # noqa: ANN401
     """Return the variable with one of some names, by its standard name or its own name."""
     held = list(variables.values())
     for name in names:
@@ -209,22 +205,21 @@ def _named(variables: "Mapping[Any, Any]", names: tuple[str, ...]) -> Any:  # no
     return None
 
 
-def _points(variable: Any, axis: str, place: str) -> "FloatArray":  # noqa: ANN401
-    import numpy as np  # noqa: PLC0415  see `_from_netcdf`
+def _points(variable: Any, axis: str, place: str) -> FloatArray:  # noqa: ANN401
 
     if np.issubdtype(variable.dtype, np.datetime64):
-        return np.asarray((variable.values - variable.values[0]) / np.timedelta64(1, "s"))
+        return np.asarray((variable.to_numpy() - variable.to_numpy()[0]) / np.timedelta64(1, "s"))
     if np.issubdtype(variable.dtype, np.timedelta64):
-        return np.asarray(variable.values / np.timedelta64(1, "s"))
+        return np.asarray(variable.to_numpy() / np.timedelta64(1, "s"))
     if axis in _AXES[:2] and variable.attrs.get("units") in _ANGLES:
-        return np.asarray(variable.values, dtype=float)
+        return np.asarray(variable.to_numpy(), dtype=float)
     known, usual = (_TIMES, "s") if axis == "time" else (_LENGTHS, "m")
-    return _factor(variable, known, usual, place) * np.asarray(variable.values, dtype=float)
+    return _factor(variable, known, usual, place) * np.asarray(variable.to_numpy(), dtype=float)
 
 
 def _factor(
     variable: Any,  # noqa: ANN401
-    known: "Mapping[str, float]",
+    known: Mapping[str, float],
     usual: str,
     place: str,
 ) -> float:
@@ -239,8 +234,6 @@ def _factor(
 
 
 def _from_table(file: Path, place: str) -> _Field:
-    import numpy as np  # noqa: PLC0415  see `_from_netcdf`
-    import pandas as pd  # noqa: PLC0415  see `_from_netcdf`
 
     is_parquet = file.suffix.lower() in _PARQUET
     try:
@@ -289,8 +282,6 @@ def _from_table(file: Path, place: str) -> _Field:
 
 def _checked(field: _Field, place: str) -> dict[str, Any]:
     """Return the fields of a `WindGrid`: axes rise, and only x and y may have a single point."""
-    import numpy as np  # noqa: PLC0415  see `_from_netcdf`
-
     axes, components = dict(field.axes), field.components
     for lacking in (axis for axis in _AXES[:2] if axis not in axes):
         _refuse(place, f"has no coordinate {lacking}; give one in m by its standard_name and units")
@@ -319,8 +310,7 @@ def _checked(field: _Field, place: str) -> dict[str, Any]:
     return {**held, "speeds": WindGrid.packed(components)}
 
 
-def _check_axis(name: str, points: "FloatArray", place: str) -> None:
-    import numpy as np  # noqa: PLC0415  see `_from_netcdf`
+def _check_axis(name: str, points: FloatArray, place: str) -> None:
 
     most, unit = (LATEST_TIME, "s") if name == "time" else (_FARTHEST_M, "m")
     if not np.isfinite(points).all() or np.abs(points).max(initial=0.0) > most:
