@@ -207,7 +207,7 @@ def in_order(scenario: Scenario, held: Trajectories, dynamics: Dynamics) -> Traj
 def _refuse_other_ends(
     scenario: Scenario, dynamics: Dynamics, states: FloatArray, allowed: Allowed
 ) -> None:
-    """Refuse a plan whose initial or final state differs from that of the mission."""
+    """Refuse a plan whose initial or final state differs from the mission's."""
     for end, wanted, found in (
         ("start", declared_start(scenario, dynamics), states[0]),
         ("end", wanted_at_goal(scenario, dynamics), states[-1]),

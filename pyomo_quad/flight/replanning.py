@@ -430,7 +430,7 @@ class _Aircraft:
         self._measured = [dynamics.state_names.index(n) for n in replanner.dynamics.state_names]
 
     def measured(self, state: FloatArray) -> FloatArray:
-        """Return the states that a planner knows of, which are not those of the turbulence."""
+        """Return the states that a planner knows, without the states of the turbulence."""
         return state[self._measured]
 
     def seen(self, flown: Flown) -> Flown:

@@ -43,7 +43,7 @@ class Figures:
         Relative and absolute tolerance of the flight.  Errors of a flight without feedback grow
         about a millionfold in half a minute.
     spacing : float
-        Distance [m] between the samples at which the flight is held against zones.
+        Distance [m] between the samples at which the flight is compared with zones.
     """
 
     energy: float

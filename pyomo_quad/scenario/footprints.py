@@ -225,7 +225,7 @@ def _height(
     return float(value)
 
 
-def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401  of a stranger
+def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401  untrusted
     """Yield the rings of each polygon of a feature, the outer ring first."""
     geometry = feature.get("geometry") if isinstance(feature, Mapping) else None
     told = geometry if isinstance(geometry, Mapping) else {}

@@ -161,7 +161,7 @@ def _from_netcdf(file: Path, place: str) -> _Field:
     try:
         with xarray.open_dataset(file) as opened:
             data = opened.load()
-    except Exception as error:  # noqa: BLE001  whatever its readers raise at a stranger's bytes
+    except Exception as error:  # noqa: BLE001  readers raise many types for damaged files
         _refuse(place, f"is not NetCDF that can be read ({_told(error)}); save it anew")
     axes, on_earth = {}, []
     for axis, names in _AXIS_NAMES.items():

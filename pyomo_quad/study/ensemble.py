@@ -239,16 +239,15 @@ def _flown(
 
 @dataclass(frozen=True, kw_only=True)
 class Saving:
-    """What the plan spares against another flight of the mission in the same winds.
+    """Saving of the plan compared with another flight of the mission in the same winds.
 
     Attributes
     ----------
     rival : Ensemble
     percent : (float, float, float)
-        `BAND` over the winds of the energy spared, in per cent of what the rival takes in the same
-        wind.
+        `BAND` over the winds of (rival - plan) / rival, of the energies in a wind, in per cent.
     both_held : int
-        Flights of which both arrived and kept every limit; the others count as well.
+        Number of winds in which both arrived and kept every limit; the percentages cover all winds.
     """
 
     rival: Ensemble
