@@ -321,7 +321,7 @@ class Candidate:
         self._began += self.flown.timings.get("verify", 0.0)
 
     def is_astray(self) -> bool:
-        """Return whether the flight failed in a way that a finer mesh may mend, after convergence."""
+        """Return whether a converged solution failed its flight for want of a finer mesh."""
         plan = self.flown
         if plan is None or plan.is_verified or self.found.status is not Status.CONVERGED:
             return False
