@@ -71,8 +71,8 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        As `build_model`, with the shaping filters of block `wind.turbulence`, and with what a
-        forecast and a power model may err by, nought until it is known: ``wind.error`` by axis
+        As `build_model`, with the shaping filters of block `wind.turbulence`, and with the errors
+        of forecast and power model as mutable parameters, initially zero: ``wind.error`` by axis
         and ``power.error``.
 
     Examples

@@ -16,7 +16,7 @@ from pyomo_quad.model.wind import HARMONICS
 
 
 def _along(axes: str, **symbols: str) -> dict[str, str]:
-    """Return the symbols of vectors' components: name and symbol, each with the axis behind."""
+    """Return the symbols of the components of vectors: each name and symbol with its axis."""
     return {
         f"{name}_{axis}": f"{symbol}_{axis}" for name, symbol in symbols.items() for axis in axes
     }

@@ -83,7 +83,7 @@ def flight_summary(
     }
 
 
-#: The plan with all its numbers, from which `solve --continue` goes on.
+#: File of the plan with all its numbers, which `solve --continue` reads.
 PLAN_FILE_NAME = "plan.npz"
 PLAN_NAME = "plan.csv"
 

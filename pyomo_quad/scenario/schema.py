@@ -38,7 +38,7 @@ from pyomo_quad.scenario.plausibility import (
     created_power,
     remarks,
 )
-from pyomo_quad.scenario.resolution import Origin, resolve, whose
+from pyomo_quad.scenario.resolution import ScenarioSource, resolve, whose
 from pyomo_quad.scenario.tables import (
     USED_BY,
     Baseline,
@@ -101,16 +101,16 @@ class Scenario(Part):
     solver: Solver = quantity("", "solver settings", Solver())
     baseline: Baseline = quantity("", "the controller to compare with", Baseline())
 
-    _origin: Origin | None = PrivateAttr(None)
+    _origin: ScenarioSource | None = PrivateAttr(None)
     _provenance: Mapping[str, str] = PrivateAttr(default_factory=dict)
 
     @classmethod
-    def from_origin(cls, origin: Origin) -> Self:
+    def from_origin(cls, origin: ScenarioSource) -> Self:
         """Resolve, validate and check a scenario as written.
 
         Parameters
         ----------
-        origin : Origin
+        origin : ScenarioSource
             The scenario's own tables and overrides.
 
         Returns
@@ -182,7 +182,7 @@ class Scenario(Part):
         FeasibilityError
             If the rotors cannot carry the changed vehicle.
         """
-        origin = self._origin or Origin(
+        origin = self._origin or ScenarioSource(
             source=self.name,
             folder=self.folder,
             document=self.model_dump(mode="json"),
@@ -195,16 +195,7 @@ class Scenario(Part):
                 raise ScenarioError(f"{origin.source}: {text[:60]!r} is not the path of a field.")
             assignments.pop(path, None)
             assignments[path] = value
-        return self.from_origin(
-            Origin(
-                source=origin.source,
-                folder=origin.folder,
-                document=origin.document,
-                assignments=assignments,
-                label=origin.label,
-                is_resolved=origin.is_resolved,
-            )
-        )
+        return self.from_origin(replace(origin, assignments=assignments))
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
         """Return a revalidated copy with some fields changed, and leave this one as it is.
@@ -310,7 +301,7 @@ class Scenario(Part):
 
     @property
     def keeps_yaw(self) -> bool:
-        """Whether the heading stays that of the start throughout.
+        """Whether the heading stays constant throughout the flight.
 
         If power depends on thrust and airspeed alone, a turn has nearly no cost and the best
         heading is not unique. Unless a heading is prescribed, such a flight keeps its heading, as
@@ -340,7 +331,7 @@ class Scenario(Part):
         return self.model_copy(update={"wind": self.wind.forecast})
 
     def as_it_blows(self) -> Self:
-        """Return the scenario in which the optimiser knows the true wind."""
+        """Return the scenario with the actual wind known to the optimiser."""
         return self.model_copy(update={"wind": self.wind.model_copy(update={"forecast": None})})
 
     @property
@@ -480,7 +471,9 @@ def _meaning(name: str) -> str:
     return meaning.partition(",")[0]
 
 
-def _in_declared_units(origin: Origin, model: type[BaseModel]) -> tuple[Origin, Rewritten]:
+def _in_declared_units(
+    origin: ScenarioSource, model: type[BaseModel]
+) -> tuple[ScenarioSource, Rewritten]:
     """Return an origin with declared fields only, and the conversions made."""
     document = in_declared_units(origin.document, model)
     assignments, told = paths_in_declared_units(origin.assignments, model)
