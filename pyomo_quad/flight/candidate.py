@@ -43,7 +43,14 @@ _LIMITS = "limits."
 _TIGHTER = 0.1
 
 
-Start = Plan | WarmStart | Solution
+@dataclass(frozen=True)
+class AlongShortest:
+    """The flight along the shortest route on one mesh; the best route may be another."""
+
+    flight: Solution
+
+
+Start = Plan | WarmStart | Solution | AlongShortest
 
 
 @dataclass(kw_only=True)
@@ -110,11 +117,13 @@ class Candidate:
 
     def has_routes(self) -> bool:
         """Return whether there are routes round zones to compare."""
-        return self.start is None and self.mission.has_routes
+        is_open = self.start is None or isinstance(self.start, AlongShortest)
+        return is_open and self.mission.has_routes
 
     def fly_routes(self) -> str | None:
         """Solve along the candidate routes, and keep the best flight."""
-        self.solution, self.routes = RouteFlights(self.mission).best()
+        known = self.start.flight if isinstance(self.start, AlongShortest) else None
+        self.solution, self.routes = RouteFlights(self.mission, known).best()
         self.is_closed = not self.routes
         return self._outcome()
 
@@ -349,6 +358,9 @@ class Candidate:
         if not mission.problems.is_declared or limits.battery_power_share_max is not None:
             return False
         if plan is None or plan.flown is None or self.found.status is not Status.CONVERGED:
+            return False
+        verdict = plan.verification
+        if verdict is not None and verdict.battery_imbalance <= BALANCE_TOLERANCE:
             return False
         if shares_lacking(plan.dynamics, plan.flown)[0] <= BALANCE_TOLERANCE:
             return False

@@ -37,10 +37,12 @@ class RouteFlights:
     Parameters
     ----------
     mission : MissionProblem
+    known : Solution, optional
+        The flight along the shortest journey on one mesh, where it is known already.
     """
 
-    def __init__(self, mission: MissionProblem) -> None:
-        self._mission, self._told = mission, mission.told
+    def __init__(self, mission: MissionProblem, known: Solution | None = None) -> None:
+        self._mission, self._told, self._known = mission, mission.told, known
         solver = self._told.solver
         self._mesh = Mesh.uniform(max(solver.elements, _ROUTE_ELEMENTS), solver.degree)
         self._is_plain = False
@@ -153,6 +155,9 @@ class RouteFlights:
 
         A difficulty of one journey is a difficulty of all: the others are flown that way at once.
         """
+        if self._known is not None:
+            known, self._known = self._known, None
+            return known
         told, past = self._told, self._mission.past_waypoints
         guess: Any = guess_along(journey, told.nominal_times, is_open=told.mission.is_free)
         if self._is_plain and past is not None:
