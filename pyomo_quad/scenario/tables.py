@@ -442,6 +442,10 @@ _ANGLE = Sound(1e-4, 2, "angles are in radians")
 _MOMENT = Sound(0, 1e8, "the weight of 10 t on an arm of 1 km is 1e8 N m")
 
 
+# Fraction of the charge that packs usually keep, and above which the battery's equations are exact.
+_LEAST_CHARGE = 0.2
+
+
 class Limits(Part):
     """Bounds in the optimisation, to which the controller is clipped too."""
 
@@ -528,6 +532,12 @@ class Limits(Part):
         gt=0,
         le=1,
     )
+
+    @property
+    def least_charge(self) -> float:
+        """Fraction of the charge that stays in the pack, a fifth where the scenario sets none."""
+        least = self.state_of_charge_min
+        return _LEAST_CHARGE if least is None else least / 100.0
 
     @property
     def largest_tilt(self) -> float:
