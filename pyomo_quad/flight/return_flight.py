@@ -79,7 +79,7 @@ def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
 
 def _current(scenario: Scenario, steady: SteadyFlight, airspeed: float) -> float:
     """Return the pack's current in steady flight at the least charge of a return [A]."""
-    drawn = scenario.limits.usable_charge * steady.pack_capacity
+    drawn = (1.0 - scenario.limits.least_charge) * steady.pack_capacity
     rate, reserve = steady.charge_rates(steady.trim([airspeed, 0.0, 0.0]), np.array([drawn]))
     if reserve[0] < 0.0:
         raise SolveError(f"the pack cannot give the power of flight at {airspeed:g} m/s.")

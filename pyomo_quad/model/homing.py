@@ -53,7 +53,7 @@ _HOMES = tuple(
 _USABLE_CHARGE = Parameter(
     name="usable_charge",
     units=units.dimensionless,
-    value=lambda s: s.limits.usable_charge,
+    value=lambda s: 1.0 - s.limits.least_charge,
     doc="share of the charge that is used when the return ends",
 )
 

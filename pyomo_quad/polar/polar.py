@@ -187,7 +187,7 @@ def find_polar(scenario: Scenario) -> Polar:
         If the vehicle cannot hover.
     """
     planner = Planner()
-    depth = scenario.limits.usable_charge
+    depth = 1.0 - scenario.limits.least_charge
     own = scenario.vehicle.payload
     curves = []
     for more in _MORE_PAYLOAD:

@@ -75,7 +75,7 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
         If the vehicle cannot hover.
     """
     planner = Planner()
-    depth = scenario.limits.usable_charge
+    depth = 1.0 - scenario.limits.least_charge
     curve = steady_curve(scenario, planner.steady_flight(scenario), depth)
     courses = np.linspace(0.0, 2.0 * np.pi, _COURSES, endpoint=False)
     along = np.linspace(0.0, _farthest(curve), _STEPS)

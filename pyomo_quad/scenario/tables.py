@@ -442,8 +442,8 @@ _ANGLE = Sound(1e-4, 2, "angles are in radians")
 _MOMENT = Sound(0, 1e8, "the weight of 10 t on an arm of 1 km is 1e8 N m")
 
 
-# Fraction of the charge that stays in a pack without a limit of its own: usual practice.
-_USUAL_LEAST_CHARGE = 0.2
+# Fraction of the charge that packs usually keep, and above which the battery's equations are exact.
+_LEAST_CHARGE = 0.2
 
 
 class Limits(Part):
@@ -540,10 +540,10 @@ class Limits(Part):
     )
 
     @property
-    def usable_charge(self) -> float:
-        """Fraction of a full pack's charge above its limit, or above a fifth without a limit."""
+    def least_charge(self) -> float:
+        """Fraction of the charge that stays in the pack, a fifth where the scenario sets none."""
         least = self.state_of_charge_min
-        return 1.0 - (_USUAL_LEAST_CHARGE if least is None else least / 100.0)
+        return _LEAST_CHARGE if least is None else least / 100.0
 
     @property
     def largest_tilt(self) -> float:

@@ -52,7 +52,7 @@ def test_airspeed_and_current_are_those_of_least_charge_against_the_wind():
     told = with_return_flight(Planner(), scenario).mission.return_flight
     wind = scenario.wind.speed
     steady = Planner().steady_flight(load_scenario(PARCEL))
-    drawn = np.array([scenario.limits.usable_charge * steady.pack_capacity])
+    drawn = np.array([(1.0 - scenario.limits.least_charge) * steady.pack_capacity])
 
     def cost(airspeed):
         rates, _ = steady.charge_rates(steady.trim([airspeed, 0.0, 0.0]), drawn)

@@ -22,7 +22,7 @@ HOME = {"latitude": 47.0, "longitude": 8.0, "altitude": 400.0}
 
 def curve_of(scenario):
     steady = Planner().steady_flight(scenario)
-    return steady_curve(scenario, steady, scenario.limits.usable_charge)
+    return steady_curve(scenario, steady, 1.0 - scenario.limits.least_charge)
 
 
 @cache
