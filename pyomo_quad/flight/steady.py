@@ -174,7 +174,7 @@ class SteadyFlight:
         return trim.states[self._rotors]
 
     def endurance(self, trim: Trim, depth: float, samples: int) -> float:
-        """Return how long the full pack sustains a steady flight, down to a depth of 0 to 1 [s].
+        """Return the time [s] for which the full pack sustains a steady flight, to a depth of 0 to 1.
 
         Infinite if it draws no power, and zero if the pack cannot give the power.
         """
