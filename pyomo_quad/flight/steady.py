@@ -174,7 +174,7 @@ class SteadyFlight:
         return trim.states[self._rotors]
 
     def endurance(self, trim: Trim, depth: float, samples: int) -> float:
-        """Return the time [s] for which the full pack sustains a steady flight, to a depth of 0 to 1.
+        """Return the time [s] that the full pack sustains a steady flight, to a depth of 0 to 1.
 
         Infinite if it draws no power, and zero if the pack cannot give the power.
         """

@@ -182,7 +182,7 @@ def arrivals(flights: pd.DataFrame, controller: str) -> Arrivals:
 
 
 class Flown(NamedTuple):
-    """A flight of the study: its plant, controller and reference, and the function that flies it."""
+    """A flight of the study: plant, controller, reference, and the function that flies it."""
 
     plant: Plant
     controller: str
@@ -322,7 +322,7 @@ def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
 
 
 def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
-    """Return a reference with an additional acceleration against the air's force in level attitude."""
+    """Return a reference with an additional acceleration against the force of the air."""
     dynamics, mass = plant.dynamics, plant.scenario.vehicle.total_mass
     moving = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     forces = tuple((name, None) for name in AIR_FORCE)
