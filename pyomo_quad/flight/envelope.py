@@ -1,4 +1,4 @@
-"""How far a plan leaves the range in which measured flights confirm its vehicle."""
+"""Departures of a plan from the range in which measured flights confirm its vehicle."""
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING

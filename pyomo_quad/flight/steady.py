@@ -189,7 +189,7 @@ class SteadyFlight:
         return rate, reserve
 
     def endurance(self, trim: Trim, depth: float, samples: int) -> float:
-        """Return how long the full pack sustains a steady flight, down to a depth of 0 to 1 [s].
+        """Return the time [s] that the full pack sustains a steady flight, to a depth of 0 to 1.
 
         Infinite if it draws no power, and zero if the pack cannot give the power.
         """

@@ -274,7 +274,7 @@ class BestOrder:
         return find_orders(self._scenario.as_forecast(), self._leg)
 
     def has_time(self) -> bool:
-        """Return whether another order may be flown: one is, whatever the time."""
+        """Return whether time is left to fly another order; at least one order is always flown."""
         return not self._flown or not self._search.deadline.is_over
 
     def fly(self, found: OrderSearch) -> str:

@@ -315,7 +315,7 @@ def _time_of(index: Hashable) -> Hashable:
 
 
 class _Writer:
-    """Writes Pyomo expressions as LaTeX; with a free index, the first rotor is called j."""
+    """Writes Pyomo expressions as LaTeX; with a free index, the first rotor is written as j."""
 
     def __init__(self, *, has_free_index: bool) -> None:
         self._has_free_index = has_free_index

@@ -309,7 +309,7 @@ _FAILED_PLAN = "best iterate"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StyledFlight:
-    """A flight with its style in all figures; the energy includes the owed energy."""
+    """A flight with its style in all figures; its energy includes the energy to complete it."""
 
     name: str
     frame: pd.DataFrame
