@@ -100,10 +100,13 @@ def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) 
 def draw_map(flights: Sequence[StyledFlight], mission: Scenario) -> Figure:
     """Draw paths from above with zones, waypoints and the mean wind, to one scale."""
     figure = Figure(figsize=(FULL_WIDTH, _MAP_HEIGHT))
-    axes = figure.add_axes((0.075, 0.21, 0.915, 0.76))
-    limits = _limits(flights, mission)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set(xlim=limits[0], ylim=limits[1])
+    left, below, wide, high = 0.075, 0.21, 0.915, 0.76
+    axes = figure.add_axes((left, below, wide, high))
+    limits = _limits(flights, mission)[:2]
+    room = np.array([wide * FULL_WIDTH, high * _MAP_HEIGHT])
+    half = (np.ptp(limits, axis=1) / room).max() * room / 2
+    (low_x, low_y), (high_x, high_y) = (limits.mean(axis=1) + way * half for way in (-1, 1))
+    axes.set(xlim=(low_x, high_x), ylim=(low_y, high_y))
     draw_mission(axes, mission, (0, 1))
     for flight in flights:
         axes.plot(*_track(flight)[:, :2].T, label=flight.name, **flight.style.line)
