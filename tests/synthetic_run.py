@@ -8,8 +8,8 @@ import pandas as pd
 
 from pyomo_quad.collocation import ActiveLimit, Diagnosis, Mesh, MeshRecord, Residual
 from pyomo_quad.flight import PlanStatus, Verification
+from pyomo_quad.flight.failure import Failure
 from pyomo_quad.flight.margins import PAPER_PLAN
-from pyomo_quad.flight.plan import Failure
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.scenario.accuracy import FIGURES
 from pyomo_quad.scenario.mission import NamedDuration
@@ -147,12 +147,13 @@ def synthetic_history():
 
 def synthetic_costates(scenario, samples=90):
     time = np.linspace(0.0, scenario.mission.duration, samples)
-    columns = {"time_s": time}
+    columns = {}
     for index, state in enumerate(STATES):
         columns[f"rigid_body.{state}"] = np.cos(time / 3 + index) / (1 + index)
     for rotor in range(1, 5):
         columns[f"rotors.omega[{rotor}]"] = 1e-3 * np.sin(time + rotor)
-    return pd.DataFrame(columns | {"hamiltonian": 70.96 + 0 * time})
+    columns["hamiltonian"] = 70.96 + 0 * time
+    return pd.DataFrame(columns, index=pd.Index(time, name="time_s"))
 
 
 def synthetic_verification(flight):

@@ -99,11 +99,11 @@ _Flown = Annotated[
 ]
 _Flights = Annotated[
     int | None,
-    option(
-        "--flights", "N", "Fly the plan so often, each time in a wind of its own.", positive_count
-    ),
+    option("--flights", "N", "Fly the plan N times, each time in a random wind.", positive_count),
 ]
-_Seed = Annotated[int, typer.Option("--seed", metavar="N", help="--flights: of the winds.", min=0)]
+_Seed = Annotated[
+    int, typer.Option("--seed", metavar="N", help="--flights: seed of the random winds.", min=0)
+]
 _Cruises = Annotated[
     list[float] | None,
     option(
@@ -165,7 +165,7 @@ def fly(
 
 
 def is_plan(path: Path) -> bool:
-    """Say whether a path names a plan, and not the scenario of one."""
+    """Return whether a path names a plan instead of a scenario."""
     return path.is_dir() or path.suffix == ".npz"
 
 

@@ -60,7 +60,7 @@ _STATE_OF_CHARGE = "battery.state_of_charge"
 
 
 def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None) -> FloatArray:
-    """Return the initial state of a flight: that of the plan, or declared hover.
+    """Return the initial state of a flight: the plan's, or declared hover.
 
     Returns
     -------

@@ -1,9 +1,9 @@
-"""Farthest places that a vehicle reaches on one pack, one way or with the return, in a wind field.
+"""Boundary of the places that a vehicle reaches on one pack in a wind field, or out and back.
 
-The flight is straight, level at the height of the start, and at each place at the ground speed of
-least energy per metre in the wind there. A metre uses the share 1 / range of the pack, where range
-is the distance that the full pack lasts for in that wind; the boundary is where the shares along a
-course, there and, with a return, back, add up to the pack. Zones are not flown round.
+The flight is straight and level, at the height of the start and at the ground speed of least energy
+per metre in the local wind. A metre uses the share 1 / range of the pack, where range is the
+distance that a full pack lasts for in the local wind. On the boundary, the shares along a course,
+out and with a return also back, add up to the whole pack. Keep-out zones are ignored.
 """
 
 import json

@@ -17,9 +17,10 @@ from pyomo_quad.version import __version__
 if TYPE_CHECKING:
     import pandas as pd
 
+    from pyomo_quad.flight.failure import Failure
     from pyomo_quad.flight.flight import Flight
     from pyomo_quad.flight.orders import OrderSearch
-    from pyomo_quad.flight.plan import Failure, Plan
+    from pyomo_quad.flight.plan import Plan
     from pyomo_quad.scenario import Scenario
     from pyomo_quad.study.run import RunResult
 
@@ -82,7 +83,7 @@ def flight_summary(
     }
 
 
-#: The plan with all its numbers, from which `solve --continue` goes on.
+#: File of the plan with all its numbers, which `solve --continue` reads.
 PLAN_FILE_NAME = "plan.npz"
 PLAN_NAME = "plan.csv"
 

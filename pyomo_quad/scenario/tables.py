@@ -60,7 +60,7 @@ class Gains(Part):
     )
     speed_max: Number = quantity(
         "m/s",
-        "speed at which a far goal is approached",
+        "largest speed of approach to a distant goal",
         3.0,
         gt=0,
         sound=_SPEED,
@@ -79,7 +79,7 @@ class Gains(Part):
     )
     thrust_share: Number = quantity(
         "1",
-        "share of the thrust beyond the weight left to the position loop",
+        "share of the thrust in excess of the weight that the position loop may use",
         0.7,
         gt=0,
         le=1,
@@ -90,7 +90,7 @@ class Gains(Part):
     )
     attitude: Number = quantity("1/s", "roll and pitch error to rate (k3)", 6.0, gt=0, sound=_RATE)
     attitude_rate: Number = quantity(
-        "1/s", "their rate error to acceleration (k4)", 15.0, gt=0, sound=_RATE
+        "1/s", "roll and pitch rate error to acceleration (k4)", 15.0, gt=0, sound=_RATE
     )
     yaw: Number = quantity("1/s", "yaw error to yaw rate (k3)", 1.0, gt=0, sound=_RATE)
     yaw_rate: Number = quantity(
@@ -109,14 +109,14 @@ class Gains(Part):
         "1/s^2", "adaptation to a force (gamma)", 100.0, ge=0, sound=_ADAPTATION
     )
     force_max: Number = quantity(
-        "m/s^2", "bound of that force over the mass", 4.0, gt=0, sound=_FORCE
+        "m/s^2", "bound of the adapted force over the mass", 4.0, gt=0, sound=_FORCE
     )
     moment_adaptation: Number = quantity(
         "1/s^2", "adaptation to a moment (gamma)", 25.0, ge=0, sound=_ADAPTATION
     )
     moment_max: Number = quantity(
         "rad/s^2",
-        "bound of that moment over the inertia",
+        "bound of the adapted moment over the inertia",
         1.0,
         gt=0,
         sound=Sound(1e-3, 1e8, "larger than any airframe reaches"),
@@ -131,7 +131,7 @@ class Knowledge(StrEnum):
     UNTOLD = "untold"
 
 
-class Clock(StrEnum):
+class SolveTiming(StrEnum):
     """Model of the solve time in the simulated flight."""
 
     STATED = "stated"
@@ -155,10 +155,10 @@ class Replanning(Part):
         ge=0,
         sound=Sound(0, 1e3, "plans that are older than 1000 s are useless"),
     )
-    clock: Clock = quantity(
+    clock: SolveTiming = quantity(
         "",
         "how long a solve takes in flight: solve_time, which repeats, or as measured",
-        Clock.STATED,
+        SolveTiming.STATED,
     )
     knowledge: tuple[Knowledge, ...] = quantity(
         "",
@@ -350,15 +350,15 @@ class Power(Part):
         sound=Sound(1e-3, 100, "1.225 at sea level, 0.02 on Mars"),
     )
     regeneration: Flag = quantity(
-        "", "whether braking earns energy back, default by power model", False
+        "", "whether braking returns energy; the default depends on the power model", False
     )
     hover_power_deviation: Number = late_quantity(
         "W",
-        "standard deviation of the power of hover, where it is known roughly; that of all motion "
-        "errs by the same share",
+        "standard deviation of the hover power, if it is uncertain; all other powers err by the "
+        "same share",
         0.0,
         ge=0,
-        sound=Sound(0, 1e6, "what flies takes watts to megawatts"),
+        sound=Sound(0, 1e6, "flight powers range from watts to megawatts"),
     )
     smoothing: Number = quantity(
         "W",
@@ -387,7 +387,7 @@ class Solver(Part):
 
     accuracy: Accuracy = quantity(
         "",
-        "accuracy asked for: quick, energy within 1e-3 and arrival within 0.1 m in open loop; "
+        "required accuracy: quick, energy within 1e-3 and arrival within 0.1 m in open loop; "
         "standard, 1e-4 and 1 cm; proof, 1e-6 and 0.1 mm, for studies",
         Accuracy.PROOF,
         is_late=True,
@@ -395,8 +395,8 @@ class Solver(Part):
     )
     tolerance: Number = quantity(
         "1",
-        "relative error of the states to which meshes are refined; unless given 1e-3, 1e-4 or "
-        "1e-6, by the accuracy",
+        "relative error of the states to which meshes are refined; by default 1e-3, 1e-4 or 1e-6, "
+        "depending on the accuracy",
         FIGURES[Accuracy.PROOF].energy,
         gt=0,
         le=1e-1,
@@ -407,7 +407,7 @@ class Solver(Part):
     max_iterations: WholeNumber = quantity("1", "Ipopt iterations per mesh", 150, ge=1, le=100_000)
     time_limit: Number = quantity(
         "s",
-        "processor time after which a command ends its solves, its diagnosis and its flights",
+        "processor time after which a command stops its solves, diagnosis and flights",
         300.0,
         gt=0,
         le=1e6,
@@ -473,19 +473,25 @@ class Limits(Part):
     )
     thrust_max: Number = quantity(
         "N",
-        "largest total thrust, default of all rotors",
+        "largest total thrust; by default all rotors at rotor_speed_max",
         gt=0,
         sound=Sound(0, 1e7, "multirotors weigh at most 10 t"),
     )
     roll_moment_max: Number = quantity(
-        "N*m", "largest roll moment, default of the rotors on one side", gt=0, sound=_MOMENT
+        "N*m",
+        "largest roll moment; by default the rotors on one side at rotor_speed_max",
+        gt=0,
+        sound=_MOMENT,
     )
     pitch_moment_max: Number = quantity(
-        "N*m", "largest pitch moment, default of the rotors ahead", gt=0, sound=_MOMENT
+        "N*m",
+        "largest pitch moment; by default the rotors ahead at rotor_speed_max",
+        gt=0,
+        sound=_MOMENT,
     )
     yaw_moment_max: Number = quantity(
         "N*m",
-        "largest yaw moment, default of half of the rotors",
+        "largest yaw moment; by default half of the rotors at rotor_speed_max",
         gt=0,
         sound=_MOMENT,
     )
@@ -522,12 +528,12 @@ class Limits(Part):
     )
     within_validated: Flag = late_quantity(
         "",
-        "whether plans keep to the range that measurements confirm, vehicle.validated",
+        "whether plans stay within the range confirmed by measurements, vehicle.validated",
         False,
     )
     battery_power_share_max: Number | None = late_quantity(
         "1",
-        "largest share of the power that the pack can give at most, no limit when absent",
+        "largest share of the pack's greatest power that a flight may draw, no limit when absent",
         None,
         gt=0,
         le=1,

@@ -57,6 +57,8 @@ _FACTORS = (1.5, 1.5, 2.0)
 _FLIGHTS = 30
 # The search ends when the costs of its simplex differ by this share.
 _COST_TOLERANCE = 2e-4
+# Cost of settings that cannot be flown: finite, because the search subtracts costs [J].
+_FAILED_J = 1e12
 # What a broken limit or a missed goal adds to the energy: a share of it, and that times the breach.
 _PENALTY, _PENALTY_OF_BREACH = 0.5, 10.0
 # Tolerance of the integrator in the search: energies to 2e-4, and a third of the work.
@@ -176,7 +178,7 @@ def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[Tr
     def cost(x: FloatArray) -> float:
         speed, acceleration, jerk = np.exp(x).tolist()
         tried.append(fly(CruiseSettings(speed=speed, acceleration=acceleration, jerk=jerk)))
-        return tried[-1].cost_J
+        return min(tried[-1].cost_J, _FAILED_J)
 
     first = np.clip(np.log(_FIRST), *bounds.T)
     simplex = np.vstack([first, first + np.diag(np.log(_FACTORS))])

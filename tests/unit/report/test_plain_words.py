@@ -202,15 +202,15 @@ def test_the_share_of_flights_that_hold_stands_in_the_headline():
     assert said.endswith("Of 400 flights in turbulence 390 arrive and keep every limit (97.5 %).")
 
 
-README = " ".join(Path("README.md").read_text(encoding="utf-8").split())
+RESULTS = " ".join(Path("docs/evidence/results.md").read_text(encoding="utf-8").split())
 
 
-def test_the_readme_says_that_climbing_is_free_where_the_energies_stand():
+def test_the_book_says_that_climbing_is_free_where_the_energies_stand():
     scenario = load_scenario("scenarios/paper_calm.toml")
     _, potential = climb_of(scenario)
     frame = pd.read_csv("reports/paper_calm/comparison.csv").set_index("flight")
     spent = frame.excess_energy_J["optimal"]
-    first_table = README.index("| optimum | adaptive, smooth reference")
-    said = README[first_table : README.index("Free to choose its time")]
+    first_table = RESULTS.index("| optimum | adaptive, smooth reference")
+    said = RESULTS[first_table : RESULTS.index("Free to choose its time")]
     assert f"8 m are {potential:.0f} J of potential energy" in said
     assert f"{spent:.2f} J more than hovering" in said

@@ -258,8 +258,8 @@ def test_headline_of_an_untold_wind_names_the_miss_and_what_the_plan_is_worth(
     assert text.split("\n\n")[1] == UNTOLD.format(spent=spent, outcome=outcome)
 
 
-def test_the_readme_says_of_the_untold_wind_what_its_report_says():
-    told = " ".join(Path("README.md").read_text(encoding="utf-8").split())
+def test_the_book_says_of_the_untold_wind_what_its_report_says():
+    told = " ".join(Path("docs/evidence/results.md").read_text(encoding="utf-8").split())
     frame = pd.read_csv("reports/wind_untold/comparison.csv").set_index("flight")
     within = float(re.search(r"it arrives within ([\d.]+) mm", told)[1])
     found = 1e3 * frame.terminal_miss_m["adaptive/plan"]
