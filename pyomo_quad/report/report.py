@@ -347,7 +347,7 @@ def _rival(comparison: "pd.DataFrame") -> dict[Any, Any] | None:
 
 
 def _spent(row: dict[Any, Any]) -> float:
-    """Return the energy of a flight plus the energy to complete it, for comparisons [J]."""
+    """Return the energy of a flight plus its owed energy, by which flights are compared [J]."""
     return float(row[ComparisonColumn.HOVER_ENERGY] + row[ComparisonColumn.EXCESS_ENERGY])
 
 
