@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from pyomo_quad.cli.campaigns import campaign
 from pyomo_quad.cli.endings import ExitCode, Stopped, before_the_end
 from pyomo_quad.cli.looking import check, init, library, plot, schema
 from pyomo_quad.cli.missions import export, import_
@@ -34,6 +35,7 @@ from pyomo_quad.cli.terminal import (
     Quiet,
     ReportFolder,
     ScenarioFile,
+    ScenarioFiles,
     Stopwatch,
     claim_streams,
     complain,
@@ -272,10 +274,6 @@ def _refuse_unfit(controller: Controller, plant: Plant) -> None:
 
 _COMPARISON_FOLDER = Path("reports") / "comparison"
 
-ScenarioFiles = Annotated[
-    list[Path], typer.Argument(metavar="SCENARIO...", help="Scenario files (TOML).")
-]
-
 
 def run(
     scenario: ScenarioFile,
@@ -441,7 +439,21 @@ app = typer.Typer(
     help="Minimum-energy quadrotor flight in wind: solve, verify, compare, report.",
 )
 for _command in (
-    *(init, run, solve, compare, check, library, schema, fly, export, plot, identify, predict),
+    *(
+        init,
+        run,
+        solve,
+        compare,
+        campaign,
+        check,
+        library,
+        schema,
+        fly,
+        export,
+        plot,
+        identify,
+        predict,
+    ),
     *(polar, reach, vehicle, vehicles, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
 ):
     app.command()(_command)

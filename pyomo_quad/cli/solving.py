@@ -33,6 +33,7 @@ from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.loader import parse_overrides
 from pyomo_quad.study.comparison import ComparisonColumn, against_hovering
+from pyomo_quad.study.headline import headline_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -273,6 +274,9 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
 
 def run_lines(result: "RunResult") -> Iterator[str | Table]:
     """Yield the lines on a run: optimum, table of flights, and certificate."""
+    headline = headline_of(result)
+    if headline is not None:
+        yield f"{result.scenario.name}: {headline.words}"
     yield from verdict_lines(result.plan)
     if not result.comparison.empty:
         yield comparison_table(result.comparison)

@@ -132,6 +132,13 @@ def read_mission(
     ScenarioError
         If the file is no mission, has a command that no scenario can hold, or its scenario is
         refused; one line.
+
+    Examples
+    --------
+    >>> from pyomo_quad import export_plan
+    >>> made = export_plan(plan, "qgroundcontrol", "hop.plan", origin="47.4,8.5,488")
+    >>> read_mission("hop.plan").scenario.name
+    'hop'
     """
     path = Path(file)
     notes: Counter[str] = Counter()

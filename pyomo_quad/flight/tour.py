@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pyomo_quad.collocation import Mesh
-from pyomo_quad.flight.candidate import Candidate
+from pyomo_quad.flight.candidate import AlongShortest, Candidate
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.orders import (
     MOST_EXACT,
@@ -288,10 +288,11 @@ class BestOrder:
     def finish(self, solve: Callable[[Scenario, Start | None, Search], Plan]) -> Plan:
         """Return the plan of the cheapest order flown."""
         _, best, begun = min(self._flown, key=lambda entry: entry[0])
-        ordered, start = in_order(self._scenario, best.order), None
-        # Round zones the best way may be another than the shortest, which was flown so far.
-        if begun is not None and not self._problems.has_routes(ordered):
-            start = begun if self._is_plain else begun.warm_start
+        ordered = in_order(self._scenario, best.order)
+        start: Start | None = begun if begun is None or self._is_plain else begun.warm_start
+        if begun is not None and self._problems.has_routes(ordered):
+            start = AlongShortest(begun)
+        self._search.restart_patience()
         plan = solve(ordered, start, self._search)
         return replace(plan, order_search=best if best.legs else None)
 

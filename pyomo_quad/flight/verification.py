@@ -429,9 +429,11 @@ def verify_controls(
     miss = terminal_miss_of(dynamics, flown.states[-1], planned)
     relative = {name: abs(m) / max(1.0, abs(planned[name])) for name, m in miss.items()}
     worst_miss = max(relative, key=lambda name: relative[name])
-    breaches = dynamics.violations(flown.t, flown.states, flown.controls)
-    breach = breaches[0]
-    imbalance = max(shares_lacking(dynamics, flown))
+    instants = dynamics.solved(flown.t, flown.states, flown.controls)
+    (breaches,) = dynamics.violations_of(instants, flown.t)
+    breach, imbalance = breaches[0], 0.0
+    if has_balance(dynamics):
+        imbalance = max(balance_lacking(instants.table(BALANCE_KEYS)))
     lacking = voltage_lacking(dynamics, flown)
     flown_energy = float(flown.energy[-1])
     passing = tuple(_passing_miss(dynamics, flown, passage) for passage in passages)

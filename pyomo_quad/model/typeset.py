@@ -163,6 +163,18 @@ _AIRSPACE = {
     "rounding": r"\varepsilon_r",
     "edge_width": "w",
 }
+_HOMING = {
+    **{f"home_{axis}": f"{axis}_{{home}}" for axis in "xyz"},
+    "way": "d",
+    "tail_wind": r"w_{\parallel}",
+    "ground_speed": "g",
+    "airspeed": "V",
+    "current": "i",
+    "margin": r"\mu",
+    "usable_charge": r"\kappa",
+    "charge_to": "q",
+    "charge_home": "q_{home}",
+}
 
 
 def _wind_axis(axis: str) -> dict[str, str]:
@@ -207,6 +219,7 @@ _BLOCKS = {
     "battery": _BATTERY,
     "limits": _LIMITS,
     "airspace": _AIRSPACE,
+    "homing": _HOMING,
 }
 
 # Full component name (with index where the symbol depends on it) to its symbol.

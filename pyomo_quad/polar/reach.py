@@ -23,7 +23,7 @@ from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import declared_start
 from pyomo_quad.flight.flight import POSITION_STATES
 from pyomo_quad.model.wind_field import is_wind_known
-from pyomo_quad.polar.polar import COURSE, REACH, SteadyCurve, least_charge, steady_curve
+from pyomo_quad.polar.polar import COURSE, REACH, SteadyCurve, steady_curve
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import Drawing, write_study
 from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, SERIES_STYLES
@@ -75,7 +75,7 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
         If the vehicle cannot hover.
     """
     planner = Planner()
-    depth = 1.0 - least_charge(scenario)
+    depth = 1.0 - scenario.limits.least_charge
     curve = steady_curve(scenario, planner.steady_flight(scenario), depth)
     courses = np.linspace(0.0, 2.0 * np.pi, _COURSES, endpoint=False)
     along = np.linspace(0.0, _farthest(curve), _STEPS)

@@ -56,6 +56,12 @@ def describe_fields(scenario: Scenario) -> tuple[FieldDescription, ...]:
     -------
     tuple of FieldDescription
         One for each field that is not a table.
+
+    Examples
+    --------
+    >>> fields = {field.path: field for field in describe_fields(scenario)}
+    >>> fields["mission.duration"].value, fields["mission.duration"].unit
+    (4.0, 's')
     """
     provenance = scenario.provenance
     return tuple(
@@ -82,6 +88,11 @@ def field_unit(path: str) -> str:
     -------
     str
         SI unit, empty where there is none.
+
+    Examples
+    --------
+    >>> field_unit("vehicle.mass")
+    'kg'
     """
     steps = parse_path(path) or ()
     _, unit = declared_place(Scenario, steps)

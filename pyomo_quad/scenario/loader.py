@@ -51,6 +51,14 @@ def load_scenario(
         If the file or fields are not allowed; one line for each, naming the field.
     FeasibilityError
         If the rotors cannot carry the vehicle.
+
+    Examples
+    --------
+    >>> scenario = load_scenario("scenarios/paper_wind.toml", {"mission.duration": 8.0})
+    >>> scenario.mission.duration
+    8.0
+    >>> scenario.provenance["vehicle.mass"]
+    'library dji_phantom_2'
     """
     is_mapping = isinstance(overrides, Mapping)
     written = _mapped(overrides) if isinstance(overrides, Mapping) else _parsed(overrides)
@@ -93,6 +101,13 @@ def scenario_from_mapping(
         If a field is not allowed.
     FeasibilityError
         If the rotors cannot carry the vehicle.
+
+    Examples
+    --------
+    >>> mission = {"goal": {"position": [1.0, 0.0, 0.5]}, "duration": 4.0}
+    >>> hop = scenario_from_mapping({"name": "hop", "mission": mission})
+    >>> hop.mission.goal.position
+    (1.0, 0.0, 0.5)
     """
     refuse_deep(tables, source)
     return _from_written(

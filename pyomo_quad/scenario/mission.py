@@ -92,6 +92,32 @@ class Waypoint(Part):
     )
 
 
+class ReturnFlight(Part):
+    """The steady, level flight by which a vehicle returns, and the margin kept for it."""
+
+    margin: Number = quantity(
+        "1",
+        "charge kept beyond that of the return, as a share of it",
+        0.2,
+        ge=0,
+        sound=Sound(0, 10, "ten returns are enough"),
+    )
+    airspeed: Number | None = quantity(
+        "m/s",
+        "airspeed of the return, that of least charge against the wind when absent",
+        None,
+        gt=0,
+        sound=Sound(1e-3, 1e3, "rotorcraft fly below 340 m/s, the speed of sound"),
+    )
+    current: Number | None = quantity(
+        "A",
+        "current of the pack at that airspeed, found from steady flight when absent",
+        None,
+        gt=0,
+        sound=Sound(1e-3, 1e4, "packs give at most 10 kA"),
+    )
+
+
 class NamedDuration(NamedTuple):
     """A duration, s, and the field of a scenario that holds it."""
 
@@ -183,6 +209,15 @@ class Mission(Part):
         (),
         max_length=16,
         sound=_FAR,
+    )
+    return_reserve: bool = late_quantity(
+        "",
+        "whether the pack holds at every moment what a return to the start or the nearest of rally "
+        "takes in the wind",
+        False,
+    )
+    return_flight: ReturnFlight = late_quantity(
+        "", "the return that charge is kept for", ReturnFlight()
     )
     risk: Number | None = late_quantity(
         "1",

@@ -191,6 +191,11 @@ def library_names(kind: str) -> tuple[str, ...]:
     ------
     ScenarioError
         If there is no such kind.
+
+    Examples
+    --------
+    >>> "dji_phantom_2" in library_names("vehicles")
+    True
     """
     if kind not in LIBRARY_KINDS:
         raise ScenarioError(
@@ -226,6 +231,12 @@ def library_entry(kind: str, name: str) -> LibraryEntry:
     ------
     ScenarioError
         If there is no such kind or name.
+
+    Examples
+    --------
+    >>> entry = library_entry("vehicles", "dji_phantom_2")
+    >>> entry.values()["vehicle.mass"]
+    1.3
     """
     names = library_names(kind)
     if name not in names:

@@ -43,6 +43,7 @@ from pyomo_quad.scenario.tables import (
     USED_BY,
     Baseline,
     Battery,
+    CruiseSettings,
     Limits,
     Power,
     PowerModel,
@@ -50,7 +51,7 @@ from pyomo_quad.scenario.tables import (
 )
 from pyomo_quad.scenario.unit_keys import Rewritten, in_declared_units, paths_in_declared_units
 from pyomo_quad.scenario.vehicle import Attitude, Vehicle
-from pyomo_quad.scenario.wind import Air, Wind
+from pyomo_quad.scenario.wind import Air, Wind, WindCoupling
 
 # Acceleration, as a fraction of gravity, assumed for a vehicle without spare thrust; and ratio of
 # the first guess at a free duration to the duration of the quickest flight.
@@ -196,6 +197,38 @@ class Scenario(Part):
             assignments[path] = value
         return self.from_origin(replace(origin, assignments=assignments))
 
+    def replace(self, changes: Mapping[str, Any]) -> Self:
+        """Return a revalidated copy with some fields changed, and leave this one as it is.
+
+        Parameters
+        ----------
+        changes : mapping
+            Nested as in a scenario's file, or dotted field -> new value, or both mixed.  A table
+            keeps the fields that the changes do not name; a list is replaced as a whole.
+
+        Returns
+        -------
+        Scenario
+            The changed scenario.
+
+        Raises
+        ------
+        ScenarioError
+            If a field is unknown or a value is not allowed.
+        FeasibilityError
+            If the rotors cannot carry the changed vehicle.
+
+        Examples
+        --------
+        >>> from pyomo_quad import load_scenario
+        >>> scenario = load_scenario("scenarios/paper_wind.toml")
+        >>> slow = scenario.replace({"mission": {"duration": 12.0}, "vehicle.payload": 0.1})
+        >>> slow.mission.duration, slow.vehicle.payload, scenario.mission.duration
+        (12.0, 0.1, 10.0)
+        """
+        named = {".".join(map(str, steps)): value for steps, value in leaves(changes)}
+        return self.with_values(named)
+
     def lasting(self, duration: float, passing_times: Sequence[float] = ()) -> Self:
         """Return the scenario with a fixed duration and optional passing times of waypoints.
 
@@ -217,6 +250,15 @@ class Scenario(Part):
             pairs = zip(self.mission.waypoints, passing_times, strict=True)
             values["waypoints"] = tuple(w.model_copy(update={"at": at}) for w, at in pairs)
         return self.with_mission(**values)
+
+    def cruising(self, settings: CruiseSettings) -> Self:
+        """Return the scenario with one set of settings of reference cruise."""
+        values = {
+            "cruise_speeds": (settings.speed,),
+            "cruise_acceleration": settings.acceleration,
+            "cruise_jerk": settings.jerk,
+        }
+        return self.model_copy(update={"baseline": self.baseline.model_copy(update=values)})
 
     def with_mission(self, **values: Any) -> Self:  # noqa: ANN401
         """Return the scenario with some fields of its mission changed, without validation."""
@@ -316,6 +358,7 @@ class Scenario(Part):
             *self._yaw_complaints(),
             *self._turbulence_complaints(),
             *self._validated_complaints(),
+            *self._return_complaints(),
         ]
         unable = list(self._hover_complaints())
         if lines or unable:
@@ -375,6 +418,14 @@ class Scenario(Part):
             yield (
                 f"wind.turbulence acts on the declared model only, model = {self.model!r}; leave "
                 "one of them out."
+            )
+
+    def _return_complaints(self) -> Iterator[str]:
+        if self.mission.return_reserve and self.wind.coupling is not WindCoupling.DRAG:
+            yield (
+                f'mission.return_reserve under wind.coupling = "{self.wind.coupling.value}"; must '
+                f'be "{WindCoupling.DRAG.value}", for the return flies in moving air: set it, or '
+                "leave return_reserve out."
             )
 
     def _validated_complaints(self) -> Iterator[str]:

@@ -1,6 +1,7 @@
 """Tables of a scenario: baselines and their gains, battery, power, solver and limits."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import StrEnum
 from math import acos, cos, pi
 from typing import Annotated, Any, Self
@@ -168,15 +169,27 @@ class Replanning(Part):
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class CruiseSettings:
+    """Settings of an autopilot's cruise: largest speed, acceleration and jerk, in SI units."""
+
+    speed: float
+    acceleration: float
+    jerk: float
+
+
 class Baseline(Part):
     """References to fly, and settings of the controller."""
 
     references: tuple[Reference, ...] = quantity(
-        "", "trajectories to follow", MISSION_TIMED, max_length=len(Reference)
+        "",
+        "trajectories to follow; cruise is an autopilot tuned for least energy",
+        tuple(Reference),
+        max_length=len(Reference),
     )
     cruise_speeds: tuple[Annotated[Number, Field(gt=0)], ...] | None = quantity(
         "m/s",
-        "speeds of reference cruise, one flight for each",
+        "speeds of reference cruise, one flight for each beside the tuned one",
         None,
         min_length=1,
         max_length=_MOST_SPEEDS,
@@ -186,7 +199,7 @@ class Baseline(Part):
     )
     cruise_acceleration: Number = quantity(
         "m/s^2",
-        "largest acceleration of reference cruise (MPC_ACC_HOR of PX4)",
+        "largest acceleration of reference cruise at cruise_speeds (MPC_ACC_HOR of PX4)",
         3.0,
         gt=0,
         sound=_FORCE,
@@ -194,7 +207,7 @@ class Baseline(Part):
     )
     cruise_jerk: Number = quantity(
         "m/s^3",
-        "largest jerk of reference cruise (MPC_JERK_AUTO of PX4)",
+        "largest jerk of reference cruise at cruise_speeds (MPC_JERK_AUTO of PX4)",
         4.0,
         gt=0,
         sound=Sound(1e-3, 1e6, _MILLISECONDS),
@@ -206,14 +219,15 @@ class Baseline(Part):
         "", "re-planning in flight, not flown when absent", None, is_late=True
     )
 
+    def cruise_settings(self, speed: float) -> CruiseSettings:
+        """Return the settings of the cruise at a speed [m/s]."""
+        return CruiseSettings(
+            speed=speed, acceleration=self.cruise_acceleration, jerk=self.cruise_jerk
+        )
+
     @model_validator(mode="after")
-    def _cruise_has_speeds(self) -> Self:
+    def _cruise_speeds_differ(self) -> Self:
         speeds = self.cruise_speeds or ()
-        if Reference.CRUISE in self.references and not speeds:
-            raise ValueError(
-                "cruise_speeds is missing; reference cruise needs at least one speed in m/s; give "
-                "cruise_speeds = [5.0] or leave cruise out"
-            )
         twice = next((speed for speed in speeds if speeds.count(speed) > 1), None)
         if twice is not None:
             raise ValueError(
@@ -428,6 +442,10 @@ _ANGLE = Sound(1e-4, 2, "angles are in radians")
 _MOMENT = Sound(0, 1e8, "the weight of 10 t on an arm of 1 km is 1e8 N m")
 
 
+# Fraction of the charge that packs usually keep, and above which the battery's equations are exact.
+_LEAST_CHARGE = 0.2
+
+
 class Limits(Part):
     """Bounds in the optimisation, to which the controller is clipped too."""
 
@@ -520,6 +538,12 @@ class Limits(Part):
         gt=0,
         le=1,
     )
+
+    @property
+    def least_charge(self) -> float:
+        """Fraction of the charge that stays in the pack, a fifth where the scenario sets none."""
+        least = self.state_of_charge_min
+        return _LEAST_CHARGE if least is None else least / 100.0
 
     @property
     def largest_tilt(self) -> float:

@@ -276,7 +276,15 @@ class SweepEstimate:
 def estimate_sweep(
     design: SweepDesign, base: Scenario, folder: Path, solver: str = FLIGHT_SOLVER
 ) -> SweepEstimate:
-    """Estimate the cases and the time left of a sweep, without writing."""
+    """Estimate the cases and the time left of a sweep, without writing.
+
+    Examples
+    --------
+    >>> from pyomo_quad.sweep import design_sweep, load_study
+    >>> loaded = load_study("hop_study.toml")
+    >>> estimate_sweep(design_sweep(loaded), loaded.base, Path("hop_study")).total
+    2
+    """
     cases = expand(design)
     if (folder / STORE_NAME).is_file():
         with ResultStore.reading(folder) as store:

@@ -146,6 +146,12 @@ def load_study(path: str | FilePath) -> LoadedStudy:
         If a field of the study is not allowed.
     ScenarioError
         If a file cannot be read, or the base scenario is not allowed.
+
+    Examples
+    --------
+    >>> loaded = load_study("hop_study.toml")
+    >>> loaded.study.name, loaded.base.name
+    ('hop_study', 'hop')
     """
     source = str(path)
     document = read_toml(FilePath(path))
@@ -237,6 +243,12 @@ def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> Swee
         If axes contradict each other, or there are too many cases.
     ScenarioError
         If a path is unknown or a value is out of the field's range.
+
+    Examples
+    --------
+    >>> design = design_sweep(load_study("hop_study.toml"))
+    >>> design.paths
+    ('mission.duration',)
     """
     study, source = loaded.study, loaded.source
     _check_paths(study, source)
