@@ -11,7 +11,8 @@ from typing import Annotated
 import typer
 
 from pyomo_quad.cli.endings import ExitCode, Stopped, before_the_end
-from pyomo_quad.cli.looking import check, export, init, library, plot, schema
+from pyomo_quad.cli.looking import check, init, library, plot, schema
+from pyomo_quad.cli.missions import export, import_
 from pyomo_quad.cli.own_vehicle import vehicle, vehicles
 from pyomo_quad.cli.startup import import_scipy_alone
 from pyomo_quad.cli.studies import identify, outside_plant, paper, polar, predict, rotorpy_vehicle
@@ -443,6 +444,7 @@ for _command in (
     *(polar, vehicle, vehicles, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
 ):
     app.command()(_command)
+app.command("import")(import_)
 
 
 def _print_version(is_wanted: bool) -> None:

@@ -1,11 +1,9 @@
-"""Commands on a scenario or its results: `init`, `check`, `library`, `schema`, `export`, `plot`."""
+"""Commands on a scenario or its results: `init`, `check`, `library`, `schema`, `plot`."""
 
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
-from enum import StrEnum
-from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,8 +21,6 @@ from pyomo_quad.cli.terminal import (
     Overrides,
     Quiet,
     ScenarioFile,
-    complain,
-    real_number,
     result_console,
 )
 from pyomo_quad.report.folder import MARK, output_file
@@ -281,84 +277,6 @@ def schema(
             aside.write_text(pages[name], encoding="utf-8")
     for name in pages:
         print(out / name)
-    return ExitCode.VERIFIED
-
-
-class Reader(StrEnum):
-    """Formats of `pyomo_quad.exports`, listed here because that package imports slowly."""
-
-    QGROUNDCONTROL = "qgroundcontrol"
-    PX4 = "px4"
-    ROS2 = "ros2"
-    CRAZYFLIE = "crazyflie"
-    ROTORPY = "rotorpy"
-
-
-def export(
-    plan: Annotated[
-        Path, typer.Argument(metavar="PLAN", help="File of Plan.save, or report folder of a run.")
-    ],
-    *,
-    to: Annotated[Reader, typer.Option("--to", help="Who reads it.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="File to write; for ros2 a folder.")
-    ] = None,
-    origin: Annotated[
-        str | None,
-        typer.Option(
-            "--origin",
-            metavar="LAT,LON,ALT",
-            help="Position of the plan's origin (degrees, metres above the sea).",
-        ),
-    ] = None,
-    path_error: Annotated[
-        float | None,
-        typer.Option(
-            "--path-error",
-            metavar="M",
-            parser=real_number,
-            help="Largest distance of waypoints or pieces from the plan at any time.",
-        ),
-    ] = None,
-    rate: Annotated[
-        float | None,
-        typer.Option(
-            "--rate", metavar="HZ", parser=real_number, help="Of setpoints, 50 by default."
-        ),
-    ] = None,
-    as_planned: Annotated[
-        bool, typer.Option("--as-planned", help="Say nothing of a plan without a risk.")
-    ] = False,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-    allow_code: AllowCode = False,
-) -> int:
-    """Fly a verified plan once more, and write it for an autopilot, a swarm or a simulator."""
-    from pyomo_quad.exports import export_plan  # noqa: PLC0415  SciPy takes a second
-
-    made = export_plan(
-        plan,
-        to.value,
-        out,
-        origin=origin,
-        path_error_m=path_error,
-        rate_hz=rate,
-        is_code_allowed=allow_code,
-    )
-    if as_json:
-        print(json.dumps(made.as_mapping(), indent=2))
-    elif not quiet:
-        yaw = made.yaw_error_rad
-        turned = "" if yaw is None else f" and {degrees(yaw):.2g} degrees of yaw"
-        print(
-            f"Written to {made.path}: {made.parts} {made.what}, never more than "
-            f"{made.position_error_m:.2g} m{turned} from the plan."
-        )
-    if made.is_paper_plan and not as_planned:
-        complain(
-            f"{plan}: warning: a paper plan, which leaves nothing to the controller; solve it with "
-            "mission.risk = 0.01, or give --as-planned."
-        )
     return ExitCode.VERIFIED
 
 

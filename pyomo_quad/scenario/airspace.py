@@ -64,7 +64,9 @@ class Ball(NamedTuple):
 
 #: A corner of a polygon, x and y [m].
 Corner = tuple[Number, Number]
-_FEWEST_CORNERS, _MOST_CORNERS = 3, 32
+_FEWEST_CORNERS, MOST_CORNERS = 3, 32
+#: Height that no flight goes above, nor below its negative: the ends of a zone without any [m].
+ENDLESS_M = 1e5
 # Of a polygon's extent: what two edges may turn inwards by rounding alone.
 _STRAIGHT = 1e-9
 
@@ -167,7 +169,7 @@ class KeepOut(Part):
         "polygon: x, y of its corners, in order; one that is not convex becomes several zones",
         None,
         min_length=_FEWEST_CORNERS,
-        max_length=_MOST_CORNERS,
+        max_length=MOST_CORNERS,
         is_late=True,
     )
 
@@ -250,7 +252,7 @@ class KeepIn(Part):
         "m",
         "x, y of the corners of the fence, in order",
         min_length=_FEWEST_CORNERS,
-        max_length=_MOST_CORNERS,
+        max_length=MOST_CORNERS,
         example="[[0.0, 0.0], [90.0, 0.0], [90.0, 60.0]]",
     )
 

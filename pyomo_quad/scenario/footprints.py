@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pyomo_quad.scenario.airspace import Shape
+from pyomo_quad.scenario.airspace import ENDLESS_M, Shape
 from pyomo_quad.scenario.earth import GeodeticOrigin
 from pyomo_quad.scenario.messages import ScenarioError, shown
 
@@ -19,8 +19,6 @@ _MOST_FEATURES = 1000
 # Of a polygon's extent: nearer to a straight line than this, a corner counts as on the line.
 _STRAIGHT = 1e-9
 _FENCE = "fence"
-# No flight goes above or below: the zones that a fence cuts off have no top.
-_ENDLESS_M = 1e5
 _POLYGON, _MULTIPOLYGON = "Polygon", "MultiPolygon"
 _Ring = list[tuple[float, float]]
 
@@ -40,7 +38,7 @@ def in_convex_parts(airspace: Mapping[str, Any]) -> dict[str, Any]:
     if corners is not None and not _is_convex(corners):
         hull, rest = _cut_off(corners)
         divided["keep_in"] = {**fence, "corners": hull}  # type: ignore[dict-item]
-        ends = {"shape": Shape.POLYGON.value, "bottom": -_ENDLESS_M, "top": _ENDLESS_M}
+        ends = {"shape": Shape.POLYGON.value, "bottom": -ENDLESS_M, "top": ENDLESS_M}
         zones += [
             {"name": f"{_FENCE}-{k}", "corners": part, **ends}
             for k, part in enumerate(rest, start=1)
@@ -222,7 +220,7 @@ def _height(
 ) -> float:
     value = next((told[name] for name in names if told.get(name) is not None), otherwise)
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not abs(value) <= _ENDLESS_M:  # type: ignore[arg-type]
+    if not is_number or not abs(value) <= ENDLESS_M:  # type: ignore[arg-type]
         said = f"{names[0]} = {shown(value)}" if value is not None else f"no {names[0]}"
         _refuse(where, f"has {said}; give {names[0]} or {names[1]} in m above the origin")
     return float(value)  # type: ignore[arg-type]

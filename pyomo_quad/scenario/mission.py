@@ -170,6 +170,14 @@ class Mission(Part):
         is_late=True,
     )
 
+    rally: tuple[Triple, ...] = quantity(
+        "m",
+        "places to return to beside the start, x, y, z",
+        (),
+        max_length=16,
+        sound=_FAR,
+        is_late=True,
+    )
     risk: Number | None = quantity(
         "1",
         "greatest probability that a flight of the plan under feedback breaks any limit; 1, as "

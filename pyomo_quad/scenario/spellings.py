@@ -22,7 +22,7 @@ FROM = "from"
 _DIRECTION = "direction"
 _ORIGIN = ("mission", "origin")
 #: Of a place, the field and how many coordinates it has; a cylinder's centre has two.
-PLACES = {"position": 3, "centre": 3, "low": 3, "high": 3}
+PLACES = {"position": 3, "rally": 3, "centre": 3, "low": 3, "high": 3}
 _CORNERS = "corners"
 _LATITUDE = "latitude"
 #: Keys of a place on earth.
