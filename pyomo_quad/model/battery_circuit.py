@@ -16,6 +16,8 @@ Assumptions: all cells alike and at one temperature, no entropic heat, one time 
 temperatures and states of charge.
 """
 
+from operator import attrgetter
+
 from pyomo.core import Block, ConcreteModel, Constraint, Expression, Var, exp
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
@@ -34,19 +36,19 @@ _RELAXATION = (
     Parameter(
         name="relaxation_resistance",
         units=units.ohm,
-        value=lambda s: s.battery.relaxation.resistance,
+        value=attrgetter("battery.relaxation.resistance"),
         doc="R_1: slow part of the resistance of one cell",
     ),
     Parameter(
         name="relaxation_time_constant",
         units=units.s,
-        value=lambda s: s.battery.relaxation.time_constant,
+        value=attrgetter("battery.relaxation.time_constant"),
         doc="tau_1: time constant of the slow drop",
     ),
     Parameter(
         name="initial_relaxation_voltage",
         units=units.V,
-        value=lambda s: s.battery.relaxation.initial_voltage,
+        value=attrgetter("battery.relaxation.initial_voltage"),
         doc="slow drop of one cell at the start",
     ),
 )
@@ -54,37 +56,37 @@ _THERMAL = (
     Parameter(
         name="heat_capacity",
         units=units.J / units.K,
-        value=lambda s: s.battery.thermal.heat_capacity,
+        value=attrgetter("battery.thermal.heat_capacity"),
         doc="C_T: heat capacity of one cell",
     ),
     Parameter(
         name="cooling",
         units=units.W / units.K,
-        value=lambda s: s.battery.thermal.cooling,
+        value=attrgetter("battery.thermal.cooling"),
         doc="h: heat lost by one cell per kelvin above the air",
     ),
     Parameter(
         name="ambient_temperature",
         units=units.K,
-        value=lambda s: s.battery.thermal.ambient_temperature,
+        value=attrgetter("battery.thermal.ambient_temperature"),
         doc="T_a: temperature of the air",
     ),
     Parameter(
         name="initial_pack_temperature",
         units=units.K,
-        value=lambda s: s.battery.thermal.start,
+        value=attrgetter("battery.thermal.start"),
         doc="temperature of the pack at the start",
     ),
     Parameter(
         name="reference_temperature",
         units=units.K,
-        value=lambda s: s.battery.thermal.reference_temperature,
+        value=attrgetter("battery.thermal.reference_temperature"),
         doc="T_r: temperature at which the resistances are given",
     ),
     Parameter(
         name="activation_energy",
         units=units.J / units.mol,
-        value=lambda s: s.battery.thermal.activation_energy,
+        value=attrgetter("battery.thermal.activation_energy"),
         doc="E_a: activation energy of the resistances",
     ),
 )
@@ -92,13 +94,13 @@ _HEALTH = (
     Parameter(
         name="capacity_factor",
         units=units.dimensionless,
-        value=lambda s: s.battery.health.capacity_factor,
+        value=attrgetter("battery.health.capacity_factor"),
         doc="f_Q: capacity over that of the new pack",
     ),
     Parameter(
         name="resistance_factor",
         units=units.dimensionless,
-        value=lambda s: s.battery.health.resistance_factor,
+        value=attrgetter("battery.health.resistance_factor"),
         doc="f_R: resistances over those of the new pack",
     ),
 )
