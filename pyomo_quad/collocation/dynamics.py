@@ -342,8 +342,8 @@ class Dynamics:
         """States fixed at the start of the horizon and free at its end, for example a charge."""
         declared = self._formulation.compiled.declared
         # An objective that reads the end of a state leaves it free.
-        read = frozenset().union(*(symbol_names(c.expression) for c in declared.conditions))
-        points = [p for p in declared.point_symbols if p.symbol.name() in read]
+        priced = symbol_names(declared.objective)
+        points = [p for p in declared.point_symbols if p.symbol.name() not in priced]
         given = {(p.slot, p.fraction) for p in points} | set(declared.fixed)
         at_start = {name for name, fraction in given if fraction == 0.0}
         at_start |= {slot.name for slot in declared.outputs}
