@@ -114,7 +114,7 @@ def may_lose_voltage(scenario: Scenario) -> bool:
 
 
 def build_pack(scenario: Scenario) -> ConcreteModel:
-    """Declare the pack alone under a load over time, the mutable parameter `power.load`.
+    """Declare the pack alone under a load, the mutable parameter `power.load`.
 
     Parameters
     ----------
@@ -130,11 +130,11 @@ def build_pack(scenario: Scenario) -> ConcreteModel:
     m.time = ContinuousSet(initialize=(0.0, 1800.0, 3600.0), doc="time [s]")
     m.scaling_factor = Suffix(direction=Suffix.EXPORT)
     m.power = Block(doc="load of the pack")
-    m.power.load = Param(m.time, initialize=0.0, mutable=True, units=units.W, doc="P: power drawn")
+    m.power.load = Param(initialize=0.0, mutable=True, units=units.W, doc="P: power drawn")
 
     @m.power.Expression(m.time, doc="power drawn from the pack [W]")
-    def total(b: Block, t: float) -> NumericExpression:
-        return 1.0 * b.load[t]
+    def total(b: Block, _t: float) -> NumericExpression:
+        return 1.0 * b.load
 
     declare_battery(m, scenario)
     m.energy = Integral(m.time, wrt=m.time, rule=lambda m, t: m.power.total[t], doc="energy [J]")
