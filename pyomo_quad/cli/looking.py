@@ -21,6 +21,7 @@ from pyomo_quad.cli.terminal import (
     Overrides,
     Quiet,
     ScenarioFile,
+    option,
     result_console,
 )
 from pyomo_quad.report.folder import MARK, output_file
@@ -252,9 +253,7 @@ def _schema_text(model: type[BaseModel], kind: str, required: tuple[str, ...]) -
 
 
 def schema(
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder of the three files.")
-    ] = Path(),
+    out: Annotated[Path, option("--out", "DIR", "Folder of the three files.")] = Path(),
 ) -> int:
     """Write the JSON Schemas of scenarios and studies, and a page that lists every field."""
     from pyomo_quad.report.render import render_markdown  # noqa: PLC0415  takes a second
@@ -292,8 +291,7 @@ def plot(
     ] = "path",
     *,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="FILE", help="Ends in .png, .svg or .pdf; RUN_WHAT.png."),
+        Path | None, option("--out", "FILE", "Ends in .png, .svg or .pdf; RUN_WHAT.png.")
     ] = None,
     quiet: Quiet = False,
 ) -> int:

@@ -1,7 +1,7 @@
 """Common parts of the commands that solve; importing them imports the engine, which is slow."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from math import isnan
 from pathlib import Path
@@ -12,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from pyomo_quad.cli.endings import ExitCode, SolveStopped, has_told, stop_on_interrupt
+from pyomo_quad.cli.endings import ExitCode, Interruption, SolveStopped, has_told, stop_on_interrupt
 from pyomo_quad.cli.terminal import complain, live_line, result_console
 from pyomo_quad.collocation import Iteration, Problem, Progress, TranscriptionError, WarmStart
 from pyomo_quad.flight import Plan, Planner, PlanStatus
@@ -59,6 +59,20 @@ class _CommandPlanner(Planner):
         super().__init__(builder)
         self._is_quiet = is_quiet
         self._keeps_usable = keeps_usable
+        self._stop: Interruption | None = None
+
+    @contextmanager
+    def until_stopped(self) -> Iterator[Callable[[], bool]]:
+        if not self._keeps_usable:
+            with super().until_stopped() as is_stopped:
+                yield is_stopped
+            return
+        with stop_on_interrupt() as stop:
+            self._stop = stop
+            try:
+                yield lambda: stop.is_requested
+            finally:
+                self._stop = None
 
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
         try:
@@ -74,10 +88,11 @@ class _CommandPlanner(Planner):
         progress: Progress | None = None,
         show: Callable[[State], None] | None = None,
     ) -> Plan:
-        with live_line(is_quiet=self._is_quiet) as told, stop_on_interrupt() as interruption:
+        stopping = nullcontext(self._stop) if self._stop is not None else stop_on_interrupt()
+        with live_line(is_quiet=self._is_quiet) as told, stopping as interruption:
 
             def tell(state: State) -> None:
-                interruption.has_result = self._keeps_usable and state.has_usable
+                interruption.has_result |= self._keeps_usable and state.has_usable
                 for follower in filter(None, (told, show)):
                     follower(state)
 
@@ -89,7 +104,8 @@ class _CommandPlanner(Planner):
                 plan = super().solve(scenario, warm_start=warm_start, progress=follow, show=tell)
             except TranscriptionError as error:
                 raise ScenarioError(str(error)) from error
-        if interruption.is_requested and not (self._keeps_usable and plan.is_flyable):
+        interruption.has_result |= self._keeps_usable and plan.is_flyable
+        if interruption.is_requested and not interruption.has_result:
             raise SolveStopped(plan)
         return plan
 

@@ -18,7 +18,6 @@ from pyomo_quad.collocation.dynamics import (
 )
 from pyomo_quad.collocation.enclosure import Enclosure, symbols
 from pyomo_quad.collocation.errors import EngineError, SolveError, TranscriptionError
-from pyomo_quad.collocation.guess import WarmStart
 from pyomo_quad.collocation.joint import JointProblem, JointSolution, compiled_of
 from pyomo_quad.collocation.limits import Violation
 from pyomo_quad.collocation.mesh import (
@@ -34,12 +33,13 @@ from pyomo_quad.collocation.mesh import (
 from pyomo_quad.collocation.problem import Problem
 from pyomo_quad.collocation.program.ipopt import Iteration, Progress, SolverOptions, Status
 from pyomo_quad.collocation.pyomo_solver import PyomoSolver
-from pyomo_quad.collocation.reading.copy import FreeTimes
+from pyomo_quad.collocation.reading.clock import FreeTimes
 from pyomo_quad.collocation.reading.schedules import Steps
 from pyomo_quad.collocation.reading.tables import Table
 from pyomo_quad.collocation.refining.error import Allowance
 from pyomo_quad.collocation.refining.remeshing import RefinementOptions, mesh_for_states
 from pyomo_quad.collocation.solution import MeshRecord, Solution
+from pyomo_quad.collocation.starts import WarmStart
 from pyomo_quad.collocation.stepping import SteppedFlights, SteppedLoops
 
 if TYPE_CHECKING:

@@ -173,6 +173,7 @@ _ABOUT = "about"
 _LARGEST_FILE = 256 * 1024 * 1024
 _ARRAYS = ("states", "controls", "energy", "costates", "hamiltonian")
 _MESH = ("breakpoints", "degrees")
+_NAMED = ("horizon", "state_names", "control_names", "costate_names")
 _WARM_START = "warm_start."
 
 
@@ -244,10 +245,7 @@ def write_plan_file(
         format=_FORMAT,
         scenario=scenario.model_dump(mode="json"),
         plan=record,
-        horizon=trajectories.horizon,
-        state_names=trajectories.state_names,
-        control_names=trajectories.control_names,
-        costate_names=trajectories.costate_names,
+        **{name: getattr(trajectories, name) for name in _NAMED},
     )
     arrays = {
         "breakpoints": np.asarray(trajectories.mesh.breakpoints),
@@ -326,10 +324,8 @@ def _read_about(path: Path, text: NDArray[Any]) -> _About:
     }
     if not proven.get(plan.status, True):
         _refuse(path, f"status = {plan.status.value}, but its verification has failed.")
-    for kind, names in (
-        ("state_names", about.state_names),
-        ("control_names", about.control_names),
-    ):
+    for kind in ("state_names", "control_names"):
+        names = getattr(about, kind)
         if len(set(names)) != len(names) or not names:
             _refuse(path, f"{kind}: must be names, each given once.")
     if set(about.costate_names) - set(about.state_names):
@@ -724,21 +720,7 @@ class Plan(Summarised):
         write_plan_file(
             Path(path),
             self.scenario,
-            PlanRecord(
-                status=self.status,
-                message=self.message,
-                energy=self.energy,
-                hover_energy_J=self.hover_energy_J,
-                error_estimate=self.error_estimate,
-                verification=self.verification,
-                history=self.history,
-                attempts=self.attempts,
-                timings=dict(self.timings),
-                passing_times_s=self.passing_times_s,
-                routes=self.routes,
-                order_search=self.order_search,
-                risk=self.risk,
-            ),
+            PlanRecord(**{name: getattr(self, name) for name in PlanRecord.model_fields}),
             self.trajectories,
             self.warm_start,
         )

@@ -23,7 +23,7 @@ and the plans include it.  Its vertical part is attributed to the mass, even if 
 it; the rest is attributed to the wind.
 """
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import accumulate
@@ -57,6 +57,7 @@ from pyomo_quad.flight.baselines import (
     refuse_other_vehicles,
     start_state,
 )
+from pyomo_quad.flight.caches import REMAINING
 from pyomo_quad.flight.controller import (
     AdaptiveController,
     BacksteppingLoop,
@@ -328,9 +329,6 @@ class Replanner:
         return np.asarray(flown.y[:, -1])
 
 
-_REMAINING: dict[Hashable, tuple[Problem, ...]] = {}
-
-
 def _remainders(believed: Scenario) -> tuple[_Remainder, ...]:
     """Return the remaining missions after none, one, ... all of the waypoints."""
     mission, times = believed.mission, believed.nominal_times
@@ -341,9 +339,7 @@ def _remainders(believed: Scenario) -> tuple[_Remainder, ...]:
         for k in range(len(mission.waypoints) + 1)
     ]
     key = structure_key(believed)
-    if key not in _REMAINING:
-        _REMAINING.clear()
-        _REMAINING[key] = tuple(map(_compiled, ahead))
+    problems = REMAINING.get(key) or REMAINING.store(key, tuple(map(_compiled, ahead)))
     released = [0.0, *accumulate(waypoint.release for waypoint in mission.waypoints)]
     return tuple(
         _Remainder(
@@ -356,7 +352,7 @@ def _remainders(believed: Scenario) -> tuple[_Remainder, ...]:
             released=released[k],
             numbers=parameter_values(left),
         )
-        for k, (problem, left) in enumerate(zip(_REMAINING[key], ahead, strict=True))
+        for k, (problem, left) in enumerate(zip(problems, ahead, strict=True))
     )
 
 

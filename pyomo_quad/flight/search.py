@@ -75,12 +75,24 @@ class Search:
     deadline : Deadline
     show : callable, optional
         Called with the state of the search at each iteration.
+
+    Attributes
+    ----------
+    stage : Stage
+    record : list of str
+        Outcomes of the strategies carried out so far.
+    usable : Plan or None
+        The best usable plan so far.
+    effort : int
+        Sum over iterations of the points of their meshes, since `begin_effort`.
     """
 
     def __init__(self, deadline: Deadline, show: Callable[[State], None] | None = None) -> None:
         self.deadline = deadline
         self.stage = Stage.COARSE
+        self.record: list[str] = []
         self.usable: Plan | None = None
+        self.begin_effort(inf)
         self._show = show
         self._began = time.thread_time()
         self._flights_s, self._searches = 0.0, 0
@@ -91,8 +103,13 @@ class Search:
         """Processor time since the search began [s]."""
         return time.thread_time() - self._began
 
+    def begin_effort(self, most: float) -> None:
+        """Count the effort anew, and stop solves that exceed a largest effort."""
+        self.effort, self._most_effort = 0, most
+
     def __call__(self, iteration: Iteration) -> bool:
         """Return False once the search is to stop."""
+        self.effort += iteration.mesh_points
         if self._show is not None:
             self._show(
                 State(
@@ -104,7 +121,7 @@ class Search:
                     iteration=iteration,
                 )
             )
-        return self.deadline(iteration)
+        return self.deadline(iteration) and self.effort <= self._most_effort
 
     def finished(
         self,
@@ -160,7 +177,7 @@ class Search:
 
     def ended(self, plan: Plan) -> Plan:
         """Return the plan with which a search ends: the last one, or the best that was kept."""
-        plan = as_usable(plan)
+        plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:
             return plan
         cause = plan.message.partition(". ")[0].rstrip(".; ")
@@ -178,6 +195,18 @@ class Search:
             timings=dict(kept.timings) | {"solve": plan.timings.get("solve", 0.0)},
             routes=plan.routes or kept.routes,
         )
+
+    def _given_up(self, plan: Plan) -> Plan:
+        """Return a plan, not converged where the time limit left neither a flight nor a proof."""
+        if not self.deadline.is_over or plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
+            return plan
+        message = (
+            f"given up after solver.time_limit = {self.deadline.limit_s:g} s; allow more time, or "
+            f"ask for a lower solver.accuracy or fewer solver.elements. {plan.reached}"
+        )
+        if plan.attempts:
+            message += f" Tried: {'; '.join(plan.attempts)}."
+        return replace(plan, status=PlanStatus.NOT_CONVERGED, message=message, failure=None)
 
 
 def as_usable(plan: Plan) -> Plan:

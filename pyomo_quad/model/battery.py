@@ -44,7 +44,13 @@ from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 
 from pyomo_quad.model import battery_circuit as circuit
-from pyomo_quad.model.parameters import DIP, Parameter, declare_parameters, saturated
+from pyomo_quad.model.parameters import (
+    DIP,
+    Parameter,
+    declare_parameters,
+    parameters_in,
+    saturated,
+)
 from pyomo_quad.scenario import Scenario
 
 CHARGE = units.A * units.hr
@@ -102,7 +108,8 @@ _CELL = (
 )
 
 
-def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
+@parameters_in("battery")
+def _parameters(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the numbers of a scenario's pack, as parameters of block `battery`."""
     return _CELL + circuit.parameters_of(scenario)
 
@@ -152,7 +159,7 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
     """
     b = m.battery = Block(doc="battery pack, eq. (4)-(5)")
     pack = scenario.battery
-    declare_parameters(b, parameters_of(scenario), scenario)
+    declare_parameters(b, scenario)
     _declare_sizes(b)
     b.charge_drawn = Var(m.time, units=CHARGE, initialize=0.0, doc="charge drawn from full")
     b.dcharge_drawn_dt = DerivativeVar(

@@ -1,6 +1,6 @@
 """The continuous model of a mission, from its declared parts or from the user's own builder."""
 
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -21,7 +21,7 @@ from pyomo_quad.model import (
     vehicle,
     wind,
 )
-from pyomo_quad.model.parameters import Parameter, parameter_items
+from pyomo_quad.model.parameters import parameter_items, parameter_tables
 from pyomo_quad.model.rigid_body import declare_balances, declare_motion
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.mission import Aim
@@ -161,22 +161,6 @@ def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
     m.objective = Objective(expr=cost, sense=minimize, doc=f"{doc} [J]")
 
 
-def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
-    """Yield every table of parameters that the scenario's model declares."""
-    yield "vehicle", vehicle.parameters_of(scenario)
-    yield "wind", wind.parameters_of(scenario)
-    if scenario.wind.is_formula:
-        for axis, table in wind.AXIS_PARAMETERS.items():
-            yield f"wind.{axis}", table
-    yield "rotors", rotors.parameters_of(scenario)
-    yield "aerodynamics", aerodynamics.parameters_of(scenario)
-    yield "power", power.parameters_of(scenario)
-    yield "battery", battery.parameters_of(scenario)
-    yield "limits", limits.parameters_of(scenario)
-    yield "airspace", airspace.parameters_of(scenario)
-    yield "mission", mission.parameters_of(scenario)
-
-
 def parameter_values(scenario: Scenario) -> dict[str, float]:
     """Return the value of every parameter of the model, for a re-solve without a rebuild.
 
@@ -191,7 +175,7 @@ def parameter_values(scenario: Scenario) -> dict[str, float]:
         Full component name, as ``"wind.x.amplitudes[1]"``, to value in the declared unit.
     """
     return {
-        name: float(value)
+        name: value
         for block, table in parameter_tables(scenario)
         for name, value in parameter_items(block, table, scenario)
     }
@@ -216,24 +200,15 @@ def structure_key(scenario: Scenario) -> Hashable:
     longest = scenario.mission.duration_limits[1] if scenario.mission.is_free else None
     return (
         scenario.model,
-        tuple(row.name for row in vehicle.parameters_of(scenario)),
+        tuple(parameter_values(scenario)),
         scenario.vehicle.attitude,
+        scenario.vehicle.rotor_senses,
         scenario.power.model,
-        scenario.power.regeneration,
         scenario.wind.coupling,
         None if series is None else (series, scenario.wind.time_offset, longest),
         (scenario.wind.grid, scenario.wind.beyond),
-        tuple(row.name for row in wind.parameters_of(scenario)),
-        scenario.vehicle.has_own_rotors,
-        scenario.vehicle.rotor_senses,
-        tuple(row.name for row in aerodynamics.parameters_of(scenario)),
-        tuple(row.name for row in limits.parameters_of(scenario)),
-        tuple(row.name for row in battery.parameters_of(scenario)),
         battery.may_lose_voltage(scenario),
-        airspace.structure_of(scenario),
-        scenario.keeps_yaw,
         (scenario.mission, tuple(t / end for t in passages)) if passages else None,
-        scenario.mission.is_free,
         scenario.mission.aim is Aim.CHARGE,
     )
 

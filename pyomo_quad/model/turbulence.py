@@ -41,7 +41,7 @@ from pyomo.dae import DerivativeVar
 from pyomo_quad.collocation import Steps
 from pyomo_quad.model.parameters import (
     Parameter,
-    declare_parameters,
+    add_parameters,
     floored,
     parameter_items,
 )
@@ -164,7 +164,7 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
         With `time`, `rigid_body` and the mean wind of `wind`, to which no component refers yet.
     """
     b = m.wind.turbulence = Block(doc="turbulence, MIL-F-8785C at low altitude")
-    declare_parameters(b, PARAMETERS, scenario)
+    add_parameters(b, PARAMETERS, scenario)
     m.wind.error = Param(
         _WORLD[:2], initialize=0.0, mutable=True, units=_SPEED, doc="error of the forecast"
     )

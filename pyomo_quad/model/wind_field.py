@@ -125,6 +125,14 @@ def mean_of_field(scenario: Scenario, grid: WindGrid) -> FloatArray:
     return np.asarray(scenario.wind.field_scale * np.nanmean(told, axis=1))
 
 
+def is_wind_known(scenario: Scenario, places: FloatArray) -> NDArray[np.bool_]:
+    """Return where the wind is known as the mission begins, of places (n, 3), shape (n,)."""
+    wind = scenario.wind
+    if wind.grid is None or wind.beyond is Beyond.HOLD:
+        return np.ones(len(places), dtype=bool)
+    return wind.grid.is_known(places, np.full(len(places), wind.time_offset))
+
+
 def unknown_wind(scenario: Scenario, times: FloatArray, places: FloatArray) -> str:
     """Return one line on the first place of a flight where its field has no wind, or nothing.
 

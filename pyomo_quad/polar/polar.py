@@ -189,14 +189,13 @@ def find_polar(scenario: Scenario) -> Polar:
         If the vehicle cannot hover.
     """
     planner = Planner()
-    least = scenario.limits.state_of_charge_min
-    depth = 1.0 - (_LEAST_CHARGE if least is None else least / 100.0)
+    depth = 1.0 - least_charge(scenario)
     own = scenario.vehicle.payload
     curves = []
     for more in _MORE_PAYLOAD:
         payload = own + round(more * scenario.vehicle.mass, 2)
         loaded = scenario.with_values({"vehicle.payload": payload}) if more else scenario
-        curves.append(_curve(loaded, planner.steady_flight(loaded), depth))
+        curves.append(steady_curve(loaded, planner.steady_flight(loaded), depth))
     wind_x, wind_y = mean_wind(scenario)
     speed, towards = float(np.hypot(wind_x, wind_y)), float(np.arctan2(wind_y, wind_x))
     winds = sorted({*_WINDS_M_S, round(speed, 3)})
@@ -209,6 +208,12 @@ def find_polar(scenario: Scenario) -> Polar:
         wind_towards_rad=towards,
         depth=depth,
     )
+
+
+def least_charge(scenario: Scenario) -> float:
+    """Return the fraction of the charge that stays in the pack."""
+    least = scenario.limits.state_of_charge_min
+    return _LEAST_CHARGE if least is None else least / 100.0
 
 
 def mean_wind(scenario: Scenario) -> tuple[float, float]:
@@ -234,7 +239,7 @@ def mean_wind(scenario: Scenario) -> tuple[float, float]:
     )
 
 
-def _curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
+def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
     """Trim at rising airspeeds, until a limit of the rotors or of the tilt is active."""
     speeds: list[float] = []
     powers: list[float] = []

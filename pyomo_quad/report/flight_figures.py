@@ -49,6 +49,7 @@ from pyomo_quad.report.style import (
     draw_over_time,
     draw_panels,
     flight_styles,
+    full_width,
     keep_span,
     label_time,
     last_end,
@@ -286,10 +287,8 @@ def draw_mesh(
 ) -> Figure:
     """Draw the error estimate from mesh to mesh, and the last mesh over the flight's time, s."""
     height = 2.6
-    figure = Figure(figsize=(FULL_WIDTH, height))
-    errors, elements = figure.subplots(1, 2)
-    figure.subplots_adjust(
-        left=0.09, right=0.985, top=1 - 0.3 / height, bottom=0.5 / height, wspace=0.24
+    figure, (errors, elements) = full_width(
+        height, (1, 2), right=0.985, top=1 - 0.3 / height, bottom=0.5 / height, wspace=0.24
     )
     _draw_errors(errors, history, tolerance)
     _draw_elements(elements, mesh, duration)

@@ -189,6 +189,30 @@ def _save_png(figure: Figure, path: Path, creator: str | None) -> None:
     )
 
 
+def full_width(
+    height: float,
+    shape: tuple[int, int] = (1, 1),
+    left: float = 0.09,
+    right: float = 0.98,
+    **margins: float,
+) -> tuple[Figure, Any]:
+    """Return a figure over the width of the text, and its axes as `Figure.subplots` gives them.
+
+    Parameters
+    ----------
+    height : float
+        Inches.
+    shape : pair of int, optional
+        Rows and columns of panels.
+    left, right, **margins
+        Arguments of `Figure.subplots_adjust`, as shares of the figure.
+    """
+    figure = Figure(figsize=(FULL_WIDTH, height))
+    axes = figure.subplots(*shape)
+    figure.subplots_adjust(left=left, right=right, **margins)
+    return figure, axes
+
+
 _MARGIN = 0.06
 _LEGEND_LINE = 0.2  # inches
 TICK_STEPS = (1, 2, 5, 10)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 from pydantic import model_validator
 
-from pyomo_quad.scenario.fields import Number, Part, Sound, Text, Triple, quantity
+from pyomo_quad.scenario.fields import Number, Part, Sound, Text, Triple, late_quantity, quantity
 
 if TYPE_CHECKING:
     from numpy import float64
@@ -164,13 +164,12 @@ class KeepOut(Part):
     top: Number | None = quantity("m", "cylinder, polygon: height where it ends", None, sound=_FAR)
     low: Triple | None = quantity("m", "box: corner of least x, y and z", None, sound=_FAR)
     high: Triple | None = quantity("m", "box: corner of largest x, y and z", None, sound=_FAR)
-    corners: tuple[Corner, ...] | None = quantity(
+    corners: tuple[Corner, ...] | None = late_quantity(
         "m",
         "polygon: x, y of its corners, in order; one that is not convex becomes several zones",
         None,
         min_length=_FEWEST_CORNERS,
         max_length=MOST_CORNERS,
-        is_late=True,
     )
 
     @model_validator(mode="after")
@@ -293,15 +292,14 @@ class Airspace(Part):
         sound=Sound(0, 1e4, "clearances are at most 10 km"),
     )
     keep_out: tuple[KeepOut, ...] = quantity("", "zones to keep out of", (), max_length=_MOST_ZONES)
-    keep_in: KeepIn | None = quantity(
-        "", "fence on the ground to stay inside of, none when absent", None, is_late=True
+    keep_in: KeepIn | None = late_quantity(
+        "", "fence on the ground to stay inside of, none when absent", None
     )
-    file: Text | None = quantity(
+    file: Text | None = late_quantity(
         "",
         "GeoJSON file of more zones to keep out of: polygons with the properties name, top (or "
         "height) and perhaps bottom, in m above mission.origin",
         None,
-        is_late=True,
     )
 
     @model_validator(mode="after")

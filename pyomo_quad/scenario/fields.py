@@ -146,6 +146,10 @@ def quantity(
     return field
 
 
+#: Declares a field that older records lack: `quantity` with `is_late`.
+late_quantity = partial(quantity, is_late=True)
+
+
 def unit_of(model: type[BaseModel], name: str) -> str:
     """Return the unit declared for a field, empty for text and for tables.
 

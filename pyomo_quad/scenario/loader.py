@@ -171,7 +171,7 @@ def _parse_override(text: str) -> tuple[FieldPath, Any]:
         )
     try:
         parsed = parse_toml(f"value = {right}")
-    except (ValueError, RecursionError):
+    except ValueError:
         parsed = {"value": right.strip()} if _BARE_WORD.fullmatch(right.strip()) else {}
     if parsed.keys() != {"value"} or depth(parsed, DEEPEST_NESTING) > DEEPEST_NESTING:
         raise ScenarioError(

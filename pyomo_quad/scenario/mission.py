@@ -8,7 +8,7 @@ from typing import Annotated, Literal, NamedTuple, Self
 from pydantic import Field, model_validator
 
 from pyomo_quad.scenario.earth import Frame, GeodeticOrigin
-from pyomo_quad.scenario.fields import Number, Part, Sound, Triple, quantity
+from pyomo_quad.scenario.fields import Number, Part, Sound, Triple, late_quantity, quantity
 from pyomo_quad.scenario.messages import ScenarioError
 
 _FAR = Sound(-1e5, 1e5, "coordinates lie within 100 km of the origin")
@@ -153,39 +153,35 @@ class Mission(Part):
         is_late=True,
     )
 
-    waypoints: tuple[Waypoint, ...] = quantity(
-        "", "places to pass between start and goal", (), max_length=64, is_late=True
+    waypoints: tuple[Waypoint, ...] = late_quantity(
+        "", "places to pass between start and goal", (), max_length=64
     )
-    order: Order = quantity(
+    order: Order = late_quantity(
         "",
         f"order of the waypoints: as given, or that of least energy (up to {MOST_ORDERED})",
         Order.GIVEN,
-        is_late=True,
     )
-    yaw: Yaw | None = quantity(
+    yaw: Yaw | None = late_quantity(
         "",
         "whether the heading may change on the way; when absent it is kept under power.model "
         "momentum where start, waypoints and goal have the same",
         None,
-        is_late=True,
     )
 
-    rally: tuple[Triple, ...] = quantity(
+    rally: tuple[Triple, ...] = late_quantity(
         "m",
         "places to return to beside the start, x, y, z",
         (),
         max_length=16,
         sound=_FAR,
-        is_late=True,
     )
-    risk: Number | None = quantity(
+    risk: Number | None = late_quantity(
         "1",
         "greatest probability that a flight of the plan under feedback breaks any limit; 1, as "
         "when absent, asks for none",
         None,
         gt=0,
         le=1,
-        is_late=True,
     )
 
     @property

@@ -52,16 +52,14 @@ from pyomo_quad.scenario.wind_file import read_wind_file
 
 LARGEST_FILE_BYTES = 1_000_000
 DEEPEST_NESTING = 8
-# Limit on open brackets and on the parts of a key. The parser recurses into brackets and re-reads
-# every key, so that more of them would exhaust its stack or time.
-_MOST_OPEN = 64
-_MOST_KEY_PARTS = 32
-# Matches comments, closed or unclosed texts, and the signs that nest or join; reads each part once.
-_SIGNS = re.compile(
+# Comments and texts, closed or unclosed; each part is read once.
+_TEXT = re.compile(
     r"""#[^\n]*+|\"{3}(?:[^"\\]++|\\.|"(?!""))*+(?:\"{3})?|'{3}(?:[^']++|'(?!''))*+(?:'{3})?"""
-    r"""|"(?:[^"\\\n]++|\\.)*+"?|'[^'\n]*+'?|[\[\]{}.,=\n]""",
+    r"""|"(?:[^"\\\n]++|\\.)*+"?|'[^'\n]*+'?""",
     re.DOTALL,
 )
+# A key of more than 32 parts: `tomllib` takes time that grows with the square of their number.
+_LONG_KEY = re.compile(r"(?<![^.,=\n\[\]{}])(?:[^.,=\n\[\]{}]*+\.){32}")
 
 
 def read_toml(file: Path) -> dict[str, Any]:
@@ -87,7 +85,7 @@ def read_toml(file: Path) -> dict[str, Any]:
         )
     try:
         tables = parse_toml(content.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         reason = printable(" ".join(str(error).split())[:120])
         raise ScenarioError(f"{source}: not valid TOML ({reason}); correct it.") from None
     refuse_deep(tables, source)
@@ -95,21 +93,19 @@ def read_toml(file: Path) -> dict[str, Any]:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML, after a check that its nesting is not too deep for the parser."""
-    open_brackets, key_parts = 0, 1
-    for sign in _SIGNS.finditer(text):
-        match sign[0]:
-            case "[" | "{":
-                open_brackets, key_parts = open_brackets + 1, 1
-            case "]" | "}":
-                open_brackets, key_parts = max(open_brackets - 1, 0), 1
-            case ".":
-                key_parts += 1
-            case "," | "=" | "\n":
-                key_parts = 1
-        if open_brackets > _MOST_OPEN or key_parts > _MOST_KEY_PARTS:
-            raise ValueError("nested too deep")
-    return tomllib.loads(text)
+    """Parse TOML.
+
+    Raises
+    ------
+    ValueError
+        If the text is not TOML, or nested deeper than its parser can recurse.
+    """
+    try:
+        if _LONG_KEY.search(_TEXT.sub("''", text)) is None:
+            return tomllib.loads(text)
+    except RecursionError:
+        pass
+    raise ValueError("nested too deep")
 
 
 def refuse_deep(tables: Mapping[str, Any], source: str) -> None:

@@ -18,6 +18,7 @@ from pyomo_quad.scenario.fields import (
     Part,
     Sound,
     Text,
+    late_quantity,
     leaves,
     parse_path,
     quantity,
@@ -94,8 +95,8 @@ class Scenario(Part):
     wind: Wind = quantity("", "the wind")
     power: Power = quantity("", "the power model", Power())
     mission: Mission = quantity("", "the mission")
-    air: Air = quantity("", "the air, in which a vehicle's numbers change", Air(), is_late=True)
-    airspace: Airspace = quantity("", "where the flight may be", Airspace(), is_late=True)
+    air: Air = late_quantity("", "the air, in which a vehicle's numbers change", Air())
+    airspace: Airspace = late_quantity("", "where the flight may be", Airspace())
     solver: Solver = quantity("", "solver settings", Solver())
     baseline: Baseline = quantity("", "the controller to compare with", Baseline())
 

@@ -14,6 +14,7 @@ from pyomo_quad.scenario.fields import (
     Part,
     Sound,
     WholeNumber,
+    late_quantity,
     quantity,
 )
 from pyomo_quad.scenario.vehicle import Vehicle
@@ -271,25 +272,23 @@ class Power(Part):
         le=1,
         sound=Sound(1e-4, 1, "a smaller efficiency means more than 10,000 times the useful power"),
     )
-    air_density: Number = quantity(
+    air_density: Number = late_quantity(
         "kg/m^3",
         "momentum: density of the air",
         SEA_LEVEL_DENSITY,
         gt=0,
         sound=Sound(1e-3, 100, "1.225 at sea level, 0.02 on Mars"),
-        is_late=True,
     )
     regeneration: Flag = quantity(
         "", "whether braking earns energy back, default by power model", False
     )
-    hover_power_deviation: Number = quantity(
+    hover_power_deviation: Number = late_quantity(
         "W",
         "standard deviation of the power of hover, where it is known roughly; that of all motion "
         "errs by the same share",
         0.0,
         ge=0,
         sound=Sound(0, 1e6, "what flies takes watts to megawatts"),
-        is_late=True,
     )
     smoothing: Number = quantity(
         "W",
@@ -416,21 +415,19 @@ class Limits(Part):
         gt=0,
         sound=_MOMENT,
     )
-    speed_max: Number | None = quantity(
+    speed_max: Number | None = late_quantity(
         "m/s",
         "largest speed over ground, no limit when absent",
         None,
-        is_late=True,
         gt=0,
         sound=Sound(1e-2, 1e3, "rotorcraft fly below 340 m/s, the speed of sound"),
     )
-    reserve: Number = quantity(
+    reserve: Number = late_quantity(
         "1",
         "share of the largest rotor speed and thrust that plans leave to the controller",
         0.0,
         ge=0,
         lt=1,
-        is_late=True,
     )
     state_of_charge_min: Number | None = quantity(
         "percent", "lowest state of charge, no limit when absent", None, ge=0, lt=100
@@ -449,19 +446,17 @@ class Limits(Part):
         gt=0,
         sound=Sound(1e-3, 1e5, "flight packs have from 1 V to thousands of volts"),
     )
-    within_validated: Flag = quantity(
+    within_validated: Flag = late_quantity(
         "",
         "whether plans keep to the range that measurements confirm, vehicle.validated",
         False,
-        is_late=True,
     )
-    battery_power_share_max: Number | None = quantity(
+    battery_power_share_max: Number | None = late_quantity(
         "1",
         "largest share of the power that the pack can give at most, no limit when absent",
         None,
         gt=0,
         le=1,
-        is_late=True,
     )
 
     @property

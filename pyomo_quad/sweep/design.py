@@ -451,12 +451,5 @@ def _parent_position(
         step = parents[index][place[index]]
         if step is not None:
             neighbour = [*place[:index], step, *place[index + 1 :]]
-            return _position(neighbour, sizes)
+            return int(np.ravel_multi_index(neighbour, sizes))
     return None
-
-
-def _position(place: Sequence[int], sizes: Sequence[int]) -> int:
-    position = 0
-    for step, size in zip(place, sizes, strict=True):
-        position = position * size + step
-    return position

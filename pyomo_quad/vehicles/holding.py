@@ -13,12 +13,17 @@ from numpy.typing import NDArray
 
 from pyomo_quad.flight import Planner
 from pyomo_quad.identification.columns import DENSITY, PAYLOAD, POWER
-from pyomo_quad.identification.steady import AIRSPEED, ENDURANCE, USED_SHARE, filled_in
+from pyomo_quad.identification.steady import (
+    AIRSPEED,
+    ENDURANCE,
+    USED_SHARE,
+    filled_in,
+    level_powers,
+)
 from pyomo_quad.scenario import Scenario, library_entry, library_names, scenario_from_mapping
 from pyomo_quad.vehicles.owner import Known, estimate_vehicle
 from pyomo_quad.vehicles.pack import pack_of
 from pyomo_quad.vehicles.propulsion import propeller_of
-from pyomo_quad.vehicles.uncertainty import level_powers
 
 FloatArray = NDArray[np.float64]
 

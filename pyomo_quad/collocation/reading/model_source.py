@@ -13,7 +13,7 @@ from pyomo.core.base.units_container import UnitsError, units
 from pyomo.dae import DerivativeVar, Integral
 
 from pyomo_quad.collocation.errors import TranscriptionError, raised
-from pyomo_quad.collocation.reading.copy import initial_rule_of, rule_of
+from pyomo_quad.collocation.reading.rules import initial_rule_of, rule_of
 from pyomo_quad.collocation.reading.schedules import (
     Interpolant,
     Reading,
