@@ -8,7 +8,7 @@ the load, the resistance of its pack, new or old, cold or warm, from the first s
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -106,6 +106,19 @@ class PackIdentification:
     base_error_mV: float
 
 
+class _Flown(NamedTuple):
+    """Power and voltage of a cell of one flight, from just before its load.
+
+    `rest` has voltage and power before the load; the first `aloft` rows are in flight.
+    """
+
+    name: object
+    power: FloatArray
+    voltage: FloatArray
+    rest: tuple[float, float]
+    aloft: int
+
+
 class Record:
     """Voltages and powers of flights on one grid of time, each from just before its load."""
 
@@ -113,25 +126,24 @@ class Record:
         steps = frame.groupby(FLIGHT, sort=False)[TIME].diff()
         self.step, self.cells = float(steps.median()), cells
         self.reading = round((_BEGIN_S + _READ_S) / self.step)
-        flown = [self._flight(one, cells) for _, one in frame.groupby(FLIGHT, sort=False)]
-        flown = [one for one in flown if one is not None]
-        longest = max((len(one[1]) for one in flown), default=0)
-        self.names = [one[0] for one in flown]
+        read = (self._flight(one) for _, one in frame.groupby(FLIGHT, sort=False))
+        flown = [one for one in read if one is not None]
+        longest = max((len(one.power) for one in flown), default=0)
+        self.names = [one.name for one in flown]
         self.power, self.voltage = np.zeros((2, longest, len(flown)))
         self.is_logged, self.is_aloft = np.zeros((2, longest, len(flown)), dtype=bool)
-        self.rest = np.array([one[3] for one in flown])
-        for k, (_, power, voltage, _, landed) in enumerate(flown):
-            self.power[: len(power), k], self.voltage[: len(power), k] = power, voltage
-            self.is_logged[: len(power), k], self.is_aloft[:landed, k] = True, True
+        self.rest = np.array([one.rest for one in flown])
+        for k, one in enumerate(flown):
+            rows = slice(0, len(one.power))
+            self.power[rows, k], self.voltage[rows, k] = one.power, one.voltage
+            self.is_logged[rows, k], self.is_aloft[: one.aloft, k] = True, True
 
-    def _flight(
-        self, rows: pd.DataFrame, cells: int
-    ) -> tuple[object, FloatArray, FloatArray, tuple[float, float], int] | None:
-        """Return name, power, voltage of a cell, voltage and power at rest, and rows to landing."""
+    def _flight(self, rows: pd.DataFrame) -> _Flown | None:
+        """Return a flight on the record's grid; None if it has no load or is too short."""
         time = rows[TIME].to_numpy()
         even = np.arange(time[0], time[-1] + 0.5 * self.step, self.step)
-        voltage = np.interp(even, time, rows[VOLTAGE].to_numpy()) / cells
-        power = cells * voltage * np.interp(even, time, rows[CURRENT].to_numpy())
+        voltage = np.interp(even, time, rows[VOLTAGE].to_numpy()) / self.cells
+        power = self.cells * voltage * np.interp(even, time, rows[CURRENT].to_numpy())
         loaded = np.flatnonzero(power > _LOADED * np.max(power, initial=0.0))
         if not len(loaded):
             return None
@@ -140,8 +152,13 @@ class Record:
         if last - begin < self.reading + _FEWEST_ROWS:
             return None
         resting = slice(0, first) if first else slice(0, 1)
-        rest = float(voltage[resting].mean()), float(power[resting].mean())
-        return rows[FLIGHT].iloc[0], power[begin:], voltage[begin:], rest, last - begin
+        return _Flown(
+            name=rows[FLIGHT].iloc[0],
+            power=power[begin:],
+            voltage=voltage[begin:],
+            rest=(float(voltage[resting].mean()), float(power[resting].mean())),
+            aloft=last - begin,
+        )
 
     @property
     def drawn(self) -> FloatArray:
@@ -197,7 +214,7 @@ class Circuit:
         told = self.numbers(values, factor)
         start = np.tile(self._begun, (len(factor), 1))
         start[:, self._names.index(CHARGE_STATE)] = self.charge(record, values, factor)
-        times = record.step * np.arange(count)
+        times = record.step * np.arange(count, dtype=float)
         flown = self._loops.fly(
             times,
             np.hstack([start, np.zeros((len(factor), 1))]),
@@ -350,7 +367,8 @@ def _resistance(values: FloatArray) -> float:
 
 def with_circuit(scenario: Scenario) -> Scenario:
     """Return a scenario whose pack has slow drop, temperature and health, at least as a guess."""
-    pack, tables = scenario.battery, {}
+    pack = scenario.battery
+    tables: dict[str, Any] = {}
     if pack.relaxation is None:
         tables["battery.relaxation"] = {
             "resistance": _SLOW_SHARE * pack.cell_resistance,

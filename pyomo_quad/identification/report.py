@@ -26,7 +26,7 @@ from pyomo_quad.identification.validation import (
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import write_study
 from pyomo_quad.report.tables import write_summary, write_table
-from pyomo_quad.scenario.fields import leaves
+from pyomo_quad.scenario.fields import leaves, spell
 from pyomo_quad.scenario.resolution import read_toml
 from pyomo_quad.version import __version__
 
@@ -131,7 +131,7 @@ def pack_file(pack: PackIdentification) -> str:
     deviations = {one.name: one.deviation for one in pack.parameters}
     fields = {}
     for path, value in leaves(battery.model_dump(exclude={"use", "health"}, exclude_none=True)):
-        name = ".".join(path)
+        name = spell(path)
         source = f"as {battery.use}"
         if name in deviations:
             source = (
