@@ -10,7 +10,7 @@ import typer
 
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.cli.looking import write_new
-from pyomo_quad.cli.terminal import AllowCode, AsJson, Quiet, complain, real_number
+from pyomo_quad.cli.terminal import AllowCode, AsJson, Quiet, complain, option, real_number
 
 
 class Reader(StrEnum):
@@ -31,7 +31,7 @@ def export(
     *,
     to: Annotated[Reader, typer.Option("--to", help="Who reads it.")],
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="File to write; for ros2 a folder.")
+        Path | None, option("--out", "FILE", "File to write; for ros2 a folder.")
     ] = None,
     origin: Annotated[
         str | None,

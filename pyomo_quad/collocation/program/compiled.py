@@ -58,7 +58,7 @@ class MappedFunction:
             self._chunks.append((slice(start, start + size), *made[size]))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Give a copy its own buffers, because the buffers of CasADi cannot be copied."""
+        """Give a copy its own buffers, because CasADi's buffers cannot be copied."""
         return type(self), self._arguments
 
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
