@@ -19,6 +19,6 @@ settings.load_profile("untimed")
 @pytest.fixture(scope="session", autouse=True)
 def _compiled_once():
     """Keep every problem that a test process compiles, where a program keeps the last few."""
-    from pyomo_quad.flight.planning import PROBLEMS
+    from pyomo_quad.flight.caches import PROBLEMS
 
     PROBLEMS.most = 1000

@@ -10,11 +10,21 @@ from typing import Annotated
 
 import typer
 
+from pyomo_quad.cli.campaigns import campaign
 from pyomo_quad.cli.endings import ExitCode, Stopped, before_the_end
-from pyomo_quad.cli.looking import check, export, init, library, plot, schema
+from pyomo_quad.cli.looking import check, init, library, plot, schema
+from pyomo_quad.cli.missions import export, import_
 from pyomo_quad.cli.own_vehicle import vehicle, vehicles
 from pyomo_quad.cli.startup import import_scipy_alone
-from pyomo_quad.cli.studies import identify, outside_plant, paper, polar, predict, rotorpy_vehicle
+from pyomo_quad.cli.studies import (
+    identify,
+    outside_plant,
+    paper,
+    polar,
+    predict,
+    reach,
+    rotorpy_vehicle,
+)
 from pyomo_quad.cli.sweeping import sweep, sweep_report
 from pyomo_quad.cli.terminal import (
     AllowCode,
@@ -25,11 +35,13 @@ from pyomo_quad.cli.terminal import (
     Quiet,
     ReportFolder,
     ScenarioFile,
+    ScenarioFiles,
     Stopwatch,
     claim_streams,
     complain,
     folder_of,
     gives_up_output,
+    option,
     positive_count,
     real_number,
 )
@@ -87,21 +99,18 @@ _Flown = Annotated[
 ]
 _Flights = Annotated[
     int | None,
-    typer.Option(
-        "--flights",
-        metavar="N",
-        parser=positive_count,
-        help="Fly the plan so often, each time in a wind of its own.",
-    ),
+    option("--flights", "N", "Fly the plan N times, each time in a random wind.", positive_count),
 ]
-_Seed = Annotated[int, typer.Option("--seed", metavar="N", help="--flights: of the winds.", min=0)]
+_Seed = Annotated[
+    int, typer.Option("--seed", metavar="N", help="--flights: seed of the random winds.", min=0)
+]
 _Cruises = Annotated[
     list[float] | None,
-    typer.Option(
+    option(
         "--cruise",
-        metavar="M/S",
-        parser=real_number,
-        help="--flights: an autopilot at this speed in the same winds; repeatable.",
+        "M/S",
+        "--flights: an autopilot at this speed in the same winds; repeatable.",
+        real_number,
     ),
 ]
 
@@ -156,7 +165,7 @@ def fly(
 
 
 def is_plan(path: Path) -> bool:
-    """Say whether a path names a plan, and not the scenario of one."""
+    """Return whether a path names a plan instead of a scenario."""
     return path.is_dir() or path.suffix == ".npz"
 
 
@@ -265,10 +274,6 @@ def _refuse_unfit(controller: Controller, plant: Plant) -> None:
 
 _COMPARISON_FOLDER = Path("reports") / "comparison"
 
-ScenarioFiles = Annotated[
-    list[Path], typer.Argument(metavar="SCENARIO...", help="Scenario files (TOML).")
-]
-
 
 def run(
     scenario: ScenarioFile,
@@ -360,21 +365,16 @@ def compare(
 
 Rate = Annotated[
     float | None,
-    typer.Option(
-        "--rate",
-        metavar="HZ",
-        parser=real_number,
-        help="Rows per second of plan.csv; one per node without.",
-    ),
+    option("--rate", "HZ", "Rows per second of plan.csv; one per node without.", real_number),
 ]
 
 
 Continued = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--continue",
-        metavar="RUN",
-        help="Refine the plan of a solve's folder or file to the accuracy that was not reached, or "
+        "RUN",
+        "Refine the plan of a solve's folder or file to the accuracy that was not reached, or "
         "to a higher one; --set solver.accuracy chooses.",
     ),
 ]
@@ -439,10 +439,25 @@ app = typer.Typer(
     help="Minimum-energy quadrotor flight in wind: solve, verify, compare, report.",
 )
 for _command in (
-    *(init, run, solve, compare, check, library, schema, fly, export, plot, identify, predict),
-    *(polar, vehicle, vehicles, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
+    *(
+        init,
+        run,
+        solve,
+        compare,
+        campaign,
+        check,
+        library,
+        schema,
+        fly,
+        export,
+        plot,
+        identify,
+        predict,
+    ),
+    *(polar, reach, vehicle, vehicles, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
 ):
     app.command()(_command)
+app.command("import")(import_)
 
 
 def _print_version(is_wanted: bool) -> None:

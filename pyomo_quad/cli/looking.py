@@ -1,11 +1,9 @@
-"""Commands on a scenario or its results: `init`, `check`, `library`, `schema`, `export`, `plot`."""
+"""Commands on a scenario or its results: `init`, `check`, `library`, `schema`, `plot`."""
 
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
-from enum import StrEnum
-from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,8 +21,7 @@ from pyomo_quad.cli.terminal import (
     Overrides,
     Quiet,
     ScenarioFile,
-    complain,
-    real_number,
+    option,
     result_console,
 )
 from pyomo_quad.report.folder import MARK, output_file
@@ -53,7 +50,7 @@ from pyomo_quad.scenario.description import (
     started_scenario,
     writable_fields,
 )
-from pyomo_quad.scenario.messages import PyomoQuadError, printable, shown
+from pyomo_quad.scenario.messages import PyomoQuadError, printable
 
 if TYPE_CHECKING:
     from pyomo_quad.model.screening import Finding, ModelInspection
@@ -256,9 +253,7 @@ def _schema_text(model: type[BaseModel], kind: str, required: tuple[str, ...]) -
 
 
 def schema(
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder of the three files.")
-    ] = Path(),
+    out: Annotated[Path, option("--out", "DIR", "Folder of the three files.")] = Path(),
 ) -> int:
     """Write the JSON Schemas of scenarios and studies, and a page that lists every field."""
     from pyomo_quad.report.render import render_markdown  # noqa: PLC0415  takes a second
@@ -284,87 +279,6 @@ def schema(
     return ExitCode.VERIFIED
 
 
-class Reader(StrEnum):
-    """Formats of `pyomo_quad.exports`, listed here because that package imports slowly."""
-
-    QGROUNDCONTROL = "qgroundcontrol"
-    PX4 = "px4"
-    ROS2 = "ros2"
-    CRAZYFLIE = "crazyflie"
-    ROTORPY = "rotorpy"
-
-
-def export(
-    plan: Annotated[
-        Path, typer.Argument(metavar="PLAN", help="File of Plan.save, or report folder of a run.")
-    ],
-    *,
-    to: Annotated[Reader, typer.Option("--to", help="Who reads it.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="File to write; for ros2 a folder.")
-    ] = None,
-    origin: Annotated[
-        str | None,
-        typer.Option(
-            "--origin",
-            metavar="LAT,LON,ALT",
-            help="Position of the plan's origin (degrees, metres above the sea).",
-        ),
-    ] = None,
-    path_error: Annotated[
-        float | None,
-        typer.Option(
-            "--path-error",
-            metavar="M",
-            parser=real_number,
-            help="Largest distance of waypoints or pieces from the plan at any time.",
-        ),
-    ] = None,
-    rate: Annotated[
-        float | None,
-        typer.Option(
-            "--rate", metavar="HZ", parser=real_number, help="Of setpoints, 50 by default."
-        ),
-    ] = None,
-    as_planned: Annotated[
-        bool, typer.Option("--as-planned", help="Say nothing of a plan without a risk.")
-    ] = False,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-    allow_code: AllowCode = False,
-) -> int:
-    """Fly a verified plan once more, and write it for an autopilot, a swarm or a simulator."""
-    from pyomo_quad.exports import export_plan  # noqa: PLC0415  SciPy takes a second
-
-    made = export_plan(
-        plan,
-        to.value,
-        out,
-        origin=origin,
-        path_error_m=path_error,
-        rate_hz=rate,
-        is_code_allowed=allow_code,
-    )
-    if as_json:
-        print(json.dumps(made.as_mapping(), indent=2))
-    elif not quiet:
-        yaw = made.yaw_error_rad
-        turned = "" if yaw is None else f" and {degrees(yaw):.2g} degrees of yaw"
-        print(
-            f"Written to {made.path}: {made.parts} {made.what}, never more than "
-            f"{made.position_error_m:.2g} m{turned} from the plan."
-        )
-    if made.is_paper_plan and not as_planned:
-        complain(
-            f"{plan}: warning: a paper plan, which leaves nothing to the controller; solve it with "
-            "mission.risk = 0.01, or give --as-planned."
-        )
-    return ExitCode.VERIFIED
-
-
-_ENDINGS = (".png", ".svg", ".pdf")
-
-
 def plot(
     run: Annotated[
         Path, typer.Argument(metavar="RUN", help="Report folder of a run, a solve or a flight.")
@@ -374,39 +288,33 @@ def plot(
     ] = "path",
     *,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="FILE", help="Ends in .png, .svg or .pdf; RUN_WHAT.png."),
+        Path | None, option("--out", "FILE", "Ends in .png, .svg or .pdf; RUN_WHAT.png.")
     ] = None,
     quiet: Quiet = False,
 ) -> int:
     """Draw a figure of a finished run: path, states, energy, battery, ... or any column."""
-    if out is not None and out.suffix not in _ENDINGS:
-        raise ScenarioError(f"--out {out}: must end in {', '.join(_ENDINGS)}.")
     flight, hover_energy_J, mission = _flight(run)
     front = read_front(run)
-    from pyomo_quad.report.gallery import (  # noqa: PLC0415
-        column_drawing,
-        flight_drawings,
-        front_drawing,
+    from pyomo_quad.report.gallery import flight_drawings, front_drawing  # noqa: PLC0415
+    from pyomo_quad.report.presenting import (  # noqa: PLC0415  matplotlib takes a second
+        chosen_drawing,
+        refuse_other_endings,
     )
-    from pyomo_quad.report.style import save_figure  # noqa: PLC0415  matplotlib takes a second
+    from pyomo_quad.report.style import save_figure  # noqa: PLC0415
 
+    if out is not None:
+        refuse_other_endings(out, "--out")
     offered = (
         *flight_drawings([flight], hover_energy_J, mission=mission),
         *(() if front is None else (front_drawing(front),)),
     )
-    drawings = {drawing.name: drawing for drawing in offered}
-    if what not in drawings and what not in flight.frame:
-        raise ScenarioError(
-            f"WHAT = {shown(what)}; must be one of {', '.join(drawings)}, or a column of the table:"
-            f" {', '.join(map(str, flight.frame.columns))}."
-        )
-    drawing = drawings.get(what) or column_drawing(flight, what)
+    drawing = chosen_drawing(offered, flight, what, "WHAT")
     path = out or Path(f"{run.resolve().name}_{what}.png")
     with output_file(path) as aside:
         save_figure(drawing.draw, {path.suffix.removeprefix("."): aside}, MARK)
     if not quiet:
-        print(f"Written to {path}. Others: {', '.join(name for name in drawings if name != what)}.")
+        others = (one.name for one in offered if one.name != what)
+        print(f"Written to {path}. Others: {', '.join(others)}.")
     return ExitCode.VERIFIED
 
 

@@ -8,7 +8,7 @@ import typer
 
 from pyomo_quad.cli.endings import ExitCode, raise_on_interrupt
 from pyomo_quad.cli.looking import write_new
-from pyomo_quad.cli.terminal import FigureChoice, Quiet, ReportFolder, complain, real_number
+from pyomo_quad.cli.terminal import FigureChoice, Quiet, ReportFolder, complain, option, real_number
 from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import output_folder, refuse_output_folder
 from pyomo_quad.scenario import ScenarioError
@@ -19,32 +19,24 @@ if TYPE_CHECKING:
     from pyomo_quad.vehicles.uncertainty import PowerBand
 
 
-def _number(flag: str, metavar: str, words: str) -> typer.models.OptionInfo:
-    option: typer.models.OptionInfo = typer.Option(
-        flag, metavar=metavar, parser=real_number, help=words
-    )
-    return option
-
-
 _Number = float | None
-Mass = Annotated[_Number, _number("--mass", "KG", "Mass aloft, with its pack.")]
+Mass = Annotated[_Number, option("--mass", "KG", "Mass aloft, with its pack.", real_number)]
 Propeller = Annotated[
-    str | None,
-    typer.Option("--propeller", metavar="DxP", help="Diameter and pitch in inches, as 10x4.5."),
+    str | None, option("--propeller", "DxP", "Diameter and pitch in inches, as 10x4.5.")
 ]
-Arm = Annotated[_Number, _number("--arm", "M", "Centre to motor shaft.")]
-Kv = Annotated[_Number, _number("--kv", "RPM/V", "The motors' speed over voltage.")]
-Pack = Annotated[
-    str | None,
-    typer.Option("--battery", metavar="LABEL", help="Cells in series and mAh, as 4S5000."),
-]
+Arm = Annotated[_Number, option("--arm", "M", "Centre to motor shaft.", real_number)]
+Kv = Annotated[_Number, option("--kv", "RPM/V", "The motors' speed over voltage.", real_number)]
+Pack = Annotated[str | None, option("--battery", "LABEL", "Cells in series and mAh, as 4S5000.")]
 HoverCurrent = Annotated[
-    _Number, _number("--hover-current", "A", "Current from the pack in hover.")
+    _Number, option("--hover-current", "A", "Current from the pack in hover.", real_number)
 ]
 HoverVoltage = Annotated[
-    _Number, _number("--hover-voltage", "V", "Voltage of the pack in hover; its nominal without.")
+    _Number,
+    option(
+        "--hover-voltage", "V", "Voltage of the pack in hover; its nominal without.", real_number
+    ),
 ]
-Rotors = Annotated[int, typer.Option("--rotors", metavar="N", help="4, 6 or 8.")]
+Rotors = Annotated[int, option("--rotors", "N", "4, 6 or 8.")]
 
 
 def vehicle(
@@ -58,7 +50,7 @@ def vehicle(
     hover_current: HoverCurrent = None,
     hover_voltage: HoverVoltage = None,
     rotors: Rotors = 4,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the files go.")] = Path(),
+    out: Annotated[Path, option("--out", "DIR", "Where the files go.")] = Path(),
     quiet: Quiet = False,
 ) -> int:
     """Write a vehicle and its battery from their owner's data, each number with its source.
@@ -223,7 +215,7 @@ def vehicles(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Hold every library vehicle, and six data sheets, against measured powers: a page of each."""
+    """Compare every library vehicle and six data sheets with measured powers: a page for each."""
     refuse_output_folder(out)
     from pyomo_quad.flight import Planner  # noqa: PLC0415  takes a second
     from pyomo_quad.vehicles.holding import held_vehicles  # noqa: PLC0415

@@ -1,7 +1,7 @@
 """Common parts of the commands that solve; importing them imports the engine, which is slow."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from math import isnan
 from pathlib import Path
@@ -12,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from pyomo_quad.cli.endings import ExitCode, SolveStopped, has_told, stop_on_interrupt
+from pyomo_quad.cli.endings import ExitCode, Interruption, SolveStopped, has_told, stop_on_interrupt
 from pyomo_quad.cli.terminal import complain, live_line, result_console
 from pyomo_quad.collocation import Iteration, Problem, Progress, TranscriptionError, WarmStart
 from pyomo_quad.flight import Plan, Planner, PlanStatus
@@ -33,6 +33,7 @@ from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.loader import parse_overrides
 from pyomo_quad.study.comparison import ComparisonColumn, against_hovering
+from pyomo_quad.study.headline import headline_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -59,6 +60,20 @@ class _CommandPlanner(Planner):
         super().__init__(builder)
         self._is_quiet = is_quiet
         self._keeps_usable = keeps_usable
+        self._stop: Interruption | None = None
+
+    @contextmanager
+    def until_stopped(self) -> Iterator[Callable[[], bool]]:
+        if not self._keeps_usable:
+            with super().until_stopped() as is_stopped:
+                yield is_stopped
+            return
+        with stop_on_interrupt() as stop:
+            self._stop = stop
+            try:
+                yield lambda: stop.is_requested
+            finally:
+                self._stop = None
 
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
         try:
@@ -74,10 +89,11 @@ class _CommandPlanner(Planner):
         progress: Progress | None = None,
         show: Callable[[State], None] | None = None,
     ) -> Plan:
-        with live_line(is_quiet=self._is_quiet) as told, stop_on_interrupt() as interruption:
+        stopping = nullcontext(self._stop) if self._stop is not None else stop_on_interrupt()
+        with live_line(is_quiet=self._is_quiet) as told, stopping as interruption:
 
             def tell(state: State) -> None:
-                interruption.has_result = self._keeps_usable and state.has_usable
+                interruption.has_result |= self._keeps_usable and state.has_usable
                 for follower in filter(None, (told, show)):
                     follower(state)
 
@@ -89,7 +105,8 @@ class _CommandPlanner(Planner):
                 plan = super().solve(scenario, warm_start=warm_start, progress=follow, show=tell)
             except TranscriptionError as error:
                 raise ScenarioError(str(error)) from error
-        if interruption.is_requested and not (self._keeps_usable and plan.is_flyable):
+        interruption.has_result |= self._keeps_usable and plan.is_flyable
+        if interruption.is_requested and not interruption.has_result:
             raise SolveStopped(plan)
         return plan
 
@@ -147,15 +164,15 @@ def _kept(plan: Plan, folder: Path) -> str:
 
 
 def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenario]:
-    """Return the plan of a solve's folder, or of its file, and its mission at the next accuracy.
+    """Return a stored plan, and its mission at the accuracy to continue to.
 
-    That is the one which `solver.accuracy` among the overrides asks for; else the one that the plan
-    was asked for where it was not reached, or the next higher one.
+    The accuracy is `solver.accuracy` of the overrides; without it, the accuracy requested before if
+    the plan did not reach it, otherwise the next higher accuracy.
 
     Raises
     ------
     ScenarioError
-        If there is no plan, an override is none of the solver, or no accuracy is higher.
+        If there is no plan, an override is not a field of the solver, or no accuracy is higher.
     """
     plan = Plan.load(run / PLAN_FILE_NAME if run.is_dir() else run)
     values = parse_overrides(overrides)
@@ -257,6 +274,9 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
 
 def run_lines(result: "RunResult") -> Iterator[str | Table]:
     """Yield the lines on a run: optimum, table of flights, and certificate."""
+    headline = headline_of(result)
+    if headline is not None:
+        yield f"{result.scenario.name}: {headline.words}"
     yield from verdict_lines(result.plan)
     if not result.comparison.empty:
         yield comparison_table(result.comparison)

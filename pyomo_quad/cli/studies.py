@@ -18,6 +18,7 @@ from pyomo_quad.cli.terminal import (
     ScenarioFile,
     complain,
     error_console,
+    option,
 )
 from pyomo_quad.identification.columns import wanted_columns
 from pyomo_quad.report import Figures
@@ -129,6 +130,43 @@ def polar(
     return ExitCode.VERIFIED
 
 
+def reach(
+    scenario: ScenarioFile,
+    *,
+    has_return: Annotated[
+        bool, typer.Option("--return", help="Draw from where the pack brings the vehicle back.")
+    ] = False,
+    out: Output = None,
+    overrides: Overrides = None,
+    figures: FigureChoice = Figures.SVG,
+    quiet: Quiet = False,
+) -> int:
+    """Draw how far one pack takes a vehicle from its start in the wind, and back with --return."""
+    resolved = load_scenario(scenario, overrides or ())
+    folder = out or Path("reports") / f"{resolved.name}_reach"
+    if resolved.model is not None:
+        raise ScenarioError(f"{scenario}: model = {resolved.model!r}; reach reads declared models.")
+    refuse_output_folder(folder)
+    from pyomo_quad.polar.reach import (  # noqa: PLC0415  takes a second
+        boundary_geojson,
+        find_reach,
+        reach_summary,
+        write_reach,
+    )
+
+    with raise_on_interrupt(), _report_folder(folder, is_quiet=quiet) as (aside, lines):
+        found = find_reach(resolved, has_return=has_return)
+        write_reach(aside, found, figures)
+        told = reach_summary(found)
+        lines.append(
+            f"{told['least_reach_m'] / 1e3:.2f} to {told['greatest_reach_m'] / 1e3:.2f} km from "
+            f"the start{' and back' if has_return else ''}, by the course"
+        )
+        if boundary_geojson(found) is None:
+            lines.append("no GeoJSON: give mission.origin to place it on a map")
+    return ExitCode.VERIFIED
+
+
 def outside_plant(
     *,
     out: ReportFolder = _OUTSIDE_FOLDER,
@@ -151,9 +189,7 @@ def outside_plant(
 def rotorpy_vehicle(
     name: Annotated[str, typer.Argument(metavar="NAME", help="hummingbird or crazyflie.")],
     *,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="NAME.toml by default.")
-    ] = None,
+    out: Annotated[Path | None, option("--out", "FILE", "NAME.toml by default.")] = None,
     quiet: Quiet = False,
 ) -> int:
     """Write a vehicle file of one of RotorPy's parameter sets, each number with its source."""
@@ -181,34 +217,28 @@ Logs = Annotated[
 ]
 Steady = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--steady",
-        metavar="CSV",
-        help="Points of steady flight in place of logs, hover alone or a series of payloads "
+        "CSV",
+        "Points of steady flight in place of logs, hover alone or a series of payloads "
         "included; its columns are airspeed_m_s, power_W (or endurance_s on the vehicle's pack), "
         "payload_kg, climb_m_s, air_density_kg_m3, all but the power optional.",
     ),
 ]
-Base = Annotated[
-    str, typer.Option("--base", metavar="VEHICLE", help="Vehicle of the library, or its file.")
-]
-Vehicle = Annotated[
-    str, typer.Option("--vehicle", metavar="VEHICLE", help="Vehicle of the library, or its file.")
-]
+Base = Annotated[str, option("--base", "VEHICLE", "Vehicle of the library, or its file.")]
+Vehicle = Annotated[str, option("--vehicle", "VEHICLE", "Vehicle of the library, or its file.")]
 NewFolder = Annotated[
-    Path | None,
-    typer.Option("--out", metavar="DIR", help="Output folder, named after the first log."),
+    Path | None, option("--out", "DIR", "Output folder, named after the first log.")
 ]
 Wanted = Annotated[
-    list[str] | None,
-    typer.Option("--fit", metavar="FIELD", help="Field of the vehicle to fit; repeatable."),
+    list[str] | None, option("--fit", "FIELD", "Field of the vehicle to fit; repeatable.")
 ]
 FlightList = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--flights",
-        metavar="CSV",
-        help=f"Columns flight and {_SPLIT}: only flights with {_SPLIT} = {_READ} are read.",
+        "CSV",
+        f"Columns flight and {_SPLIT}: only flights with {_SPLIT} = {_READ} are read.",
     ),
 ]
 
@@ -292,7 +322,7 @@ def _parameter_lines(
     parameters: "Sequence[SteadyParameter | IdentifiedParameter]",
     together: Sequence[tuple[str, str]],
 ) -> Iterator[str]:
-    """Yield a line per fitted parameter, with the parameters it cannot be told from."""
+    """Yield a line for each fitted parameter, with the parameter that it is confounded with."""
     partners = dict(together)
     for one in parameters:
         edge = " (at the end of its range)" if one.is_at_bound and one.is_determined else ""

@@ -12,7 +12,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pyomo_quad.cli.endings import ExitCode, raise_on_interrupt
-from pyomo_quad.cli.terminal import FigureChoice, Output, complain, error_console, positive_count
+from pyomo_quad.cli.terminal import (
+    FigureChoice,
+    Output,
+    complain,
+    error_console,
+    option,
+    positive_count,
+)
 from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import final_folder, output_folder, refuse_output_folder
 from pyomo_quad.scenario.messages import OutputError
@@ -26,14 +33,10 @@ _REPORT_FOLDER = "report"
 
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")]
 WorkerCount = Annotated[
-    int | None,
-    typer.Option(
-        "--workers", metavar="N", parser=positive_count, help="Processes, one per core by default."
-    ),
+    int | None, option("--workers", "N", "Processes, one per core by default.", positive_count)
 ]
 Scheduler = Annotated[
-    str | None,
-    typer.Option("--scheduler", metavar="ADDRESS", help="Use the workers of a Dask cluster."),
+    str | None, option("--scheduler", "ADDRESS", "Use the workers of a Dask cluster.")
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Only count cases and estimate time.")]
 Fresh = Annotated[bool, typer.Option("--fresh", help="Discard existing results.")]
@@ -42,8 +45,7 @@ Verbose = Annotated[bool, typer.Option("--verbose", help="A line for each case."
 SweepFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of a sweep.")]
 
 ReportOutput = Annotated[
-    Path | None,
-    typer.Option("--out", metavar="DIR", help="Folder of the report, DIR/report by default."),
+    Path | None, option("--out", "DIR", "Folder of the report, DIR/report by default.")
 ]
 
 

@@ -136,15 +136,23 @@ def _state_of(now: "State") -> str:
 
 _MOST_DIGITS = 9
 
+
+def option(
+    flag: str, metavar: str, words: str, parser: Callable[[str], object] | None = None
+) -> typer.models.OptionInfo:
+    """Declare an option with a value: its flag, the name of the value, and its help."""
+    info: typer.models.OptionInfo = typer.Option(flag, metavar=metavar, parser=parser, help=words)
+    return info
+
+
 ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file (TOML).")]
-Output = Annotated[
-    Path | None,
-    typer.Option("--out", metavar="DIR", help="Output folder, reports/NAME by default."),
+ScenarioFiles = Annotated[
+    list[Path], typer.Argument(metavar="SCENARIO...", help="Scenario files (TOML).")
 ]
-ReportFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Output folder.")]
+Output = Annotated[Path | None, option("--out", "DIR", "Output folder, reports/NAME by default.")]
+ReportFolder = Annotated[Path, option("--out", "DIR", "Output folder.")]
 Overrides = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="PATH=VALUE", help="Set a field to a TOML value; repeatable."),
+    list[str] | None, option("--set", "PATH=VALUE", "Set a field to a TOML value; repeatable.")
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress and no summary.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]

@@ -21,12 +21,10 @@ from pyomo_quad.collocation.mesh import (
     radau_rule,
 )
 from pyomo_quad.collocation.program.bounds import limits_at_points
-from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.program.transcription import linearised
 
 if TYPE_CHECKING:
-    from pyomo_quad.collocation.program.bounds import Bounds
-    from pyomo_quad.collocation.program.ipopt import Multipliers
+    from pyomo_quad.collocation.program.nonlinear import Bounds, Multipliers
     from pyomo_quad.collocation.program.transcription import Transcription
 
 # Magnitude, as a fraction of objective / state size, below which a costate counts as zero.
@@ -149,15 +147,12 @@ def _products(
     program: Transcription, z: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return weights times the row derivatives by rates and states, shape (n_points, n_states)."""
-    path, n = program.compiled.path, program.layout.n_states
-    entries = MappedFunction(path.jacobian, program.n_points)(
-        program.path_variables(z), program.data.at_points()
-    )[0]
-    slopes = np.zeros((program.n_points, path.values.size1_in(0)))
-    for k, (row, column) in enumerate(zip(path.jacobian_rows, path.jacobian_columns, strict=True)):
-        if column < 2 * n:
-            slopes[:, column] += entries[:, k] * weights[:, row]
-    return slopes[:, :n], slopes[:, n : 2 * n]
+    n, rows = program.layout.n_states, np.arange(weights.shape[1])
+    slopes = program.path_slopes(
+        program.path_variables(z), program.data.at_points(), rows, np.arange(2 * n)
+    )
+    products = np.einsum("kr,krc->kc", weights, slopes)
+    return products[:, :n], products[:, n:]
 
 
 def _pull_of_bounds(program: Transcription, multipliers: Multipliers, bounds: Bounds) -> FloatArray:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.program.bounds import Bounds, Scaling, limits_of
-from pyomo_quad.collocation.program.ipopt import Progress, SolverOptions, run
+from pyomo_quad.collocation.program.bounds import limits_of
+from pyomo_quad.collocation.program.ipopt import IpoptResult, Progress, SolverOptions, run
+from pyomo_quad.collocation.program.nonlinear import Bounds, ExtendedProgram, Scaling
 from pyomo_quad.collocation.program.transcription import row_place
 from pyomo_quad.collocation.reading.model_source import family_name
 
@@ -121,110 +122,6 @@ def _soft_program_rows(
             yield _SoftRow(family_name(name), row, -1, sign, float(bound), size)
 
 
-class ElasticProgram:
-    """The elastic counterpart of a program, in the form Ipopt asks for.
-
-    Unknowns are those of the program, then one slack per family. Rows are those of the program,
-    with the soft ones free, then the soft rows.
-    """
-
-    def __init__(
-        self, program: Transcription, soft: SoftRows, near: FloatArray, scale: FloatArray
-    ) -> None:
-        self.program = program
-        self.soft = soft
-        self._near, self._scale = near, scale
-        self._n = near.size
-
-    @property
-    def n_rows(self) -> int:
-        """Number of rows."""
-        return self.program.n_rows + len(self.soft)
-
-    @property
-    def n_points(self) -> int:
-        """Number of collocation points."""
-        return self.program.n_points
-
-    @property
-    def is_negated(self) -> bool:
-        """Return False: slacks are minimised, whether or not the program maximises."""
-        return False
-
-    def objective(self, z: FloatArray) -> float:
-        """Return the sum of slacks, plus a small penalty on the distance from the first point."""
-        moved = (z[: self._n] - self._near) * self._scale
-        return float(z[self._n :].sum() + 0.5 * _PROXIMITY * moved @ moved / self._n)
-
-    def gradient(self, z: FloatArray) -> FloatArray:
-        """Return the gradient of the objective."""
-        moved = (z[: self._n] - self._near) * self._scale**2
-        return np.concatenate([_PROXIMITY * moved / self._n, np.ones(z.size - self._n)])
-
-    def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the program's rows, then the excess of each soft row over its slack."""
-        rows = self.program.constraints(z[: self._n])
-        soft = self.soft
-        values = np.where(soft.row >= 0, rows[soft.row], z[soft.column])
-        beyond = soft.sign * (values - soft.limit) / soft.size - z[self._n + soft.family]
-        return np.concatenate([rows, beyond])
-
-    @cached_property
-    def _copies(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Entries of the program's Jacobian that soft rows copy, and the soft row of each entry."""
-        rows, _ = self.program.jacobianstructure()
-        order = np.argsort(rows, kind="stable")
-        starts = np.searchsorted(rows[order], np.arange(self.program.n_rows + 1))
-        entries, owners = [], []
-        for k in np.flatnonzero(self.soft.row >= 0):
-            r = self.soft.row[k]
-            found = order[starts[r] : starts[r + 1]]
-            entries.append(found)
-            owners.append(np.full(found.size, k))
-        empty = np.zeros(0, dtype=np.intp)
-        return np.concatenate([empty, *entries]), np.concatenate([empty, *owners])
-
-    def jacobianstructure(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return rows and columns of the Jacobian's entries."""
-        rows, columns = self.program.jacobianstructure()
-        entries, owners = self._copies
-        m = self.program.n_rows
-        plain = np.flatnonzero(self.soft.row < 0)
-        every = np.arange(len(self.soft))
-        return (
-            np.concatenate([rows, m + owners, m + plain, m + every]),
-            np.concatenate(
-                [columns, columns[entries], self.soft.column[plain], self._n + self.soft.family]
-            ),
-        )
-
-    def jacobian(self, z: FloatArray) -> FloatArray:
-        """Return the values of the Jacobian's entries."""
-        soft, values = self.soft, self.program.jacobian(z[: self._n])
-        entries, owners = self._copies
-        factor = soft.sign / soft.size
-        plain = factor[soft.row < 0]
-        return np.concatenate(
-            [values, values[entries] * factor[owners], plain, -np.ones(len(soft))]
-        )
-
-    def hessianstructure(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return rows and columns of the lower triangle of the Lagrangian's Hessian."""
-        rows, columns = self.program.hessianstructure()
-        diagonal = np.arange(self._n)
-        return np.concatenate([rows, diagonal]), np.concatenate([columns, diagonal])
-
-    def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the values of the lower triangle of the Lagrangian's Hessian."""
-        soft, m = self.soft, self.program.n_rows
-        on_rows = np.array(multipliers[:m])
-        held = soft.row >= 0
-        weights = (multipliers[m:] * soft.sign / soft.size)[held]
-        np.add.at(on_rows, soft.row[held], weights)
-        values = self.program.hessian(z[: self._n], on_rows, 0.0)
-        return np.concatenate([values, factor * _PROXIMITY * self._scale**2 / self._n])
-
-
 _MOST_RESIDUALS = 10
 # Relative residual or slack below which an equation or limit counts as met.
 _MET = 1e-6
@@ -329,29 +226,29 @@ def diagnose(
     ------
     TranscriptionError
         If none of the families has a limit that could be relaxed, or there are several horizons.
+
+    Examples
+    --------
+    >>> from pyomo_quad.collocation import solve
+    >>> m.u.setub(0.9)  # 1 m in 1 s needs a speed of 1
+    >>> failed = solve(m)
+    >>> failed.is_converged
+    False
+    >>> diagnosis = diagnose(failed)
+    >>> diagnosis.least_violation > 0.0, len(diagnosis.relaxations) > 0
+    (True, True)
     """
     if solution.parts != (solution,):
         raise TranscriptionError(
             "diagnose: the solution is of several horizons; diagnose one of its `horizons`."
         )
     program, scaling = solution.program, solution.scaling
-    soft = SoftRows.of(
-        program, solution.bounds, scaling, limits_of(*_limit_inputs(solution)), families
-    )
+    instance = solution.instance
+    limits = limits_of(program, solution.problem.data_at_starts(instance), instance.fixed)
+    soft = SoftRows.of(program, solution.bounds, scaling, limits, families)
+    result = _least_slacks(solution, soft, progress)
     z = solution.unknowns
-    elastic = ElasticProgram(program, soft, near=z, scale=scaling.unknowns)
-    rows = elastic.constraints(np.concatenate([z, np.zeros(len(soft.names))]))[program.n_rows :]
-    first = np.zeros(len(soft.names))
-    np.maximum.at(first, soft.family, rows)
-    result = run(
-        elastic,
-        _elastic_bounds(elastic, solution.bounds),
-        _elastic_scaling(elastic, scaling),
-        np.concatenate([z, first + _MET]),
-        options=_ELASTIC,
-        progress=progress,
-    )
-    slacks = result.z[z.size :]
+    slacks = result.z[-len(soft.names) :]
     has_converged = result.is_converged
     is_met = has_converged and bool(np.all(slacks <= _MET))
     return Diagnosis(
@@ -363,34 +260,54 @@ def diagnose(
     )
 
 
-def _limit_inputs(solution: Solution) -> tuple[Any, FloatArray, dict[tuple[str, float], float]]:
-    instance = solution.instance
-    return solution.program, solution.problem.data_at_starts(instance), instance.fixed
+def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
+    """Minimise the sum of the families' slacks, which are the last unknowns of the result.
 
-
-def _elastic_bounds(elastic: ElasticProgram, bounds: Bounds) -> Bounds:
-    """Free the bounds that the soft rows replace; keep all others."""
-    soft = elastic.soft
-    lower, upper = bounds.lower.copy(), bounds.upper.copy()
-    row_lower, row_upper = bounds.row_lower.copy(), bounds.row_upper.copy()
-    for sign, sides in ((-1.0, (lower, row_lower)), (1.0, (upper, row_upper))):
-        chosen = soft.sign == sign
-        sides[0][soft.column[chosen & (soft.row < 0)]] = sign * np.inf
-        sides[1][soft.row[chosen & (soft.row >= 0)]] = sign * np.inf
-    count, slacks = len(soft), len(soft.names)
-    return Bounds(
-        lower=np.concatenate([lower, np.zeros(slacks)]),
-        upper=np.concatenate([upper, np.full(slacks, np.inf)]),
-        row_lower=np.concatenate([row_lower, np.full(count, -np.inf)]),
-        row_upper=np.concatenate([row_upper, np.zeros(count)]),
+    The excess of each soft row of the program is an unknown, and at most the slack of its family.
+    Soft limits of unknowns become rows, and replace the unknowns' bounds.
+    """
+    program, bounds, z = solution.program, solution.bounds, solution.unknowns
+    n, m, count, families = z.size, program.n_rows, len(soft), len(soft.names)
+    on_row, on_unknown = np.flatnonzero(soft.row >= 0), np.flatnonzero(soft.row < 0)
+    own, first_slack = n + np.arange(on_row.size), n + on_row.size
+    factors = soft.sign / soft.size
+    parts = (
+        (-(soft.sign * soft.size)[on_row], soft.row[on_row], own),
+        (np.ones(on_row.size), m + on_row, own),
+        (factors[on_unknown], m + on_unknown, soft.column[on_unknown]),
+        (-np.ones(count), m + np.arange(count), first_slack + soft.family),
     )
-
-
-def _elastic_scaling(elastic: ElasticProgram, scaling: Scaling) -> Scaling:
-    return Scaling(
-        objective=1.0,
-        unknowns=np.concatenate([scaling.unknowns, np.ones(len(elastic.soft.names))]),
-        rows=np.concatenate([scaling.rows, np.ones(len(elastic.soft))]),
+    values, at_row, at_column = (np.concatenate(part) for part in zip(*parts, strict=True))
+    shape = m + count, first_slack + families
+    elastic = ExtendedProgram(
+        program=program,
+        share=0.0,
+        prices=np.append(np.zeros(on_row.size), np.ones(families)),
+        columns=np.arange(n),
+        weights=_PROXIMITY * solution.scaling.unknowns**2 / n,
+        near=z,
+        terms=csr_array((values, (at_row, at_column)), shape=shape),
+    )
+    free = replace(bounds, lower=bounds.lower.copy(), upper=bounds.upper.copy())
+    for sign, side in ((-1.0, free.lower), (1.0, free.upper)):
+        side[soft.column[on_unknown[soft.sign[on_unknown] == sign]]] = sign * np.inf
+    at_point = np.where(soft.row >= 0, program.constraints(z)[soft.row], z[soft.column])
+    excess = _MET + np.maximum(factors * (at_point - soft.limit), 0.0)
+    slacks = np.zeros(families)
+    np.maximum.at(slacks, soft.family, excess + _MET)
+    start = np.concatenate([z, excess[on_row], slacks])
+    above = np.zeros(count)
+    above[on_unknown] = (factors * soft.limit)[on_unknown]
+    return run(
+        elastic,
+        free.extended(
+            unknowns=(np.zeros(start.size - n), np.full(start.size - n, np.inf)),
+            rows=(np.full(count, -np.inf), above),
+        ),
+        replace(solution.scaling, objective=1.0).extended(start.size - n, np.ones(count)),
+        start,
+        options=_ELASTIC,
+        progress=progress,
     )
 
 

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 # Residual at which Newton's method stops.
 _NEWTON_TOLERANCE = 1e-13
-# Steps where their count is fixed, from nought as well.  The first may lead 2^12 times too far, as
-# a hovering rotor's induced velocity does, which later steps halve before they converge.
+# Number of Newton steps where it is fixed, starting at zero. The first step may overshoot by a
+# factor of 2^12, as for the induced velocity of a hovering rotor; later steps first halve it.
 _NEWTON_STEPS = 20
 
 
@@ -407,20 +407,17 @@ class Dynamics:
         variables = np.hstack([rates[:, :n_states], inner, algebraics, statics])
         rows = MappedFunction(compiled.path.values, n)(variables, data)[0]
         lower, upper = MappedFunction(compiled.path_bounds, n)(data)
-        low, high, simple_low, simple_high = MappedFunction(compiled.variable_limits, n)(data)
-        values = np.hstack([inner, algebraics])
-        names = [s.name for s in (*declared.states, *declared.algebraics)]
+        low, high = MappedFunction(compiled.limits_over_time, n)(data)
+        values = np.hstack([inner, algebraics])[:, compiled.limited]
         limits = [
             LimitValues(e.name, rows[:, k], lower[:, k], upper[:, k])
             for k, e in enumerate(declared.equations)
             if not e.is_equality
         ]
         limits += [
-            LimitValues(name, values[:, k], low[:, k], high[:, k]) for k, name in enumerate(names)
+            LimitValues(limit.name, values[:, k], low[:, k], high[:, k])
+            for k, limit in enumerate(compiled.limits)
         ]
-        for k, bound in enumerate(compiled.simple_path_bounds):
-            held = values[:, names.index(bound.variable)]
-            limits.append(LimitValues(bound.name, held, simple_low[:, k], simple_high[:, k]))
         return limits
 
 
@@ -433,6 +430,12 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
 
     Equality equations without rates determine algebraic variables. A maximum matching of equations
     and variables decides which variables these are, with later declared variables first.
+
+    Examples
+    --------
+    >>> controls, determined = split_algebraics(solution.problem)
+    >>> [slot.name for slot in controls], determined
+    (['u'], ())
     """
     declared = formulation.compiled.declared
     rates = {s.rate.name() for s in declared.states}

@@ -17,12 +17,11 @@ from scipy.sparse.linalg import splu
 
 from pyomo_quad.collocation.errors import SolveError, TranscriptionError
 from pyomo_quad.collocation.mesh import Timeline
+from pyomo_quad.collocation.packing import Packed, packed
 from pyomo_quad.collocation.program.compiled import (
     CompiledModel,
     MappedFunction,
-    Packed,
     compile_declarations,
-    packed,
 )
 from pyomo_quad.collocation.program.transcription import Data, Transcription
 from pyomo_quad.collocation.reading.model import read_declarations
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 
     from pyomo_quad.collocation.mesh import FloatArray, Mesh
     from pyomo_quad.collocation.program.sparsity import Layout
-    from pyomo_quad.collocation.reading.copy import FreeTimes
+    from pyomo_quad.collocation.reading.clock import FreeTimes
     from pyomo_quad.collocation.reading.model import ModelReader
     from pyomo_quad.collocation.reading.model_source import ModelSnapshot
     from pyomo_quad.collocation.reading.symbols import Declarations
@@ -414,16 +413,16 @@ class Formulation:
 
     def _limits_at(self, instance: Instance, fraction: float) -> tuple[FloatArray, FloatArray]:
         compiled = self.compiled
-        declared = compiled.declared
         data = self.data_of(instance, np.array([fraction])).at_points()[0]
-        limits = [np.array(side).ravel() for side in compiled.variable_limits(data)]
-        lower, upper = (side[len(declared.states) :] for side in limits[:2])
-        names = [s.name for s in declared.algebraics]
-        for k, bound in enumerate(compiled.simple_path_bounds):
-            if bound.variable in names:
-                at = names.index(bound.variable)
-                lower[at] = max(lower[at], limits[2][k])
-                upper[at] = min(upper[at], limits[3][k])
+        limits = (np.array(side).ravel() for side in compiled.limits_over_time(data))
+        count = len(compiled.declared.states) + len(compiled.declared.algebraics)
+        lower, upper = np.full(count, -np.inf), np.full(count, np.inf)
+        for both, side, tightest in zip(
+            (lower, upper), limits, (np.maximum, np.minimum), strict=True
+        ):
+            tightest.at(both, compiled.limited, side)
+        first = len(compiled.declared.states)
+        lower, upper = lower[first:], upper[first:]
         return lower, upper
 
 

@@ -1,18 +1,15 @@
-"""Initial points for Ipopt: the model's values, a function or frame, or another mesh's solution."""
+"""Initial points for Ipopt: the model's values, a function or frame, or a trajectory."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.mesh import Mesh, Timeline, Trajectory, interpolate, real_array
-from pyomo_quad.collocation.program.bounds import nominal_magnitudes
-from pyomo_quad.collocation.program.compiled import MappedFunction
+from pyomo_quad.collocation.mesh import Trajectory
+from pyomo_quad.collocation.program.bounds import is_defined, nominal_magnitudes
 from pyomo_quad.collocation.program.definitions import definitions, with_defined
-from pyomo_quad.collocation.program.ipopt import Multipliers
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,8 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.program.bounds import Bounds
-    from pyomo_quad.collocation.program.compiled import CompiledModel
+    from pyomo_quad.collocation.program.nonlinear import Bounds
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.symbols import Slot
     from pyomo_quad.collocation.reading.values import ModelValues
@@ -37,18 +33,13 @@ Guess: TypeAlias = "Mapping[str, Any] | pd.DataFrame | Trajectory"
 
 def point_from_trajectory(program: Transcription, trajectory: Trajectory) -> FloatArray:
     """Return a trajectory's values, from any mesh, as unknowns on this program's mesh."""
-    z = np.zeros(program.layout.unknowns)
-    layout = program.layout
-    if program.mesh is not None:
-        same = trajectory.mesh == program.mesh
-        z[layout.state_columns] = (
-            trajectory.states if same else trajectory.states_at(program.mesh.node_fractions)
-        )
-        z[layout.algebraic_columns] = (
-            trajectory.algebraics
-            if same
-            else trajectory.algebraics_at(program.mesh.point_fractions)
-        )
+    layout, mesh, z = program.layout, program.mesh, np.zeros(program.layout.unknowns)
+    if mesh is not None:
+        same, path = trajectory.mesh == mesh, trajectory
+        states = path.states if same else path.states_at(mesh.node_fractions)
+        z[layout.state_columns] = states
+        algebraics = path.algebraics if same else path.algebraics_at(mesh.point_fractions)
+        z[layout.algebraic_columns] = algebraics
     z[layout.static_columns] = trajectory.statics
     return z
 
@@ -91,6 +82,23 @@ def initial_point(
     return np.clip(z, bounds.lower, bounds.upper)
 
 
+def first_point(
+    program: Transcription,
+    bounds: Bounds,
+    values: ModelValues,
+    guess: Guess | None,
+    seed: int = 0,
+) -> FloatArray:
+    """Return the initial point at which the equations are defined and equalities nearly hold.
+
+    A `seed` above 0 makes it random; see `scattered`.
+    """
+    z = initial_point(program, bounds, values, guess)
+    z = scattered(program, bounds, z, seed) if seed else z
+    z = on_path_equalities(program, bounds, z)
+    return z if is_defined(program, z) else with_consistent_algebraics(program, bounds, z)
+
+
 def _with_defined_algebraics(
     program: Transcription,
     bounds: Bounds,
@@ -129,20 +137,13 @@ def with_consistent_algebraics(program: Transcription, bounds: Bounds, z: FloatA
     Takes a few Gauss-Newton steps with fixed states: a control without a known value becomes the
     one that the states require.
     """
-    compiled, columns = program.compiled, program.layout.algebraic_columns
+    columns, n = program.layout.algebraic_columns, program.layout.n_states
     if program.mesh is None or not columns.size:
         return z
-    rows = np.flatnonzero(compiled.is_equality)
-    first = 2 * program.layout.n_states
-    path, moved = compiled.path, np.array(z)
-    jacobian = MappedFunction(path.jacobian, program.n_points)
-    chosen = np.isin(path.jacobian_rows, rows) & (path.jacobian_columns >= first)
-    chosen &= path.jacobian_columns < first + columns.shape[1]
-    at = np.searchsorted(rows, path.jacobian_rows[chosen]), path.jacobian_columns[chosen] - first
+    rows, moved = np.flatnonzero(program.compiled.is_equality), np.array(z)
+    algebraics, data = 2 * n + np.arange(columns.shape[1]), program.data.at_points()
     for _ in range(_STEPS):
-        entries = jacobian(program.path_variables(moved), program.data.at_points())[0]
-        matrices = np.zeros((program.n_points, rows.size, columns.shape[1]))
-        matrices[:, at[0], at[1]] = entries[:, chosen]
+        matrices = program.path_slopes(program.path_variables(moved), data, rows, algebraics)
         residuals = program.rows_at_points(moved)[:, rows]
         if not (np.all(np.isfinite(matrices)) and np.all(np.isfinite(residuals))):
             break
@@ -172,16 +173,13 @@ def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) ->
     columns = layout.state_columns[1:]
     sizes = nominal_magnitudes(program, bounds, z)[columns]
     sizes = np.where(bounds.lower[columns] < bounds.upper[columns], sizes, 0.0)
-    chosen = np.isin(path.jacobian_rows, rows) & of_states
-    at = np.searchsorted(rows, path.jacobian_rows[chosen]), path.jacobian_columns[chosen] - n
-    jacobian, moved = MappedFunction(path.jacobian, program.n_points), np.array(z)
+    moved, data = np.array(z), program.data.at_points()
     first = largest = float(np.abs(program.rows_at_points(z)[:, rows]).max())
     for _ in range(_PROJECTIONS):
         if largest <= _LEFT * max(first, 1.0):
             break
-        entries = jacobian(program.path_variables(moved), program.data.at_points())[0]
-        matrices = np.zeros((program.n_points, rows.size, n))
-        matrices[:, at[0], at[1]] = entries[:, chosen]
+        states = n + np.arange(n)
+        matrices = program.path_slopes(program.path_variables(moved), data, rows, states)
         if not np.all(np.isfinite(matrices)):
             break
         residuals = program.rows_at_points(moved)[:, rows]
@@ -315,275 +313,3 @@ def _refuse_unknown_names(program: Transcription, guess: Mapping[str, Any] | pd.
                 f"guess: {name!r} is none of the model's variables; known are "
                 f"{', '.join(sorted(known))}."
             )
-
-
-_PARTS = ("states", "algebraics", "statics")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ColdStart:
-    """Iterations of a cold start: a limit for a warm start of the same problem and tolerance.
-
-    Attributes
-    ----------
-    first, iterations : int
-        Iterations on the first mesh, and on all meshes.
-    tolerance : float
-        Tolerance of that solve, 0 for a single mesh.
-    """
-
-    first: int
-    iterations: int
-    tolerance: float
-
-    @property
-    def array(self) -> FloatArray:
-        """Return the three numbers as an array for `from_arrays`."""
-        return np.array([float(self.first), float(self.iterations), self.tolerance])
-
-    @classmethod
-    def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> ColdStart | None:
-        """Return the record held in untrusted arrays, None if they hold none."""
-        if "cold_start" not in held:
-            return None
-        first, iterations, tolerance = real_array(held, "cold_start", (3,)).tolist()
-        return cls(first=int(first), iterations=int(iterations), tolerance=tolerance)
-
-
-@dataclass(frozen=True, kw_only=True)
-class WarmStart:
-    """A point of a program with its multipliers, independent of the problem that it came from.
-
-    Attributes
-    ----------
-    model : str
-        Fingerprint of the equations to which the multipliers belong.
-    trajectory : Trajectory
-        The point itself.
-    lower, upper : Trajectory
-        Multipliers of the bounds, in the form of a trajectory.
-    equations : ndarray, shape (n_points, n_equations)
-        Multipliers of the equations over time.
-    conditions : ndarray, shape (n_conditions,)
-        Multipliers of all other rows.
-    cold_start : ColdStart, optional
-        Iterations of the solve without a warm start, if known.
-    """
-
-    model: str
-    trajectory: Trajectory
-    lower: Trajectory
-    upper: Trajectory
-    equations: FloatArray
-    conditions: FloatArray
-    cold_start: ColdStart | None = None
-
-    def __post_init__(self) -> None:
-        for array in self._numbers().values():
-            array.setflags(write=False)
-
-    @property
-    def mesh(self) -> Mesh:
-        """The mesh on which it was found."""
-        return self.trajectory.mesh
-
-    @property
-    def is_finite(self) -> bool:
-        """Whether all numbers are finite; those of a failed solve may not be."""
-        return all(bool(np.all(np.isfinite(array))) for array in self._numbers().values())
-
-    def fits(self, compiled: CompiledModel) -> bool:
-        """Return whether a compiled model has the equations that the multipliers belong to."""
-        held, declared = self.trajectory, compiled.declared
-        return (
-            self.model == compiled.fingerprint
-            and (not declared.has_horizon or held.states.shape[1] == len(declared.states))
-            and (not declared.has_horizon or held.algebraics.shape[1] == len(declared.algebraics))
-            and held.statics.size == len(declared.statics)
-            and self.equations.shape[1] == compiled.n_equations
-            and self.conditions.size == len(declared.conditions) + len(compiled.static_of_integral)
-        )
-
-    def continued(self, mesh: Mesh, was: Timeline, now: Timeline) -> WarmStart:
-        """Return the warm start on the mesh of another horizon, with its values at the same times.
-
-        Parameters
-        ----------
-        mesh : Mesh
-            Mesh of the other horizon, which lies inside its own.
-        was, now : Timeline
-            Times of its own horizon, and of the other.
-
-        Returns
-        -------
-        WarmStart
-            Multipliers of quantities imposed at each time are interpolated as between meshes.
-        """
-        nodes, points = (
-            was.fraction(now.time(fractions))
-            for fractions in (mesh.node_fractions, mesh.point_fractions)
-        )
-        old = self.mesh.quadrature_weights * was.span_at(self.mesh.point_fractions)
-        new = mesh.quadrature_weights * now.span_at(mesh.point_fractions)
-
-        path, lower, upper = self.trajectory, self.lower, self.upper
-        # Interpolate all at once: building the polynomials costs as much as evaluating them.
-        imposed = (lower.states[1:], lower.algebraics, upper.states[1:], upper.algebraics)
-        parts = (*imposed, self.equations)
-        densities = [values / old[:, None] for values in parts]
-        held = np.hstack([path.algebraics, *densities])
-        borders = np.cumsum([part.shape[1] for part in (path.algebraics, *densities)])[:-1]
-        carried = interpolate(self.mesh, held, points, with_start=False)
-        algebraics, *moved = np.split(carried, borders, axis=1)
-        *pulls, equations = (part * new[:, None] for part in moved)
-        positive = [np.maximum(part, 0.0) for part in pulls]
-        sides = (
-            replace(
-                side, mesh=mesh, states=np.vstack([side.states[:1], over]), algebraics=of_others
-            )
-            for side, over, of_others in zip(
-                (lower, upper), positive[::2], positive[1::2], strict=True
-            )
-        )
-        below, above = sides
-        return replace(
-            self,
-            trajectory=replace(
-                path, mesh=mesh, states=path.states_at(nodes), algebraics=algebraics
-            ),
-            lower=below,
-            upper=above,
-            equations=equations,
-        )
-
-    def _numbers(self) -> dict[str, FloatArray]:
-        sides = {"": self.trajectory, "lower_": self.lower, "upper_": self.upper}
-        named = {f"{side}{part}": getattr(t, part) for side, t in sides.items() for part in _PARTS}
-        return named | {"equations": self.equations, "conditions": self.conditions}
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the warm start as named arrays for `from_arrays`."""
-        about = {
-            "model": np.frombuffer(self.model.encode("ascii"), dtype=np.uint8),
-            "breakpoints": np.asarray(self.mesh.breakpoints),
-            "degrees": np.asarray(self.mesh.degrees),
-        }
-        if self.cold_start is not None:
-            about["cold_start"] = self.cold_start.array
-        return about | self._numbers()
-
-    @classmethod
-    def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> WarmStart:
-        """Return the warm start held in untrusted arrays.
-
-        Raises
-        ------
-        TranscriptionError
-            Naming the array that is missing or has another type, shape or content.
-        """
-        mesh = Mesh.from_arrays(held)
-        model = held.get("model")
-        if model is None or model.dtype != np.uint8 or model.ndim != 1 or np.any(model > 127):
-            raise TranscriptionError("model: must be the ASCII codes of a fingerprint.")
-        first = real_array(held, "states", (None, None))
-        has_time = first.size > 0 or len(first) > 0
-        points = mesh.points if has_time else 0
-        nodes = points + 1 if has_time else 0
-        widths = (first.shape[1], real_array(held, "algebraics", (points, None)).shape[1])
-        statics = real_array(held, "statics", (None,)).size
-        shapes = ((nodes, widths[0]), (points, widths[1]), (statics,))
-        sides = []
-        for side in ("", "lower_", "upper_"):
-            states, algebraics, values = (
-                real_array(held, f"{side}{part}", shape)
-                for part, shape in zip(_PARTS, shapes, strict=True)
-            )
-            sides.append(
-                Trajectory(mesh=mesh, states=states, algebraics=algebraics, statics=values)
-            )
-        return cls(
-            model=model.tobytes().decode("ascii"),
-            trajectory=sides[0],
-            lower=sides[1],
-            upper=sides[2],
-            equations=real_array(held, "equations", (points, None)),
-            conditions=real_array(held, "conditions", (None,)),
-            cold_start=ColdStart.from_arrays(held),
-        )
-
-
-def warm_start_of(
-    program: Transcription,
-    z: FloatArray,
-    multipliers: Multipliers,
-    cold_start: ColdStart | None,
-) -> WarmStart:
-    """Return the warm start of a program's point and multipliers."""
-    first = program.first_condition_row
-    return WarmStart(
-        model=program.compiled.fingerprint,
-        trajectory=program.trajectory(z),
-        lower=program.trajectory(multipliers.lower),
-        upper=program.trajectory(multipliers.upper),
-        equations=np.array(
-            multipliers.rows[:first].reshape(program.n_points, program.compiled.n_equations)
-        ),
-        conditions=np.array(multipliers.rows[first:]),
-        cold_start=cold_start,
-    )
-
-
-def transfer(start: WarmStart, program: Transcription) -> tuple[FloatArray, Multipliers]:
-    """Return unknowns and multipliers of a warm start on the mesh of a program.
-
-    Multipliers of quantities imposed at a point, divided by the quadrature weight there, are
-    samples of a function of time. This function is interpolated to the new mesh.
-
-    Raises
-    ------
-    TranscriptionError
-        If the warm start belongs to another model.
-    """
-    if not start.fits(program.compiled):
-        raise TranscriptionError(
-            "warm_start: the solution is of another model; pass its frame as guess= instead."
-        )
-    z = point_from_trajectory(program, start.trajectory)
-    old, new = start.mesh, program.mesh
-    if new is None or old == new:
-        rows = np.concatenate([start.equations.ravel(), start.conditions])
-        lower, upper = (_assembled(program, side) for side in (start.lower, start.upper))
-        return z, Multipliers(rows=rows, lower=lower, upper=upper)
-    moved = _carried(old, new, start.equations).ravel()
-    sides = [
-        Trajectory(
-            mesh=new,
-            states=np.vstack(
-                [side.states[:1], np.maximum(_carried(old, new, side.states[1:]), 0.0)]
-            ),
-            algebraics=np.maximum(_carried(old, new, side.algebraics), 0.0),
-            statics=side.statics,
-        )
-        for side in (start.lower, start.upper)
-    ]
-    return z, Multipliers(
-        rows=np.concatenate([moved, start.conditions]),
-        lower=_assembled(program, sides[0]),
-        upper=_assembled(program, sides[1]),
-    )
-
-
-def _assembled(program: Transcription, held: Trajectory) -> FloatArray:
-    """Return states, algebraic and static variables on the program's mesh as one vector."""
-    layout = program.layout
-    z = np.zeros(layout.unknowns)
-    z[layout.state_columns] = held.states
-    z[layout.algebraic_columns] = held.algebraics
-    z[layout.static_columns] = held.statics
-    return z
-
-
-def _carried(old: Mesh, new: Mesh, values: FloatArray) -> FloatArray:
-    density = values / old.quadrature_weights[:, None]
-    moved = interpolate(old, density, new.point_fractions, with_start=False)
-    return moved * new.quadrature_weights[:, None]

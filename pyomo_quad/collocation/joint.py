@@ -2,68 +2,62 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pyomo_quad.collocation.attempts import WITH_OTHER_SETTINGS, verdict, violation
 from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.first_solve import FirstSolve
 from pyomo_quad.collocation.formulation import Formulation
-from pyomo_quad.collocation.guess import (
-    TIME_COLUMN,
-    initial_point,
-    on_path_equalities,
-    transfer,
-    with_consistent_algebraics,
-)
+from pyomo_quad.collocation.guess import TIME_COLUMN, first_point
 from pyomo_quad.collocation.mesh import Mesh, Summarised
-from pyomo_quad.collocation.problem import (
-    Problem,
-    keeping,
-    limited,
-    load_values,
-    within_budget,
-)
+from pyomo_quad.collocation.problem import Problem, load_values
 from pyomo_quad.collocation.program.bounds import (
-    Scaling,
     bounds_of,
-    is_defined,
     refuse_not_finite,
     refuse_overdetermined,
     scaling_by,
 )
 from pyomo_quad.collocation.program.coupling import CoupledProgram, StateValue, Union, read_horizons
 from pyomo_quad.collocation.program.elastic import least_violation
-from pyomo_quad.collocation.program.ipopt import SolverOptions, Status, run
+from pyomo_quad.collocation.program.ipopt import Status, run
+from pyomo_quad.collocation.program.nonlinear import Scaling
 from pyomo_quad.collocation.program.transcription import unknown_place
 from pyomo_quad.collocation.reading.copy import continuous_sets
 from pyomo_quad.collocation.refining.refinement import refine
-from pyomo_quad.collocation.refining.remeshing import RefinementOptions
-from pyomo_quad.collocation.solution import MeshRecord, Solution, solution_from
+from pyomo_quad.collocation.solution import Outcome, Solution, solution_from
+from pyomo_quad.collocation.solving import carried_out
+from pyomo_quad.collocation.starts import Start, transfer
+from pyomo_quad.collocation.strategies import Scope, first_success
+from pyomo_quad.collocation.verdicts import verdict, violation
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from pyomo_quad.collocation.guess import ColdStart, WarmStart
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.program.bounds import Bounds
     from pyomo_quad.collocation.program.ipopt import (
         IpoptResult,
-        Iteration,
-        Multipliers,
         Progress,
+        SolverOptions,
     )
+    from pyomo_quad.collocation.program.nonlinear import Bounds, Multipliers
     from pyomo_quad.collocation.program.transcription import Transcription
-    from pyomo_quad.collocation.reading.copy import FreeTimes
+    from pyomo_quad.collocation.reading.clock import FreeTimes
     from pyomo_quad.collocation.reading.values import Instance, Overrides
-    from pyomo_quad.collocation.refining.refinement import Damping
+    from pyomo_quad.collocation.refining.damping import Damping
+    from pyomo_quad.collocation.refining.remeshing import RefinementOptions
+    from pyomo_quad.collocation.starts import WarmStart
+
+
+# Attributes of an outcome that each horizon has of its own.
+_OWN = ("ipopt_code", "objective", "iterations", "wall_s")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class JointSolution(Summarised):
-    """A solved (or failed) problem with several horizons.
+class JointSolution(Outcome):
+    """A solved (or failed) problem with several horizons; see `Outcome` for status and history.
 
     Attributes
     ----------
@@ -71,24 +65,13 @@ class JointSolution(Summarised):
         Solution on each horizon, by the name of its continuous set.
     coupling : Solution
         Solution of the program of the objective and the conditions on several horizons or none.
-    status, ipopt_code, message, objective, iterations, size, wall_s, error_estimate, state_error,
-    history, cold_start
-        As in `Solution`, for all horizons together.
+    size : (int, int)
+        Number of unknowns and of rows.
     """
 
     horizons: dict[str, Solution]
     coupling: Solution
-    status: Status
-    ipopt_code: int
-    message: str
-    objective: float
-    iterations: tuple[Iteration, ...]
     size: tuple[int, int]
-    wall_s: float
-    error_estimate: float = np.inf
-    state_error: float = np.inf
-    history: tuple[MeshRecord, ...] = ()
-    cold_start: ColdStart | None = None
 
     @property
     def summary(self) -> dict[str, str]:
@@ -103,28 +86,15 @@ class JointSolution(Summarised):
             "message": self.message,
         }
 
-    @property
-    def is_converged(self) -> bool:
-        """Whether the solve converged, and the refinement if a tolerance was given."""
-        return self.status is Status.CONVERGED
-
     @cached_property
     def parts(self) -> tuple[Solution, ...]:
         """The solutions on the horizons, with status, error and history of the joint solve."""
-        return tuple(self._as_whole(part) for part in self.horizons.values())
-
-    def _as_whole(self, part: Solution) -> Solution:
-        return part.updated(
-            status=self.status,
-            message=self.message,
-            error_estimate=self.error_estimate,
-            state_error=self.state_error,
-            history=self.history,
-            cold_start=self.cold_start,
-        )
+        shared = [f.name for f in fields(Outcome) if f.name not in _OWN]
+        whole = {name: getattr(self, name) for name in shared}
+        return tuple(part.updated(**whole) for part in self.horizons.values())
 
     def updated(self, **changes: Any) -> JointSolution:
-        """Return this solution with other attributes, shared by those of its horizons."""
+        """Return this solution with changed attributes, shared by the solutions on its horizons."""
         other = replace(self, **changes)
         horizons = zip(self.horizons, other.parts, strict=True)
         return replace(other, horizons=dict(horizons))
@@ -241,51 +211,48 @@ class JointProblem(Summarised):
         self._refuse_of_one_horizon(horizon, starts)
         given = self._meshes(mesh)
         instances = [part.instance(parameters) for part in self._parts]
-        start = warm_start.warm_start if isinstance(warm_start, JointSolution) else warm_start
-        solve_on = partial(self._solve_on, instances=instances, guesses=self._guesses(guess))
-        finished: list[JointSolution] = []
-        chosen = keeping(finished, refinement or RefinementOptions())
 
-        def solved(
-            options: SolverOptions, progress: Progress | None, tolerance: float | None
+        def attempt(
+            start: Start,
+            progress: Progress,
+            options: SolverOptions,
+            tolerance: float | None,
+            refinement: RefinementOptions,
         ) -> JointSolution:
-            def attempt(start: tuple[WarmStart, ...] | None, progress: Progress) -> JointSolution:
-                on = given
-                if start is not None and mesh is None:
-                    on = [part.mesh for part in start[:-1]]
+            def finish(
+                own: Callable[..., JointSolution], meshes: list[Mesh | None], start: Start
+            ) -> JointSolution:
+                if tolerance is None:
+                    return own(meshes, start)
+                return refine(
+                    own,
+                    meshes=tuple(mesh or refinement.first_mesh for mesh in meshes),
+                    tolerance=tolerance,
+                    refinement=refinement,
+                    start=start,
+                )
 
-                def solved_by(own: SolverOptions, *, is_scaled: bool = True) -> JointSolution:
-                    posed = partial(solve_on, progress=progress, is_scaled=is_scaled)
-                    if tolerance is None:
-                        return posed(on, start, options=own)
-                    return refine(
-                        partial(posed, options=own.suiting(tolerance)),
-                        meshes=tuple(mesh or chosen.first_mesh for mesh in on),
-                        tolerance=tolerance,
-                        refinement=chosen,
-                        warm_start=start,
-                    )
+            if tolerance is not None:
+                options = options.suiting(tolerance)
+            is_warm = start.warm is not None and mesh is None
+            search = FirstSolve(
+                solve=partial(self._solve_on, instances=instances, progress=progress),
+                finish=finish,
+                judge=partial(self._judged, options=options, progress=progress),
+                mesh=[part.mesh for part in start.warm[:-1]] if is_warm else given,
+                start=start,
+                options=options,
+            )
+            return first_success(Scope.FIRST, search)
 
-                found = solved_by(options)
-                if not found.status.has_failed:
-                    return found
-                found = self._judged(found, options, progress)
-                for way in WITH_OTHER_SETTINGS if found.status is Status.NOT_CONVERGED else ():
-                    other = solved_by(way.settings(options), is_scaled=way.is_scaled)
-                    if not other.status.has_failed:
-                        return other
-                return found
-
-            known = start[0].cold_start if start else None
-            return within_budget(attempt, start, known, tolerance, progress)
-
-        return limited(
-            solved,
-            options=options,
-            progress=progress,
+        return carried_out(
+            attempt,
+            Start.of(warm_start, self._guesses(guess)),
             tolerance=tolerance,
             has_mesh=mesh is not None,
-            finished=finished,
+            options=options,
+            refinement=refinement,
+            progress=progress,
         )
 
     def _refuse_of_one_horizon(self, horizon: tuple[float, float] | None, starts: int) -> None:
@@ -344,11 +311,10 @@ class JointProblem(Summarised):
     def _solve_on(
         self,
         meshes: Sequence[Mesh | None],
-        warm_start: tuple[WarmStart, ...] | None = None,
+        start: Start,
         dampings: tuple[Damping | None, ...] = (),
         *,
         instances: list[Instance],
-        guesses: list[Any],
         options: SolverOptions,
         progress: Progress | None,
         is_scaled: bool = True,
@@ -367,7 +333,7 @@ class JointProblem(Summarised):
                 for program, part, instance in zip(union.programs, parts, instances, strict=True)
             ]
         )
-        z, multipliers = self._first_point(union, bounds, guesses, warm_start)
+        z, multipliers = self._first_point(union, bounds, start)
         self._refuse_unsolvable(union, bounds, z)
         program = CoupledProgram(union, union.programs)
         scaling = scaling_by(program, union.nominal(bounds, z), z)
@@ -440,9 +406,9 @@ class JointProblem(Summarised):
                 part,
                 union.programs[k],
                 instances[k],
-                union.result_of(result, k),
-                bounds=union.bounds_of(bounds, k),
-                scaling=union.scaling_of(scaling, k),
+                union.part(result, k),
+                bounds=union.part(bounds, k),
+                scaling=union.part(scaling, k),
             )
             for k, part in enumerate(self._parts)
         ]
@@ -461,28 +427,18 @@ class JointProblem(Summarised):
         )
 
     def _first_point(
-        self,
-        union: Union,
-        bounds: Bounds,
-        guesses: list[Any],
-        warm_start: tuple[WarmStart, ...] | None,
+        self, union: Union, bounds: Bounds, start: Start
     ) -> tuple[FloatArray, Multipliers | None]:
-        if warm_start is not None:
-            starts = zip(warm_start, union.programs, strict=True)
+        if start.warm is not None:
+            starts = zip(start.warm, union.programs, strict=True)
             points, multipliers = zip(*[transfer(*pair) for pair in starts], strict=True)
             z = union.joined(points)
             return np.clip(z, bounds.lower, bounds.upper), union.multipliers(multipliers)
-        guessed = []
-        for k, (program, part, guess) in enumerate(
-            zip(union.programs, self._parts, guesses, strict=True)
-        ):
-            own = union.bounds_of(bounds, k)
-            point = on_path_equalities(
-                program, own, initial_point(program, own, part.values, guess)
-            )
-            if not is_defined(program, point):
-                point = with_consistent_algebraics(program, own, point)
-            guessed.append(point)
+        parts = zip(union.programs, self._parts, start.guess, strict=True)
+        guessed = [
+            first_point(program, union.part(bounds, k), part.values, guess)
+            for k, (program, part, guess) in enumerate(parts)
+        ]
         z = union.joined(guessed)
         for places, program in zip(union.places, union.programs, strict=True):
             self._set_links(union, program, z, places)
@@ -502,7 +458,7 @@ class JointProblem(Summarised):
         held = set()
         for k, program in enumerate(union.programs):
             refuse_not_finite(program, z[union.places[k]])
-            own = union.bounds_of(bounds, k)
+            own = union.part(bounds, k)
             fixed = np.flatnonzero(own.lower == own.upper)
             held |= {str(unknown_place(program, int(column)).name) for column in fixed}
         refuse_overdetermined(CoupledProgram(union, union.programs), bounds, z, held)

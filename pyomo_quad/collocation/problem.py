@@ -6,29 +6,19 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from math import inf
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pyomo_quad.collocation.attempts import FirstSolve
 from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
+from pyomo_quad.collocation.first_solve import FirstSolveOfOne
 from pyomo_quad.collocation.formulation import Formulation, structural_index
-from pyomo_quad.collocation.guess import (
-    ColdStart,
-    Guess,
-    WarmStart,
-    initial_point,
-    on_path_equalities,
-    scattered,
-    transfer,
-    with_consistent_algebraics,
-)
+from pyomo_quad.collocation.guess import first_point, initial_point
 from pyomo_quad.collocation.mesh import Mesh, Summarised
 from pyomo_quad.collocation.program.bernstein import bounded
 from pyomo_quad.collocation.program.bounds import (
     bounds_of,
-    is_defined,
     refuse_unsolvable,
     scaling_of,
     without_settled_rows,
@@ -36,39 +26,34 @@ from pyomo_quad.collocation.program.bounds import (
 from pyomo_quad.collocation.program.elastic import elastic_point
 from pyomo_quad.collocation.program.feasible import feasible_point
 from pyomo_quad.collocation.program.ipopt import (
-    TIME_LIMIT_CODE,
-    Counter,
-    Progress,
-    SolverOptions,
     Status,
-    WallClockLimit,
+    barrier_gap,
     run,
     run_past_the_barrier,
 )
-from pyomo_quad.collocation.refining.refinement import Solved, refine
-from pyomo_quad.collocation.refining.remeshing import RefinementOptions
-from pyomo_quad.collocation.solution import (
-    Solution,
-    diverging_multipliers,
-    hamiltonian_warnings,
-    load_suffixes,
-    outside_tables,
-    solution_from,
-)
+from pyomo_quad.collocation.refining.refinement import refine
+from pyomo_quad.collocation.solution import Solution, solution_from
+from pyomo_quad.collocation.solving import carried_out
+from pyomo_quad.collocation.starts import AT_THE_MODEL, Start, transfer
+from pyomo_quad.collocation.strategies import Scope, first_success
+from pyomo_quad.collocation.suffixes import load_suffixes
+from pyomo_quad.collocation.verdicts import verdict_on
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from pyomo_quad.collocation.guess import Guess
     from pyomo_quad.collocation.mesh import FloatArray, Trajectory
-    from pyomo_quad.collocation.program.bounds import Bounds
+    from pyomo_quad.collocation.program.ipopt import Progress, SolverOptions
+    from pyomo_quad.collocation.program.nonlinear import Bounds
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance, Overrides
-    from pyomo_quad.collocation.refining.refinement import Damping
+    from pyomo_quad.collocation.refining.damping import Damping
+    from pyomo_quad.collocation.refining.remeshing import RefinementOptions
+    from pyomo_quad.collocation.starts import WarmStart
 
 # Steps between the nodes of a first mesh, and a state above which a simulation has diverged.
 _SUBSTEPS, _LARGEST_STATE = 10, 1e12
-#: Default of the required relative error.
-DEFAULT_TOLERANCE = 1e-6
 
 
 class Problem(Summarised, Formulation):
@@ -171,95 +156,80 @@ class Problem(Summarised, Formulation):
         """
         if starts < 1:
             raise TranscriptionError(f"starts: {starts}; must be at least 1.")
-        instance = self.instance(parameters, horizon)
-        start = warm_start.warm_start if isinstance(warm_start, Solution) else warm_start
-        finished: list[Solution] = []
-        chosen = keeping(finished, refinement or RefinementOptions())
-
-        def solved(
-            options: SolverOptions, progress: Progress | None, tolerance: float | None
-        ) -> Solution:
-            if self.has_horizon and tolerance is not None:
-                options = options.suiting(tolerance)
-            attempt = partial(
-                self._attempt,
-                options=options,
-                mesh=mesh,
-                guess=guess,
-                starts=starts,
-                tolerance=tolerance,
-                refinement=chosen,
-                instance=instance,
-            )
-            known = start.cold_start if start is not None and starts == 1 else None
-            return within_budget(attempt, start, known, tolerance, progress)
-
-        return limited(
-            solved,
-            options=options,
-            progress=progress,
+        attempt = partial(
+            self._attempt,
+            mesh=mesh,
+            starts=starts,
+            instance=self.instance(parameters, horizon),
+        )
+        return carried_out(
+            attempt,
+            Start.of(warm_start, guess),
             tolerance=tolerance,
             has_mesh=mesh is not None,
-            finished=finished,
+            options=options,
+            refinement=refinement,
+            progress=progress,
+            is_known=starts == 1,
         )
 
     def _attempt(
         self,
-        start: WarmStart | None,
+        start: Start,
         progress: Progress,
-        *,
         options: SolverOptions,
-        mesh: Mesh | None,
-        guess: Guess | None,
-        starts: int,
         tolerance: float | None,
         refinement: RefinementOptions,
+        *,
+        mesh: Mesh | None,
+        starts: int,
         instance: Instance,
     ) -> Solution:
         """Solve from a warm start or a cold one; see `solve`."""
+        if self.has_horizon and tolerance is not None:
+            options = options.suiting(tolerance)
         first = mesh
         if mesh is None and self.has_horizon:
-            first = refinement.first_mesh if start is None else start.mesh
-        breach = refinement.breach_between_points
+            first = refinement.first_mesh if start.warm is None else start.warm.mesh
         solve_on = partial(
             self.solve_on_mesh,
             instance=instance,
             options=options,
-            guess=guess,
             progress=progress,
-            breach=breach,
+            breach=refinement.breach_between_points,
         )
-        best = self._best_of(starts, partial(solve_on, first), start) if starts > 1 else None
-        begun = start if best is None else best.warm_start
+        if starts > 1:
+            best = self._best_of(starts, partial(solve_on, first), start)
+            start = start if best is None else replace(start, warm=best.warm_start)
+        is_open = start.warm is None and tolerance is not None
         simulate = None
-        if begun is None and guess is None and first is not None and tolerance is not None:
+        if is_open and start.guess is None and first is not None:
             simulate = partial(self._simulated, first, instance)
 
         def all_bounds(program: Transcription) -> Bounds:
             return bounds_of(program, self.data_at_starts(instance), instance.fixed)
 
-        cut = first and first.with_breakpoints(self.required_breakpoints(instance))
-
-        def finish(
-            own: Callable[..., Solution], mesh: Mesh | None, start: WarmStart | None
-        ) -> Solution:
+        def finish(own: Callable[..., Solution], mesh: Mesh | None, start: Start) -> Solution:
             if mesh is None or tolerance is None:
                 return own(mesh, start, to_the_gap=True)
             return _refined(own, mesh, start, tolerance, refinement)
 
-        return FirstSolve(
-            solve_on=solve_on,
+        cut = first and first.with_breakpoints(self.required_breakpoints(instance))
+        search = FirstSolveOfOne(
+            solve=solve_on,
             finish=finish,
-            bounds_of=all_bounds,
-            is_overdetermined=all_bounds(self.program(cut, instance)).surplus > 0,
-            simulate=simulate,
+            judge=partial(verdict_on, options=options, progress=progress),
             mesh=first,
-            warm_start=begun,
-            instance=instance,
+            start=start,
             options=options,
+            bounds_of=all_bounds,
+            simulate=simulate,
+            instance=instance,
             progress=progress,
-            is_mesh_free=mesh is None and begun is None and tolerance is not None,
-        )()
+            is_overdetermined=all_bounds(self.program(cut, instance)).surplus > 0,
+            is_mesh_free=mesh is None and is_open,
+        )
+        return first_success(Scope.FIRST, search)
 
     def _simulated(self, mesh: Mesh, instance: Instance) -> Trajectory | None:
         """Return the trajectory simulated from the first states, None if any variable is free."""
@@ -291,14 +261,12 @@ class Problem(Summarised, Formulation):
         )
 
     @staticmethod
-    def _best_of(
-        starts: int, solve: Callable[..., Solution], first: WarmStart | None
-    ) -> Solution | None:
+    def _best_of(starts: int, solve: Callable[..., Solution], first: Start) -> Solution | None:
         """Return the best optimum from a first point and random points, None without any."""
         found = []
         for seed in range(starts):
             try:
-                solution = solve(first) if seed == 0 else solve(seed=seed)
+                solution = solve(replace(first.cold, seed=seed) if seed else first)
             except TranscriptionError:
                 if seed == 0:
                     raise
@@ -312,28 +280,23 @@ class Problem(Summarised, Formulation):
     def solve_on_mesh(
         self,
         mesh: Mesh | None,
-        warm_start: WarmStart | None = None,
+        start: Start = AT_THE_MODEL,
         damping: Damping | None = None,
         *,
         instance: Instance,
         options: SolverOptions,
-        guess: Guess | None = None,
-        seed: int = 0,
-        is_elastic: bool = False,
         is_scaled: bool = True,
         to_the_gap: bool = False,
         change: float | None = None,
         breach: float = inf,
         progress: Progress | None = None,
     ) -> Solution:
-        """Solve once on one mesh; see `solve` and `Damping` for the arguments.
+        """Solve once on one mesh; see `solve`, `Start` and `Damping` for the arguments.
 
-        A `seed` above 0 starts at a random point between the bounds; `is_elastic` starts at the
-        optimum of the elastic program; without `is_scaled` Ipopt solves the program as declared. If
-        `to_the_gap` is true, the solve continues until the complementarity gap is negligible
-        relative to the objective. `change` is the expected change of a warm start's objective,
-        where known. A finite `breach` is the bound violation between collocation points that a
-        warm start may have.
+        Without `is_scaled` Ipopt solves the program as declared. If `to_the_gap` is true, the solve
+        continues until the complementarity gap is negligible relative to the objective. `change` is
+        the expected change of a warm start's objective, where known. A finite `breach` is the bound
+        violation between collocation points that a warm start may have.
         """
         if mesh is not None:
             mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
@@ -341,14 +304,10 @@ class Problem(Summarised, Formulation):
         at_start = self.data_at_starts(instance)
         bounds = bounds_of(program, at_start, instance.fixed, instance.left_out)
         multipliers, within = None, None
-        if warm_start is None:
-            z = initial_point(program, bounds, self.values, guess)
-            z = scattered(program, bounds, z, seed) if seed else z
-            z = on_path_equalities(program, bounds, z)
-            if not is_defined(program, z):
-                z = with_consistent_algebraics(program, bounds, z)
+        if start.warm is None:
+            z = first_point(program, bounds, self.values, start.guess, start.seed)
         else:
-            z, multipliers = transfer(warm_start, program)
+            z, multipliers = transfer(start.warm, program)
             within = bounded(program, bounds, z, breach) if np.isfinite(breach) else None
             z = np.clip(z, bounds.lower, bounds.upper)
         bounds = without_settled_rows(program, bounds, z)
@@ -356,30 +315,32 @@ class Problem(Summarised, Formulation):
         scaling = scaling_of(program, bounds, z)
         if self.compiled.declared.clock.phases:
             options = options.for_phases()
-        if is_elastic:
+        if start.is_elastic:
             z = elastic_point(program, bounds, scaling, z, options=options, progress=progress)
         changed: Any = program if damping is None else damping.applied_to(program)
         kept, scales = bounds, scaling if is_scaled else scaling.none
         if within is not None and multipliers is not None:
-            changed = replace(within, program=changed)
-            kept, scales = within.bounds(bounds), within.scaling(scales)
-            multipliers = within.multipliers(multipliers)
+            changed = within.added_to(changed)
+            kept = bounds.extended(rows=(within.lower, within.upper))
+            scales = scales.extended(rows=within.scales(scales))
+            multipliers = multipliers.extended(rows=within.lower.size)
         is_damped = damping is not None and damping.controls.size > 0
         if change is not None and multipliers is not None and not is_damped:
             # Controls that next to nothing holds are found again only from a larger barrier.
             options = options.for_a_change(change * scaling.objective / max(kept.sides, 1))
-        if damping is not None and damping.gap and warm_start is not None:
+        if damping is not None and damping.gap and start.warm is not None:
             parameter = damping.gap * scaling.objective / kept.sides
             options = options.on_the_path(parameter, is_near=damping.is_still)
         solve = partial(run_past_the_barrier, size=program.objective_size) if to_the_gap else run
         result = solve(
             changed, kept, scales, z, options=options, multipliers=multipliers, progress=progress
         )
-        own = result if within is None else within.without(result)
+        own = result.part(slice(None), slice(program.n_rows))
         found = solution_from(self, program, instance, own, bounds=bounds, scaling=scaling)
         if within is None:
             return found
-        return replace(found, restraint=changed.restraint(result, kept, found.mesh.elements))
+        gap = barrier_gap(changed, kept, result.z, result.multipliers)
+        return replace(found, restraint=within.restraint(result, gap, found.mesh.elements))
 
     def flyable(
         self,
@@ -392,11 +353,10 @@ class Problem(Summarised, Formulation):
         met: float = 1e-7,
         progress: Progress | None = None,
     ) -> Solution:
-        """Return the first trajectory near a solution that obeys all equations on another mesh.
+        """Return the first trajectory near a solution that satisfies all equations on another mesh.
 
-        No optimum: few iterations from a coarse mesh lead to what can be flown; see
-        `program.feasible`.  Bounds may be broken by a relative `breach`, scaled
-        equations by `met`.
+        It is flyable, but not optimal, and takes few iterations; see `program.feasible`. Bounds may
+        be violated by a relative `breach`, scaled equations by `met`.
         """
         instance = self.instance(parameters, horizon)
         program = self.program(mesh.with_breakpoints(self.required_breakpoints(instance)), instance)
@@ -439,7 +399,7 @@ class Problem(Summarised, Formulation):
 def _refined(
     own: Callable[..., Solution],
     mesh: Mesh,
-    start: WarmStart | None,
+    start: Start,
     tolerance: float,
     refinement: RefinementOptions,
 ) -> Solution:
@@ -447,7 +407,7 @@ def _refined(
 
     def on_meshes(
         meshes: tuple[Mesh, ...],
-        start: WarmStart | None,
+        start: Start,
         dampings: tuple[Damping | None, ...],
         change: float | None = None,
     ) -> Solution:
@@ -455,14 +415,15 @@ def _refined(
 
     def sharpen(dampings: tuple[Damping | None, ...], found: Solution) -> Solution:
         change = 0.0 if dampings[0] and dampings[0].gap else None
-        return own(found.mesh, found.warm_start, dampings[0], to_the_gap=True, change=change)
+        at_found = replace(start, warm=found.warm_start)
+        return own(found.mesh, at_found, dampings[0], to_the_gap=True, change=change)
 
     return refine(
         on_meshes,
         meshes=(mesh,),
         tolerance=tolerance,
         refinement=refinement,
-        warm_start=start,
+        start=start,
         past_the_barrier=sharpen,
     )
 
@@ -488,84 +449,6 @@ def march(
     return np.array(states)
 
 
-S = TypeVar("S", bound=Solved)
-W = TypeVar("W")
-
-
-def within_budget(
-    attempt: Callable[[W | None, Progress], S],
-    start: W | None,
-    known: ColdStart | None,
-    tolerance: float | None,
-    progress: Progress | None,
-) -> S:
-    """Solve from a warm start within the iterations of its cold start, else from a cold start.
-
-    The first solve may take the iterations of the cold start's first mesh, and all solves together
-    those of all its meshes, if they are known for the same tolerance; otherwise there is no limit.
-    If the new cold start fails, the warm start is continued.
-    """
-    demand = tolerance or 0.0
-    warm = None
-    if start is not None:
-        if known is None or known.tolerance != demand:
-            return attempt(start, Counter(progress=progress))
-        counter = Counter(limits=(known.first, known.iterations), progress=progress)
-        warm = attempt(start, counter)
-        if not counter.is_over:
-            return warm.updated(cold_start=known)
-        spent = counter.count
-    counter = Counter(progress=progress)
-    cold = attempt(None, counter)
-    took = ColdStart(first=counter.first, iterations=counter.count, tolerance=demand)
-    if warm is None:
-        return cold.updated(cold_start=took if cold.status.is_solved else None)
-    if cold.status.has_failed:
-        return attempt(warm.warm_start, Counter(progress=progress))
-    message = (
-        f"{cold.message} The warm start was given up after {spent} iterations, more than its own "
-        f"cold start had taken; a new cold start took {took.iterations}."
-    )
-    return cold.updated(cold_start=took, message=message)
-
-
-def keeping(finished: list[S], refinement: RefinementOptions) -> RefinementOptions:
-    """Return the refinement's options with a hook that keeps each finished mesh's solution."""
-
-    def kept(solution: S) -> bool | None:
-        finished.append(solution)
-        return refinement.on_mesh and refinement.on_mesh(solution)
-
-    return replace(refinement, on_mesh=kept)
-
-
-def limited(
-    solve: Callable[[SolverOptions, Progress | None, float | None], S],
-    *,
-    options: SolverOptions | None,
-    progress: Progress | None,
-    tolerance: float | None,
-    has_mesh: bool,
-    finished: list[S],
-) -> S:
-    """Solve, to a tolerance if one is given, within the time limit and the tables' ranges.
-
-    If a refinement is interrupted or fails, the most accurate finished mesh is returned.
-    """
-    if tolerance is not None and not tolerance > 0.0:
-        raise TranscriptionError(f"tolerance: {tolerance:g}; must be above 0.")
-    options = options or SolverOptions()
-    deadline = None
-    if options.max_wall_s is not None:
-        progress = deadline = WallClockLimit(limit_s=options.max_wall_s, progress=progress)
-    if tolerance is None and not has_mesh:
-        tolerance = DEFAULT_TOLERANCE
-    solution = solve(options, progress, tolerance)
-    solution = solution if deadline is None else _in_time(solution, deadline)
-    solution = _finished_of(finished, solution)
-    return _within_tables(_undoubted(_without_objective(solution)))
-
-
 def load_values(*solutions: Solution) -> None:
     """Load the values of solutions into the Pyomo model, each over its own horizon."""
     for solution in solutions:
@@ -583,63 +466,3 @@ def load_values(*solutions: Solution) -> None:
         names = [integral.name for integral in declared.integrals]
         values.load_integrals(dict(zip(names, totals, strict=True)))
     load_suffixes(*solutions)
-
-
-def _without_objective(solution: S) -> S:
-    """Return a solution with a message if there is no objective."""
-    declared = solution.parts[0].problem.compiled.declared
-    if declared.objective_name or solution.status is not Status.CONVERGED:
-        return solution
-    return solution.updated(
-        message="no objective is declared: all equations and limits are met, and nothing is "
-        "optimised; declare an active Objective to choose among such solutions."
-    )
-
-
-def _undoubted(solution: S) -> S:
-    """Return a solution that is not converged if multipliers and Hamiltonian contradict it."""
-    for part in solution.parts if solution.status is Status.CONVERGED else ():
-        names, warnings = diverging_multipliers(part), hamiltonian_warnings(part)
-        if names and warnings:
-            line = (
-                f"{', '.join(names)}: multipliers grow without bound, so that nothing vouches for "
-                f"the optimum; where a product must vanish, let it be at most a small number. "
-                f"{warnings[0]}"
-            )
-            return solution.updated(status=Status.TOLERANCE_NOT_MET, message=line)
-    return solution
-
-
-def _within_tables(solution: S) -> S:
-    """Return a solution with a message if it reads a table beyond its range."""
-    line = next(filter(None, map(outside_tables, solution.parts)), "")
-    if not line:
-        return solution
-    if solution.status is not Status.CONVERGED:
-        return solution.updated(message=f"{solution.message} {line}")
-    return solution.updated(status=Status.NOT_CONVERGED, message=line)
-
-
-def _finished_of(finished: list[S], ended: S) -> S:
-    """Return the most accurate finished mesh's solution in place of an unconverged iterate."""
-    whole = [solution for solution in finished if not solution.parts[0].instance.left_out]
-    if not whole or ended.status not in (Status.INTERRUPTED, Status.NOT_CONVERGED):
-        return ended
-    best = min(whole, key=lambda solution: solution.parts[0].error_estimate)
-    part, message = best.parts[0], ended.message.rstrip(".; ")
-    message = (
-        f"{message}; this is the solution of mesh {len(part.history)}, with an estimated error of "
-        f"{part.error_estimate:.3g}."
-    )
-    return best.updated(status=ended.status, message=message, ipopt_code=ended.ipopt_code)
-
-
-def _in_time(solution: S, deadline: WallClockLimit) -> S:
-    """Return a solution with a message if the deadline ended its solve."""
-    if not deadline.is_over or solution.status is not Status.INTERRUPTED:
-        return solution
-    message = (
-        f"stopped at the time limit of {deadline.limit_s:g} s, on mesh "
-        f"{len(solution.parts[0].history) or 1}; allow more time or a larger tolerance."
-    )
-    return solution.updated(ipopt_code=TIME_LIMIT_CODE, message=message)

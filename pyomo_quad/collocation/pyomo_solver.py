@@ -30,11 +30,11 @@ from pyomo_quad.collocation.program.ipopt import Iteration, SolverOptions, Statu
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pyomo_quad.collocation.guess import WarmStart
     from pyomo_quad.collocation.joint import JointProblem, JointSolution
     from pyomo_quad.collocation.problem import Problem
-    from pyomo_quad.collocation.reading.copy import FreeTimes
+    from pyomo_quad.collocation.reading.clock import FreeTimes
     from pyomo_quad.collocation.solution import Solution
+    from pyomo_quad.collocation.starts import WarmStart
 
 _TERMINATION = {
     Status.CONVERGED: (SolverStatus.ok, TerminationCondition.optimal),

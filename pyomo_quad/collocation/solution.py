@@ -1,25 +1,20 @@
-"""The result of a solve: values, costates, Hamiltonian, errors, history; and Pyomo's duals.
-
-The duals, reduced costs and costates that a model imports are the change of the objective per unit
-change of a limit.
-"""
+"""The result of a solve: values, costates, Hamiltonian, errors and history."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from abc import abstractmethod
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import casadi
 import numpy as np
-from pyomo.core import Constraint, Var
-from pyomo.core.base.suffix import active_import_suffix_generator
 
 from pyomo_quad.collocation.costates import Costates, costate_errors_of, costates_of
 from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.formulation import index_tuple
-from pyomo_quad.collocation.guess import TIME_COLUMN, ColdStart, WarmStart, warm_start_of
+from pyomo_quad.collocation.guess import TIME_COLUMN
 from pyomo_quad.collocation.mesh import (
     FloatArray,
     Mesh,
@@ -30,20 +25,17 @@ from pyomo_quad.collocation.mesh import (
     interpolate_rates,
     radau_rule,
 )
-from pyomo_quad.collocation.program.bounds import limits_of
-from pyomo_quad.collocation.program.compiled import CompiledModel, MappedFunction
-from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Multipliers, Status
-from pyomo_quad.collocation.reading.model_source import LiveModel
+from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Status
 from pyomo_quad.collocation.reading.writer import symbol_names
+from pyomo_quad.collocation.starts import ColdStart, WarmStart, warm_start_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import pandas as pd
 
     from pyomo_quad.collocation.formulation import Formulation
     from pyomo_quad.collocation.program.bernstein import Restraint
-    from pyomo_quad.collocation.program.bounds import Bounds, Scaling
+    from pyomo_quad.collocation.program.compiled import CompiledModel
+    from pyomo_quad.collocation.program.nonlinear import Bounds, Multipliers, Scaling
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance
 
@@ -95,63 +87,11 @@ def _reads_time(compiled: CompiledModel) -> bool:
     """Return whether an equation, integrand or limit depends on time, other than by its phase."""
     declared = compiled.declared
     parts = [part for e in declared.equations for part in (e.expression, e.lower, e.upper)]
-    parts += [side for b in compiled.simple_path_bounds for side in (b.lower, b.upper)]
-    slots = (*declared.states, *declared.algebraics)
-    parts += [side for slot in slots for side in (slot.lower, slot.upper)]
+    parts += [side for limit in compiled.limits for side in (limit.lower, limit.upper)]
     parts += [i.integrand for i in declared.integrals]
     read = symbol_names(casadi.vertcat(casadi.SX(0, 1), *parts))
     is_varying = declared.signals or len(declared.scheduled) > len(declared.clock.phases)
     return bool(is_varying) or declared.clock.fraction.name() in read
-
-
-# Multiplier over time, relative to objective / size of its equation, above which it counts as
-# unbounded.
-_UNBOUNDED = 1e12
-
-
-def diverging_multipliers(solution: Solution) -> tuple[str, ...]:
-    """Return the equations over time whose multipliers exceed any regular size."""
-    program, scaling = solution.program, solution.scaling
-    if not program.n_points:
-        return ()
-    rows = slice(0, program.first_condition_row)
-    held = np.abs(solution.multipliers.rows[rows]) / scaling.rows[rows]
-    density = held.reshape(program.n_points, -1) / solution.mesh.quadrature_weights[:, None]
-    largest = density.max(axis=0) / solution.nominal_objective
-    equations = program.compiled.declared.equations
-    return tuple(e.name for e, size in zip(equations, largest, strict=True) if size > _UNBOUNDED)
-
-
-# Fraction of a table's range by which an argument may leave it.
-_RANGE_SLACK = 1e-6
-
-
-def outside_tables(solution: Solution) -> str:
-    """Return one line naming the argument farthest outside its table's range, or ""."""
-    program, z = solution.program, solution.unknowns
-    tables = program.compiled.tables
-    found = []
-    if tables.over_time and program.n_points:
-        at_points = program.path_variables(z), program.data.at_points()
-        mapped = MappedFunction(tables.path, program.n_points)
-        found.append((tables.over_time, mapped(*at_points)[0]))
-    if tables.in_conditions:
-        once = program.point_variables(z), program.data.parameters[None, :]
-        found.append((tables.in_conditions, MappedFunction(tables.points, 1)(*once)[0]))
-    worst, line = _RANGE_SLACK, ""
-    for uses, held in found:
-        for use, arguments in zip(uses, held.T, strict=True):
-            beyond = np.maximum(use.lower - arguments, arguments - use.upper)
-            k = int(np.argmax(beyond))
-            if beyond[k] > worst * (use.upper - use.lower):
-                worst = beyond[k] / (use.upper - use.lower)
-                when = f" at time {solution.times[k + 1]:.6g}" if len(arguments) > 1 else ""
-                line = (
-                    f"{use.name} is {arguments[k]:.6g}{when}, outside its range "
-                    f"[{use.lower:g}, {use.upper:g}]; extend the table, or bound the variables "
-                    "in its argument."
-                )
-    return line
 
 
 # Largest unit of the objective's scaling that counts, in units of the objective's size (at least
@@ -172,13 +112,11 @@ class MeshRecord:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Solution(Summarised):
-    """A solved (or failed) transcription.
+class Outcome(Summarised):
+    """How a solve ended, on one horizon or several.
 
     Attributes
     ----------
-    program : Transcription
-        The nonlinear program of the last mesh, with this solution's own data.
     status : Status
     ipopt_code : int
         Ipopt's own return code of the last solve.
@@ -186,8 +124,10 @@ class Solution(Summarised):
         Reason why the solve ended, in one sentence.
     objective : float
         Objective as declared, by the scheme's own quadrature.
-    trajectory : Trajectory
-        Unknowns on the mesh.
+    iterations : tuple of Iteration
+        Ipopt's progress in the last solve.
+    wall_s : float
+        Time of the last solve [s].
     error_estimate : float
         Largest relative error over elements and states; infinite if not estimated.
     state_error : float
@@ -198,6 +138,52 @@ class Solution(Summarised):
         One record per mesh.
     cold_start : ColdStart or None
         Iterations without a warm start; after a warm start, the record that came with it.
+    tried : tuple of str
+        Strategies that were tried and how they ended, where more than one was needed.
+    """
+
+    status: Status
+    ipopt_code: int
+    message: str
+    objective: float
+    iterations: tuple[Iteration, ...]
+    wall_s: float
+    error_estimate: float = np.inf
+    state_error: float = np.inf
+    history: tuple[MeshRecord, ...] = ()
+    cold_start: ColdStart | None = None
+    tried: tuple[str, ...] = ()
+
+    @property
+    def is_converged(self) -> bool:
+        """Whether the solve converged, and the refinement if a tolerance was given."""
+        return self.status is Status.CONVERGED
+
+    @property
+    @abstractmethod
+    def parts(self) -> tuple[Solution, ...]:
+        """The solution on each horizon, with the history of the joint solve."""
+
+    @property
+    @abstractmethod
+    def warm_start(self) -> Any:
+        """Warm start for another solve, independent of this solution's problem."""
+
+    def updated(self, **changes: Any) -> Self:
+        """Return this solution with other attributes."""
+        return replace(self, **changes)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Solution(Outcome):
+    """A solved (or failed) transcription; see `Outcome` for status, errors and history.
+
+    Attributes
+    ----------
+    program : Transcription
+        The nonlinear program of the last mesh, with this solution's own data.
+    trajectory : Trajectory
+        Unknowns on the mesh.
     restraint : Restraint or None
         Effect on the objective of bounds between the points; None if none are imposed.
     notes : tuple of str
@@ -207,21 +193,11 @@ class Solution(Summarised):
     problem: Formulation
     program: Transcription
     instance: Instance
-    status: Status
-    ipopt_code: int
-    message: str
-    objective: float
     trajectory: Trajectory
     multipliers: Multipliers
     unknowns: FloatArray
     bounds: Bounds
     scaling: Scaling
-    iterations: tuple[Iteration, ...]
-    wall_s: float
-    error_estimate: float = np.inf
-    state_error: float = np.inf
-    history: tuple[MeshRecord, ...] = field(default=())
-    cold_start: ColdStart | None = None
     restraint: Restraint | None = None
     notes: tuple[str, ...] = ()
 
@@ -270,10 +246,6 @@ class Solution(Summarised):
         """Number of unknowns and of rows."""
         return self.unknowns.size, self.program.n_rows
 
-    def updated(self, **changes: Any) -> Solution:
-        """Return this solution with other attributes."""
-        return replace(self, **changes)
-
     @property
     def nominal_objective(self) -> float:
         """Reference size for changes of the objective: its own size, or the unit of its scaling.
@@ -284,11 +256,6 @@ class Solution(Summarised):
         """
         size = abs(self.objective)
         return max(size, min(1.0 / self.scaling.objective, _STEEPEST * max(1.0, size)))
-
-    @property
-    def is_converged(self) -> bool:
-        """Whether the solve converged, and the refinement if a tolerance was given."""
-        return self.status is Status.CONVERGED
 
     @cached_property
     def timeline(self) -> Timeline:
@@ -531,128 +498,3 @@ def solution_from(
         iterations=result.history,
         wall_s=result.wall_s,
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sensitivities:
-    """Sensitivities of the declared objective, by name: functions of declared time, and numbers."""
-
-    over_time: dict[str, Callable[[float], float]] = field(default_factory=dict)
-    once: dict[str, float] = field(default_factory=dict)
-
-    def add(self, name: str, price: Callable[[float], float]) -> None:
-        """Add a sensitivity over time to that of a name: both sides of a limit may be rows."""
-        held = self.over_time.get(name)
-        if held is None:
-            self.over_time[name] = price
-        else:
-            self.over_time[name] = lambda time: held(time) + price(time)
-
-
-def load_suffixes(*solutions: Solution) -> None:
-    """Fill the suffixes `dual`, `rc` and `costate` of a model that imports them.
-
-    They are the derivatives of the declared objective by the constant side of a constraint, by a
-    bound of a variable, and by a state; over time, per unit of time. Several solutions are those of
-    several horizons.
-    """
-    source = solutions[0].problem.source
-    if not isinstance(source, LiveModel):
-        return
-    wanted = dict(active_import_suffix_generator(source.model))
-    kinds = {"dual": Constraint, "rc": Var, "costate": Var}
-    for name in wanted.keys() & kinds.keys():
-        wanted[name].clear()
-    for solution in solutions if wanted.keys() & kinds.keys() else ():
-        for name, prices in _suffixes(solution).items():
-            if name in wanted:
-                own = solution.problem.source
-                if isinstance(own, LiveModel):
-                    own.load_suffix(wanted[name], kinds[name], prices.over_time, prices.once)
-
-
-def _suffixes(solution: Solution) -> dict[str, Sensitivities]:
-    """Return the contents of the suffixes by name."""
-    problem = solution.problem
-    dual, reduced = _sensitivities(solution)
-    costates = Sensitivities()
-    if problem.has_horizon and problem.compiled.declared.states:
-        names = [s.name for s in problem.compiled.declared.states]
-        sign = -1.0 if solution.program.is_negated else 1.0
-        at = {name: _costate(solution, k, sign) for k, name in enumerate(names)}
-        costates = Sensitivities(over_time=at)
-    return {"dual": dual, "rc": reduced, "costate": costates}
-
-
-def _costate(solution: Solution, state: int, sign: float) -> Callable[[float], float]:
-    return lambda time: sign * float(solution.costates.at(_fraction(solution, time))[0, state])
-
-
-def _function(solution: Solution, density: FloatArray) -> Callable[[float], float]:
-    def at(time: float) -> float:
-        fractions = _fraction(solution, time)
-        return float(
-            interpolate(solution.mesh, density[:, None], fractions, with_start=False)[0, 0]
-        )
-
-    return at
-
-
-def _fraction(solution: Solution, time: float) -> FloatArray:
-    first, last = solution.problem.values.declared_horizon  # noqa: PD011  no frame
-    return np.array([(time - first) / (last - first)])
-
-
-def _sensitivities(solution: Solution) -> tuple[Sensitivities, Sensitivities]:
-    """Return the sensitivities to constraints and to bounds."""
-    program, multipliers = solution.program, solution.multipliers
-    declared = program.compiled.declared
-    sign = -1.0 if program.is_negated else 1.0
-    dual, reduced = Sensitivities(), Sensitivities()
-    rows = -sign * multipliers.rows
-    if program.mesh is not None:
-        over_time = rows[: program.first_condition_row].reshape(program.n_points, -1)
-        for equation, held in zip(declared.equations, over_time.T, strict=True):
-            dual.add(equation.name, _function(solution, held / _widths(solution)))
-    conditions = rows[program.first_condition_row : program.first_integral_row]
-    for condition, held in zip(declared.conditions, conditions.tolist(), strict=True):
-        dual.once[condition.name] = held
-    _assign_bounds(solution, sign, dual, reduced)
-    return dual, reduced
-
-
-def _widths(solution: Solution) -> FloatArray:
-    """Return the length of time that each collocation point represents."""
-    mesh = solution.mesh
-    return np.asarray(solution.timeline.span_at(mesh.point_fractions) * mesh.quadrature_weights)
-
-
-def _assign_bounds(
-    solution: Solution, sign: float, dual: Sensitivities, reduced: Sensitivities
-) -> None:
-    """Assign the multipliers of bounds to the variables and constraints that declare them."""
-    program, bounds = solution.program, solution.bounds
-    compiled = program.compiled
-    simple = (*compiled.simple_path_bounds, *compiled.simple_point_bounds)
-    slopes = {bound.name: bound.slope for bound in simple}
-    # A variable bounded at one time only has a limit with that member's own name.
-    find = solution.problem.model.find_component
-    of_constraints = slopes.keys() - {
-        b.name for b in compiled.simple_point_bounds if getattr(find(b.name), "ctype", None) is Var
-    }
-    left = {"lower": np.array(solution.multipliers.lower), "upper": -solution.multipliers.upper}
-    start_data = solution.problem.data_at_starts(solution.instance)
-    for limit in limits_of(program, start_data, solution.instance.fixed):
-        total = np.zeros(limit.columns.size)
-        for side, rest in left.items():
-            # If two declarations impose the same bound, the first of them gets the multiplier.
-            is_own = getattr(limit, side) == getattr(bounds, side)[limit.columns]
-            total += np.where(is_own, rest[limit.columns], 0.0)
-            rest[limit.columns[is_own]] = 0.0
-        prices = sign * total / slopes.get(limit.name, 1.0)
-        table = dual if limit.name in of_constraints else reduced
-        if program.mesh is not None and prices.size >= program.n_points > 1:
-            own = prices[-program.n_points :]
-            table.add(limit.name, _function(solution, own / _widths(solution)))
-        elif prices.size == 1:
-            table.once[limit.name] = float(prices[0])

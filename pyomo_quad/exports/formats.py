@@ -17,6 +17,13 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
+from pyomo_quad.exports.ground_station import (
+    WAYPOINT_FILE_HEADER,
+    Legs,
+    mission,
+    thin,
+    waypoint_file,
+)
 from pyomo_quad.exports.motion import (
     ATTITUDE_STATES,
     RATE_STATES,
@@ -182,119 +189,6 @@ def _wrapped(angle: FloatArray) -> FloatArray:
     return np.asarray(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
 
 
-# A slower leg becomes a pause of the mission, because autopilots do not hold such a speed [m/s].
-_SLOWEST = 0.05
-#: Number of mission items that PX4 stores on its smaller boards.
-MOST_ITEMS = 500
-_CHECKED = 4001  # samples of a flight at which the distance of the legs is checked
-# MAVLink's commands and frame, and the autopilot and vehicle named in the file.
-_NAV_WAYPOINT, _DO_CHANGE_SPEED = 16, 178
-_GLOBAL_RELATIVE_ALTITUDE, _MISSION = 3, 2
-_PX4, _QUADROTOR = 12, 2
-_GROUND_SPEED = 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class Legs:
-    """Straight legs at constant speed through places (n, 3) [m], reached at the times (n,) [s]."""
-
-    times: FloatArray
-    places: FloatArray
-
-    def at(self, t: FloatArray) -> FloatArray:
-        """Return the places at times, shape (n, 3)."""
-        return np.column_stack([np.interp(t, self.times, axis) for axis in self.places.T])
-
-
-def thin(motion: Motion, path_error_m: float) -> Legs:
-    """Approximate a plan by straight legs that deviate at no time by more than the path error.
-
-    The plan is split where it is farthest from the position, at the same time, of a flight at
-    constant speed, until the deviation is small enough everywhere (the top-down time-ratio
-    algorithm of Meratnia and de By, 2004).
-    """
-    motion.require(POSITION_STATES, "a QGroundControl mission")
-    t = motion.samples(_CHECKED / motion.duration)
-    place = motion.position(t)
-    kept, spans = {0, len(t) - 1}, [(0, len(t) - 1)]
-    while spans:
-        first, last = spans.pop()
-        share = ((t[first : last + 1] - t[first]) / (t[last] - t[first]))[:, None]
-        straight = place[first] + share * (place[last] - place[first])
-        far = np.linalg.norm(place[first : last + 1] - straight, axis=1)
-        worst = first + int(np.argmax(far))
-        if far.max() > path_error_m:
-            kept.add(worst)
-            spans += [(first, worst), (worst, last)]
-    rows = sorted(kept)
-    return Legs(times=t[rows], places=place[rows])
-
-
-def mission(legs: Legs, origin: GeodeticOrigin, name: str, path_error_m: float) -> dict[str, Any]:
-    """Return a QGroundControl plan file: heights are over the origin, which is the home.
-
-    Raises
-    ------
-    ScenarioError
-        If there are more legs than an autopilot stores.
-    """
-    items: list[dict[str, Any]] = []
-    globe = origin.geodetic(legs.places)
-    lengths = np.linalg.norm(np.diff(legs.places, axis=0), axis=1)
-    spans = np.diff(legs.times)
-    items.append(_waypoint(globe[0]))
-    for place, length, span in zip(globe[1:], lengths, spans, strict=True):
-        if length / span < _SLOWEST:
-            items.append(_waypoint(place, hold_s=float(span)))
-        else:
-            speed = float(length / span)
-            items += [_item(_DO_CHANGE_SPEED, _MISSION, [_GROUND_SPEED, speed, -1, 0, 0, 0, 0])]
-            items.append(_waypoint(place))
-    if len(items) > MOST_ITEMS:
-        raise ScenarioError(
-            f"{name}: --path-error {path_error_m:g} m takes {len(items)} mission items; PX4 holds "
-            f"{MOST_ITEMS}; give a larger --path-error."
-        )
-    numbered = [item | {"doJumpId": number} for number, item in enumerate(items, start=1)]
-    fastest = float(max((lengths / spans).max(), _SLOWEST))
-    return {
-        "fileType": "Plan",
-        "version": 1,
-        # QGroundControl accepts any text here; it names the program that wrote the file.
-        "groundStation": MARK,
-        "geoFence": {"circles": [], "polygons": [], "version": 2},
-        "rallyPoints": {"points": [], "version": 2},
-        "mission": {
-            "version": 2,
-            "firmwareType": _PX4,
-            "vehicleType": _QUADROTOR,
-            "cruiseSpeed": fastest,
-            "hoverSpeed": fastest,
-            "plannedHomePosition": [origin.latitude, origin.longitude, origin.altitude],
-            "items": numbered,
-        },
-    }
-
-
-def _waypoint(place: FloatArray, hold_s: float = 0.0) -> dict[str, Any]:
-    latitude, longitude, height = (float(value) for value in place)
-    # Yaw None: the autopilot chooses. Radii of 0: the settings of the autopilot.
-    item = _item(
-        _NAV_WAYPOINT, _GLOBAL_RELATIVE_ALTITUDE, [hold_s, 0, 0, None, latitude, longitude, height]
-    )
-    return item | {"Altitude": height, "AltitudeMode": 1, "AMSLAltAboveTerrain": None}
-
-
-def _item(command: int, frame: int, params: list[Any]) -> dict[str, Any]:
-    return {
-        "type": "SimpleItem",
-        "autoContinue": True,
-        "command": command,
-        "frame": frame,
-        "params": params,
-    }
-
-
 def origin_of(text: str) -> GeodeticOrigin:
     """Read LAT,LON,ALT in degrees and metres above the sea.
 
@@ -323,6 +217,7 @@ class Format(StrEnum):
     """Programs and autopilots that read an exported plan."""
 
     QGROUNDCONTROL = "qgroundcontrol"
+    MISSION_PLANNER = "missionplanner"
     PX4 = "px4"
     ROS2 = "ros2"
     CRAZYFLIE = "crazyflie"
@@ -417,8 +312,8 @@ def export_plan(
         folder. An earlier export is replaced, any other existing file is not. A device or a FIFO is
         written to.
     origin : str, optional
-        Position of the plan's origin, "LAT,LON,ALT" in degrees and metres above the sea; required
-        for QGroundControl.
+        Position of the plan's origin, "LAT,LON,ALT" in degrees and metres above the sea; the
+        mission's own by default. Missions of ground stations need one of them.
     path_error_m : float, optional
         The largest distance from the plan allowed for waypoints and pieces.
     rate_hz : float, optional
@@ -439,6 +334,14 @@ def export_plan(
         format's library is not installed. Nothing is written.
     OutputError
         If the output cannot be written.
+
+    Examples
+    --------
+    >>> made = export_plan(plan, "px4", "hop_px4.csv", rate_hz=20.0)
+    >>> made.parts, made.what
+    (81, 'setpoints')
+    >>> made.position_error_m < 1e-3
+    True
     """
     if to not in list(Format):
         raise ScenarioError(f"--to {to}: must be one of {', '.join(Format)}.")
@@ -453,7 +356,7 @@ def export_plan(
             f"--path-error = {path_error_m:g} m; must be from {_SMALLEST_PATH_ERROR_M:g} to "
             f"{_LARGEST_PATH_ERROR_M:g} m."
         )
-    place = () if origin is None else (origin_of(origin),)
+    given_origin = None if origin is None else origin_of(origin)
     if isinstance(plan, Plan):
         motion = Motion.of(plan, is_code_allowed=is_code_allowed)
     else:
@@ -462,6 +365,7 @@ def export_plan(
     if not isinstance(plan, Plan):
         _refuse_source(path, Path(plan))
     amount = path_error_m if rate_hz is None else rate_hz
+    place = (_origin(motion, given_origin, to),) if writer.is_on_globe else ()
     parts, what, far, yaw = writer.write(
         motion, path, writer.default if amount is None else amount, *place
     )
@@ -482,11 +386,17 @@ def _refuse_options(to: Format, writer: _Writer, given: list[str]) -> None:
         raise ScenarioError(
             f"{foreign} is not an option of {to}, only of {' and '.join(takers)}; leave it out."
         )
-    if "--origin" in writer.takes and "--origin" not in given:
+
+
+def _origin(motion: Motion, given: GeodeticOrigin | None, to: Format) -> GeodeticOrigin:
+    """Return where the plan's origin lies on earth: as given, or as its mission states."""
+    origin = given or motion.mission.mission.origin
+    if origin is None:
         raise ScenarioError(
-            f"--to {to} needs --origin LAT,LON,ALT: the position of the plan's origin, "
-            "such as 47.3977,8.5456,488."
+            f"--to {to} needs --origin LAT,LON,ALT: the position of the plan's origin, such as "
+            "47.3977,8.5456,488, where the mission has no mission.origin."
         )
+    return origin
 
 
 def _refuse_source(path: Path, source: Path) -> None:
@@ -505,11 +415,24 @@ def _write_qgroundcontrol(
     motion: Motion, path: Path, error_m: float, origin: GeodeticOrigin
 ) -> _Written:
     legs = thin(motion, error_m)
-    text = json.dumps(mission(legs, origin, motion.name, error_m), indent=1, allow_nan=False)
+    text = json.dumps(mission(legs, origin, motion, error_m), indent=1, allow_nan=False)
     _write_text(path, f"{text}\n")
+    return len(legs.times), "waypoints", _deviation(legs, motion), None
+
+
+def _write_mission_planner(
+    motion: Motion, path: Path, error_m: float, origin: GeodeticOrigin
+) -> _Written:
+    legs = thin(motion, error_m)
+    text = waypoint_file(mission(legs, origin, motion, error_m))
+    _write_text(path, text, mark=WAYPOINT_FILE_HEADER)
+    return len(legs.times), "waypoints", _deviation(legs, motion), None
+
+
+def _deviation(legs: Legs, motion: Motion) -> float:
+    """Return the largest distance from the plan of a flight along the legs, at equal times [m]."""
     t = motion.samples(len(legs.times) / motion.duration * 100)
-    found = np.linalg.norm(legs.at(t) - motion.position(t), axis=1).max()
-    return len(legs.times), "waypoints", float(found), None
+    return float(np.linalg.norm(legs.at(t) - motion.position(t), axis=1).max())
 
 
 def _write_px4(motion: Motion, path: Path, rate_hz: float) -> _Written:
@@ -580,6 +503,13 @@ _WRITERS = {
     Format.QGROUNDCONTROL: _Writer(
         write=_write_qgroundcontrol,
         ending=".plan",
+        option="--path-error",
+        default=0.25,
+        is_on_globe=True,
+    ),
+    Format.MISSION_PLANNER: _Writer(
+        write=_write_mission_planner,
+        ending=".waypoints",
         option="--path-error",
         default=0.25,
         is_on_globe=True,

@@ -124,6 +124,8 @@ class Motion:
     ----------
     name : str
         Name of the scenario.
+    mission : Scenario
+        With the times of the plan.
     times : ndarray, shape (n_nodes,)
         Times of the mesh's nodes [s], strictly increasing.
     states : ndarray, shape (n_nodes, n_states)
@@ -136,6 +138,7 @@ class Motion:
     """
 
     name: str
+    mission: Scenario
     times: FloatArray
     states: FloatArray
     names: tuple[str, ...]
@@ -172,6 +175,7 @@ class Motion:
         held = plan.held
         return cls(
             name=plan.mission.name,
+            mission=plan.mission,
             times=held.node_times,
             states=held.states,
             names=held.state_names,

@@ -56,6 +56,11 @@ class OrderSearch:
     legs: int
 
     @property
+    def name(self) -> str:
+        """The waypoints in their order."""
+        return f"waypoints in order {', '.join(str(k) for k in self.order)}"
+
+    @property
     def gap(self) -> float:
         """Relative excess of the order's cost over the lower bound."""
         return self.cost_J / self.bound_J - 1.0
@@ -149,7 +154,7 @@ def search_orders(costs: FloatArray, count: int) -> list[_Order]:
     """
     finite = _without_infinities(costs)
     neighbours, random = _neighbours(len(costs) - 2), np.random.default_rng(0)
-    best = _descended(finite, neighbours, _nearest_first(finite))
+    best = _descended(finite, neighbours, nearest_first(finite))
     found = {_named(best): _cost(finite, best[None])[0]}
     for _ in range(_KICKS):
         kicked = best
@@ -195,7 +200,7 @@ def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
     return np.asarray(costs[0, orders[:, 0]] + between + costs[orders[:, -1], -1])
 
 
-def _nearest_first(costs: FloatArray) -> IntArray:
+def nearest_first(costs: FloatArray) -> IntArray:
     """Return the order that always continues to the remaining place of least leg cost."""
     order, left = [0], list(range(1, len(costs) - 1))
     while left:

@@ -23,7 +23,7 @@ and the plans include it.  Its vertical part is attributed to the mass, even if 
 it; the rest is attributed to the wind.
 """
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import accumulate
@@ -57,6 +57,7 @@ from pyomo_quad.flight.baselines import (
     refuse_other_vehicles,
     start_state,
 )
+from pyomo_quad.flight.caches import REMAINING
 from pyomo_quad.flight.controller import (
     AdaptiveController,
     BacksteppingLoop,
@@ -79,7 +80,7 @@ from pyomo_quad.model import build_model, build_remaining, parameter_values, str
 from pyomo_quad.model.mission import free_times, measured_start
 from pyomo_quad.model.wind import still_air
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.tables import Clock, Knowledge, Replanning
+from pyomo_quad.scenario.tables import Knowledge, Replanning, SolveTiming
 from pyomo_quad.scenario.wind import WindCoupling
 
 FloatArray = NDArray[np.float64]
@@ -328,9 +329,6 @@ class Replanner:
         return np.asarray(flown.y[:, -1])
 
 
-_REMAINING: dict[Hashable, tuple[Problem, ...]] = {}
-
-
 def _remainders(believed: Scenario) -> tuple[_Remainder, ...]:
     """Return the remaining missions after none, one, ... all of the waypoints."""
     mission, times = believed.mission, believed.nominal_times
@@ -341,9 +339,7 @@ def _remainders(believed: Scenario) -> tuple[_Remainder, ...]:
         for k in range(len(mission.waypoints) + 1)
     ]
     key = structure_key(believed)
-    if key not in _REMAINING:
-        _REMAINING.clear()
-        _REMAINING[key] = tuple(map(_compiled, ahead))
+    problems = REMAINING.get(key) or REMAINING.store(key, tuple(map(_compiled, ahead)))
     released = [0.0, *accumulate(waypoint.release for waypoint in mission.waypoints)]
     return tuple(
         _Remainder(
@@ -356,7 +352,7 @@ def _remainders(believed: Scenario) -> tuple[_Remainder, ...]:
             released=released[k],
             numbers=parameter_values(left),
         )
-        for k, (problem, left) in enumerate(zip(_REMAINING[key], ahead, strict=True))
+        for k, (problem, left) in enumerate(zip(problems, ahead, strict=True))
     )
 
 
@@ -434,7 +430,7 @@ class _Aircraft:
         self._measured = [dynamics.state_names.index(n) for n in replanner.dynamics.state_names]
 
     def measured(self, state: FloatArray) -> FloatArray:
-        """Return the states that a planner knows of, which are not those of the turbulence."""
+        """Return the states that a planner knows, without the states of the turbulence."""
         return state[self._measured]
 
     def seen(self, flown: Flown) -> Flown:
@@ -604,7 +600,7 @@ _SHORTEST = 1e-9
 
 
 def _charged(settings: Replanning, solve_s: float) -> float:
-    return solve_s if settings.clock is Clock.MEASURED else settings.solve_time
+    return solve_s if settings.clock is SolveTiming.MEASURED else settings.solve_time
 
 
 def fly_replanned(

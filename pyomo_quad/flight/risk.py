@@ -6,7 +6,7 @@ more often than they may, its margin grows.  See docs/theory/risk.md, eqs. (7) t
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -74,12 +74,14 @@ def plan_at_risk(
     -------
     Plan
         With `risk`; of a scenario that asks for none the plan of `Planner.solve`.  Where the risk
-        cannot be had, the plan of the least risk found.
+        cannot be had, or the user stops the search, the plan of the least risk found.
     """
-    paper = planner.solve(scenario, progress=progress, **solve)
-    if risk_asked(scenario) >= 1.0 or not paper.is_verified or planner.builder is not build_model:
-        return paper
-    return _Search(scenario, planner, paper, progress).best()
+    with planner.until_stopped() as is_stopped:
+        paper = planner.solve(scenario, progress=progress, **solve)
+        is_own = planner.builder is not build_model
+        if risk_asked(scenario) >= 1.0 or not paper.is_verified or is_own:
+            return paper
+        return _Search(scenario, planner, paper, progress, is_stopped).best()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,10 +113,15 @@ class _Search:
     """The search for the margins of one scenario."""
 
     def __init__(
-        self, scenario: Scenario, planner: Planner, paper: Plan, progress: Progress | None
+        self,
+        scenario: Scenario,
+        planner: Planner,
+        paper: Plan,
+        progress: Progress | None,
+        is_stopped: Callable[[], bool],
     ) -> None:
         self._scenario, self._planner, self._paper = scenario, planner, paper
-        self._progress = progress
+        self._progress, self._is_stopped = progress, is_stopped
         self._risk = risk_asked(scenario)
         self._least: Mapping[str, float] = {}
         self._told = scenario
@@ -128,7 +135,7 @@ class _Search:
         tried = self._followed(tried)
         for _ in range(_PLANS):
             wanted = self._margins(tried)
-            if self._agree(tried.margins, wanted):
+            if self._is_stopped() or self._agree(tried.margins, wanted):
                 break
             other = self._planned(tried, wanted)
             if other is None:
@@ -158,7 +165,7 @@ class _Search:
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that the flight without gusts follows, where margins can make one."""
         for share in _RESERVES:
-            if tried.astray <= _ASTRAY_M:
+            if tried.astray <= _ASTRAY_M or self._is_stopped():
                 break
             margins = {name: share * greatest_margin(self._scenario, name) for name in AUTHORITY}
             for name, more in self._steeper_than_the_controller().items():
@@ -226,7 +233,7 @@ class _Search:
             failed = sum(1 for words in broken if words)
             counts = Counter(word for words in broken for word in words)
             found.append((failed, tried, counts))
-            if failed <= self._risk * _FLIGHTS:
+            if failed <= self._risk * _FLIGHTS or self._is_stopped():
                 break
             grown = self._grown(tried, counts)
             other = None if grown == tried.margins else self._planned(tried, grown)

@@ -22,11 +22,11 @@ cruise has its own.
    Springer 2008, section 3.4.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from heapq import heappop, heappush
 from itertools import pairwise
-from math import inf, sqrt
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -34,9 +34,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from pyomo_quad.collocation import Solution, Status
-from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
-from pyomo_quad.flight.references import SampledPath, quintic_progress, stops_of
+from pyomo_quad.flight.references import SampledPath, stops_of
 from pyomo_quad.flight.zones import (
     MARGIN_M,
     ROUNDING,
@@ -48,6 +46,7 @@ from pyomo_quad.flight.zones import (
 )
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.airspace import Airspace, KeepOut
+from pyomo_quad.scenario.tables import CruiseSettings
 
 FloatArray = NDArray[np.float64]
 Place = tuple[float, float, float]
@@ -56,7 +55,6 @@ Place = tuple[float, float, float]
 #: the shortest route: a detour that doubles the length saves no energy.
 MOST_ROUTES = 8
 _LONGEST = 2.0
-_GUESS_SAMPLES = 201
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,44 +181,6 @@ def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, 
     return tuple(journeys)
 
 
-# Share of the least estimate above which a journey is not flown: straight legs without corners and
-# changes of speed misjudge by how much a detour is dearer, as a rule they make it too little.
-_DEARER = 0.01
-
-
-def promising(
-    journeys: Sequence[Journey], cost_per_metre: Callable[[FloatArray], float]
-) -> tuple[Journey, ...]:
-    """Return the journeys whose estimated cost is near the least, in their order.
-
-    Parameters
-    ----------
-    cost_per_metre : callable
-        Of steady flight along a direction, a unit vector; infinite where there is none.
-    """
-    known: dict[tuple[float, ...], float] = {}
-
-    def cost(journey: Journey) -> float:
-        total = 0.0
-        for step in (step for route in journey for step in np.diff(route.places, axis=0)):
-            length = float(np.linalg.norm(step))
-            if length > 0.0:
-                course = step / length
-                key = tuple(np.round(course, _DIGITS).tolist())
-                if key not in known:
-                    known[key] = cost_per_metre(course)
-                total += length * known[key]
-        return total
-
-    costs = [cost(journey) for journey in journeys]
-    most = (1.0 + _DEARER) * min(costs, default=inf)
-    return tuple(journey for journey, c in zip(journeys, costs, strict=True) if c <= most)
-
-
-# Decimals to which directions are the same.
-_DIGITS = 6
-
-
 def length_of(journey: Journey) -> float:
     """Return the length of a journey [m]."""
     return sum(route.length for route in journey)
@@ -228,34 +188,6 @@ def length_of(journey: Journey) -> float:
 
 class NoRouteError(Exception):
     """Zones block every route from a stop to the next."""
-
-
-def guess_along(
-    journey: Journey, times: Sequence[float], *, is_open: bool = False
-) -> dict[str, FloatArray]:
-    """Return places and velocities along a journey as an initial guess.
-
-    Parameters
-    ----------
-    times : sequence of float
-        Times at which each waypoint is reached and left, and the end [s].
-    is_open : bool, optional
-        Whether the end is free; the guess is then a function of the fraction of the horizon.
-    """
-    begun = (0.0, *times[1::2])
-    instants, places = [], []
-    for route, first, last in zip(journey, begun, (*times[0:-1:2], times[-1]), strict=True):
-        elapsed = np.linspace(0.0, 1.0, _GUESS_SAMPLES)
-        instants.append(first + (last - first) * elapsed)
-        # A waypoint is usually passed without a stop.
-        progress = quintic_progress(elapsed) if len(journey) == 1 else elapsed
-        places.append(route.places_at(progress))
-    when, kept = np.unique(np.concatenate(instants), return_index=True)
-    where = np.vstack(places)[kept]
-    rates = np.gradient(where, when, axis=0)
-    columns = dict(zip(POSITION_STATES, where.T, strict=True))
-    told = when / times[-1] if is_open else when
-    return {"time": told} | columns | dict(zip(VELOCITY_STATES, rates.T, strict=True))
 
 
 def with_plain_passages(told: Scenario) -> Scenario | None:
@@ -365,30 +297,6 @@ class _Graph:
         return sides
 
 
-def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Journey:
-    """Return a journey with the sides on which its flight passes the zones.
-
-    A solve may end on another side of a zone than it started.
-    """
-    names = [slot.name for slot in solution.problem.compiled.declared.states]
-    track = solution.trajectory.states[:, [names.index(name) for name in POSITION_STATES]]
-    times = solution.timeline.time(np.append(0.0, solution.mesh.point_fractions))
-    passed = [solution.value("mission.passing_time", index=k) for k in range(len(journey) - 1)]
-    begun = [0, *np.searchsorted(times, passed)]
-    zones = {zone.name: zone for zone in told.airspace.keep_out}
-    flown = []
-    for route, first, last in zip(journey, begun, [*begun[1:], len(track) - 1], strict=True):
-        part = track[first : last + 1]
-        sides = []
-        for name, side in route.sides:
-            leg = zones[name], route.places[[0, -1]], told.airspace.clearance
-            found = sides_passed(*leg, part[:-1], part[1:])
-            crossed = found[found >= 0]
-            sides.append((name, list(Side)[crossed[0]] if crossed.size else side))
-        flown.append(replace(route, sides=tuple(sides)))
-    return tuple(flown)
-
-
 @dataclass(frozen=True, kw_only=True)
 class TriedRoute:
     """Result of trying a route.
@@ -412,99 +320,6 @@ class TriedRoute:
     energy_J: float | None
     is_refined: bool
     is_kept: bool
-
-
-# Relative errors of an energy on the first mesh and on the next: the best flights whose energies
-# differ by less are solved on the next mesh, or to the tolerance.
-_NEAR_ON_FIRST, _NEAR_ON_NEXT = 1e-3, 1e-4
-_MOST_ON_NEXT, _MOST_REFINED = 4, 3
-# Number of meshes, including the flight's own.
-_TO_THE_NEXT = 2
-
-
-# Relative difference of states below which two flights are the same.
-_SAME = 1e-3
-
-
-def _is_same(one: Solution, other: Solution) -> bool:
-    if not (one.status.is_solved and other.status.is_solved):
-        return False
-    states = one.trajectory.states
-    others = other.trajectory.states_at(np.append(0.0, one.mesh.point_fractions))
-    return bool(np.all(np.abs(states - others) <= _SAME * (1.0 + np.abs(states))))
-
-
-def best_of_journeys(
-    journeys: Sequence[Journey],
-    fly_roughly: Callable[[Journey], Solution],
-    refine: Callable[[Solution, int | None], Solution],
-    energy_of: Callable[[Solution], float],
-    as_flown: Callable[[Journey, Solution], Journey],
-) -> tuple[Solution, tuple[TriedRoute, ...]]:
-    """Solve all journeys on one mesh, refine the best, and return it with all results.
-
-    If the solutions of two journeys coincide on this mesh or the next, as for the journeys over and
-    beside a sphere, the longer journey is left out.
-
-    Parameters
-    ----------
-    refine : callable
-        Solves a flight on successively finer meshes, up to a number of them or to the tolerance.
-    as_flown : callable
-        Returns a journey with the sides on which its flight passes the zones.
-    """
-
-    def named(journey: Journey, solution: Solution) -> Journey:
-        return as_flown(journey, solution) if solution.status.is_solved else journey
-
-    flown: list[tuple[Journey, Solution]] = []
-    for journey in journeys:
-        solution = fly_roughly(journey)
-        if not any(_is_same(solution, other) for _, other in flown):
-            flown.append((journey, solution))
-    known = dict(enumerate(solution for _, solution in flown))
-    near = _nearest(known, _NEAR_ON_FIRST, _MOST_ON_NEXT)
-    if len(near) > 1:
-        improved = {k: refine(known[k], _TO_THE_NEXT) for k in near}
-        known |= {k: s for k, s in improved.items() if s.status.is_solved}
-        for k in sorted(near, reverse=True):
-            if any(_is_same(known[k], known[j]) for j in near if j < k):
-                del known[k]
-        near = _nearest({k: s for k, s in known.items() if k in near}, _NEAR_ON_NEXT, _MOST_REFINED)
-    order = sorted(known, key=lambda k: _cost(known[k]))
-    refined: dict[int, Solution] = {}
-    for k in [*near, *(k for k in order if k not in near and known[k].status.is_solved)]:
-        if k not in near and any(s.status.is_solved for s in refined.values()):
-            break
-        refined[k] = refine(known[k], None)
-        if refined[k].status is Status.INTERRUPTED:
-            break
-    best = min(refined, key=lambda k: _cost(refined[k])) if refined else order[0]
-    solution = refined.get(best, known[best])
-    known |= {k: s for k, s in refined.items() if s.status.is_solved}
-    return solution, tuple(
-        TriedRoute(
-            name="; ".join(route.name for route in named(journey, known[k])),
-            length_m=length_of(journey),
-            energy_J=energy_of(known[k]) if known[k].status.is_solved else None,
-            is_refined=k in refined and refined[k].status.is_solved,
-            is_kept=k == best and solution.status.is_solved,
-        )
-        for k, (journey, _) in enumerate(flown)
-        if k in known
-    )
-
-
-def _nearest(known: Mapping[int, Solution], share: float, most: int) -> list[int]:
-    """Return the flights whose cost is within a fraction of the least, the cheapest first."""
-    costs = {k: _cost(s) for k, s in known.items() if s.status.is_solved}
-    least = min(costs.values(), default=inf)
-    order = sorted(costs, key=lambda k: costs[k])
-    return [k for k in order if costs[k] - least <= share * abs(least)][:most]
-
-
-def _cost(solution: Solution) -> float:
-    return solution.objective if solution.status.is_solved else inf
 
 
 #: s, durations of hover at the goal; a flight takes the first that suffices to arrive.
@@ -572,26 +387,31 @@ def _peak_speed(distance: float, acceleration: float, jerk: float) -> float:
     return float((distance**2 * jerk / 4) ** (1 / 3))
 
 
-def cruise_at(scenario: Scenario, speed: float | None = None, settling_s: float = 0.0) -> Scenario:
+def cruise_at(
+    scenario: Scenario,
+    speed: float | None = None,
+    settling_s: float = 0.0,
+    least_s: float = 0.0,
+) -> Scenario:
     """Return a mission with the times of a cruise at a speed [m/s], by default its own.
 
-    The vehicle hovers at the goal for `settling_s`.
+    The vehicle hovers at the goal for `settling_s`, and longer where the flight would last less
+    than `least_s`.
 
     Raises
     ------
     ScenarioError
-        If a leg has zero length, or zones block it.
+        If the mission goes nowhere, or zones block a leg.
     """
     told = scenario
     if speed is not None:
-        baseline = scenario.baseline.model_copy(update={"cruise_speeds": (speed,)})
-        told = scenario.model_copy(update={"baseline": baseline})
+        told = scenario.cruising(scenario.baseline.cruise_settings(speed))
     holds = (*(waypoint.hold for waypoint in scenario.mission.waypoints), 0.0)
     reached, left = [], 0.0
     for pieces, hold in zip(_legs(told), holds, strict=True):
         reached.append(left + sum(float(profile.times[-1]) for _, profile in pieces))
         left = reached[-1] + hold
-    return told.lasting(reached[-1] + settling_s, reached[:-1])
+    return told.lasting(max(reached[-1] + settling_s, least_s), reached[:-1])
 
 
 def cruise(scenario: Scenario) -> SampledPath:
@@ -624,20 +444,10 @@ def cruise(scenario: Scenario) -> SampledPath:
 
 def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
     """Return the straight pieces of each leg: displacement in m and speed profile."""
-    baseline, airspace = scenario.baseline, scenario.airspace
-    if baseline.cruise_speeds is None or len(baseline.cruise_speeds) > 1:
-        raise ScenarioError(
-            f"{scenario.name}: baseline.cruise_speeds must be one speed for one flight along "
-            "reference cruise; give one, as in baseline.cruise_speeds=[5.0]."
-        )
-    limits = (*baseline.cruise_speeds, baseline.cruise_acceleration, baseline.cruise_jerk)
+    airspace, settings = scenario.airspace, own_cruise(scenario)
+    limits = settings.speed, settings.acceleration, settings.jerk
     legs = []
     for start, goal in pairwise(scenario.mission.positions):
-        if start == goal:
-            raise ScenarioError(
-                f"{scenario.name}: a leg of the mission ends where it starts, at {start} m; "
-                "reference cruise needs a way to go; leave it out of baseline.references."
-            )
         routes = find_routes(airspace, start, goal, most=1)
         if not routes:
             raise ScenarioError(f"{scenario.name}: {no_way(airspace, start, goal)}")
@@ -650,4 +460,39 @@ def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
                 if length > 0
             ]
         )
+    if not any(legs):
+        raise ScenarioError(
+            f"{scenario.name}: the mission stays at {scenario.mission.start.position} m; reference "
+            "cruise needs a way to go; leave it out of baseline.references."
+        )
     return legs
+
+
+def reached(scenario: Scenario) -> CruiseSettings:
+    """Return the largest speed and acceleration of a cruise, and its jerk.
+
+    With these settings the flight is the same: legs may be too short for the scenario's own.
+    """
+    profiles = [profile for pieces in _legs(scenario) for _, profile in pieces]
+    return CruiseSettings(
+        speed=max(float(profile.speeds.max()) for profile in profiles),
+        acceleration=max(float(np.abs(profile.accelerations).max()) for profile in profiles),
+        jerk=scenario.baseline.cruise_jerk,
+    )
+
+
+def own_cruise(scenario: Scenario) -> CruiseSettings:
+    """Return the settings of a scenario with a single cruise speed.
+
+    Raises
+    ------
+    ScenarioError
+        If it has none, or several.
+    """
+    speeds = scenario.baseline.cruise_speeds or ()
+    if len(speeds) != 1:
+        raise ScenarioError(
+            f"{scenario.name}: baseline.cruise_speeds must be one speed for one flight along "
+            "reference cruise; give one, as in baseline.cruise_speeds=[5.0]."
+        )
+    return scenario.baseline.cruise_settings(*speeds)

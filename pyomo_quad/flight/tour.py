@@ -14,8 +14,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pyomo_quad.collocation import Mesh
-from pyomo_quad.flight.orders import MOST_EXACT, OrderSearch, best_orders, cost_of, least_cost
+from pyomo_quad.flight.candidate import AlongShortest, Candidate
+from pyomo_quad.flight.mission_problem import MissionProblem
+from pyomo_quad.flight.orders import (
+    MOST_EXACT,
+    OrderSearch,
+    best_orders,
+    cost_of,
+    least_cost,
+    nearest_first,
+)
+from pyomo_quad.flight.route_flights import RouteFlights, guess_along
 from pyomo_quad.flight.routes import find_routes
+from pyomo_quad.flight.strategies import FIRST, carry_out
 from pyomo_quad.scenario.mission import Hover, Order
 
 if TYPE_CHECKING:
@@ -24,8 +35,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pyomo_quad.collocation import Solution
+    from pyomo_quad.flight.candidate import Start
     from pyomo_quad.flight.plan import Plan
+    from pyomo_quad.flight.problems import Problems
     from pyomo_quad.flight.routes import Route
+    from pyomo_quad.flight.search import Search
     from pyomo_quad.scenario import Scenario
 
     FloatArray = NDArray[np.float64]
@@ -72,7 +86,9 @@ class LegTable:
         self._solve = solve
         self._ways = _shortest_ways(scenario)
         self._count = len(scenario.mission.positions)
-        self._usual = _usual_length(self._count, self._ways)
+        # The tour that always continues to the nearest remaining place.
+        usual = nearest_first(self.lengths)
+        self._usual = cost_of(self.lengths, tuple(int(k) - 1 for k in usual))
         self._known: dict[_Leg, float] = {}
         self._failed: set[_Leg] = set()
         self._last: Solution | None = None
@@ -206,7 +222,7 @@ def find_orders(
 
 
 def legs_expected(waypoints: int) -> int:
-    """Return for how many legs the order of so many waypoints is solved for, at least."""
+    """Return the least number of legs that are solved to order a number of waypoints."""
     every = waypoints * (waypoints + 1)
     first = _NEAREST * (waypoints + 1) + _OF_ALL_LENGTHS
     return every if every <= _FEW_LEGS else min(every, first)
@@ -238,39 +254,72 @@ def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
     return ways
 
 
-def _usual_length(count: int, ways: Mapping[_Leg, Route]) -> float:
-    """Return the length of the tour that always continues to the nearest remaining place."""
-    lengths = np.full((count, count), inf)
-    for leg, way in ways.items():
-        lengths[leg] = way.length
-    here, left, length = 0, set(range(1, count - 1)), 0.0
-    while left:
-        nearest = min(left, key=lambda there: lengths[here, there])
-        length += lengths[here, nearest]
-        left.remove(nearest)
-        here = nearest
-    return float(length + lengths[here, count - 1])
+class BestOrder:
+    """The cheapest order of a mission's waypoints: the best by legs, solved whole on one mesh.
 
+    Parameters
+    ----------
+    problems : Problems
+    scenario : Scenario
+    search : Search
+    """
 
-def cheapest(
-    scenario: Scenario,
-    found: Sequence[OrderSearch],
-    roughly: Callable[[Scenario], Solution],
-    solve: Callable[[Scenario, Solution | None], Plan],
-) -> Plan:
-    """Return the plan of the cheapest of some orders, after a solve of each on one mesh."""
-    attempts: list[str] = []
-    flown: list[tuple[float, OrderSearch, Solution | None]] = []
-    for search in found:
-        solution = roughly(in_order(scenario, search.order))
+    def __init__(self, problems: Problems, scenario: Scenario, search: Search) -> None:
+        self._problems, self._scenario, self._search = problems, scenario, search
+        self._is_plain = False
+        self._flown: list[tuple[float, OrderSearch, Solution | None]] = []
+
+    def candidates(self) -> tuple[OrderSearch, ...]:
+        """Return the orders that are cheapest by their legs."""
+        return find_orders(self._scenario.as_forecast(), self._leg)
+
+    def has_time(self) -> bool:
+        """Return whether time is left to fly another order; at least one order is always flown."""
+        return not self._flown or not self._search.deadline.is_over
+
+    def fly(self, found: OrderSearch) -> str:
+        """Solve the mission in an order on one mesh, and return its cost in words."""
+        solution = self._roughly(in_order(self._scenario, found.order))
         is_flown = solution.status.is_solved
-        what = f"{solution.objective:.6g} J" if is_flown else solution.status.value
-        named = ", ".join(str(k) for k in search.order)
-        attempts.append(f"waypoints in order {named}: {what} on a first mesh")
         cost = solution.objective if is_flown else inf
-        flown.append((cost, search, solution if is_flown else None))
-    _, best, begun = min(flown, key=lambda entry: entry[0])
-    plan = solve(in_order(scenario, best.order), begun)
-    return replace(
-        plan, attempts=(*attempts, *plan.attempts), order_search=best if best.legs else None
-    )
+        self._flown.append((cost, found, solution if is_flown else None))
+        return f"{cost:.6g} J on a first mesh" if is_flown else solution.status.value
+
+    def finish(self, solve: Callable[[Scenario, Start | None, Search], Plan]) -> Plan:
+        """Return the plan of the cheapest order flown."""
+        _, best, begun = min(self._flown, key=lambda entry: entry[0])
+        ordered = in_order(self._scenario, best.order)
+        start: Start | None = begun if begun is None or self._is_plain else begun.warm_start
+        if begun is not None and self._problems.has_routes(ordered):
+            start = AlongShortest(begun)
+        self._search.restart_patience()
+        plan = solve(ordered, start, self._search)
+        return replace(plan, order_search=best if best.legs else None)
+
+    def _leg(
+        self, alone: Scenario, mesh: Mesh, way: Route | None, known: Solution | None
+    ) -> Solution:
+        """Solve a leg on one mesh, along its way round zones or from a similar leg."""
+        mission = MissionProblem(self._problems, alone, self._search)
+        if way is not None:
+            guess = guess_along((way,), alone.nominal_times, is_open=alone.mission.is_free)
+            return mission.solve(mesh=mesh, tolerance=None, guess=guess)
+        fits = known is not None and known.warm_start.fits(mission.problem.compiled)
+        return mission.solve(mesh=mesh, tolerance=None, warm_start=known if fits else None)
+
+    def _roughly(self, ordered: Scenario) -> Solution:
+        """Solve the mission in an order on one mesh."""
+        told = ordered.as_forecast()
+        once = {"solver": told.solver.model_copy(update={"max_refinements": 0})}
+        mission = MissionProblem(self._problems, told.model_copy(update=once), self._search)
+        if mission.has_routes:
+            return RouteFlights(mission).best(most=1)[0]
+        candidate = Candidate(scenario=ordered, mission=mission, search=self._search)
+        if not self._is_plain:
+            carry_out(FIRST, candidate, self._search)
+            if not candidate.found.status.has_failed:
+                return candidate.found
+        # A difficulty of one order is one of all orders, so only the first is tried both ways.
+        past = mission.past_waypoints
+        self._is_plain = past is not None
+        return candidate.found if past is None else past.solve_roughly()

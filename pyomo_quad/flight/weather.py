@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Dynamics, Problem, compile
+from pyomo_quad.flight.caches import IN_TURBULENCE
 from pyomo_quad.flight.ensemble import Draws
 from pyomo_quad.flight.planning import Planner
-from pyomo_quad.flight.recent import Recent
 from pyomo_quad.model import build_in_turbulence, parameter_values, structure_key
 from pyomo_quad.model.build import guess_key
 from pyomo_quad.model.limits import without_reserve
@@ -26,10 +26,6 @@ from pyomo_quad.model.turbulence import (
 from pyomo_quad.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
-
-# Missions as planned and as flown at a cruise speed, with one neighbour each.
-_MOST = 4
-_PROBLEMS: Recent[Problem] = Recent(_MOST)
 
 
 def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
@@ -104,9 +100,9 @@ def problem_in_turbulence(scenario: Scenario) -> Problem:
     """Return the compiled equations of a mission as it is flown in turbulence."""
     turbulence = scenario.wind.turbulence
     key = structure_key(scenario), guess_key(scenario), turbulence
-    problem = _PROBLEMS.get(key)
+    problem = IN_TURBULENCE.get(key)
     if problem is None:
-        problem = _PROBLEMS.store(key, compile(build_in_turbulence(scenario)))
+        problem = IN_TURBULENCE.store(key, compile(build_in_turbulence(scenario)))
     return problem
 
 

@@ -4,8 +4,8 @@ Each log is one flight, named after its file. All airborne rows count as cruise,
 and without a barometer the density is that at sea level.
 """
 
-from collections.abc import Mapping
-from contextlib import closing, redirect_stdout
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, redirect_stdout
 from io import StringIO
 from pathlib import Path
 
@@ -28,13 +28,62 @@ from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 
 # Logs of the PX4 autopilot: unit, topics and fields, the name in the newest firmware first.
-Topic = dict[str, NDArray[np.float64]]
+FloatArray = NDArray[np.float64]
+Topic = dict[str, FloatArray]
 _MICROSECONDS = 1e-6
 _POSITION, _BATTERY, _LANDED = "vehicle_local_position", "battery_status", "vehicle_land_detected"
 _WINDS = ("wind", "wind_estimate")
 _AIR = "vehicle_air_data"
 _TOPICS = (_POSITION, _BATTERY, _LANDED, *_WINDS, _AIR)
 _CURRENTS, _VOLTAGES = ("current_a", "current_average_a"), ("voltage_v", "voltage_filtered_v")
+
+
+@contextmanager
+def _whole_log(autopilot: str, package: str) -> Iterator[None]:
+    """Refuse a log whose reader is not installed, or fails, while the block runs.
+
+    The readers print the errors that they find, and raise exceptions of many types for damaged
+    logs.
+    """
+    try:
+        with redirect_stdout(StringIO()):
+            yield
+    except ImportError:
+        raise ScenarioError(
+            f"{autopilot} logs need the package {package}; pip install 'pyomo_quad[logs]'."
+        ) from None
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:
+        raise ScenarioError(f"is no whole {autopilot} log; copy it anew.") from error
+
+
+def _seconds_aloft(
+    seconds: FloatArray,
+    is_flying: NDArray[np.bool_],
+    density: FloatArray,
+    power: FloatArray,
+    velocity: Sequence[FloatArray],
+    wind: Sequence[FloatArray],
+) -> pd.DataFrame:
+    """Return the mean of each second in flight, in the columns of `COLUMNS` but the flight's name.
+
+    ``velocity`` is north, east and up over ground, ``wind`` north and east.
+    """
+    air = (speed - blowing for speed, blowing in zip(velocity, wind, strict=False))
+    frame = pd.DataFrame(
+        {
+            TIME: seconds,
+            PHASE: np.where(is_flying, CRUISE, 0),
+            PAYLOAD: 0.0,
+            DENSITY: density,
+            POWER: power,
+            **dict(zip(VELOCITY, velocity, strict=True)),
+            **dict(zip(AIR_VELOCITY, air, strict=True)),
+        }
+    )
+    frame = frame[frame[PHASE] == CRUISE]
+    return frame.groupby(np.floor(frame[TIME])).mean().reset_index(drop=True)
 
 
 def read_ulog(file: Path) -> pd.DataFrame:
@@ -49,22 +98,11 @@ def read_ulog(file: Path) -> pd.DataFrame:
     ScenarioError
         If `pyulog` is missing, or the log lacks a topic or a field.
     """
-    try:
+    with _whole_log("PX4", "pyulog"), file.open("rb") as stream:
         from pyulog import ULog  # noqa: PLC0415  an extra
-    except ImportError:
-        raise ScenarioError(
-            "PX4 logs need the package pyulog; pip install 'pyomo_quad[logs]'."
-        ) from None
-    try:
-        # The reader prints the errors that it finds.
-        with file.open("rb") as stream, redirect_stdout(StringIO()):
-            read = ULog(stream, message_name_filter_list=list(_TOPICS)).data_list
-            topics = {d.name: d.data for d in read if d.multi_id == 0}
-    except (OSError, MemoryError):
-        raise
-    except Exception as error:
-        # The reader raises exceptions of many types for damaged logs.
-        raise ScenarioError("is no whole PX4 log; copy it anew.") from error
+
+        read = ULog(stream, message_name_filter_list=list(_TOPICS)).data_list
+        topics = {d.name: d.data for d in read if d.multi_id == 0}
     battery = topics.get(_BATTERY, {})
     currents = [name for name in _CURRENTS if name in battery and np.any(battery[name] > 0.0)]
     if battery and not currents:
@@ -102,21 +140,9 @@ def _by_second(topics: dict[str, Topic], currents: list[str]) -> pd.DataFrame:
     density = np.full(len(times), SEA_LEVEL_DENSITY)
     if "rho" in topics.get(_AIR, {}):
         density = at_positions(_AIR, "rho")
-    frame = pd.DataFrame(
-        {
-            TIME: times - times[0],
-            PHASE: np.where(is_flying, CRUISE, 0),
-            PAYLOAD: 0.0,
-            DENSITY: density,
-            POWER: power,
-            VELOCITY[0]: north,
-            VELOCITY[1]: east,
-            VELOCITY[2]: -down,
-            AIR_VELOCITY[0]: north - at_positions(wind, "windspeed_north"),
-            AIR_VELOCITY[1]: east - at_positions(wind, "windspeed_east"),
-        }
-    )
-    return _seconds_aloft(frame)
+    wind_speeds = (at_positions(wind, f"windspeed_{axis}") for axis in ("north", "east"))
+    velocity = (north, east, -down)
+    return _seconds_aloft(times - times[0], is_flying, density, power, velocity, tuple(wind_speeds))
 
 
 # Logs of ArduPilot: messages, and events of its land detector.
@@ -139,26 +165,16 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
     ScenarioError
         If `pymavlink` is missing, or the log lacks a message.
     """
-    try:
-        from pymavlink.DFReader import DFReader_binary  # noqa: PLC0415  an extra
-    except ImportError:
-        raise ScenarioError(
-            "ArduPilot logs need the package pymavlink; pip install 'pyomo_quad[logs]'."
-        ) from None
     with file.open("rb"):
         pass  # raise the operating system's own error if the file cannot be read
     rows: dict[str, list[dict[str, float]]] = {name: [] for name in _MESSAGES}
-    try:
-        with redirect_stdout(StringIO()):
-            log = DFReader_binary(str(file))
-            with closing(log.filehandle), log.data_map:
-                while (message := log.recv_match(type=list(_MESSAGES))) is not None:
-                    rows[message.get_type()].append(message.to_dict())
-    except (OSError, MemoryError):
-        raise
-    except Exception as error:
-        # The reader raises exceptions of many types for damaged logs.
-        raise ScenarioError("is no whole ArduPilot log; copy it anew.") from error
+    with _whole_log("ArduPilot", "pymavlink"):
+        from pymavlink.DFReader import DFReader_binary  # noqa: PLC0415  an extra
+
+        log = DFReader_binary(str(file))
+        with closing(log.filehandle), log.data_map:
+            while (message := log.recv_match(type=list(_MESSAGES))) is not None:
+                rows[message.get_type()].append(message.to_dict())
     if not any(rows.values()):
         raise ScenarioError("is no whole ArduPilot log; copy it anew.")
     averaged = _ardupilot_by_second({name: pd.DataFrame(held) for name, held in rows.items()})
@@ -198,21 +214,15 @@ def _ardupilot_by_second(messages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
         ground = air.get("GndTemp", pd.Series(_USUAL_CELSIUS, index=air.index))
         celsius = ground.where(ground != 0.0, _USUAL_CELSIUS)
         density = at(air, air["Press"] / (_GAS * (celsius + _FREEZING)))
-    frame = pd.DataFrame(
-        {
-            TIME: (times - times[0]) * _MICROSECONDS,
-            PHASE: np.where(_is_flying(messages[_EVENT], times), CRUISE, 0),
-            PAYLOAD: 0.0,
-            DENSITY: density,
-            POWER: at(battery, battery["Volt"] * battery["Curr"]),
-            VELOCITY[0]: motion["VN"].to_numpy(float),
-            VELOCITY[1]: motion["VE"].to_numpy(float),
-            VELOCITY[2]: -motion["VD"].to_numpy(float),
-            AIR_VELOCITY[0]: motion["VN"].to_numpy(float) - wind_north,
-            AIR_VELOCITY[1]: motion["VE"].to_numpy(float) - wind_east,
-        }
+    north, east, down = (motion[name].to_numpy(float) for name in ("VN", "VE", "VD"))
+    return _seconds_aloft(
+        (times - times[0]) * _MICROSECONDS,
+        _is_flying(messages[_EVENT], times),
+        density,
+        at(battery, battery["Volt"] * battery["Curr"]),
+        (north, east, -down),
+        (wind_north, wind_east),
     )
-    return _seconds_aloft(frame)
 
 
 def _is_flying(events: pd.DataFrame, times: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -226,9 +236,3 @@ def _is_flying(events: pd.DataFrame, times: NDArray[np.float64]) -> NDArray[np.b
     aloft = (told["Id"] == _FLYING_EVENT).to_numpy()
     # Before the first event, the state is the opposite of the state that the event reports.
     return np.where(latest >= 0, aloft[np.maximum(latest, 0)], ~aloft[0])
-
-
-def _seconds_aloft(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return the mean of each second in flight."""
-    frame = frame[frame[PHASE] == CRUISE]
-    return frame.groupby(np.floor(frame[TIME])).mean().reset_index(drop=True)

@@ -7,16 +7,16 @@ from matplotlib.figure import Figure
 from pyomo_quad.flight import Planner
 from pyomo_quad.identification.columns import CRUISE, DENSITY, FLIGHT, PAYLOAD, PHASE, POWER, TIME
 from pyomo_quad.identification.fitting import Identification
+from pyomo_quad.identification.steady import level_powers
 from pyomo_quad.identification.validation import (
     ERROR,
     MEASURED_ENERGY,
     PREDICTED_ENERGY,
-    FloatArray,
     cruise_speeds,
     energies,
 )
 from pyomo_quad.report.document import Drawing
-from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, PALE, SERIES_STYLES
+from pyomo_quad.report.style import INK, MUTED, PALE, SERIES_STYLES, full_width
 
 # Flights drawn over time.
 _SHOWN = 3
@@ -59,9 +59,7 @@ def draw_energies(found: Identification) -> Figure:
     """Draw computed against measured energies, and their errors."""
     table = energies(found.frame, found.cross_validated)
     payload = found.frame.groupby(FLIGHT, sort=False)[PAYLOAD].first().to_numpy()
-    figure = Figure(figsize=(FULL_WIDTH, 3.3))
-    left, right = figure.subplots(1, 2)
-    figure.subplots_adjust(left=0.09, right=0.98, top=0.92, bottom=0.15, wspace=0.28)
+    figure, (left, right) = full_width(3.3, (1, 2), top=0.92, bottom=0.15, wspace=0.28)
     measured = table[MEASURED_ENERGY] * _IN_KILOJOULES
     computed = table[PREDICTED_ENERGY] * _IN_KILOJOULES
     ends = [measured.min(), measured.max()]
@@ -89,9 +87,9 @@ def shown_flights(frame: pd.DataFrame) -> list[object]:
 def draw_power(found: Identification) -> Figure:
     """Draw measured and computed power of three flights over time."""
     chosen = shown_flights(found.frame)
-    figure = Figure(figsize=(FULL_WIDTH, 1.7 * len(chosen) + 0.6))
-    panels = np.atleast_1d(figure.subplots(len(chosen), 1))
-    figure.subplots_adjust(left=0.09, right=0.98, top=0.94, bottom=0.12, hspace=0.55)
+    size = 1.7 * len(chosen) + 0.6
+    figure, panels = full_width(size, (len(chosen), 1), top=0.94, bottom=0.12, hspace=0.55)
+    panels = np.atleast_1d(panels)
     speeds, color = cruise_speeds(found.frame), SERIES_STYLES[0].color
     for flight, panel in zip(chosen, panels, strict=True):
         is_own = (found.frame[FLIGHT] == flight).to_numpy()
@@ -115,12 +113,11 @@ def draw_curve(found: Identification) -> Figure:
     frame, airspeed = found.frame[is_cruise], found.airspeeds[is_cruise]
     speeds = np.linspace(0.0, min(_FASTEST_M_S, float(airspeed.max())), 35)
     density = float(found.frame[DENSITY].mean())
-    figure = Figure(figsize=(FULL_WIDTH, 3.6))
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.09, right=0.98, top=0.96, bottom=0.14)
+    figure, axes = full_width(3.6, top=0.96, bottom=0.14)
     for place, payload in enumerate(np.unique(frame[PAYLOAD])[: len(SERIES_STYLES)]):
         style = SERIES_STYLES[place]
-        power = steady_power(found, float(payload), density, speeds)
+        loaded = {"vehicle.payload": float(payload), "power.air_density": density}
+        power = level_powers(found.scenario.with_values(loaded), speeds.tolist(), Planner())
         axes.plot(speeds, power, color=style.color, label=f"{payload:g} kg")
         chosen = (frame[PAYLOAD] == payload).to_numpy()
         groups = frame[POWER][chosen].groupby(np.round(airspeed[chosen]))
@@ -140,14 +137,3 @@ def draw_curve(found: Identification) -> Figure:
     axes.set(xlabel="Airspeed (m/s)", ylabel="Power (W)")
     axes.legend(title="Payload", frameon=False)
     return figure
-
-
-def steady_power(
-    found: Identification, payload: float, density: float, speeds: FloatArray
-) -> FloatArray:
-    """Return the power, W, of level flight at each of the airspeeds, m/s."""
-    scenario = found.scenario.with_values(
-        {"vehicle.payload": payload, "power.air_density": density}
-    )
-    steady = Planner().steady_flight(scenario)
-    return np.array([steady.trim([float(speed), 0.0, 0.0]).power_W for speed in speeds])

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
 from pyomo_quad.identification.columns import (
     AIR_VELOCITY,
@@ -193,6 +194,20 @@ def as_flights(points: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
 def computed_power(scenario: Scenario, points: pd.DataFrame) -> FloatArray:
     """Return the power of a vehicle at steady points, W, by the declared equations."""
     return LoggedMotion(scenario, as_flights(points, scenario)).power()[::2]
+
+
+def level_powers(scenario: Scenario, airspeeds: Sequence[float], planner: Planner) -> FloatArray:
+    """Return the power of level flight at rising airspeeds, W; NaN above the greatest airspeed."""
+    steady = planner.steady_flight(scenario)
+    powers = np.full(len(airspeeds), np.nan)
+    trim = None
+    for k, speed in enumerate(airspeeds):
+        try:
+            trim = steady.trim([float(speed), 0.0, 0.0], trim)
+        except SolveError:
+            break
+        powers[k] = trim.power_W
+    return powers
 
 
 def identify_steady(

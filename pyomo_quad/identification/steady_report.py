@@ -7,14 +7,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
 from pyomo_quad.identification.columns import PAYLOAD, POWER
 from pyomo_quad.identification.report import VEHICLE_NAME, vehicle_file
-from pyomo_quad.identification.steady import AIRSPEED, SteadyFit
+from pyomo_quad.identification.steady import AIRSPEED, SteadyFit, level_powers
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import Drawing, write_study
-from pyomo_quad.report.style import FULL_WIDTH, SERIES_STYLES
+from pyomo_quad.report.style import SERIES_STYLES, full_width
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.version import __version__
 
@@ -71,28 +70,23 @@ def point_table(points: pd.DataFrame, power: np.ndarray) -> pd.DataFrame:
 
 def draw_points(scenario: Scenario, points: pd.DataFrame) -> Figure:
     """Draw measured power over airspeed or, if all points hover, over payload."""
-    figure = Figure(figsize=(FULL_WIDTH, 3.2))
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.09, right=0.98, top=0.96, bottom=0.15)
+    figure, axes = full_width(3.2, top=0.96, bottom=0.15)
     hovers = bool((points[AIRSPEED] == 0.0).all())
     over = PAYLOAD if hovers else AIRSPEED
     style = SERIES_STYLES[0]
     axes.plot(points[over], points[POWER], color=style.color, linestyle="none", marker=style.marker)
     least = float(points[over].min()) if hovers else 0.0
     at = np.linspace(least, float(points[over].max()), _CURVE_POINTS)
-    payload = float(points[PAYLOAD].median())
+    planner = Planner()
+    payloads = at.tolist() if hovers else [float(points[PAYLOAD].median())]
+    speeds = [0.0] if hovers else at.tolist()
     curve = [
-        steady_power(scenario, one if hovers else payload, 0.0 if hovers else one) for one in at
+        power
+        for payload in payloads
+        for power in level_powers(
+            scenario.with_values({"vehicle.payload": payload}), speeds, planner
+        )
     ]
     axes.plot(at, curve, color=SERIES_STYLES[1].color)
     axes.set(xlabel="Mass carried (kg)" if hovers else "Airspeed (m/s)", ylabel="Power (W)")
     return figure
-
-
-def steady_power(scenario: Scenario, payload: float, airspeed: float) -> float:
-    """Return the power of level flight, W; NaN if the vehicle has no such flight."""
-    steady = Planner().steady_flight(scenario.with_values({"vehicle.payload": float(payload)}))
-    try:
-        return steady.trim([float(airspeed), 0.0, 0.0]).power_W
-    except SolveError:
-        return float("nan")

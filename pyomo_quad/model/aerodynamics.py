@@ -8,7 +8,6 @@ coefficient of 1 1/s is declared with its unit. The vehicle's own velocity does 
 `drag` is the force opposite to the airspeed, the velocity relative to the wind: linear (rotor drag)
 plus quadratic (parasitic drag), isotropic, and valid at the few m/s of these missions. It is the
 default of a vehicle that has drag.
-the default of a vehicle that has drag.
 
 With either coupling, the following forces depend on the airspeed in body axes, if the vehicle has
 their coefficients:
@@ -30,7 +29,12 @@ from pyomo.core import Block, ConcreteModel, Expression, Param, sqrt
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression
 
-from pyomo_quad.model.parameters import Parameter, declare_parameters
+from pyomo_quad.model.parameters import (
+    Parameter,
+    declare_parameters,
+    fields_of,
+    parameters_in,
+)
 from pyomo_quad.model.rigid_body import BODY_AXES, BodyAxis
 from pyomo_quad.model.vehicle import mass_at
 from pyomo_quad.scenario import Scenario
@@ -42,45 +46,17 @@ AIRSPEED_SMOOTHING = 1e-3 * units.m / units.s
 
 _AXES = ("x", "y", "z")
 
-PARAMETERS = (
-    Parameter(
-        name="acceleration_coefficient",
-        units=1 / units.s,
-        value=lambda s: s.wind.acceleration_coefficient,
-        doc="turns wind velocity into acceleration, eq. (9)",
-    ),
-)
-
-
-_ROTOR_NUMBERS = (
-    Parameter(
-        name="rotor_drag_plane",
-        units=units.kg / units.rad,
-        value=lambda s: s.vehicle.rotor_drag_plane,
-        doc="k_d: drag of one rotor in its plane over airspeed and rotor speed",
-    ),
-    Parameter(
-        name="rotor_drag_axis",
-        units=units.kg / units.rad,
-        value=lambda s: s.vehicle.rotor_drag_axis,
-        doc="k_z: loss of thrust of one rotor over axial airspeed and rotor speed",
-    ),
-    Parameter(
-        name="translational_lift",
-        units=units.kg / units.m,
-        value=lambda s: s.vehicle.translational_lift,
-        doc="k_h: thrust of one rotor over in-plane airspeed squared",
-    ),
-)
+PARAMETERS = fields_of("wind", "acceleration_coefficient")
+_ROTOR_NUMBERS = fields_of("vehicle", "rotor_drag_plane", "rotor_drag_axis", "translational_lift")
 _PARASITIC = Parameter(
     name="parasitic_drag",
     units=units.kg / units.m,
     value=lambda s: dict(zip(_AXES, s.vehicle.parasitic_drag, strict=True)),
     doc="c: drag over airspeed squared along the body's axes",
-    index=_AXES,
 )
 
 
+@parameters_in("aerodynamics")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the scenario's model declares in block `aerodynamics`."""
     is_printed = scenario.wind.coupling is WindCoupling.ACCELERATION
@@ -105,7 +81,7 @@ def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
         With `time`, `vehicle`, `wind`; the velocities of `rigid_body` for the drag coupling.
     """
     b = m.aerodynamics = Block(doc="aerodynamic force")
-    declare_parameters(b, parameters_of(scenario), scenario)
+    declare_parameters(b, scenario)
     is_drag, in_body_axes = scenario.wind.coupling is WindCoupling.DRAG, acts_in_body_axes(scenario)
     if is_drag or in_body_axes or scenario.power.model is PowerModel.MOMENTUM:
         _declare_airspeed(b, m)
@@ -139,7 +115,11 @@ def declare_unexplained(m: ConcreteModel) -> None:
     """
     b = m.aerodynamics
     b.unexplained = Param(
-        _HORIZONTAL, initialize=0.0, mutable=True, units=_ACCELERATION, doc="acceleration observed"
+        _HORIZONTAL,
+        initialize=0.0,
+        mutable=True,
+        units=_ACCELERATION,
+        doc="observed acceleration that no equation explains",
     )
     for axis in _HORIZONTAL:
         explained = b.component(f"force_{axis}")
@@ -163,7 +143,7 @@ _Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
 
 
 def _wind_acceleration(updraft: Expression | None) -> _Rules:
-    """Return rules and documentation of the forces of eq. (9) as printed."""
+    """Return rule and documentation of each force of eq. (9) as printed."""
 
     def force_x(b: Block, t: float) -> NumericExpression:
         m = b.parent_block()

@@ -1,4 +1,4 @@
-"""The airspace: floor, ceiling, and zones that the flight keeps out of.
+"""The airspace: floor, ceiling, fence and keep-out zones.
 
 symbol | name | unit | meaning
 c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of the ball
@@ -16,17 +16,17 @@ inside a zone is allowed. Near an edge, where two of the d_k agree to about w, p
 70 mm outside the zone (0.28 w = 140 mm at the corners of a box) are forbidden too. Elsewhere the
 zone is exact. The clearance moves the faces outwards, so that edges stay sharp.
 
-A polygon with k corners joins k + 1 faces in the same way, so that beside a corner, where faces
-that turn little follow each other, up to 0.14 w more is forbidden for each face that is as near.
+A polygon with k corners has k + 1 faces, blended in the same way. Near a corner with several faces
+at nearly the same distance, up to 0.14 w more is forbidden for each further face.
 
-The fence (`keep_in`) is one straight limit for each of its edges, exact everywhere, corners
-included, and keeps no clearance.
+The fence (`keep_in`) is a linear limit for each of its edges. It is exact everywhere, corners
+included, and has no clearance.
 
 A flight cannot start, end or pass a waypoint on the surface of a zone, because no neighbourhood is
 free there. The declaration refuses it before any solve.
 """
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Sequence
 from functools import reduce
 from typing import Any
 
@@ -35,7 +35,13 @@ from pyomo.core import Block, ConcreteModel, sqrt
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 
-from pyomo_quad.model.parameters import Parameter, declare_parameters, saturated
+from pyomo_quad.model.parameters import (
+    Parameter,
+    declare_parameters,
+    fields_of,
+    parameters_in,
+    saturated,
+)
 from pyomo_quad.model.rigid_body import PLACE
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.airspace import Ball, KeepOut
@@ -52,47 +58,10 @@ _ROUNDING_M = 1e-3
 _TOUCHING_M = 5e-5
 
 
-def structure_of(scenario: Scenario) -> Hashable:
-    """Return a key that is equal for airspaces that can share one compiled model."""
-    told = scenario.airspace
-    zones = tuple(
-        (zone.name, tuple((ball.axes, ball.normal is None) for ball in zone.balls))
-        for zone in told.keep_out
-    )
-    edges = 0 if told.keep_in is None else len(told.keep_in.edges)
-    return told.floor is None, told.ceiling is None, edges, zones
-
-
+@parameters_in("airspace")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the airspace limits that the scenario sets, as parameters of the block."""
-    told = scenario.airspace
-    fields = type(told).model_fields
-    heights = tuple(
-        Parameter(name=name, units=units.m, value=_reader(name), doc=fields[name].description or "")
-        for name in ("floor", "ceiling")
-        if getattr(told, name) is not None
-    )
-    fence = () if told.keep_in is None else _fence_parameters(scenario)
-    return heights + fence + (_zone_parameters(scenario) if told.keep_out else ())
-
-
-def _fence_parameters(scenario: Scenario) -> tuple[Parameter, ...]:
-    return (
-        Parameter(
-            name="fence_normal",
-            units=units.dimensionless,
-            value=_fence_normals,
-            doc="outward direction across an edge of the fence",
-            index=tuple(_fence_normals(scenario)),
-        ),
-        Parameter(
-            name="fence_end",
-            units=units.m,
-            value=_fence_ends,
-            doc="how far out an edge of the fence lies",
-            index=tuple(_fence_ends(scenario)),
-        ),
-    )
+    """Return the parameters of floor, ceiling, fence and zones."""
+    return _OF_ALL + (_OF_ZONES if scenario.airspace.keep_out else ())
 
 
 def _fence_normals(scenario: Scenario) -> dict[tuple[int, str], float]:
@@ -109,57 +78,6 @@ def _fence_ends(scenario: Scenario) -> dict[int, float]:
     fence = scenario.airspace.keep_in
     edges = () if fence is None else fence.edges
     return {number: end for number, (_, end) in enumerate(edges, start=1)}
-
-
-def _reader(name: str) -> Callable[[Scenario], float]:
-    return lambda scenario: getattr(scenario.airspace, name)
-
-
-def _zone_parameters(scenario: Scenario) -> tuple[Parameter, ...]:
-    return (
-        Parameter(
-            name="clearance",
-            units=units.m,
-            value=_reader("clearance"),
-            doc="distance kept from every keep-out",
-        ),
-        Parameter(
-            name="edge_width",
-            units=units.m,
-            value=lambda _s: EDGE_WIDTH_M,
-            doc="width over which two faces of a zone are joined",
-        ),
-        Parameter(
-            name="rounding",
-            units=units.m,
-            value=lambda _s: _ROUNDING_M,
-            doc="where the distance from a centre is rounded",
-        ),
-        Parameter(
-            name="centre",
-            units=units.m,
-            value=_centres,
-            doc="centres of the balls that overlap in a zone",
-            index=tuple(_centres(scenario)),
-        ),
-        Parameter(
-            name="radius",
-            units=units.m,
-            value=_radii,
-            doc="radii of the balls that overlap in a zone",
-            index=tuple(_radii(scenario)),
-        ),
-        *_normal_parameter(scenario),
-    )
-
-
-def _normal_parameter(scenario: Scenario) -> tuple[Parameter, ...]:
-    index = tuple(_normals(scenario))
-    doc = "directions across the edges of polygons"
-    across = Parameter(
-        name="normal", units=units.dimensionless, value=_normals, doc=doc, index=index
-    )
-    return (across,) if index else ()
 
 
 def _normals(scenario: Scenario) -> dict[tuple[str, int, str], float]:
@@ -196,6 +114,53 @@ def _radii(scenario: Scenario) -> dict[tuple[str, int], float]:
     }
 
 
+_OF_ALL = (
+    *fields_of("airspace", "floor", "ceiling"),
+    Parameter(
+        name="fence_normal",
+        units=units.dimensionless,
+        value=_fence_normals,
+        doc="outward direction across an edge of the fence",
+    ),
+    Parameter(
+        name="fence_end",
+        units=units.m,
+        value=_fence_ends,
+        doc="distance of an edge of the fence along its normal",
+    ),
+)
+_OF_ZONES = (
+    *fields_of("airspace", "clearance"),
+    Parameter(
+        name="edge_width",
+        units=units.m,
+        value=lambda _s: EDGE_WIDTH_M,
+        doc="width over which two faces of a zone are blended",
+    ),
+    Parameter(
+        name="rounding",
+        units=units.m,
+        value=lambda _s: _ROUNDING_M,
+        doc="distance from a centre below which the distance is smoothed",
+    ),
+    Parameter(
+        name="centre",
+        units=units.m,
+        value=_centres,
+        doc="centres of the balls that overlap in a zone",
+    ),
+    Parameter(
+        name="radius", units=units.m, value=_radii, doc="radii of the balls that overlap in a zone"
+    ),
+    Parameter(
+        name="normal",
+        units=units.dimensionless,
+        value=_normals,
+        doc="directions across the edges of polygons",
+    ),
+)
+
+
 def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare floor, ceiling and keep-outs as path constraints in block `airspace`.
 
@@ -206,7 +171,7 @@ def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
     """
     _refuse_touching(scenario)
     b = m.airspace = Block(doc="airspace")
-    declare_parameters(b, parameters_of(scenario), scenario)
+    declare_parameters(b, scenario)
     if scenario.airspace.floor is not None:
 
         @b.Constraint(m.time, doc="least height [m]")

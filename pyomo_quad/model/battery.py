@@ -27,7 +27,13 @@ from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
 
-from pyomo_quad.model.parameters import DIP, Parameter, declare_parameters, saturated
+from pyomo_quad.model.parameters import (
+    DIP,
+    Parameter,
+    declare_parameters,
+    parameters_in,
+    saturated,
+)
 from pyomo_quad.scenario import Scenario
 
 CHARGE = units.A * units.hr
@@ -76,6 +82,8 @@ PARAMETERS = (
     ),
 )
 
+parameters_in("battery")(lambda _scenario: PARAMETERS)
+
 
 def may_lose_voltage(scenario: Scenario) -> bool:
     """Whether the pack's voltage, eq. (5), can vanish before the pack is empty."""
@@ -92,7 +100,7 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
         With `time`, `power` and `scaling_factor`.
     """
     b = m.battery = Block(doc="battery pack, eq. (4)-(5)")
-    declare_parameters(b, PARAMETERS, scenario)
+    declare_parameters(b, scenario)
     b.pack_capacity = Expression(expr=b.capacity * b.cells_parallel)
     b.pack_resistance = Expression(expr=b.cell_resistance * b.cells_series / b.cells_parallel)
     b.charge_drawn = Var(m.time, units=CHARGE, initialize=0.0, doc="charge drawn from full")

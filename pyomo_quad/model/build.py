@@ -1,6 +1,6 @@
 """The continuous model of a mission, from its declared parts or from the user's own builder."""
 
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -13,6 +13,7 @@ from pyomo_quad.model import (
     aerodynamics,
     airspace,
     battery,
+    homing,
     limits,
     mission,
     power,
@@ -21,7 +22,7 @@ from pyomo_quad.model import (
     vehicle,
     wind,
 )
-from pyomo_quad.model.parameters import Parameter, parameter_items
+from pyomo_quad.model.parameters import parameter_items, parameter_tables
 from pyomo_quad.model.rigid_body import declare_balances, declare_motion
 from pyomo_quad.scenario import Scenario, ScenarioError
 
@@ -70,9 +71,16 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        As `build_model`, with the shaping filters of block `wind.turbulence`, and with what a
-        forecast and a power model may err by, nought until it is known: ``wind.error`` by axis
+        As `build_model`, with the shaping filters of block `wind.turbulence`, and with the errors
+        of forecast and power model as mutable parameters, initially zero: ``wind.error`` by axis
         and ``power.error``.
+
+    Examples
+    --------
+    >>> gusty = scenario.replace({"wind": {"turbulence": {"intensity": "light"}}})
+    >>> m = build_in_turbulence(gusty)
+    >>> m.find_component("wind.turbulence").name
+    'wind.turbulence'
     """
     m = _vehicle_in_the_wind(scenario)
     turbulence.declare_turbulence(m, scenario)
@@ -98,6 +106,12 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
         As `build_model`, except for two differences: the states at the start are mutable parameters
         of block `start`, and there is the mutable acceleration `aerodynamics.unexplained`, zero
         until the vehicle has observed one.
+
+    Examples
+    --------
+    >>> m = build_remaining(scenario)
+    >>> m.find_component("aerodynamics.unexplained").name
+    'aerodynamics.unexplained'
     """
     m = _vehicle_in_the_wind(scenario)
     aerodynamics.declare_aerodynamics(m, scenario)
@@ -144,6 +158,7 @@ def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
     battery.declare_battery(m, scenario)
     limits.declare_limits(m, scenario)
     airspace.declare_airspace(m, scenario)
+    homing.declare_homing(m, scenario)
     mission.declare_mission(m, scenario)
     # A lambda, because Integral rewrites its rule's signature and cannot handle annotations.
     m.energy = Integral(m.time, wrt=m.time, rule=lambda m, t: m.power.total[t], doc="eq. (8) [J]")
@@ -154,22 +169,6 @@ def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
     mission.declare_duration(m, scenario)
     cost = m.energy + m.mission.price_of_time * m.duration
     m.objective = Objective(expr=cost, sense=minimize, doc=f"{doc}, and what its time costs [J]")
-
-
-def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
-    """Yield every table of parameters that the scenario's model declares."""
-    yield "vehicle", vehicle.parameters_of(scenario)
-    yield "wind", wind.parameters_of(scenario)
-    if scenario.wind.is_formula:
-        for axis, table in wind.AXIS_PARAMETERS.items():
-            yield f"wind.{axis}", table
-    yield "rotors", rotors.parameters_of(scenario)
-    yield "aerodynamics", aerodynamics.parameters_of(scenario)
-    yield "power", power.parameters_of(scenario)
-    yield "battery", battery.PARAMETERS
-    yield "limits", limits.parameters_of(scenario)
-    yield "airspace", airspace.parameters_of(scenario)
-    yield "mission", mission.parameters_of(scenario)
 
 
 def parameter_values(scenario: Scenario) -> dict[str, float]:
@@ -184,9 +183,14 @@ def parameter_values(scenario: Scenario) -> dict[str, float]:
     -------
     dict of str to float
         Full component name, as ``"wind.x.amplitudes[1]"``, to value in the declared unit.
+
+    Examples
+    --------
+    >>> parameter_values(scenario)["vehicle.gravity"]
+    9.81
     """
     return {
-        name: float(value)
+        name: value
         for block, table in parameter_tables(scenario)
         for name, value in parameter_items(block, table, scenario)
     }
@@ -204,6 +208,12 @@ def structure_key(scenario: Scenario) -> Hashable:
     -------
     hashable
         Equal for scenarios whose models differ only in parameter values and a fixed duration.
+
+    Examples
+    --------
+    >>> loaded = scenario.replace({"vehicle.payload": 0.1})
+    >>> structure_key(loaded) == structure_key(scenario)
+    True
     """
     series = scenario.wind.series
     *passages, end = scenario.nominal_times
@@ -211,23 +221,15 @@ def structure_key(scenario: Scenario) -> Hashable:
     longest = scenario.mission.duration_limits[1] if scenario.mission.is_free else None
     return (
         scenario.model,
-        tuple(row.name for row in vehicle.parameters_of(scenario)),
+        tuple(parameter_values(scenario)),
         scenario.vehicle.attitude,
+        scenario.vehicle.rotor_senses,
         scenario.power.model,
-        scenario.power.regeneration,
         scenario.wind.coupling,
         None if series is None else (series, scenario.wind.time_offset, longest),
         (scenario.wind.grid, scenario.wind.beyond),
-        tuple(row.name for row in wind.parameters_of(scenario)),
-        scenario.vehicle.has_own_rotors,
-        scenario.vehicle.rotor_senses,
-        tuple(row.name for row in aerodynamics.parameters_of(scenario)),
-        tuple(row.name for row in limits.parameters_of(scenario)),
         battery.may_lose_voltage(scenario),
-        airspace.structure_of(scenario),
-        scenario.keeps_yaw,
         (scenario.mission, tuple(t / end for t in passages)) if passages else None,
-        scenario.mission.is_free,
     )
 
 
@@ -255,6 +257,13 @@ def ask_for_least_time(m: ConcreteModel, bounds: tuple[float, float], guess: flo
     -------
     Var
         The duration, to pass to the engine as the end of the horizon.
+
+    Examples
+    --------
+    >>> m = build_model(scenario)
+    >>> duration = ask_for_least_time(m, bounds=(0.5, 10.0), guess=2.0)
+    >>> duration.name
+    'duration'
     """
     for objective in m.component_objects(Objective, active=True, descend_into=True):
         objective.deactivate()
@@ -286,6 +295,11 @@ def model_builder(scenario: Scenario, *, is_code_allowed: bool) -> Builder:
     ------
     ScenarioError
         If the scenario names a builder and code is not allowed, or it cannot be loaded.
+
+    Examples
+    --------
+    >>> model_builder(scenario, is_code_allowed=False) is build_model
+    True
     """
     if scenario.model is None:
         return build_model
@@ -303,8 +317,8 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
     ----------
     spec : str
         ``file.py:function``.
-    Folder to which a relative file name refers.
-        Where a relative file name starts.
+    base_folder : Path
+        Folder to which a relative file name refers.
 
     Returns
     -------
@@ -316,6 +330,13 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
     ScenarioError
         If there is no such file or function, or the file fails; and, raised by the returned
         function, if it returns no ConcreteModel.
+
+    Examples
+    --------
+    >>> code = "from pyomo_quad import build_model as build"
+    >>> characters = Path("own.py").write_text(code)
+    >>> load_builder("own.py:build", Path())(scenario).find_component("vehicle.mass").name
+    'vehicle.mass'
     """
     file_name, _, function_name = spec.rpartition(":")
     module = _run(spec, base_folder / file_name)

@@ -9,91 +9,51 @@ motor with lag accelerates its rotor by at most (rotor_speed_max - speed) / time
 declared only where they are not zero.
 """
 
-from collections.abc import Callable
-from functools import partial
+from dataclasses import replace
 
 from pyomo.core import Block, ConcreteModel, inequality, sqrt
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 
-from pyomo_quad.model.parameters import Parameter, declare_parameters
+from pyomo_quad.model.parameters import (
+    Parameter,
+    declare_parameters,
+    fields_of,
+    parameters_in,
+)
 from pyomo_quad.scenario import Scenario
 
 # The norm of the velocity is not differentiable at rest; smoothing changes it by 5e-7 at 1 m/s.
 _SPEED_SMOOTHING = 1e-3 * units.m / units.s
 
-_UNITS = {
-    "roll_max": units.rad,
-    "pitch_max": units.rad,
-    "rotor_speed_min": units.rad / units.s,
-    "rotor_speed_max": units.rad / units.s,
-    "rotor_acceleration_max": units.rad / units.s**2,
-    "thrust_max": units.N,
-    "roll_moment_max": units.N * units.m,
-    "pitch_moment_max": units.N * units.m,
-    "yaw_moment_max": units.N * units.m,
-    "speed_max": units.m / units.s,
-    "state_of_charge_min": units.percent,
-    "battery_current_max": units.A,
-    "battery_voltage_min": units.V,
-    "battery_power_share_max": units.dimensionless,
-}
-
-
-_RESERVE = Parameter(
-    name="reserve",
-    units=units.dimensionless,
-    value=lambda s: s.limits.reserve,
-    doc="share of rotor speed and thrust that plans leave to the controller",
+_BOUNDS = (
+    *fields_of("limits", "roll_max", "pitch_max"),
+    *fields_of("limits", "rotor_speed_min", "rotor_speed_max", "rotor_acceleration_max"),
+    *fields_of("limits", "thrust_max", "roll_moment_max", "pitch_moment_max", "yaw_moment_max"),
+    *fields_of("limits", "speed_max", "state_of_charge_min"),
+    *fields_of("limits", "battery_current_max", "battery_voltage_min", "battery_power_share_max"),
 )
-_MOTOR_LAG = Parameter(
-    name="motor_time_constant",
-    units=units.s,
-    value=lambda s: s.vehicle.motor_time_constant,
-    doc="lag of the motors",
-)
+# Declared where they are not zero.
+_RESERVE, _MOTOR_LAG = "reserve", "motor_time_constant"
+_OPTIONAL = (*fields_of("limits", _RESERVE), *fields_of("vehicle", _MOTOR_LAG))
 
 
 _VALIDATED = tuple(
-    Parameter(
-        name=f"validated_{name}",
-        units=units.m / units.s,
-        value=partial(lambda name, s: getattr(s.vehicle.validated, name) or 0.0, name),
-        doc=f"largest {words} that measurements confirm",
-    )
-    for name, words in (
-        ("airspeed", "airspeed"),
-        ("climb_speed", "speed of climb"),
-        ("descent_speed", "speed of descent"),
-    )
+    replace(row, name=f"validated_{row.name}")
+    for row in fields_of("vehicle.validated", "airspeed", "climb_speed", "descent_speed")
 )
 
 
-def _reader(name: str) -> Callable[[Scenario], float]:
-    return lambda scenario: getattr(scenario.limits, name)
-
-
+@parameters_in("limits")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the limits that the scenario sets, as parameters of block `limits`.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission; a limit of None is not declared.
-    """
-    fields = type(scenario.limits).model_fields
-    bounds = tuple(
-        Parameter(name=name, units=unit, value=_reader(name), doc=fields[name].description or name)
-        for name, unit in _UNITS.items()
-        if getattr(scenario.limits, name) is not None
-    )
+    """Return the limits that a scenario may set; a limit of None is not declared."""
     validated = _VALIDATED if scenario.limits.within_validated else ()
-    return (*bounds, *(row for row in (_RESERVE, _MOTOR_LAG, *validated) if row.value(scenario)))
+    return (*_BOUNDS, *(row for row in _OPTIONAL if row.value(scenario)), *validated)
 
 
 def without_reserve(numbers: dict[str, float] | None) -> dict[str, float] | None:
     """Return a model's numbers, if any, with the reserve set to zero, for the controller."""
-    reserve = f"limits.{_RESERVE.name}"
+    reserve = f"limits.{_RESERVE}"
     return numbers | {reserve: 0.0} if numbers is not None and reserve in numbers else numbers
 
 
@@ -106,7 +66,7 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
         With `time`, `rigid_body`, `rotors` and `battery`.
     """
     b = m.limits = Block(doc="limits, eq. (10)")
-    declare_parameters(b, parameters_of(scenario), scenario)
+    declare_parameters(b, scenario)
     _declare_attitude_limits(b, m)
     _declare_rotor_limits(b, m)
     _declare_thrust_limits(b, m)
@@ -120,8 +80,8 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _left(b: Block, most: NumericExpression) -> NumericExpression:
-    """Return the part of a largest value that the reserve leaves to plans."""
-    reserve = b.component(_RESERVE.name)
+    """Return the part of a limit that plans may use, less the reserve."""
+    reserve = b.component(_RESERVE)
     return most if reserve is None else (1 - reserve) * most
 
 
@@ -141,7 +101,7 @@ def _declare_motor_lag(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_validated_range(b: Block, m: ConcreteModel) -> None:
-    """Keep to the airspeeds, climbs and descents that measured flights confirm."""
+    """Declare limits at the airspeed, climb and descent that measured flights confirm."""
     if b.component("validated_airspeed") is not None:
 
         @b.Expression(m.time, doc="airspeed [m/s]")

@@ -5,6 +5,8 @@ the exact speed at which 4 kappa_b omega^2 = m g.
 """
 
 from collections.abc import Callable, Hashable, Mapping
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from pyomo.core import Block, ConcreteModel, Constraint, Param, Var, inequality, sqrt, value
@@ -12,11 +14,16 @@ from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
 
-from pyomo_quad.model.parameters import Parameter, declare_parameters
+from pyomo_quad.model.parameters import (
+    Parameter,
+    declare_parameters,
+    fields_of,
+    parameters_in,
+)
 from pyomo_quad.model.rigid_body import PLACE, STATES, turning
 from pyomo_quad.model.vehicle import mass_at
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.mission import Hover
+from pyomo_quad.scenario.mission import Hover, Waypoint
 
 _AXES = tuple(enumerate(PLACE[:3]))
 AT_REST = tuple(name for name in STATES if name not in PLACE)
@@ -56,12 +63,7 @@ _DURATION = (
         value=lambda scenario: scenario.mission.duration_limits[1],
         doc="greatest duration",
     ),
-    Parameter(
-        name="price_of_time",
-        units=units.W,
-        value=lambda scenario: scenario.mission.price_of_time,
-        doc="what a second costs beside the energy",
-    ),
+    *fields_of("mission", "price_of_time"),
 )
 
 
@@ -69,43 +71,32 @@ _TURNING = Parameter(
     name="turning_max",
     units=STATES["r"][0],
     value=lambda _: 0.0,
-    doc="largest rate of turn about the vertical, of a heading that is kept",
+    doc="largest yaw rate about the vertical of a constant heading",
 )
 
 
+def _passed(field: str, scenario: Scenario) -> dict[int, float]:
+    """Return a field of the waypoints that set it, by the number of the waypoint."""
+    default = Waypoint.model_fields[field].default
+    values = {k: getattr(w, field) for k, w in enumerate(scenario.mission.waypoints)}
+    return {k: number for k, number in values.items() if number != default}
+
+
+_PASSAGES = tuple(
+    replace(row, name=f"passing_{row.name}", value=partial(_passed, row.name))
+    for row in fields_of("mission.waypoints", "radius", "hold", "yaw", "speed_max", "at")
+)
+
+
+@parameters_in("mission")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the numbers of a scenario's mission, as parameters of block `mission`."""
-    table = _ENDS + (_DURATION if scenario.mission.is_free else ())
-    table += (_TURNING,) if scenario.keeps_yaw else ()
-    if not scenario.mission.waypoints:
-        return table
-    return table + tuple(filter(None, (_passage(scenario, *row) for row in _PASSAGES)))
+    duration = _DURATION if scenario.mission.is_free else ()
+    return (*_ENDS, *duration, *((_TURNING,) if scenario.keeps_yaw else ()), *_PASSAGES)
 
 
-# Field of a waypoint, its unit, its documentation, and the value that imposes nothing.
-_PASSAGES: tuple[tuple[str, object, str, float | None], ...] = (
-    ("radius", units.m, "passing within this distance is enough", 0.0),
-    ("hold", units.s, "time to hover there", 0.0),
-    ("yaw", units.rad, "heading there", None),
-    ("speed_max", units.m / units.s, "largest speed there", None),
-    ("at", units.s, "when it is passed", None),
-)
 # Largest distance from a place, and largest speed, at which a vehicle counts as hovering there.
 HOVERING_M, HOVERING_M_PER_S = 0.05, 0.1
-
-
-def _passage(
-    scenario: Scenario, field: str, unit: object, doc: str, nothing: float | None
-) -> Parameter | None:
-    """Return one field of the waypoints as a parameter, None if no waypoint sets it."""
-
-    def said(scenario: Scenario) -> dict[int, float]:
-        fields = {k: getattr(w, field) for k, w in enumerate(scenario.mission.waypoints)}
-        return {k: value for k, value in fields.items() if value != nothing}
-
-    which = tuple(said(scenario))
-    name = f"passing_{field}"
-    return Parameter(name=name, units=unit, value=said, doc=doc, index=which) if which else None
 
 
 def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
@@ -117,15 +108,16 @@ def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
         With `time`, `vehicle`, `rigid_body` and `rotors`.
     """
     b = m.mission = Block(doc="boundary conditions, section 3 of the paper")
-    declare_parameters(b, parameters_of(scenario), scenario)
+    declare_parameters(b, scenario)
 
     @b.Expression(doc="rotor speed at which the thrust balances the weight [rad/s]")
     def hover_speed(b: Block) -> NumericExpression:
         m = b.parent_block()
         return _hover_speed(m, m.vehicle.mass)
 
-    _declare_start(b, m)
-    _declare_goal(b, m)
+    end = m.time.last()
+    _declare_end(b, m, "start", m.time.first(), b.hover_speed)
+    _declare_end(b, m, "goal", end, _hover_speed(m, mass_at(m, end)))
     if scenario.keeps_yaw:
         _declare_kept_yaw(b, m)
     if scenario.mission.waypoints:
@@ -253,38 +245,27 @@ def declare_duration(m: ConcreteModel, scenario: Scenario) -> None:
     m.scaling_factor[m.duration] = 1.0 / nominal
 
 
-def _declare_start(b: Block, m: ConcreteModel) -> None:
-    @b.Constraint(PLACE, doc="x(t_0) = x_0: place and heading")
-    def start_place(b: Block, state: str) -> RelationalExpression:
-        m = b.parent_block()
-        return m.rigid_body.component(state)[m.time.first()] == b.component(f"start_{state}")
+def _declare_end(
+    b: Block, m: ConcreteModel, end: str, t: float, rotor_speed: NumericExpression
+) -> None:
+    """Declare hover at one end of the flight: place, heading, rest and rotor speed at time t."""
+    said = "x(t_0) = x_0" if end == "start" else "x(t_f) = x_f"
 
-    @b.Constraint(AT_REST, doc="x(t_0) = x_0: level and at rest")
-    def start_rest(b: Block, state: str) -> RelationalExpression:
-        m = b.parent_block()
-        return m.rigid_body.component(state)[m.time.first()] == 0
+    def place(b: Block, state: str) -> RelationalExpression:
+        return m.rigid_body.component(state)[t] == b.component(f"{end}_{state}")
 
-    @b.Constraint(m.rotors.rotor, doc="x(t_0) = x_0: rotor speed of hover [rad/s]")
-    def start_rotor_speed(b: Block, j: int) -> RelationalExpression:
-        m = b.parent_block()
-        return m.rotors.omega[j, m.time.first()] == b.hover_speed
+    def rest(_b: Block, state: str) -> RelationalExpression:
+        return m.rigid_body.component(state)[t] == 0
 
+    def hover(_b: Block, j: int) -> RelationalExpression:
+        return m.rotors.omega[j, t] == rotor_speed
 
-def _declare_goal(b: Block, m: ConcreteModel) -> None:
-    @b.Constraint(PLACE, doc="x(t_f) = x_f: place and heading")
-    def goal_place(b: Block, state: str) -> RelationalExpression:
-        m = b.parent_block()
-        return m.rigid_body.component(state)[m.time.last()] == b.component(f"goal_{state}")
-
-    @b.Constraint(AT_REST, doc="x(t_f) = x_f: level and at rest")
-    def goal_rest(b: Block, state: str) -> RelationalExpression:
-        m = b.parent_block()
-        return m.rigid_body.component(state)[m.time.last()] == 0
-
-    @b.Constraint(m.rotors.rotor, doc="x(t_f) = x_f: rotor speed of hover [rad/s]")
-    def goal_rotor_speed(b: Block, j: int) -> RelationalExpression:
-        m = b.parent_block()
-        return m.rotors.omega[j, m.time.last()] == _hover_speed(m, mass_at(m, m.time.last()))
+    for name, index, rule, doc in (
+        ("place", PLACE, place, "place and heading"),
+        ("rest", AT_REST, rest, "level and at rest"),
+        ("rotor_speed", m.rotors.rotor, hover, "rotor speed of hover [rad/s]"),
+    ):
+        b.add_component(f"{end}_{name}", Constraint(index, rule=rule, doc=f"{said}: {doc}"))
 
 
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
@@ -325,7 +306,7 @@ def start_where_measured(m: ConcreteModel) -> None:
 
 
 def _start_measured(b: Block, start: float, state: Var) -> None:
-    """Declare the measured value of a state, with its index without time, and the condition."""
+    """Declare the measured value of a state at the start, and the condition that it holds."""
     beside_time = [index[:-1] for index in state if isinstance(index, tuple) and index[-1] == start]
     sets = (beside_time,) if beside_time else ()
     measured = Param(

@@ -4,46 +4,99 @@ A number becomes a mutable Pyomo parameter with its unit. Replacements for `max`
 every equation is twice differentiable.
 """
 
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 from pyomo.core import Block, Param, sqrt, tanh
+from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression
 
 from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.messages import declared_place
 
-Value = float | Mapping[Any, float]
+Value = float | Mapping[Any, float] | None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
     """One declared parameter: its name in the block, its unit, and how to read it from a scenario.
 
-    `value` takes the scenario and returns a number, or a mapping when `index` is given.
+    `value` takes the scenario and returns a number, or a mapping from indices to numbers. Without
+    a value, that is with None or an empty mapping, the parameter is not declared.
     """
 
     name: str
     units: object
     value: Callable[[Scenario], Value]
     doc: str
-    index: tuple[Hashable, ...] = ()
 
 
-def declare_parameters(b: Block, table: tuple[Parameter, ...], scenario: Scenario) -> None:
-    """Add one mutable parameter to a block for each row of a table."""
-    for row in table:
-        sets = (list(row.index),) if row.index else ()
-        component = Param(
-            *sets, initialize=row.value(scenario), mutable=True, units=row.units, doc=row.doc
+Table = Callable[[Scenario], Iterable[Parameter]]
+# Name of a block -> the parameters that it declares for a scenario.
+_TABLES: dict[str, Table] = {}
+
+
+def fields_of(table: str, *names: str) -> tuple[Parameter, ...]:
+    """Return a parameter for each of some scenario fields, with the field's unit and meaning.
+
+    Parameters
+    ----------
+    table : str
+        Dotted path of the table that holds the fields, empty for the scenario itself.
+    """
+    rows = []
+    for name in names:
+        path = f"{table}.{name}".removeprefix(".")
+        holder, unit = declared_place(Scenario, path.split("."))
+        rows.append(
+            Parameter(
+                name=name,
+                units=units.dimensionless if unit == "1" else getattr(units, unit),
+                value=attrgetter(path),
+                doc=holder.model_fields[name].description or name,
+            )
         )
+    return tuple(rows)
+
+
+def parameters_in(block_name: str) -> Callable[[Table], Table]:
+    """Register a function as the table of parameters of the block with this full name."""
+
+    def register(table: Table) -> Table:
+        _TABLES[block_name] = table
+        return table
+
+    return register
+
+
+def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
+    """Yield the name of each block with parameters, and those that a scenario may declare in it."""
+    for block_name, table in _TABLES.items():
+        yield block_name, tuple(table(scenario))
+
+
+def declare_parameters(b: Block, scenario: Scenario) -> None:
+    """Add the mutable parameters to a block that are registered under its name."""
+    add_parameters(b, _TABLES[b.name](scenario), scenario)
+
+
+def add_parameters(b: Block, table: Iterable[Parameter], scenario: Scenario) -> None:
+    """Add one mutable parameter to a block for each row of a table that has a value."""
+    for row in table:
+        value = row.value(scenario)
+        if value is None or value == {}:
+            continue
+        sets = (list(value),) if isinstance(value, Mapping) else ()
+        component = Param(*sets, initialize=value, mutable=True, units=row.units, doc=row.doc)
         b.add_component(row.name, component)
 
 
 def parameter_items(
-    block_name: str, table: tuple[Parameter, ...], scenario: Scenario
+    block_name: str, table: Iterable[Parameter], scenario: Scenario
 ) -> Iterator[tuple[str, float]]:
-    """Yield the full component name and the value of every number in a table.
+    """Yield the full component name and the value of every declared number in a table.
 
     Parameters
     ----------
@@ -60,9 +113,9 @@ def parameter_items(
         if isinstance(value, Mapping):
             for index, number in value.items():
                 place = ",".join(map(str, index)) if isinstance(index, tuple) else str(index)
-                yield f"{block_name}.{row.name}[{place}]", number
-        else:
-            yield f"{block_name}.{row.name}", value
+                yield f"{block_name}.{row.name}[{place}]", float(number)
+        elif value is not None:
+            yield f"{block_name}.{row.name}", float(value)
 
 
 def positive_part(value: NumericExpression, width: NumericExpression) -> NumericExpression:

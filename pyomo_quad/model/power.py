@@ -56,13 +56,20 @@ was left out.
 """
 
 from collections.abc import Callable
-from math import nan, pi
+from math import pi
 
 from pyomo.core import Block, ConcreteModel, Expression, Param, Var, sqrt, value
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 
-from pyomo_quad.model.parameters import Parameter, declare_parameters, floored, positive_part
+from pyomo_quad.model.parameters import (
+    Parameter,
+    declare_parameters,
+    fields_of,
+    floored,
+    parameters_in,
+    positive_part,
+)
 from pyomo_quad.model.rigid_body import thrust_axis
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import PowerModel
@@ -78,19 +85,6 @@ EFFICIENCY_FLOOR_WIDTH = 1e-3
 # Widths of the smoothed corner at zero power, tried in turn down to the requested width.
 _WIDER_SMOOTHINGS_W = (10.0, 3.0, 1.0, 0.3)
 
-_SMOOTHING = Parameter(
-    name="smoothing",
-    units=units.W,
-    value=lambda s: s.power.smoothing,
-    doc="width of the smooth floor at zero power",
-)
-_CONSTANT_EFFICIENCY = Parameter(
-    name="efficiency",
-    units=units.dimensionless,
-    value=lambda s: s.power.efficiency,
-    doc="shaft power over electrical power",
-)
-
 
 def _efficiency_map(scenario: Scenario) -> dict[tuple[str, str], float]:
     rows = scenario.vehicle.efficiency_map  # given, or no scenario under this model is loaded
@@ -101,46 +95,34 @@ def _efficiency_map(scenario: Scenario) -> dict[tuple[str, str], float]:
     }
 
 
-_EFFICIENCY_FUNCTION = (
-    Parameter(
-        name="efficiency_map",
-        units=units.dimensionless,
-        value=_efficiency_map,
-        doc="f_r: rows are powers of the torque in N m, columns of the speed in rad/s",
-        index=tuple((row, column) for row in _ROWS for column in _COLUMNS),
-    ),
-    Parameter(
-        name="torque_floor",
-        units=_TORQUE,
-        value=lambda s: s.power.torque_floor,
-        doc="smallest torque at which f_r is used",
-    ),
-    Parameter(
-        name="efficiency_floor",
-        units=units.dimensionless,
-        value=lambda s: s.power.efficiency_floor,
-        doc="smallest f_r used",
-    ),
+_EFFICIENCY_MAP = Parameter(
+    name="efficiency_map",
+    units=units.dimensionless,
+    value=_efficiency_map,
+    doc="f_r: rows are powers of the torque in N m, columns of the speed in rad/s",
 )
+_NUMBERS: dict[PowerModel, tuple[Parameter, ...]] = {
+    PowerModel.CONSTANT_EFFICIENCY: fields_of("power", "efficiency"),
+    PowerModel.EFFICIENCY: (
+        _EFFICIENCY_MAP,
+        *fields_of("power", "torque_floor", "efficiency_floor"),
+    ),
+    PowerModel.MOMENTUM: (
+        *fields_of("vehicle", "rotor_radius"),
+        *fields_of("power", "air_density"),
+        *fields_of("vehicle", "induced_power_factor"),
+        *fields_of("vehicle", "profile_power_coefficient", "profile_advance_factor"),
+        *fields_of("vehicle", "climb_power_factor", "descent_power_factor", "electronics_power"),
+    ),
+}
+_SMOOTHING = "smoothing"
 
 
+@parameters_in("power")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters that the scenario's power model declares in block `power`.
-
-    Returns
-    -------
-    tuple of Parameter
-        Empty for the regenerating models that need the vehicle's parameters only.
-    """
-    guard = () if scenario.power.regeneration else (_SMOOTHING,)
-    match scenario.power.model:
-        case PowerModel.EFFICIENCY:
-            return _EFFICIENCY_FUNCTION + guard
-        case PowerModel.CONSTANT_EFFICIENCY:
-            return (_CONSTANT_EFFICIENCY, *guard)
-        case PowerModel.MOMENTUM:
-            return _MOMENTUM + guard
-    return guard
+    """Return the parameters that the scenario's power model declares in block `power`."""
+    guard = () if scenario.power.regeneration else fields_of("power", _SMOOTHING)
+    return (*_NUMBERS.get(scenario.power.model, ()), *guard)
 
 
 def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
@@ -151,10 +133,10 @@ def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
     tuple of mapping
         Full component name to value [W]; empty if the power has no corner.
     """
-    if _SMOOTHING not in parameters_of(scenario):
+    if scenario.power.regeneration:
         return ()
     own = scenario.power.smoothing
-    return tuple({f"power.{_SMOOTHING.name}": w} for w in _WIDER_SMOOTHINGS_W if w > 2.0 * own)
+    return tuple({f"power.{_SMOOTHING}": w} for w in _WIDER_SMOOTHINGS_W if w > 2.0 * own)
 
 
 def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
@@ -166,7 +148,7 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
         With `time`, `vehicle` and `rotors`; for `momentum`, also the airspeeds.
     """
     b = m.power = Block(doc="power, eq. (8)")
-    declare_parameters(b, parameters_of(scenario), scenario)
+    declare_parameters(b, scenario)
     if scenario.power.regeneration:
         _MODELS[scenario.power.model](m, "rotor_power")
     else:
@@ -182,7 +164,7 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def declare_error(m: ConcreteModel) -> None:
-    """Let the power differ from the model's by a share, the mutable `power.error`.
+    """Multiply the modelled power by 1 + `power.error`, a mutable relative error.
 
     Parameters
     ----------
@@ -190,7 +172,7 @@ def declare_error(m: ConcreteModel) -> None:
         With `power`, whose total nothing refers to yet.
     """
     b = m.power
-    b.error = Param(initialize=0.0, mutable=True, doc="share by which the power differs")
+    b.error = Param(initialize=0.0, mutable=True, doc="relative error of the modelled power")
     modelled = b.total
     b.del_component(modelled)
     b.modelled_total = modelled
@@ -198,6 +180,21 @@ def declare_error(m: ConcreteModel) -> None:
     @b.Expression(m.time, doc="eq. (8): power of the four rotors, with its error [W]")
     def total(b: Block, t: float) -> NumericExpression:
         return (1 + b.error) * b.modelled_total[t]
+
+
+_RotorRule = Callable[[Block, int, float], NumericExpression]
+
+
+def _power_of_each_rotor(
+    m: ConcreteModel, name: str, *, doc: str
+) -> Callable[[_RotorRule], _RotorRule]:
+    """Declare the decorated function in block `power` as an expression over rotors and time."""
+
+    def declare(rule: _RotorRule) -> _RotorRule:
+        m.power.add_component(name, Expression(m.rotors.rotor, m.time, rule=rule, doc=doc))
+        return rule
+
+    return declare
 
 
 def declare_motor_power(m: ConcreteModel, name: str) -> None:
@@ -213,19 +210,10 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
     def terminal_voltage(b: Block, j: int, t: float) -> NumericExpression:
         return b.parent_block().rotors.motor_voltage[j, t]
 
+    @_power_of_each_rotor(m, name, doc="eq. (2)-(3): electrical power v i [W]")
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
         return rotors.motor_voltage[j, t] * rotors.motor_current[j, t]
-
-    b.add_component(
-        name,
-        Expression(
-            m.rotors.rotor,
-            m.time,
-            rule=electrical_power,
-            doc="eq. (2)-(3): electrical power v i [W]",
-        ),
-    )
 
 
 def declare_shaft_power(m: ConcreteModel, name: str) -> None:
@@ -235,21 +223,11 @@ def declare_shaft_power(m: ConcreteModel, name: str) -> None:
     braking returns all its power. Linear in alpha, so alpha needs its bound; convex in thrust
     (power 3/2).
     """
-    b = m.power
 
+    @_power_of_each_rotor(m, name, doc="eq. (8) with f_r = 1: shaft power [W]")
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
         return rotors.motor_torque[j, t] * rotors.omega[j, t]
-
-    b.add_component(
-        name,
-        Expression(
-            m.rotors.rotor,
-            m.time,
-            rule=electrical_power,
-            doc="eq. (8) with f_r = 1: shaft power [W]",
-        ),
-    )
 
 
 def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
@@ -258,18 +236,11 @@ def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
     Valid near the operating point at which the efficiency was measured. Convex in alpha and in
     thrust. Non-negative unless regeneration is enabled.
     """
-    b = m.power
 
+    @_power_of_each_rotor(m, name, doc="eq. (8) with constant f_r [W]")
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
         return rotors.motor_torque[j, t] * rotors.omega[j, t] / b.efficiency
-
-    b.add_component(
-        name,
-        Expression(
-            m.rotors.rotor, m.time, rule=electrical_power, doc="eq. (8) with constant f_r [W]"
-        ),
-    )
 
 
 def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
@@ -304,16 +275,10 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     def drive_efficiency(b: Block, j: int, t: float) -> NumericExpression:
         return floored(b.efficiency_polynomial[j, t], b.efficiency_floor, EFFICIENCY_FLOOR_WIDTH)
 
+    @_power_of_each_rotor(m, name, doc="eq. (8): shaft power over f_r [W]")
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
         return rotors.motor_torque[j, t] * rotors.omega[j, t] / b.drive_efficiency[j, t]
-
-    b.add_component(
-        name,
-        Expression(
-            m.rotors.rotor, m.time, rule=electrical_power, doc="eq. (8): shaft power over f_r [W]"
-        ),
-    )
 
 
 def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
@@ -342,15 +307,9 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
         electromotive_force = m.rotors.omega[j, t] / m.vehicle.voltage_constant
         return resistive_drop + electromotive_force
 
+    @_power_of_each_rotor(m, name, doc="electrical power with friction [W]")
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         return b.terminal_voltage[j, t] * b.current_with_friction[j, t]
-
-    b.add_component(
-        name,
-        Expression(
-            m.rotors.rotor, m.time, rule=electrical_power, doc="electrical power with friction [W]"
-        ),
-    )
 
 
 def _declare_floor(m: ConcreteModel) -> None:
@@ -370,64 +329,6 @@ _AXIAL_WIDTH = 0.5 * _VELOCITY
 WAKE_FACTOR = 1 / 7.67
 # Upper bound on the induced velocity in the solver, relative to that of hover.
 _FASTEST_INDUCED = 20.0
-
-
-def _rotor_radius(scenario: Scenario) -> float:
-    """Return the rotor radius; loading a scenario with this model requires one."""
-    radius = scenario.vehicle.rotor_radius
-    return nan if radius is None else radius
-
-
-_MOMENTUM = (
-    Parameter(
-        name="rotor_radius",
-        units=units.m,
-        value=_rotor_radius,
-        doc="R: radius of one rotor",
-    ),
-    Parameter(
-        name="air_density",
-        units=units.kg / units.m**3,
-        value=lambda s: s.power.air_density,
-        doc="rho: density of the air",
-    ),
-    Parameter(
-        name="induced_power_factor",
-        units=units.dimensionless,
-        value=lambda s: s.vehicle.induced_power_factor,
-        doc="k_i: induced power over that of an ideal rotor",
-    ),
-    Parameter(
-        name="profile_power_coefficient",
-        units=units.dimensionless,
-        value=lambda s: s.vehicle.profile_power_coefficient,
-        doc="c_0: profile power over T^(3/2) / sqrt(rho A)",
-    ),
-    Parameter(
-        name="profile_advance_factor",
-        units=units.dimensionless,
-        value=lambda s: s.vehicle.profile_advance_factor,
-        doc="K: growth of profile power with the square of the advance ratio",
-    ),
-    Parameter(
-        name="climb_power_factor",
-        units=units.dimensionless,
-        value=lambda s: s.vehicle.climb_power_factor,
-        doc="k_c: power over thrust times axial airspeed, in climb",
-    ),
-    Parameter(
-        name="descent_power_factor",
-        units=units.dimensionless,
-        value=lambda s: s.vehicle.descent_power_factor,
-        doc="k_d: power over thrust times axial airspeed, in descent",
-    ),
-    Parameter(
-        name="electronics_power",
-        units=units.W,
-        value=lambda s: s.vehicle.electronics_power,
-        doc="P_e: power of all but the motors",
-    ),
-)
 
 
 def declare_momentum_power(m: ConcreteModel, name: str) -> None:
@@ -457,21 +358,12 @@ def declare_momentum_power(m: ConcreteModel, name: str) -> None:
         copper_loss = vehicle.motor_resistance * (torque / vehicle.torque_constant) ** 2
         return torque * rotors.omega[j, t] + copper_loss
 
+    @_power_of_each_rotor(m, name, doc="induced, profile, axial and acceleration power [W]")
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         thrust = b.rotor_thrust[j, t]
         induced = b.induced_power_factor * thrust * b.induced_velocity[t]
         axial = thrust * b.axial_power_over_thrust[t]
         return induced + b.profile_power[j, t] + axial + b.acceleration_power[j, t]
-
-    b.add_component(
-        name,
-        Expression(
-            m.rotors.rotor,
-            m.time,
-            rule=electrical_power,
-            doc="induced, profile, axial and acceleration power [W]",
-        ),
-    )
 
 
 def _declare_airspeeds(b: Block, m: ConcreteModel) -> None:
@@ -498,7 +390,7 @@ def _declare_induced_velocity(b: Block, m: ConcreteModel) -> None:
         initialize=_FASTEST_INDUCED * in_hover,
         mutable=True,
         units=_VELOCITY,
-        doc="largest v_i that the solver looks at",
+        doc="upper bound of v_i in the solver",
     )
     b.induced_velocity = Var(
         m.time,

@@ -7,7 +7,7 @@ from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
 
-from pyomo_quad.model.parameters import Parameter, declare_parameters
+from pyomo_quad.model.parameters import Parameter, declare_parameters, parameters_in
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.vehicle import Attitude
 
@@ -23,29 +23,27 @@ def _by_rotor(
     return lambda scenario: dict(zip(_numbers(scenario), read(scenario), strict=True))
 
 
+@parameters_in("rotors")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the places and directions of rotation of rotors in a general layout."""
-    vehicle, numbers = scenario.vehicle, _numbers(scenario)
+    vehicle = scenario.vehicle
     ahead = Parameter(
         name="ahead",
         units=units.m,
         value=_by_rotor(lambda s: (x for x, _ in s.vehicle.rotor_places)),
         doc="X: place of a rotor along body x",
-        index=numbers,
     )
     aside = Parameter(
         name="aside",
         units=units.m,
         value=_by_rotor(lambda s: (y for _, y in s.vehicle.rotor_places)),
         doc="Y: place of a rotor along body y",
-        index=numbers,
     )
     sense = Parameter(
         name="sense",
         units=units.dimensionless,
         value=_by_rotor(lambda s: s.vehicle.rotor_senses),
         doc="s: where the drag of a rotor turns the body",
-        index=numbers,
     )
     has_places = vehicle.has_own_rotors or vehicle.has_rotor_forces
     return (*((ahead, aside) if has_places else ()), *((sense,) if vehicle.has_own_rotors else ()))
@@ -96,7 +94,7 @@ def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
     b = m.rotors = Block(doc="rotors, eq. (7) and (9)")
     b.rotor = Set(initialize=_numbers(scenario), doc="rotors as the paper numbers them")
     _declare_speeds(b, m, scenario)
-    declare_parameters(b, parameters_of(scenario), scenario)
+    declare_parameters(b, scenario)
     if scenario.vehicle.has_own_rotors:
         _declare_mixer_of_places(b, m)
     else:

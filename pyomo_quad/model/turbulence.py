@@ -41,7 +41,7 @@ from pyomo.dae import DerivativeVar
 from pyomo_quad.collocation import Steps
 from pyomo_quad.model.parameters import (
     Parameter,
-    declare_parameters,
+    add_parameters,
     floored,
     parameter_items,
 )
@@ -79,7 +79,7 @@ LONG_RUN_FACTOR[1:3, 1:3] = LONG_RUN_FACTOR[3:5, 3:5] = _LAGGING
 
 
 def mean_wind(wind: Wind) -> FloatArray:
-    """Return the mean of the horizontal wind as it is given, x and y [m/s]."""
+    """Return the given mean of the horizontal wind, x and y [m/s]."""
     if wind.series is not None:
         return np.array([np.mean(wind.series.wind_x), np.mean(wind.series.wind_y)])
     steady = wind.speed * np.array([np.cos(wind.direction), np.sin(wind.direction)])
@@ -105,7 +105,7 @@ PARAMETERS = (
         name="direction",
         units=units.rad,
         value=_mean_direction,
-        doc="of the mission's mean relative wind, from x counter-clockwise",
+        doc="direction of the mission's mean relative wind, counter-clockwise from x",
     ),
 )
 
@@ -164,7 +164,7 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
         With `time`, `rigid_body` and the mean wind of `wind`, to which no component refers yet.
     """
     b = m.wind.turbulence = Block(doc="turbulence, MIL-F-8785C at low altitude")
-    declare_parameters(b, PARAMETERS, scenario)
+    add_parameters(b, PARAMETERS, scenario)
     m.wind.error = Param(
         _WORLD[:2], initialize=0.0, mutable=True, units=_SPEED, doc="error of the forecast"
     )

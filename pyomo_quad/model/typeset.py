@@ -14,13 +14,19 @@ from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 
 from pyomo_quad.model.wind import HARMONICS
 
+
+def _along(axes: str, **symbols: str) -> dict[str, str]:
+    """Return the symbols of the components of vectors: each name and symbol with its axis."""
+    return {
+        f"{name}_{axis}": f"{symbol}_{axis}" for name, symbol in symbols.items() for axis in axes
+    }
+
+
 _VEHICLE = {
     "mass": "m",
     "gravity": "g",
     "arm_length": "l",
-    "Ix": "I_x",
-    "Iy": "I_y",
-    "Iz": "I_z",
+    **{f"I{axis}": f"I_{axis}" for axis in "xyz"},
     "thrust_coefficient": r"\kappa_b",
     "drag_torque_coefficient": r"\kappa",
     "rotor_inertia": "I_r",
@@ -34,9 +40,7 @@ _VEHICLE = {
 }
 _RIGID_BODY = {
     **{name: name for name in "xyzpqr"},
-    "vx": "v_x",
-    "vy": "v_y",
-    "vz": "v_z",
+    **{f"v{axis}": f"v_{axis}" for axis in "xyz"},
     "phi": r"\phi",
     "theta": r"\theta",
     "psi": r"\psi",
@@ -60,37 +64,17 @@ _ROTORS = {
 }
 _AERODYNAMICS = {
     "acceleration_coefficient": "c_W",
-    "force_x": "F_x",
-    "force_y": "F_y",
-    "force_z": "F_z",
-    "airspeed_x": "v^{air}_x",
-    "airspeed_y": "v^{air}_y",
-    "airspeed_z": "v^{air}_z",
+    **_along("xyz", force="F", airspeed="v^{air}"),
     "drag_coefficient": "d",
-    "body_airspeed_x": "v^{body}_x",
-    "body_airspeed_y": "v^{body}_y",
-    "body_airspeed_z": "v^{body}_z",
-    "rotor_airspeed_x": "v^{rotor}_x",
-    "rotor_airspeed_y": "v^{rotor}_y",
-    "rotor_airspeed_z": "v^{rotor}_z",
-    "rotor_force_x": "F^{rotor}_x",
-    "rotor_force_y": "F^{rotor}_y",
-    "rotor_force_z": "F^{rotor}_z",
-    "body_force_x": "F^{body}_x",
-    "body_force_y": "F^{body}_y",
-    "body_force_z": "F^{body}_z",
-    "airframe_force_x": "F^{frame}_x",
-    "airframe_force_y": "F^{frame}_y",
-    "airframe_force_z": "F^{frame}_z",
+    **_along("xyz", body_airspeed="v^{body}", rotor_airspeed="v^{rotor}"),
+    **_along("xyz", rotor_force="F^{rotor}", body_force="F^{body}", airframe_force="F^{frame}"),
     "roll_moment": "M_x",
     "pitch_moment": "M_y",
     "yaw_moment": "M_z",
     "rotor_drag_plane": "k_d",
     "rotor_drag_axis": "k_z",
     "translational_lift": "k_h",
-    "parasitic_drag[x]": "c_x",
-    "parasitic_drag[y]": "c_y",
-    "parasitic_drag[z]": "c_z",
+    **{f"parasitic_drag[{axis}]": f"c_{axis}" for axis in "xyz"},
 }
 _POWER_SYMBOL = {
     "rotor_power": "P",
@@ -179,6 +163,18 @@ _AIRSPACE = {
     "rounding": r"\varepsilon_r",
     "edge_width": "w",
 }
+_HOMING = {
+    **{f"home_{axis}": f"{axis}_{{home}}" for axis in "xyz"},
+    "way": "d",
+    "tail_wind": r"w_{\parallel}",
+    "ground_speed": "g",
+    "airspeed": "V",
+    "current": "i",
+    "margin": r"\mu",
+    "usable_charge": r"\kappa",
+    "charge_to": "q",
+    "charge_home": "q_{home}",
+}
 
 
 def _wind_axis(axis: str) -> dict[str, str]:
@@ -201,10 +197,8 @@ _BLOCKS = {
     "wind.x": _wind_axis("x"),
     "wind.y": _wind_axis("y"),
     "wind": {
-        "velocity_x": "v^{wind}_x",
-        "velocity_y": "v^{wind}_y",
+        **_along("xyz", velocity="v^{wind}"),
         "wind_time": r"t_w",
-        "velocity_z": "v^{wind}_z",
         "time_offset": "t_0",
         "vertical": "w_0",
         "height_above": r"\Delta h",
@@ -218,14 +212,14 @@ _BLOCKS = {
         "shape": "B",
         "exponent": "a",
         "roughness": "z_0",
-        "measured_x": r"\tilde v^{wind}_x",
-        "measured_y": r"\tilde v^{wind}_y",
+        **_along("xy", measured=r"\tilde v^{wind}"),
     },
     "aerodynamics": _AERODYNAMICS,
     "power": _POWER_SYMBOL,
     "battery": _BATTERY,
     "limits": _LIMITS,
     "airspace": _AIRSPACE,
+    "homing": _HOMING,
 }
 
 # Full component name (with index where the symbol depends on it) to its symbol.
@@ -321,7 +315,7 @@ def _time_of(index: Hashable) -> Hashable:
 
 
 class _Writer:
-    """Writes Pyomo expressions as LaTeX; with a free index, the first rotor is called j."""
+    """Writes Pyomo expressions as LaTeX; with a free index, the first rotor is written as j."""
 
     def __init__(self, *, has_free_index: bool) -> None:
         self._has_free_index = has_free_index

@@ -40,10 +40,15 @@ from pyomo.core.base.units_container import UnitsError, units
 from pyomo.core.expr import NumericExpression
 
 from pyomo_quad.collocation import Table
-from pyomo_quad.model.parameters import Parameter, declare_parameters
+from pyomo_quad.model.parameters import (
+    Parameter,
+    declare_parameters,
+    fields_of,
+    parameters_in,
+)
 from pyomo_quad.model.wind_field import COMPONENTS, FIELD_UNIT, declare_field, smooth_positive
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.wind import FrequencyUnit, WindAxis, WindLaw, WindProfile, WindSeries
+from pyomo_quad.scenario.wind import FrequencyUnit, Wind, WindAxis, WindLaw, WindSeries
 
 FloatArray = NDArray[np.float64]
 
@@ -56,77 +61,58 @@ _LEAST_HEIGHT_M = 0.1
 # Range of height over which the constant wind below blends into the law.
 HEIGHT_SMOOTHING = 0.1 * units.m
 
-PARAMETERS = (
-    Parameter(
-        name="time_offset",
-        units=units.s,
-        value=lambda s: s.wind.time_offset,
-        doc="wind time at the start of the flight",
-    ),
-)
-_VERTICAL = Parameter(
-    name="vertical", units=_SPEED, value=lambda s: s.wind.vertical, doc="w_0: steady wind upwards"
-)
+_TIME_OFFSET = fields_of("wind", "time_offset")
+_VERTICAL = fields_of("wind", "vertical")
 _MEASURED = Parameter(
     name="measured_unit",
     units=_SPEED,
     value=lambda _s: 1.0,
-    doc="speed that a wind measured over time is counted in",
+    doc="unit of the speeds of a wind measured over time",
+)
+_LEAST_HEIGHT = Parameter(
+    name="least_height",
+    units=units.m,
+    value=lambda s: _least_height(s.wind),
+    doc="h_0: height below which the wind is constant",
+)
+_GREATEST_HEIGHT = Parameter(
+    name="greatest_height",
+    units=units.m,
+    value=lambda s: _measured_heights(s.wind)[-1],
+    doc="h_1: height above which the wind is constant",
+)
+_PROFILE = (
+    *fields_of("wind.profile", "reference_height"),
+    _LEAST_HEIGHT,
+    *fields_of("wind.profile", "roughness", "exponent"),
 )
 
 
-def _profile_parameters(profile: WindProfile) -> tuple[Parameter, ...]:
-    """Return the heights of a profile and the number of its law."""
-    roughness, exponent = profile.roughness, profile.exponent
-    numbers = (
-        (
-            "reference_height",
-            units.m,
-            profile.reference_height,
-            "h_r: height at which the wind is as given",
-        ),
-        (
-            "least_height",
-            units.m,
-            max(_LEAST_HEIGHT_M, roughness or 0.0),
-            "h_0: height below which the wind changes no more",
-        ),
-        ("roughness", units.m, roughness, "z_0: height at which the logarithmic law has no wind"),
-        ("exponent", units.dimensionless, exponent, "exponent of the power law"),
-    )
-    return tuple(
-        Parameter(name=name, units=unit, value=partial(_given, number), doc=doc)
-        for name, unit, number, doc in numbers
-        if number is not None
-    )
+def _measured_heights(wind: Wind) -> tuple[float, ...]:
+    return () if wind.series is None else wind.series.heights
 
 
-def _given(number: float, _scenario: Scenario) -> float:
-    return number
+def _least_height(wind: Wind) -> float:
+    """Return the lowest measured height, or the lowest height at which the law of a profile holds.
+
+    The logarithmic law has no wind at the roughness and below.
+    """
+    if wind.profile is not None:
+        return max(_LEAST_HEIGHT_M, wind.profile.roughness or 0.0)
+    return _measured_heights(wind)[0]
 
 
+@parameters_in("wind")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters that the scenario's model declares in block `wind` itself."""
+    """Return the parameters that the scenario's model declares directly in block `wind`."""
     wind = scenario.wind
     return (
         *(() if wind.grid is None else (FIELD_UNIT,)),
-        *(PARAMETERS if wind.series is None else ()),
-        *((_VERTICAL,) if wind.vertical else ()),
-        *(() if wind.profile is None else _profile_parameters(wind.profile)),
+        *(_TIME_OFFSET if wind.series is None else ()),
+        *(_VERTICAL if wind.vertical else ()),
+        *(() if wind.profile is None else _PROFILE),
         *((_MEASURED,) if wind.series is not None and wind.series.times else ()),
-        *(() if wind.series is None else _measured_heights(wind.series)),
-    )
-
-
-def _measured_heights(series: WindSeries) -> tuple[Parameter, ...]:
-    """Return the lowest and the highest height of a measured wind, if it has heights."""
-    ends = (
-        ("least_height", 0, "h_0: height below which the wind changes no more"),
-        ("greatest_height", -1, "h_1: height above which the wind changes no more"),
-    )
-    return tuple(
-        Parameter(name=name, units=units.m, value=partial(_given, series.heights[end]), doc=doc)
-        for name, end, doc in (ends if series.heights else ())
+        *((_LEAST_HEIGHT, _GREATEST_HEIGHT) if _measured_heights(wind) else ()),
     )
 
 
@@ -147,39 +133,30 @@ def _angular_frequencies(scenario: Scenario, name: str) -> dict[int, float]:
     return {k: factor * frequencies[k - 1] for k in HARMONICS}
 
 
-def _axis_parameters(name: str) -> tuple[Parameter, ...]:
-    return (
+def _axis_parameters(name: str, scenario: Scenario) -> tuple[Parameter, ...]:
+    """Return the numbers of eq. (11)-(12) along one axis, none for a wind from a file."""
+    of_axis = (
         Parameter(name="mean", units=_SPEED, value=lambda s: _mean(s, name), doc="v_0: mean value"),
         Parameter(
             name="amplitudes",
             units=_SPEED,
-            value=lambda s: {k: _axis(s, name).amplitudes[k - 1] for k in HARMONICS},
+            value=lambda s: dict(zip(HARMONICS, _axis(s, name).amplitudes, strict=True)),
             doc="A_k: amplitudes of the harmonics",
-            index=HARMONICS,
         ),
         Parameter(
             name="frequencies",
             units=units.rad / units.s,
             value=lambda s: _angular_frequencies(s, name),
             doc="Omega_k: frequencies of the harmonics",
-            index=HARMONICS,
         ),
-        Parameter(
-            name="gust_amplitude",
-            units=_SPEED,
-            value=lambda s: _axis(s, name).gust_amplitude,
-            doc="v_gmax: gust amplitude",
-        ),
-        Parameter(
-            name="gust_period",
-            units=units.s,
-            value=lambda s: _axis(s, name).gust_period,
-            doc="T_g: gust period",
-        ),
+        *fields_of(f"wind.{name}", "gust_amplitude", "gust_period"),
     )
+    return of_axis if scenario.wind.is_formula else ()
 
 
-AXIS_PARAMETERS = {name: _axis_parameters(name) for name in ("x", "y")}
+_HORIZONTAL = ("x", "y")
+for _name in _HORIZONTAL:
+    parameters_in(f"wind.{_name}")(partial(_axis_parameters, _name))
 
 
 def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
@@ -191,8 +168,8 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
         With `time`, `clock` and an empty `wind`; the height of `rigid_body` for a profile.
     """
     b, wind = m.wind, scenario.wind
-    declare_parameters(b, parameters_of(scenario), scenario)
-    if wind.profile is not None or (wind.series is not None and wind.series.heights):
+    declare_parameters(b, scenario)
+    if wind.profile is not None or _measured_heights(wind):
         _declare_height(b, m)
     if wind.profile is not None:
         _declare_profile(b, m, wind.profile.law)
@@ -289,10 +266,10 @@ def _is_speed(parameter: Param) -> bool:
 
 def _declare_formula(m: ConcreteModel, scenario: Scenario) -> None:
     b = m.wind
-    for name, table in AXIS_PARAMETERS.items():
+    for name in _HORIZONTAL:
         axis = Block(doc=f"numbers of the wind along world {name}")
         b.add_component(name, axis)
-        declare_parameters(axis, table, scenario)
+        declare_parameters(axis, scenario)
         _declare_gust(axis, m)
 
     @b.Expression(m.time, doc="eq. (11): wind along world x [m/s]")

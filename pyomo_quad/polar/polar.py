@@ -38,8 +38,6 @@ _MORE_PAYLOAD = (0.0, 0.1, 0.2)
 # Wind speeds compared, m/s, besides the scenario's own.
 _WINDS_M_S = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0)
 _DIRECTIONS = 36  # every 10 degrees
-# Fraction of the charge that stays in the pack if the scenario sets no limit: usual practice.
-_LEAST_CHARGE = 0.2
 _SAMPLES = 60  # of the state of charge, in the integral of the endurance
 _SLOWEST_GROUND_SPEED = 0.05  # m/s; below this speed the wind stops the vehicle
 _NO_WIND = 1e-9  # m/s
@@ -189,14 +187,13 @@ def find_polar(scenario: Scenario) -> Polar:
         If the vehicle cannot hover.
     """
     planner = Planner()
-    least = scenario.limits.state_of_charge_min
-    depth = 1.0 - (_LEAST_CHARGE if least is None else least / 100.0)
+    depth = 1.0 - scenario.limits.least_charge
     own = scenario.vehicle.payload
     curves = []
     for more in _MORE_PAYLOAD:
         payload = own + round(more * scenario.vehicle.mass, 2)
         loaded = scenario.with_values({"vehicle.payload": payload}) if more else scenario
-        curves.append(_curve(loaded, planner.steady_flight(loaded), depth))
+        curves.append(steady_curve(loaded, planner.steady_flight(loaded), depth))
     wind_x, wind_y = mean_wind(scenario)
     speed, towards = float(np.hypot(wind_x, wind_y)), float(np.arctan2(wind_y, wind_x))
     winds = sorted({*_WINDS_M_S, round(speed, 3)})
@@ -234,7 +231,7 @@ def mean_wind(scenario: Scenario) -> tuple[float, float]:
     )
 
 
-def _curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
+def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
     """Trim at rising airspeeds, until a limit of the rotors or of the tilt is active."""
     speeds: list[float] = []
     powers: list[float] = []

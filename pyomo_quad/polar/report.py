@@ -27,7 +27,7 @@ from pyomo_quad.polar.polar import (
 )
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import Drawing, write_study
-from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, SERIES_STYLES
+from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, SERIES_STYLES, full_width
 from pyomo_quad.version import __version__
 
 _POLAR_NAME, _WIND_NAME, _REACH_NAME = "polar.csv", "wind.csv", "reach.csv"
@@ -142,9 +142,7 @@ def polar_drawings(polar: Polar) -> tuple[Drawing, ...]:
 
 def draw_polar(polar: Polar) -> Figure:
     """Draw power and energy per metre over airspeed for each payload."""
-    figure = Figure(figsize=(FULL_WIDTH, 3.1))
-    left, right = figure.subplots(1, 2)
-    figure.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.16, wspace=0.25)
+    figure, (left, right) = full_width(3.1, (1, 2), top=0.9, bottom=0.16, wspace=0.25)
     for curve, style in zip(polar.curves, SERIES_STYLES, strict=False):
         speeds = np.linspace(0.0, curve.airspeeds[-1], 300)
         power = curve.power(speeds)
@@ -164,9 +162,7 @@ def draw_polar(polar: Polar) -> Figure:
 
 def draw_winds(polar: Polar) -> Figure:
     """Draw best ground speed and its energy per metre over the wind's angle."""
-    figure = Figure(figsize=(FULL_WIDTH, 3.3))
-    left, right = figure.subplots(1, 2)
-    figure.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.26, wspace=0.25)
+    figure, (left, right) = full_width(3.3, (1, 2), top=0.9, bottom=0.26, wspace=0.25)
     speeds = polar.winds[WIND].unique().tolist()
     for wind, style in zip(speeds, SERIES_STYLES, strict=False):
         rows = polar.winds[polar.winds[WIND] == wind]

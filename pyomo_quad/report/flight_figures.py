@@ -48,6 +48,7 @@ from pyomo_quad.report.style import (
     draw_over_time,
     draw_panels,
     flight_styles,
+    full_width,
     keep_span,
     label_time,
     last_end,
@@ -163,7 +164,7 @@ COSTATES = (
 def draw_costates(costates: pd.DataFrame, duration: float) -> Figure:
     """Draw the costates in five groups, and the Hamiltonian, up to the end of the flight, s."""
     figure, panels = panel_grid(3, 2, panel_height=1.4, legend_entries=0)
-    time = TIME.of(costates)
+    time = costates.index.to_numpy()
     for axes, (states, title, unit, scale) in zip(panels.flat, _GROUPS, strict=False):
         for state, style in zip(states, ROTOR_STYLES, strict=False):
             price = costates[state.variable].to_numpy() * scale
@@ -231,7 +232,7 @@ def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
 def coinciding_flights(
     flights: Sequence[StyledFlight], hover_power_W: float
 ) -> tuple[StyledFlight, ...]:
-    """Return the flights whose energy above hovering lies on the first flight's to its end."""
+    """Return the flights whose curve of energy above hovering coincides with the first flight's."""
     first, *others = flights
     time = TIME.of(first.frame)
     curves = [
@@ -280,10 +281,8 @@ def draw_mesh(
 ) -> Figure:
     """Draw the error estimate from mesh to mesh, and the last mesh over the flight's time, s."""
     height = 2.6
-    figure = Figure(figsize=(FULL_WIDTH, height))
-    errors, elements = figure.subplots(1, 2)
-    figure.subplots_adjust(
-        left=0.09, right=0.985, top=1 - 0.3 / height, bottom=0.5 / height, wspace=0.24
+    figure, (errors, elements) = full_width(
+        height, (1, 2), right=0.985, top=1 - 0.3 / height, bottom=0.5 / height, wspace=0.24
     )
     _draw_errors(errors, history, tolerance)
     _draw_elements(elements, mesh, duration)

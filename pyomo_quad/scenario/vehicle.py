@@ -16,6 +16,7 @@ from pyomo_quad.scenario.fields import (
     Text,
     Triple,
     WholeNumber,
+    late_quantity,
     quantity,
 )
 
@@ -63,23 +64,23 @@ class EfficiencyMap(Part):
     constant: Triple = quantity("", "row without tau", sound=_FITTED)
 
 
-_SLOW = Sound(1e-2, 1e3, "nothing with rotors flies at the speed of sound")
+_SLOW = Sound(1e-2, 1e3, "rotorcraft fly below 340 m/s, the speed of sound")
 
 
 class Validated(Part):
-    """Range in which measured flights confirm the vehicle's power and drag; absent is unknown."""
+    """Range in which measured flights confirm the vehicle's power and drag; None where unknown."""
 
     airspeed: Number | None = quantity(
         "m/s", "largest airspeed of the flights that confirm the vehicle", None, gt=0, sound=_SLOW
     )
     climb_speed: Number | None = quantity(
-        "m/s", "largest speed of their climbs, over ground", None, gt=0, sound=_SLOW
+        "m/s", "largest climb speed of those flights, over ground", None, gt=0, sound=_SLOW
     )
     descent_speed: Number | None = quantity(
-        "m/s", "largest speed of their descents, over ground", None, gt=0, sound=_SLOW
+        "m/s", "largest descent speed of those flights, over ground", None, gt=0, sound=_SLOW
     )
     payload: Number | None = quantity(
-        "kg", "largest mass that they carried", None, ge=0, sound=CARRIED
+        "kg", "largest payload of those flights", None, ge=0, sound=CARRIED
     )
 
 
@@ -123,13 +124,12 @@ class Vehicle(Part):
         ge=0,
         sound=CARRIED,
     )
-    mass_deviation: Number = quantity(
+    mass_deviation: Number = late_quantity(
         "kg",
-        "standard deviation of the mass in flight, where vehicle or payload are known roughly",
+        "standard deviation of the mass in flight, for an uncertain mass of vehicle or payload",
         0.0,
         ge=0,
         sound=CARRIED,
-        is_late=True,
     )
     arm_length: Number = quantity(
         "m",
@@ -158,30 +158,27 @@ class Vehicle(Part):
         gt=0,
         sound=Sound(1e-12, 1e4, "from about 1e-11 for a 1 cm rotor to about 1e3 for a 10 m rotor"),
     )
-    torque_constant: Number | None = quantity(
+    torque_constant: Number | None = late_quantity(
         "N*m/A",
         "motor torque over current (kt), 1 / voltage_constant when absent",
         None,
         gt=0,
         sound=Sound(1e-6, 100, "flight motors give from 1e-6 to some N m per ampere"),
-        is_late=True,
     )
-    voltage_constant: Number | None = quantity(
+    voltage_constant: Number | None = late_quantity(
         "rad/s/V",
         "motor speed over voltage (kv), 1 / torque_constant when absent",
         None,
         gt=0,
         sound=Sound(1e-2, 1e5, "flight motors turn at 0.1 to 10,000 rad/s per volt"),
-        is_late=True,
         unit_keys={"kv_rpm_per_V": RPM},
     )
-    motor_resistance: Number | None = quantity(
+    motor_resistance: Number | None = late_quantity(
         "ohm",
         "winding resistance (R)",
         None,
         gt=0,
         sound=Sound(1e-6, 1e3, "windings have from micro-ohms to hundreds of ohms"),
-        is_late=True,
     )
     friction_torque: Number = quantity(
         "N*m",
@@ -211,130 +208,113 @@ class Vehicle(Part):
         ge=0,
         sound=Sound(0, 1e3, "a frontal area of 100 m^2 has about 1e2"),
     )
-    efficiency_map: EfficiencyMap | None = quantity(
-        "", "efficiency: the recovered function f_r", None, is_late=True
+    efficiency_map: EfficiencyMap | None = late_quantity(
+        "", "efficiency: the recovered function f_r", None
     )
-    rotor_radius: Number | None = quantity(
+    rotor_radius: Number | None = late_quantity(
         "m",
         "momentum: radius of one rotor (R)",
         None,
         gt=0,
         sound=Sound(1e-3, 100, "rotor radii range from 1 mm to 100 m"),
-        is_late=True,
     )
-    induced_power_factor: Number = quantity(
-        "1", "momentum: induced power over that of an ideal rotor", 1.0, ge=1, le=10, is_late=True
+    induced_power_factor: Number = late_quantity(
+        "1", "momentum: induced power over that of an ideal rotor", 1.0, ge=1, le=10
     )
-    profile_power_coefficient: Number = quantity(
+    profile_power_coefficient: Number = late_quantity(
         "1",
         "momentum: profile power over thrust^1.5 / sqrt(density * disc area)",
         0.0,
         ge=0,
         le=10,
-        is_late=True,
     )
-    profile_advance_factor: Number = quantity(
+    profile_advance_factor: Number = late_quantity(
         "1",
         "momentum: growth of profile power with the advance ratio squared",
         4.65,
         ge=0,
         le=100,
-        is_late=True,
     )
-    climb_power_factor: Number = quantity(
+    climb_power_factor: Number = late_quantity(
         "1",
         "momentum: power over thrust times axial airspeed, in climb",
         1.0,
         ge=0,
         le=10,
-        is_late=True,
     )
-    descent_power_factor: Number = quantity(
+    descent_power_factor: Number = late_quantity(
         "1",
         "momentum: power over thrust times axial airspeed, in descent",
         1.0,
         ge=0,
         le=10,
-        is_late=True,
     )
-    electronics_power: Number = quantity(
+    electronics_power: Number = late_quantity(
         "W",
         "momentum: power of all but the motors",
         0.0,
         ge=0,
         sound=Sound(0, 1e5, "onboard electronics draw milliwatts to kilowatts"),
-        is_late=True,
     )
-    anemometer_factor: Number = quantity(
+    anemometer_factor: Number = late_quantity(
         "1",
         "logs: true airspeed over the reading of the vehicle's anemometer",
         1.0,
         gt=0,
         le=10,
-        is_late=True,
     )
-    rotor_positions: tuple[tuple[Number, Number], ...] | None = quantity(
+    rotor_positions: tuple[tuple[Number, Number], ...] | None = late_quantity(
         "m",
-        "place of each rotor along body x and y, a cross of four arms when absent",
+        "position of each rotor along body x and y; by default a cross of four arms",
         None,
-        is_late=True,
     )
-    rotor_spins: tuple[WholeNumber, ...] | None = quantity(
+    rotor_spins: tuple[WholeNumber, ...] | None = late_quantity(
         "1",
-        "1 for a rotor clockwise from above, -1 for one the other way, alternating when absent",
+        "direction of each rotor from above: 1 clockwise, -1 the other way; by default alternating",
         None,
-        is_late=True,
     )
-    rotor_drag_plane: Number = quantity(
+    rotor_drag_plane: Number = late_quantity(
         "kg/rad",
         "drag in the rotor plane over airspeed and rotor speed, of one rotor (Mellinger)",
         0.0,
         ge=0,
         sound=_ROTOR_DRAG,
-        is_late=True,
     )
-    rotor_drag_axis: Number = quantity(
+    rotor_drag_axis: Number = late_quantity(
         "kg/rad",
         "loss of thrust over axial airspeed and rotor speed, of one rotor (Svacha, Mohta, Kumar)",
         0.0,
         ge=0,
         sound=_ROTOR_DRAG,
-        is_late=True,
     )
-    translational_lift: Number = quantity(
+    translational_lift: Number = late_quantity(
         "kg/m",
         "thrust over in-plane airspeed squared, of one rotor (Faessler, Franchi, Scaramuzza)",
         0.0,
         ge=0,
         sound=Sound(0, 1e3, "a frontal area of 100 m^2 has about 1e2"),
-        is_late=True,
     )
-    parasitic_drag: Triple = quantity(
+    parasitic_drag: Triple = late_quantity(
         "kg/m",
         "drag over airspeed squared, along body x, y and z",
         (0.0, 0.0, 0.0),
         sound=Sound(0, 1e3, "a frontal area of 100 m^2 has about 1e2"),
-        is_late=True,
     )
-    motor_time_constant: Number = quantity(
+    motor_time_constant: Number = late_quantity(
         "s",
         "lag of the motors: rotors accelerate by at most (rotor_speed_max - speed) over it",
         0.0,
         ge=0,
         sound=Sound(0, 1e3, "rotors take from 1 ms to minutes to reach their speed"),
-        is_late=True,
     )
-    attitude: Attitude = quantity(
+    attitude: Attitude = late_quantity(
         "",
-        "exact kinematics and the rotors' yaw reaction, or eq. (9) and (6) as printed",
+        "euler: exact kinematics and the rotors' yaw reaction; paper: eq. (9) and (6) as printed",
         Attitude.PAPER,
-        is_late=True,
         initial=Attitude.EULER,
     )
 
-    validated: Validated = quantity(
-        "", "range that measurements confirm", Validated(), is_late=True
-    )
+    validated: Validated = late_quantity("", "range that measurements confirm", Validated())
 
     @property
     def total_mass(self) -> float:

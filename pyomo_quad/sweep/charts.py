@@ -19,6 +19,7 @@ from pyomo_quad.report.style import (
     MUTED,
     SERIES_STYLES,
     LineStyle,
+    full_width,
     legend_below,
     panel_grid,
 )
@@ -177,9 +178,9 @@ def draw_heat_map(plane: pd.DataFrame, quantity: Quantity) -> Figure:
     """
     across, up = field_quantity(str(plane.columns.name)), field_quantity(str(plane.index.name))
     height = min(5.0, _EDGES + _CELL * len(plane.index))
-    figure = Figure(figsize=(FULL_WIDTH, height))
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.1, right=0.95, top=1 - 0.3 / height, bottom=0.5 / height)
+    figure, axes = full_width(
+        height, left=0.1, right=0.95, top=1 - 0.3 / height, bottom=0.5 / height
+    )
     values = plane.to_numpy(dtype=float) * quantity.scale
     picture = axes.imshow(values, origin="lower", aspect="auto", cmap=_COLORS)
     figure.colorbar(picture, ax=axes, pad=0.02, fraction=0.06)
@@ -258,9 +259,9 @@ _BELOW, _ABOVE = SERIES_STYLES[:2]
 def draw_tornado(found: Sequence[Sensitivity], spread: Spread, quantity: Quantity) -> Figure:
     """Draw the range of a quantity over all cases and over each field."""
     height = _BAR_EDGES + _BAR_ROW * (1 + len(found))
-    figure = Figure(figsize=(FULL_WIDTH, height))
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.24, right=0.97, top=1 - 0.3 / height, bottom=0.72 / height)
+    figure, axes = full_width(
+        height, left=0.24, right=0.97, top=1 - 0.3 / height, bottom=0.72 / height
+    )
     base = found[0].base * quantity.scale
     cases = (f"case {spread.least_case}", f"case {spread.greatest_case}")
     _draw_bar(axes, 0, (spread.least, spread.greatest), cases, base, quantity)

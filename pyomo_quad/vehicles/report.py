@@ -10,17 +10,16 @@ from matplotlib.figure import Figure
 
 from pyomo_quad.flight import Planner
 from pyomo_quad.identification.columns import DENSITY, PAYLOAD, POWER
-from pyomo_quad.identification.steady import AIRSPEED
+from pyomo_quad.identification.steady import AIRSPEED, level_powers
+from pyomo_quad.identification.steady_report import COMPUTED, ERROR, POINTS_NAME, point_table
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import Drawing, write_study, write_text
-from pyomo_quad.report.style import FULL_WIDTH, SERIES_STYLES
+from pyomo_quad.report.style import SERIES_STYLES, full_width
 from pyomo_quad.scenario import library_entry
 from pyomo_quad.vehicles.holding import ALLOWED_PERCENT, SHEET_ERROR, Held, data_sheets
-from pyomo_quad.vehicles.uncertainty import level_powers
 from pyomo_quad.version import __version__
 
-SHEETS_NAME, POINTS_NAME = "data_sheets.csv", "points.csv"
-COMPUTED, ERROR = "computed_W", "error_percent"
+SHEETS_NAME = "data_sheets.csv"
 _CURVE_POINTS = 21
 
 
@@ -34,7 +33,9 @@ def write_vehicles(
         "vehicles/report.md.j2",
         tables={
             SHEETS_NAME: sheets,
-            POINTS_NAME: pd.concat([point_table(one).assign(vehicle=one.name) for one in held]),
+            POINTS_NAME: pd.concat(
+                [point_table(one.points, one.computed).assign(vehicle=one.name) for one in held]
+            ),
         },
         summary={
             "data_sheets": sheets.to_dict("records"),
@@ -54,7 +55,7 @@ def write_vehicles(
             folder / f"{one.name}.md",
             "vehicles/page.md.j2",
             one=one,
-            rows=point_table(one).to_dict("records"),
+            rows=_table(one).to_dict("records"),
             columns=(AIRSPEED, PAYLOAD, POWER, COMPUTED, ERROR),
             drawings=[shown[one.name]] if one.name in shown else [],
             sources=library_entry("vehicles", one.name).sources,
@@ -63,9 +64,8 @@ def write_vehicles(
     return sheets
 
 
-def point_table(held: Held) -> pd.DataFrame:
-    """Return the measured points with the computed power of each, and its error."""
-    return held.points.assign(**{COMPUTED: held.computed, ERROR: held.errors})
+def _table(held: Held) -> pd.DataFrame:
+    return point_table(held.points, held.computed)
 
 
 def _drawing(held: Held, planner: Planner) -> Drawing:
@@ -79,9 +79,7 @@ def _drawing(held: Held, planner: Planner) -> Drawing:
 
 def draw_held(held: Held, planner: Planner) -> Figure:
     """Draw measured points beside the computed curve, over airspeed or over the mass carried."""
-    figure = Figure(figsize=(FULL_WIDTH, 3.2))
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.09, right=0.98, top=0.96, bottom=0.15)
+    figure, axes = full_width(3.2, top=0.96, bottom=0.15)
     points = held.points
     if points[AIRSPEED].max() == 0.0:
         _draw_loads(axes, held, planner)

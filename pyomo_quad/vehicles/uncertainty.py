@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
-from pyomo_quad.scenario import Scenario
+from pyomo_quad.identification.steady import level_powers
 from pyomo_quad.vehicles.files import scenario_of
 from pyomo_quad.vehicles.owner import (
     BLADE_RANGE,
@@ -94,20 +93,6 @@ def power_band(vehicle: EstimatedVehicle, planner: Planner | None = None) -> Pow
 def _together(changes: Sequence[FloatArray]) -> FloatArray:
     """Return the root of the sum of squares of independent changes."""
     return np.sqrt(np.nansum(np.square(changes), axis=0))
-
-
-def level_powers(scenario: Scenario, airspeeds: Sequence[float], planner: Planner) -> FloatArray:
-    """Return the power of level flight at rising airspeeds, W; NaN above the greatest airspeed."""
-    steady = planner.steady_flight(scenario)
-    powers = np.full(len(airspeeds), np.nan)
-    trim = None
-    for k, speed in enumerate(airspeeds):
-        try:
-            trim = steady.trim([float(speed), 0.0, 0.0], trim)
-        except SolveError:
-            break
-        powers[k] = trim.power_W
-    return powers
 
 
 def _causes(vehicle: EstimatedVehicle) -> list[tuple[str, str, Numbers, Numbers]]:

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from pyomo_quad.flight.rescue import shortest_flight
+from pyomo_quad.flight.least_time import shortest_flight
 from pyomo_quad.model import build_model
 from tests.agreement.missions_by_hand import solve_legs
 from tests.declared_model import scenario

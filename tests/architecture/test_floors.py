@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from tests.architecture import test_sizes
 
 FLOORS = {
+    "presentation": 0,
     "scenario": 0,
     "collocation": 0,
     "model": 1,
@@ -30,6 +31,7 @@ ENGINE = {
     "errors": 0,
     "enclosure": 1,
     "mesh": 0,
+    "packing": 0,
     "reading": 1,
     "program": 2,
     "formulation": 3,
@@ -40,11 +42,16 @@ ENGINE = {
     "stepping": 3,
     "solution": 3,
     "refining": 4,
-    "attempts": 4,
+    "strategies": 3,
+    "starts": 3,
+    "suffixes": 4,
+    "verdicts": 4,
+    "first_solve": 5,
+    "solving": 5,
     "diagnosis": 4,
-    "problem": 5,
-    "joint": 6,
-    "pyomo_solver": 7,
+    "problem": 6,
+    "joint": 7,
+    "pyomo_solver": 8,
 }
 # Library -> the parts of the package that may import it.
 HOMES = {

@@ -9,7 +9,7 @@ import pytest
 
 from pyomo_quad.cli import main, solving
 from pyomo_quad.cli.endings import ExitCode
-from pyomo_quad.flight import search
+from pyomo_quad.flight import Plan, PlanStatus, risk, search
 from tests.command import PAPER_CALM
 
 STRANGER = Path(__file__).parent / "stranger" / "stranger.toml"
@@ -40,6 +40,49 @@ def test_ctrl_c_leaves_a_usable_plan_that_is_refined_later(tmp_path, monkeypatch
     capsys.readouterr()
     assert main(["solve", "--continue", str(later)]) == ExitCode.BAD_INPUT
     assert "accuracy = proof was reached; --continue needs a higher one" in capsys.readouterr().err
+
+
+def interrupted(monkeypatch, is_time):
+    """Press Ctrl-C once when the state of a search says so."""
+    states = []
+
+    def stop(state):
+        states.append(state)
+        if is_time(states):
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(solving, "live_line", lambda **_: nullcontext(stop))
+
+
+def test_ctrl_c_while_a_risk_is_searched_for_leaves_the_plan_found_so_far(tmp_path, monkeypatch):
+    # In the second solve, for the first margins, the time begins anew.
+    interrupted(
+        monkeypatch, lambda states: states[-1].spent_s < states[max(-2, -len(states))].spent_s
+    )
+    monkeypatch.setattr(risk, "_FLIGHTS", 20)
+    out = tmp_path / "report"
+    hop = ("--set=mission.goal.position=[2.0, 0.0, 1.0]", "--set=mission.duration=4.0")
+    asked = ["solve", PAPER_CALM, "--out", str(out), *NO_FIGURES, *hop, "--set=mission.risk=0.01"]
+    assert main(asked) == ExitCode.VERIFIED
+    plan = Plan.load(out / "plan.npz")
+    assert plan.status is PlanStatus.VERIFIED
+    assert plan.risk is not None
+    assert plan.risk.asked == 0.01
+    assert plan.energy == pytest.approx(plan.risk.paper_energy_J)
+
+
+@pytest.mark.slow
+def test_ctrl_c_in_the_middle_of_a_mission_past_waypoints_leaves_a_usable_plan(
+    tmp_path, monkeypatch
+):
+    interrupted(monkeypatch, lambda states: states[-1].has_usable)
+    out = tmp_path / "report"
+    assert main(["solve", str(STRANGER), "--out", str(out), *NO_FIGURES]) == ExitCode.VERIFIED
+    plan = Plan.load(out / "plan.npz")
+    assert plan.status is PlanStatus.USABLE
+    assert len(plan.passing_times_s) == 3
+    assert plan.verification.terminal_miss_m <= 0.5
+    assert plan.energy_uncertainty <= search.USABLE_ENERGY
 
 
 def test_a_solve_needs_a_scenario_or_a_plan_and_not_both(tmp_path, capsys):

@@ -8,12 +8,13 @@ import pytest
 
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
-from pyomo_quad.cli.looking import Reader
+from pyomo_quad.cli.missions import Reader
 from pyomo_quad.exports import Format, Motion
-from pyomo_quad.exports.formats import offboard, thin, write_bag
+from pyomo_quad.exports.formats import offboard, write_bag
+from pyomo_quad.exports.ground_station import thin
 from pyomo_quad.exports.motion import fit_pieces
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
-from pyomo_quad.scenario import ScenarioError
+from pyomo_quad.scenario import ScenarioError, load_scenario
 from tests.command import SCENARIOS
 
 REPORT = str(SCENARIOS.parent / "reports" / "paper_calm")
@@ -71,7 +72,7 @@ def test_the_command_names_every_format():
         (["--to", "qgroundcontrol", "--origin", "47,8"], 'origin "47,8": must be LAT,LON,ALT'),
         (["--to", "qgroundcontrol", "--origin", "a,b,c"], "must be LAT,LON,ALT"),
         (["--to", "px4", "--origin", "47,8,400"], "--origin is not an option of px4"),
-        (["--to", "px4", "--path-error", "0.1"], "only of qgroundcontrol and crazyflie and"),
+        (["--to", "px4", "--path-error", "0.1"], "only of qgroundcontrol and missionplanner"),
         (["--to", "crazyflie", "--rate", "10"], "--rate is not an option of crazyflie"),
         (
             ["--to", "crazyflie", "--path-error", "1e-6"],
@@ -159,6 +160,7 @@ def test_a_damaged_report_is_refused(tmp_path, capsys, parts, said):
 def test_a_plan_without_attitude_serves_formats_that_need_none(tmp_path, write, lacking):
     bare = Motion(
         name="hop",
+        mission=load_scenario(SCENARIOS / "paper_calm.toml"),
         times=np.array([0.0, 4.0]),
         states=np.array([[0.0] * 6, [1.0] + [0.0] * 5]),
         names=(*POSITION_STATES, *VELOCITY_STATES),

@@ -14,17 +14,15 @@ from scipy.spatial.transform import Rotation
 from pyomo_quad.exports import Format, Motion, export_plan
 from pyomo_quad.exports.formats import (
     MOST_CRAZYFLIE_PIECES,
-    GeodeticOrigin,
-    Legs,
-    mission,
     offboard,
 )
+from pyomo_quad.exports.ground_station import Legs, mission
 from pyomo_quad.flight import PlanStatus
-from pyomo_quad.flight.columns import TIME
 from pyomo_quad.report import Figures
 from pyomo_quad.report.report import write_solve_report
 from pyomo_quad.report.tables import plan_summary, write_summary
 from pyomo_quad.scenario import ScenarioError
+from pyomo_quad.scenario.earth import GeodeticOrigin
 from tests import flights
 
 # A short hop that turns: all of position, attitude and yaw move.
@@ -46,7 +44,7 @@ def truth():
 
 def at(times, columns):
     frame = truth()
-    return np.column_stack([np.interp(times, frame[TIME], frame[name]) for name in columns])
+    return np.column_stack([np.interp(times, frame.index, frame[name]) for name in columns])
 
 
 PLACE, SPEEDS = ("x_m", "y_m", "z_m"), ("vx_m_per_s", "vy_m_per_s", "vz_m_per_s")
@@ -247,7 +245,7 @@ def test_a_pause_is_a_wait_and_too_many_items_are_refused():
     origin = GeodeticOrigin(latitude=47.0, longitude=8.0, altitude=400.0)
     places = np.array([[0, 0, 5], [4, 0, 5], [4, 0, 5.01], [4, 4, 5]], dtype=float)
     legs = Legs(times=np.array([0.0, 2.0, 12.0, 14.0]), places=places)
-    items = mission(legs, origin, "survey", 0.1)["mission"]["items"]
+    items = mission(legs, origin, Motion.of(plan()), 0.1)["mission"]["items"]
     waypoints = [item for item in items if item["command"] == WAYPOINT]
     assert [item["params"][0] for item in waypoints] == [0.0, 0.0, 10.0, 0.0]
     assert [item["params"][1] for item in items if item["command"] == SPEED] == [
@@ -256,8 +254,10 @@ def test_a_pause_is_a_wait_and_too_many_items_are_refused():
     ]
     t = np.arange(600.0)
     many = Legs(times=t, places=np.column_stack([t, t, t]))
-    with pytest.raises(ScenarioError, match=r"survey: --path-error 0.1 m takes 1199 .*holds 500"):
-        mission(many, origin, "survey", 0.1)
+    with pytest.raises(
+        ScenarioError, match=r"paper_wind: --path-error 0.1 m takes 1199 .*holds 500"
+    ):
+        mission(many, origin, Motion.of(plan()), 0.1)
 
 
 def test_the_globe_is_an_ellipsoid():
@@ -315,7 +315,7 @@ def test_a_plan_without_what_a_format_needs_is_refused(tmp_path, to, state):
             state_names=tuple(held.state_names[i] for i in kept),
         ),
     )
-    options = {"origin": ORIGIN} if to == "qgroundcontrol" else {}
+    options = {"origin": ORIGIN} if to in {"qgroundcontrol", "missionplanner"} else {}
     with pytest.raises(ScenarioError, match=f"the plan has no {state}, which .* needs"):
         export_plan(lacking, to, tmp_path / "out", **options)
     assert not list(tmp_path.iterdir())
@@ -323,21 +323,18 @@ def test_a_plan_without_what_a_format_needs_is_refused(tmp_path, to, state):
 
 def test_a_flight_beyond_the_clock_of_mavlink_is_refused():
     times = np.array([0.0, 4.3e6])
-    names = Motion.of(plan()).names
-    long = Motion(
-        name="long", times=times, states=np.zeros((2, len(names))), names=names, degrees=(1,)
-    )
+    short = Motion.of(plan())
+    states = np.zeros((2, len(short.names)))
+    long = replace(short, name="long", times=times, states=states, degrees=(1,))
     with pytest.raises(ScenarioError, match="time_boot_ms of MAVLink ends after"):
         offboard(long, 50.0)
 
 
 def test_yaw_of_more_than_a_turn_is_wrapped_for_px4_alone():
-    names = Motion.of(plan()).names
-    states = np.zeros((2, len(names)))
-    states[1, names.index("rigid_body.psi")] = 7.0
-    turning = Motion(
-        name="turn", times=np.array([0.0, 4.0]), states=states, names=names, degrees=(1,)
-    )
+    straight = Motion.of(plan())
+    states = np.zeros((2, len(straight.names)))
+    states[1, straight.names.index("rigid_body.psi")] = 7.0
+    turning = replace(straight, times=np.array([0.0, 4.0]), states=states, degrees=(1,))
     yaw = offboard(turning, 50.0)["yaw"]
     assert yaw.abs().max() <= np.float32(np.pi)
     assert np.cos(yaw.iloc[-1]) == pytest.approx(np.cos(np.pi / 2 - 7.0), abs=1e-6)

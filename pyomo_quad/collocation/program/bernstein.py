@@ -11,23 +11,23 @@ restriction: see docs/theory/transcription.md, eqs. (6) and (7).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.special import comb
 
 from pyomo_quad.collocation.mesh import radau_rule
-from pyomo_quad.collocation.program.bounds import Bounds, ChangedProgram, Scaling
-from pyomo_quad.collocation.program.ipopt import barrier_gap
+from pyomo_quad.collocation.program.nonlinear import ExtendedProgram
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.program.ipopt import IpoptResult, Multipliers
+    from pyomo_quad.collocation.program.ipopt import IpoptResult
+    from pyomo_quad.collocation.program.nonlinear import Bounds, NonlinearProgram, Scaling
     from pyomo_quad.collocation.program.transcription import Transcription
 
 # A coefficient of the first point is bounded if its distance from a bound is less than this
@@ -68,8 +68,8 @@ def _basis(places: FloatArray, order: int) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BoundedProgram(ChangedProgram):
-    """A program with additional linear rows: bounded coefficients in some elements.
+class BernsteinRows:
+    """Bounded coefficients of some elements, as additional linear rows of a program.
 
     Attributes
     ----------
@@ -85,62 +85,27 @@ class BoundedProgram(ChangedProgram):
     upper: FloatArray
     elements: NDArray[np.intp]
 
-    @property
-    def n_rows(self) -> int:
-        """Number of rows."""
-        return self.program.n_rows + self.lower.size
+    def added_to(self, program: NonlinearProgram) -> ExtendedProgram:
+        """Return a program with these rows after its own."""
+        rows = self.coefficients
+        starts = np.append(np.zeros(program.n_rows, dtype=rows.indptr.dtype), rows.indptr)
+        shape = (starts.size - 1, rows.shape[1])
+        terms = csr_array((rows.data, rows.indices, starts), shape=shape)
+        return ExtendedProgram(program=program, terms=terms)
 
-    def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the value of every row."""
-        return np.concatenate([self.program.constraints(z), self.coefficients @ z])
-
-    def jacobianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Jacobian's nonzeros."""
-        own, below = self.program.jacobianstructure(), self.coefficients.tocoo()
-        return (
-            np.concatenate([own[0], self.program.n_rows + below.row]),
-            np.concatenate([own[1], below.col]),
-        )
-
-    def jacobian(self, z: FloatArray) -> FloatArray:
-        """Return the Jacobian's nonzeros."""
-        return np.concatenate([self.program.jacobian(z), self.coefficients.data])
-
-    def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Lagrangian's Hessian, to which linear rows add nothing."""
-        return self.program.hessian(z, multipliers[: self.program.n_rows], factor)
-
-    def bounds(self, own: Bounds) -> Bounds:
-        """Return the bounds of a program, extended by those of its coefficients."""
-        return replace(
-            own,
-            row_lower=np.concatenate([own.row_lower, self.lower]),
-            row_upper=np.concatenate([own.row_upper, self.upper]),
-        )
-
-    def scaling(self, own: Scaling) -> Scaling:
-        """Return the scaling of a program, extended by scales of its Bernstein coefficients."""
+    def scales(self, own: Scaling) -> FloatArray:
+        """Return the scales of the rows, given the scaling of the unknowns."""
         rows = self.coefficients
         entries = np.abs(rows.data) / own.unknowns[rows.indices]
-        sizes = np.maximum.reduceat(entries, rows.indptr[:-1])
-        return replace(own, rows=np.concatenate([own.rows, 1.0 / sizes]))
+        return np.asarray(1.0 / np.maximum.reduceat(entries, rows.indptr[:-1]))
 
-    def multipliers(self, own: Multipliers) -> Multipliers:
-        """Return the multipliers of a program, extended by zeros for its coefficients."""
-        return replace(own, rows=np.concatenate([own.rows, np.zeros(self.lower.size)]))
-
-    def without(self, result: IpoptResult) -> IpoptResult:
-        """Return a result without the multipliers of the coefficients."""
-        rows = result.multipliers.rows[: self.program.n_rows]
-        return replace(result, multipliers=replace(result.multipliers, rows=rows))
-
-    def restraint(self, result: IpoptResult, bounds: Bounds, elements: int) -> Restraint:
-        """Return the cost of bounding the coefficients, and the barrier's gap, for a result."""
-        pull = result.multipliers.rows[self.program.n_rows :]
+    def restraint(self, result: IpoptResult, gap: float, elements: int) -> Restraint:
+        """Return the cost of bounding the coefficients, for a result and the barrier's gap."""
+        pull = result.multipliers.rows[-self.lower.size :]
         beyond = self.coefficients @ result.z - self.values @ result.z
         cost = np.zeros(elements)
         np.add.at(cost, self.elements, np.maximum(pull * beyond, 0.0))
-        return Restraint(cost=cost, gap=barrier_gap(self, bounds, result.z, result.multipliers))
+        return Restraint(cost=cost, gap=gap)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,8 +126,8 @@ class Restraint:
 
 def bounded(
     program: Transcription, bounds: Bounds, z: FloatArray, breach: float
-) -> BoundedProgram | None:
-    """Return a program with bounds between its points where a trajectory is near its bounds.
+) -> BernsteinRows | None:
+    """Return bounds between the points of a program where a trajectory is near its bounds.
 
     Parameters
     ----------
@@ -176,7 +141,7 @@ def bounded(
 
     Returns
     -------
-    BoundedProgram or None
+    BernsteinRows or None
         None if the trajectory is near no bound.
     """
     mesh, layout, found = program.mesh, program.layout, []
@@ -193,8 +158,7 @@ def bounded(
     if not sum(sizes):
         return None
     lower, upper = (np.repeat([held[k] for held in found], sizes) for k in (3, 4))
-    return BoundedProgram(
-        program=program,
+    return BernsteinRows(
         coefficients=_assembled([(at, rule.coefficients) for _, at, rule, _, _ in found], z.size),
         values=_assembled([(at, rule.values) for _, at, rule, _, _ in found], z.size),
         lower=lower - breach * np.maximum(1.0, np.abs(lower)),

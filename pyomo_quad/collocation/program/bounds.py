@@ -6,7 +6,7 @@ Scaling: see docs/theory/refinement.md, eqs. (12) to (15).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NoReturn, Protocol
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from scipy.sparse import block_array, coo_array, diags_array, identity
@@ -14,6 +14,7 @@ from scipy.sparse.linalg import splu
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.program.compiled import MappedFunction
+from pyomo_quad.collocation.program.nonlinear import Bounds, Scaling
 from pyomo_quad.collocation.program.transcription import row_place, unknown_place
 
 if TYPE_CHECKING:
@@ -22,34 +23,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pyomo_quad.collocation.mesh import FloatArray
+    from pyomo_quad.collocation.program.nonlinear import NonlinearProgram
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.symbols import Slot
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bounds:
-    """Lower and upper bounds of unknowns, shape (n,), and rows, shape (m,)."""
-
-    lower: FloatArray
-    upper: FloatArray
-    row_lower: FloatArray
-    row_upper: FloatArray
-
-    @property
-    def surplus(self) -> int:
-        """Number of equations minus number of free unknowns."""
-        equations = int(np.sum(self.row_lower == self.row_upper))
-        return equations - int(np.sum(self.lower < self.upper))
-
-    @property
-    def sides(self) -> int:
-        """Number of inequality bounds, those with an interior."""
-        pairs = ((self.lower, self.upper), (self.row_lower, self.row_upper))
-        return sum(
-            int(np.count_nonzero(np.isfinite(side) & (lower < upper)))
-            for lower, upper in pairs
-            for side in (lower, upper)
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,20 +107,13 @@ def _rows(program: Transcription) -> tuple[FloatArray, FloatArray]:
 def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit]:
     """Yield the bounds of variables and the single-variable path limits."""
     layout, compiled = program.layout, program.compiled
-    declared, n = compiled.declared, program.layout.n_states
-    mapped = MappedFunction(compiled.variable_limits, layout.points + 1)
-    lower, upper, low, high = mapped(np.vstack([start_data[:1], program.data.at_points()]))
-    columns = {s.name: layout.state_columns[:, k] for k, s in enumerate(declared.states)}
-    columns |= {s.name: layout.algebraic_columns[:, k] for k, s in enumerate(declared.algebraics)}
-    for k, slot in enumerate((*declared.states, *declared.algebraics)):
-        rows = slice(0 if k < n else 1, None)
-        yield Limit(
-            name=slot.name, columns=columns[slot.name], lower=lower[rows, k], upper=upper[rows, k]
-        )
-    for k, bound in enumerate(compiled.simple_path_bounds):
-        at = columns[bound.variable]
-        rows = slice(len(low) - len(at), None)
-        yield Limit(name=bound.name, columns=at, lower=low[rows, k], upper=high[rows, k])
+    mapped = MappedFunction(compiled.limits_over_time, layout.points + 1)
+    lower, upper = mapped(np.vstack([start_data[:1], program.data.at_points()]))
+    columns = [*layout.state_columns.T, *layout.algebraic_columns.T]
+    for k, (limit, variable) in enumerate(zip(compiled.limits, compiled.limited, strict=True)):
+        at = columns[variable]
+        rows = slice(len(lower) - len(at), None)
+        yield Limit(name=limit.name, columns=at, lower=lower[rows, k], upper=upper[rows, k])
     if len(start_data) > 1:
         yield from _after_jumps(program, start_data[1:])
 
@@ -154,15 +123,11 @@ def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
     compiled, layout = program.compiled, program.layout
     nodes = program.mesh.node_fractions if program.mesh else np.zeros(0)
     at = np.abs(nodes[:, None] - data[:, 0]).argmin(axis=0)
-    lower, upper, low, high = MappedFunction(compiled.variable_limits, len(data))(data)
-    names = [s.name for s in compiled.declared.states]
-    for k, name in enumerate(names):
-        columns = layout.state_columns[at, k]
+    lower, upper = MappedFunction(compiled.limits_over_time, len(data))(data)
+    for k in np.flatnonzero(compiled.limited < layout.n_states):
+        columns = layout.state_columns[at, compiled.limited[k]]
+        name = compiled.limits[k].name
         yield Limit(name=name, columns=columns, lower=lower[:, k], upper=upper[:, k])
-    for k, bound in enumerate(compiled.simple_path_bounds):
-        if bound.variable in names:
-            columns = layout.state_columns[at, names.index(bound.variable)]
-            yield Limit(name=bound.name, columns=columns, lower=low[:, k], upper=high[:, k])
 
 
 def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Iterator[Limit]:
@@ -251,105 +216,6 @@ _LARGEST_BOUND = 1e6
 # larger by a factor 1 / `_FLAT`, those slopes set the scale.
 _BESIDE, _FLAT = 1e-2, 1e-2
 _ROW_RANGE = (1e-8, 1e8)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scaling:
-    """Factors that multiply the objective, the unknowns and the rows."""
-
-    objective: float
-    unknowns: FloatArray
-    rows: FloatArray
-
-    @property
-    def none(self) -> Scaling:
-        """Return factors that are all 1."""
-        return Scaling(
-            objective=1.0, unknowns=np.ones_like(self.unknowns), rows=np.ones_like(self.rows)
-        )
-
-
-class NonlinearProgram(Protocol):
-    """Interface of a program that Ipopt solves, including its progress callback."""
-
-    @property
-    def n_rows(self) -> int:
-        """Number of rows."""
-
-    @property
-    def n_points(self) -> int:
-        """Number of collocation points."""
-
-    @property
-    def is_negated(self) -> bool:
-        """Whether the declared objective is maximised, and its negative minimised."""
-
-    def objective(self, z: FloatArray) -> float:
-        """Return the objective to minimise."""
-
-    def gradient(self, z: FloatArray) -> FloatArray:
-        """Return the gradient of the objective to minimise."""
-
-    def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the value of every row."""
-
-    def jacobianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Jacobian's nonzeros."""
-
-    def jacobian(self, z: FloatArray) -> FloatArray:
-        """Return the Jacobian's nonzeros."""
-
-    def hessianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
-
-    def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Hessian of factor * objective + multipliers . rows."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChangedProgram:
-    """Base of programs that modify one part of another program and forward the rest to it."""
-
-    program: Any
-
-    @property
-    def n_rows(self) -> int:
-        """Number of rows."""
-        return int(self.program.n_rows)
-
-    @property
-    def n_points(self) -> int:
-        """Number of collocation points."""
-        return int(self.program.n_points)
-
-    @property
-    def is_negated(self) -> bool:
-        """Whether the declared objective is maximised."""
-        return bool(self.program.is_negated)
-
-    def objective(self, z: FloatArray) -> float:
-        """Return the objective to minimise."""
-        return float(self.program.objective(z))
-
-    def gradient(self, z: FloatArray) -> FloatArray:
-        """Return the gradient of the objective to minimise."""
-        return np.asarray(self.program.gradient(z))
-
-    def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the value of every row."""
-        return np.asarray(self.program.constraints(z))
-
-    def jacobianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Jacobian's nonzeros."""
-        return self.program.jacobianstructure()
-
-    def jacobian(self, z: FloatArray) -> FloatArray:
-        """Return the Jacobian's nonzeros."""
-        return np.asarray(self.program.jacobian(z))
-
-    def hessianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
-        return self.program.hessianstructure()
 
 
 def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling:

@@ -1,13 +1,11 @@
-"""The continuous model as CasADi functions of one collocation point, mapped over many.
-
-Expressions inside other data are serialised as text, which another process can read.
-"""
+"""The continuous model as CasADi functions of one collocation point, mapped over many."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +13,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
+from pyomo_quad.collocation.packing import Packed, packed
 from pyomo_quad.collocation.reading.symbols import Declarations, PathEquation, PointCondition, Slot
 from pyomo_quad.collocation.reading.writer import is_unbounded, symbol_names
 
@@ -51,7 +50,7 @@ class MappedFunction:
             self._chunks.append((start, start + size, *made[size]))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Give a copy its own buffers, because those of CasADi cannot be copied."""
+        """Give a copy its own buffers, because CasADi's buffers cannot be copied."""
         return type(self), (self._function, self._n)
 
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
@@ -168,6 +167,13 @@ class SimpleBound:
     upper: Any
 
 
+def _own_limits(slot: Slot) -> SimpleBound:
+    """Return the bounds that a variable is declared with."""
+    return SimpleBound(
+        name=slot.name, variable=slot.name, slope=1.0, lower=slot.lower, upper=slot.upper
+    )
+
+
 def split_simple_bounds(
     relations: tuple[Any, ...], variables: dict[str, Any], candidates: frozenset[str]
 ) -> tuple[tuple[Any, ...], tuple[SimpleBound, ...]]:
@@ -250,8 +256,9 @@ class CompiledModel:
     path: DerivedFunctions
     points: DerivedFunctions
     path_bounds: Any
-    variable_limits: Any
-    simple_path_bounds: tuple[SimpleBound, ...]
+    limits: tuple[SimpleBound, ...]
+    """Limits over time of one variable each: those of each variable, then simple bounds."""
+    limits_over_time: Any
     simple_point_bounds: tuple[SimpleBound, ...]
     simple_point_limits: Any
     condition_limits: Any
@@ -261,7 +268,7 @@ class CompiledModel:
     symbols: tuple[Any, Any]
     tables: TableArguments
     fingerprint: str
-    """What tells the equations from others: their code and names, whatever the numbers."""
+    """Hash of the equations' code and names, which does not depend on parameter values."""
     static_of_integral: dict[int, int] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -291,6 +298,12 @@ class CompiledModel:
         """Number of path equations at each point."""
         return len(self.declared.equations)
 
+    @cached_property
+    def limited(self) -> IndexArray:
+        """Position of the variable of each limit over time: states, then algebraic variables."""
+        names = [s.name for s in (*self.declared.states, *self.declared.algebraics)]
+        return np.array([names.index(limit.variable) for limit in self.limits], dtype=np.intp)
+
     @property
     def is_equality(self) -> NDArray[np.bool_]:
         """For each path equation, whether it is an equality."""
@@ -317,13 +330,11 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
         declared.conditions, point_variables, _boundable_at_points(declared)
     )
     declared = replace(declared, equations=equations, conditions=conditions)
+    limits = (*map(_own_limits, (*declared.states, *declared.algebraics)), *path_simple)
     path_data = casadi.vertcat(*declared.path_data)
     parameters = _symbols(declared.parameters)
-    direct = tuple(
-        i
-        for i, integral in enumerate(declared.integrals)
-        if not _is_static(declared, integral.name)
-    )
+    integrals = [integral.name for integral in declared.integrals]
+    direct = tuple(k for k, name in enumerate(integrals) if not _is_static(declared, name))
     rows = [e.expression for e in equations] + [i.integrand for i in declared.integrals]
     point_rows = [c.expression for c in conditions] + [declared.objective]
     path = _stack(rows), _stack(path_variables.values()), path_data
@@ -335,25 +346,28 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
         path=_derive("path", *path),
         points=_derive("points", *points),
         fingerprint=fingerprint,
-        path_bounds=_path_bounds(declared, path_data),
-        variable_limits=_variable_limits(declared, path_simple, path_data),
-        simple_path_bounds=path_simple,
+        path_bounds=_limits("path_bounds", path_data, equations),
+        limits=limits,
+        limits_over_time=_limits("limits_over_time", path_data, limits),
         simple_point_bounds=point_simple,
-        simple_point_limits=_limits("point_limits", parameters, point_simple, "lower", "upper"),
-        condition_limits=_limits("condition_limits", parameters, conditions, "lower", "upper"),
-        static_limits=_limits("static_limits", parameters, declared.statics, "lower", "upper"),
-        times=casadi.Function(
-            "times", [_symbols(declared.statics), parameters], [_stack(declared.clock.times)]
-        ),
+        simple_point_limits=_limits("point_limits", parameters, point_simple),
+        condition_limits=_limits("condition_limits", parameters, conditions),
+        static_limits=_limits("static_limits", parameters, declared.statics),
+        times=_times(declared, parameters),
         row_integrals=direct,
         symbols=(_stack(path_variables.values()), path_data),
         tables=_table_arguments(declared, path_variables, point_variables),
         static_of_integral={
-            i: [s.name for s in declared.statics].index(integral.name)
-            for i, integral in enumerate(declared.integrals)
-            if i not in direct
+            k: [s.name for s in declared.statics].index(name)
+            for k, name in enumerate(integrals)
+            if k not in direct
         },
     )
+
+
+def _times(declared: Declarations, parameters: Any) -> Any:
+    inputs = [_symbols(declared.statics), parameters]
+    return casadi.Function("times", inputs, [_stack(declared.clock.times)])
 
 
 def with_moving_limits(declared: Declarations) -> Declarations:
@@ -477,31 +491,10 @@ def _anonymous(function: Any) -> str:
     return str(casadi.Function("f", symbols, function.call(symbols)).serialize())
 
 
-def _path_bounds(declared: Declarations, path_data: Any) -> Any:
-    """Return the function of both bounds of each equation over time."""
-    lower = _stack([e.lower for e in declared.equations])
-    upper = _stack([e.upper for e in declared.equations])
-    return casadi.Function("path_bounds", [path_data], [lower, upper])
-
-
-def _variable_limits(declared: Declarations, simple: tuple[Any, ...], path_data: Any) -> Any:
-    """Return the function of both limits of each variable, declared and by simple bounds."""
-    slots = (*declared.states, *declared.algebraics)
-    limits = [
-        _stack([s.lower for s in slots]),
-        _stack([s.upper for s in slots]),
-        _stack([b.lower for b in simple]),
-        _stack([b.upper for b in simple]),
-    ]
-    return casadi.Function("variable_limits", [path_data], limits)
-
-
-def _limits(name: str, parameters: Any, items: tuple[Any, ...], lower: str, upper: str) -> Any:
-    outputs = [
-        _stack([getattr(i, lower) for i in items]),
-        _stack([getattr(i, upper) for i in items]),
-    ]
-    return casadi.Function(name, [parameters], outputs)
+def _limits(name: str, data: Any, items: tuple[Any, ...]) -> Any:
+    """Return the function of both sides of relations, bounds or variables."""
+    sides = [_stack([i.lower for i in items]), _stack([i.upper for i in items])]
+    return casadi.Function(name, [data], sides)
 
 
 def _stack(expressions: Any) -> Any:
@@ -590,53 +583,3 @@ def _derive(name: str, rows: Any, variables: Any, data: Any) -> DerivedFunctions
 
 def _nonzeros(matrix: Any) -> Any:
     return casadi.vertcat(casadi.SX(0, 1), *matrix.nonzeros())
-
-
-@dataclass(frozen=True)
-class _Place:
-    """Placeholder for an expression, with the expression's position in the text."""
-
-    position: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class Packed:
-    """Data with placeholders for its expressions, and the expressions as one text."""
-
-    data: Any
-    text: str
-    count: int
-
-    def unpacked(self) -> Any:
-        """Return the data with its expressions."""
-        reader = casadi.StringDeserializer(self.text)
-        expressions = [reader.unpack() for _ in range(self.count)]
-        return _changed(self.data, _Place, lambda place: expressions[place.position])
-
-
-def packed(data: Any) -> Packed:
-    """Replace the expressions in data classes, tuples and dictionaries by placeholders."""
-    writer, count = casadi.StringSerializer(), 0
-
-    def place(expression: Any) -> _Place:
-        nonlocal count
-        writer.pack(expression)
-        count += 1
-        return _Place(count - 1)
-
-    without = _changed(data, casadi.SX, place)
-    return Packed(data=without, text=writer.encode(), count=count)
-
-
-def _changed(data: Any, kind: type, change: Callable[[Any], Any]) -> Any:
-    """Return data with every instance of a type replaced."""
-    if isinstance(data, kind):
-        return change(data)
-    if isinstance(data, tuple):
-        return tuple(_changed(item, kind, change) for item in data)
-    if isinstance(data, dict):
-        return {key: _changed(item, kind, change) for key, item in data.items()}
-    if is_dataclass(data) and not isinstance(data, type):
-        parts = {f.name: _changed(getattr(data, f.name), kind, change) for f in fields(data)}
-        return replace(data, **parts)
-    return data

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import casadi
 import numpy as np
@@ -18,19 +18,13 @@ from pyomo.core import Var
 from pyomo.dae import Integral as PyomoIntegral
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.program.bounds import (
-    Bounds,
-    NonlinearProgram,
-    Scaling,
-    nominal_magnitudes,
-)
-from pyomo_quad.collocation.program.ipopt import IpoptResult, Multipliers
+from pyomo_quad.collocation.program.bounds import nominal_magnitudes
+from pyomo_quad.collocation.program.nonlinear import Bounds, Multipliers
+from pyomo_quad.collocation.reading.clock import FreeTimes, free_times
 from pyomo_quad.collocation.reading.copy import (
-    FreeTimes,
     WorkingCopy,
     continuous_sets,
     copies_with_template_times,
-    free_times,
 )
 from pyomo_quad.collocation.reading.model import ModelReader
 from pyomo_quad.collocation.reading.symbols import PointCondition, PointSymbol, Slot, index_of
@@ -42,6 +36,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pyomo_quad.collocation.mesh import FloatArray
+    from pyomo_quad.collocation.program.ipopt import IpoptResult
+    from pyomo_quad.collocation.program.nonlinear import NonlinearProgram, Scaling
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.symbols import Declarations
 
@@ -50,7 +46,7 @@ if TYPE_CHECKING:
 class Link:
     """A static variable that equals a value of the horizon that `reader` reads.
 
-    `state` is given if the value is that of a state at a node, which is an unknown itself.
+    `state` is given if the value is an unknown itself: a state at a node.
     """
 
     slot: Slot
@@ -274,6 +270,9 @@ class StateValue:
     fraction: float
 
 
+Part = TypeVar("Part", "Bounds", "Scaling", "IpoptResult")
+
+
 class Union:
     """Positions of the unknowns and rows of several programs in their union.
 
@@ -344,31 +343,17 @@ class Union:
             row_upper=np.concatenate([part.row_upper for part in parts]),
         )
 
-    def bounds_of(self, whole: Bounds, k: int) -> Bounds:
-        """Return the bounds of one program."""
-        places, rows = self.places[k], self.rows[k]
-        return Bounds(
-            lower=whole.lower[places],
-            upper=whole.upper[places],
-            row_lower=whole.row_lower[rows],
-            row_upper=whole.row_upper[rows],
-        )
+    def part(self, whole: Part, k: int) -> Part:
+        """Return one program's part of bounds, scaling or a result of the union."""
+        return whole.part(self.places[k], self.rows[k])
 
     def nominal(self, whole: Bounds, z: FloatArray) -> FloatArray:
         """Return the magnitudes of the unknowns."""
         return self.joined(
             [
-                nominal_magnitudes(program, self.bounds_of(whole, k), z[self.places[k]])
+                nominal_magnitudes(program, self.part(whole, k), z[self.places[k]])
                 for k, program in enumerate(self.programs)
             ]
-        )
-
-    def scaling_of(self, whole: Scaling, k: int) -> Scaling:
-        """Return the scaling of one program."""
-        return Scaling(
-            objective=whole.objective,
-            unknowns=whole.unknowns[self.places[k]],
-            rows=whole.rows[self.rows[k]],
         )
 
     def multipliers(self, parts: Sequence[Multipliers]) -> Multipliers:
@@ -377,24 +362,6 @@ class Union:
             rows=np.concatenate([part.rows for part in parts]),
             lower=self.joined([part.lower for part in parts]),
             upper=self.joined([part.upper for part in parts]),
-        )
-
-    def result_of(self, whole: IpoptResult, k: int) -> IpoptResult:
-        """Return the part of a result that belongs to one program."""
-        places, found = self.places[k], whole.multipliers
-        return IpoptResult(
-            status=whole.status,
-            code=whole.code,
-            message=whole.message,
-            z=whole.z[places],
-            multipliers=Multipliers(
-                rows=found.rows[self.rows[k]],
-                lower=found.lower[places],
-                upper=found.upper[places],
-            ),
-            iterations=whole.iterations,
-            history=whole.history,
-            wall_s=whole.wall_s,
         )
 
 

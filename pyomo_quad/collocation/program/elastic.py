@@ -9,18 +9,19 @@ near the point where the search ended, satisfies all rows.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse import csr_array
 
-from pyomo_quad.collocation.program.bounds import Bounds, ChangedProgram, Scaling
 from pyomo_quad.collocation.program.ipopt import IpoptResult, Progress, SolverOptions, run
+from pyomo_quad.collocation.program.nonlinear import ExtendedProgram
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.program.bounds import NonlinearProgram
+    from pyomo_quad.collocation.program.nonlinear import Bounds, NonlinearProgram, Scaling
     from pyomo_quad.collocation.program.transcription import Transcription
 
 # Penalty for a unit of slack in every scaled equation at all times, beside the scaled objective.
@@ -39,126 +40,55 @@ _TOLERANCE, _MOST_ITERATIONS = 1e-8, 300
 _BARRIERS = ("adaptive", "monotone")
 
 
-@dataclass(frozen=True, kw_only=True)
-class PricedProgram(ChangedProgram):
-    """A program whose chosen rows have penalised slacks of either sign.
+def _with_slacks(
+    program: NonlinearProgram, rows: NDArray[np.intp], sizes: FloatArray, prices: FloatArray, n: int
+) -> ExtendedProgram:
+    """Return a program of n unknowns whose chosen rows have penalised slacks of either sign.
 
-    Attributes
-    ----------
-    rows : ndarray of int
-        The rows that have slacks.
-    sizes, prices : ndarray
-        Change of each of these rows per unit of slack, and the penalty per unit of slack.
-    share : float
-        Weight of the program's objective: 1 or 0.
-    near, weights : ndarray, shape (n,)
-        A point, and weights of the squared distances of the unknowns from it.
+    The slacks above come first, then those below; `sizes` are the changes of the rows per unit of
+    slack, `prices` the penalties per unit of slack.
     """
-
-    rows: NDArray[np.intp]
-    sizes: FloatArray
-    prices: FloatArray
-    share: float
-    near: FloatArray
-    weights: FloatArray
-
-    @property
-    def is_negated(self) -> bool:
-        """Whether the program is a maximisation; without the objective it never is."""
-        return self.share > 0.0 and self.program.is_negated
-
-    def split(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the program's unknowns, and the slacks above, then below."""
-        n = self.near.size
-        return z[:n], z[n:]
-
-    def objective(self, z: FloatArray) -> float:
-        """Return the objective plus the penalties of all slacks."""
-        own, slacks = self.split(z)
-        moved = own - self.near
-        held = self.share * self.program.objective(own) if self.share else 0.0
-        price = np.tile(self.prices, 2) @ slacks
-        return held + float(price + 0.5 * (self.weights * moved) @ moved)
-
-    def gradient(self, z: FloatArray) -> FloatArray:
-        """Return the gradient of the objective."""
-        own = self.split(z)[0]
-        gradient = self.weights * (own - self.near)
-        if self.share:
-            gradient = gradient + self.share * self.program.gradient(own)
-        return np.concatenate([gradient, self.prices, self.prices])
-
-    def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the value of every row, with its slacks."""
-        own, slacks = self.split(z)
-        above, below = np.split(slacks, 2)
-        values = np.array(self.program.constraints(own))
-        values[self.rows] += self.sizes * (above - below)
-        return values
-
-    def jacobianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Jacobian's nonzeros."""
-        rows, columns = self.program.jacobianstructure()
-        slacks = self.near.size + np.arange(2 * self.rows.size)
-        return np.concatenate([rows, self.rows, self.rows]), np.concatenate([columns, slacks])
-
-    def jacobian(self, z: FloatArray) -> FloatArray:
-        """Return the Jacobian's nonzeros."""
-        return np.concatenate([self.program.jacobian(self.split(z)[0]), self.sizes, -self.sizes])
-
-    def hessianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
-        rows, columns = self.program.hessianstructure()
-        pulled = np.flatnonzero(self.weights)
-        return np.concatenate([rows, pulled]), np.concatenate([columns, pulled])
-
-    def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Lagrangian's Hessian, to which slacks add nothing."""
-        held = self.program.hessian(self.split(z)[0], multipliers, self.share * factor)
-        return np.concatenate([held, factor * self.weights[self.weights != 0.0]])
-
-    def solve(
-        self,
-        bounds: Bounds,
-        scaling: Scaling,
-        options: SolverOptions,
-        progress: Progress | None,
-    ) -> IpoptResult:
-        """Solve from the point `near`, with the slacks that its residuals need."""
-        values = self.program.constraints(self.near)[self.rows]
-        short, long = bounds.row_lower[self.rows] - values, values - bounds.row_upper[self.rows]
-        slacks = _ROOM + np.maximum(np.concatenate([short, long]) / np.tile(self.sizes, 2), 0.0)
-        none = np.zeros(slacks.size)
-        return run(
-            self,
-            replace(
-                bounds,
-                lower=np.concatenate([bounds.lower, none]),
-                upper=np.concatenate([bounds.upper, none + np.inf]),
-            ),
-            replace(scaling, unknowns=np.concatenate([scaling.unknowns, none + 1.0])),
-            np.concatenate([self.near, slacks]),
-            options=options,
-            progress=progress,
-        )
+    slacks = n + np.arange(2 * rows.size)
+    entries = np.append(sizes, -sizes), (np.tile(rows, 2), slacks)
+    terms = csr_array(entries, shape=(program.n_rows, n + slacks.size))
+    return ExtendedProgram(program=program, prices=np.tile(prices, 2), terms=terms)
 
 
-def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> PricedProgram:
-    """Return a program whose equations over time have scaled slacks, penalised by their weights."""
-    equations = np.tile(program.compiled.is_equality, program.n_points)
-    rows = np.flatnonzero(equations)
-    mesh = program.mesh
-    weights = np.zeros(0) if mesh is None else mesh.quadrature_weights
-    weights = np.repeat(weights, program.compiled.is_equality.size)[rows]
-    return PricedProgram(
-        program=program,
-        rows=rows,
-        sizes=1.0 / scaling.rows[rows],
-        prices=_PRICE / scaling.objective * weights,
-        share=1.0,
-        near=z,
-        weights=np.zeros(z.size),
+def _solved(
+    elastic: ExtendedProgram,
+    near: FloatArray,
+    bounds: Bounds,
+    scaling: Scaling,
+    options: SolverOptions,
+    progress: Progress | None,
+) -> IpoptResult:
+    """Solve from a point of the program, with the slacks that its residuals need."""
+    values = elastic.program.constraints(near)
+    by_slack = elastic.terms[:, near.size :].tocoo()
+    needed = np.where(
+        by_slack.data > 0.0,
+        bounds.row_lower[by_slack.row] - values[by_slack.row],
+        values[by_slack.row] - bounds.row_upper[by_slack.row],
+    ) / np.abs(by_slack.data)
+    slacks = np.empty(needed.size)
+    slacks[by_slack.col] = _ROOM + np.maximum(needed, 0.0)
+    return run(
+        elastic,
+        bounds.extended(unknowns=(np.zeros(slacks.size), np.full(slacks.size, np.inf))),
+        scaling.extended(unknowns=slacks.size),
+        np.append(near, slacks),
+        options=options,
+        progress=progress,
     )
+
+
+def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> ExtendedProgram:
+    """Return a program whose equations over time have scaled slacks, penalised by their weights."""
+    is_equality, mesh = program.compiled.is_equality, program.mesh
+    rows = np.flatnonzero(np.tile(is_equality, program.n_points))
+    weights = np.zeros(0) if mesh is None else mesh.quadrature_weights
+    prices = _PRICE / scaling.objective * np.repeat(weights, is_equality.size)[rows]
+    return _with_slacks(program, rows, 1.0 / scaling.rows[rows], prices, z.size)
 
 
 def elastic_point(
@@ -172,7 +102,7 @@ def elastic_point(
 ) -> FloatArray:
     """Return the unknowns at the optimum of the elastic program, from a first point."""
     elastic = priced(program, scaling, z)
-    result = elastic.solve(bounds, scaling, options, progress)
+    result = _solved(elastic, z, bounds, scaling, options, progress)
     return np.clip(elastic.split(result.z)[0], bounds.lower, bounds.upper)
 
 
@@ -228,12 +158,10 @@ def least_violation(
     is_limit = np.isfinite(bounds.row_lower) | np.isfinite(bounds.row_upper)
     rows = np.flatnonzero(is_limit)
     start = np.clip(z, bounds.lower, bounds.upper)
-    elastic = PricedProgram(
-        program=program,
-        rows=rows,
-        sizes=1.0 / scaling.rows[rows],
-        prices=np.ones(rows.size),
+    elastic = replace(
+        _with_slacks(program, rows, 1.0 / scaling.rows[rows], np.ones(rows.size), z.size),
         share=0.0,
+        columns=np.arange(z.size),
         near=start,
         weights=_PROXIMITY * scaling.unknowns**2 / max(start.size, 1),
     )
@@ -245,7 +173,8 @@ def least_violation(
             max_iterations=most,
             extra=(*options.extra, ("mu_strategy", barrier)),
         )
-        result = elastic.solve(bounds, replace(scaling, objective=1.0), chosen, progress)
+        unit = replace(scaling, objective=1.0)
+        result = _solved(elastic, start, bounds, unit, chosen, progress)
         if not result.status.has_failed:
             break
     own, slacks = elastic.split(result.z)

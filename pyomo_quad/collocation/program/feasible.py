@@ -1,28 +1,28 @@
-"""Flyable trajectories near a coarse optimum: equations first, costs by the way.
+"""Trajectories that satisfy the equations of a fine mesh, near the optimum of a coarse mesh.
 
-The optimum of a coarse mesh obeys its equations at few points, and on a finer mesh misses them by
-far.  From there Ipopt needs dozens of iterations to the optimum of the finer mesh, but few to a
-point that obeys its equations: the search stops at the first.  The unknowns' distance from where it
-began costs a little, so that flat directions stay where they are, and the bounds give way a little,
-for none of the first points lies on them.
+The optimum of a coarse mesh satisfies the equations at few points only, and violates them widely on
+a finer mesh. From there, Ipopt needs dozens of iterations to the optimum of the finer mesh, but few
+to a point that satisfies its equations, where this search stops. A small penalty on the distance
+from the initial point fixes the unknowns that hardly affect the objective. The bounds are relaxed
+slightly, because no iterate of an interior-point method lies on them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pyomo_quad.collocation.program.bounds import Bounds, ChangedProgram, Scaling
 from pyomo_quad.collocation.program.ipopt import SolverOptions, Status, run
+from pyomo_quad.collocation.program.nonlinear import ExtendedProgram
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.program.bounds import NonlinearProgram
     from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Progress
+    from pyomo_quad.collocation.program.nonlinear import Bounds, NonlinearProgram, Scaling
 
-# Price of the squares of the scaled unknowns' distances, beside an objective scaled to about 1.
+# Weight of the squared distances of the scaled unknowns, beside an objective scaled to about 1.
 _PROXIMITY = 1e-4
 # Barrier, and distance from the bounds, that the search begins with.
 _BEGUN = 1e-4
@@ -37,36 +37,8 @@ _OPTIONS = SolverOptions(
         ("slack_bound_frac", _BEGUN),
     ),
 )
-# Iterations that any search takes: equations may be met by chance where it begins.
+# Least number of iterations: the initial point may satisfy the equations by chance.
 _LEAST_ITERATIONS = 3
-
-
-@dataclass(frozen=True, kw_only=True)
-class NearProgram(ChangedProgram):
-    """A program with the weighted squares of the unknowns' distances from a point added."""
-
-    near: FloatArray
-    weights: FloatArray
-    share: float
-
-    def objective(self, z: FloatArray) -> float:
-        """Return the share of the objective and the price of the distance."""
-        moved = z - self.near
-        return self.share * float(self.program.objective(z)) + 0.5 * float(self.weights @ moved**2)
-
-    def gradient(self, z: FloatArray) -> FloatArray:
-        """Return the gradient of the objective."""
-        return np.asarray(self.share * self.program.gradient(z) + self.weights * (z - self.near))
-
-    def hessianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
-        (rows, columns), every = self.program.hessianstructure(), np.arange(self.near.size)
-        return np.concatenate([rows, every]), np.concatenate([columns, every])
-
-    def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Lagrangian's Hessian."""
-        held = self.program.hessian(z, multipliers, self.share * factor)
-        return np.concatenate([held, factor * self.weights])
 
 
 def feasible_point(
@@ -79,19 +51,19 @@ def feasible_point(
     met: float,
     progress: Progress | None,
 ) -> IpoptResult:
-    """Return the first point of a search near another that obeys all equations.
+    """Return the first iterate near a point that satisfies all equations.
 
     Parameters
     ----------
     breach : float
-        By how much it may break bounds, relative to the larger of 1 and the bound.
+        Allowed violation of bounds, relative to the larger of 1 and the bound.
     met : float
-        Violation of the scaled equations at which they count as obeyed.
+        Violation of the scaled equations below which they count as satisfied.
 
     Returns
     -------
     IpoptResult
-        Its status is `CONVERGED` where the point obeys the equations, whatever the costs.
+        Its status is `CONVERGED` if the point satisfies the equations, whatever its objective.
     """
     has_met = False
 
@@ -100,8 +72,9 @@ def feasible_point(
         has_met = now.infeasibility <= met and now.iteration >= _LEAST_ITERATIONS
         return not has_met and (progress is None or progress(now) is not False)
 
-    near = NearProgram(
+    near = ExtendedProgram(
         program=program,
+        columns=np.arange(z.size),
         near=z,
         weights=_PROXIMITY * scaling.unknowns**2,
         share=scaling.objective,
@@ -112,7 +85,7 @@ def feasible_point(
 
 
 def _widened(bounds: Bounds, breach: float) -> Bounds:
-    """Return bounds that give way by a share of the larger of 1 and the bound, but no equations."""
+    """Return bounds relaxed by a fraction of the larger of 1 and the bound; equations are kept."""
 
     def moved(lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
         is_open = lower < upper

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import cyipopt
@@ -22,11 +22,11 @@ from pyomo_quad.collocation.program.linear_solvers import (
     OWN_SOLVER,
     refuse_absent_solver,
 )
-from pyomo_quad.collocation.program.padding import padded
+from pyomo_quad.collocation.program.nonlinear import ExtendedProgram, Multipliers
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.program.bounds import Bounds, NonlinearProgram, Scaling
+    from pyomo_quad.collocation.program.nonlinear import Bounds, NonlinearProgram, Scaling
 
 
 class Status(Enum):
@@ -113,15 +113,15 @@ class SolverOptions:
     def for_a_change(self, parameter: float) -> SolverOptions:
         """Return the settings for a warm start whose objective is to change by little.
 
-        A barrier leaves as much of the objective as its parameter times the number of bounds: one
-        that leaves more than is to change first leads away from the warm start, and back.  Below
-        what Ipopt's tolerance asks for, it begins where that of the last solve ended: Ipopt would
-        end with any other that low as it is, and leave a gap that changes from mesh to mesh.
+        A barrier leaves a gap in the objective of its parameter times the number of bounds. A gap
+        larger than the expected change would first lead away from the warm start, and then back.
+        A parameter below Ipopt's own final one is replaced by the final one of the last solve:
+        Ipopt never changes a parameter that low, and the gap would differ from mesh to mesh.
 
         Parameters
         ----------
         parameter : float
-            That leaves as much as the objective is expected to change.
+            Barrier parameter whose gap equals the expected change of the objective.
         """
         tolerance = self.tolerance or _TOLERANCE
         is_small = parameter < _ABOVE * tolerance
@@ -165,68 +165,43 @@ class Iteration:
 Progress = Callable[[Iteration], bool | None]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Multipliers:
-    """Multipliers of rows and of lower and upper bounds, for the unscaled program."""
-
-    rows: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-
-
 @dataclass(kw_only=True)
-class WallClockLimit:
-    """A progress callback that stops all solves together after a time limit.
+class Effort:
+    """A progress callback that stops several solves together at a limit of iterations or time.
 
     Attributes
     ----------
+    limits : (float, float)
+        Iterations allowed in the first solve, and in all solves together.
     limit_s : float
-        Wall-clock time limit [s], counted from construction.
+        Wall-clock time allowed [s], counted from construction.
+    first, count : int
+        Iterations used in the first solve, and in all.
+    is_over : bool
+        Whether a limit is exceeded.
     """
 
-    limit_s: float
     progress: Progress | None
+    limits: tuple[float, float] = (math.inf, math.inf)
+    limit_s: float = math.inf
+    first: int = 0
+    count: int = 0
+    solves: int = 0
     is_over: bool = False
 
     def __post_init__(self) -> None:
         self.started = time.perf_counter()
 
     def __call__(self, line: Iteration) -> bool | None:
-        """Return False once the time is over, else the result of the caller's own callback."""
-        self.is_over = time.perf_counter() - self.started > self.limit_s
-        if self.is_over:
-            return False
-        return None if self.progress is None else self.progress(line)
-
-
-@dataclass(kw_only=True)
-class Counter:
-    """A progress callback that stops the solves after a number of iterations.
-
-    Attributes
-    ----------
-    limits : (float, float)
-        Iterations allowed in the first solve, and in all solves together.
-    first, count : int
-        Iterations used in the first solve, and in all.
-    """
-
-    limits: tuple[float, float] = (math.inf, math.inf)
-    progress: Progress | None
-    first: int = 0
-    count: int = 0
-    solves: int = 0
-
-    @property
-    def is_over(self) -> bool:
-        """Whether a limit on the iterations is exceeded."""
-        return self.first > self.limits[0] or self.count > self.limits[1]
-
-    def __call__(self, line: Iteration) -> bool | None:
         """Return False once a limit is exceeded, else the result of the caller's own callback."""
         self.solves += line.iteration == 0
         self.count += line.iteration > 0
         self.first = self.count if self.solves == 1 else self.first
+        self.is_over = (
+            self.first > self.limits[0]
+            or self.count > self.limits[1]
+            or (self.limit_s < math.inf and time.perf_counter() - self.started > self.limit_s)
+        )
         if self.is_over:
             return False
         return None if self.progress is None else self.progress(line)
@@ -250,14 +225,9 @@ class IpoptResult:
         """Whether Ipopt met its tolerance."""
         return self.status is Status.CONVERGED
 
-    def of_first(self, count: int) -> IpoptResult:
-        """Return the result restricted to the first `count` unknowns."""
-        held = self.multipliers
-        return replace(
-            self,
-            z=self.z[:count],
-            multipliers=replace(held, lower=held.lower[:count], upper=held.upper[:count]),
-        )
+    def part(self, columns: Any, rows: Any) -> IpoptResult:
+        """Return the result restricted to chosen unknowns and rows."""
+        return replace(self, z=self.z[columns], multipliers=self.multipliers.part(columns, rows))
 
 
 @dataclass
@@ -284,43 +254,44 @@ class _Callbacks:
 
     # Cached, because a program may rebuild its structure at each call.
     @cached_property
-    def _jacobian_size(self) -> int:
-        return len(self.program.jacobianstructure()[0])
+    def _sizes(self) -> dict[str, int]:
+        program = self.program
+        return {
+            "constraints": program.n_rows,
+            "jacobian": len(program.jacobianstructure()[0]),
+            "hessian": len(program.hessianstructure()[0]),
+        }
 
-    @cached_property
-    def _hessian_size(self) -> int:
-        return len(self.program.hessianstructure()[0])
-
-    def _guard(self, evaluate: Callable[[], Any], size: int | None) -> Any:
+    def _guarded(self, name: str, z: FloatArray, *more: Any) -> FloatArray:
+        """Return the program's values, and NaN after its first exception."""
         if self.error is None:
             try:
-                return evaluate()
+                return np.asarray(getattr(self.program, name)(z, *more))
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  raised again later
                 self.error = error
-        return np.nan if size is None else np.full(size, np.nan)
+        return np.full(self._sizes.get(name, z.size), np.nan)
 
     def objective(self, z: FloatArray) -> float:
-        return float(self._guard(lambda: self.program.objective(z), None))
+        return float(self._guarded("objective", z).flat[0])
 
     def gradient(self, z: FloatArray) -> FloatArray:
-        return np.asarray(self._guard(lambda: self.program.gradient(z), z.size))
+        return self._guarded("gradient", z)
 
     def constraints(self, z: FloatArray) -> FloatArray:
-        return np.asarray(self._guard(lambda: self.program.constraints(z), self.program.n_rows))
+        return self._guarded("constraints", z)
 
     def jacobianstructure(self) -> tuple[Any, Any]:
         return self.program.jacobianstructure()
 
     def jacobian(self, z: FloatArray) -> FloatArray:
         self.iterate = np.array(z)
-        return np.asarray(self._guard(lambda: self.program.jacobian(z), self._jacobian_size))
+        return self._guarded("jacobian", z)
 
     def hessianstructure(self) -> tuple[Any, Any]:
         return self.program.hessianstructure()
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        evaluate = partial(self.program.hessian, z, multipliers, factor)
-        return np.asarray(self._guard(evaluate, self._hessian_size))
+        return self._guarded("hessian", z, multipliers, factor)
 
     def intermediate(
         self,
@@ -421,23 +392,18 @@ def run(
     Exception
         Any exception raised in a callback, after Ipopt has returned.
     """
-    spare = padded(program, bounds, scaling)
-    if spare is not None:
+    idle = bounds.surplus + 1
+    if idle > 0:
         result = run(
-            spare,
-            spare.bounds(bounds),
-            spare.scaling(scaling),
-            spare.point(start),
+            _with_idle_unknowns(program, start.size, idle, 1.0 / scaling.objective),
+            bounds.extended(unknowns=(np.full(idle, -np.inf), np.full(idle, np.inf))),
+            scaling.extended(unknowns=idle),
+            np.append(start, np.zeros(idle)),
             options=options,
-            multipliers=multipliers
-            and replace(
-                multipliers,
-                lower=spare.point(multipliers.lower),
-                upper=spare.point(multipliers.upper),
-            ),
+            multipliers=multipliers and multipliers.extended(unknowns=idle),
             progress=progress,
         )
-        return result.of_first(start.size)
+        return result.part(slice(start.size), slice(None))
     sign = -1.0 if program.is_negated else 1.0
     callbacks = _Callbacks(program, progress, sign, floor=_BOTTOMLESS / scaling.objective)
     problem = cyipopt.Problem(
@@ -462,6 +428,27 @@ def run(
     if callbacks.is_bottomless:
         info["status"] = DIVERGED_CODE
     return _result(callbacks, np.asarray(z), info, wall, stopped=stopped)
+
+
+def _with_idle_unknowns(
+    program: NonlinearProgram, own: int, idle: int, weight: float
+) -> ExtendedProgram:
+    """Return a program that Ipopt does not treat as a square system of equations.
+
+    If there are as many equations as free unknowns, Ipopt solves the equations alone: it stops at
+    the first point that satisfies them, whatever the objective, and it refuses a program with more
+    equations. Both are wrong if some equations follow from others, for example an end condition
+    that a conserved quantity satisfies: the feasible point is then not unique. An idle unknown
+    appears as a square in the objective and in no equation, so that it stays zero and changes
+    nothing else.
+    """
+    return ExtendedProgram(
+        program=program,
+        prices=np.zeros(idle),
+        columns=own + np.arange(idle),
+        weights=np.full(idle, weight),
+        near=np.zeros(idle),
+    )
 
 
 def barrier_gap(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.program.bounds import Bounds, Scaling
+    from pyomo_quad.collocation.program.nonlinear import Bounds, Scaling
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance
 
@@ -89,7 +89,7 @@ def redundant_conditions(
     fixed: dict[tuple[str, float], float],
     z: FloatArray,
 ) -> tuple[Candidate, ...]:
-    """Return the conditions whose slopes at a point depend on those of the equations before them.
+    """Return the conditions whose slopes at a point are combinations of earlier equations' slopes.
 
     The equations over time come first, then the conditions one at a time.
     """

@@ -13,6 +13,7 @@ import numpy as np
 from pyomo_quad.collocation.mesh import Mesh, Trajectory
 from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.program.sparsity import (
+    IndexArray,
     Layout,
     hessian_scatter,
     jacobian_scatter,
@@ -364,6 +365,23 @@ class Transcription:
         held = self._path[2](self.path_variables(z), self._path_data, weights)[0]
         return np.asarray(held / self._weights()[:, None])
 
+    def path_slopes(
+        self, variables: FloatArray, data: FloatArray, rows: IndexArray, columns: IndexArray
+    ) -> FloatArray:
+        """Return derivatives of rows of path equations by variables, at points row by row.
+
+        Shape (n, n_rows, n_columns).
+        """
+        path, count = self.compiled.path, len(variables)
+        mapped = self._path[1] if count == self.n_points else MappedFunction(path.jacobian, count)
+        entries = mapped(variables, data)[0]
+        chosen = np.isin(path.jacobian_rows, rows) & np.isin(path.jacobian_columns, columns)
+        slopes = np.zeros((count, rows.size, columns.size))
+        at_row = np.searchsorted(rows, path.jacobian_rows[chosen])
+        at_column = np.searchsorted(columns, path.jacobian_columns[chosen])
+        slopes[:, at_row, at_column] = entries[:, chosen]
+        return slopes
+
     def integral_weights(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the weight of each integral in the Lagrangian, shape (n_integrals,)."""
         return self._integral_weights(z, multipliers, self._sign)
@@ -392,19 +410,14 @@ class Linearised:
 
 def linearised(program: Transcription, variables: FloatArray, data: FloatArray) -> Linearised:
     """Return the derivatives at points, given variables and data row by row."""
-    compiled, n = program.compiled, program.layout.n_states
-    path = compiled.path
-    is_equality = compiled.is_equality
-    by_rate = path.jacobian_columns < n
-    rows = np.unique(
-        [r for r in path.jacobian_rows[by_rate] if r < compiled.n_equations and is_equality[r]]
-    ).astype(np.intp)
-    entries = MappedFunction(path.jacobian, variables.shape[0])(variables, data)[0]
-    matrices = np.zeros((variables.shape[0], rows.size, 2 * n))
-    wanted = np.isin(path.jacobian_rows, rows) & (path.jacobian_columns < 2 * n)
-    at = np.searchsorted(rows, path.jacobian_rows[wanted])
-    matrices[:, at, path.jacobian_columns[wanted]] = entries[:, wanted]
-    return Linearised(rows=rows, by_rate=matrices[:, :, :n], by_state=matrices[:, :, n:])
+    path, n = program.compiled.path, program.layout.n_states
+    differential = np.zeros(path.values.numel_out(0), dtype=bool)
+    differential[path.jacobian_rows[path.jacobian_columns < n]] = True
+    rows = np.flatnonzero(
+        differential[: program.compiled.n_equations] & program.compiled.is_equality
+    )
+    slopes = program.path_slopes(variables, data, rows, np.arange(2 * n))
+    return Linearised(rows=rows, by_rate=slopes[:, :, :n], by_state=slopes[:, :, n:])
 
 
 def rate_corrections(

@@ -14,15 +14,11 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.reading.copy import (
-    FreeTimes,
-    continuous_sets,
-    copies_with_template_times,
-    free_times,
-    rule_of,
-)
+from pyomo_quad.collocation.reading.clock import FreeTimes, free_times
+from pyomo_quad.collocation.reading.copy import continuous_sets, copies_with_template_times
 from pyomo_quad.collocation.reading.model_source import declared_magnitudes
 from pyomo_quad.collocation.reading.objectives import objective_of
+from pyomo_quad.collocation.reading.rules import rule_of
 from pyomo_quad.collocation.reading.symbols import (
     Declarations,
     PathEquation,

@@ -13,7 +13,7 @@ from pyomo.core.base.units_container import UnitsError, units
 from pyomo.dae import DerivativeVar, Integral
 
 from pyomo_quad.collocation.errors import TranscriptionError, raised
-from pyomo_quad.collocation.reading.copy import initial_rule_of, rule_of
+from pyomo_quad.collocation.reading.rules import initial_rule_of, rule_of
 from pyomo_quad.collocation.reading.schedules import (
     Interpolant,
     Reading,
@@ -116,7 +116,7 @@ class LiveModel:
         return () if self._time is None else tuple(float(t) for t in sorted(self._time))
 
     def has(self, name: str) -> bool:
-        """Say whether the model has a component of this name."""
+        """Return whether the model has a component of this name."""
         return self.model.find_component(name) is not None
 
     def unit(self, name: str) -> str:
@@ -343,7 +343,7 @@ class ModelSnapshot:
         _refuse_without_model()
 
     def has(self, name: str) -> bool:
-        """Say whether the model had a component of this name."""
+        """Return whether the model had a component of this name."""
         return name in self.names or name.rpartition("[")[0] in self.names
 
     def unit(self, name: str) -> str:

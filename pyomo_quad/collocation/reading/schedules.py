@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from pyomo_quad.collocation.mesh import FloatArray
-    from pyomo_quad.collocation.reading.copy import PhaseTimes
+    from pyomo_quad.collocation.reading.clock import PhaseTimes
 
 # Number of times, besides the declared ones, at which a rule is called before compilation.
 _PROBES = 64

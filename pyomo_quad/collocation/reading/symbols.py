@@ -12,7 +12,8 @@ from pyomo.core import ConcreteModel, Param, value
 from pyomo.dae import DerivativeVar
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.reading.copy import PhaseTimes, rule_of
+from pyomo_quad.collocation.reading.clock import PhaseTimes
+from pyomo_quad.collocation.reading.rules import rule_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -98,41 +99,10 @@ class TimeSymbol:
     def __int__(self) -> int:
         return int(float(self))
 
-    def __add__(self, other: Any) -> Any:
-        return self.parameter + other
-
-    __radd__ = __add__
-
     def __sub__(self, other: Any) -> Any:
         # Two symbols meet only as the ends of a trapezoid in an Integral: a width of one
         # turns that trapezoid into the integrand itself.
         return 1.0 if isinstance(other, TimeSymbol) else self.parameter - other
-
-    def __rsub__(self, other: Any) -> Any:
-        return other - self.parameter
-
-    def __mul__(self, other: Any) -> Any:
-        return self.parameter * other
-
-    __rmul__ = __mul__
-
-    def __truediv__(self, other: Any) -> Any:
-        return self.parameter / other
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return other / self.parameter
-
-    def __pow__(self, other: Any) -> Any:
-        return self.parameter**other
-
-    def __rpow__(self, other: Any) -> Any:
-        return other**self.parameter
-
-    def __neg__(self) -> Any:
-        return -self.parameter
-
-    def __abs__(self) -> Any:
-        return abs(self.parameter)
 
     def is_numeric_type(self) -> bool:
         """Return False, so that Pyomo's functions call `as_numeric`."""
@@ -141,6 +111,21 @@ class TimeSymbol:
     def as_numeric(self) -> Any:
         """Return the parameter, for Pyomo's functions."""
         return self.parameter
+
+
+def _of_parameter(operation: str) -> Callable[..., Any]:
+    def operate(symbol: TimeSymbol, *others: Any) -> Any:
+        return getattr(symbol.parameter, operation)(*others)
+
+    return operate
+
+
+# All other arithmetic is that of the parameter.
+for _operation in (
+    *("__add__", "__radd__", "__rsub__", "__mul__", "__rmul__", "__truediv__", "__rtruediv__"),
+    *("__pow__", "__rpow__", "__neg__", "__abs__"),
+):
+    setattr(TimeSymbol, _operation, _of_parameter(_operation))
 
 
 class Instant(float):

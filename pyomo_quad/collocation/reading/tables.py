@@ -29,7 +29,7 @@ _COMPARED = 40
 _CHECKED = 20
 
 
-# Of a table's range, how far beyond either end its spline goes on straight.
+# Length of the linear extrapolation beyond either end, in units of the table's range.
 _BEYOND = 100.0
 
 

@@ -21,7 +21,7 @@ from pyomo.dae import DerivativeVar
 from pyomo.dae import Integral as PyomoIntegral
 
 from pyomo_quad.collocation.errors import TranscriptionError, raised
-from pyomo_quad.collocation.reading.copy import bounds_rule_of, rule_of
+from pyomo_quad.collocation.reading.rules import bounds_rule_of, rule_of
 from pyomo_quad.collocation.reading.schedules import BESIDE, Phases, Schedule, Statement
 from pyomo_quad.collocation.reading.symbols import (
     AddressBook,
@@ -46,22 +46,12 @@ if TYPE_CHECKING:
 _COMPARED = 5
 
 _UNARY: dict[str, Callable[[Any], Any]] = {
-    "sin": casadi.sin,
-    "cos": casadi.cos,
-    "tan": casadi.tan,
-    "asin": casadi.asin,
-    "acos": casadi.acos,
-    "atan": casadi.atan,
-    "sinh": casadi.sinh,
-    "cosh": casadi.cosh,
-    "tanh": casadi.tanh,
-    "asinh": casadi.asinh,
-    "acosh": casadi.acosh,
-    "atanh": casadi.atanh,
-    "exp": casadi.exp,
-    "log": casadi.log,
-    "log10": casadi.log10,
-    "sqrt": casadi.sqrt,
+    name: getattr(casadi, name)
+    for name in (
+        *("sin", "cos", "tan", "asin", "acos", "atan"),
+        *("sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
+        *("exp", "log", "log10", "sqrt"),
+    )
 }
 
 

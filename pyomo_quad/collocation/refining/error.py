@@ -448,7 +448,8 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
     if np.all(np.isfinite(densities)):
         return densities
     count = len(samples.variables)
-    low, high, *_ = MappedFunction(compiled.variable_limits, count)(samples.data)
+    limits = MappedFunction(compiled.limits_over_time, count)(samples.data)
+    low, high = (side[:, : n + program.layout.n_algebraics] for side in limits)
     variables = samples.variables.copy()
     chosen = slice(n, 2 * n + program.layout.n_algebraics)
     variables[:, chosen] = np.clip(variables[:, chosen], low, high)
@@ -508,17 +509,12 @@ def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, .
         ~np.isin(every, compiled.path.jacobian_rows[named < first]) for first in (n, 2 * n)
     )
     is_limit = is_algebraic & ~compiled.is_equality
-    low, high, simple_low, simple_high = MappedFunction(compiled.variable_limits, len(variables))(
-        data
-    )
-    values = variables[:, n : 2 * n + program.layout.n_algebraics]
-    names = [s.name for s in (*compiled.declared.states, *compiled.declared.algebraics)]
-    chosen = np.array([names.index(b.variable) for b in compiled.simple_path_bounds], dtype=int)
-    own = _outside(values, low, high)
-    simple = _outside(values[:, chosen], simple_low, simple_high)
+    low, high = MappedFunction(compiled.limits_over_time, len(variables))(data)
+    own = _outside(variables[:, n + compiled.limited], low, high)
+    is_own = compiled.limited < n
     rows = _outside(held, lower, upper)
-    limits = np.hstack([rows[:, is_limit & ~is_of_controls], own[:, :n], simple[:, chosen < n]])
-    controls = np.hstack([own[:, n:], simple[:, chosen >= n], rows[:, is_limit & is_of_controls]])
+    limits = np.hstack([rows[:, is_limit & ~is_of_controls], own[:, is_own]])
+    controls = np.hstack([own[:, ~is_own], rows[:, is_limit & is_of_controls]])
     return tuple(
         worst.max(axis=1, initial=0.0)
         for worst in (rows[:, is_algebraic & compiled.is_equality], limits, controls)

@@ -303,13 +303,9 @@ def _free_directions(
 
     Shape (n_points, n_free, n_rates + n_algebraics).
     """
-    path, n = program.compiled.path, program.layout.n_states
-    rows = np.flatnonzero(program.compiled.is_equality)
-    at_points = program.path_variables(z)[points], program.data.at_points()[points]
-    slopes = np.zeros((points.size, path.values.numel_out(0), path.values.size1_in(0)))
-    if points.size:
-        entries = MappedFunction(path.jacobian, points.size)(*at_points)[0]
-        slopes[:, path.jacobian_rows, path.jacobian_columns] = entries
+    n, rows = program.layout.n_states, np.flatnonzero(program.compiled.is_equality)
     chosen = np.r_[0:n, 2 * n : 2 * n + program.layout.n_algebraics]
-    directions = np.linalg.svd(slopes[:, rows][:, :, chosen] * scale).Vh
+    variables, data = program.path_variables(z)[points], program.data.at_points()[points]
+    slopes = program.path_slopes(variables, data, rows, chosen)
+    directions = np.linalg.svd(slopes * scale).Vh
     return np.asarray(directions[:, rows.size :])

@@ -1,22 +1,17 @@
-"""hp-adaptive refinement: solve, estimate the error, change the mesh, solve again from there.
-
-Damping of controls that enter linearly: see docs/theory/refinement.md, eq. (9).
-"""
+"""hp-adaptive refinement: solve, estimate the error, change the mesh, solve again from there."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 
-from pyomo_quad.collocation.mesh import radau_rule
-from pyomo_quad.collocation.program.bounds import ChangedProgram
 from pyomo_quad.collocation.program.ipopt import SEEN, Status
 from pyomo_quad.collocation.refining.activity import junction_elements
+from pyomo_quad.collocation.refining.damping import Damping, damping_of
 from pyomo_quad.collocation.refining.error import ErrorEstimate, estimate_error
 from pyomo_quad.collocation.refining.minimum_principle import improved_controls, state_error
 from pyomo_quad.collocation.refining.remeshing import (
@@ -24,172 +19,23 @@ from pyomo_quad.collocation.refining.remeshing import (
     RefinementOptions,
     refined_mesh,
 )
-from pyomo_quad.collocation.solution import MeshRecord, Solution
+from pyomo_quad.collocation.solution import MeshRecord, Outcome, Solution
+from pyomo_quad.collocation.strategies import (
+    MOST_RESTARTS,
+    RESTART,
+    Fact,
+    First,
+    Scope,
+    Search,
+    Strategy,
+    first_success,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
-    from pyomo_quad.collocation.mesh import FloatArray, Mesh
-    from pyomo_quad.collocation.program.ipopt import Iteration
-    from pyomo_quad.collocation.program.transcription import Transcription
-
-
-@dataclass(frozen=True, kw_only=True)
-class Damping:
-    """Penalty on the distance of controls from the smoothed course of a solution's controls.
-
-    The smoothed course consists of straight lines between the means over the elements.
-
-    Attributes
-    ----------
-    solution : Solution
-        Solution on the last mesh.
-    controls : ndarray of int
-        Positions among the algebraic variables.
-    prices : ndarray
-        Penalty per unit of mean square distance over the horizon, for each control.
-    gap : float
-        Gap that the barrier leaves in the objective, zero for the least that Ipopt reaches.
-    is_still : bool
-        Whether the objective has settled; the course is then the controls themselves.
-    """
-
-    solution: Solution
-    controls: NDArray[np.intp]
-    prices: FloatArray
-    gap: float
-    is_still: bool
-
-    def firmer(self, factor: float, gap: float) -> Damping:
-        """Return the damping with multiplied penalties, at least this gap, and the course fixed."""
-        gap = max(gap * self.solution.nominal_objective, self.gap)
-        return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
-
-    def applied_to(self, program: Transcription) -> DampedProgram:
-        """Return a program of the same model with the penalty added to its objective."""
-        mesh = program.mesh or self.solution.mesh
-        return DampedProgram(
-            program=program,
-            columns=program.layout.algebraic_columns[:, self.controls].ravel(),
-            weights=(mesh.quadrature_weights[:, None] * self.prices).ravel(),
-            near=self._near(mesh.point_fractions).ravel(),
-        )
-
-    def _near(self, fractions: FloatArray) -> FloatArray:
-        """Return the target of the damped controls, shape (n_fractions, n_controls)."""
-        mesh, held = self.solution.mesh, self.solution.trajectory.algebraics[:, self.controls]
-        if self.is_still:
-            lower, upper = (limit[self.controls] for limit in self.solution.algebraic_limits)
-            return np.clip(_smoothed(mesh, held, fractions), lower, upper)
-        # Damping toward the point values would preserve chattering.
-        middles, means = _element_means(mesh, held)
-        near = [np.interp(fractions, middles, mean) for mean in means.T]
-        return np.reshape(near, (self.controls.size, fractions.size)).T
-
-
-def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArray:
-    """Return values smoothed in each element: the lower half of their Legendre terms."""
-    starts, found = np.asarray(mesh.breakpoints), np.empty((fractions.size, values.shape[1]))
-    element = np.clip(np.searchsorted(starts, fractions) - 1, 0, mesh.elements - 1)
-    for e in np.unique(element):
-        degree, points = mesh.degrees[e], slice(mesh.first_node[e], mesh.first_node[e + 1])
-        kept, root = (degree - 1) // 2, np.sqrt(radau_rule(degree).weights)[:, None]
-        terms = root * legvander(2.0 * radau_rule(degree).points - 1.0, kept)
-        coefficients = np.linalg.lstsq(terms, root * values[points], rcond=None)[0]
-        inside = element == e
-        places = 2.0 * (fractions[inside] - starts[e]) / mesh.widths[e] - 1.0
-        found[inside] = legvander(places, kept) @ coefficients
-    return found
-
-
-def _element_means(mesh: Mesh, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the midpoints of the elements, and the element means of values at points."""
-    weights = mesh.quadrature_weights[:, None]
-    columns = np.column_stack([mesh.point_fractions, values, np.ones(mesh.points)])
-    sums = np.add.reduceat(weights * columns, mesh.first_node[:-1], axis=0)
-    means = sums / sums[:, -1:]
-    return means[:, 0], means[:, 1:-1]
-
-
-def damping_of(
-    solution: Solution, weight: float, *, gap: float = 0.0, is_still: bool = False
-) -> Damping | None:
-    """Return the damping toward a solution.
-
-    None if no bounded control enters nearly linearly and no gap is requested.
-
-    Next to a corner of the cost, which has curvature at the corner only, a control chatters like a
-    control that enters linearly.
-    enters linearly.
-
-    Parameters
-    ----------
-    solution : Solution
-    weight : float
-        Cost, as a fraction of the objective, of a control that is a whole range away.
-    gap : float, optional
-        Gap, as a fraction of the objective, that the barrier leaves.
-    is_still : bool, optional
-        Whether the objective has settled, so that controls are damped toward their values.
-    """
-    lower, upper = solution.algebraic_limits
-    width = upper - lower
-    is_bounded = np.isfinite(width) & (width > 0.0)
-    prices, controls = np.zeros(width.size), np.zeros(0, dtype=np.intp)
-    if weight > 0.0 and np.any(is_bounded):
-        prices[is_bounded] = 2.0 * weight * solution.nominal_objective / width[is_bounded] ** 2
-        controls = np.flatnonzero(is_bounded & (_least_curvatures(solution) < prices))
-    if controls.size == 0 and gap == 0.0:
-        return None
-    return Damping(
-        solution=solution,
-        controls=controls,
-        prices=prices[controls],
-        gap=gap * solution.nominal_objective,
-        is_still=is_still,
-    )
-
-
-def _least_curvatures(solution: Solution) -> FloatArray:
-    """Return the least curvature of the Lagrangian in each algebraic variable, over all points."""
-    program = solution.program
-    first = 2 * program.layout.n_states
-    controls = slice(first, first + program.layout.n_algebraics)
-    curvatures = program.path_curvatures(solution.unknowns, solution.multipliers.rows)
-    return np.asarray(curvatures[:, controls].min(axis=0))
-
-
-@dataclass(frozen=True, kw_only=True)
-class DampedProgram(ChangedProgram):
-    """A program with `weights / 2 * (z[columns] - near)**2` added to the minimised objective."""
-
-    columns: NDArray[np.intp]
-    weights: FloatArray
-    near: FloatArray
-
-    def objective(self, z: FloatArray) -> float:
-        """Return the objective plus the penalty on the distance."""
-        away = z[self.columns] - self.near
-        return self.program.objective(z) + 0.5 * float(self.weights @ away**2)
-
-    def gradient(self, z: FloatArray) -> FloatArray:
-        """Return the gradient of the objective."""
-        gradient = np.array(self.program.gradient(z))
-        gradient[self.columns] += self.weights * (z[self.columns] - self.near)
-        return gradient
-
-    def hessianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
-        rows, columns = self.program.hessianstructure()
-        return np.concatenate([rows, self.columns]), np.concatenate([columns, self.columns])
-
-    def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Lagrangian's Hessian."""
-        held = self.program.hessian(z, multipliers, factor)
-        return np.concatenate([held, factor * self.weights])
-
+    from pyomo_quad.collocation.mesh import Mesh
+    from pyomo_quad.collocation.starts import Start
 
 # Change of the objective, in units of the tolerance, below which it counts as settled.
 _SETTLED = 0.5
@@ -208,50 +54,7 @@ _INEXACT, _LEAST_INEXACT, _MOST_INEXACT = 0.3, 0.2, 1e-3
 # A refinement is abandoned after two consecutive solves with so many iterations, if the second
 # leaves more than this fraction of the error.
 _LOST_ITERATIONS, _LEFT = 150, 0.5
-# Number of restarts from the controls that minimise the Hamiltonian.
-_IMPROVEMENTS = 8
-
-
-class Solved(Protocol):
-    """A solution on one mesh or, for several horizons, on one mesh each."""
-
-    @property
-    def parts(self) -> tuple[Solution, ...]:
-        """The solution on each horizon, with the history of the joint solve."""
-
-    @property
-    def status(self) -> Status:
-        """Outcome of the solve."""
-
-    @property
-    def ipopt_code(self) -> int:
-        """Ipopt's own return code."""
-
-    @property
-    def iterations(self) -> tuple[Iteration, ...]:
-        """Ipopt's progress."""
-
-    @property
-    def objective(self) -> float:
-        """The objective as declared."""
-
-    @property
-    def message(self) -> str:
-        """Reason why the solve ended."""
-
-    @property
-    def wall_s(self) -> float:
-        """Time of the solve."""
-
-    @property
-    def warm_start(self) -> Any:
-        """Initial point for another solve."""
-
-    def updated(self, **changes: Any) -> Self:
-        """Return the solution with other attributes."""
-
-
-S = TypeVar("S", bound=Solved)
+S = TypeVar("S", bound=Outcome)
 
 
 def refine(
@@ -260,7 +63,7 @@ def refine(
     meshes: tuple[Mesh, ...],
     tolerance: float,
     refinement: RefinementOptions,
-    warm_start: Any,
+    start: Start,
     past_the_barrier: Callable[[tuple[Damping | None, ...], S], S] | None = None,
 ) -> S:
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
@@ -271,7 +74,7 @@ def refine(
     Parameters
     ----------
     solve : callable
-        (meshes, warm start, dampings, change=) -> solution, with one mesh and damping for each
+        (meshes, start, dampings, change=) -> solution, with one mesh and damping for each
         horizon, and the expected change of the objective, None where unknown.
     meshes : tuple
         Initial meshes, one for each horizon.
@@ -280,60 +83,138 @@ def refine(
 
     Returns
     -------
-    Solved
+    Outcome
         `converged`, or `tolerance_not_met` with the smallest error reached in its message,
         or the status of the solve that failed.
     """
-    chosen = meshes
-    records: list[MeshRecord] = []
-    dampings: tuple[Damping | None, ...] = (None,) * len(chosen)
-    firmness, improvements, settled = 1.0, 0, 0
-    gap = min(_GAP * tolerance, _LARGEST_GAP)
+    going = _Refinement(
+        solve, meshes, tolerance, refinement, start, past_the_barrier, before=(None,) * len(meshes)
+    )
+    ended = None
+    while ended is None:
+        ended = going.with_next_meshes()
+    return ended
+
+
+@dataclass
+class _Refinement(Generic[S]):
+    """State of a refinement: the next meshes with their start, and the results of the last ones.
+
+    Attributes
+    ----------
+    records, tried : list
+        One record per mesh, and the strategies that were tried.
+    dampings : tuple
+        Damping for each horizon.
+    firmness : float
+        Strength of the damping.
+    settled : int
+        Number of damped meshes on which the objective had settled.
+    restarts : int
+        Number of restarts by Pontryagin's principle.
+    reached : _Reached, optional
+        The solution within tolerance before the last of them.
+    before : tuple
+        The last solution on each horizon.
+    """
+
+    solve: Callable[..., S]
+    meshes: tuple[Mesh, ...]
+    tolerance: float
+    options: RefinementOptions
+    start: Start
+    sharpen: Callable[[tuple[Damping | None, ...], S], S] | None
+    before: tuple[Solution | None, ...]
+    records: list[MeshRecord] = field(default_factory=list)
+    tried: list[str] = field(default_factory=list)
+    dampings: tuple[Damping | None, ...] = ()
+    firmness: float = 1.0
+    settled: int = 0
+    restarts: int = 0
     reached: _Reached[S] | None = None
-    before: tuple[Solution | None, ...] = (None,) * len(chosen)
-    while True:
-        change = _expected_change(before, tolerance)
-        solved, dampings = _solved(solve, chosen, warm_start, dampings, change, gap)
-        is_damped = _are_damped(dampings)
-        solved, errors = _measured(solved, past_the_barrier, dampings, tolerance, refinement)
-        error = max(e.largest for e in errors)
-        records.append(_record(solved, error))
-        solution = solved.updated(error_estimate=error, history=tuple(records))
-        solution = _shown(solution, refinement)
+
+    def __post_init__(self) -> None:
+        self.gap = min(_GAP * self.tolerance, _LARGEST_GAP)
+        self.dampings = (None,) * len(self.meshes)
+
+    def with_next_meshes(self) -> S | None:
+        """Solve on the next meshes; return the result of the refinement, None to go on."""
+        solution, errors, has_failed = self._solved()
         if solution.status is not Status.CONVERGED:
-            return _lost(solution, reached, tolerance) if solved.status.has_failed else solution
-        if reached is not None:
-            reached.compare(solution, error)
-        finer = _next_meshes(solution, errors, tolerance, refinement, is_damped=is_damped)
+            return _lost(solution, self.reached, self.tolerance) if has_failed else solution
+        error, is_damped = max(e.largest for e in errors), _are_damped(self.dampings)
+        if self.reached is not None:
+            self.reached.compare(solution, error)
+        finer = _next_meshes(solution, errors, self.tolerance, self.options, is_damped=is_damped)
         if finer is None:
-            met = _with_state_error(solution, errors, before, tolerance)
-            ended, better = _ended_or_better(met, reached, _IMPROVEMENTS - improvements, tolerance)
-            if better is None:
-                return ended
-            reached = _Reached(met, earned=0.0 if reached is None else reached.gain(met))
-            improvements += 1
-            chosen, warm_start, before = _meshes(solution), better.warm_start, (None,)
-            weight = firmness * refinement.damping * tolerance
-            dampings = (damping_of(better, weight),)
-            continue
-        is_stuck = finer == _meshes(solution) and error > tolerance
-        if is_stuck or len(records) >= refinement.max_meshes or _is_lost(records):
-            ended = _given_up(solution, before, error, tolerance)
-            if reached is not None and reached.earned > tolerance and not is_stuck:
-                return _cut_off(reached)
-            return _lost(_with_state_error(ended, errors, before, tolerance), reached, tolerance)
-        settled += is_damped and _has_settled(solution, tolerance)
-        is_stalled = settled >= _MANY_SETTLED
-        if is_damped and (is_stalled or records[-1].iterations > _MANY_ITERATIONS):
-            firmness = _firmer(firmness, settled)
-        chosen, warm_start, before = finer, solution.warm_start, solution.parts
-        weight = firmness * refinement.damping * tolerance
-        left = gap if is_stalled else 0.0
-        if refinement.limits_move and not is_stalled:
-            left = _gap_to_leave(solution, errors, tolerance)
-        dampings = tuple(
-            damping_of(part, weight, gap=left, is_still=is_stalled) for part in solution.parts
+            return self._restarted(_with_state_error(solution, errors, self.before, self.tolerance))
+        is_stuck = finer == _meshes(solution) and error > self.tolerance
+        has_no_more = len(self.records) >= self.options.max_meshes
+        if is_stuck or has_no_more or _is_lost(self.records):
+            ended = _given_up(solution, self.before, error, self.tolerance)
+            if self.reached is not None and self.reached.earned > self.tolerance and not is_stuck:
+                return _cut_off(self.reached)
+            ended = _with_state_error(ended, errors, self.before, self.tolerance)
+            return _lost(ended, self.reached, self.tolerance)
+        self._go_on(solution, errors, finer, is_damped=is_damped)
+        return None
+
+    def _solved(self) -> tuple[S, tuple[ErrorEstimate, ...], bool]:
+        """Return the next solution with its errors, and whether its solve failed."""
+        change = _expected_change(self.before, self.tolerance)
+        search = _MeshSolve(self.solve, self.meshes, self.start, self.dampings, change, self.gap)
+        solved = first_success(Scope.MESH, search)
+        self.dampings = search.dampings
+        solved, errors = _measured(
+            solved, self.sharpen, self.dampings, self.tolerance, self.options
         )
+        error = max(e.largest for e in errors)
+        self.records.append(_record(solved, error))
+        self.tried.extend(solved.tried)
+        done = {"history": tuple(self.records), "tried": tuple(self.tried)}
+        solution = solved.updated(error_estimate=error, **done)
+        return _shown(solution, self.options), errors, solved.status.has_failed
+
+    def _restarted(self, met: S) -> S | None:
+        """Return a solution within tolerance, None after a restart from better controls."""
+        left = MOST_RESTARTS - self.restarts
+        ended, better = _ended_or_better(met, self.reached, left, self.tolerance)
+        if better is None:
+            return ended
+        self.reached = _Reached(met, earned=0.0 if self.reached is None else self.reached.gain(met))
+        self.restarts += 1
+        self.tried.append(RESTART)
+        self._begin_at(better.warm_start, _meshes(met), (None,))
+        self.dampings = self._damped((better,))
+        return None
+
+    def _go_on(
+        self,
+        solution: S,
+        errors: tuple[ErrorEstimate, ...],
+        finer: tuple[Mesh, ...],
+        *,
+        is_damped: bool,
+    ) -> None:
+        """Prepare the solve on finer meshes."""
+        self.settled += is_damped and _has_settled(solution, self.tolerance)
+        is_stalled = self.settled >= _MANY_SETTLED
+        if is_damped and (is_stalled or self.records[-1].iterations > _MANY_ITERATIONS):
+            self.firmness = _firmer(self.firmness, self.settled)
+        left = self.gap if is_stalled else 0.0
+        if self.options.limits_move and not is_stalled:
+            left = _gap_to_leave(solution, errors, self.tolerance)
+        self._begin_at(solution.warm_start, finer, solution.parts)
+        self.dampings = self._damped(solution.parts, gap=left, is_still=is_stalled)
+
+    def _begin_at(
+        self, warm: Any, meshes: tuple[Mesh, ...], before: tuple[Solution | None, ...]
+    ) -> None:
+        self.start, self.meshes, self.before = replace(self.start, warm=warm), meshes, before
+
+    def _damped(self, parts: tuple[Solution, ...], **how: Any) -> tuple[Damping | None, ...]:
+        weight = self.firmness * self.options.damping * self.tolerance
+        return tuple(damping_of(part, weight, **how) for part in parts)
 
 
 def _shown(solution: S, refinement: RefinementOptions) -> S:
@@ -351,22 +232,30 @@ def _firmer(firmness: float, settled: int) -> float:
     return max(firmness, min(_FIRMER * firmness, most))
 
 
-def _solved(
-    solve: Callable[..., S],
-    meshes: tuple[Mesh, ...],
-    warm_start: Any,
-    dampings: tuple[Damping | None, ...],
-    change: float | None,
-    gap: float,
-) -> tuple[S, tuple[Damping | None, ...]]:
-    """Solve; if that fails, with a larger barrier or stronger damping, then from the guess."""
-    solved = solve(meshes, warm_start, dampings, change=change)
-    if solved.status.has_failed and (change is not None or _are_damped(dampings)):
-        dampings = tuple(d and d.firmer(_FIRM, gap) for d in dampings)
-        solved = solve(meshes, warm_start, dampings)
-    if solved.status.has_failed and warm_start is not None:
-        solved = solve(meshes, None, dampings)
-    return solved, dampings
+@dataclass
+class _MeshSolve(Search[S], Generic[S]):
+    """The search for a solution on the next meshes, with its dampings and expected change."""
+
+    solve: Callable[..., S]
+    meshes: tuple[Mesh, ...]
+    start: Start
+    dampings: tuple[Damping | None, ...]
+    change: float | None
+    gap: float
+
+    def holds(self, fact: Fact) -> bool:
+        """Return whether a fact holds."""
+        is_held = self.change is not None or _are_damped(self.dampings)
+        return self.start.warm is not None if fact is Fact.WARM_START else is_held
+
+    def attempt(self, strategy: Strategy) -> S:
+        """Solve by one strategy."""
+        if strategy.is_firm:
+            self.dampings = tuple(d and d.firmer(_FIRM, self.gap) for d in self.dampings)
+            self.change = None
+        start = self.start.cold if strategy.first is First.GUESS else self.start
+        change = None if strategy.first is First.GUESS else self.change
+        return self.solve(self.meshes, start, self.dampings, change=change)
 
 
 def _measured(
@@ -390,7 +279,7 @@ def _measured(
     return solved, errors
 
 
-def _gap_to_leave(solution: Solved, errors: tuple[ErrorEstimate, ...], tolerance: float) -> float:
+def _gap_to_leave(solution: Outcome, errors: tuple[ErrorEstimate, ...], tolerance: float) -> float:
     """Return the relative gap that the barrier may leave in the objective, where limits move."""
     unknown = max(e.of_integrals for e in errors)
     if any(part.restraint is not None for part in solution.parts):
@@ -429,7 +318,7 @@ def _with_state_error(
 
 
 def _errors(
-    solution: Solved, tolerance: float, refinement: RefinementOptions
+    solution: Outcome, tolerance: float, refinement: RefinementOptions
 ) -> tuple[ErrorEstimate, ...]:
     """Return the errors on each horizon; with several horizons the gap is not assigned to any."""
     estimate = partial(estimate_error, tolerance=tolerance, allowance=refinement.allowance)
@@ -438,7 +327,7 @@ def _errors(
 
 
 def _is_held_by_the_barrier(
-    solution: Solved, errors: tuple[ErrorEstimate, ...], tolerance: float, fine: float
+    solution: Outcome, errors: tuple[ErrorEstimate, ...], tolerance: float, fine: float
 ) -> bool:
     """Return whether the barrier, or a scaling that hides the objective, limits the accuracy.
 
@@ -459,7 +348,7 @@ class _Reached(Generic[S]):
 
     Attributes
     ----------
-    solution : Solved
+    solution : Outcome
     shown : float, optional
         Lower bound on the gain that the restart has shown, relative to the objective: the largest
         gain of its solutions less their own errors; None before the first of them.
@@ -538,18 +427,18 @@ def _doubted(solution: S) -> S:
     )
 
 
-def _improved(solution: Solved, tolerance: float) -> Solution | None:
+def _improved(solution: Outcome, tolerance: float) -> Solution | None:
     """Return better controls for a restart, None without any or with several horizons."""
     parts = solution.parts
     return improved_controls(parts[0], tolerance) if len(parts) == 1 else None
 
 
-def _meshes(solution: Solved) -> tuple[Mesh, ...]:
+def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
     return tuple(part.mesh for part in solution.parts)
 
 
 def _next_meshes(
-    solution: Solved,
+    solution: Outcome,
     errors: tuple[ErrorEstimate, ...],
     tolerance: float,
     refinement: RefinementOptions,
@@ -586,7 +475,7 @@ def _expected_change(before: tuple[Solution | None, ...], tolerance: float) -> f
     return change * last.nominal_objective if last is not None and math.isfinite(change) else None
 
 
-def _has_settled(solution: Solved, tolerance: float) -> bool:
+def _has_settled(solution: Outcome, tolerance: float) -> bool:
     """Return whether the last mesh changed the objective by little."""
     return _objective_change(solution.parts[0], tolerance) <= _SETTLED * tolerance
 
@@ -632,7 +521,7 @@ def _given_up(
     )
 
 
-def _most_moved(solution: Solved, before: tuple[Solution | None, ...]) -> str:
+def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
     """Return text naming the control that the last mesh changed most, with time and amount."""
     found = []
     for part, last in zip(solution.parts, before, strict=True):
@@ -653,7 +542,7 @@ def _most_moved(solution: Solved, before: tuple[Solution | None, ...]) -> str:
     return max(found)[1] if found else ""
 
 
-def _record(solution: Solved, error: float) -> MeshRecord:
+def _record(solution: Outcome, error: float) -> MeshRecord:
     return MeshRecord(
         elements=sum(mesh.elements for mesh in _meshes(solution)),
         points=sum(mesh.points for mesh in _meshes(solution)),

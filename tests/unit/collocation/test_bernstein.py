@@ -70,7 +70,8 @@ def test_what_it_costs_is_told_and_refined_away(problem):
 
 def test_rows_are_linear_with_their_own_slopes(problem):
     solution = problem.solve(mesh=COARSE)
-    program = bounded(solution.program, solution.bounds, solution.unknowns, BREACH)
+    rows = bounded(solution.program, solution.bounds, solution.unknowns, BREACH)
+    program = rows.added_to(solution.program)
     z = np.random.default_rng(1).normal(size=solution.unknowns.size)
     rows, columns = program.jacobianstructure()
     dense = np.zeros((program.n_rows, z.size))

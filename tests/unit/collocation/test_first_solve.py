@@ -18,6 +18,7 @@ from pyomo_quad.collocation import (
 from pyomo_quad.collocation.problem import Problem
 from pyomo_quad.collocation.program.elastic import priced
 from pyomo_quad.collocation.refining.refinement import refine
+from pyomo_quad.collocation.starts import AT_THE_MODEL, Start
 from pyomo_quad.flight.verification import fly_controls
 from tests.problems import bryson_denham, double_integrator
 from tests.problems.published.flight import f8
@@ -61,8 +62,9 @@ def failing_where(monkeypatch, fails, status=Status.NOT_CONVERGED):
     """Let solves on a mesh fail where the arguments say so; return those of all."""
     solve_on_mesh, seen = Problem.solve_on_mesh, []
 
-    def stubbed(self, mesh, *rest, **arguments):
-        solution = solve_on_mesh(self, mesh, *rest, **arguments)
+    def stubbed(self, mesh, start=AT_THE_MODEL, *rest, **arguments):
+        solution = solve_on_mesh(self, mesh, start, *rest, **arguments)
+        arguments["start"] = start
         seen.append((mesh, arguments))
         return replace(solution, status=status) if fails(mesh, arguments) else solution
 
@@ -120,7 +122,7 @@ def test_a_fixed_mesh_is_tried_again_with_other_settings(monkeypatch, barrier, i
 
 def test_what_is_claimed_infeasible_but_can_be_met_begins_there(monkeypatch):
     def fails(_, arguments):
-        return arguments.get("guess") is None
+        return arguments["start"].guess is None
 
     failing_where(monkeypatch, fails, Status.INFEASIBLE)
     solution = compile(double_integrator.build()).solve(mesh=Mesh.uniform(5, 4))
@@ -154,10 +156,10 @@ def pumped_pendulum():
 def test_where_every_mesh_fails_an_elastic_start_leads_on(monkeypatch):
     problem, solve_on_mesh, starts = pumped_pendulum(), Problem.solve_on_mesh, []
 
-    def failing_from_cold(self, mesh, warm_start=None, *rest, **options):
+    def failing_from_cold(self, mesh, start=AT_THE_MODEL, *rest, **options):
         # Which cold starts fail hangs on the last digits of the linear algebra.
-        solution = solve_on_mesh(self, mesh, warm_start, *rest, **options)
-        is_plain = warm_start is None and not options.get("is_elastic", False)
+        solution = solve_on_mesh(self, mesh, start, *rest, **options)
+        is_plain = start.warm is None and not start.is_elastic
         starts.append("plain" if is_plain else "led on")
         return replace(solution, status=Status.INFEASIBLE) if is_plain else solution
 
@@ -180,7 +182,7 @@ def test_an_elastic_start_gives_back_what_it_lent():
     arguments = {"instance": problem.instance(), "options": SolverOptions()}
     with noted_starts() as starts:
         plain, elastic = (
-            problem.solve_on_mesh(Mesh.uniform(5, 4), is_elastic=is_elastic, **arguments)
+            problem.solve_on_mesh(Mesh.uniform(5, 4), Start(is_elastic=is_elastic), **arguments)
             for is_elastic in (False, True)
         )
     assert elastic.objective == pytest.approx(plain.objective, rel=1e-8)
@@ -192,7 +194,7 @@ def test_an_elastic_start_gives_back_what_it_lent():
 def test_the_derivatives_of_an_elastic_program_are_the_slopes():
     solution = compile(bryson_denham.build()).solve(mesh=Mesh.uniform(2, 3))
     elastic = priced(solution.program, solution.scaling, solution.unknowns)
-    slacks = np.random.default_rng(1).uniform(0.1, 1, 2 * elastic.rows.size)
+    slacks = np.random.default_rng(1).uniform(0.1, 1, elastic.prices.size)
     z = np.concatenate([solution.unknowns, slacks])
     steps = 1e-6 * np.eye(z.size)
     slopes = [(elastic.objective(z + d) - elastic.objective(z - d)) / 2e-6 for d in steps]
@@ -230,18 +232,18 @@ def test_a_warm_start_that_ends_infeasible_is_tried_again_from_the_guess():
     first = problem.solve()
     tried = []
 
-    def misled(meshes, warm_start, dampings, change=None):
+    def misled(meshes, start, dampings, change=None):
         del dampings, change
-        tried.append(warm_start)
+        tried.append(start.warm)
         solution = problem.solve(mesh=meshes[0])
-        return solution if warm_start is None else replace(solution, status=Status.INFEASIBLE)
+        return solution if start.warm is None else replace(solution, status=Status.INFEASIBLE)
 
     solution = refine(
         misled,
         meshes=(first.mesh,),
         tolerance=1e-6,
         refinement=RefinementOptions(),
-        warm_start=first.warm_start,
+        start=Start.of(first),
     )
     assert [start is None for start in tried] == [False, True]
     assert solution.is_converged

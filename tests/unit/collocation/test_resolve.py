@@ -29,8 +29,9 @@ from pyomo_quad.collocation import (
     compile,
     solve,
 )
-from pyomo_quad.collocation.guess import ColdStart
-from pyomo_quad.collocation.problem import Problem, within_budget
+from pyomo_quad.collocation.problem import Problem
+from pyomo_quad.collocation.solving import within_budget
+from pyomo_quad.collocation.starts import ColdStart, Start
 from pyomo_quad.model import build_model, parameter_values
 from pyomo_quad.scenario import load_scenario
 from tests.problems import brachistochrone, goddard, hyper_sensitive, scalar_regulator
@@ -395,9 +396,10 @@ class Attempts:
         self.solution, self.meshes, self.taken = solution, {True: warm, False: cold}, []
 
     def __call__(self, start, progress):
-        self.taken.append((start is not None, 0))
-        for k in chain.from_iterable(range(n + 1) for n in self.meshes[start is not None]):
-            self.taken[-1] = (start is not None, self.taken[-1][1] + (k > 0))
+        is_warm = start.warm is not None
+        self.taken.append((is_warm, 0))
+        for k in chain.from_iterable(range(n + 1) for n in self.meshes[is_warm]):
+            self.taken[-1] = (is_warm, self.taken[-1][1] + (k > 0))
             if progress(replace(self.solution.iterations[0], iteration=k)) is False:
                 return replace(self.solution, status=Status.INTERRUPTED)
         return self.solution
@@ -416,7 +418,8 @@ def test_a_warm_start_may_take_what_the_cold_start_took(regulator, meshes, taken
     solution = regulator.solve(mesh=MESH)
     attempts = Attempts(solution, warm=meshes, cold=(5, 2))
     known = ColdStart(first=3, iterations=5, tolerance=1e-6)
-    found = within_budget(attempts, solution.warm_start, known, 1e-6, None)
+    start = Start.of(replace(solution.warm_start, cold_start=known))
+    found = within_budget(attempts, start, 1e-6, None)
     assert attempts.taken == taken
     if len(taken) == 1:
         assert found.cold_start == known

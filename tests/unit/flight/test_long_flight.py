@@ -8,7 +8,7 @@ from pyomo.environ import ConcreteModel, Constraint, Objective, Var
 from pyomo_quad.collocation import Mesh, compile
 from pyomo_quad.collocation.mesh import radau_rule
 from pyomo_quad.flight import Planner
-from pyomo_quad.flight.rescue import fine_mesh, guess_of, is_long
+from pyomo_quad.flight.long_flight import fine_mesh, guess_of, is_long
 from pyomo_quad.flight.verification import fly_controls
 from tests.declared_model import scenario
 

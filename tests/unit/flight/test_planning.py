@@ -11,9 +11,12 @@ from pyomo_quad import load_scenario
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.collocation import Mesh, SolverOptions, Status, Trajectory
-from pyomo_quad.flight import Planner, PlanStatus, deadline, planning, rescue
+from pyomo_quad.flight import Planner, PlanStatus, candidate, deadline, planning
+from pyomo_quad.flight.candidate import Candidate
+from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.planning import solve_scenario
-from pyomo_quad.flight.rescue import Rescuer
+from pyomo_quad.flight.search import Search, Stage
+from pyomo_quad.flight.strategies import MISSION, RETRIES, Strategy, carry_out
 from pyomo_quad.model import build_model
 from pyomo_quad.model.power import wider_smoothings
 from pyomo_quad.scenario.mission import NamedDuration
@@ -158,16 +161,11 @@ def test_the_least_time_is_approached_by_flights_that_are_proven(monkeypatch, se
     slow = solve_scenario(load_scenario(PAPER_CALM, [*hop, "mission.duration=4.0"]))
     shortest = replace(slow.solution, objective=4.0)
     monkeypatch.setattr(planning, "shortest_flight", lambda *_told, **_how: shortest)
-    solve, tried = Planner._solve, []
-
-    def noted(planner, told, *rest):
-        tried.append(told.mission.duration)
-        return solve(planner, told, *rest)
-
-    monkeypatch.setattr(Planner, "_solve", noted)
     asked = ["mission.duration='free'", "mission.aim='time'", *settings]
     plan = solve_scenario(load_scenario(PAPER_CALM, [*hop, *asked]))
-    assert tried == pytest.approx(durations)
+    tried = [said.partition(" s: ") for said in plan.attempts[1:]]
+    assert [float(duration) for duration, _, _ in tried] == pytest.approx(durations)
+    assert {status for _, _, status in tried} == {"verified"}
     assert plan.attempts[0] == "shortest flight: 4 s"
     assert plan.is_verified
     assert plan.duration_s == pytest.approx(durations[-1], abs=1e-9)
@@ -198,39 +196,47 @@ FAILED, DONE = Pretended(Status.NOT_CONVERGED), Pretended(Status.CONVERGED)
 
 
 class Solves:
-    """Answers that are given in turn, and what was asked."""
+    """A mission whose solves give their answers in turn, and what was asked of it."""
 
-    def __init__(self, *answers, plainly=None, slowly=DONE, shortest=None):
-        self.answers, self.slowly, self.shortest = list(answers), slowly, shortest
-        self.plainly = plainly
+    def __init__(self, *answers, plainly=None, slowly=DONE):
+        self.answers, self.slowly = list(answers), slowly
+        self.past_waypoints = plainly and SimpleNamespace(solve_roughly=lambda: plainly)
+        longest = NamedDuration("mission.duration", DURATION)
+        mission, solver = SimpleNamespace(longest=longest, is_free=False), SimpleNamespace()
+        solver.tolerance = 1e-6
+        self.told = SimpleNamespace(mission=mission, solver=solver)
+        self.problems = SimpleNamespace(builder=lambda _told: None)
         self.guesses, self.slow = [], []
 
-    def solve(self, trajectory):
+    def solve_from(self, trajectory, _mesh):
         self.guesses.append(trajectory.states)
         return self.answers.pop(0)
 
-    def solve_slowly(self, duration, trajectory):
-        self.slow.append((duration, None if trajectory is None else trajectory.states))
+    def solve_roughly(self, *, horizon, guess):
+        self.slow.append((horizon[1], None if guess is None else guess.states))
         return self.slowly
 
-    def rescuer(self):
-        return Rescuer(
-            longest=NamedDuration("mission.duration", DURATION),
-            solve=self.solve,
-            solve_plainly=lambda: self.plainly,
-            solve_slowly=self.solve_slowly,
-            solve_shortest=lambda: self.shortest,
-            progress=None,
-        )
+
+def new_search():
+    return Search(deadline.Deadline(load_scenario(PAPER_CALM)))
+
+
+def retried(mission):
+    """The candidate and the record of all retries of a mission that failed."""
+    search = new_search()
+    tried = Candidate(scenario=None, mission=mission, search=search, solution=FAILED)
+    carry_out(RETRIES, tried, search)
+    return tried, search.record
 
 
 @pytest.fixture
 def diagnosed(monkeypatch):
-    def answer(*, feasible_point=None, is_infeasible=False):
+    def answer(*, feasible_point=None, is_infeasible=False, shortest=None):
         found = SimpleNamespace(
             feasible_point=feasible_point, is_infeasible=is_infeasible, relaxations=(), active=()
         )
-        monkeypatch.setattr(rescue, "diagnose", lambda *_, **__: found)
+        monkeypatch.setattr(candidate, "diagnose", lambda *_, **__: found)
+        monkeypatch.setattr(candidate, "shortest_flight", lambda *_: shortest)
 
     return answer
 
@@ -241,64 +247,87 @@ def shortest(duration):
 
 def test_a_flight_that_keeps_every_limit_is_the_first_guess(diagnosed):
     diagnosed(feasible_point=path("elastic"))
-    solves = Solves(DONE)
-    rescued = solves.rescuer()(FAILED)
-    assert solves.guesses == ["elastic"]
-    assert rescued.solution is DONE
-    assert rescued.failure is None
-    assert rescued.attempts == ("first solve: not_converged", "elastic restoration: converged")
+    mission = Solves(DONE)
+    tried, record = retried(mission)
+    assert mission.guesses == ["elastic"]
+    assert tried.solution is DONE
+    assert tried.failure is None
+    assert record == ["elastic restoration: converged"]
 
 
 def test_a_flight_past_the_waypoints_themselves_leads_to_one_within_their_radius(diagnosed):
     diagnosed(feasible_point=path("elastic"))
-    solves = Solves(DONE, plainly=Pretended(Status.CONVERGED, path("plain")))
-    rescued = solves.rescuer()(FAILED)
-    assert solves.guesses == ["plain"]
-    assert rescued.attempts[-1] == "by way of the waypoints themselves: converged"
+    mission = Solves(DONE, plainly=Pretended(Status.CONVERGED, path("plain")))
+    _, record = retried(mission)
+    assert mission.guesses == ["plain"]
+    assert record[-1] == "by way of the waypoints themselves: converged"
 
 
 def test_a_slow_flight_is_sped_up_when_that_guess_fails(diagnosed):
     diagnosed(feasible_point=path("elastic"))
-    solves = Solves(FAILED, DONE, slowly=Pretended(Status.CONVERGED, path("slow")))
-    rescued = solves.rescuer()(FAILED)
-    assert [duration for duration, _ in solves.slow] == pytest.approx([30, 20, 15, 12, 11])
-    assert [guess for _, guess in solves.slow] == [None, *["slow"] * 4]
-    assert solves.guesses == ["elastic", "slow"]
-    assert rescued.attempts[1] == "elastic restoration: not_converged"
-    assert rescued.attempts[-1] == "continuation in duration: converged"
+    mission = Solves(FAILED, DONE, slowly=Pretended(Status.CONVERGED, path("slow")))
+    _, record = retried(mission)
+    assert [duration for duration, _ in mission.slow] == pytest.approx([30, 20, 15, 12, 11])
+    assert [guess for _, guess in mission.slow] == [None, *["slow"] * 4]
+    assert mission.guesses == ["elastic", "slow"]
+    assert record[0] == "elastic restoration: not_converged"
+    assert record[-1] == "continuation in duration: converged"
 
 
 def test_the_shortest_flight_is_the_last_guess(diagnosed):
-    diagnosed()
-    solves = Solves(FAILED, DONE, shortest=shortest(4.0))
-    rescued = solves.rescuer()(FAILED)
-    assert solves.guesses == ["mission", "shortest"]
-    assert rescued.attempts[-2:] == (
-        "shortest flight: 4 s",
-        "guess from the shortest flight: converged",
-    )
+    diagnosed(shortest=shortest(4.0))
+    mission = Solves(FAILED, DONE)
+    _, record = retried(mission)
+    assert mission.guesses == ["mission", "shortest"]
+    assert record[-2:] == ["shortest flight: 4 s", "guess from the shortest flight: converged"]
 
 
 def test_a_mission_is_infeasible_when_the_shortest_flight_takes_longer(diagnosed):
-    diagnosed(is_infeasible=True)
-    rescued = Solves(shortest=shortest(12.5)).rescuer()(FAILED)
-    assert rescued.solution.status is Status.INFEASIBLE
-    assert next(rescued.failure.causes()).startswith("mission.duration = 10 s is 2.5 s too short")
+    diagnosed(is_infeasible=True, shortest=shortest(12.5))
+    tried, _ = retried(Solves())
+    assert tried.solution.status is Status.INFEASIBLE
+    assert next(tried.failure.causes()).startswith("mission.duration = 10 s is 2.5 s too short")
 
 
 def test_a_shorter_flight_contradicts_the_elastic_solve(diagnosed):
-    diagnosed(is_infeasible=True)
-    rescued = Solves(FAILED, shortest=shortest(4.0)).rescuer()(FAILED)
-    assert rescued.solution.status is Status.NOT_CONVERGED
-    assert rescued.failure is not None
+    diagnosed(is_infeasible=True, shortest=shortest(4.0))
+    tried, _ = retried(Solves(FAILED))
+    assert tried.solution.status is Status.NOT_CONVERGED
+    assert tried.failure is not None
 
 
-def test_an_interruption_ends_the_rescue(diagnosed):
+def test_an_interruption_ends_the_retries(diagnosed):
     diagnosed()
     stopped = Pretended(Status.INTERRUPTED)
-    rescued = Solves(slowly=stopped).rescuer()(FAILED)
-    assert rescued.solution is stopped
-    assert rescued.failure is None
+    tried, _ = retried(Solves(slowly=stopped))
+    assert tried.solution is stopped
+    assert tried.failure is None
+
+
+def test_strategies_are_carried_out_while_they_apply_and_their_outcomes_recorded():
+    search, stages = new_search(), []
+
+    def act(counts, name):
+        stages.append(search.stage)
+        counts[name] = counts.get(name, 0) + 1
+        return None if name == "silent" else f"{counts[name]}"
+
+    table = [
+        Strategy("twice", Stage.ROUTES, lambda _: True, partial(act, name="twice"), most=2),
+        Strategy("never", Stage.COARSE, lambda _: False, partial(act, name="never")),
+        Strategy("silent", Stage.COARSE, lambda _: True, partial(act, name="silent"), most=3),
+        Strategy("once", Stage.REFINING, lambda n: "once" not in n, partial(act, name="once"), 9),
+    ]
+    counts = {}
+    carry_out(table, counts, search)
+    assert counts == {"twice": 2, "silent": 1, "once": 1}
+    assert search.record == ["twice: 1", "twice: 2", "once: 1"]
+    assert stages == [Stage.ROUTES, Stage.ROUTES, Stage.COARSE, Stage.REFINING]
+
+
+def test_each_strategy_of_a_mission_has_a_name_of_its_own():
+    names = [strategy.name for strategy in MISSION]
+    assert len(set(names)) == len(names)
 
 
 KINKED = ["power.model='constant_efficiency'", "power.regeneration=false"]
@@ -430,29 +459,26 @@ def test_ways_past_waypoints_within_a_radius_are_found_by_way_of_the_waypoints_t
         "solver.time_limit=60",
     )
     plan = solve_scenario(load_scenario(PAPER_CALM, mission))
-    assert plan.status is PlanStatus.SOLVED
+    assert plan.status in {PlanStatus.SOLVED, PlanStatus.USABLE}
     assert all(route.energy_J is not None for route in plan.routes)
 
 
 def test_without_zones_waypoints_within_a_radius_are_passed_by_way_of_themselves_too(monkeypatch):
-    plainly, plain_flights = Planner._plainly, []
-    by_way_of, guesses = planning.by_way_of, []
+    solve, solve_from = MissionProblem.solve_roughly, MissionProblem.solve_from
+    plain_flights, guesses = [], []
 
-    def noted(planner, told, *rest):
-        plain_flights.append(plainly(planner, told, *rest))
+    def noted(mission, **chosen):
+        plain_flights.append(solve(mission, **chosen))
         return plain_flights[-1]
 
-    def begun(easier, problem, arguments, guess):
+    def failing(mission, guess=None, mesh=None):
+        if guess is None:
+            return mission.solve(tolerance=None, options=SolverOptions(max_iterations=1))
         guesses.append(guess)
-        return by_way_of(easier, problem, arguments, guess)
+        return solve_from(mission, guess, mesh)
 
-    def failing(planner, problem, told, _warm_start, progress):
-        unsolved = {"tolerance": None, "options": SolverOptions(max_iterations=1)}
-        return problem.solve(**planner._arguments(told, progress) | unsolved)
-
-    monkeypatch.setattr(Planner, "_first_solve", failing)
-    monkeypatch.setattr(Planner, "_plainly", noted)
-    monkeypatch.setattr(planning, "by_way_of", begun)
+    monkeypatch.setattr(MissionProblem, "solve_roughly", noted)
+    monkeypatch.setattr(MissionProblem, "solve_from", failing)
     mission = (
         "mission.start.position=[3.694, 7.765, 6.966]",
         "mission.goal.position=[-3.231, 5.085, 5.310]",

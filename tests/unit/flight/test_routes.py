@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.collocation import Mesh, Status, Trajectory
+from pyomo_quad.flight.route_flights import RouteFlights, guess_along
 from pyomo_quad.flight.routes import (
-    best_of_journeys,
     find_journeys,
     find_routes,
-    guess_along,
     length_of,
     no_way,
 )
@@ -267,19 +266,26 @@ def test_ways_that_become_one_flight_on_the_second_mesh_are_refined_once():
     heights = iter([1.0, 2.0])
     refined = []
 
-    def refine(known, meshes):
-        if meshes is None:
-            refined.append(known)
-            return known
-        elements = 5 if known.trajectory.states[0, 0] == 1.0 else 6
-        return flown(1.5, 100.0 + 1e-9 * elements, Mesh.uniform(elements, 3))
+    class Flights(RouteFlights):
+        def __init__(self):
+            """Need no mission."""
 
-    best, tried = best_of_journeys(
-        journeys,
-        lambda _: flown(next(heights), 100.0, Mesh.uniform(4, 3)),
-        refine,
-        lambda solution: solution.objective,
-        lambda journey, _: journey,
-    )
+        def fly(self, _journey):
+            return flown(next(heights), 100.0, Mesh.uniform(4, 3))
+
+        def refine(self, known, meshes):
+            if meshes is None:
+                refined.append(known)
+                return known
+            elements = 5 if known.trajectory.states[0, 0] == 1.0 else 6
+            return flown(1.5, 100.0 + 1e-9 * elements, Mesh.uniform(elements, 3))
+
+        def energy_of(self, solution):
+            return solution.objective
+
+        def as_flown(self, journey, _solution):
+            return journey
+
+    best, tried = Flights().compared(journeys)
     assert refined == [best]
     assert [(way.name, way.is_kept) for way in tried] == [("right of mast", True)]

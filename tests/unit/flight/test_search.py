@@ -5,6 +5,7 @@ import pytest
 from pyomo_quad import Plan
 from pyomo_quad.collocation import Mesh
 from pyomo_quad.flight import PlanStatus, search
+from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.planning import Planner
 from pyomo_quad.flight.usable import flyable_from
 from pyomo_quad.flight.verdict import plan_of, verified
@@ -56,12 +57,11 @@ def test_a_search_that_is_stopped_ends_with_its_usable_plan(monkeypatch, tmp_pat
 
 def test_what_leads_on_from_a_coarse_mesh_can_be_flown():
     planner, told = Planner(), load_scenario(PAPER_CALM)
-    problem, _ = planner.problem_for(told)
-    arguments = planner._arguments(told, None)
-    coarse = problem.solve(**arguments | {"mesh": Mesh.uniform(4, 4), "tolerance": None})
+    mission = MissionProblem(planner, told)
+    coarse = mission.solve(mesh=Mesh.uniform(4, 4), tolerance=None)
     asked = Accuracy.QUICK
     before = verified(plan_of(told, coarse, {}, 0.0), coarse, asked).verification
-    *_, last = flyable_from(problem, arguments, coarse, told.airspace)
+    *_, last = flyable_from(mission.problem, mission.arguments, coarse, told.airspace)
     after = verified(plan_of(told, last, {}, 0.0), last, asked).verification
     assert before.reached is None
     assert after.reached is asked

@@ -10,8 +10,13 @@ import pytest
 from pyomo_quad import load_scenario
 from pyomo_quad.collocation import Status
 from pyomo_quad.flight import PlanStatus
+from pyomo_quad.flight.candidate import Candidate
+from pyomo_quad.flight.deadline import Deadline
+from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.orders import MOST_EXACT, cost_of, exact_orders
 from pyomo_quad.flight.planning import solve_scenario
+from pyomo_quad.flight.search import Search
+from pyomo_quad.flight.strategies import FIRST, carry_out
 from pyomo_quad.flight.tour import LegTable, find_orders, in_order
 from tests.command import PAPER_CALM
 from tests.declared_model import scenario
@@ -180,12 +185,19 @@ def corners(order="best", mirrored=1.0):
     )
 
 
+def first_solution(told, start=None):
+    search = Search(Deadline(told))
+    mission = MissionProblem(PLANNER, told, search)
+    candidate = Candidate(scenario=told, mission=mission, search=search, start=start)
+    carry_out(FIRST, candidate, search)
+    return candidate.solution
+
+
 def test_a_solve_starts_from_a_similar_flight_with_its_passing_times():
     """A shortest flight past a waypoint has one, and so has the flight that is to come near it."""
     told = corners("given")
-    problem, _ = PLANNER.problem_for(told)
-    first = PLANNER._first_solve(problem, told, None, None)
-    again = PLANNER._first_solve(problem, told, first, None)
+    first = first_solution(told)
+    again = first_solution(told, first)
     assert again.status.is_solved
     assert again.objective == pytest.approx(first.objective, rel=1e-6)
 

@@ -6,7 +6,7 @@ import pytest
 from pyomo.environ import Constraint, units
 
 from pyomo_quad.model import aerodynamics, build_model, inspect_model
-from pyomo_quad.model.build import parameter_tables
+from pyomo_quad.model.parameters import parameter_tables
 from pyomo_quad.scenario import PowerModel, WindCoupling
 from pyomo_quad.scenario.fields import unit_of
 from tests.declared_model import AIRSPACE, scenario

@@ -115,7 +115,8 @@ def test_without_leave_to_fork_all_is_done_here(monkeypatch):
 @pytest.mark.usefixtures("cores")
 def test_what_a_copy_prints_is_not_lost(capfd):
     all_of([partial(print, "flown")] * 6)
-    assert capfd.readouterr().out.split() == ["flown"] * 6
+    # Copies share the stream: a line may begin before another has ended.
+    assert capfd.readouterr().out.count("flown") == 6
 
 
 ABANDONED = """

@@ -71,7 +71,7 @@ def test_without_the_principle_it_would_stay_in_the_valley_it_began_in(monkeypat
 
 
 def test_what_could_not_be_improved_says_so(monkeypatch):
-    limit = "pyomo_quad.collocation.refining.refinement._IMPROVEMENTS"
+    limit = "pyomo_quad.collocation.refining.refinement.MOST_RESTARTS"
     monkeypatch.setattr(limit, 0)
     solution = compile(two_valleys(0.9)).solve(tolerance=1e-6)
     assert solution.status is Status.TOLERANCE_NOT_MET

@@ -11,7 +11,9 @@ from scipy.optimize import approx_fprime
 from pyomo_quad import collocation
 from pyomo_quad.collocation import Mesh, RefinementOptions, SolverOptions, Status
 from pyomo_quad.collocation.mesh import radau_rule
-from pyomo_quad.collocation.refining.refinement import damping_of, refine
+from pyomo_quad.collocation.refining.damping import damping_of
+from pyomo_quad.collocation.refining.refinement import refine
+from pyomo_quad.collocation.starts import AT_THE_MODEL, Start
 from tests.problems import bang_bang, bryson_denham, double_integrator, singular_arc
 
 WEIGHT, GAP = 1e-3, 1e-6
@@ -72,7 +74,7 @@ def test_once_the_costs_have_settled_controls_are_drawn_to_where_they_jump(solut
 def test_the_barrier_leaves_as_much_as_it_shall(solution, weight):
     damping = damping_of(solution, weight, gap=GAP, is_still=True)
     arguments = {"instance": solution.instance, "options": SolverOptions()}
-    found = solution.problem.solve_on_mesh(MESH, solution.warm_start, damping, **arguments)
+    found = solution.problem.solve_on_mesh(MESH, Start.of(solution), damping, **arguments)
     z, bounds = found.unknowns, found.bounds
     pulls = (found.multipliers.lower, z - bounds.lower), (found.multipliers.upper, bounds.upper - z)
     left = sum(pull[np.isfinite(slack)] @ slack[np.isfinite(slack)] for pull, slack in pulls)
@@ -136,7 +138,7 @@ def refined_by(searches):
         meshes=(MESH,),
         tolerance=1e-9,
         refinement=RefinementOptions(max_meshes=4),
-        warm_start=None,
+        start=AT_THE_MODEL,
     )
 
 

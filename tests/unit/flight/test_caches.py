@@ -4,7 +4,7 @@ import pyomo.environ as pyo
 from pyomo.dae import ContinuousSet, DerivativeVar
 
 from pyomo_quad.flight import Planner
-from pyomo_quad.flight.recent import Recent
+from pyomo_quad.flight.caches import Recent
 from pyomo_quad.scenario import load_scenario
 from tests.command import SCENARIOS
 

@@ -1,0 +1,198 @@
+"""Times of a horizon, which may be free; the phases between them.
+
+Between two declared times, physical time is linear in the fraction of the horizon.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+from pyomo_quad.collocation.errors import TranscriptionError
+
+
+def is_over(component: Any, time: Any) -> bool:
+    """Return whether a component is indexed by time itself, not by a set with equal members."""
+    return component.is_indexed() and any(part is time for part in component.index_set().subsets())
+
+
+# Least distance, as a fraction of the horizon, between two consecutive times of which one is free.
+LEAST_PHASE = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhaseTimes:
+    """Phases of the horizon between times that may be free; flags select the phase that holds.
+
+    Attributes
+    ----------
+    name : str
+        Name of the continuous set.
+    declared : tuple of float
+        Declared times between which time runs evenly, the first and the last among them.
+    times : tuple
+        The same times in CasADi symbols.
+    fraction : SX
+        Symbol of the fraction of the declared horizon.
+    phases : tuple of SX
+        One symbol per phase, 1 where the phase holds and 0 elsewhere; none for a single phase.
+    is_free : bool
+        Whether any of the times is a static variable.
+    """
+
+    name: str
+    declared: tuple[float, ...]
+    times: tuple[Any, ...]
+    fraction: Any
+    phases: tuple[Any, ...] = ()
+    is_free: bool = False
+
+    @property
+    def fractions(self) -> tuple[float, ...]:
+        """Declared times as fractions of the declared horizon."""
+        return tuple(self.fraction_of(time) for time in self.declared)
+
+    def fraction_of(self, time: float) -> float:
+        """Return a declared time as a fraction of the declared horizon."""
+        return (time - self.declared[0]) / (self.declared[-1] - self.declared[0])
+
+    @cached_property
+    def _spans(self) -> list[Any]:
+        """Derivative of time with respect to the fraction of the horizon, phase by phase."""
+        ends = zip(pairwise(self.times), pairwise(self.fractions), strict=True)
+        return [(after - before) / (last - first) for (before, after), (first, last) in ends]
+
+    @property
+    def _holds(self) -> tuple[Any, ...]:
+        return self.phases or (1.0,)
+
+    @cached_property
+    def span(self) -> Any:
+        """Derivative of time with respect to the fraction of the horizon at the template point."""
+        return sum(p * span for p, span in zip(self._holds, self._spans, strict=True))
+
+    @cached_property
+    def time(self) -> Any:
+        """Physical time at the template point."""
+        return sum(
+            holds * (start + span * (self.fraction - first))
+            for holds, start, span, first in zip(
+                self._holds, self.times, self._spans, self.fractions, strict=False
+            )
+        )
+
+    def span_at(self, time: float) -> Any:
+        """Return d time / d fraction of the horizon, just before a declared time."""
+        return self._spans[self.phase_of(time)]
+
+    def time_at(self, time: float) -> Any:
+        """Return the physical time, in symbols, that a declared time maps to."""
+        k = self.phase_of(time)
+        return self.times[k] + self._spans[k] * (self.fraction_of(time) - self.fractions[k])
+
+    def phase_of(self, time: float) -> int:
+        """Return the position of the phase that holds at a declared time, or ends there."""
+        return bisect_left(self.declared[1:-1], time)
+
+    def label(self, position: int) -> str:
+        """Return the name of one of the declared times."""
+        return f"{self.name}[{self.declared[position]:g}]"
+
+    def orders(self) -> list[tuple[str, Any]]:
+        """Return, by name, the expressions that must be nonnegative to keep the phases in order."""
+        whole = LEAST_PHASE * (self.times[-1] - self.times[0])
+        if not self.phases:
+            return []
+        return [
+            (f"{self.label(k)} before {self.label(k + 1)}", after - before - whole)
+            for k, (before, after) in enumerate(pairwise(self.times))
+        ]
+
+
+#: Declared time -> static variable that replaces it, for a model with one continuous set; or such a
+#: mapping for each set, by the set's name.
+FreeTimes = Mapping[Any, Any]
+
+
+def free_times(
+    sets: tuple[Any, ...], final_time: Any, times: FreeTimes | None
+) -> dict[str, dict[float, Any]]:
+    """Return the static variables that replace declared times, by continuous set.
+
+    Raises
+    ------
+    TranscriptionError
+        If a set or a time is not declared, or its replacement is not a static variable.
+    """
+    given: dict[str, dict[float, Any]] = {s.name: {} for s in sets}
+    if final_time is not None:
+        only = _only(sets, "final_time")
+        given[only.name][float(only.last())] = final_time
+    for key, named in (times or {}).items():
+        if isinstance(named, Mapping):
+            chosen = _called(sets, str(key))
+            given[chosen.name] |= {_declared(chosen, at): v for at, v in named.items()}
+        else:
+            chosen = _only(sets, "times")
+            given[chosen.name][_declared(chosen, key)] = named
+    for time in sets:
+        _refuse_unusable(time, sets, given[time.name])
+    return given
+
+
+def _only(sets: tuple[Any, ...], argument: str) -> Any:
+    if not sets:
+        raise TranscriptionError(
+            f"{argument}: the model has no ContinuousSet whose times could be free; leave it out."
+        )
+    if len(sets) > 1:
+        names = ", ".join(s.name for s in sets)
+        raise TranscriptionError(
+            f"{argument}: the model has several ContinuousSets, {names}; name the set as in "
+            f'times={{"{sets[0].name}": {{{sets[0].last():g}: m.T}}}}.'
+        )
+    return sets[0]
+
+
+def _called(sets: tuple[Any, ...], name: str) -> Any:
+    for time in sets:
+        if time.name == name:
+            return time
+    known = ", ".join(s.name for s in sets)
+    raise TranscriptionError(
+        f"times: {name} is not a ContinuousSet of the model, which has {known or 'none'}; give "
+        "its full name."
+    )
+
+
+def _declared(time: Any, at: Any) -> float:
+    found = [float(t) for t in time if t == at]
+    if not found:
+        known = ", ".join(f"{t:g}" for t in sorted(time))
+        raise TranscriptionError(
+            f"times: {at} is not a declared time of {time.name}, which are {known}; declare it "
+            "with initialize=."
+        )
+    return found[0]
+
+
+def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) -> None:
+    """Refuse a replacement that is not a static variable, or that replaces two times."""
+    taken: dict[str, float] = {}
+    for at, variable in given.items():
+        is_static = getattr(variable, "is_variable_type", bool)() and not variable.is_indexed()
+        if not is_static or any(is_over(variable.parent_component(), s) for s in sets):
+            raise TranscriptionError(
+                f"{getattr(variable, 'name', variable)}: {time.name}[{at:g}], a free time, must be "
+                "a static variable, a Var that is not over time."
+            )
+        if variable.name in taken:
+            raise TranscriptionError(
+                f"times: {variable.name} is given for {time.name}[{taken[variable.name]:g}] and "
+                f"{time.name}[{at:g}], which leaves no time between them; give each its own Var."
+            )
+        taken[variable.name] = at

@@ -1,0 +1,207 @@
+"""Rules of a model's components: found, made to refer to a clone, and checked."""
+
+from __future__ import annotations
+
+from functools import partial
+from types import CellType, CodeType, FunctionType, MethodType
+from typing import TYPE_CHECKING, Any
+
+from pyomo.core import ComponentUID, Constraint, ConstraintList, Expression
+from pyomo.core.base.component import Component, ComponentData
+from pyomo.core.base.initializer import Initializer
+from pyomo.core.expr.compare import compare_expressions
+from pyomo.dae import DerivativeVar
+
+from pyomo_quad.collocation.errors import TranscriptionError, raised
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_RULES = ("_rule", "_rule_init", "_rule_bounds")
+_FUNCTION = "_fcn"  # attribute in which Pyomo's initializers keep a function
+_INNER = "_initializer"  # attribute in which a wrapping initializer keeps the wrapped one
+
+
+def transfer_rules(model: Any, copy: Any) -> None:
+    """Make the rules of a clone refer to the clone.
+
+    Parameters
+    ----------
+    model : ConcreteModel
+        The model that was cloned.
+    copy : ConcreteModel
+        Its clone, whose rules are changed.
+    """
+    translator = _Translator(model, copy)
+    for component in copy.component_objects(descend_into=True):
+        for name in _RULES:
+            rule = getattr(component, name, None)
+            while hasattr(rule, _INNER):
+                rule = getattr(rule, _INNER)
+            if hasattr(rule, _FUNCTION):
+                setattr(rule, _FUNCTION, translator.translate(getattr(rule, _FUNCTION)))
+        if isinstance(component, DerivativeVar):
+            # The equation with which a discretisation in space replaced the derivative.
+            formula = translator.translate(component.get_derivative_expression())
+            component.set_derivative_expression(formula)
+
+
+def rule_of(component: Any) -> Any:
+    """Return the rule that makes a component's members, None if there is none."""
+    if isinstance(component, ConstraintList):
+        return None  # Its rule counts its own calls and takes no index.
+    rule = getattr(component, "_rule", None)
+    if rule is None and isinstance(getattr(component, "_default_val", None), FunctionType):
+        return Initializer(component._default_val)  # noqa: SLF001
+    return None if rule is None or rule.constant() else rule
+
+
+def bounds_rule_of(variable: Any) -> Any:
+    """Return the rule that gives a variable's members their bounds, None if there is none."""
+    rule = getattr(variable, "_rule_bounds", None)
+    return None if rule is None or rule.constant() else rule
+
+
+def initial_rule_of(variable: Any) -> Any:
+    """Return the rule that initializes a variable's members, None if there is none."""
+    rule = getattr(variable, "_rule_init", None)
+    return None if rule is None or rule.constant() else rule
+
+
+def refuse_lost_members(copy: Any, template_time: float) -> None:
+    """Refuse rules that fail at a time that the model does not declare.
+
+    Pyomo reads a `KeyError` in a rule as a request to skip the member; an equation would be lost.
+
+    Raises
+    ------
+    TranscriptionError
+        Naming the component.
+    """
+    for component, rule in _with_rules(copy):
+        for index in component.index_set():
+            if template_time not in _flat(index) or index in component:
+                continue
+            try:
+                rule(component.parent_block(), index)
+            except Exception as error:
+                raise refusal(component.name, error) from error
+
+
+def refuse_changed_members(copy: Any) -> None:
+    """Refuse members that differ from the expression that their rule returns.
+
+    The engine reads an equation over time from its rule, so it would overlook a member that was
+    changed by `set_value` after the rule ran.
+
+    Raises
+    ------
+    TranscriptionError
+        Naming the member.
+    """
+    for component, rule in _with_rules(copy):
+        for index in tuple(component)[-1:]:
+            try:
+                stated = rule(component.parent_block(), index)
+            except Exception as error:
+                raise TranscriptionError(
+                    f"{component.name}: its rule no longer fits the model ({raised(error)}), as "
+                    "after core.scale_model; scale with the Suffix scaling_factor alone, which the "
+                    "engine reads, or discretise the model before it is transformed."
+                ) from error
+            if component.ctype is Constraint:
+                stated = type(component[index])(expr=stated).expr
+            if not _is_same(component[index].expr, stated):
+                raise TranscriptionError(
+                    f"{component[index].name}: was changed after its rule made it; delete the "
+                    "component and declare it anew with a rule that returns the changed expression."
+                )
+
+
+def _is_same(held: Any, stated: Any) -> bool:
+    """Compare expressions, by their text where an external function hides behind a number."""
+    return bool(compare_expressions(held, stated)) or str(held) == str(stated)
+
+
+def _with_rules(copy: Any) -> Iterator[tuple[Any, Any]]:
+    for component in copy.component_objects((Constraint, Expression), descend_into=True):
+        if component.is_indexed() and rule_of(component) is not None:
+            yield component, rule_of(component)
+
+
+def _flat(index: Any) -> tuple[Any, ...]:
+    return index if isinstance(index, tuple) else (index,)
+
+
+class _Translator:
+    """Replaces a model's components inside functions by the components of its clone."""
+
+    def __init__(self, model: Any, copy: Any) -> None:
+        self._model = model
+        self._copy = copy
+        self._functions: dict[FunctionType, FunctionType] = {}
+
+    def translate(self, value: Any) -> Any:
+        """Return the counterpart of a value on the clone."""
+        if isinstance(value, Component | ComponentData):
+            return self._component(value)
+        if isinstance(value, FunctionType | MethodType | partial):
+            return self._callable(value)
+        if type(value) in (list, tuple, set):
+            return type(value)(self.translate(item) for item in value)
+        if type(value) is dict:
+            return {key: self.translate(item) for key, item in value.items()}
+        return value
+
+    def _callable(self, value: Any) -> Any:
+        if isinstance(value, FunctionType):
+            return self._function(value)
+        if isinstance(value, MethodType):
+            return MethodType(self.translate(value.__func__), self.translate(value.__self__))
+        arguments, keywords = self.translate(value.args), self.translate(value.keywords)
+        return partial(self.translate(value.func), *arguments, **keywords)
+
+    def _component(self, component: Any) -> Any:
+        if component is self._model:
+            return self._copy
+        if component.model() is not self._model:
+            return component
+        found = ComponentUID(component).find_component_on(self._copy)
+        return component if found is None else found
+
+    def _function(self, function: FunctionType) -> FunctionType:
+        if function in self._functions:
+            return self._functions[function]
+        cells = tuple(CellType() for _ in function.__closure__ or ())
+        names = {**function.__globals__}
+        translated = FunctionType(
+            function.__code__, names, function.__name__, closure=cells or None
+        )
+        # Stored before its parts are translated, because functions may refer to each other.
+        self._functions[function] = translated
+        for cell, original in zip(cells, function.__closure__ or (), strict=True):
+            cell.cell_contents = self.translate(original.cell_contents)
+        for name in _global_names(function.__code__) & names.keys():
+            names[name] = self._global(names[name], function)
+        translated.__defaults__ = self.translate(function.__defaults__)
+        translated.__kwdefaults__ = self.translate(function.__kwdefaults__)
+        return translated
+
+    def _global(self, value: Any, function: FunctionType) -> Any:
+        is_foreign = isinstance(value, FunctionType) and (
+            value.__globals__ is not function.__globals__
+        )
+        return value if is_foreign else self.translate(value)
+
+
+def _global_names(code: CodeType) -> set[str]:
+    inner = (constant for constant in code.co_consts if isinstance(constant, CodeType))
+    return set(code.co_names).union(*(_global_names(part) for part in inner))
+
+
+def refusal(name: str, error: Exception) -> TranscriptionError:
+    """Return the refusal of a rule that fails between the declared times."""
+    return TranscriptionError(
+        f"{name}: its rule fails at a time that the model did not declare ({raised(error)}); let "
+        "it read nothing but its time and components of the model."
+    )

@@ -1,0 +1,146 @@
+"""Damping of controls that enter linearly, toward the smoothed course of the last solution.
+
+See docs/theory/refinement.md, eq. (9).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+
+from pyomo_quad.collocation.mesh import radau_rule
+from pyomo_quad.collocation.program.nonlinear import ExtendedProgram
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pyomo_quad.collocation.mesh import FloatArray, Mesh
+    from pyomo_quad.collocation.program.transcription import Transcription
+    from pyomo_quad.collocation.solution import Solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class Damping:
+    """Penalty on the distance of controls from the smoothed course of a solution's controls.
+
+    The smoothed course consists of straight lines between the means over the elements.
+
+    Attributes
+    ----------
+    solution : Solution
+        Solution on the last mesh.
+    controls : ndarray of int
+        Positions among the algebraic variables.
+    prices : ndarray
+        Penalty per unit of mean square distance over the horizon, for each control.
+    gap : float
+        Gap that the barrier leaves in the objective, zero for the least that Ipopt reaches.
+    is_still : bool
+        Whether the objective has settled; the course is then the controls themselves.
+    """
+
+    solution: Solution
+    controls: NDArray[np.intp]
+    prices: FloatArray
+    gap: float
+    is_still: bool
+
+    def firmer(self, factor: float, gap: float) -> Damping:
+        """Return the damping with multiplied penalties, at least this gap, and the course fixed."""
+        gap = max(gap * self.solution.nominal_objective, self.gap)
+        return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
+
+    def applied_to(self, program: Transcription) -> ExtendedProgram:
+        """Return a program of the same model with the penalty added to its objective."""
+        mesh = program.mesh or self.solution.mesh
+        return ExtendedProgram(
+            program=program,
+            columns=program.layout.algebraic_columns[:, self.controls].ravel(),
+            weights=(mesh.quadrature_weights[:, None] * self.prices).ravel(),
+            near=self._near(mesh.point_fractions).ravel(),
+        )
+
+    def _near(self, fractions: FloatArray) -> FloatArray:
+        """Return the target of the damped controls, shape (n_fractions, n_controls)."""
+        mesh, held = self.solution.mesh, self.solution.trajectory.algebraics[:, self.controls]
+        if self.is_still:
+            lower, upper = (limit[self.controls] for limit in self.solution.algebraic_limits)
+            return np.clip(_smoothed(mesh, held, fractions), lower, upper)
+        # Damping toward the point values would preserve chattering.
+        middles, means = _element_means(mesh, held)
+        near = [np.interp(fractions, middles, mean) for mean in means.T]
+        return np.reshape(near, (self.controls.size, fractions.size)).T
+
+
+def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArray:
+    """Return values smoothed in each element: the lower half of their Legendre terms."""
+    starts, found = np.asarray(mesh.breakpoints), np.empty((fractions.size, values.shape[1]))
+    element = np.clip(np.searchsorted(starts, fractions) - 1, 0, mesh.elements - 1)
+    for e in np.unique(element):
+        degree, points = mesh.degrees[e], slice(mesh.first_node[e], mesh.first_node[e + 1])
+        kept, root = (degree - 1) // 2, np.sqrt(radau_rule(degree).weights)[:, None]
+        terms = root * legvander(2.0 * radau_rule(degree).points - 1.0, kept)
+        coefficients = np.linalg.lstsq(terms, root * values[points], rcond=None)[0]
+        inside = element == e
+        places = 2.0 * (fractions[inside] - starts[e]) / mesh.widths[e] - 1.0
+        found[inside] = legvander(places, kept) @ coefficients
+    return found
+
+
+def _element_means(mesh: Mesh, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the midpoints of the elements, and the element means of values at points."""
+    weights = mesh.quadrature_weights[:, None]
+    columns = np.column_stack([mesh.point_fractions, values, np.ones(mesh.points)])
+    sums = np.add.reduceat(weights * columns, mesh.first_node[:-1], axis=0)
+    means = sums / sums[:, -1:]
+    return means[:, 0], means[:, 1:-1]
+
+
+def damping_of(
+    solution: Solution, weight: float, *, gap: float = 0.0, is_still: bool = False
+) -> Damping | None:
+    """Return the damping toward a solution.
+
+    None if no bounded control enters nearly linearly and no gap is requested.
+
+    Next to a corner of the cost, which has curvature at the corner only, a control chatters like a
+    control that enters linearly.
+
+    Parameters
+    ----------
+    solution : Solution
+    weight : float
+        Cost, as a fraction of the objective, of a control that is a whole range away.
+    gap : float, optional
+        Gap, as a fraction of the objective, that the barrier leaves.
+    is_still : bool, optional
+        Whether the objective has settled, so that controls are damped toward their values.
+    """
+    lower, upper = solution.algebraic_limits
+    width = upper - lower
+    is_bounded = np.isfinite(width) & (width > 0.0)
+    prices, controls = np.zeros(width.size), np.zeros(0, dtype=np.intp)
+    if weight > 0.0 and np.any(is_bounded):
+        prices[is_bounded] = 2.0 * weight * solution.nominal_objective / width[is_bounded] ** 2
+        controls = np.flatnonzero(is_bounded & (_least_curvatures(solution) < prices))
+    if controls.size == 0 and gap == 0.0:
+        return None
+    return Damping(
+        solution=solution,
+        controls=controls,
+        prices=prices[controls],
+        gap=gap * solution.nominal_objective,
+        is_still=is_still,
+    )
+
+
+def _least_curvatures(solution: Solution) -> FloatArray:
+    """Return the least curvature of the Lagrangian in each algebraic variable, over all points."""
+    program = solution.program
+    first = 2 * program.layout.n_states
+    controls = slice(first, first + program.layout.n_algebraics)
+    curvatures = program.path_curvatures(solution.unknowns, solution.multipliers.rows)
+    return np.asarray(curvatures[:, controls].min(axis=0))

@@ -1,0 +1,203 @@
+"""The strategies of a solve in the order in which they are tried, and the loop that tries them.
+
+A whole solve begins at a warm start or at the guess. From there the first mesh is solved, by the
+initial points, meshes and settings of the scope `FIRST`. A refinement solves each further mesh by
+the strategies of the scope `MESH`, and begins again from better controls, by the one of `RESTART`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from enum import Enum, auto
+from math import inf
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Set as AbstractSet
+
+    from pyomo_quad.collocation.program.ipopt import SolverOptions
+
+
+class Scope(Enum):
+    """Part of a solve to which a strategy belongs."""
+
+    WHOLE = auto()
+    FIRST = auto()
+    MESH = auto()
+    RESTART = auto()
+
+
+class Fact(Enum):
+    """Condition of a strategy, which a search affirms or denies."""
+
+    #: A warm start is given.
+    WARM_START = auto()
+    #: The warm start exceeded its budget, and the cold start failed.
+    COLD_FAILED = auto()
+    #: There are more equations than free unknowns.
+    OVERDETERMINED = auto()
+    #: There are as many equations as free unknowns.
+    SQUARE = auto()
+    #: The caller gave no mesh.
+    FREE_MESH = auto()
+    #: The caller gave no guess.
+    FREE_GUESS = auto()
+    #: The search for the least violation after a failure was not interrupted.
+    JUDGED = auto()
+    #: The least violation is not known to be above zero.
+    POSSIBLE = auto()
+    #: There is one horizon only.
+    ONE_HORIZON = auto()
+    #: By Pontryagin's principle, other controls gain more than the tolerance.
+    BETTER_CONTROLS = auto()
+    #: Controls are damped, or the barrier begins as small as the last objective's change.
+    HELD = auto()
+
+
+class First(Enum):
+    """Initial point of a strategy."""
+
+    GIVEN = auto()
+    GUESS = auto()
+    #: The last iterate of the warm start.
+    REACHED = auto()
+    SIMULATED = auto()
+    LEAST_VIOLATION = auto()
+    #: The point of least violation, without the conditions that follow from others.
+    REDUCED = auto()
+    #: The optimum on a coarse mesh.
+    COARSE = auto()
+    #: The optimum of the elastic program.
+    PRICED = auto()
+    #: The controls that minimise the Hamiltonian at each point.
+    IMPROVED = auto()
+
+
+@dataclass(frozen=True)
+class Strategy:
+    """A way to solve: its name, its condition, its action and its budget.
+
+    Attributes
+    ----------
+    scope : Scope
+    name : str
+        Name in the record of strategies.
+    when : set of Fact
+        Facts that must all hold.
+    first : First
+    finer : int
+        Factor on the number of elements of the first mesh.
+    barrier : str, optional
+        Ipopt's strategy for its barrier.
+    is_scaled : bool
+        Whether Ipopt solves the scaled program.
+    is_firm : bool
+        Whether damping is increased, and the barrier begins larger.
+    iterations : float or None
+        Budget on each mesh; None for the iterations of the cold start, on its first mesh and on
+        all of them.
+    times : int
+        How often it may be tried.
+    """
+
+    scope: Scope
+    name: str
+    when: AbstractSet[Fact] = frozenset()
+    first: First = First.GIVEN
+    finer: int = 1
+    barrier: str | None = None
+    is_scaled: bool = True
+    is_firm: bool = False
+    iterations: float | None = inf
+    times: int = 1
+
+    def settings(self, options: SolverOptions) -> SolverOptions:
+        """Return the settings of Ipopt."""
+        if self.barrier is None:
+            return options
+        return replace(
+            options,
+            max_iterations=int(min(options.max_iterations, self.iterations or inf)),
+            extra=(*options.extra, ("mu_strategy", self.barrier)),
+        )
+
+
+#: Iterations of a strategy with other settings of Ipopt on the mesh that failed; successful ones
+#: need fewer. A caller who allows fewer needs a quick answer, as in flight: nothing else is tried.
+PATIENCE = 200
+#: Number of restarts of a refinement from controls that minimise the Hamiltonian: each gains more
+#: than the tolerance, and hardly any problem has more than two.
+MOST_RESTARTS = 8
+RESTART = "restart from the least Hamiltonian"
+
+_W, _F, _M, _R = Scope.WHOLE, Scope.FIRST, Scope.MESH, Scope.RESTART
+_POSSIBLE, _FREE = {Fact.POSSIBLE}, {Fact.JUDGED, Fact.FREE_MESH, Fact.FREE_GUESS}
+# A first mesh may be too coarse for the limits, or too fine for the error of the first point.
+STRATEGIES = (
+    Strategy(_W, "warm start", {Fact.WARM_START}, iterations=None),
+    Strategy(_W, "cold start", first=First.GUESS),
+    Strategy(_W, "warm start continued", {Fact.COLD_FAILED}, First.REACHED),
+    Strategy(_F, "no redundant conditions", {Fact.OVERDETERMINED}, First.REDUCED),
+    Strategy(_F, "the same, finer", {Fact.OVERDETERMINED, Fact.FREE_MESH}, First.REDUCED, 4),
+    Strategy(_F, "as asked"),
+    Strategy(_F, "from a simulation", {Fact.FREE_GUESS}, First.SIMULATED),
+    Strategy(_F, "no redundant conditions", {Fact.JUDGED, Fact.SQUARE}, First.REDUCED),
+    Strategy(_F, "the same, finer", {Fact.JUDGED, Fact.SQUARE, Fact.FREE_MESH}, First.REDUCED, 4),
+    Strategy(_F, "least violation", {Fact.POSSIBLE, Fact.ONE_HORIZON}, First.LEAST_VIOLATION),
+    Strategy(_F, "monotone barrier", _POSSIBLE, barrier="monotone", iterations=PATIENCE),
+    Strategy(_F, "unscaled", _POSSIBLE, barrier="adaptive", is_scaled=False, iterations=PATIENCE),
+    Strategy(_F, "both", _POSSIBLE, barrier="monotone", is_scaled=False, iterations=PATIENCE),
+    Strategy(_F, "four times finer", _FREE, finer=4),
+    Strategy(_F, "twice as fine", _FREE, finer=2),
+    Strategy(_F, "from a coarse mesh", _FREE, First.COARSE),
+    Strategy(_F, "from equations at a price", _FREE, First.PRICED),
+    Strategy(_M, "from the last mesh"),
+    Strategy(_M, "larger barrier, stronger damping", {Fact.HELD}, is_firm=True),
+    Strategy(_M, "from the guess", {Fact.WARM_START}, First.GUESS),
+    Strategy(_R, RESTART, {Fact.BETTER_CONTROLS}, First.IMPROVED, times=MOST_RESTARTS),
+)
+
+S = TypeVar("S", bound=Any)
+
+
+class Search(ABC, Generic[S]):
+    """A search for a solution by the strategies of one scope."""
+
+    @abstractmethod
+    def holds(self, fact: Fact) -> bool:
+        """Return whether a fact holds at this moment of the search."""
+
+    @abstractmethod
+    def attempt(self, strategy: Strategy) -> S | None:
+        """Return the result of a strategy, None if it does not apply."""
+
+    def is_final(self, found: S) -> bool:
+        """Return whether the search ends with a result."""
+        return not found.status.has_failed
+
+    def failure(self, last: S) -> S:
+        """Return the result where no strategy led to a final one: by default the last."""
+        return last
+
+
+def first_success(scope: Scope, search: Search[S]) -> S:
+    """Try the strategies of a scope in their order, and return the first final result.
+
+    The result holds the record of the strategies that were tried, if there were several.
+    """
+    tried: list[str] = []
+    last: Any = None
+    for strategy in STRATEGIES:
+        if strategy.scope is not scope or not all(map(search.holds, strategy.when)):
+            continue
+        found = search.attempt(strategy)
+        if found is None:
+            continue
+        last = found
+        tried.append(f"{strategy.name}: {found.status.value}")
+        if search.is_final(found):
+            break
+    else:
+        last = search.failure(last)
+    return last.updated(tried=(*last.tried, *tried)) if len(tried) > 1 else last

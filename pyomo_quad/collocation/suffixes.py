@@ -1,0 +1,146 @@
+"""Pyomo's suffixes `dual`, `rc` and `costate`: the objective's derivatives by limits and states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pyomo.core import Constraint, Var
+from pyomo.core.base.suffix import active_import_suffix_generator
+
+from pyomo_quad.collocation.mesh import interpolate
+from pyomo_quad.collocation.program.bounds import limits_of
+from pyomo_quad.collocation.reading.model_source import LiveModel
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pyomo_quad.collocation.mesh import FloatArray
+    from pyomo_quad.collocation.solution import Solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensitivities:
+    """Sensitivities of the declared objective, by name: functions of declared time, and numbers."""
+
+    over_time: dict[str, Callable[[float], float]] = field(default_factory=dict)
+    once: dict[str, float] = field(default_factory=dict)
+
+    def add(self, name: str, price: Callable[[float], float]) -> None:
+        """Add a sensitivity over time to the sum of its name, such as both sides of a limit."""
+        held = self.over_time.get(name)
+        if held is None:
+            self.over_time[name] = price
+        else:
+            self.over_time[name] = lambda time: held(time) + price(time)
+
+
+def load_suffixes(*solutions: Solution) -> None:
+    """Fill the suffixes `dual`, `rc` and `costate` of a model that imports them.
+
+    They are the derivatives of the declared objective by the constant side of a constraint, by a
+    bound of a variable, and by a state; over time, per unit of time. Several solutions are those of
+    several horizons.
+    """
+    source = solutions[0].problem.source
+    if not isinstance(source, LiveModel):
+        return
+    wanted = dict(active_import_suffix_generator(source.model))
+    kinds = {"dual": Constraint, "rc": Var, "costate": Var}
+    for name in wanted.keys() & kinds.keys():
+        wanted[name].clear()
+    for solution in solutions if wanted.keys() & kinds.keys() else ():
+        for name, prices in _suffixes(solution).items():
+            if name in wanted:
+                own = solution.problem.source
+                if isinstance(own, LiveModel):
+                    own.load_suffix(wanted[name], kinds[name], prices.over_time, prices.once)
+
+
+def _suffixes(solution: Solution) -> dict[str, Sensitivities]:
+    """Return the contents of the suffixes by name."""
+    problem = solution.problem
+    dual, reduced = _sensitivities(solution)
+    costates = Sensitivities()
+    if problem.has_horizon and problem.compiled.declared.states:
+        names = [s.name for s in problem.compiled.declared.states]
+        sign = -1.0 if solution.program.is_negated else 1.0
+        at = {name: _costate(solution, k, sign) for k, name in enumerate(names)}
+        costates = Sensitivities(over_time=at)
+    return {"dual": dual, "rc": reduced, "costate": costates}
+
+
+def _costate(solution: Solution, state: int, sign: float) -> Callable[[float], float]:
+    return lambda time: sign * float(solution.costates.at(_fraction(solution, time))[0, state])
+
+
+def _function(solution: Solution, density: FloatArray) -> Callable[[float], float]:
+    def at(time: float) -> float:
+        fractions = _fraction(solution, time)
+        return float(
+            interpolate(solution.mesh, density[:, None], fractions, with_start=False)[0, 0]
+        )
+
+    return at
+
+
+def _fraction(solution: Solution, time: float) -> FloatArray:
+    first, last = solution.problem.values.declared_horizon
+    return np.array([(time - first) / (last - first)])
+
+
+def _sensitivities(solution: Solution) -> tuple[Sensitivities, Sensitivities]:
+    """Return the sensitivities to constraints and to bounds."""
+    program, multipliers = solution.program, solution.multipliers
+    declared = program.compiled.declared
+    sign = -1.0 if program.is_negated else 1.0
+    dual, reduced = Sensitivities(), Sensitivities()
+    rows = -sign * multipliers.rows
+    if program.mesh is not None:
+        over_time = rows[: program.first_condition_row].reshape(program.n_points, -1)
+        for equation, held in zip(declared.equations, over_time.T, strict=True):
+            dual.add(equation.name, _function(solution, held / _widths(solution)))
+    conditions = rows[program.first_condition_row : program.first_integral_row]
+    for condition, held in zip(declared.conditions, conditions.tolist(), strict=True):
+        dual.once[condition.name] = held
+    _assign_bounds(solution, sign, dual, reduced)
+    return dual, reduced
+
+
+def _widths(solution: Solution) -> FloatArray:
+    """Return the length of time that each collocation point represents."""
+    mesh = solution.mesh
+    return np.asarray(solution.timeline.span_at(mesh.point_fractions) * mesh.quadrature_weights)
+
+
+def _assign_bounds(
+    solution: Solution, sign: float, dual: Sensitivities, reduced: Sensitivities
+) -> None:
+    """Assign the multipliers of bounds to the variables and constraints that declare them."""
+    program, bounds = solution.program, solution.bounds
+    compiled = program.compiled
+    first = len(compiled.declared.states) + len(compiled.declared.algebraics)
+    simple = (*compiled.limits[first:], *compiled.simple_point_bounds)
+    slopes = {bound.name: bound.slope for bound in simple}
+    # A variable bounded at one time only has a limit with that member's own name.
+    find = solution.problem.model.find_component
+    of_constraints = slopes.keys() - {
+        b.name for b in compiled.simple_point_bounds if getattr(find(b.name), "ctype", None) is Var
+    }
+    left = {"lower": np.array(solution.multipliers.lower), "upper": -solution.multipliers.upper}
+    start_data = solution.problem.data_at_starts(solution.instance)
+    for limit in limits_of(program, start_data, solution.instance.fixed):
+        total = np.zeros(limit.columns.size)
+        for side, rest in left.items():
+            # If two declarations impose the same bound, the first of them gets the multiplier.
+            is_own = getattr(limit, side) == getattr(bounds, side)[limit.columns]
+            total += np.where(is_own, rest[limit.columns], 0.0)
+            rest[limit.columns[is_own]] = 0.0
+        prices = sign * total / slopes.get(limit.name, 1.0)
+        table = dual if limit.name in of_constraints else reduced
+        if program.mesh is not None and prices.size >= program.n_points > 1:
+            own = prices[-program.n_points :]
+            table.add(limit.name, _function(solution, own / _widths(solution)))
+        elif prices.size == 1:
+            table.once[limit.name] = float(prices[0])

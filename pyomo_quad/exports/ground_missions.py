@@ -1,0 +1,512 @@
+"""Missions drawn in a ground station as scenarios: places, holds, headings, fence, rally points.
+
+Speeds and the way between the places are left to the plan. The formats are those that
+`exports.ground_station` writes; Mission Planner's text has neither fence nor rally points.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from math import cos, dist, isfinite, radians, remainder, sin, tau
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from pyomo_quad.exports.ground_station import (
+    GRIPPER_OPENED,
+    SHAPES_PATH,
+    WAYPOINT_FILE_HEADER,
+    Command,
+    Frame,
+)
+from pyomo_quad.scenario import Scenario, ScenarioError, scenario_from_mapping
+from pyomo_quad.scenario.airspace import ENDLESS_M, MOST_CORNERS, Shape
+from pyomo_quad.scenario.earth import GLOBE, GeodeticOrigin
+from pyomo_quad.scenario.messages import printable, shown
+
+_TAKEOFFS = {Command.TAKEOFF, Command.VTOL_TAKEOFF}
+_LANDINGS = {Command.LAND, Command.VTOL_LAND}
+_CIRCLED = {Command.LOITER_UNLIMITED, Command.LOITER_TURNS}
+_PLACES = {
+    *(Command.WAYPOINT, Command.SPLINE_WAYPOINT, Command.PAYLOAD_PLACE, Command.LOITER_TIME),
+    *(*_TAKEOFFS, *_LANDINGS, *_CIRCLED),
+}
+_RELATIVE = {Frame.GLOBAL_RELATIVE_ALTITUDE, Frame.GLOBAL_RELATIVE_ALTITUDE_INT}
+_ABOVE_SEA = {Frame.GLOBAL, Frame.GLOBAL_INT}
+# Fields of a waypoint in a scenario, and their values where they are not written.
+_UNSTATED = {"position": None, "hold": 0.0, "radius": 0.0, "yaw": None, "release": 0.0}
+# Places of two items are one where they are no farther apart [m].
+_SAME_M = 1e-3
+_LARGEST_BYTES = 20_000_000
+_FURTHEST_M = 1e5
+_LONGEST_S = 86_400.0
+_NAME_LENGTH = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportedMission:
+    """A ground station's mission as a scenario.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    text : str
+        The scenario's file, TOML.
+    left_out : tuple of str
+        Contents of the file that the scenario does not hold, each with its reason.
+    """
+
+    scenario: Scenario
+    text: str
+    left_out: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Item:
+    """A command of a mission with its seven numbers, None where a number is not given.
+
+    ``altitude`` is QGroundControl's, given where the seventh number depends on the terrain.
+    """
+
+    where: str
+    command: int
+    frame: int
+    params: tuple[float | None, ...]
+    altitude: float | None = None
+
+    def param(self, k: int) -> float:
+        """Return a number of the command; zero where it is not given."""
+        return self.params[k] or 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File:
+    """Content of a ground station's file, in degrees and metres."""
+
+    home: GeodeticOrigin
+    items: tuple[_Item, ...]
+    fence: Mapping[str, Any] = field(default_factory=dict)
+    rally: tuple[dict[str, float], ...] = ()
+
+
+@dataclass(kw_only=True)
+class _Place:
+    """Place on the globe with the conditions of passing it, in the notation of a scenario."""
+
+    position: dict[str, float]
+    hold: float = 0.0
+    radius: float = 0.0
+    yaw: float | None = None
+    release: float = 0.0
+    is_opened_at: bool = False
+
+
+def read_mission(
+    file: str | Path,
+    *,
+    name: str | None = None,
+    vehicle: str = "dji_matrice_100",
+    payload_kg: float = 0.0,
+) -> ImportedMission:
+    """Read a mission of QGroundControl (.plan) or Mission Planner (QGC WPL 110) as a scenario.
+
+    The flight begins hovering at the altitude of the take-off and ends hovering above the place of
+    landing; its duration is free. Altitudes over the terrain count from the home's, as over flat
+    ground. Exclusion fences have neither bottom nor top; an inclusion circle becomes a polygon
+    inside of it.
+
+    Parameters
+    ----------
+    file : str or Path
+    name : str, optional
+        Name of the scenario; the file's by default.
+    vehicle : str, optional
+        A vehicle of the library, or the file of one.
+    payload_kg : float, optional
+        Carried from the start, and left where the mission opens a gripper or places a payload.
+
+    Raises
+    ------
+    ScenarioError
+        If the file is no mission, has a command that no scenario can hold, or its scenario is
+        refused; one line.
+
+    Examples
+    --------
+    >>> from pyomo_quad import export_plan
+    >>> made = export_plan(plan, "qgroundcontrol", "hop.plan", origin="47.4,8.5,488")
+    >>> read_mission("hop.plan").scenario.name
+    'hop'
+    """
+    path = Path(file)
+    notes: Counter[str] = Counter()
+    read = _read(path)
+    places = list(_places(read, notes))
+    if len(places) < 2:
+        raise ScenarioError(
+            f"{printable(str(path))}: the mission has {len(places)} places; must have at least a "
+            "start and a goal; add waypoints in the ground station."
+        )
+    _release(places, payload_kg, notes)
+    tables = {
+        "name": name or _as_name(path.stem),
+        "title": f"Mission of {_as_name(path.name)}",
+        "vehicle": {"use": vehicle} | ({"payload": payload_kg} if payload_kg else {}),
+        "wind": {"use": "calm"},
+        "power": {"model": "momentum"},
+        "mission": _mission(read, places),
+        "airspace": _airspace(read, printable(str(path))),
+    }
+    scenario = scenario_from_mapping(tables, printable(str(path)))
+    said = tuple(note if n == 1 else f"{note} ({n} times)" for note, n in notes.items())
+    return ImportedMission(scenario=scenario, text=_toml(tables, said), left_out=said)
+
+
+def _refuse(where: str, reason: str) -> NoReturn:
+    raise ScenarioError(f"{where}: {reason}.") from None
+
+
+def _as_name(text: str) -> str:
+    kept = "".join(c if c.isascii() and (c.isalnum() or c in "_.-") else "_" for c in text)
+    return (kept if kept[:1].isalnum() else f"mission{kept}")[:_NAME_LENGTH]
+
+
+def _read(path: Path) -> _File:
+    source = printable(str(path))
+    try:
+        if path.stat().st_size > _LARGEST_BYTES:
+            _refuse(source, f"larger than {_LARGEST_BYTES} bytes; no mission is")
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        _refuse(source, f"cannot be read ({error.strerror or error}); give an existing file")
+    except UnicodeDecodeError:
+        _refuse(source, "is not text; give a .plan or .waypoints file")
+    if text.startswith("QGC WPL"):
+        return _waypoint_file(text, source)
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError):
+        _refuse(source, f"is neither a .plan file (JSON) nor begins with {WAYPOINT_FILE_HEADER}")
+    return _plan_file(document, source)
+
+
+def _table(value: object) -> Mapping[str, Any]:
+    return value if isinstance(value, Mapping) else {}
+
+
+def _list(value: object) -> list[Any]:
+    return value if isinstance(value, list) else []
+
+
+def _number(value: object, where: str, low: float, high: float) -> float:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not low <= value <= high:  # type: ignore[operator]
+        _refuse(where, f"{shown(value)}; must be a number from {low:g} to {high:g}")
+    return float(value)  # type: ignore[arg-type]
+
+
+def _on_globe(place: Sequence[object], where: str) -> tuple[float, float]:
+    """Return the latitude and longitude with which a list of coordinates begins."""
+    if len(place) < 2:
+        _refuse(where, "a place needs latitude and longitude")
+    found = []
+    for value, (coordinate, (low, high, _)) in zip(place, list(GLOBE.items())[:2], strict=False):
+        found.append(_number(value, f"{where}, {coordinate}", low, high))
+    return found[0], found[1]
+
+
+def _home(written: object, where: str) -> GeodeticOrigin:
+    place = list(written) if isinstance(written, list | tuple) else []
+    latitude, longitude = _on_globe(place, where)
+    low, high, _ = GLOBE["altitude"]
+    altitude = 0.0 if len(place) < 3 or place[2] is None else place[2]
+    return GeodeticOrigin(
+        latitude=latitude,
+        longitude=longitude,
+        altitude=_number(altitude, f"{where}, altitude", low, high),
+    )
+
+
+def _plan_file(document: object, source: str) -> _File:
+    held = _table(document)
+    mission = _table(held.get("mission"))
+    items = mission.get("items")
+    if held.get("fileType") != "Plan" or not isinstance(items, list):
+        _refuse(source, 'is no plan file; must have "fileType": "Plan" and a mission with items')
+    home = _home(mission.get("plannedHomePosition"), f"{source}, plannedHomePosition")
+    rally = []
+    for k, point in enumerate(_list(_table(held.get("rallyPoints")).get("points"))):
+        where = f"{source}, rally point {k + 1}"
+        place = _list(point)
+        latitude, longitude = _on_globe(place, where)
+        height = _number(place[2] if len(place) > 2 else 0.0, where, -_FURTHEST_M, _FURTHEST_M)
+        rally.append({"latitude": latitude, "longitude": longitude, "height": height})
+    return _File(
+        home=home,
+        items=tuple(_plan_items(items, source)),
+        fence=_table(held.get("geoFence")),
+        rally=tuple(rally),
+    )
+
+
+def _plan_items(items: list[Any], source: str) -> Iterator[_Item]:
+    """Yield the commands of a plan's items; a survey's are those that it consists of."""
+    for k, written in enumerate(items, start=1):
+        where, item = f"{source}, item {k}", _table(written)
+        if item.get("type") == "ComplexItem":
+            parts = _table(item.get("TransectStyleComplexItem")).get("Items")
+            if not isinstance(parts, list):
+                kind = shown(item.get("complexItemType"))
+                _refuse(where, f"{kind} has no list of commands; convert it to waypoints")
+            yield from _plan_items(parts, f"{where} ({shown(item.get('complexItemType'))})")
+        elif not item.get(SHAPES_PATH):
+            params = item.get("params")
+            if not isinstance(params, list) or len(params) != 7:
+                _refuse(where, "has no seven params")
+            yield _item(where, item.get("command"), item.get("frame"), params, item.get("Altitude"))
+
+
+def _item(
+    where: str, command: object, frame: object, params: Sequence[object], altitude: object = None
+) -> _Item:
+    numbers = [
+        None if value is None else _number(value, f"{where}, param {k}", -1e9, 1e9)
+        for k, value in enumerate(params, start=1)
+    ]
+    return _Item(
+        where=where,
+        command=int(_number(command, f"{where}, command", 0, 65_535)),
+        frame=int(_number(frame, f"{where}, frame", 0, 255)),
+        params=tuple(numbers),
+        altitude=None if altitude is None else _number(altitude, where, -1e5, 1e5),
+    )
+
+
+def _waypoint_file(text: str, source: str) -> _File:
+    header, *rows = (line.split() for line in text.splitlines() if line.strip())
+    if " ".join(header) != WAYPOINT_FILE_HEADER:
+        _refuse(source, f"begins with {shown(' '.join(header))}; must be {WAYPOINT_FILE_HEADER}")
+    items, home = [], None
+    for row in rows:
+        where = f"{source}, row {shown(row[0])}"
+        try:
+            numbers = [float(word) for word in row]
+        except ValueError:
+            _refuse(where, "has a word that is no number")
+        if len(numbers) != 12 or not all(map(isfinite, numbers)):
+            _refuse(where, "must have twelve finite numbers")
+        if home is None:
+            home = _home(numbers[8:11], where)
+            continue
+        # The text cannot leave a heading open: 0 is what Mission Planner writes for any.
+        held: list[float | None] = [*numbers[4:11]]
+        held[3] = held[3] or None
+        items.append(_item(where, numbers[3], numbers[2], held))
+    if home is None:
+        _refuse(source, "has no rows; the first is the home")
+    return _File(home=home, items=tuple(items))
+
+
+def _places(read: _File, notes: Counter[str]) -> Iterator[_Place]:
+    """Yield the places of a mission in order; nearer ones than a millimetre are one."""
+    last: _Place | None = None
+    first: _Place | None = None
+    for item in read.items:
+        place = _place_of(item, read, first, last, notes)
+        if place is None:
+            if last is not None:
+                _apply(item, last, notes)
+            elif item.command != Command.DO_CHANGE_SPEED:
+                notes[f"command {item.command}, before any place"] += 1
+            continue
+        if last is not None and _apart(read.home, last, place) <= _SAME_M:
+            last.hold += place.hold
+            last.is_opened_at |= place.is_opened_at
+            continue
+        if last is not None:
+            yield last
+        first, last = first or place, place
+        if item.command == Command.LOITER_UNLIMITED:
+            notes["circling without end: the flight ends there"] += 1
+            break
+    if last is not None:
+        yield last
+
+
+def _apart(home: GeodeticOrigin, *places: _Place) -> float:
+    rows = [list(place.position.values()) for place in places]
+    return dist(*home.local(rows).tolist())
+
+
+def _place_of(
+    item: _Item, read: _File, first: _Place | None, last: _Place | None, notes: Counter[str]
+) -> _Place | None:
+    """Return the place that an item flies to; None of a command without a place."""
+    if item.command == Command.RETURN_TO_LAUNCH and first is not None:
+        return _Place(position=dict(first.position))
+    if item.command == Command.DO_JUMP:
+        _refuse(item.where, "repeats a part of the mission; write the repeated places out")
+    if item.command not in _PLACES:
+        return None
+    latitude, longitude = item.params[4], item.params[5]
+    if not latitude and not longitude:  # where the vehicle is
+        near = last.position if last is not None else None
+        latitude = read.home.latitude if near is None else near["latitude"]
+        longitude = read.home.longitude if near is None else near["longitude"]
+    latitude, longitude = _on_globe([latitude, longitude], item.where)
+    height = _height(item, read.home, notes)
+    if item.command in _LANDINGS and first is not None:
+        height = first.position["height"]
+    if item.command in _CIRCLED:
+        notes[f"circles of command {item.command}, whose centre is passed"] += 1
+    is_waypoint = item.command in {Command.WAYPOINT, Command.SPLINE_WAYPOINT}
+    return _Place(
+        position={"latitude": latitude, "longitude": longitude, "height": height},
+        hold=_number(item.param(0), item.where, 0.0, _LONGEST_S)
+        if is_waypoint or item.command == Command.LOITER_TIME
+        else 0.0,
+        radius=max(item.param(1), 0.0) if is_waypoint else 0.0,
+        yaw=_towards(item.params[3]) if item.command == Command.WAYPOINT else None,
+        is_opened_at=item.command == Command.PAYLOAD_PLACE,
+    )
+
+
+def _towards(heading: float | None) -> float | None:
+    """Return a heading in degrees from north, clockwise, as an angle from east [rad]."""
+    return None if heading is None else remainder(radians(90.0 - heading), tau)
+
+
+def _height(item: _Item, home: GeodeticOrigin, notes: Counter[str]) -> float:
+    """Return the height of a place over the home [m]."""
+    written = item.params[6]
+    if item.frame in _ABOVE_SEA and written is not None:
+        return written - home.altitude
+    if item.frame not in _RELATIVE or written is None:
+        known = {*_ABOVE_SEA, *_RELATIVE, Frame.GLOBAL_TERRAIN_ALTITUDE}
+        if item.frame not in known:
+            _refuse(item.where, f"frame {item.frame}; must be one of {sorted(map(int, known))}")
+        notes["terrain: altitudes over it count from the home's, as over flat ground"] += 1
+        written = item.altitude if written is None else written
+    if written is None:
+        _refuse(item.where, "has no altitude; give one in the ground station")
+    return written
+
+
+def _apply(item: _Item, place: _Place, notes: Counter[str]) -> None:
+    """Apply a command without a place to the place where it is given."""
+    if item.command == Command.DELAY:
+        place.hold += _number(item.param(0), item.where, 0.0, _LONGEST_S)
+    elif item.command == Command.DO_GRIPPER and item.param(1) == GRIPPER_OPENED:
+        place.is_opened_at = True
+    elif item.command == Command.DO_CHANGE_SPEED:
+        notes["speeds, which the plan chooses"] += 1
+    else:
+        notes[f"command {item.command}"] += 1
+
+
+def _release(places: list[_Place], payload_kg: float, notes: Counter[str]) -> None:
+    """Leave the whole payload at the first place where the mission lets go of one."""
+    opened = [place for place in places if place.is_opened_at]
+    if opened and not payload_kg:
+        notes["the release of a payload; give --payload KG"] += 1
+    elif opened and opened[0] in (places[0], places[-1]):
+        notes["the release of the payload at an end of the flight"] += 1
+    elif opened:
+        opened[0].release = payload_kg
+
+
+def _mission(read: _File, places: list[_Place]) -> dict[str, Any]:
+    start, *between, goal = places
+    return {
+        "duration": "free",
+        "origin": read.home.model_dump(),
+        "start": {"position": start.position},
+        "goal": {"position": goal.position},
+        "waypoints": [
+            {
+                name: value
+                for name, value in asdict(place).items()
+                if name in _UNSTATED and value != _UNSTATED[name]
+            }
+            for place in between
+        ],
+        **({"rally": list(read.rally)} if read.rally else {}),
+    }
+
+
+def _airspace(read: _File, source: str) -> dict[str, Any]:
+    """Return the table of the fence: at most one to stay inside of, and zones to keep out of."""
+    inside: list[list[dict[str, float]]] = []
+    zones: list[dict[str, Any]] = []
+    polygons = _list(read.fence.get("polygons"))
+    if "polygon" in read.fence:  # a fence of version 1
+        polygons = [{"inclusion": True, "polygon": read.fence["polygon"]}]
+    for k, written in enumerate(polygons, start=1):
+        where, polygon = f"{source}, fence polygon {k}", _table(written)
+        ring = [_corner(corner, where) for corner in _list(polygon.get("polygon"))]
+        if polygon.get("inclusion", True):
+            inside.append(ring)
+        else:
+            zones.append({"name": f"polygon-{k}", "shape": Shape.POLYGON.value, "corners": ring})
+    for k, written in enumerate(_list(read.fence.get("circles")), start=1):
+        where, circle = f"{source}, fence circle {k}", _table(_table(written).get("circle"))
+        centre = _corner(circle.get("center"), where)
+        radius = _number(circle.get("radius"), f"{where}, radius", 0.01, _FURTHEST_M)
+        if _table(written).get("inclusion", True):
+            inside.append(_inscribed(read.home, centre, radius))
+        else:
+            shape = {"shape": Shape.CYLINDER.value, "centre": centre, "radius": radius}
+            zones.append({"name": f"circle-{k}"} | shape)
+    if len(inside) > 1:
+        _refuse(source, f"has {len(inside)} fences to stay inside of; a scenario has one at most")
+    ends = {"bottom": -ENDLESS_M, "top": ENDLESS_M}
+    held: dict[str, Any] = {"keep_out": [zone | ends for zone in zones]}
+    return held | ({"keep_in": {"corners": inside[0]}} if inside else {})
+
+
+def _corner(written: object, where: str) -> dict[str, float]:
+    latitude, longitude = _on_globe(_list(written), where)
+    return {"latitude": latitude, "longitude": longitude}
+
+
+def _inscribed(
+    home: GeodeticOrigin, centre: Mapping[str, float], radius: float
+) -> list[dict[str, float]]:
+    """Return the corners of a regular polygon inside of a circle."""
+    (x, y, _), *_ = home.local([[*centre.values(), 0.0]]).tolist()
+    angles = [tau * k / MOST_CORNERS for k in range(MOST_CORNERS)]
+    ring = [[x + radius * cos(angle), y + radius * sin(angle), 0.0] for angle in angles]
+    rows = home.geodetic(np.array(ring)).tolist()
+    return [{"latitude": latitude, "longitude": longitude} for latitude, longitude, _ in rows]
+
+
+def _toml(tables: Mapping[str, Any], left_out: Sequence[str]) -> str:
+    """Return tables as TOML, with comments that tell what they do not hold."""
+    lines = ["#:schema ./scenario.schema.json"]
+    lines += [f"# Not of the mission's file: {note}." for note in left_out]
+    for name, value in tables.items():
+        if not isinstance(value, Mapping):
+            lines.append(f"{name} = {_inline(value)}")
+            continue
+        plain = {key: held for key, held in value.items() if not _is_tables(key, held)}
+        if plain:
+            lines += ["", f"[{name}]", *(f"{key} = {_inline(v)}" for key, v in plain.items())]
+        for key, held in value.items():
+            for row in held if _is_tables(key, held) else ():
+                lines += ["", f"[[{name}.{key}]]"]
+                lines += [f"{field} = {_inline(v)}" for field, v in row.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _is_tables(key: str, value: object) -> bool:
+    return key in {"waypoints", "keep_out"} and isinstance(value, list)
+
+
+def _inline(value: object) -> str:
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_inline(held)}" for key, held in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_inline, value)) + "]"
+    return json.dumps(value, ensure_ascii=False)

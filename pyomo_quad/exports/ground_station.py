@@ -1,0 +1,273 @@
+"""Verified plans as missions of ground stations: a few geodetic waypoints with speeds.
+
+Start, waypoints and goal are among them; those that only shape the path are marked, so that an
+exported mission is read again as the mission that was planned (`exports.ground_missions`). The
+files are QGroundControl's plan file (developer guide, Plan File Format: version 1, with missions
+and fences of version 2) and MAVLink's plain-text format (QGC WPL 110) of Mission Planner.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pyomo_quad.exports.motion import Motion
+from pyomo_quad.flight.flight import POSITION_STATES
+from pyomo_quad.report.folder import MARK
+from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.airspace import ENDLESS_M, KeepOut, Shape
+from pyomo_quad.scenario.earth import GeodeticOrigin
+
+FloatArray = NDArray[np.float64]
+
+
+class Command(IntEnum):
+    """Commands of MAVLink that a mission's places and conditions follow from."""
+
+    WAYPOINT = 16
+    LOITER_UNLIMITED = 17
+    LOITER_TURNS = 18
+    LOITER_TIME = 19
+    RETURN_TO_LAUNCH = 20
+    LAND = 21
+    TAKEOFF = 22
+    SPLINE_WAYPOINT = 82
+    VTOL_TAKEOFF = 84
+    VTOL_LAND = 85
+    DELAY = 93
+    PAYLOAD_PLACE = 94
+    DO_JUMP = 177
+    DO_CHANGE_SPEED = 178
+    DO_GRIPPER = 211
+
+
+class Frame(IntEnum):
+    """Frames of MAVLink: reference of an altitude, or none for an item without a place."""
+
+    GLOBAL = 0
+    MISSION = 2
+    GLOBAL_RELATIVE_ALTITUDE = 3
+    GLOBAL_INT = 5
+    GLOBAL_RELATIVE_ALTITUDE_INT = 6
+    GLOBAL_TERRAIN_ALTITUDE = 10
+
+
+# A slower leg becomes a pause of the mission, because autopilots do not hold such a speed [m/s].
+_SLOWEST = 0.05
+#: Number of mission items that PX4 stores on its smaller boards.
+MOST_ITEMS = 500
+_CHECKED = 4001  # samples of a flight at which the distance of the legs is checked
+# The autopilot and the vehicle named in the file.
+_PX4, _QUADROTOR = 12, 2
+_GROUND_SPEED = 1
+#: Second number of DO_GRIPPER where it lets go.
+GRIPPER_OPENED = 0
+_PLAN_VERSION, _MISSION_VERSION, _FENCE_VERSION, _RALLY_VERSION = 1, 2, 2, 2
+#: Key of a waypoint that shapes the path of an exported plan and is no place of its mission.
+SHAPES_PATH = "shapesPath"
+WAYPOINT_FILE_HEADER = "QGC WPL 110"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Legs:
+    """Straight legs at constant speed through places (n, 3) [m], reached at the times (n,) [s].
+
+    ``is_of_mission`` (n,) says which places are start, waypoints and goal; all by default.
+    """
+
+    times: FloatArray
+    places: FloatArray
+    is_of_mission: NDArray[np.bool_] = field(default_factory=lambda: np.array([], dtype=bool))
+
+    def at(self, t: FloatArray) -> FloatArray:
+        """Return the places at times, shape (n, 3)."""
+        return np.column_stack([np.interp(t, self.times, axis) for axis in self.places.T])
+
+    def shapes_path(self, number: int) -> bool:
+        """Return whether a place only shapes the path."""
+        return bool(self.is_of_mission.size) and not self.is_of_mission[number]
+
+
+def thin(motion: Motion, path_error_m: float) -> Legs:
+    """Approximate a plan by straight legs that deviate at no time by more than the path error.
+
+    The plan is split at its waypoints, and then where it is farthest from the position, at the same
+    time, of a flight at constant speed, until the deviation is small enough everywhere (the
+    top-down time-ratio algorithm of Meratnia and de By, 2004).
+    """
+    motion.require(POSITION_STATES, "a QGroundControl mission")
+    passed = _passing_times(motion)
+    t = np.union1d(motion.samples(_CHECKED / motion.duration), passed)
+    place = motion.position(t)
+    ends = sorted({0, len(t) - 1, *np.searchsorted(t, passed).tolist()})
+    kept, spans = set(ends), list(pairwise(ends))
+    while spans:
+        first, last = spans.pop()
+        share = ((t[first : last + 1] - t[first]) / (t[last] - t[first]))[:, None]
+        straight = place[first] + share * (place[last] - place[first])
+        far = np.linalg.norm(place[first : last + 1] - straight, axis=1)
+        worst = first + int(np.argmax(far))
+        if far.max() > path_error_m:
+            kept.add(worst)
+            spans += [(first, worst), (worst, last)]
+    rows = sorted(kept)
+    return Legs(times=t[rows], places=place[rows], is_of_mission=np.isin(rows, ends))
+
+
+def _passing_times(motion: Motion) -> list[float]:
+    """Return the times within the flight at which waypoints are reached and left."""
+    waypoints = motion.mission.mission.waypoints
+    reached = [(w.at, w.hold) for w in waypoints if w.at is not None]
+    times = [time for at, hold in reached for time in (at, at + hold)]
+    return sorted({min(time, motion.duration) for time in times})
+
+
+def mission(
+    legs: Legs, origin: GeodeticOrigin, motion: Motion, path_error_m: float
+) -> dict[str, Any]:
+    """Return a QGroundControl plan file: heights are over the origin, which is the home.
+
+    The fence and the rally points are those of the mission; zones of finite height are none of its
+    fence, since the flight may pass above them.
+
+    Raises
+    ------
+    ScenarioError
+        If there are more legs than an autopilot stores.
+    """
+    items = _items(legs, origin, _releases(legs, motion.mission))
+    if len(items) > MOST_ITEMS:
+        raise ScenarioError(
+            f"{motion.name}: --path-error {path_error_m:g} m takes {len(items)} mission items; "
+            f"PX4 holds {MOST_ITEMS}; give a larger --path-error."
+        )
+    numbered = [item | {"doJumpId": number} for number, item in enumerate(items, start=1)]
+    fastest = float(max(_speeds(legs).max(), _SLOWEST))
+    return {
+        "fileType": "Plan",
+        "version": _PLAN_VERSION,
+        # QGroundControl accepts any text here; it names the program that wrote the file.
+        "groundStation": MARK,
+        "geoFence": _fence(motion.mission, origin),
+        "rallyPoints": {
+            "points": _globe(motion.mission.mission.rally, origin),
+            "version": _RALLY_VERSION,
+        },
+        "mission": {
+            "version": _MISSION_VERSION,
+            "firmwareType": _PX4,
+            "vehicleType": _QUADROTOR,
+            "cruiseSpeed": fastest,
+            "hoverSpeed": fastest,
+            "plannedHomePosition": [origin.latitude, origin.longitude, origin.altitude],
+            "items": numbered,
+        },
+    }
+
+
+def waypoint_file(mission_of_plan: Mapping[str, Any]) -> str:
+    """Return a plan file's mission as Mission Planner's text, its home in the first row.
+
+    Fence and rally points have files of their own there, and are left out.
+    """
+    held = mission_of_plan["mission"]
+    home = [0.0, 0.0, 0.0, 0.0, *held["plannedHomePosition"]]
+    rows = [(Frame.GLOBAL, Command.WAYPOINT, home)]
+    rows += [(item["frame"], item["command"], item["params"]) for item in held["items"]]
+    lines = [WAYPOINT_FILE_HEADER]
+    for number, (frame, command, params) in enumerate(rows):
+        numbers = "\t".join(f"{param or 0.0:.10f}" for param in params)
+        lines.append(f"{number}\t{int(number == 0)}\t{int(frame)}\t{int(command)}\t{numbers}\t1")
+    return "\n".join(lines) + "\n"
+
+
+def _speeds(legs: Legs) -> FloatArray:
+    lengths = np.linalg.norm(np.diff(legs.places, axis=0), axis=1)
+    return np.asarray(lengths / np.diff(legs.times))
+
+
+def _releases(legs: Legs, scenario: Scenario) -> set[int]:
+    """Return the numbers of the places that are left without a part of the payload."""
+    passed = [(w.at, w.hold) for w in scenario.mission.waypoints if w.release and w.at is not None]
+    return {int(np.abs(legs.times - (at + hold)).argmin()) for at, hold in passed}
+
+
+def _items(legs: Legs, origin: GeodeticOrigin, releases: set[int]) -> list[dict[str, Any]]:
+    globe = origin.geodetic(legs.places)
+    items = [_waypoint(globe[0])]
+    spans, speeds = np.diff(legs.times), _speeds(legs)
+    for number, (place, span, speed) in enumerate(zip(globe[1:], spans, speeds, strict=True), 1):
+        shape = {SHAPES_PATH: True} if legs.shapes_path(number) else {}
+        if speed < _SLOWEST:
+            # A hold of the mission stays where it began, whatever the plan's tolerance.
+            is_hold = not (legs.shapes_path(number - 1) or legs.shapes_path(number))
+            held = globe[number - 1] if is_hold else place
+            items.append(_waypoint(held, hold_s=float(span)) | shape)
+        else:
+            change = [_GROUND_SPEED, float(speed), -1, 0, 0, 0, 0]
+            items.append(_item(Command.DO_CHANGE_SPEED, Frame.MISSION, change))
+            items.append(_waypoint(place) | shape)
+        if number in releases:
+            items.append(_item(Command.DO_GRIPPER, Frame.MISSION, [1, GRIPPER_OPENED, *5 * [0]]))
+    return items
+
+
+def _waypoint(place: FloatArray, hold_s: float = 0.0) -> dict[str, Any]:
+    latitude, longitude, height = (float(value) for value in place)
+    # Yaw None: the autopilot chooses. Radii of 0: the settings of the autopilot.
+    params = [hold_s, 0, 0, None, latitude, longitude, height]
+    item = _item(Command.WAYPOINT, Frame.GLOBAL_RELATIVE_ALTITUDE, params)
+    return item | {"Altitude": height, "AltitudeMode": 1, "AMSLAltAboveTerrain": None}
+
+
+def _item(command: Command, frame: Frame, params: list[Any]) -> dict[str, Any]:
+    return {
+        "type": "SimpleItem",
+        "autoContinue": True,
+        "command": int(command),
+        "frame": int(frame),
+        "params": params,
+    }
+
+
+def _globe(places: Sequence[Sequence[float]], origin: GeodeticOrigin) -> list[list[float]]:
+    """Return latitude, longitude and height of places (n, 3)."""
+    rows: list[list[float]] = origin.geodetic(np.reshape(places, (-1, 3))).tolist()
+    return rows
+
+
+def _fence(scenario: Scenario, origin: GeodeticOrigin) -> dict[str, Any]:
+    """Return the fence: the polygon to stay inside of, and the zones that have no top."""
+    airspace = scenario.airspace
+    rings = [] if airspace.keep_in is None else [(True, airspace.keep_in.corners)]
+    endless = [zone for zone in airspace.keep_out if _is_endless(zone)]
+    rings += [(False, zone.corners) for zone in endless if zone.corners is not None]
+    polygons = [
+        {
+            "inclusion": is_inside,
+            "polygon": [place[:2] for place in _globe([(*c, 0.0) for c in corners], origin)],
+            "version": 1,
+        }
+        for is_inside, corners in rings
+    ]
+    circles = [
+        {
+            "circle": {
+                "center": _globe([(*zone.centre, 0.0)], origin)[0][:2],
+                "radius": zone.radius,
+            },
+            "inclusion": False,
+            "version": 1,
+        }
+        for zone in endless
+        if zone.shape is Shape.CYLINDER and zone.centre is not None
+    ]
+    return {"circles": circles, "polygons": polygons, "version": _FENCE_VERSION}
+
+
+def _is_endless(zone: KeepOut) -> bool:
+    return zone.bottom == -ENDLESS_M and zone.top == ENDLESS_M

@@ -1,0 +1,384 @@
+"""A candidate plan of a mission, with the conditions and actions of the strategies that improve it.
+
+Each action returns its outcome for the record of the search, or None where it led to nothing.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pyomo_quad.collocation import (
+    Solution,
+    Status,
+    TranscriptionError,
+    WarmStart,
+    diagnose,
+)
+from pyomo_quad.flight.failure import Failure
+from pyomo_quad.flight.least_time import shortest_flight
+from pyomo_quad.flight.long_flight import fine_mesh, guess_of, is_long, rough_mesh
+from pyomo_quad.flight.mission_problem import MissionProblem
+from pyomo_quad.flight.plan import Plan
+from pyomo_quad.flight.route_flights import RouteFlights
+from pyomo_quad.flight.verdict import plan_of, verified
+from pyomo_quad.flight.verification import BALANCE_TOLERANCE, shares_lacking
+from pyomo_quad.model.battery import GIVEN_SHARE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pyomo_quad.collocation import Diagnosis, Relaxation, Trajectory
+    from pyomo_quad.flight.routes import TriedRoute
+    from pyomo_quad.flight.search import Search
+    from pyomo_quad.scenario import Scenario
+
+# Number of single limits that a diagnosis relaxes alone, and the names of limits.
+_MOST_REMEDIES = 3
+_LIMITS = "limits."
+# Factor by which the tolerance is tightened for a flight that went astray.
+_TIGHTER = 0.1
+
+
+@dataclass(frozen=True)
+class AlongShortest:
+    """The flight along the shortest route on one mesh; the best route may be another."""
+
+    flight: Solution
+
+
+Start = Plan | WarmStart | Solution | AlongShortest
+
+
+@dataclass(kw_only=True)
+class Candidate:
+    """The best solution of a mission so far, its plan, and the evidence on its failure.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    mission : MissionProblem
+        Of the scenario as the optimiser knows it.
+    search : Search
+    start : Start or None
+        Similar flight, for the initial point.
+    solution : Solution or None
+        The first solution or, if that failed, the first success of a retry.
+    routes : tuple of TriedRoute
+    is_closed : bool
+        Whether zones block every route.
+    diagnosis, slower, shortest : Diagnosis, Trajectory and Solution, or None
+        Diagnosis of the failed solution, a flight of a longer duration, and that of the least time.
+    failure : Failure or None
+    flown : Plan or None
+        The plan of the solution, with the verdict of its flight.
+    """
+
+    scenario: Scenario
+    mission: MissionProblem
+    search: Search
+    start: Start | None = None
+    solution: Solution | None = None
+    routes: tuple[TriedRoute, ...] = ()
+    is_closed: bool = False
+    diagnosis: Diagnosis | None = None
+    slower: Trajectory | None = None
+    shortest: Solution | None = None
+    failure: Failure | None = None
+    flown: Plan | None = None
+    tolerance: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.tolerance = self.mission.told.solver.tolerance
+        self._began = time.perf_counter()
+
+    @property
+    def found(self) -> Solution:
+        """The solution, once there is one."""
+        if self.solution is None:
+            raise RuntimeError("no strategy has solved the mission yet")
+        return self.solution
+
+    @property
+    def plan(self) -> Plan:
+        """The plan, also of a solution that nothing has flown."""
+        if self.flown is not None:
+            return self.flown
+        found = self.found
+        seconds = time.perf_counter() - self._began
+        timings = self.mission.timings | {"solve": seconds}
+        plan = plan_of(self.scenario, found, timings, self.mission.hover_energy(found))
+        return replace(plan, routes=self.routes, failure=self.failure)
+
+    # First solutions
+
+    def has_routes(self) -> bool:
+        """Return whether there are routes round zones to compare."""
+        is_open = self.start is None or isinstance(self.start, AlongShortest)
+        return is_open and self.mission.has_routes
+
+    def fly_routes(self) -> str | None:
+        """Solve along the candidate routes, and keep the best flight."""
+        known = self.start.flight if isinstance(self.start, AlongShortest) else None
+        self.solution, self.routes = RouteFlights(self.mission, known).best()
+        self.is_closed = not self.routes
+        return self._outcome()
+
+    def starts_at_flight(self) -> bool:
+        """Return whether a solution of a similar problem is given."""
+        return isinstance(self.start, Solution)
+
+    def from_flight(self) -> str | None:
+        """Solve from a solution of a similar problem, on its mesh."""
+        if not isinstance(self.start, Solution):
+            return None
+        path = self._held_by(self.mission, self.start)
+        self.solution = self.mission.solve_from(path, path.mesh)
+        return self._outcome()
+
+    @staticmethod
+    def _held_by(mission: MissionProblem, similar: Solution) -> Trajectory:
+        """Return a similar problem's trajectory, with static variables in a mission's order."""
+        slots = similar.problem.compiled.declared.statics
+        held = dict(zip((slot.name for slot in slots), similar.trajectory.statics, strict=True))
+        statics = [held[slot.name] for slot in mission.problem.compiled.declared.statics]
+        return replace(similar.trajectory, statics=np.array(statics))
+
+    @property
+    def _warm_start(self) -> WarmStart | None:
+        start = self.start.warm_start if isinstance(self.start, Plan) else self.start
+        return start if isinstance(start, WarmStart) else None
+
+    def starts_warm(self) -> bool:
+        """Return whether a warm start of the same equations is given."""
+        start = self._warm_start
+        return start is not None and start.fits(self.mission.problem.compiled)
+
+    def from_warm_start(self) -> str | None:
+        """Solve from a warm start; under a kinked power a failure counts as no solution."""
+        # Its mesh is the first, and the mission's own where the warm start is given up.
+        solution = self.mission.solve(mesh=None, warm_start=self._warm_start)
+        if self.mission.easier and solution.status is Status.NOT_CONVERGED:
+            return solution.status.value
+        self.solution = solution
+        return self._outcome()
+
+    def starts_at_plan(self) -> bool:
+        """Return whether the trajectory of a given plan is still to be tried."""
+        return self.solution is None and isinstance(self.start, Plan)
+
+    def from_plan(self) -> str | None:
+        """Solve from the trajectory of a plan, on its mesh."""
+        if isinstance(self.start, Plan):
+            self.solution = self.mission.solve_from(self.start.guess(), self.start.mesh)
+        return self._outcome()
+
+    def is_long(self) -> bool:
+        """Return whether the flight is long compared with a change of attitude."""
+        mission = self.mission
+        is_simple = self.solution is None and mission.problems.is_declared and not mission.easier
+        return is_simple and is_long(mission.told)
+
+    def from_cruise(self) -> str | None:
+        """Solve from steady flight with short elements at both ends."""
+        mission, told = self.mission, self.mission.told
+        guess = guess_of(told, mission.steady)
+        duration = (guess or {}).get("duration", told.nominal_duration)
+        rough = mission.solve(mesh=rough_mesh(duration), tolerance=None, guess=guess)
+        self.solution = rough
+        if rough.status.is_solved:
+            self.solution = mission.solve(
+                mesh=fine_mesh(rough.horizon[1], told.solver.degree),
+                options=mission.arguments["options"].for_small_changes(),
+                # One limit or two hold for long, at the ends: their junctions are few, and worth
+                # finding.
+                refinement=replace(mission.arguments["refinement"], limits_move=False),
+                warm_start=rough,
+            )
+        return self._outcome()
+
+    def is_unsolved(self) -> bool:
+        """Return whether nothing has been solved yet."""
+        return self.solution is None
+
+    def from_nothing(self) -> str | None:
+        """Solve from the model's own guess."""
+        self.solution = self.mission.solve_from()
+        return self._outcome()
+
+    def _outcome(self) -> str | None:
+        """Return the status of a first solution that has failed; its success needs no record."""
+        status = self.found.status
+        return status.value if status.has_failed else None
+
+    # Retries of a solution that failed
+
+    def has_failed(self) -> bool:
+        """Return whether the solution failed, and routes are not the reason."""
+        return self.found.status.has_failed and not self.is_closed
+
+    def has_failed_at_waypoints(self) -> bool:
+        """Return whether the solution failed where passing the waypoints themselves is simpler."""
+        return self.has_failed() and self.mission.past_waypoints is not None
+
+    def past_waypoints(self) -> str | None:
+        """Retry from a flight through the waypoints themselves."""
+        past = self.mission.past_waypoints
+        plain = None if past is None else past.solve_roughly()
+        if plain is None or not plain.status.is_solved:
+            return None
+        return self._retried(plain.trajectory)
+
+    def restore(self) -> str | None:
+        """Diagnose the failure, and retry from the elastic problem's point if it is feasible."""
+        self.diagnosis = diagnose(self.found, progress=self.search)
+        feasible = self.diagnosis.feasible_point
+        return None if feasible is None else self._retried(feasible)
+
+    def may_be_slower(self) -> bool:
+        """Return whether a longer duration may help."""
+        is_infeasible = self.diagnosis is not None and self.diagnosis.is_infeasible
+        return self.has_failed() and not is_infeasible and not self.mission.told.mission.is_free
+
+    def slow_down(self, by: float) -> str:
+        """Fly the mission in a longer duration, from the flight of a still longer one."""
+        longest = self.mission.told.mission.longest.value
+        slow = self.mission.solve_roughly(horizon=(0.0, by * longest), guess=self.slower)
+        if slow.status is Status.INTERRUPTED:
+            self.solution = slow
+        elif slow.status.is_solved:
+            self.slower = slow.trajectory
+        return slow.status.value
+
+    def has_slower(self) -> bool:
+        """Return whether a flight of a longer duration was found for a failed mission."""
+        return self.has_failed() and self.slower is not None
+
+    def speed_up(self) -> str | None:
+        """Retry from the flight of the longer duration."""
+        return None if self.slower is None else self._retried(self.slower)
+
+    def find_shortest(self) -> str:
+        """Fly the mission in the least time."""
+        mission = self.mission
+        model = mission.problems.builder(mission.told)
+        self.shortest = shortest_flight(model, mission.told, self.search)
+        return "none found" if self.shortest is None else f"{self.shortest.objective:.4g} s"
+
+    def has_shorter(self) -> bool:
+        """Return whether the least time shows that the duration is not too short."""
+        longest = self.mission.told.mission.longest.value
+        found = self.shortest
+        return self.has_failed() and found is not None and found.objective <= longest
+
+    def from_shortest(self) -> str | None:
+        """Retry from the flight of the least time."""
+        if self.shortest is None:
+            return None
+        held, statics = self.shortest.trajectory, self.found.trajectory.statics
+        path = held if len(held.statics) == len(statics) else replace(held, statics=statics)
+        return self._retried(path)
+
+    def _retried(self, trajectory: Trajectory) -> str:
+        """Solve from a trajectory, keep the solution unless that fails, and return its status."""
+        # A flight found on a finer mesh may be infeasible on the first mesh.
+        solution = self.mission.solve_from(trajectory, trajectory.mesh)
+        if not solution.status.has_failed:
+            self.solution = solution
+        return solution.status.value
+
+    def judge(self) -> None:
+        """Say why the mission failed, infeasible where that is proven."""
+        if self.diagnosis is None:
+            return
+        is_infeasible = self.diagnosis.is_infeasible
+        self.failure = Failure(
+            longest=self.mission.told.mission.longest,
+            shortest_duration_s=None if self.shortest is None else self.shortest.objective,
+            diagnosis=self.diagnosis,
+            remedies=self._remedies(self.diagnosis) if is_infeasible else (),
+        )
+        is_proven = self.failure.is_too_short or (is_infeasible and not self.has_shorter())
+        status = Status.INFEASIBLE if is_proven else Status.NOT_CONVERGED
+        self.solution = replace(self.found, status=status)
+
+    def _remedies(self, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
+        """Return single limits whose relaxation alone makes the mission possible."""
+        candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
+        limits = [name for name in dict.fromkeys(candidates) if name.startswith(_LIMITS)]
+        found: list[Relaxation] = []
+        for name in limits[:_MOST_REMEDIES]:
+            try:
+                alone = diagnose(self.found, families=frozenset({name}), progress=self.search)
+            except TranscriptionError:
+                continue
+            found.extend(alone.relaxations)
+        return tuple(found)
+
+    # Proof by a flight
+
+    def is_solved(self) -> bool:
+        """Return whether there is a solution to fly."""
+        return self.found.status.is_solved
+
+    def fly(self) -> None:
+        """Fly the controls of the solution."""
+        self.flown = verified(self.plan, self.found)
+        # The solve's own time is without that of the flight.
+        self._began += self.flown.timings.get("verify", 0.0)
+
+    def is_astray(self) -> bool:
+        """Return whether a converged solution failed its flight for want of a finer mesh."""
+        plan = self.flown
+        if plan is None or plan.is_verified or self.found.status is not Status.CONVERGED:
+            return False
+        # No mesh gives the pack the power that it lacks.
+        return plan.verification is None or plan.verification.is_fed
+
+    def tighten(self) -> str | None:
+        """Solve to a smaller tolerance, on a mesh that is finer where the flight broke a limit.
+
+        A long flight adds up what the mesh's tolerance leaves to each element.
+        """
+        self.tolerance *= _TIGHTER
+        mesh = self.plan.mesh_where_broken
+        tighter = self.mission.solve(tolerance=self.tolerance, mesh=mesh, warm_start=self.found)
+        if tighter.status is not Status.CONVERGED:
+            return None
+        self.solution, self.flown = tighter, None
+        self.fly()
+        return f"tolerance {self.tolerance:.0e}"
+
+    def lacks_power(self) -> bool:
+        """Return whether the pack lacks power for the flight, and has enough for a gentler one."""
+        plan, mission, limits = self.flown, self.mission, self.scenario.limits
+        if not mission.problems.is_declared or limits.battery_power_share_max is not None:
+            return False
+        if plan is None or plan.flown is None or self.found.status is not Status.CONVERGED:
+            return False
+        verdict = plan.verification
+        if verdict is not None and verdict.battery_imbalance <= BALANCE_TOLERANCE:
+            return False
+        if shares_lacking(plan.dynamics, plan.flown)[0] <= BALANCE_TOLERANCE:
+            return False
+        greatest = mission.problems.steady_flight(mission.told).greatest_pack_power
+        return plan.energy <= GIVEN_SHARE * greatest * plan.duration_s
+
+    def hold_pack(self, carry_out: Callable[[Candidate], None]) -> str:
+        """Find a plan within the pack's capability by strategies; keep it if it is verified."""
+        limits = self.scenario.limits.model_copy(update={"battery_power_share_max": GIVEN_SHARE})
+        within = self.mission.told.model_copy(update={"limits": limits})
+        gentler = replace(
+            self,
+            mission=MissionProblem(self.mission.problems, within, self.search),
+            start=self.plan,
+            solution=None,
+            flown=None,
+        )
+        carry_out(gentler)
+        if gentler.plan.is_verified:
+            self.solution, self.flown = gentler.solution, gentler.flown
+        return gentler.found.status.value

@@ -1,0 +1,145 @@
+"""Initial guess and meshes of a long flight: accelerate, cruise, brake.
+
+A vehicle changes its attitude within a second, whatever the duration of the flight.  If equal
+elements would be longer than that, the mesh has short elements at both ends that grow towards the
+middle.  The speed of the steady flight follows from the duration or, if that is free, is the speed
+of least energy per metre.
+"""
+
+from __future__ import annotations
+
+from math import cos, inf, sin, sqrt
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from pyomo_quad.collocation import Mesh, SolveError
+from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
+from pyomo_quad.flight.routes import speed_profile
+from pyomo_quad.flight.steady import PITCH, ROLL
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike
+
+    from pyomo_quad.flight.steady import FloatArray, SteadyFlight
+    from pyomo_quad.scenario import Scenario
+
+# Equal elements longer than this [s] are too long for a change of attitude.
+_LONGEST_S = 3.0
+# The first and last element [s], how much longer each next one is, and their degree.
+_ROUGH, _FINE = (0.1, 1.25, 4), (0.04, 1.15)
+# In an element longer than this [s] place and velocity feel how the attitude bends inside: its
+# degree is so much higher.
+_BENDING_S, _MORE = 1.0, 2
+# Acceleration and jerk of a guess, m/s^2 and m/s^3, and the range of its speeds, m/s.
+_ACCELERATION, _JERK = 2.0, 4.0
+_SPEEDS = 1.0, 30.0
+_SPEED_TOLERANCE = 0.1
+_SAMPLES = 400
+
+
+def is_long(scenario: Scenario) -> bool:
+    """Return whether a flight straight to its goal is long beside a change of attitude."""
+    is_straight = not scenario.mission.waypoints and not scenario.airspace.keep_out
+    return is_straight and scenario.nominal_duration > _LONGEST_S * scenario.solver.elements
+
+
+def rough_mesh(duration: float) -> Mesh:
+    """Return a mesh of a flight [s] on which to find it."""
+    return _graded(duration, *_ROUGH)
+
+
+def fine_mesh(duration: float, degree: int) -> Mesh:
+    """Return a mesh of a flight [s] that its ends hardly need finer."""
+    return _graded(duration, *_FINE, degree)
+
+
+def _graded(duration: float, shortest: float, growth: float, degree: int) -> Mesh:
+    """Return a mesh with short elements [s] at both ends, each next one longer by a factor."""
+    widths = [shortest]
+    while 2 * sum(widths) < duration:
+        widths.append(growth * widths[-1])
+    half = np.cumsum(widths[:-1]) / duration
+    breakpoints = (0.0, *half.tolist(), *(1.0 - half[::-1]).tolist(), 1.0)
+    degrees = degree + _MORE * (duration * np.diff(breakpoints) > _BENDING_S)
+    return Mesh(breakpoints=breakpoints, degrees=tuple(degrees.tolist()))
+
+
+def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
+    """Return an initial guess, None without a steady flight along the path.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    steady : SteadyFlight
+        In the air that the flight goes through.
+    """
+    from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  few flights are long
+
+    mission = scenario.mission
+    way = np.subtract(mission.goal.position, mission.start.position)
+    distance = float(np.linalg.norm(way))
+    if distance == 0.0:
+        return None
+    course = way / distance
+    speed = _speed_for(distance, mission.longest.value)
+    if mission.is_free:
+        best = best_speed(steady, course, mission.price_of_time)
+        speed = max(speed, min(best, scenario.limits.speed_max or inf))
+    try:
+        resting, cruising = (steady.held_in(steady.trim(v * course)) for v in (0.0, speed))
+    except SolveError:
+        return None
+    profile = speed_profile(distance, speed, _ACCELERATION, _JERK)
+    kept = np.diff(profile.times, append=inf) > 0.0
+    times, *rows = (row[kept] for row in profile)
+    when = np.linspace(0.0, times[-1], _SAMPLES)
+    done = CubicHermiteSpline(times, *rows[:2])(when)
+    speeds, accelerations = (np.interp(when, times, row) for row in rows[1:])
+    share = speeds / speed
+    guess = {name: resting[name] + share * (cruising[name] - resting[name]) for name in resting}
+    guess |= _columns(POSITION_STATES, done, course, mission.start.position)
+    guess |= _columns(VELOCITY_STATES, speeds, course)
+    heading = mission.start.yaw
+    ahead, aside = (
+        (course[0] * c + course[1] * s) * accelerations / scenario.gravity
+        for c, s in ((cos(heading), sin(heading)), (-sin(heading), cos(heading)))
+    )
+    guess[PITCH] = guess[PITCH] + ahead
+    guess[ROLL] = guess[ROLL] - aside
+    # An open end is told in shares of the horizon.
+    if not mission.is_free:
+        return guess | {"time": when}
+    return guess | {"time": when / times[-1], "duration": times[-1]}
+
+
+def _columns(
+    names: Sequence[str], along: FloatArray, course: FloatArray, start: ArrayLike = (0.0, 0.0, 0.0)
+) -> dict[str, FloatArray]:
+    return dict(zip(names, (np.asarray(start) + along[:, None] * course).T, strict=True))
+
+
+def _speed_for(distance: float, duration: float) -> float:
+    """Return the speed of a cruise that lasts as long, or nearly where that is too short."""
+    # Gathering speed and braking together cost speed / acceleration and what their bends take.
+    left = duration - _ACCELERATION / _JERK
+    room = left**2 - 4 * distance / _ACCELERATION
+    return _ACCELERATION / 2 * (left - sqrt(max(room, 0.0)))
+
+
+def best_speed(steady: SteadyFlight, course: FloatArray, price_of_time: float) -> float:
+    """Return about the speed over ground at which a metre of the course costs least [m/s]."""
+
+    def cost(speed: float) -> float:
+        try:
+            return (steady.trim(course * speed).power_W + price_of_time) / speed
+        except SolveError:
+            return inf
+
+    found = minimize_scalar(
+        cost, bounds=_SPEEDS, method="bounded", options={"xatol": _SPEED_TOLERANCE}
+    )
+    return float(found.x)

@@ -1,0 +1,205 @@
+"""A mission as an optimisation problem: all solves of its own numbers, and of easier ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from math import nan
+from typing import TYPE_CHECKING, Any
+
+from pyomo_quad.collocation import (
+    Allowance,
+    Mesh,
+    RefinementOptions,
+    SolveError,
+    SolverOptions,
+    Status,
+)
+from pyomo_quad.flight.flight import HELD_BREACH
+from pyomo_quad.flight.plan import PlanStatus, trajectories_of
+from pyomo_quad.flight.routes import with_plain_passages
+from pyomo_quad.flight.steady import SteadyFlight
+from pyomo_quad.flight.usable import flyable_from
+from pyomo_quad.flight.verdict import energy_of, horizon_of, plan_of, verified
+from pyomo_quad.model.power import wider_smoothings
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pyomo_quad.collocation import Solution
+    from pyomo_quad.flight.plan import Plan
+    from pyomo_quad.flight.problems import Problems
+    from pyomo_quad.flight.search import Search
+    from pyomo_quad.scenario import Scenario
+
+# How accurately, and on how many meshes, a kinked power is first solved with its corner rounded
+# widely.
+_ROUGHLY = {"tolerance": 1e-2, "refinement": RefinementOptions(max_meshes=5)}
+# Number of meshes on which the corner itself fails that are begun anew from the widest corner.
+_MOST_RETURNS = 6
+# Share of what a flight may miss or break that the error estimate of a mesh may.
+_ESTIMATED = 0.5
+
+
+class MissionProblem:
+    """Solves of one mission by its compiled problem.
+
+    Parameters
+    ----------
+    problems : Problems
+    told : Scenario
+        The mission in the wind that the optimiser assumes.
+    search : Search, optional
+        Stops the solves, and keeps usable plans of the meshes that they finish.
+
+    Attributes
+    ----------
+    timings : mapping
+        Seconds for build and compile.
+    easier : tuple of mapping
+        Parameter values that make the problem easier, the easiest first; no plan has them.
+    """
+
+    def __init__(self, problems: Problems, told: Scenario, search: Search | None = None) -> None:
+        self.problems, self.told, self.search = problems, told, search
+        self.problem, self.timings = problems.problem_for(told)
+        held = {p.name for p in self.problem.compiled.declared.parameters}
+        self.easier = tuple(n for n in wider_smoothings(told) if n.keys() <= held)
+
+    @property
+    def has_routes(self) -> bool:
+        """Whether there are routes round zones to choose from."""
+        return self.problems.has_routes(self.told)
+
+    @cached_property
+    def arguments(self) -> dict[str, Any]:
+        """Arguments of `Problem.solve` for the mission's own numbers, mesh and accuracy."""
+        told, settings = self.told, self.told.solver
+        figures = FIGURES[settings.accuracy]
+        options = SolverOptions(max_iterations=settings.max_iterations)
+        limits_move = bool(told.mission.is_free or told.mission.waypoints or told.airspace.keep_out)
+        return {
+            "mesh": Mesh.uniform(settings.elements, settings.degree),
+            "tolerance": settings.tolerance,
+            "parameters": self.problems.parameters(told),
+            "horizon": horizon_of(told),
+            "options": options.for_moving_limits() if limits_move else options,
+            "refinement": RefinementOptions(
+                first_elements=settings.elements,
+                first_degree=settings.degree,
+                max_meshes=settings.max_refinements + 1,
+                allowance=Allowance(
+                    control_breach=HELD_BREACH,
+                    limit_breach=_ESTIMATED * figures.breach,
+                    final_miss=_ESTIMATED * figures.miss,
+                ),
+                limits_move=limits_move,
+                on_mesh=None if self.search is None else self.keep_usable,
+            ),
+            "progress": self.search,
+        }
+
+    def solve(self, numbers: dict[str, float] | None = None, **chosen: Any) -> Solution:
+        """Solve the mission once; `chosen` replaces arguments of `Problem.solve`.
+
+        With other numbers than the mission's own, no usable plan is kept.
+        """
+        arguments = self.arguments | chosen
+        if numbers:
+            arguments["parameters"] = (arguments["parameters"] or {}) | numbers
+            arguments["refinement"] = replace(arguments["refinement"], on_mesh=None)
+        return self.problem.solve(**arguments)
+
+    def solve_roughly(self, **chosen: Any) -> Solution:
+        """Solve the mission on one mesh, under its easiest numbers."""
+        return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
+
+    def solve_from(self, guess: Any = None, mesh: Mesh | None = None) -> Solution:
+        """Solve from a guess by way of easier numbers, each from the solution under the last.
+
+        A finer mesh on which that fails is begun anew, from the solution under the easiest.
+        """
+        solution, easiest = self._by_way_of(self.easier, guess, mesh or self.arguments["mesh"])
+        for _ in range(_MOST_RETURNS):
+            if easiest is None or not solution.status.has_failed or solution.mesh == easiest.mesh:
+                break
+            again = self.solve_roughly(mesh=solution.mesh, guess=easiest.trajectory)
+            if not again.status.is_solved:
+                break
+            easiest = again
+            solution, _ = self._by_way_of(self.easier[1:], None, solution.mesh, again)
+        return solution
+
+    def _by_way_of(
+        self,
+        easier: tuple[dict[str, float], ...],
+        guess: Any,
+        mesh: Mesh,
+        reached: Solution | None = None,
+    ) -> tuple[Solution, Solution | None]:
+        """Return the solution, and the first intermediate solution."""
+        first = reached
+        for numbers in easier:
+            if reached is None:
+                tried = self.solve(numbers, **_ROUGHLY, mesh=mesh, guess=guess)
+            else:
+                tried = self.solve(numbers, tolerance=None, mesh=reached.mesh, warm_start=reached)
+            if tried.status is Status.INTERRUPTED:
+                return self._as_far_as(tried), first
+            if tried.status.is_solved:
+                reached = tried
+                first = first or reached
+        if reached is None:
+            return self.solve(mesh=mesh, guess=guess), None
+        return self.solve(mesh=reached.mesh, warm_start=reached), first
+
+    def _as_far_as(self, stopped: Solution) -> Solution:
+        """Return a solve that was stopped under easier numbers, read under the mission's own."""
+        read = self.unsolved(mesh=stopped.mesh, warm_start=stopped)
+        return replace(read, status=stopped.status, message=stopped.message)
+
+    def unsolved(self, **chosen: Any) -> Solution:
+        """Return the initial point of a solve as a solution."""
+        options = SolverOptions(max_iterations=0)
+        return self.solve(**{"tolerance": None, "options": options, "progress": None} | chosen)
+
+    @cached_property
+    def past_waypoints(self) -> MissionProblem | None:
+        """The mission through the waypoints themselves, None where it leads through them anyway."""
+        plain = with_plain_passages(self.told)
+        return None if plain is None else MissionProblem(self.problems, plain, self.search)
+
+    @cached_property
+    def steady(self) -> SteadyFlight:
+        """Steady flight in the air of the mission."""
+        flown = {name: self.arguments[name] for name in ("parameters", "horizon")}
+        return SteadyFlight(self.told, self.problem.dynamics(**flown))
+
+    def hover_energy(self, solution: Solution) -> float:
+        """Return the energy of hovering through the mission, NaN if the vehicle cannot hover."""
+        held = trajectories_of(solution)
+        known = dict(zip(held.state_names, held.states[0].tolist(), strict=True))
+        try:
+            power = self.problems.steady_flight(self.told, known).hover_power
+        except SolveError:
+            return nan
+        start, end = held.horizon
+        return power * (end - start)
+
+    def keep_usable(self, finished: Solution) -> None:
+        """Keep the usable plan, if any, of a mesh that a solve has finished."""
+        search = self.search
+        if search is None:
+            return
+
+        def flown(solution: Solution) -> Plan:
+            timings = {"build": 0.0, "compile": 0.0, "solve": search.spent_s}
+            plan = plan_of(self.told, solution, timings, self.hover_energy(solution))
+            return replace(verified(plan, solution, Accuracy.QUICK), status=PlanStatus.SOLVED)
+
+        def flyable(solution: Solution) -> Iterator[Plan]:
+            near = flyable_from(self.problem, self.arguments, solution, self.told.airspace)
+            return map(flown, near)
+
+        search.finished(finished, energy_of(self.told, finished), flown, flyable)

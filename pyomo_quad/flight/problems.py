@@ -1,0 +1,107 @@
+"""Compiled problems of scenarios, and the vehicle that flies by them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Hashable, Mapping
+from typing import Any
+
+from pyomo_quad.collocation import Dynamics, Problem, compile
+from pyomo_quad.flight.caches import MOST_PROBLEMS, MOST_STEADY, PROBLEMS, Recent
+from pyomo_quad.flight.least_time import declared_free_times
+from pyomo_quad.flight.steady import SteadyFlight
+from pyomo_quad.flight.verdict import horizon_of
+from pyomo_quad.model import build_model, parameter_values, structure_key
+from pyomo_quad.model.build import guess_key
+from pyomo_quad.model.limits import without_reserve
+from pyomo_quad.model.wind import still_air
+from pyomo_quad.scenario import Scenario
+
+Builder = Callable[[Scenario], Any]
+
+
+class Problems:
+    """Compiles the problem of a scenario, only where none that is kept fits.
+
+    Those of the declared model are kept in `caches.PROBLEMS` for all.  Guess and scales are those
+    of the scenario at hand: no answer depends on what was solved before.
+
+    Parameters
+    ----------
+    builder : callable, optional
+        Makes the Pyomo model of a scenario; a builder of the user's own is called anew for
+        every scenario, since only the declared model is known to keep all numbers in
+        parameters.
+    """
+
+    def __init__(self, builder: Builder = build_model) -> None:
+        self._builder = builder
+        self._problems = PROBLEMS if self.is_declared else Recent(MOST_PROBLEMS)
+        self._steady: Recent[SteadyFlight] = Recent(MOST_STEADY)
+
+    @property
+    def builder(self) -> Builder:
+        """Function that builds the Pyomo model of a scenario."""
+        return self._builder
+
+    @property
+    def is_declared(self) -> bool:
+        """Whether the equations belong to the declared model and not to a user's own."""
+        return self._builder is build_model
+
+    def has_routes(self, scenario: Scenario) -> bool:
+        """Return whether a mission has routes round zones to choose from."""
+        return self.is_declared and bool(scenario.airspace.keep_out)
+
+    def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
+        """Return a compiled problem for a scenario, and the seconds that took."""
+        key = self._key(scenario)
+        built_for, problem = self._problems.get(key) or (scenario, None)
+        if problem is not None and guess_key(built_for) == guess_key(scenario):
+            return problem, {"build": 0.0, "compile": 0.0}
+        started = time.perf_counter()
+        model = self._builder(scenario)
+        built = time.perf_counter()
+        if problem is None:
+            problem = compile(model, times=declared_free_times(model, scenario))
+        else:
+            problem = problem.holding(model)
+        self._problems.store(key, (scenario, problem))
+        return problem, {"build": built - started, "compile": time.perf_counter() - built}
+
+    def _key(self, scenario: Scenario) -> Hashable:
+        return structure_key(scenario) if self.is_declared else scenario
+
+    def model(self, scenario: Scenario) -> Any:
+        """Return the Pyomo model of a scenario, with the scenario's own numbers in it."""
+        built_for, problem = self._problems.get(self._key(scenario)) or (None, None)
+        if problem is None or built_for != scenario:
+            return self._builder(scenario)
+        return problem.model
+
+    def steady_flight(
+        self, scenario: Scenario, known: Mapping[str, float] | None = None
+    ) -> SteadyFlight:
+        """Return the steady flight of a scenario's vehicle in still air, solved for once.
+
+        `known` gives states at the start that only a plan knows.
+        """
+        steady = self._steady.get(scenario)
+        if steady is None:
+            problem, _ = self.problem_for(scenario)
+            numbers = (self.parameters(scenario) or {}) | still_air(problem.model)
+            still = problem.dynamics(parameters=numbers, horizon=horizon_of(scenario))
+            steady = self._steady.store(scenario, SteadyFlight(scenario, still, known))
+        return steady
+
+    def parameters(self, scenario: Scenario) -> dict[str, float] | None:
+        """Return the numbers a compiled problem is solved with."""
+        return parameter_values(scenario) if self.is_declared else None
+
+    def dynamics(self, scenario: Scenario) -> Dynamics:
+        """Return the vehicle of a scenario in the scenario's own wind, ready to fly.
+
+        Its limits are those of the controller, which has what plans leave as a reserve.
+        """
+        problem, numbers = self.problem_for(scenario)[0], self.parameters(scenario)
+        return problem.dynamics(parameters=without_reserve(numbers), horizon=horizon_of(scenario))

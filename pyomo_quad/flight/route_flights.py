@@ -1,0 +1,312 @@
+"""Flights along candidate routes: an estimate of each, a coarse solve, and refinement of the best.
+
+Steady flight estimates the cost of each journey; journeys that are much dearer are left out.  All
+others are solved on one mesh, the best of these on the next, and the best of these to the
+tolerance.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from math import inf
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pyomo_quad.collocation import Mesh, Solution, SolveError, Status
+from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
+from pyomo_quad.flight.long_flight import best_speed
+from pyomo_quad.flight.mission_problem import MissionProblem
+from pyomo_quad.flight.references import quintic_progress
+from pyomo_quad.flight.routes import Journey, NoRouteError, TriedRoute, find_journeys, length_of
+from pyomo_quad.flight.verdict import energy_of
+from pyomo_quad.flight.zones import Side, sides_passed
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.accuracy import Accuracy
+
+FloatArray = NDArray[np.float64]
+
+# Least number of elements on which the flights along all routes are compared.
+_ROUTE_ELEMENTS = 20
+_GUESS_SAMPLES = 201
+
+
+class RouteFlights:
+    """The flights of a mission along its candidate routes.
+
+    Parameters
+    ----------
+    mission : MissionProblem
+    known : Solution, optional
+        The flight along the shortest journey on one mesh, where it is known already.
+    """
+
+    def __init__(self, mission: MissionProblem, known: Solution | None = None) -> None:
+        self._mission, self._told, self._known = mission, mission.told, known
+        solver = self._told.solver
+        self._mesh = Mesh.uniform(max(solver.elements, _ROUTE_ELEMENTS), solver.degree)
+        self._is_plain = False
+
+    def best(self, most: int | None = None) -> tuple[Solution, tuple[TriedRoute, ...]]:
+        """Solve along a number of the shortest routes; return the best flight and all results.
+
+        Without any route there is no flight: the solution is infeasible, its message says why, and
+        there are no results.
+        """
+        try:
+            journeys = self._journeys(most)
+        except NoRouteError as error:
+            closed = self._mission.unsolved()
+            return replace(closed, status=Status.INFEASIBLE, message=str(error)), ()
+        return self.compared(journeys)
+
+    def compared(self, journeys: Sequence[Journey]) -> tuple[Solution, tuple[TriedRoute, ...]]:
+        """Solve all journeys on one mesh, refine the best, and return it with all results.
+
+        If the solutions of two journeys coincide on this mesh or the next, as for the journeys over
+        and beside a sphere, the longer journey is left out.
+        """
+        flown: list[tuple[Journey, Solution]] = []
+        for journey in journeys:
+            solution = self.fly(journey)
+            if not any(_is_same(solution, other) for _, other in flown):
+                flown.append((journey, solution))
+        known = dict(enumerate(solution for _, solution in flown))
+        near = self._near(known)
+        refined = self._refined(known, near)
+        best = min(refined, key=lambda k: _cost(refined[k])) if refined else _cheapest(known)[0]
+        solution = refined.get(best, known[best])
+        known |= {k: s for k, s in refined.items() if s.status.is_solved}
+        return solution, tuple(
+            TriedRoute(
+                name="; ".join(route.name for route in self.as_flown(journey, known[k])),
+                length_m=length_of(journey),
+                energy_J=self.energy_of(known[k]) if known[k].status.is_solved else None,
+                is_refined=k in refined and refined[k].status.is_solved,
+                is_kept=k == best and solution.status.is_solved,
+            )
+            for k, (journey, _) in enumerate(flown)
+            if k in known
+        )
+
+    def _near(self, known: dict[int, Solution]) -> list[int]:
+        """Return the flights to refine; flights on the next mesh replace the first ones."""
+        near = _nearest(known, _NEAR_ON_FIRST, _MOST_ON_NEXT)
+        if len(near) < 2:
+            return near
+        improved = {k: self.refine(known[k], _TO_THE_NEXT) for k in near}
+        known |= {k: s for k, s in improved.items() if s.status.is_solved}
+        for k in sorted(near, reverse=True):
+            if any(_is_same(known[k], known[j]) for j in near if j < k):
+                del known[k]
+        return _nearest({k: s for k, s in known.items() if k in near}, _NEAR_ON_NEXT, _MOST_REFINED)
+
+    def _refined(self, known: Mapping[int, Solution], near: list[int]) -> dict[int, Solution]:
+        """Return the nearest flights refined to the tolerance, else the first that can be."""
+        refined: dict[int, Solution] = {}
+        others = [k for k in _cheapest(known) if k not in near and known[k].status.is_solved]
+        for k in [*near, *others]:
+            if k not in near and any(s.status.is_solved for s in refined.values()):
+                break
+            refined[k] = self.refine(known[k], None)
+            if refined[k].status is Status.INTERRUPTED:
+                break
+        return refined
+
+    def energy_of(self, solution: Solution) -> float:
+        """Return the energy of a flight [J]."""
+        return energy_of(self._told, solution)
+
+    def as_flown(self, journey: Journey, solution: Solution) -> Journey:
+        """Return a journey with the sides on which its flight, if there is one, passes zones."""
+        is_flown = solution.status.is_solved
+        return journey_as_flown(self._told, journey, solution) if is_flown else journey
+
+    def _journeys(self, most: int | None) -> tuple[Journey, ...]:
+        """Return the journeys to fly, the shortest first; for a proof all of them."""
+        told = self._told
+        journeys = find_journeys(told.airspace, told.mission.positions)[:most]
+        if told.solver.accuracy is Accuracy.PROOF or len(journeys) == 1:
+            return journeys
+        return promising(journeys, self._cost_per_metre(journeys[0]))
+
+    def _cost_per_metre(self, shortest: Journey) -> Callable[[FloatArray], float]:
+        """Return the cost of a metre of steady flight along a direction, at a common speed."""
+        told, steady = self._told, self._mission.steady
+        mission = told.mission
+        speed = length_of(shortest) / told.nominal_duration
+        if mission.is_free:
+            way = shortest[0].places[-1] - shortest[0].places[0]
+            length = float(np.linalg.norm(way))
+            course = way / length if length > 0.0 else np.array([1.0, 0.0, 0.0])
+            speed = best_speed(steady, course, mission.price_of_time)
+        speed = min(speed, told.limits.speed_max or inf)
+
+        def cost(course: FloatArray) -> float:
+            try:
+                return (steady.trim(speed * course).power_W + mission.price_of_time) / speed
+            except SolveError:
+                return inf
+
+        return cost
+
+    def fly(self, journey: Journey) -> Solution:
+        """Solve along a journey on one mesh, if that fails by way of the waypoints themselves.
+
+        A difficulty of one journey is a difficulty of all: the others are flown that way at once.
+        """
+        if self._known is not None:
+            known, self._known = self._known, None
+            return known
+        told, past = self._told, self._mission.past_waypoints
+        guess: Any = guess_along(journey, told.nominal_times, is_open=told.mission.is_free)
+        if self._is_plain and past is not None:
+            begun = past.solve_roughly(mesh=self._mesh, guess=guess)
+            guess = begun.trajectory if begun.status.is_solved else guess
+        rough = self._mission.solve_roughly(mesh=self._mesh, guess=guess)
+        if self._is_plain or past is None or not rough.status.has_failed:
+            return rough
+        self._is_plain = True
+        return self.fly(journey)
+
+    def refine(self, flown: Solution, meshes: int | None) -> Solution:
+        """Refine a flight on a number of meshes, or to the mission's tolerance."""
+        mission = self._mission
+        if self._told.solver.max_refinements == 0 and not mission.easier:
+            return flown
+        if mission.search is not None:
+            mission.keep_usable(flown)
+        if meshes is None and mission.easier:
+            return mission.solve_from(flown.trajectory, flown.mesh)
+        chosen: dict[str, Any] = {"mesh": flown.mesh, "warm_start": flown}
+        if meshes is None:
+            return mission.solve(**chosen)
+        few = replace(mission.arguments["refinement"], max_meshes=meshes)
+        return mission.solve(next(iter(mission.easier), None), refinement=few, **chosen)
+
+
+# Share of the least estimate above which a journey is not flown: straight legs without corners and
+# changes of speed misjudge by how much a detour is dearer, as a rule they make it too little.
+_DEARER = 0.01
+
+
+def promising(
+    journeys: Sequence[Journey], cost_per_metre: Callable[[FloatArray], float]
+) -> tuple[Journey, ...]:
+    """Return the journeys whose estimated cost is near the least, in their order.
+
+    Parameters
+    ----------
+    cost_per_metre : callable
+        Of steady flight along a direction, a unit vector; infinite where there is none.
+    """
+    known: dict[tuple[float, ...], float] = {}
+
+    def cost(journey: Journey) -> float:
+        total = 0.0
+        for step in (step for route in journey for step in np.diff(route.places, axis=0)):
+            length = float(np.linalg.norm(step))
+            if length > 0.0:
+                course = step / length
+                key = tuple(np.round(course, _DIGITS).tolist())
+                if key not in known:
+                    known[key] = cost_per_metre(course)
+                total += length * known[key]
+        return total
+
+    costs = [cost(journey) for journey in journeys]
+    most = (1.0 + _DEARER) * min(costs, default=inf)
+    return tuple(journey for journey, c in zip(journeys, costs, strict=True) if c <= most)
+
+
+# Decimals to which directions are the same.
+_DIGITS = 6
+
+
+def guess_along(
+    journey: Journey, times: Sequence[float], *, is_open: bool = False
+) -> dict[str, FloatArray]:
+    """Return places and velocities along a journey as an initial guess.
+
+    Parameters
+    ----------
+    times : sequence of float
+        Times at which each waypoint is reached and left, and the end [s].
+    is_open : bool, optional
+        Whether the end is free; the guess is then a function of the fraction of the horizon.
+    """
+    begun = (0.0, *times[1::2])
+    instants, places = [], []
+    for route, first, last in zip(journey, begun, (*times[0:-1:2], times[-1]), strict=True):
+        elapsed = np.linspace(0.0, 1.0, _GUESS_SAMPLES)
+        instants.append(first + (last - first) * elapsed)
+        # A waypoint is usually passed without a stop.
+        progress = quintic_progress(elapsed) if len(journey) == 1 else elapsed
+        places.append(route.places_at(progress))
+    when, kept = np.unique(np.concatenate(instants), return_index=True)
+    where = np.vstack(places)[kept]
+    rates = np.gradient(where, when, axis=0)
+    columns = dict(zip(POSITION_STATES, where.T, strict=True))
+    told = when / times[-1] if is_open else when
+    return {"time": told} | columns | dict(zip(VELOCITY_STATES, rates.T, strict=True))
+
+
+def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Journey:
+    """Return a journey with the sides on which its flight passes the zones.
+
+    A solve may end on another side of a zone than it started.
+    """
+    names = [slot.name for slot in solution.problem.compiled.declared.states]
+    track = solution.trajectory.states[:, [names.index(name) for name in POSITION_STATES]]
+    times = solution.timeline.time(np.append(0.0, solution.mesh.point_fractions))
+    passed = [solution.value("mission.passing_time", index=k) for k in range(len(journey) - 1)]
+    begun = [0, *np.searchsorted(times, passed)]
+    zones = {zone.name: zone for zone in told.airspace.keep_out}
+    flown = []
+    for route, first, last in zip(journey, begun, [*begun[1:], len(track) - 1], strict=True):
+        part = track[first : last + 1]
+        sides = []
+        for name, side in route.sides:
+            leg = zones[name], route.places[[0, -1]], told.airspace.clearance
+            found = sides_passed(*leg, part[:-1], part[1:])
+            crossed = found[found >= 0]
+            sides.append((name, list(Side)[crossed[0]] if crossed.size else side))
+        flown.append(replace(route, sides=tuple(sides)))
+    return tuple(flown)
+
+
+# Relative errors of an energy on the first mesh and on the next: the best flights whose energies
+# differ by less are solved on the next mesh, or to the tolerance.
+_NEAR_ON_FIRST, _NEAR_ON_NEXT = 1e-3, 1e-4
+_MOST_ON_NEXT, _MOST_REFINED = 4, 3
+# Number of meshes, including the flight's own.
+_TO_THE_NEXT = 2
+
+
+# Relative difference of states below which two flights are the same.
+_SAME = 1e-3
+
+
+def _is_same(one: Solution, other: Solution) -> bool:
+    if not (one.status.is_solved and other.status.is_solved):
+        return False
+    states = one.trajectory.states
+    others = other.trajectory.states_at(np.append(0.0, one.mesh.point_fractions))
+    return bool(np.all(np.abs(states - others) <= _SAME * (1.0 + np.abs(states))))
+
+
+def _nearest(known: Mapping[int, Solution], share: float, most: int) -> list[int]:
+    """Return the flights whose cost is within a fraction of the least, the cheapest first."""
+    costs = {k: _cost(s) for k, s in known.items() if s.status.is_solved}
+    least = min(costs.values(), default=inf)
+    order = sorted(costs, key=lambda k: costs[k])
+    return [k for k in order if costs[k] - least <= share * abs(least)][:most]
+
+
+def _cost(solution: Solution) -> float:
+    return solution.objective if solution.status.is_solved else inf
+
+
+def _cheapest(known: Mapping[int, Solution]) -> list[int]:
+    """Return the flights, the cheapest first."""
+    return sorted(known, key=lambda k: _cost(known[k]))

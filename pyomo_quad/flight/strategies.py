@@ -1,0 +1,108 @@
+"""The strategies by which a mission is planned: one table, carried out in order by one loop.
+
+Each strategy has a name, the stage of the search that it belongs to, the condition under which it
+applies, its action, and its budget: how often it may be repeated while it applies.  What each of
+them led to is the record of the search, which `Plan.attempts` prints.  A strategy whose action
+leads to nothing leaves no line, and is not repeated.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
+
+from pyomo_quad.flight.candidate import Candidate
+from pyomo_quad.flight.search import Stage
+from pyomo_quad.model.battery import GIVEN_SHARE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from pyomo_quad.flight.search import Search
+
+Subject = TypeVar("Subject")
+
+
+class Strategy(NamedTuple, Generic[Subject]):
+    """One row of a table of strategies.
+
+    Attributes
+    ----------
+    name : str
+    stage : Stage
+    applies : callable
+        Condition on the subject.
+    act : callable
+        Improves the subject; returns the outcome for the record, None if there is nothing to say.
+    most : int
+        Number of times that it may be carried out in a row.
+    """
+
+    name: str
+    stage: Stage
+    applies: Callable[[Subject], bool]
+    act: Callable[[Subject], str | None]
+    most: int = 1
+
+
+def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Search) -> None:
+    """Carry out the strategies of a table that apply, in order, and record their outcomes."""
+    for strategy in table:
+        for _ in range(strategy.most):
+            if not strategy.applies(subject):
+                break
+            search.stage = strategy.stage
+            outcome = strategy.act(subject)
+            if outcome is None:
+                break
+            search.record.append(f"{strategy.name}: {outcome}")
+
+
+# Durations, as multiples of the mission's, through which a slow flight is sped up.
+_SLOWER = (3.0, 2.0, 1.5, 1.2, 1.1)
+
+_C = Candidate
+ROUTES, COARSE, _, REFINING = Stage
+#: First solutions: the first that applies decides.
+FIRST = (
+    Strategy("candidate routes", ROUTES, _C.has_routes, _C.fly_routes),
+    Strategy("similar flight", COARSE, _C.starts_at_flight, _C.from_flight),
+    Strategy("warm start", COARSE, _C.starts_warm, _C.from_warm_start),
+    Strategy("trajectory of a plan", COARSE, _C.starts_at_plan, _C.from_plan),
+    Strategy("cruise", COARSE, _C.is_long, _C.from_cruise),
+    Strategy("first solve", COARSE, _C.is_unsolved, _C.from_nothing),
+)
+_PAST = "by way of the waypoints themselves"
+#: Retries of a failed solution, and in the end the reason why all of them failed.
+RETRIES = (
+    Strategy(_PAST, COARSE, _C.has_failed_at_waypoints, _C.past_waypoints),
+    Strategy("elastic restoration", COARSE, _C.has_failed, _C.restore),
+    *(
+        Strategy(f"duration x {x:g}", COARSE, _C.may_be_slower, partial(_C.slow_down, by=x))
+        for x in _SLOWER
+    ),
+    Strategy("continuation in duration", COARSE, _C.has_slower, _C.speed_up),
+    Strategy("shortest flight", COARSE, _C.has_failed, _C.find_shortest),
+    Strategy("guess from the shortest flight", COARSE, _C.has_shorter, _C.from_shortest),
+    Strategy("diagnosis", COARSE, _C.has_failed, _C.judge),
+)
+#: Proof of a solution by a flight of its controls.
+PROOF = (
+    Strategy("flight", REFINING, _C.is_solved, _C.fly),
+    Strategy("flight astray", REFINING, _C.is_astray, _C.tighten, most=3),
+)
+_WITHIN_PACK = f"pack held to {100.0 * GIVEN_SHARE:.0f} % of its greatest power"
+
+
+def _hold_pack(candidate: Candidate) -> str:
+    """Plan the mission within the pack's capability, without further retries."""
+    return candidate.hold_pack(lambda gentler: carry_out((*FIRST, *PROOF), gentler, gentler.search))
+
+
+#: The strategies of a mission, in order.
+MISSION = (
+    *FIRST,
+    *RETRIES,
+    *PROOF,
+    Strategy(_WITHIN_PACK, REFINING, _C.lacks_power, _hold_pack),
+)

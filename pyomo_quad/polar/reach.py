@@ -1,0 +1,272 @@
+"""Boundary of the places that a vehicle reaches on one pack in a wind field, or out and back.
+
+The flight is straight and level, at the height of the start and at the ground speed of least energy
+per metre in the local wind. A metre uses the share 1 / range of the pack, where range is the
+distance that a full pack lasts for in the local wind. On the boundary, the shares along a course,
+out and with a return also back, add up to the whole pack. Keep-out zones are ignored.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
+
+from pyomo_quad.flight import Planner
+from pyomo_quad.flight.baselines import declared_start
+from pyomo_quad.flight.flight import POSITION_STATES
+from pyomo_quad.model.wind_field import is_wind_known
+from pyomo_quad.polar.polar import COURSE, REACH, SteadyCurve, steady_curve
+from pyomo_quad.report import Figures
+from pyomo_quad.report.document import Drawing, write_study
+from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, SERIES_STYLES
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.version import __version__
+
+FloatArray = NDArray[np.float64]
+
+#: Files of a report.
+TABLE_NAME, OUTLINE_NAME = "reach.csv", "reach.geojson"
+#: Columns of `Reach.boundary`, beside `COURSE` and `REACH`.
+EAST, NORTH, IS_CUT = "x_m", "y_m", "is_cut"
+_WIND_NAMES = ("wind.velocity_x", "wind.velocity_y")
+_COURSES = 72  # every 5 degrees
+_STEPS = 400  # along each course, in the integral of the pack's share
+# Speeds and angles of the wind between which the share of the pack per metre is interpolated.
+_WIND_STEP_M_S, _ANGLES = 0.5, 37
+_KILO = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reach:
+    """Boundary of the places within reach of a mission's start.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    has_return : bool
+        Whether the pack brings the vehicle back as well.
+    boundary : DataFrame
+        One row per course: course [deg from x, counter-clockwise], distance and place [m], and
+        whether the wind field ends before the pack does.
+    depth : float
+        Fraction of the pack's charge that is used.
+    """
+
+    scenario: Scenario
+    has_return: bool
+    boundary: pd.DataFrame
+    depth: float
+
+
+def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
+    """Find how far one pack takes a scenario's vehicle on each course from its start.
+
+    Raises
+    ------
+    SolveError
+        If the vehicle cannot hover.
+    """
+    planner = Planner()
+    depth = 1.0 - scenario.limits.least_charge
+    curve = steady_curve(scenario, planner.steady_flight(scenario), depth)
+    courses = np.linspace(0.0, 2.0 * np.pi, _COURSES, endpoint=False)
+    along = np.linspace(0.0, _farthest(curve), _STEPS)
+    headings = np.column_stack([np.cos(courses), np.sin(courses), np.zeros(_COURSES)])
+    start = np.array(scenario.mission.start.position)
+    places = start + along[None, :, None] * headings[:, None, :]
+    is_known = is_wind_known(scenario, places.reshape(-1, 3)).reshape(_COURSES, _STEPS)
+    winds = np.zeros((*is_known.shape, 2))
+    winds[is_known] = _winds(planner, scenario, places[is_known])
+    share = _shares(curve, winds, courses[:, None], has_return=has_return)
+    rows = [
+        _boundary_on(course, along, share[k], is_known[k], start)
+        for k, course in enumerate(courses.tolist())
+    ]
+    return Reach(scenario=scenario, has_return=has_return, boundary=pd.DataFrame(rows), depth=depth)
+
+
+def _farthest(curve: SteadyCurve) -> float:
+    """Return a distance beyond every reach [m]: the fastest flight, and a wind as fast, one way."""
+    return float(2.0 * curve.airspeeds[-1] * curve.endurances.max())
+
+
+def _winds(planner: Planner, scenario: Scenario, places: FloatArray) -> FloatArray:
+    """Return the wind along world x and y at places as the mission begins, shape (n, 2) [m/s]."""
+    dynamics = planner.dynamics(scenario)
+    names = list(dynamics.state_names)
+    start = dynamics.initial_states() | declared_start(scenario, dynamics)
+    states = np.tile([start[name] for name in names], (len(places), 1))
+    states[:, [names.index(name) for name in POSITION_STATES]] = places
+    controls = np.zeros((len(places), len(dynamics.control_names)))
+    times = np.full(len(places), dynamics.start)
+    return dynamics.table(tuple((name, None) for name in _WIND_NAMES), times, states, controls)
+
+
+def _shares(
+    curve: SteadyCurve, winds: FloatArray, courses: FloatArray, *, has_return: bool
+) -> FloatArray:
+    """Return the share of the pack that a metre uses at each place of each course [1/m]."""
+    speed = np.hypot(winds[..., 0], winds[..., 1])
+    angle = np.arctan2(winds[..., 1], winds[..., 0]) - courses
+    per_metre = _share_per_metre(curve, speed)
+    there = per_metre(speed, angle)
+    return there + per_metre(speed, angle + np.pi) if has_return else there
+
+
+def _share_per_metre(
+    curve: SteadyCurve, winds: FloatArray
+) -> Callable[[FloatArray, FloatArray], FloatArray]:
+    """Return the share of the pack that a metre over the ground uses, of wind speed and angle.
+
+    It is infinite where the wind is too strong for the course.
+    """
+    low, high = float(winds.min()), float(winds.max())
+    count = max(2, int(np.ceil((high - low) / _WIND_STEP_M_S)) + 1)
+    speeds = np.linspace(low, max(high, low + _WIND_STEP_M_S), count)
+    angles = np.linspace(0.0, np.pi, _ANGLES)
+    ranges = np.array(
+        [[curve.best_over_ground(w, float(a)).range_m for a in angles] for w in speeds]
+    )
+    held = RegularGridInterpolator((speeds, angles), ranges)
+
+    def share(speed: FloatArray, angle: FloatArray) -> FloatArray:
+        # The range is even in the angle.
+        folded = np.abs(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
+        found = held(np.stack([speed, folded], axis=-1))
+        return np.divide(1.0, found, out=np.full(found.shape, np.inf), where=found > 0.0)
+
+    return share
+
+
+def _boundary_on(
+    course: float, along: FloatArray, share: FloatArray, is_known: FloatArray, start: FloatArray
+) -> dict[str, Any]:
+    pieces = np.diff(along) * (share[1:] + share[:-1]) / 2.0
+    used = np.concatenate([[0.0], np.cumsum(pieces)])
+    reached = float(np.interp(1.0, used, along)) if np.isfinite(used).all() else 0.0
+    unknown = np.flatnonzero(~is_known.astype(bool))
+    known_to = float(along[max(unknown[0] - 1, 0)]) if unknown.size else np.inf
+    distance = min(reached, known_to)
+    return {
+        COURSE: float(np.degrees(course)),
+        REACH: distance,
+        EAST: float(start[0] + distance * np.cos(course)),
+        NORTH: float(start[1] + distance * np.sin(course)),
+        IS_CUT: known_to < reached,
+    }
+
+
+def boundary_geojson(reach: Reach) -> dict[str, Any] | None:
+    """Return the boundary as a GeoJSON polygon, longitude first; None without mission.origin."""
+    origin = reach.scenario.mission.origin
+    if origin is None:
+        return None
+    height = reach.scenario.mission.start.position[2]
+    local = [[x, y, height] for x, y in reach.boundary[[EAST, NORTH]].to_numpy().tolist()]
+    ring = [[lon, lat] for lat, lon, _ in origin.geodetic(np.array(local)).tolist()]
+    return {
+        "type": "FeatureCollection",
+        "features": [
+            {
+                "type": "Feature",
+                "properties": {"name": reach.scenario.name, "has_return": reach.has_return},
+                "geometry": {"type": "Polygon", "coordinates": [[*ring, ring[0]]]},
+            }
+        ],
+    }
+
+
+def write_reach(folder: Path, reach: Reach, figures: Figures = Figures.SVG) -> None:
+    """Write the boundary (CSV, GeoJSON), its figure and the report into an empty folder."""
+    outline = boundary_geojson(reach)
+    if outline is not None:
+        (folder / OUTLINE_NAME).write_text(json.dumps(outline, indent=1), encoding="utf-8")
+    boundary = reach.boundary
+    write_study(
+        folder,
+        "polar/reach.md.j2",
+        tables={TABLE_NAME: boundary},
+        summary=reach_summary(reach),
+        drawings=(Drawing("reach", "Within reach", _CAPTION, partial(draw_reach_map, reach)),),
+        figures=figures,
+        reach=reach,
+        outline=OUTLINE_NAME if outline is not None else None,
+        least=boundary.iloc[int(boundary[REACH].argmin())].to_dict(),
+        most=boundary.iloc[int(boundary[REACH].argmax())].to_dict(),
+        columns=(COURSE, REACH, IS_CUT),
+        is_cut=bool(boundary[IS_CUT].any()),
+    )
+
+
+def reach_summary(reach: Reach) -> dict[str, Any]:
+    """Return the least and the greatest reach as values for JSON."""
+    return {
+        "scenario": reach.scenario.name,
+        "has_return": reach.has_return,
+        f"least_{REACH}": float(reach.boundary[REACH].min()),
+        f"greatest_{REACH}": float(reach.boundary[REACH].max()),
+        "share_of_pack_used": reach.depth,
+        "is_cut_by_field": bool(reach.boundary[IS_CUT].any()),
+        "version": __version__,
+    }
+
+
+_CAPTION = (
+    "The boundary of what one pack reaches from the start, flown straight at the height of the "
+    "start. Arrows show the wind there; a dotted edge is where the wind field ends before the pack "
+    "does."
+)
+_ARROWS = 9  # along each side of the map
+
+
+def draw_reach_map(reach: Reach) -> Figure:
+    """Draw the boundary round the start, with the wind."""
+    figure = Figure(figsize=(FULL_WIDTH, 5.2))
+    axes = figure.add_axes((0.12, 0.1, 0.84, 0.86))
+    start = np.array(reach.scenario.mission.start.position)
+    boundary = reach.boundary
+    ring = boundary[[EAST, NORTH]].to_numpy()
+    closed = np.vstack([ring, ring[:1]]) * _KILO
+    style = SERIES_STYLES[0]
+    axes.fill(*closed.T, color=style.color, alpha=0.12, linewidth=0)
+    whole = np.append(boundary[IS_CUT], boundary[IS_CUT].iloc[0]).astype(bool)
+    axes.plot(*np.where(whole[:, None], np.nan, closed).T, color=style.color, linewidth=2)
+    axes.plot(*np.where(whole[:, None], closed, np.nan).T, ":", color=style.color, linewidth=2)
+    axes.plot(*(start[:2] * _KILO), "o", color=INK, markersize=6)
+    axes.annotate("start", tuple(start[:2] * _KILO), (6, 6), textcoords="offset points", color=INK)
+    _draw_winds(axes, reach)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set(xlabel="x, east (km)", ylabel="y, north (km)")
+    return figure
+
+
+def _draw_winds(axes: Any, reach: Reach) -> None:  # noqa: ANN401  matplotlib's axes
+    low, high = reach.boundary[[EAST, NORTH]].min(), reach.boundary[[EAST, NORTH]].max()
+    x, y = (np.linspace(low[name], high[name], _ARROWS) for name in (EAST, NORTH))
+    at_x, at_y = (held.ravel() for held in np.meshgrid(x, y))
+    height = reach.scenario.mission.start.position[2]
+    places = np.column_stack([at_x, at_y, np.full(at_x.size, height)])
+    places = places[is_wind_known(reach.scenario, places)]
+    winds = _winds(Planner(), reach.scenario, places)
+    fastest = float(np.hypot(*winds.T).max(initial=0.0))
+    if fastest > 0.0:
+        scale = fastest / ((x[1] - x[0]) * _KILO)  # the longest arrow reaches the next one
+        axes.quiver(
+            *(places[:, :2] * _KILO).T,
+            *winds.T,
+            color=MUTED,
+            width=2.5e-3,
+            scale=scale,
+            scale_units="xy",
+            angles="xy",
+            zorder=3,
+        )
+        axes.set_title(f"longest arrow: {fastest:.1f} m/s", fontsize="small", loc="right")

@@ -1,0 +1,109 @@
+"""Reach on one pack against closed forms in a uniform wind, and against direct sums in a jet."""
+
+import json
+from functools import cache
+
+import numpy as np
+import pandas as pd
+import pytest
+from pyproj import Geod
+
+from pyomo_quad.cli import main
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.flight import Planner
+from pyomo_quad.polar.polar import COURSE, REACH, steady_curve
+from pyomo_quad.polar.reach import EAST, IS_CUT, NORTH, boundary_geojson, find_reach
+from pyomo_quad.scenario import load_scenario
+from tests.command import SCENARIOS
+
+PARCEL = SCENARIOS / "parcel.toml"
+HOME = {"latitude": 47.0, "longitude": 8.0, "altitude": 400.0}
+
+
+def curve_of(scenario):
+    steady = Planner().steady_flight(scenario)
+    return steady_curve(scenario, steady, 1.0 - scenario.limits.least_charge)
+
+
+@cache
+def uniform(*, has_return):
+    return find_reach(load_scenario(PARCEL, {"mission.origin": HOME}), has_return=has_return)
+
+
+@pytest.mark.parametrize("has_return", [pytest.param(False, marks=pytest.mark.slow), True])
+def test_in_a_uniform_wind_the_boundary_is_that_of_the_wind_triangle(has_return):
+    reach = uniform(has_return=has_return)
+    scenario, boundary = reach.scenario, reach.boundary
+    curve = curve_of(scenario)
+    wind, towards = scenario.wind.speed, scenario.wind.direction
+    for row in boundary.iloc[::18].itertuples():
+        course = np.radians(getattr(row, COURSE))
+        legs = [0.0, np.pi] if has_return else [0.0]
+        ranges = [curve.best_over_ground(wind, towards - course + leg).range_m for leg in legs]
+        expected = 1.0 / sum(1.0 / leg for leg in ranges)
+        assert getattr(row, REACH) == pytest.approx(expected, rel=1e-3)
+
+
+def jet(y):
+    return 6.0 * np.exp(-(((y - 1500.0) / 900.0) ** 2))
+
+
+def jet_file(folder, half_m=6000.0):
+    x, y = np.meshgrid(np.linspace(-half_m, half_m, 5), np.linspace(-half_m, half_m, 61))
+    rows = {"x_m": x, "y_m": y, "wind_x_m_per_s": jet(y), "wind_y_m_per_s": 0.0 * y}
+    frame = pd.DataFrame({name: held.ravel() for name, held in rows.items()})
+    file = folder / "jet.csv"
+    frame.to_csv(file, index=False)
+    return file
+
+
+def in_jet(folder, **fields):
+    file = jet_file(folder, **fields)
+    return load_scenario(PARCEL, {"wind.field": str(file), "wind.speed": 0.0})
+
+
+@pytest.mark.slow
+def test_in_a_jet_the_shares_of_the_pack_add_up_to_one(tmp_path):
+    scenario = in_jet(tmp_path)
+    reach = find_reach(scenario, has_return=True)
+    assert not reach.boundary[IS_CUT].any()
+    curve = curve_of(scenario)
+    row = reach.boundary.loc[(reach.boundary[COURSE] - 60.0).abs().idxmin()]
+    course = np.radians(row[COURSE])
+    middles = (np.arange(60) + 0.5) * row[REACH] / 60
+    used = 0.0
+    for middle in middles:
+        wind = jet(middle * np.sin(course))
+        for leg in (0.0, np.pi):
+            used += row[REACH] / 60 / curve.best_over_ground(wind, leg - course).range_m
+    assert used == pytest.approx(1.0, rel=5e-3)
+
+
+@pytest.mark.slow
+def test_the_boundary_ends_with_the_field(tmp_path):
+    boundary = find_reach(in_jet(tmp_path, half_m=1000.0), has_return=True).boundary
+    assert boundary[IS_CUT].all()
+    assert np.abs(boundary[[EAST, NORTH]].to_numpy()).max() <= 1000.0 + 1e-3
+
+
+def test_the_outline_lies_at_its_distance_on_the_ellipsoid():
+    reach = uniform(has_return=True)
+    ((ring,),) = [f["geometry"]["coordinates"] for f in boundary_geojson(reach)["features"]]
+    assert ring[0] == ring[-1]
+    for (longitude, latitude), row in zip(ring, reach.boundary.itertuples(), strict=False):
+        azimuth, _, far = Geod(ellps="WGS84").inv(8.0, 47.0, longitude, latitude)
+        assert far == pytest.approx(getattr(row, REACH), rel=2e-4)
+        turned = np.radians(azimuth - (90.0 - getattr(row, COURSE)))
+        assert np.cos(turned) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_the_command_writes_the_boundary(tmp_path, capsys):
+    out = tmp_path / "reach"
+    command = ["reach", str(PARCEL), "--return", "--figures", "none", "--out", str(out)]
+    assert main(command) == ExitCode.VERIFIED
+    told = capsys.readouterr().out
+    assert "km from the start and back, by the course" in told
+    assert "no GeoJSON: give mission.origin" in told
+    summary = json.loads((out / "summary.json").read_text())
+    frame = pd.read_csv(out / "reach.csv")
+    assert summary["greatest_reach_m"] == pytest.approx(frame[REACH].max())
