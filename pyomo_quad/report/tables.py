@@ -182,6 +182,12 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
     headline = headline_of(result)
     if headline is not None:
         summary["headline"] = headline.summary
+    if result.often is not None:
+        from pyomo_quad.report.ensemble import ensemble_summary  # noqa: PLC0415  it draws
+
+        often = ensemble_summary(result.often.flown, result.often.savings)
+        is_said = often.keys() & summary.keys() | {"wall_s"}
+        summary["turbulence"] = {key: v for key, v in often.items() if key not in is_said}
     summary["flights"] = [
         {
             "flight": flight.name,
