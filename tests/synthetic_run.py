@@ -1,5 +1,6 @@
 """A run with plausible numbers that nothing solved: what the report floor is tested on."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +13,8 @@ from pyomo_quad.flight.margins import PAPER_PLAN
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.scenario.accuracy import FIGURES
 from pyomo_quad.scenario.mission import NamedDuration
+from pyomo_quad.scenario.tables import CruiseSettings
+from pyomo_quad.study.autopilot import TUNED_CRUISE, TriedCruise, Tuning
 from pyomo_quad.study.comparison import compare_flights
 
 HOVER_SPEED = 912.27
@@ -240,6 +243,30 @@ def synthetic_certificate():
     )
 
 
+def with_tuned_autopilot(run, flight="adaptive/minimum_snap"):
+    """Call one of the flights of a synthetic run that of a tuned autopilot."""
+    settings = CruiseSettings(speed=8.38, acceleration=4.7, jerk=32.1)
+    flown = next(one for one in run.flights if one.name == flight)
+    flown.name = TUNED_CRUISE
+    run.comparison.loc[run.comparison["flight"] == flight, "flight"] = TUNED_CRUISE
+    tried = TriedCruise(
+        settings=settings,
+        duration_s=flown.duration_s,
+        energy_J=flown.energy_J,
+        arrived=True,
+        broken=(),
+        cost_J=flown.energy_J,
+    )
+    first = replace(
+        tried,
+        settings=CruiseSettings(speed=6.0, acceleration=3.0, jerk=4.0),
+        energy_J=1.1 * flown.energy_J,
+        broken=("tilt",),
+    )
+    run.tuning = Tuning(flight=flown, settings=settings, tried=(first, tried))
+    return run
+
+
 def synthetic_run(path="scenarios/paper_wind.toml", overrides=(), flights=tuple(FLIGHTS)):
     """Return what a run of a scenario file looks like, without solving anything."""
     scenario = load_scenario(path, overrides)
@@ -255,4 +282,5 @@ def synthetic_run(path="scenarios/paper_wind.toml", overrides=(), flights=tuple(
         front=pd.DataFrame(),
         timings={"solve": 1.0},
         warnings=(),
+        tuning=None,
     )

@@ -465,7 +465,7 @@ class Plan(Summarised):
 
     @property
     def figures_checked(self) -> Figures:
-        """The largest errors that the plan was held against."""
+        """Largest errors allowed in the verification of the plan."""
         usable = self.status is PlanStatus.USABLE
         return USABLE if usable else FIGURES[self.scenario.solver.accuracy]
 

@@ -37,16 +37,18 @@ class RouteFlights:
     Parameters
     ----------
     mission : MissionProblem
+    known : Solution, optional
+        The flight along the shortest journey on one mesh, where it is known already.
     """
 
-    def __init__(self, mission: MissionProblem) -> None:
-        self._mission, self._told = mission, mission.told
+    def __init__(self, mission: MissionProblem, known: Solution | None = None) -> None:
+        self._mission, self._told, self._known = mission, mission.told, known
         solver = self._told.solver
         self._mesh = Mesh.uniform(max(solver.elements, _ROUTE_ELEMENTS), solver.degree)
         self._is_plain = False
 
     def best(self, most: int | None = None) -> tuple[Solution, tuple[TriedRoute, ...]]:
-        """Solve along the shortest routes, at most so many; return the best and all results.
+        """Solve along a number of the shortest routes; return the best flight and all results.
 
         Without any route there is no flight: the solution is infeasible, its message says why, and
         there are no results.
@@ -88,7 +90,7 @@ class RouteFlights:
         )
 
     def _near(self, known: dict[int, Solution]) -> list[int]:
-        """Return the flights to refine, and put those of the next mesh in place of the first."""
+        """Return the flights to refine; flights on the next mesh replace the first ones."""
         near = _nearest(known, _NEAR_ON_FIRST, _MOST_ON_NEXT)
         if len(near) < 2:
             return near
@@ -153,6 +155,9 @@ class RouteFlights:
 
         A difficulty of one journey is a difficulty of all: the others are flown that way at once.
         """
+        if self._known is not None:
+            known, self._known = self._known, None
+            return known
         told, past = self._told, self._mission.past_waypoints
         guess: Any = guess_along(journey, told.nominal_times, is_open=told.mission.is_free)
         if self._is_plain and past is not None:
@@ -165,7 +170,7 @@ class RouteFlights:
         return self.fly(journey)
 
     def refine(self, flown: Solution, meshes: int | None) -> Solution:
-        """Refine a flight on so many meshes, or to the mission's tolerance."""
+        """Refine a flight on a number of meshes, or to the mission's tolerance."""
         mission = self._mission
         if self._told.solver.max_refinements == 0 and not mission.easier:
             return flown

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
 from math import inf, isfinite
 from typing import TYPE_CHECKING
 
@@ -27,6 +29,9 @@ _PROMISING = FIGURES[Accuracy.QUICK].breach
 # Searches that end within so many seconds of the processor keep nothing on the way, and longer ones
 # spend at most this share of their time on flights of what they keep.
 _PATIENCE_S, _SHARE = 2.0, 0.2
+# What can be flown near a coarse mesh, which takes seconds to find, is found after so many times
+# as long, or after this share of the time limit.
+_LONG, _SHARE_OF_LIMIT = 4.0, 0.4
 # Coarse meshes from which a usable plan is sought.
 _MOST_SEARCHES = 2
 
@@ -94,7 +99,8 @@ class Search:
         self.usable: Plan | None = None
         self.begin_effort(inf)
         self._show = show
-        self._began = time.thread_time()
+        self._began = self._patient_from = time.thread_time()
+        self._coarse: Callable[[], Iterator[Plan]] | None = None
         self._flights_s, self._searches = 0.0, 0
         self._energy, self._uncertainty = inf, inf
 
@@ -102,6 +108,14 @@ class Search:
     def spent_s(self) -> float:
         """Processor time since the search began [s]."""
         return time.thread_time() - self._began
+
+    @property
+    def _waited_s(self) -> float:
+        return time.thread_time() - self._patient_from
+
+    def restart_patience(self) -> None:
+        """Wait anew for a search that soon ends, after the choice of what it is for."""
+        self._patient_from = time.thread_time()
 
     def begin_effort(self, most: float) -> None:
         """Count the effort anew, and stop solves that exceed a largest effort."""
@@ -121,6 +135,7 @@ class Search:
                     iteration=iteration,
                 )
             )
+        self._seek_usable()
         return self.deadline(iteration) and self.effort <= self._most_effort
 
     def finished(
@@ -132,8 +147,9 @@ class Search:
     ) -> None:
         """Fly the controls of a finished mesh if they promise a usable plan, and keep it.
 
-        From a mesh that is too coarse for that, what can be flown is found first, unless there is a
-        usable plan already.  A search that ends soon needs neither.
+        From a mesh that is too coarse for that, what can be flown is found first where the search
+        lasts long, if need be in the middle of a solve, unless there is a usable plan already.  A
+        search that ends soon needs neither.
 
         Parameters
         ----------
@@ -146,19 +162,34 @@ class Search:
             Yields such plans for trajectories near a solution that is not flyable itself.
         """
         self._note(energy_J)
-        if self.spent_s < _PATIENCE_S or self.deadline.is_over:
-            return
-        began = time.thread_time()
-        if solution.error_estimate <= _PROMISING:
-            if self._flights_s <= _SHARE * self.spent_s:
+        if solution.error_estimate > _PROMISING:
+            self._coarse = partial(flyable, solution)
+            self._seek_usable()
+        elif self._waited_s >= _PATIENCE_S and self._flights_s <= _SHARE * self.spent_s:
+            with self._flying():
                 self.keep(flown(solution))
-        elif self.usable is None and self._searches < _MOST_SEARCHES:
-            self._searches += 1
-            self.stage = Stage.USABLE
-            for plan in flyable(solution):
+
+    def _seek_usable(self) -> None:
+        """Find a usable plan near the last coarse solution, in a search that lasts long."""
+        patience = min(_LONG * _PATIENCE_S, _SHARE_OF_LIMIT * self.deadline.limit_s)
+        is_time = self._waited_s >= patience and not self.deadline.is_over
+        is_wanted = self.usable is None and self.stage is not Stage.USABLE
+        if self._coarse is None or not (is_time and is_wanted) or self._searches >= _MOST_SEARCHES:
+            return
+        coarse, self._coarse = self._coarse, None
+        self._searches += 1
+        self.stage = Stage.USABLE
+        with self._flying():
+            for plan in coarse():
                 self.keep(plan)
                 if self.usable is not None:
                     break
+
+    @contextmanager
+    def _flying(self) -> Iterator[None]:
+        """Count the time of flights; refinement follows."""
+        began = time.thread_time()
+        yield
         self._flights_s += time.thread_time() - began
         self.stage = Stage.REFINING
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pyomo_quad.collocation import Mesh
-from pyomo_quad.flight.candidate import Candidate
+from pyomo_quad.flight.candidate import AlongShortest, Candidate
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.orders import (
     MOST_EXACT,
@@ -222,7 +222,7 @@ def find_orders(
 
 
 def legs_expected(waypoints: int) -> int:
-    """Return for how many legs the order of so many waypoints is solved for, at least."""
+    """Return the least number of legs that are solved to order a number of waypoints."""
     every = waypoints * (waypoints + 1)
     first = _NEAREST * (waypoints + 1) + _OF_ALL_LENGTHS
     return every if every <= _FEW_LEGS else min(every, first)
@@ -274,7 +274,7 @@ class BestOrder:
         return find_orders(self._scenario.as_forecast(), self._leg)
 
     def has_time(self) -> bool:
-        """Say whether another order may be flown: one is, whatever the time."""
+        """Return whether time is left to fly another order; at least one order is always flown."""
         return not self._flown or not self._search.deadline.is_over
 
     def fly(self, found: OrderSearch) -> str:
@@ -288,10 +288,11 @@ class BestOrder:
     def finish(self, solve: Callable[[Scenario, Start | None, Search], Plan]) -> Plan:
         """Return the plan of the cheapest order flown."""
         _, best, begun = min(self._flown, key=lambda entry: entry[0])
-        ordered, start = in_order(self._scenario, best.order), None
-        # Round zones the best way may be another than the shortest, which was flown so far.
-        if begun is not None and not self._problems.has_routes(ordered):
-            start = begun if self._is_plain else begun.warm_start
+        ordered = in_order(self._scenario, best.order)
+        start: Start | None = begun if begun is None or self._is_plain else begun.warm_start
+        if begun is not None and self._problems.has_routes(ordered):
+            start = AlongShortest(begun)
+        self._search.restart_patience()
         plan = solve(ordered, start, self._search)
         return replace(plan, order_search=best if best.legs else None)
 

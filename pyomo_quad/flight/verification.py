@@ -291,7 +291,7 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
 
 
 def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
-    """Return one line on where a flight leaves the wind field that its plan was told, or nothing.
+    """Return a message on the place where a flight leaves its plan's wind field, empty if none.
 
     A flight of a model without places leaves nothing.
     """
@@ -313,7 +313,7 @@ def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
 
 
 def has_balance(dynamics: Dynamics) -> bool:
-    """Say whether a model has a battery whose balance can be read."""
+    """Return whether a model has a battery whose balance can be read."""
     return all(dynamics.has(name) for name in _BALANCE)
 
 
@@ -429,9 +429,11 @@ def verify_controls(
     miss = terminal_miss_of(dynamics, flown.states[-1], planned)
     relative = {name: abs(m) / max(1.0, abs(planned[name])) for name, m in miss.items()}
     worst_miss = max(relative, key=lambda name: relative[name])
-    breaches = dynamics.violations(flown.t, flown.states, flown.controls)
-    breach = breaches[0]
-    imbalance = max(shares_lacking(dynamics, flown))
+    instants = dynamics.solved(flown.t, flown.states, flown.controls)
+    (breaches,) = dynamics.violations_of(instants, flown.t)
+    breach, imbalance = breaches[0], 0.0
+    if has_balance(dynamics):
+        imbalance = max(balance_lacking(instants.table(BALANCE_KEYS)))
     lacking = voltage_lacking(dynamics, flown)
     flown_energy = float(flown.energy[-1])
     passing = tuple(_passing_miss(dynamics, flown, passage) for passage in passages)
@@ -476,7 +478,7 @@ class _Found:
         return met[-1] if met else None
 
     def meets(self, figures: Figures) -> bool:
-        """Say whether the errors are within figures."""
+        """Return whether the errors are within figures."""
         return bool(
             self.miss <= figures.miss
             and self.breach <= figures.breach

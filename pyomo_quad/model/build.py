@@ -13,6 +13,7 @@ from pyomo_quad.model import (
     aerodynamics,
     airspace,
     battery,
+    homing,
     limits,
     mission,
     power,
@@ -70,8 +71,8 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        As `build_model`, with the shaping filters of block `wind.turbulence`, and with what a
-        forecast and a power model may err by, nought until it is known: ``wind.error`` by axis
+        As `build_model`, with the shaping filters of block `wind.turbulence`, and with the errors
+        of forecast and power model as mutable parameters, initially zero: ``wind.error`` by axis
         and ``power.error``.
 
     Examples
@@ -157,6 +158,7 @@ def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
     battery.declare_battery(m, scenario)
     limits.declare_limits(m, scenario)
     airspace.declare_airspace(m, scenario)
+    homing.declare_homing(m, scenario)
     mission.declare_mission(m, scenario)
     # A lambda, because Integral rewrites its rule's signature and cannot handle annotations.
     m.energy = Integral(m.time, wrt=m.time, rule=lambda m, t: m.power.total[t], doc="eq. (8) [J]")

@@ -232,7 +232,7 @@ def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
 def coinciding_flights(
     flights: Sequence[StyledFlight], hover_power_W: float
 ) -> tuple[StyledFlight, ...]:
-    """Return the flights whose energy above hovering lies on the first flight's to its end."""
+    """Return the flights whose curve of energy above hovering coincides with the first flight's."""
     first, *others = flights
     time = TIME.of(first.frame)
     curves = [

@@ -22,6 +22,7 @@ from pyomo_quad.flight.columns import Column
 from pyomo_quad.flight.replanning import replanned_name
 from pyomo_quad.report.signals import ENERGY, TIME
 from pyomo_quad.scenario.tables import MISSION_TIMED, Knowledge
+from pyomo_quad.study.autopilot import TUNED_CRUISE
 from pyomo_quad.study.certificate import SAME_TIME
 from pyomo_quad.study.comparison import FAIR_BASELINE, OPTIMAL, settled_energy
 
@@ -124,6 +125,7 @@ SERIES_STYLES = (
 _FLIGHTS = (
     *(OPTIMAL, *(baseline_name(reference) for reference in MISSION_TIMED), OPEN_LOOP),
     *(replanned_name(knowledge) for knowledge in Knowledge),
+    TUNED_CRUISE,
 )
 # Every flight of the program has one style in every report; the other styles are for names that a
 # caller chooses.
@@ -307,7 +309,7 @@ _FAILED_PLAN = "best iterate"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StyledFlight:
-    """A flight with its style in all figures; the energy includes the owed energy."""
+    """A flight with its style in all figures; its energy includes the energy to complete it."""
 
     name: str
     frame: pd.DataFrame

@@ -83,7 +83,7 @@ def flight_summary(
     }
 
 
-#: The plan with all its numbers, from which `solve --continue` goes on.
+#: File of the plan with all its numbers, which `solve --continue` reads.
 PLAN_FILE_NAME = "plan.npz"
 PLAN_NAME = "plan.csv"
 
@@ -166,6 +166,8 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
 
     ``wall_s`` has the seconds of the phases that the result's own timings do not hold.
     """
+    from pyomo_quad.study.headline import headline_of  # noqa: PLC0415  a solve has none
+
     summary = plan_summary(result.plan, wall_s=wall_s, warnings=result.warnings)
     summary["wall_s"] |= {
         phase: _number(result.timings[phase]) for phase in ("fly", "certify", "front")
@@ -177,6 +179,9 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
         "gap_percent": _number(result.gap_percent),
         "reason": certificate.reason,
     }
+    headline = headline_of(result)
+    if headline is not None:
+        summary["headline"] = headline.summary
     summary["flights"] = [
         {
             "flight": flight.name,

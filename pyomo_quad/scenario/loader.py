@@ -9,7 +9,7 @@ from pyomo_quad.scenario.fields import FieldPath, depth, leaves, parse_path, spe
 from pyomo_quad.scenario.messages import ScenarioError, listed, printable, shown
 from pyomo_quad.scenario.resolution import (
     DEEPEST_NESTING,
-    Origin,
+    ScenarioSource,
     parse_toml,
     read_toml,
     refuse_deep,
@@ -18,7 +18,7 @@ from pyomo_quad.scenario.schema import Scenario
 
 # Name in messages of a scenario that was not read from a file.
 _MAPPING = "scenario"
-# What is read from a file of the wind, and where that file is named.
+# Parts of the wind that are read from a file -> the field that names the file.
 _READ_FROM = {
     "series": "a CSV file in wind.file",
     "grid": "a NetCDF, CSV or Parquet file in wind.field",
@@ -70,7 +70,9 @@ def load_scenario(
         file = FilePath(path)
         source, folder, document = printable(str(file)), file.parent, read_toml(file)
     return _from_written(
-        Origin(source=source, folder=folder, document=document, assignments=written, label=label)
+        ScenarioSource(
+            source=source, folder=folder, document=document, assignments=written, label=label
+        )
     )
 
 
@@ -108,7 +110,9 @@ def scenario_from_mapping(
     (1.0, 0.0, 0.5)
     """
     refuse_deep(tables, source)
-    return _from_written(Origin(source=source, folder=folder or FilePath(), document=tables))
+    return _from_written(
+        ScenarioSource(source=source, folder=folder or FilePath(), document=tables)
+    )
 
 
 def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
@@ -123,7 +127,7 @@ def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     return scenario.with_values({spell(p): v for p, v in parsed.items()}) if parsed else scenario
 
 
-def _from_written(origin: Origin) -> Scenario:
+def _from_written(origin: ScenarioSource) -> Scenario:
     written = (*(path for path, _ in leaves(origin.document)), *origin.assignments)
     for path in written:
         derived = next((name for name in _READ_FROM if name in path), None)
@@ -137,7 +141,7 @@ def _from_written(origin: Origin) -> Scenario:
 
 
 def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
-    """Return the fields and values of texts as ``solver.accuracy=proof``.
+    """Parse overrides such as ``solver.accuracy=proof``: field -> value.
 
     Raises
     ------

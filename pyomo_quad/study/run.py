@@ -16,10 +16,10 @@ from pyomo_quad.flight.columns import TIME, WIND, dataset_of
 from pyomo_quad.flight.deadline import Deadline
 from pyomo_quad.flight.replanning import fly_replanned, replanned_name
 from pyomo_quad.flight.risk import plan_at_risk
-from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at
 from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.presentation import presenter
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
+from pyomo_quad.study.autopilot import TUNED_CRUISE, Tuning, fly_cruise, tune_cruise
 from pyomo_quad.study.certificate import Certificate, certify
 from pyomo_quad.study.check import plan_cautions
 from pyomo_quad.study.comparison import (
@@ -27,7 +27,6 @@ from pyomo_quad.study.comparison import (
     adaptation_study,
     combine,
     compare_flights,
-    has_arrived,
 )
 from pyomo_quad.study.front import energy_time_front
 from pyomo_quad.study.processes import side_by_side
@@ -62,6 +61,9 @@ class RunResult(Summarised):
         beyond these.
     warnings : tuple of str
         Cautions about the results, one line each.
+    tuning : Tuning or None
+        The settings of the autopilot tuned for least energy, and what was tried; None without
+        reference cruise.
     """
 
     scenario: Scenario
@@ -73,6 +75,7 @@ class RunResult(Summarised):
     front: pd.DataFrame
     timings: Mapping[str, float]
     warnings: tuple[str, ...]
+    tuning: Tuning | None = None
 
     @property
     def summary(self) -> dict[str, str]:
@@ -272,6 +275,8 @@ def _run(
         helping = perf_counter()
         *flown, adaptation, cautions = finish()
     flown.reverse()
+    tuning = next((one for one in flown if isinstance(one, Tuning)), None)
+    flown = [one.flight if isinstance(one, Tuning) else one for one in flown]
     completed = tuple(flight for flight in flown if isinstance(flight, Flight))
     flights = () if optimum is None else (optimum, *completed)
     flights = _priced(flights, mission, planner, progress)
@@ -298,6 +303,7 @@ def _run(
             *(why for why in flown if isinstance(why, str)),
             *(f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt),
         ),
+        tuning=tuning,
     )
 
 
@@ -331,7 +337,7 @@ def _adaptation(
         return None
 
 
-def _flight_or_reason(name: str, fly: Callable[[], Flight]) -> Flight | str:
+def _flight_or_reason(name: str, fly: Callable[[], Flight | Tuning]) -> Flight | Tuning | str:
     try:
         return fly()
     except (EngineError, ScenarioError) as error:
@@ -340,13 +346,16 @@ def _flight_or_reason(name: str, fly: Callable[[], Flight]) -> Flight | str:
 
 def _baselines(
     scenario: Scenario, plan: Plan, planner: Planner, references: Sequence[Reference]
-) -> Iterator[tuple[str, Callable[[], Flight]]]:
-    dynamics = vehicle_flown(planner, scenario)
-    for speed in scenario.baseline.cruise_speeds or () if Reference.CRUISE in references else ():
-        yield (
-            baseline_name(Reference.CRUISE, speed),
-            partial(fly_cruise, scenario, speed, plan, planner),
-        )
+) -> Iterator[tuple[str, Callable[[], Flight | Tuning]]]:
+    dynamics, asked = vehicle_flown(planner, scenario), plan.scenario
+    if Reference.CRUISE in references and len(set(asked.mission.positions)) > 1:
+        yield TUNED_CRUISE, partial(tune_cruise, asked, plan, planner)
+        for speed in scenario.baseline.cruise_speeds or ():
+            settings = scenario.baseline.cruise_settings(speed)
+            yield (
+                baseline_name(Reference.CRUISE, speed),
+                partial(fly_cruise, asked, settings, plan, planner),
+            )
     for reference in references:
         if reference is Reference.CRUISE:
             continue
@@ -358,21 +367,3 @@ def _baselines(
         told = partial(fly_replanned, scenario, knowledge, dynamics=dynamics, planner=planner)
         yield replanned_name(knowledge), partial(told, plan=plan)
     yield OPEN_LOOP, partial(fly_open_loop, scenario, plan, dynamics)
-
-
-def fly_cruise(
-    scenario: Scenario, speed: float | None, plan: Plan | None, planner: Planner
-) -> Flight:
-    """Fly the mission as an autopilot does: at a cruise speed, in the time that it takes.
-
-    ``speed`` None is the cruise speed of the scenario.  The flight waits at the goal until it has
-    arrived, at most the last of `SETTLINGS_S`.
-    """
-    for settling_s in SETTLINGS_S:
-        told = cruise_at(scenario, speed, settling_s)
-        flight = fly_baseline(
-            told, Reference.CRUISE, dynamics=vehicle_flown(planner, told), plan=plan
-        )
-        if has_arrived(flight):
-            break
-    return flight

@@ -164,7 +164,7 @@ class Sweep:
                 ready += self._commit_all(outcomes)
 
     def _next_of(self, cases: list[Case]) -> list[Case]:
-        """Return each case or, where it has ended, its nearest descendants that have not."""
+        """Return the cases to solve next: each case, or its nearest unfinished descendants."""
         found, pending = [], list(reversed(cases))
         while pending:
             case = pending.pop()

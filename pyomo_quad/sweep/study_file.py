@@ -28,7 +28,7 @@ from pyomo_quad.scenario.messages import (
     listed,
     shown,
 )
-from pyomo_quad.scenario.resolution import Origin, read_toml
+from pyomo_quad.scenario.resolution import ScenarioSource, read_toml
 from pyomo_quad.scenario.schema import Scenario
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.sweep.case import StudyTask, output_columns, unknown_column
@@ -88,7 +88,7 @@ class Study(Part):
 
     name: Text = quantity("", "short name, also of the output folder", pattern=_NAME_PATTERN)
     title: Text = quantity("", "title of the report", "", max_length=200)
-    about: Text = quantity("", "what the report says first", "", max_length=1000)
+    about: Text = quantity("", "first paragraph of the report", "", max_length=1000)
     scenario: Text = quantity("", "scenario file of the base case, beside the study", min_length=1)
     task: StudyTask = quantity(
         "",
@@ -209,7 +209,7 @@ def _base_scenario(study: Study, file: FilePath) -> Scenario:
     scenario_file = file.parent / study.scenario
     source = str(file)
     return Scenario.from_origin(
-        Origin(
+        ScenarioSource(
             source=str(scenario_file),
             folder=scenario_file.parent,
             document=read_toml(scenario_file),
