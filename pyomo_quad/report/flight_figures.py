@@ -20,6 +20,7 @@ from pyomo_quad.report.signals import (
     ATTITUDE,
     BATTERY,
     BODY_RATE,
+    CIRCUIT,
     ENERGY,
     MOTOR,
     POSITION,
@@ -106,9 +107,14 @@ def _draw_disturbance(
 
 
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw voltage, current and state of charge of the battery."""
-    figure, panels = panel_grid(1, 3, panel_height=1.7, legend_entries=len(flights))
-    draw_panels(panels.flat, BATTERY, flights)
+    """Draw voltage, current and state of charge of the battery, slow drop and temperature."""
+    further = [own for own in CIRCUIT if all(own.name in one.frame for one in flights)]
+    rows = 2 if further else 1
+    figure, panels = panel_grid(rows, 3, panel_height=1.7, legend_entries=len(flights))
+    shown = (*BATTERY, *further)
+    for unused in panels.flat[len(shown) :]:
+        unused.set_visible(False)
+    draw_panels(panels.flat[: len(shown)], shown, flights)
     label_time(panels.flat, last_end(flights))
     legend_below(figure, panels[0, 0])
     return figure

@@ -27,6 +27,7 @@ from pyomo_quad.report.document import (
 )
 from pyomo_quad.report.render import STATUS_WORDS
 from pyomo_quad.report.tables import (
+    AIMS_NAME,
     FRONT_NAME,
     PLAN_FILE_NAME,
     PLAN_NAME,
@@ -38,6 +39,7 @@ from pyomo_quad.report.tables import (
 )
 from pyomo_quad.scenario import PowerModel, Reference
 from pyomo_quad.scenario.tables import Replanning
+from pyomo_quad.study.aims import AimColumn, charge_beyond_least
 from pyomo_quad.study.autopilot import tuning_table
 from pyomo_quad.study.comparison import (
     FAIR_BASELINE,
@@ -105,6 +107,7 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
     optional = {
         COMPARISON_NAME: result.comparison,
         FRONT_NAME: result.front,
+        AIMS_NAME: result.aims,
         REPLANNING_NAME: replanned,
         TUNING_NAME: tuning_table(result.tuning),
     }
@@ -325,6 +328,12 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
         "front": result.front.to_dict("records"),
         "front_column": FrontColumn,
         "FRONT_NAME": FRONT_NAME,
+        "aims": result.aims.to_dict("records"),
+        "aim_column": AimColumn,
+        "beyond_least_percent": 0.0
+        if result.aims.empty
+        else 100.0 * charge_beyond_least(result.aims),
+        "AIMS_NAME": AIMS_NAME,
         "REPORT_NAME": REPORT_NAME,
         "PAGE_NAME": PAGE_NAME,
         "COMPARISON_NAME": COMPARISON_NAME,
