@@ -304,14 +304,15 @@ def _run(
             "certify": certified - here,
             "front": swept - certified,
         },
-        warnings=(
-            *cautions,
-            *disagreement(aims),
-            *(why for why in flown if isinstance(why, str)),
-            *(f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt),
-        ),
+        warnings=(*cautions, *disagreement(aims), *_amiss(flown, flights)),
         tuning=tuning,
     )
+
+
+def _amiss(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[str]:
+    """Yield why flights could not be flown, or were not confirmed."""
+    yield from (why for why in flown if isinstance(why, str))
+    yield from (f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt)
 
 
 def _priced(
