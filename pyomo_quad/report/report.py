@@ -53,7 +53,7 @@ from pyomo_quad.study.comparison import (
     way_flown,
 )
 from pyomo_quad.study.front import FrontColumn
-from pyomo_quad.study.headline import cruise_words, headline_of, settled_of
+from pyomo_quad.study.headline import cruise_words, flight_words, headline_of, settled_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -316,6 +316,7 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
         "headline": headline_of(result),
         "settled_of": settled_of,
         "cruise_words": cruise_words,
+        "flight_words": flight_words,
         "tuning": result.tuning,
         "TUNING_NAME": TUNING_NAME,
         "alone": by_name.get(OPEN_LOOP),
