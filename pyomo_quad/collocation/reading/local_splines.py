@@ -62,17 +62,17 @@ class LocalSpline:
     @classmethod
     def of(cls, knots: Sequence[FloatArray], coefficients: FloatArray, degree: int) -> Self:
         """Return the local form of a spline."""
-        place = casadi.MX.sym("place", len(knots))
+        place: Any = casadi.MX.sym("place", len(knots))
         found = casadi.vertcat(*_jet(place, knots, coefficients, degree))
         # CasADi would otherwise differentiate the call itself.
         told, seed = casadi.MX.sym("told", found.numel()), casadi.MX.sym("seed", found.numel())
         moved = casadi.MX.sym("moved", len(knots))
-        zeros = {
+        zeros: dict[str, tuple[list[Any], Any]] = {
             "fwd1_local": ([place, told, moved], casadi.MX.zeros(found.numel())),
             "adj1_local": ([place, told, seed], casadi.MX.zeros(len(knots))),
         }
         known = {n: casadi.Function(n, inputs, [zero]) for n, (inputs, zero) in zeros.items()}
-        options = {"never_inline": True, "cache": known}
+        options: dict[str, Any] = {"never_inline": True, "cache": known}
         function = casadi.Function("local", [place], [found], options)
         inner = [np.unique(t)[1:-1] for t in knots]
         steps = [float(np.diff(breaks).min()) for breaks in inner]
@@ -143,7 +143,7 @@ def _jet(
     first = casadi.vertcat(*index)
     # The first of the axes counts fastest.
     offsets = product(range(order), repeat=len(knots) - cells)
-    parts = {
+    parts: dict[tuple[int, ...], Any] = {
         (): casadi.vertcat(*[entry(first + casadi.DM([0] * cells + [*o][::-1])) for o in offsets])
     }
     for axis in reversed(range(len(knots))):
