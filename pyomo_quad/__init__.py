@@ -8,6 +8,7 @@ solved.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from pyomo_quad.presentation import Picture, Presenter, register_presenter
 from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
@@ -18,10 +19,12 @@ if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
     from pyomo_quad.model import build_model
     from pyomo_quad.scenario import Scenario, load_scenario
-    from pyomo_quad.study.run import run_scenario
+    from pyomo_quad.study.run import RunResult, run_scenario
 
 __all__ = [
+    "Picture",
     "Plan",
+    "RunResult",
     "Scenario",
     "__version__",
     "build_model",
@@ -34,6 +37,7 @@ __all__ = [
 # Pyomo, CasADi and SciPy take over a second to import: only who uses them waits for them.
 _HOMES = {
     "Plan": "pyomo_quad.flight",
+    "RunResult": "pyomo_quad.study.run",
     "Scenario": "pyomo_quad.scenario",
     "build_model": "pyomo_quad.model",
     "export_plan": "pyomo_quad.exports",
@@ -42,10 +46,19 @@ _HOMES = {
 }
 
 
+def _presenter() -> Presenter:
+    from pyomo_quad.report import presenting  # noqa: PLC0415  matplotlib takes a second
+
+    return presenting
+
+
+register_presenter(_presenter)
+
+
 def solve(
     scenario: "Scenario | str | Path | Mapping[str, Any]", *, allow_code: bool = False
 ) -> "Plan":
-    """Solve a scenario and verify the plan by flying it.
+    """Solve a scenario, with the margins that its risk asks for, and verify the plan by flying it.
 
     Parameters
     ----------
@@ -65,14 +78,22 @@ def solve(
         If the scenario is not allowed; one line, naming the field.
     FeasibilityError
         If the rotors cannot carry the vehicle.
+
+    Examples
+    --------
+    >>> mission = {"goal": {"position": [1.0, 0.0, 0.5]}, "duration": 4.0}
+    >>> plan = solve({"name": "hop", "vehicle": {"use": "dji_phantom_2"}, "mission": mission})
+    >>> plan.is_verified
+    True
     """
-    from pyomo_quad.flight.planning import solve_scenario  # noqa: PLC0415
+    from pyomo_quad.flight import Planner  # noqa: PLC0415
+    from pyomo_quad.flight.risk import plan_at_risk  # noqa: PLC0415
     from pyomo_quad.model import model_builder  # noqa: PLC0415
     from pyomo_quad.scenario import Scenario, load_scenario  # noqa: PLC0415
 
     resolved = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     builder = model_builder(resolved, is_code_allowed=allow_code)
-    return solve_scenario(resolved, builder=builder)
+    return plan_at_risk(resolved, Planner(builder))
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401  as wide as the names it serves

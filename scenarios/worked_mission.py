@@ -21,7 +21,7 @@ print(plan)  # in a notebook, `plan` alone shows a table
 
 # %% As a pandas table, 20 rows a second.
 frame = plan.to_frame(rate_hz=20.0)
-print(frame[["time_s", "x_m", "z_m", "theta_rad", "power_W"]].iloc[::40].round(3).to_string())
+print(frame[["x_m", "z_m", "theta_rad", "power_W"]].iloc[::40].round(3).to_string())
 
 # %% A minute's hover, and a charge of the battery, are what people measure energy by.
 hover_power = plan.hover_energy_J / scenario.mission.duration

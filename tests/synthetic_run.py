@@ -1,5 +1,6 @@
 """A run with plausible numbers that nothing solved: what the report floor is tested on."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,11 +8,13 @@ import pandas as pd
 
 from pyomo_quad.collocation import ActiveLimit, Diagnosis, Mesh, MeshRecord, Residual
 from pyomo_quad.flight import PlanStatus, Verification
+from pyomo_quad.flight.failure import Failure
 from pyomo_quad.flight.margins import PAPER_PLAN
-from pyomo_quad.flight.plan import Failure
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.scenario.accuracy import FIGURES
 from pyomo_quad.scenario.mission import NamedDuration
+from pyomo_quad.scenario.tables import CruiseSettings
+from pyomo_quad.study.autopilot import TUNED_CRUISE, TriedCruise, Tuning
 from pyomo_quad.study.comparison import compare_flights
 
 HOVER_SPEED = 912.27
@@ -144,12 +147,13 @@ def synthetic_history():
 
 def synthetic_costates(scenario, samples=90):
     time = np.linspace(0.0, scenario.mission.duration, samples)
-    columns = {"time_s": time}
+    columns = {}
     for index, state in enumerate(STATES):
         columns[f"rigid_body.{state}"] = np.cos(time / 3 + index) / (1 + index)
     for rotor in range(1, 5):
         columns[f"rotors.omega[{rotor}]"] = 1e-3 * np.sin(time + rotor)
-    return pd.DataFrame(columns | {"hamiltonian": 70.96 + 0 * time})
+    columns["hamiltonian"] = 70.96 + 0 * time
+    return pd.DataFrame(columns, index=pd.Index(time, name="time_s"))
 
 
 def synthetic_verification(flight):
@@ -239,6 +243,30 @@ def synthetic_certificate():
     )
 
 
+def with_tuned_autopilot(run, flight="adaptive/minimum_snap"):
+    """Call one of the flights of a synthetic run that of a tuned autopilot."""
+    settings = CruiseSettings(speed=8.38, acceleration=4.7, jerk=32.1)
+    flown = next(one for one in run.flights if one.name == flight)
+    flown.name = TUNED_CRUISE
+    run.comparison.loc[run.comparison["flight"] == flight, "flight"] = TUNED_CRUISE
+    tried = TriedCruise(
+        settings=settings,
+        duration_s=flown.duration_s,
+        energy_J=flown.energy_J,
+        arrived=True,
+        broken=(),
+        cost_J=flown.energy_J,
+    )
+    first = replace(
+        tried,
+        settings=CruiseSettings(speed=6.0, acceleration=3.0, jerk=4.0),
+        energy_J=1.1 * flown.energy_J,
+        broken=("tilt",),
+    )
+    run.tuning = Tuning(flight=flown, settings=settings, tried=(first, tried))
+    return run
+
+
 def synthetic_run(path="scenarios/paper_wind.toml", overrides=(), flights=tuple(FLIGHTS)):
     """Return what a run of a scenario file looks like, without solving anything."""
     scenario = load_scenario(path, overrides)
@@ -254,4 +282,5 @@ def synthetic_run(path="scenarios/paper_wind.toml", overrides=(), flights=tuple(
         front=pd.DataFrame(),
         timings={"solve": 1.0},
         warnings=(),
+        tuning=None,
     )

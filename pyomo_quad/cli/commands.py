@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from pyomo_quad.cli.campaigns import campaign
 from pyomo_quad.cli.endings import ExitCode, Stopped, before_the_end
 from pyomo_quad.cli.looking import check, init, library, plot, schema
 from pyomo_quad.cli.missions import export, import_
@@ -34,6 +35,7 @@ from pyomo_quad.cli.terminal import (
     Quiet,
     ReportFolder,
     ScenarioFile,
+    ScenarioFiles,
     Stopwatch,
     claim_streams,
     complain,
@@ -97,11 +99,11 @@ _Flown = Annotated[
 ]
 _Flights = Annotated[
     int | None,
-    option(
-        "--flights", "N", "Fly the plan so often, each time in a wind of its own.", positive_count
-    ),
+    option("--flights", "N", "Fly the plan N times, each time in a random wind.", positive_count),
 ]
-_Seed = Annotated[int, typer.Option("--seed", metavar="N", help="--flights: of the winds.", min=0)]
+_Seed = Annotated[
+    int, typer.Option("--seed", metavar="N", help="--flights: seed of the random winds.", min=0)
+]
 _Cruises = Annotated[
     list[float] | None,
     option(
@@ -163,7 +165,7 @@ def fly(
 
 
 def is_plan(path: Path) -> bool:
-    """Say whether a path names a plan, and not the scenario of one."""
+    """Return whether a path names a plan instead of a scenario."""
     return path.is_dir() or path.suffix == ".npz"
 
 
@@ -271,10 +273,6 @@ def _refuse_unfit(controller: Controller, plant: Plant) -> None:
 
 
 _COMPARISON_FOLDER = Path("reports") / "comparison"
-
-ScenarioFiles = Annotated[
-    list[Path], typer.Argument(metavar="SCENARIO...", help="Scenario files (TOML).")
-]
 
 
 def run(
@@ -441,7 +439,21 @@ app = typer.Typer(
     help="Minimum-energy quadrotor flight in wind: solve, verify, compare, report.",
 )
 for _command in (
-    *(init, run, solve, compare, check, library, schema, fly, export, plot, identify, predict),
+    *(
+        init,
+        run,
+        solve,
+        compare,
+        campaign,
+        check,
+        library,
+        schema,
+        fly,
+        export,
+        plot,
+        identify,
+        predict,
+    ),
     *(polar, reach, vehicle, vehicles, outside_plant, rotorpy_vehicle, paper, sweep, sweep_report),
 ):
     app.command()(_command)

@@ -90,7 +90,7 @@ def leave(status: int) -> int:
 
 
 def has_told() -> None:
-    """Record that a command has printed its line: a timer that ends it later prints no other."""
+    """Record that a command has printed its message, so that a later timer prints no second."""
     global _is_told  # noqa: PLW0603  a fact about the process
     _is_told = True
 
@@ -144,7 +144,7 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 
 
 def _enforce(patience_s: float) -> bool:
-    """End the process so many seconds from now, or sooner if that was asked for already.
+    """End the process after some seconds, or sooner if an earlier timer is set.
 
     Return whether the process is the command's own; another process is left alone.
     """

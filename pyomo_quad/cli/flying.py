@@ -22,12 +22,13 @@ from pyomo_quad.flight.outside_plant import (
 )
 from pyomo_quad.flight.replanning import fly_replanned
 from pyomo_quad.flight.risk import plan_at_risk
+from pyomo_quad.flight.routes import own_cruise
 from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.report.tables import FLIGHT_NAME, flight_summary, write_summary, write_table
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Knowledge, Reference
+from pyomo_quad.study.autopilot import fly_cruise, tune_cruise
 from pyomo_quad.study.comparison import has_arrived
-from pyomo_quad.study.run import fly_cruise
 
 
 def make_plan(planner: Planner, scenario: Scenario) -> Plan:
@@ -55,9 +56,15 @@ def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
 def fly_declared(
     planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
 ) -> Flight:
-    """Fly the adaptive controller along a reference, or the plan in open loop if None."""
+    """Fly the adaptive controller along a reference, or the plan in open loop if None.
+
+    A cruise has the speed of the scenario, or the tuned settings where it has none.
+    """
     if reference is Reference.CRUISE:
-        return fly_cruise(scenario, None, plan, planner)
+        asked = scenario if plan is None else plan.scenario
+        if asked.baseline.cruise_speeds is None:
+            return tune_cruise(asked, plan, planner).flight
+        return fly_cruise(asked, own_cruise(asked), plan, planner)
     dynamics = vehicle_flown(planner, scenario)
     if reference is None and plan is not None:
         return fly_open_loop(scenario, plan, dynamics)

@@ -50,7 +50,7 @@ from pyomo_quad.scenario.description import (
     started_scenario,
     writable_fields,
 )
-from pyomo_quad.scenario.messages import PyomoQuadError, printable, shown
+from pyomo_quad.scenario.messages import PyomoQuadError, printable
 
 if TYPE_CHECKING:
     from pyomo_quad.model.screening import Finding, ModelInspection
@@ -279,9 +279,6 @@ def schema(
     return ExitCode.VERIFIED
 
 
-_ENDINGS = (".png", ".svg", ".pdf")
-
-
 def plot(
     run: Annotated[
         Path, typer.Argument(metavar="RUN", help="Report folder of a run, a solve or a flight.")
@@ -296,33 +293,28 @@ def plot(
     quiet: Quiet = False,
 ) -> int:
     """Draw a figure of a finished run: path, states, energy, battery, ... or any column."""
-    if out is not None and out.suffix not in _ENDINGS:
-        raise ScenarioError(f"--out {out}: must end in {', '.join(_ENDINGS)}.")
     flight, hover_energy_J, mission = _flight(run)
     front = read_front(run)
-    from pyomo_quad.report.gallery import (  # noqa: PLC0415
-        column_drawing,
-        flight_drawings,
-        front_drawing,
+    from pyomo_quad.report.gallery import flight_drawings, front_drawing  # noqa: PLC0415
+    from pyomo_quad.report.presenting import (  # noqa: PLC0415  matplotlib takes a second
+        chosen_drawing,
+        refuse_other_endings,
     )
-    from pyomo_quad.report.style import save_figure  # noqa: PLC0415  matplotlib takes a second
+    from pyomo_quad.report.style import save_figure  # noqa: PLC0415
 
+    if out is not None:
+        refuse_other_endings(out, "--out")
     offered = (
         *flight_drawings([flight], hover_energy_J, mission=mission),
         *(() if front is None else (front_drawing(front),)),
     )
-    drawings = {drawing.name: drawing for drawing in offered}
-    if what not in drawings and what not in flight.frame:
-        raise ScenarioError(
-            f"WHAT = {shown(what)}; must be one of {', '.join(drawings)}, or a column of the table:"
-            f" {', '.join(map(str, flight.frame.columns))}."
-        )
-    drawing = drawings.get(what) or column_drawing(flight, what)
+    drawing = chosen_drawing(offered, flight, what, "WHAT")
     path = out or Path(f"{run.resolve().name}_{what}.png")
     with output_file(path) as aside:
         save_figure(drawing.draw, {path.suffix.removeprefix("."): aside}, MARK)
     if not quiet:
-        print(f"Written to {path}. Others: {', '.join(name for name in drawings if name != what)}.")
+        others = (one.name for one in offered if one.name != what)
+        print(f"Written to {path}. Others: {', '.join(others)}.")
     return ExitCode.VERIFIED
 
 

@@ -215,7 +215,7 @@ def vehicles(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Hold every library vehicle, and six data sheets, against measured powers: a page of each."""
+    """Compare every library vehicle and six data sheets with measured powers: a page for each."""
     refuse_output_folder(out)
     from pyomo_quad.flight import Planner  # noqa: PLC0415  takes a second
     from pyomo_quad.vehicles.holding import held_vehicles  # noqa: PLC0415

@@ -33,6 +33,7 @@ from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.loader import parse_overrides
 from pyomo_quad.study.comparison import ComparisonColumn, against_hovering
+from pyomo_quad.study.headline import headline_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -163,15 +164,15 @@ def _kept(plan: Plan, folder: Path) -> str:
 
 
 def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenario]:
-    """Return the plan of a solve's folder, or of its file, and its mission at the next accuracy.
+    """Return a stored plan, and its mission at the accuracy to continue to.
 
-    That is the one which `solver.accuracy` among the overrides asks for; else the one that the plan
-    was asked for where it was not reached, or the next higher one.
+    The accuracy is `solver.accuracy` of the overrides; without it, the accuracy requested before if
+    the plan did not reach it, otherwise the next higher accuracy.
 
     Raises
     ------
     ScenarioError
-        If there is no plan, an override is none of the solver, or no accuracy is higher.
+        If there is no plan, an override is not a field of the solver, or no accuracy is higher.
     """
     plan = Plan.load(run / PLAN_FILE_NAME if run.is_dir() else run)
     values = parse_overrides(overrides)
@@ -273,6 +274,9 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
 
 def run_lines(result: "RunResult") -> Iterator[str | Table]:
     """Yield the lines on a run: optimum, table of flights, and certificate."""
+    headline = headline_of(result)
+    if headline is not None:
+        yield f"{result.scenario.name}: {headline.words}"
     yield from verdict_lines(result.plan)
     if not result.comparison.empty:
         yield comparison_table(result.comparison)

@@ -322,7 +322,7 @@ def _parameter_lines(
     parameters: "Sequence[SteadyParameter | IdentifiedParameter]",
     together: Sequence[tuple[str, str]],
 ) -> Iterator[str]:
-    """Yield a line per fitted parameter, with the parameters it cannot be told from."""
+    """Yield a line for each fitted parameter, with the parameter that it is confounded with."""
     partners = dict(together)
     for one in parameters:
         edge = " (at the end of its range)" if one.is_at_bound and one.is_determined else ""

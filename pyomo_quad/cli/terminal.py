@@ -146,6 +146,9 @@ def option(
 
 
 ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file (TOML).")]
+ScenarioFiles = Annotated[
+    list[Path], typer.Argument(metavar="SCENARIO...", help="Scenario files (TOML).")
+]
 Output = Annotated[Path | None, option("--out", "DIR", "Output folder, reports/NAME by default.")]
 ReportFolder = Annotated[Path, option("--out", "DIR", "Output folder.")]
 Overrides = Annotated[

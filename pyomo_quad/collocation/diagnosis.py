@@ -226,6 +226,17 @@ def diagnose(
     ------
     TranscriptionError
         If none of the families has a limit that could be relaxed, or there are several horizons.
+
+    Examples
+    --------
+    >>> from pyomo_quad.collocation import solve
+    >>> m.u.setub(0.9)  # 1 m in 1 s needs a speed of 1
+    >>> failed = solve(m)
+    >>> failed.is_converged
+    False
+    >>> diagnosis = diagnose(failed)
+    >>> diagnosis.least_violation > 0.0, len(diagnosis.relaxations) > 0
+    (True, True)
     """
     if solution.parts != (solution,):
         raise TranscriptionError(

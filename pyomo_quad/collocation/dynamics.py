@@ -430,6 +430,12 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
 
     Equality equations without rates determine algebraic variables. A maximum matching of equations
     and variables decides which variables these are, with later declared variables first.
+
+    Examples
+    --------
+    >>> controls, determined = split_algebraics(solution.problem)
+    >>> [slot.name for slot in controls], determined
+    (['u'], ())
     """
     declared = formulation.compiled.declared
     rates = {s.rate.name() for s in declared.states}

@@ -80,7 +80,17 @@ _OPERATIONS: dict[int, Callable[..., Interval]] = {
 
 
 def symbols(*names: str) -> list[Any]:
-    """Return symbols for `Dynamics.expressions` and an enclosure."""
+    """Return symbols for `Dynamics.expressions` and an enclosure.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x, y = symbols("x", "y")
+    >>> product = Enclosure([x * y], [x], [y])
+    >>> (low, high), slope = product.over(np.array([[1.0]]), np.array([[2.0]]), [3.0])
+    >>> bool(low[0, 0] <= 3.0), bool(high[0, 0] >= 6.0)
+    (True, True)
+    """
     return [casadi.SX.sym(name) for name in names]
 
 

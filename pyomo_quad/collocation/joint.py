@@ -94,7 +94,7 @@ class JointSolution(Outcome):
         return tuple(part.updated(**whole) for part in self.horizons.values())
 
     def updated(self, **changes: Any) -> JointSolution:
-        """Return this solution with other attributes, shared by those of its horizons."""
+        """Return this solution with changed attributes, shared by the solutions on its horizons."""
         other = replace(self, **changes)
         horizons = zip(self.horizons, other.parts, strict=True)
         return replace(other, horizons=dict(horizons))

@@ -147,6 +147,12 @@ def real_array(
     ------
     TranscriptionError
         If the array is missing, not real and finite, or of another shape.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> real_array({"energy": np.array([1.0, 2.0])}, "energy", (None,))
+    array([1., 2.])
     """
     if name not in held:
         raise TranscriptionError(f"{name}: is missing.")
@@ -260,6 +266,15 @@ def interpolate(
     Returns
     -------
     ndarray, shape (n, k)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> mesh = Mesh(breakpoints=(0.0, 0.5, 1.0), degrees=(2, 2))
+    >>> squares = mesh.node_fractions[:, None] ** 2
+    >>> interpolate(mesh, squares, np.array([0.25, 0.9]), with_start=True).round(12)
+    array([[0.0625],
+           [0.81  ]])
     """
     result = np.empty((len(fractions), values.shape[1]))
     for e, positions, local in by_element(mesh, fractions):
@@ -272,7 +287,17 @@ def interpolate(
 
 
 def interpolate_rates(mesh: Mesh, states: FloatArray, fractions: FloatArray) -> FloatArray:
-    """Evaluate the slopes of the state polynomials, shape (n, n_states)."""
+    """Evaluate the slopes of the state polynomials, shape (n, n_states).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> mesh = Mesh(breakpoints=(0.0, 0.5, 1.0), degrees=(2, 2))
+    >>> squares = mesh.node_fractions[:, None] ** 2
+    >>> interpolate_rates(mesh, squares, np.array([0.25, 0.9])).round(12)
+    array([[0.5],
+           [1.8]])
+    """
     result = np.empty((len(fractions), states.shape[1]))
     for e, positions, local in by_element(mesh, fractions):
         rule = radau_rule(mesh.degrees[e])
@@ -313,6 +338,13 @@ def control_polynomial(
     -------
     callable
         t -> ndarray, shape (k,).
+
+    Examples
+    --------
+    >>> mesh = Mesh(breakpoints=(0.0, 0.5, 1.0), degrees=(2, 2))
+    >>> control = control_polynomial(mesh, mesh.node_fractions[1:, None], 0, start=0.0, end=5.0)
+    >>> control(2.5).round(12)
+    array([0.25])
     """
     points = radau_rule(mesh.degrees[element]).points
     weights = barycentric_weights(points)

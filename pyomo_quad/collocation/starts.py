@@ -93,7 +93,7 @@ class WarmStart:
 
     @property
     def is_finite(self) -> bool:
-        """Whether all numbers are finite; those of a failed solve may not be."""
+        """Whether all numbers are finite; a failed solve may yield others."""
         return all(bool(np.all(np.isfinite(array))) for array in self._numbers().values())
 
     def fits(self, compiled: CompiledModel) -> bool:

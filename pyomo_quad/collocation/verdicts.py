@@ -162,7 +162,7 @@ def outside_tables(solution: Solution) -> str:
 
 
 def doubted(solution: S) -> S:
-    """Return a solution with the doubts about it, in its status and message."""
+    """Return a solution with the doubts about it recorded in its status and message."""
     return _within_tables(_undoubted(_without_objective(solution)))
 
 

@@ -93,7 +93,7 @@ class _File:
 
 @dataclass(kw_only=True)
 class _Place:
-    """A place on the globe and the conditions of passing it, as a scenario writes them."""
+    """Place on the globe with the conditions of passing it, in the notation of a scenario."""
 
     position: dict[str, float]
     hold: float = 0.0
@@ -132,6 +132,13 @@ def read_mission(
     ScenarioError
         If the file is no mission, has a command that no scenario can hold, or its scenario is
         refused; one line.
+
+    Examples
+    --------
+    >>> from pyomo_quad import export_plan
+    >>> made = export_plan(plan, "qgroundcontrol", "hop.plan", origin="47.4,8.5,488")
+    >>> read_mission("hop.plan").scenario.name
+    'hop'
     """
     path = Path(file)
     notes: Counter[str] = Counter()
@@ -201,7 +208,7 @@ def _number(value: object, where: str, low: float, high: float) -> float:
 
 
 def _on_globe(place: Sequence[object], where: str) -> tuple[float, float]:
-    """Return latitude and longitude of a place that begins with them."""
+    """Return the latitude and longitude with which a list of coordinates begins."""
     if len(place) < 2:
         _refuse(where, "a place needs latitude and longitude")
     found = []

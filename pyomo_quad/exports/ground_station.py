@@ -46,7 +46,7 @@ class Command(IntEnum):
 
 
 class Frame(IntEnum):
-    """Frames of MAVLink: what an altitude is counted from, or that an item has no place."""
+    """Frames of MAVLink: reference of an altitude, or none for an item without a place."""
 
     GLOBAL = 0
     MISSION = 2

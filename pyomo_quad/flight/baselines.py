@@ -60,7 +60,7 @@ _STATE_OF_CHARGE = "battery.state_of_charge"
 
 
 def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None) -> FloatArray:
-    """Return the initial state of a flight: that of the plan, or declared hover.
+    """Return the initial state of a flight: the plan's, or declared hover.
 
     Returns
     -------
@@ -185,6 +185,7 @@ def fly(
     initial_state: FloatArray,
     times: FloatArray,
     integrator: Integrator = Integrator.RUNGE_KUTTA,
+    tolerance: float = _TOLERANCE,
 ) -> ClosedLoopFlight:
     """Fly a reference under feedback; the control law is compiled together with the dynamics.
 
@@ -196,6 +197,8 @@ def fly(
         State of the vehicle at the first time.
     times : ndarray, shape (n,)
         Rising times of the returned samples, s.
+    tolerance : float, optional
+        Relative and absolute tolerance of the integrator.
 
     Raises
     ------
@@ -212,8 +215,8 @@ def fly(
         times,
         dynamics.steps_between(*span),
         method=integrator.value,
-        rtol=_TOLERANCE,
-        atol=_TOLERANCE,
+        rtol=tolerance,
+        atol=tolerance,
         max_step=LONGEST_STEP,
     )
     if solution.stopped_at is not None:
@@ -339,6 +342,7 @@ def fly_reference(
     plan: Plan | None = None,
     integrator: Integrator = Integrator.RUNGE_KUTTA,
     rate_hz: float = RATE_HZ,
+    tolerance: float = _TOLERANCE,
 ) -> ClosedLoopFlight:
     """Fly once, and return the controller's states too; see `fly_baseline`.
 
@@ -346,6 +350,8 @@ def fly_reference(
     ----------
     rate_hz : float, optional
         Samples per second; both ends are always included.
+    tolerance : float, optional
+        Relative and absolute tolerance of the integrator; by default that of a confirmed flight.
     """
     refuse_other_vehicles(scenario, dynamics)
     duration = scenario.mission.fixed_duration
@@ -356,6 +362,7 @@ def fly_reference(
         initial_state=start_state(scenario, dynamics, plan),
         times=even_times(0.0, duration, rate_hz),
         integrator=integrator,
+        tolerance=tolerance,
     )
 
 

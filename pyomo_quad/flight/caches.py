@@ -39,7 +39,7 @@ class Recent(Generic[Value]):
         return value
 
 
-#: Compiled problems of a planner: of the wind that the optimiser is told and of the wind that
+#: Compiled problems of a planner: in the wind that the optimiser assumes, and in the wind that
 #: blows, and as many for a second planner.
 MOST_PROBLEMS = 4
 #: Steady flights of a planner: in each of these two winds.

@@ -18,10 +18,11 @@ from pyomo_quad.collocation import (
     WarmStart,
     diagnose,
 )
+from pyomo_quad.flight.failure import Failure
 from pyomo_quad.flight.least_time import shortest_flight
 from pyomo_quad.flight.long_flight import fine_mesh, guess_of, is_long, rough_mesh
 from pyomo_quad.flight.mission_problem import MissionProblem
-from pyomo_quad.flight.plan import Failure, Plan
+from pyomo_quad.flight.plan import Plan
 from pyomo_quad.flight.route_flights import RouteFlights
 from pyomo_quad.flight.verdict import plan_of, verified
 from pyomo_quad.flight.verification import BALANCE_TOLERANCE, shares_lacking
@@ -60,7 +61,7 @@ class Candidate:
     ----------
     scenario : Scenario
     mission : MissionProblem
-        Of the scenario as the optimiser is told it.
+        Of the scenario as the optimiser knows it.
     search : Search
     start : Start or None
         Similar flight, for the initial point.
@@ -115,7 +116,7 @@ class Candidate:
     # First solutions
 
     def has_routes(self) -> bool:
-        """Say whether there are routes round zones to compare."""
+        """Return whether there are routes round zones to compare."""
         is_open = self.start is None or isinstance(self.start, AlongShortest)
         return is_open and self.mission.has_routes
 
@@ -127,7 +128,7 @@ class Candidate:
         return self._outcome()
 
     def starts_at_flight(self) -> bool:
-        """Say whether a solution of a similar problem is given."""
+        """Return whether a solution of a similar problem is given."""
         return isinstance(self.start, Solution)
 
     def from_flight(self) -> str | None:
@@ -152,7 +153,7 @@ class Candidate:
         return start if isinstance(start, WarmStart) else None
 
     def starts_warm(self) -> bool:
-        """Say whether a warm start of the same equations is given."""
+        """Return whether a warm start of the same equations is given."""
         start = self._warm_start
         return start is not None and start.fits(self.mission.problem.compiled)
 
@@ -166,7 +167,7 @@ class Candidate:
         return self._outcome()
 
     def starts_at_plan(self) -> bool:
-        """Say whether the trajectory of a given plan is still to be tried."""
+        """Return whether the trajectory of a given plan is still to be tried."""
         return self.solution is None and isinstance(self.start, Plan)
 
     def from_plan(self) -> str | None:
@@ -176,7 +177,7 @@ class Candidate:
         return self._outcome()
 
     def is_long(self) -> bool:
-        """Say whether the flight is long compared with a change of attitude."""
+        """Return whether the flight is long compared with a change of attitude."""
         mission = self.mission
         is_simple = self.solution is None and mission.problems.is_declared and not mission.easier
         return is_simple and is_long(mission.told)
@@ -200,7 +201,7 @@ class Candidate:
         return self._outcome()
 
     def is_unsolved(self) -> bool:
-        """Say whether nothing has been solved yet."""
+        """Return whether nothing has been solved yet."""
         return self.solution is None
 
     def from_nothing(self) -> str | None:
@@ -216,11 +217,11 @@ class Candidate:
     # Retries of a solution that failed
 
     def has_failed(self) -> bool:
-        """Say whether the solution failed, and routes are not the reason."""
+        """Return whether the solution failed, and routes are not the reason."""
         return self.found.status.has_failed and not self.is_closed
 
     def has_failed_at_waypoints(self) -> bool:
-        """Say whether the solution failed where passing the waypoints themselves is simpler."""
+        """Return whether the solution failed where passing the waypoints themselves is simpler."""
         return self.has_failed() and self.mission.past_waypoints is not None
 
     def past_waypoints(self) -> str | None:
@@ -238,7 +239,7 @@ class Candidate:
         return None if feasible is None else self._retried(feasible)
 
     def may_be_slower(self) -> bool:
-        """Say whether a longer duration may help."""
+        """Return whether a longer duration may help."""
         is_infeasible = self.diagnosis is not None and self.diagnosis.is_infeasible
         return self.has_failed() and not is_infeasible and not self.mission.told.mission.is_free
 
@@ -253,7 +254,7 @@ class Candidate:
         return slow.status.value
 
     def has_slower(self) -> bool:
-        """Say whether a flight of a longer duration was found for a failed mission."""
+        """Return whether a flight of a longer duration was found for a failed mission."""
         return self.has_failed() and self.slower is not None
 
     def speed_up(self) -> str | None:
@@ -268,7 +269,7 @@ class Candidate:
         return "none found" if self.shortest is None else f"{self.shortest.objective:.4g} s"
 
     def has_shorter(self) -> bool:
-        """Say whether the least time shows that the duration is not too short."""
+        """Return whether the least time shows that the duration is not too short."""
         longest = self.mission.told.mission.longest.value
         found = self.shortest
         return self.has_failed() and found is not None and found.objective <= longest
@@ -320,7 +321,7 @@ class Candidate:
     # Proof by a flight
 
     def is_solved(self) -> bool:
-        """Say whether there is a solution to fly."""
+        """Return whether there is a solution to fly."""
         return self.found.status.is_solved
 
     def fly(self) -> None:
@@ -330,7 +331,7 @@ class Candidate:
         self._began += self.flown.timings.get("verify", 0.0)
 
     def is_astray(self) -> bool:
-        """Say whether the flight of a converged solution broke what a finer mesh may mend."""
+        """Return whether a converged solution failed its flight for want of a finer mesh."""
         plan = self.flown
         if plan is None or plan.is_verified or self.found.status is not Status.CONVERGED:
             return False
@@ -352,7 +353,7 @@ class Candidate:
         return f"tolerance {self.tolerance:.0e}"
 
     def lacks_power(self) -> bool:
-        """Say whether the pack lacks power for the flight, and has enough for a gentler one."""
+        """Return whether the pack lacks power for the flight, and has enough for a gentler one."""
         plan, mission, limits = self.flown, self.mission, self.scenario.limits
         if not mission.problems.is_declared or limits.battery_power_share_max is not None:
             return False

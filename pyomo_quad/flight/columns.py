@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     import pandas as pd
+    import xarray as xr
 
     from pyomo_quad.collocation import Dynamics
 
@@ -30,6 +31,8 @@ WIND = ("wind_x_m_per_s", "wind_y_m_per_s")
 ROTORS = (1, 2, 3, 4)
 _ROTOR_CONTROL = "rotors.alpha["
 _IN_DEGREES = degrees(1.0)
+# Printed unit -> stored unit, where they differ.
+_STORED_UNITS = {"°": "rad", "°/s": "rad/s", "mN m": "N m"}
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,11 @@ class Column:
     def title(self) -> str:
         """Symbol, name and unit, for the title of a panel."""
         return f"${self.symbol}$, {self.words} ({self.unit})"
+
+    @property
+    def stored_unit(self) -> str:
+        """Unit of the values in the table."""
+        return _STORED_UNITS.get(self.unit, self.unit)
 
     @property
     def label(self) -> str:
@@ -186,7 +194,26 @@ def flight_columns(
 def flight_frame(
     dynamics: Dynamics, t: FloatArray, states: FloatArray, controls: FloatArray, energy: FloatArray
 ) -> pd.DataFrame:
-    """Return the table of a flight, with the columns of `flight_columns`."""
+    """Return the table of a flight, with the columns of `flight_columns`.
+
+    Examples
+    --------
+    >>> held, times = plan.trajectories, plan.times(rate_hz=1.0)
+    >>> values = held.states_at(times), held.controls_at(times), held.energy_at(times)
+    >>> list(flight_frame(plan.dynamics, times, *values))[:3]
+    ['time_s', 'x_m', 'y_m']
+    """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
     return pd.DataFrame(flight_columns(dynamics, t, states, controls, energy))
+
+
+def dataset_of(frame: pd.DataFrame) -> xr.Dataset:
+    """Return a flight's table as a dataset; a variable has its unit and its name in words."""
+    data = frame.to_xarray()
+    for column in ALL_COLUMNS:
+        if column.name in data:
+            data[column.name].attrs = {"units": column.stored_unit, "long_name": column.words}
+    if TIME in data.coords:
+        data[TIME].attrs = {"units": "s", "long_name": "time"}
+    return data

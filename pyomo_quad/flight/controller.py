@@ -41,11 +41,11 @@ class AttitudeKinematics(Protocol):
     def body_accelerations(
         self, attitude: Vector, body_rates: Vector, angle_accelerations: Vector, /
     ) -> Vector:
-        """Return the accelerations about the body's axes that give those of the angles."""
+        """Convert accelerations of the angles to accelerations about the body's axes."""
 
 
 class EquatedRates:
-    """Eq. (9) of the paper: the rates of the angles are those of the body."""
+    """Eq. (9) of the paper: the rates of the angles equal the body rates."""
 
     def angle_rates(self, _attitude: Vector, body_rates: Vector) -> Vector:
         """Return the body rates."""
@@ -243,7 +243,7 @@ class Allocation:
 def _steps_within(
     values: Sequence[float], direction: Sequence[float], low: float, high: float
 ) -> tuple[float, float]:
-    """Return how far values may go back and forth along a direction, known when written."""
+    """Return the allowed steps of values back and forth along a direction."""
     ways = [(value, share) for value, share in zip(values, direction, strict=True) if share != 0.0]
     back = [((low if share > 0 else high) - value) / share for value, share in ways]
     forth = [((high if share > 0 else low) - value) / share for value, share in ways]

@@ -76,7 +76,7 @@ class Spread:
 
 
 def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
-    """Return the spread about a plan of flights under the adaptive controller.
+    """Return the distribution of flights under the adaptive controller about a plan.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def discrete(A: FloatArray, B: FloatArray, step: float) -> tuple[FloatArray, Flo
 def propagated(
     start: FloatArray, transitions: FloatArray, noise: FloatArray, constants: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance after each step, and that of the states before and after it.
+    """Return the covariance after each step, and the covariance of states before and after it.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ class _MeanFlight:
     def slopes(
         self, t: FloatArray, joint: FloatArray, commands: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the closed loop's derivatives by the joint state, and by noise and unknowns."""
+        """Return the closed loop's derivatives by joint state, noise and uncertain parameters."""
         # Where an error is exactly zero, the derivative of its norm is not defined.
         by_moment, by_joint = self.loop.slopes(t, joint + _OFF_NOUGHT, commands)
         columns = [1 + self.dynamics.signal_names.index(name) for name in NOISE]
@@ -209,7 +209,7 @@ class _MeanFlight:
         return by_joint, np.concatenate([by_moment[:, :, columns], by_unknowns], axis=2)
 
     def _by_unknowns(self, t: FloatArray, joint: FloatArray, commands: FloatArray) -> FloatArray:
-        """Return central differences of the slopes by the uncertain parameters, per deviation."""
+        """Return central differences of the slopes, per standard deviation of each uncertainty."""
         n_states = len(self.dynamics.state_names)
         states, controls = joint[:, :n_states], self.loop.controls(t, joint, commands)
         found = np.zeros((*joint.shape, len(self._unknowns)))

@@ -66,7 +66,7 @@ NOT_FED = "power or charge of the pack"
 
 @dataclass(frozen=True, kw_only=True)
 class Draws:
-    """The numbers that differ between n flights, by full name of parameter or state.
+    """Random numbers of n flights, by full name of parameter or state.
 
     Attributes
     ----------

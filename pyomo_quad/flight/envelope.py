@@ -1,4 +1,4 @@
-"""How far a plan leaves the range in which measured flights confirm its vehicle."""
+"""Departures of a plan from the range in which measured flights confirm its vehicle."""
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
@@ -23,7 +23,7 @@ _SAMPLES = 2001
 
 
 def departures(plan: "Plan") -> tuple[str, ...]:
-    """Return in what a plan leaves the validated range, by how much and for how long.
+    """Return the quantities in which a plan leaves the validated range, by how much and how long.
 
     Returns
     -------

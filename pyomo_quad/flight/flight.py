@@ -186,7 +186,7 @@ def broken_limits(
 
 
 def is_broken(found: Violation, allowed: Mapping[str, float], breach: float) -> bool:
-    """Say whether a limit is violated by more than a relative breach, and than its name allows."""
+    """Return whether a limit is violated beyond a relative breach and its own allowance."""
     return found.relative > breach and found.size > allowed.get(found.name.partition("[")[0], 0.0)
 
 

@@ -137,7 +137,7 @@ class Approach:
         return tuple(dict.fromkeys(min(max(time, least), greatest) for time in above))
 
     def goes_on(self) -> bool:
-        """Say whether the last flight is verified, if there is any."""
+        """Return whether the last flight is verified, if there is any."""
         return not self.plans or self.plans[-1].is_verified
 
     def fly(self, lasting: float) -> str:

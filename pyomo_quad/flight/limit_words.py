@@ -13,6 +13,7 @@ WORDS = {
     "airspace.floor_limit": "floor",
     "airspace.keep_in": "edge {} of the fence",
     "airspace.keep_out": "keep-out {}",
+    "homing.return_limit": "charge for the return",
     "limits.battery_current_limit": "battery current",
     "limits.battery_power_limit": "power left in the battery",
     "limits.battery_voltage_limit": "battery voltage",

@@ -42,7 +42,7 @@ _SAMPLES = 400
 
 
 def is_long(scenario: Scenario) -> bool:
-    """Say whether a flight straight to its goal is long beside a change of attitude."""
+    """Return whether a flight straight to its goal is long beside a change of attitude."""
     is_straight = not scenario.mission.waypoints and not scenario.airspace.keep_out
     return is_straight and scenario.nominal_duration > _LONGEST_S * scenario.solver.elements
 
@@ -69,7 +69,7 @@ def _graded(duration: float, shortest: float, growth: float, degree: int) -> Mes
 
 
 def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
-    """Return a first guess, None where there is no steady flight along the way.
+    """Return an initial guess, None without a steady flight along the path.
 
     Parameters
     ----------

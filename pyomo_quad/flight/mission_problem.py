@@ -49,7 +49,7 @@ class MissionProblem:
     ----------
     problems : Problems
     told : Scenario
-        The mission in the wind that the optimiser is told.
+        The mission in the wind that the optimiser assumes.
     search : Search, optional
         Stops the solves, and keeps usable plans of the meshes that they finish.
 

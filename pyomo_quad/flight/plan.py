@@ -25,75 +25,31 @@ from pyomo_quad.collocation import (
     real_array,
     split_algebraics,
 )
-from pyomo_quad.flight.columns import TIME, flight_columns, flight_frame
+from pyomo_quad.flight.columns import TIME, dataset_of, flight_columns, flight_frame
 from pyomo_quad.flight.flight import HELD_BREACH, Flight, Flown
 from pyomo_quad.flight.margins import PAPER_PLAN, RiskTaken
 from pyomo_quad.flight.orders import OrderSearch  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.routes import TriedRoute  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.verification import Passage, Verification, split_at_breaches
+from pyomo_quad.presentation import presenter
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.accuracy import FIGURES, USABLE, Accuracy, Figures
 from pyomo_quad.scenario.fields import Part
 from pyomo_quad.scenario.messages import PyomoQuadError, complaints, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     import pandas as pd
+    import xarray as xr
 
-    from pyomo_quad.collocation import Diagnosis, Dynamics, Iteration, Relaxation, Solution
-    from pyomo_quad.scenario.mission import NamedDuration
+    from pyomo_quad.collocation import Dynamics, Iteration, Solution
+    from pyomo_quad.flight.failure import Failure
+    from pyomo_quad.presentation import Picture
 
 
 #: Samples of a plan in comparisons with other flights.
 FLIGHT_SAMPLES = 1001
-
-
-@dataclass(frozen=True, kw_only=True)
-class Failure:
-    """The diagnosis of a solve that failed.
-
-    Attributes
-    ----------
-    longest : NamedDuration
-        The mission's duration; the greatest duration if it is free.
-    shortest_duration_s : float or None
-        The least time in which the mission can be flown within its limits; None if none was found.
-    diagnosis : Diagnosis
-        The engine's: worst equations, active limits, and declarations that must be relaxed
-        together.
-    remedies : tuple of Relaxation
-        Single limits whose relaxation alone would make the mission possible.
-    """
-
-    longest: NamedDuration
-    shortest_duration_s: float | None
-    diagnosis: Diagnosis
-    remedies: tuple[Relaxation, ...]
-
-    @property
-    def is_too_short(self) -> bool:
-        """Whether a longer duration would suffice."""
-        return (
-            self.shortest_duration_s is not None and self.shortest_duration_s > self.longest.value
-        )
-
-    def causes(self) -> Iterator[str]:
-        """Yield one sentence per cause or remedy, the simplest first."""
-        if self.shortest_duration_s is not None and self.is_too_short:
-            missing = self.shortest_duration_s - self.longest.value
-            limits = ", ".join(str(limit.name) for limit in self.diagnosis.active) or "its limits"
-            yield (
-                f"{self.longest.field} = {self.longest.value:g} s is {missing:.3g} s too short: "
-                f"within {limits} the goal takes at least {self.shortest_duration_s:.4g} s."
-            )
-        for remedy in self.remedies:
-            yield (
-                f"{remedy.name} = {remedy.limit:.6g} {remedy.unit}: the mission would be "
-                f"possible if this limit alone were relaxed by {remedy.amount:.4g} {remedy.unit}."
-            )
-        for relaxation in self.diagnosis.relaxations:
-            yield f"least change that makes the mission possible: {relaxation}."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -509,7 +465,7 @@ class Plan(Summarised):
 
     @property
     def figures_checked(self) -> Figures:
-        """The largest errors that the plan was held against."""
+        """Largest errors allowed in the verification of the plan."""
         usable = self.status is PlanStatus.USABLE
         return USABLE if usable else FIGURES[self.scenario.solver.accuracy]
 
@@ -608,14 +564,45 @@ class Plan(Summarised):
         Returns
         -------
         DataFrame
-            Columns as in `columns.COLUMNS`.
+            Columns as in `columns.COLUMNS`; the index is the time, "time_s".
 
         Raises
         ------
         ScenarioError
             If the rate is not positive, or the plan was loaded without its equations.
+
+        Examples
+        --------
+        >>> frame = plan.to_frame(rate_hz=1.0)
+        >>> frame.index.name, len(frame)
+        ('time_s', 5)
         """
-        return flight_frame(*self._sampled(self.times(rate_hz)))
+        return flight_frame(*self._sampled(self.times(rate_hz))).set_index(TIME)
+
+    def to_xarray(self, rate_hz: float | None = None) -> xr.Dataset:
+        """Return the plan as a dataset over the coordinate "time_s", each variable with its unit.
+
+        Parameters
+        ----------
+        rate_hz : float, optional
+            Rows per second of dense output; the mesh's nodes without it.
+
+        Returns
+        -------
+        Dataset
+            Variables as the columns of `to_frame`; scenario, status and energy are attributes.
+
+        Examples
+        --------
+        >>> data = plan.to_xarray(rate_hz=10.0)
+        >>> bool(data.x_m.sel(time_s=2.0) == plan.at(2.0)["x_m"])
+        True
+        >>> data.power_W.attrs["units"]
+        'W'
+        """
+        about = {"scenario": self.scenario.name, "status": self.status.value}
+        told = about | {"energy_J": self.energy, "hover_energy_J": self.hover_energy_J}
+        return dataset_of(self.to_frame(rate_hz)).assign_attrs(told)
 
     def columns(self, times: FloatArray) -> dict[str, FloatArray]:
         """Return the columns of `to_frame` at times [s], by name."""
@@ -661,6 +648,8 @@ class Plan(Summarised):
     def at(self, t: float | Sequence[float] | FloatArray) -> pd.Series | pd.DataFrame:
         """Return the row of `to_frame` at a time [s], or a frame of the rows at several times.
 
+        The name of a row, and the index of a frame, is the time.
+
         Raises
         ------
         ScenarioError
@@ -673,7 +662,7 @@ class Plan(Summarised):
             raise ScenarioError(
                 f"t = {outside[0]:g} s is outside the flight, [{start:g}, {end:g}] s."
             )
-        frame = flight_frame(*self._sampled(times))
+        frame = flight_frame(*self._sampled(times)).set_index(TIME)
         return frame.iloc[0] if np.ndim(t) == 0 else frame
 
     def flight(self, name: str = "optimal", samples: int = FLIGHT_SAMPLES) -> Flight:
@@ -695,12 +684,12 @@ class Plan(Summarised):
         )
 
     def costate_frame(self) -> pd.DataFrame:
-        """Return costates and Hamiltonian at the collocation points, "time_s" first."""
+        """Return costates and Hamiltonian at the collocation points, with the index "time_s"."""
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
         held = self.trajectories
-        frame = pd.DataFrame(held.costates, columns=list(held.costate_names))
-        frame.insert(0, TIME, held.node_times[1:])
+        times = pd.Index(held.node_times[1:], name=TIME)
+        frame = pd.DataFrame(held.costates, columns=list(held.costate_names), index=times)
         frame["hamiltonian"] = held.hamiltonian
         return frame
 
@@ -714,6 +703,59 @@ class Plan(Summarised):
             frame[name] = column
         frame.insert(0, "time", times)
         return frame
+
+    def plot(self, what: str = "path") -> Picture:
+        """Draw a figure of the plan, or a column of its table over time.
+
+        Parameters
+        ----------
+        what : str, default "path"
+            "path", "states", "controls", "energy", "motors", "battery", "wind", "way", "mesh", ...,
+            or a column of `to_frame`; an unknown name lists all of them.
+
+        Returns
+        -------
+        Picture
+            A notebook shows it; `Picture.save` writes it, `Picture.figure` is matplotlib's.
+
+        Raises
+        ------
+        ScenarioError
+            If this plan has neither such a figure nor such a column.
+
+        Examples
+        --------
+        >>> plan.plot("power_W")
+        <figure power_W: >
+        """
+        return presenter().picture_of_plan(self, what)
+
+    def report(self, folder: str | Path, *, figures: str = "svg") -> Path:
+        """Write the report of the plan into a folder, as `pyomo-quad solve` does.
+
+        Parameters
+        ----------
+        folder : str or Path
+            A folder that is new, empty or an earlier report; it appears complete or not at all.
+        figures : {"svg", "png", "all", "none"}, optional
+            Formats of the figures.
+
+        Returns
+        -------
+        Path
+            The text, `report.md`.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written, or holds files that no report wrote.
+
+        Examples
+        --------
+        >>> print(plan.report("reports/hop", figures="none"))
+        reports/hop/report.md
+        """
+        return presenter().report_plan(self, folder, figures)
 
     def save(self, path: str | Path) -> None:
         """Write the plan to a file for `load`: arrays and JSON, nothing pickled."""

@@ -13,6 +13,7 @@ from pyomo_quad.flight.least_time import Approach, shortest_flight
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.plan import Plan, PlanStatus
 from pyomo_quad.flight.problems import Builder, Problems
+from pyomo_quad.flight.return_flight import with_return_flight
 from pyomo_quad.flight.search import Search, State
 from pyomo_quad.flight.strategies import MISSION, REFINING, ROUTES, Strategy, carry_out
 from pyomo_quad.flight.tour import BestOrder
@@ -59,6 +60,7 @@ class Planner(Problems):
             flight that checks its plan included, ends with the best usable plan so far; without
             one it is not converged and says so.  Nothing else depends on how fast the machine is.
         """
+        scenario = with_return_flight(self, scenario)
         solve = self._solve_quickest if scenario.mission.aim is Aim.TIME else self._solve
         began = time.perf_counter()
         with Deadline(scenario, progress) as deadline:
@@ -117,5 +119,11 @@ def solve_scenario(
     warm_start: Plan | WarmStart | None = None,
     progress: Progress | None = None,
 ) -> Plan:
-    """Solve one scenario with a planner of its own; see `Planner.solve`."""
+    """Solve one scenario with a planner of its own; see `Planner.solve`.
+
+    Examples
+    --------
+    >>> solve_scenario(scenario, warm_start=plan).is_verified
+    True
+    """
     return Planner(builder).solve(scenario, warm_start=warm_start, progress=progress)

@@ -46,11 +46,11 @@ class Problems:
 
     @property
     def is_declared(self) -> bool:
-        """Whether the equations are those of the declared model, not of a user's own."""
+        """Whether the equations belong to the declared model and not to a user's own."""
         return self._builder is build_model
 
     def has_routes(self, scenario: Scenario) -> bool:
-        """Say whether a mission has routes round zones to choose from."""
+        """Return whether a mission has routes round zones to choose from."""
         return self.is_declared and bool(scenario.airspace.keep_out)
 
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:

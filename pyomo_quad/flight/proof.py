@@ -50,7 +50,7 @@ class Allowed:
 
 
 def exactly(figures: Figures) -> Allowed:
-    """Return what is allowed of a file that holds every number of a plan held against figures."""
+    """Return the tolerances for a file with every number of a plan, at the plan's accuracy."""
     return Allowed(miss=figures.miss, violation=figures.breach, energy=figures.energy_flown)
 
 
@@ -115,7 +115,7 @@ def refuse_unproven(
 def _refuse_failed(
     scenario: Scenario, verification: Verification, energy: float, allowed: Allowed
 ) -> None:
-    """Refuse a plan whose flight violates limits or spends another energy than stated."""
+    """Refuse a plan whose flight violates limits or whose energy differs from the stated energy."""
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
     passed = max(verification.passing_misses_m, default=0.0)
     failings = (
@@ -207,7 +207,7 @@ def in_order(scenario: Scenario, held: Trajectories, dynamics: Dynamics) -> Traj
 def _refuse_other_ends(
     scenario: Scenario, dynamics: Dynamics, states: FloatArray, allowed: Allowed
 ) -> None:
-    """Refuse a plan whose initial or final state differs from that of the mission."""
+    """Refuse a plan whose initial or final state differs from the mission's."""
     for end, wanted, found in (
         ("start", declared_start(scenario, dynamics), states[0]),
         ("end", wanted_at_goal(scenario, dynamics), states[-1]),

@@ -204,6 +204,11 @@ class SampledPath:
         Columns x, y, z in m and yaw in rad, and their first two derivatives.
     disturbances : array_like, shape (n, 4), optional
         Accelerations of the path that come from other sources than the rotors.
+
+    Attributes
+    ----------
+    knots : list of float
+        The times of the samples, s.
     """
 
     def __init__(
@@ -227,7 +232,7 @@ class SampledPath:
         rows[:, :, 0] = place.c
         rows[1:, :, 1] = place.derivative().c
         rows[2:, :, 2] = place.derivative(2).c - CubicSpline(knots, expected).c
-        self._knots = knots.tolist()
+        self.knots: list[float] = knots.tolist()
         self._exponents = np.arange(degree, -1.0, -1.0)
         self._pieces = [rows[:, k].reshape(degree + 1, -1) for k in range(len(knots) - 1)]
         self._coordinates = coordinates
@@ -238,8 +243,8 @@ class SampledPath:
         Beyond the samples, the nearest place is held with its acceleration, so that a controller
         that looks ahead beyond the end gets no new demand.
         """
-        held = min(max(t, self._knots[0]), self._knots[-1])
-        k = min(bisect_right(self._knots, held), len(self._pieces)) - 1
-        row = ((held - self._knots[k]) ** self._exponents @ self._pieces[k]).tolist()
+        held = min(max(t, self.knots[0]), self.knots[-1])
+        k = min(bisect_right(self.knots, held), len(self._pieces)) - 1
+        row = ((held - self.knots[k]) ** self._exponents @ self._pieces[k]).tolist()
         n = self._coordinates
         return Setpoint(row[:n], row[n : 2 * n] if held == t else _AT_REST, row[2 * n :])

@@ -80,7 +80,7 @@ from pyomo_quad.model import build_model, build_remaining, parameter_values, str
 from pyomo_quad.model.mission import free_times, measured_start
 from pyomo_quad.model.wind import still_air
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.tables import Clock, Knowledge, Replanning
+from pyomo_quad.scenario.tables import Knowledge, Replanning, SolveTiming
 from pyomo_quad.scenario.wind import WindCoupling
 
 FloatArray = NDArray[np.float64]
@@ -430,7 +430,7 @@ class _Aircraft:
         self._measured = [dynamics.state_names.index(n) for n in replanner.dynamics.state_names]
 
     def measured(self, state: FloatArray) -> FloatArray:
-        """Return the states that a planner knows of, which are not those of the turbulence."""
+        """Return the states that a planner knows, without the states of the turbulence."""
         return state[self._measured]
 
     def seen(self, flown: Flown) -> Flown:
@@ -600,7 +600,7 @@ _SHORTEST = 1e-9
 
 
 def _charged(settings: Replanning, solve_s: float) -> float:
-    return solve_s if settings.clock is Clock.MEASURED else settings.solve_time
+    return solve_s if settings.clock is SolveTiming.MEASURED else settings.solve_time
 
 
 def fly_replanned(

@@ -63,7 +63,7 @@ class RouteFlights:
             self._near_on_first *= _ALIKE
 
     def best(self, most: int | None = None) -> tuple[Solution, tuple[TriedRoute, ...]]:
-        """Solve along the shortest routes, at most so many; return the best and all results.
+        """Solve along a number of the shortest routes; return the best flight and all results.
 
         Without any route there is no flight: the solution is infeasible, its message says why, and
         there are no results.
@@ -105,7 +105,7 @@ class RouteFlights:
         )
 
     def _near(self, known: dict[int, Solution]) -> list[int]:
-        """Return the flights to refine, and put those of the next mesh in place of the first."""
+        """Return the flights to refine; flights on the next mesh replace the first ones."""
         near = _nearest(known, self._near_on_first, _MOST_ON_NEXT)
         if len(near) < 2:
             return near
@@ -185,7 +185,7 @@ class RouteFlights:
         return self.fly(journey)
 
     def refine(self, flown: Solution, meshes: int | None) -> Solution:
-        """Refine a flight on so many meshes, or to the mission's tolerance."""
+        """Refine a flight on a number of meshes, or to the mission's tolerance."""
         mission = self._mission
         if self._told.solver.max_refinements == 0 and not mission.easier:
             return flown

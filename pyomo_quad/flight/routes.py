@@ -46,6 +46,7 @@ from pyomo_quad.flight.zones import (
 )
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.airspace import Airspace, KeepOut
+from pyomo_quad.scenario.tables import CruiseSettings
 
 FloatArray = NDArray[np.float64]
 Place = tuple[float, float, float]
@@ -386,26 +387,31 @@ def _peak_speed(distance: float, acceleration: float, jerk: float) -> float:
     return float((distance**2 * jerk / 4) ** (1 / 3))
 
 
-def cruise_at(scenario: Scenario, speed: float | None = None, settling_s: float = 0.0) -> Scenario:
+def cruise_at(
+    scenario: Scenario,
+    speed: float | None = None,
+    settling_s: float = 0.0,
+    least_s: float = 0.0,
+) -> Scenario:
     """Return a mission with the times of a cruise at a speed [m/s], by default its own.
 
-    The vehicle hovers at the goal for `settling_s`.
+    The vehicle hovers at the goal for `settling_s`, and longer where the flight would last less
+    than `least_s`.
 
     Raises
     ------
     ScenarioError
-        If a leg has zero length, or zones block it.
+        If the mission goes nowhere, or zones block a leg.
     """
     told = scenario
     if speed is not None:
-        baseline = scenario.baseline.model_copy(update={"cruise_speeds": (speed,)})
-        told = scenario.model_copy(update={"baseline": baseline})
+        told = scenario.cruising(scenario.baseline.cruise_settings(speed))
     holds = (*(waypoint.hold for waypoint in scenario.mission.waypoints), 0.0)
     reached, left = [], 0.0
     for pieces, hold in zip(_legs(told), holds, strict=True):
         reached.append(left + sum(float(profile.times[-1]) for _, profile in pieces))
         left = reached[-1] + hold
-    return told.lasting(reached[-1] + settling_s, reached[:-1])
+    return told.lasting(max(reached[-1] + settling_s, least_s), reached[:-1])
 
 
 def cruise(scenario: Scenario) -> SampledPath:
@@ -438,20 +444,10 @@ def cruise(scenario: Scenario) -> SampledPath:
 
 def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
     """Return the straight pieces of each leg: displacement in m and speed profile."""
-    baseline, airspace = scenario.baseline, scenario.airspace
-    if baseline.cruise_speeds is None or len(baseline.cruise_speeds) > 1:
-        raise ScenarioError(
-            f"{scenario.name}: baseline.cruise_speeds must be one speed for one flight along "
-            "reference cruise; give one, as in baseline.cruise_speeds=[5.0]."
-        )
-    limits = (*baseline.cruise_speeds, baseline.cruise_acceleration, baseline.cruise_jerk)
+    airspace, settings = scenario.airspace, own_cruise(scenario)
+    limits = settings.speed, settings.acceleration, settings.jerk
     legs = []
     for start, goal in pairwise(scenario.mission.positions):
-        if start == goal:
-            raise ScenarioError(
-                f"{scenario.name}: a leg of the mission ends where it starts, at {start} m; "
-                "reference cruise needs a way to go; leave it out of baseline.references."
-            )
         routes = find_routes(airspace, start, goal, most=1)
         if not routes:
             raise ScenarioError(f"{scenario.name}: {no_way(airspace, start, goal)}")
@@ -464,4 +460,39 @@ def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
                 if length > 0
             ]
         )
+    if not any(legs):
+        raise ScenarioError(
+            f"{scenario.name}: the mission stays at {scenario.mission.start.position} m; reference "
+            "cruise needs a way to go; leave it out of baseline.references."
+        )
     return legs
+
+
+def reached(scenario: Scenario) -> CruiseSettings:
+    """Return the largest speed and acceleration of a cruise, and its jerk.
+
+    With these settings the flight is the same: legs may be too short for the scenario's own.
+    """
+    profiles = [profile for pieces in _legs(scenario) for _, profile in pieces]
+    return CruiseSettings(
+        speed=max(float(profile.speeds.max()) for profile in profiles),
+        acceleration=max(float(np.abs(profile.accelerations).max()) for profile in profiles),
+        jerk=scenario.baseline.cruise_jerk,
+    )
+
+
+def own_cruise(scenario: Scenario) -> CruiseSettings:
+    """Return the settings of a scenario with a single cruise speed.
+
+    Raises
+    ------
+    ScenarioError
+        If it has none, or several.
+    """
+    speeds = scenario.baseline.cruise_speeds or ()
+    if len(speeds) != 1:
+        raise ScenarioError(
+            f"{scenario.name}: baseline.cruise_speeds must be one speed for one flight along "
+            "reference cruise; give one, as in baseline.cruise_speeds=[5.0]."
+        )
+    return scenario.baseline.cruise_settings(*speeds)

@@ -173,18 +173,28 @@ class SteadyFlight:
         """Return the speed of each rotor in a steady flight, rad/s."""
         return trim.states[self._rotors]
 
+    def charge_rates(self, trim: Trim, drawn: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return charge per second [A h/s] and power left [W] in steady flight, at charges drawn.
+
+        Parameters
+        ----------
+        drawn : ndarray, shape (n,)
+            Charge drawn from the full pack [A h].
+        """
+        states = np.tile(trim.states, (len(drawn), 1))
+        controls = np.tile(trim.controls, (len(drawn), 1))
+        states[:, self._dynamics.state_names.index(_CHARGE)] = drawn
+        keys = ((_CHARGE_RATE, None), ("battery.power_reserve", None))
+        rate, reserve = self._rows(keys, states, controls).T
+        return rate, reserve
+
     def endurance(self, trim: Trim, depth: float, samples: int) -> float:
-        """Return how long the full pack sustains a steady flight, down to a depth of 0 to 1 [s].
+        """Return the time [s] that the full pack sustains a steady flight, to a depth of 0 to 1.
 
         Infinite if it draws no power, and zero if the pack cannot give the power.
         """
-        states = np.tile(trim.states, (samples, 1))
-        controls = np.tile(trim.controls, (samples, 1))
-        column = self._dynamics.state_names.index(_CHARGE)
-        drawn = states[:, column] = np.linspace(0.0, depth * self.pack_capacity, samples)
-        rate, reserve = self._rows(
-            ((_CHARGE_RATE, None), ("battery.power_reserve", None)), states, controls
-        ).T
+        drawn = np.linspace(0.0, depth * self.pack_capacity, samples)
+        rate, reserve = self.charge_rates(trim, drawn)
         if np.min(reserve) < 0.0:
             return 0.0
         return float(np.trapezoid(1.0 / rate, drawn)) if np.min(rate) > 0.0 else np.inf

@@ -221,7 +221,7 @@ def find_orders(
 
 
 def legs_expected(waypoints: int) -> int:
-    """Return for how many legs the order of so many waypoints is solved for, at least."""
+    """Return the least number of legs that are solved to order a number of waypoints."""
     every = waypoints * (waypoints + 1)
     first = _NEAREST * (waypoints + 1) + _OF_ALL_LENGTHS
     return every if every <= _FEW_LEGS else min(every, first)
@@ -273,7 +273,7 @@ class BestOrder:
         return find_orders(self._scenario.as_forecast(), self._leg)
 
     def has_time(self) -> bool:
-        """Say whether another order may be flown: one is, whatever the time."""
+        """Return whether time is left to fly another order; at least one order is always flown."""
         return not self._flown or not self._search.deadline.is_over
 
     def fly(self, found: OrderSearch) -> str:

@@ -1,4 +1,4 @@
-"""A usable plan from a coarse one: finer meshes until its controls, flown open loop, arrive."""
+"""Refinement of a coarse plan until its controls, flown in open loop, reach the goal."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def flyable_from(
 
 
 def _deepest_cut(solution: Solution, airspace: Airspace) -> float:
-    """Return how far into a zone's clearance the course of a solution leads [m], zero for none."""
+    """Return the deepest intrusion of a solution's path into the clearance of a zone [m], or 0."""
     if not airspace.keep_out:
         return 0.0
     names = [slot.name for slot in solution.problem.compiled.declared.states]

@@ -291,7 +291,7 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
 
 
 def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
-    """Return one line on where a flight leaves the wind field that its plan was told, or nothing.
+    """Return a message on the place where a flight leaves its plan's wind field, empty if none.
 
     A flight of a model without places leaves nothing.
     """
@@ -313,7 +313,7 @@ def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
 
 
 def has_balance(dynamics: Dynamics) -> bool:
-    """Say whether a model has a battery whose balance can be read."""
+    """Return whether a model has a battery whose balance can be read."""
     return all(dynamics.has(name) for name in _BALANCE)
 
 
@@ -478,7 +478,7 @@ class _Found:
         return met[-1] if met else None
 
     def meets(self, figures: Figures) -> bool:
-        """Say whether the errors are within figures."""
+        """Return whether the errors are within figures."""
         return bool(
             self.miss <= figures.miss
             and self.breach <= figures.breach

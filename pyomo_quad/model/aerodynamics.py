@@ -115,7 +115,11 @@ def declare_unexplained(m: ConcreteModel) -> None:
     """
     b = m.aerodynamics
     b.unexplained = Param(
-        _HORIZONTAL, initialize=0.0, mutable=True, units=_ACCELERATION, doc="acceleration observed"
+        _HORIZONTAL,
+        initialize=0.0,
+        mutable=True,
+        units=_ACCELERATION,
+        doc="observed acceleration that no equation explains",
     )
     for axis in _HORIZONTAL:
         explained = b.component(f"force_{axis}")
@@ -139,7 +143,7 @@ _Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
 
 
 def _wind_acceleration(updraft: Expression | None) -> _Rules:
-    """Return rules and documentation of the forces of eq. (9) as printed."""
+    """Return rule and documentation of each force of eq. (9) as printed."""
 
     def force_x(b: Block, t: float) -> NumericExpression:
         m = b.parent_block()

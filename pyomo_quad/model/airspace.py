@@ -1,4 +1,4 @@
-"""The airspace: floor, ceiling, and zones that the flight keeps out of.
+"""The airspace: floor, ceiling, fence and keep-out zones.
 
 symbol | name | unit | meaning
 c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of the ball
@@ -16,11 +16,11 @@ inside a zone is allowed. Near an edge, where two of the d_k agree to about w, p
 70 mm outside the zone (0.28 w = 140 mm at the corners of a box) are forbidden too. Elsewhere the
 zone is exact. The clearance moves the faces outwards, so that edges stay sharp.
 
-A polygon with k corners joins k + 1 faces in the same way, so that beside a corner, where faces
-that turn little follow each other, up to 0.14 w more is forbidden for each face that is as near.
+A polygon with k corners has k + 1 faces, blended in the same way. Near a corner with several faces
+at nearly the same distance, up to 0.14 w more is forbidden for each further face.
 
-The fence (`keep_in`) is one straight limit for each of its edges, exact everywhere, corners
-included, and keeps no clearance.
+The fence (`keep_in`) is a linear limit for each of its edges. It is exact everywhere, corners
+included, and has no clearance.
 
 A flight cannot start, end or pass a waypoint on the surface of a zone, because no neighbourhood is
 free there. The declaration refuses it before any solve.
@@ -126,7 +126,7 @@ _OF_ALL = (
         name="fence_end",
         units=units.m,
         value=_fence_ends,
-        doc="how far out an edge of the fence lies",
+        doc="distance of an edge of the fence along its normal",
     ),
 )
 _OF_ZONES = (
@@ -135,13 +135,13 @@ _OF_ZONES = (
         name="edge_width",
         units=units.m,
         value=lambda _s: EDGE_WIDTH_M,
-        doc="width over which two faces of a zone are joined",
+        doc="width over which two faces of a zone are blended",
     ),
     Parameter(
         name="rounding",
         units=units.m,
         value=lambda _s: _ROUNDING_M,
-        doc="where the distance from a centre is rounded",
+        doc="distance from a centre below which the distance is smoothed",
     ),
     Parameter(
         name="centre",

@@ -13,6 +13,7 @@ from pyomo_quad.model import (
     aerodynamics,
     airspace,
     battery,
+    homing,
     limits,
     mission,
     power,
@@ -70,9 +71,16 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        As `build_model`, with the shaping filters of block `wind.turbulence`, and with what a
-        forecast and a power model may err by, nought until it is known: ``wind.error`` by axis
+        As `build_model`, with the shaping filters of block `wind.turbulence`, and with the errors
+        of forecast and power model as mutable parameters, initially zero: ``wind.error`` by axis
         and ``power.error``.
+
+    Examples
+    --------
+    >>> gusty = scenario.replace({"wind": {"turbulence": {"intensity": "light"}}})
+    >>> m = build_in_turbulence(gusty)
+    >>> m.find_component("wind.turbulence").name
+    'wind.turbulence'
     """
     m = _vehicle_in_the_wind(scenario)
     turbulence.declare_turbulence(m, scenario)
@@ -98,6 +106,12 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
         As `build_model`, except for two differences: the states at the start are mutable parameters
         of block `start`, and there is the mutable acceleration `aerodynamics.unexplained`, zero
         until the vehicle has observed one.
+
+    Examples
+    --------
+    >>> m = build_remaining(scenario)
+    >>> m.find_component("aerodynamics.unexplained").name
+    'aerodynamics.unexplained'
     """
     m = _vehicle_in_the_wind(scenario)
     aerodynamics.declare_aerodynamics(m, scenario)
@@ -144,6 +158,7 @@ def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
     battery.declare_battery(m, scenario)
     limits.declare_limits(m, scenario)
     airspace.declare_airspace(m, scenario)
+    homing.declare_homing(m, scenario)
     mission.declare_mission(m, scenario)
     # A lambda, because Integral rewrites its rule's signature and cannot handle annotations.
     m.energy = Integral(m.time, wrt=m.time, rule=lambda m, t: m.power.total[t], doc="eq. (8) [J]")
@@ -168,6 +183,11 @@ def parameter_values(scenario: Scenario) -> dict[str, float]:
     -------
     dict of str to float
         Full component name, as ``"wind.x.amplitudes[1]"``, to value in the declared unit.
+
+    Examples
+    --------
+    >>> parameter_values(scenario)["vehicle.gravity"]
+    9.81
     """
     return {
         name: value
@@ -188,6 +208,12 @@ def structure_key(scenario: Scenario) -> Hashable:
     -------
     hashable
         Equal for scenarios whose models differ only in parameter values and a fixed duration.
+
+    Examples
+    --------
+    >>> loaded = scenario.replace({"vehicle.payload": 0.1})
+    >>> structure_key(loaded) == structure_key(scenario)
+    True
     """
     series = scenario.wind.series
     *passages, end = scenario.nominal_times
@@ -231,6 +257,13 @@ def ask_for_least_time(m: ConcreteModel, bounds: tuple[float, float], guess: flo
     -------
     Var
         The duration, to pass to the engine as the end of the horizon.
+
+    Examples
+    --------
+    >>> m = build_model(scenario)
+    >>> duration = ask_for_least_time(m, bounds=(0.5, 10.0), guess=2.0)
+    >>> duration.name
+    'duration'
     """
     for objective in m.component_objects(Objective, active=True, descend_into=True):
         objective.deactivate()
@@ -262,6 +295,11 @@ def model_builder(scenario: Scenario, *, is_code_allowed: bool) -> Builder:
     ------
     ScenarioError
         If the scenario names a builder and code is not allowed, or it cannot be loaded.
+
+    Examples
+    --------
+    >>> model_builder(scenario, is_code_allowed=False) is build_model
+    True
     """
     if scenario.model is None:
         return build_model
@@ -279,8 +317,8 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
     ----------
     spec : str
         ``file.py:function``.
-    Folder to which a relative file name refers.
-        Where a relative file name starts.
+    base_folder : Path
+        Folder to which a relative file name refers.
 
     Returns
     -------
@@ -292,6 +330,13 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
     ScenarioError
         If there is no such file or function, or the file fails; and, raised by the returned
         function, if it returns no ConcreteModel.
+
+    Examples
+    --------
+    >>> code = "from pyomo_quad import build_model as build"
+    >>> characters = Path("own.py").write_text(code)
+    >>> load_builder("own.py:build", Path())(scenario).find_component("vehicle.mass").name
+    'vehicle.mass'
     """
     file_name, _, function_name = spec.rpartition(":")
     module = _run(spec, base_folder / file_name)

@@ -80,7 +80,7 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _left(b: Block, most: NumericExpression) -> NumericExpression:
-    """Return the part of a largest value that the reserve leaves to plans."""
+    """Return the part of a limit that plans may use, less the reserve."""
     reserve = b.component(_RESERVE)
     return most if reserve is None else (1 - reserve) * most
 
@@ -101,7 +101,7 @@ def _declare_motor_lag(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_validated_range(b: Block, m: ConcreteModel) -> None:
-    """Keep to the airspeeds, climbs and descents that measured flights confirm."""
+    """Declare limits at the airspeed, climb and descent that measured flights confirm."""
     if b.component("validated_airspeed") is not None:
 
         @b.Expression(m.time, doc="airspeed [m/s]")

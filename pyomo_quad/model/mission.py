@@ -71,7 +71,7 @@ _TURNING = Parameter(
     name="turning_max",
     units=STATES["r"][0],
     value=lambda _: 0.0,
-    doc="largest rate of turn about the vertical, of a heading that is kept",
+    doc="largest yaw rate about the vertical of a constant heading",
 )
 
 
@@ -306,7 +306,7 @@ def start_where_measured(m: ConcreteModel) -> None:
 
 
 def _start_measured(b: Block, start: float, state: Var) -> None:
-    """Declare the measured value of a state, with its index without time, and the condition."""
+    """Declare the measured value of a state at the start, and the condition that it holds."""
     beside_time = [index[:-1] for index in state if isinstance(index, tuple) and index[-1] == start]
     sets = (beside_time,) if beside_time else ()
     measured = Param(

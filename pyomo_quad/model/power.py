@@ -120,13 +120,7 @@ _SMOOTHING = "smoothing"
 
 @parameters_in("power")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters that the scenario's power model declares in block `power`.
-
-    Returns
-    -------
-    tuple of Parameter
-        Empty for the regenerating models that need the vehicle's parameters only.
-    """
+    """Return the parameters that the scenario's power model declares in block `power`."""
     guard = () if scenario.power.regeneration else fields_of("power", _SMOOTHING)
     return (*_NUMBERS.get(scenario.power.model, ()), *guard)
 
@@ -170,7 +164,7 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def declare_error(m: ConcreteModel) -> None:
-    """Let the power differ from the model's by a share, the mutable `power.error`.
+    """Multiply the modelled power by 1 + `power.error`, a mutable relative error.
 
     Parameters
     ----------
@@ -178,7 +172,7 @@ def declare_error(m: ConcreteModel) -> None:
         With `power`, whose total nothing refers to yet.
     """
     b = m.power
-    b.error = Param(initialize=0.0, mutable=True, doc="share by which the power differs")
+    b.error = Param(initialize=0.0, mutable=True, doc="relative error of the modelled power")
     modelled = b.total
     b.del_component(modelled)
     b.modelled_total = modelled
@@ -396,7 +390,7 @@ def _declare_induced_velocity(b: Block, m: ConcreteModel) -> None:
         initialize=_FASTEST_INDUCED * in_hover,
         mutable=True,
         units=_VELOCITY,
-        doc="largest v_i that the solver looks at",
+        doc="upper bound of v_i in the solver",
     )
     b.induced_velocity = Var(
         m.time,

@@ -278,6 +278,13 @@ def inspect_model(model: ConcreteModel) -> ModelInspection:
     -------
     ModelInspection
         Counts at one time inside the flight.
+
+    Examples
+    --------
+    >>> from pyomo_quad import build_model
+    >>> inspection = inspect_model(build_model(scenario))
+    >>> inspection.degrees_of_freedom, inspection.is_unit_consistent
+    (4, True)
     """
     time = next(model.component_objects(ContinuousSet, descend_into=True))
     instant = sorted(time)[len(time) // 2]

@@ -79,7 +79,7 @@ LONG_RUN_FACTOR[1:3, 1:3] = LONG_RUN_FACTOR[3:5, 3:5] = _LAGGING
 
 
 def mean_wind(wind: Wind) -> FloatArray:
-    """Return the mean of the horizontal wind as it is given, x and y [m/s]."""
+    """Return the given mean of the horizontal wind, x and y [m/s]."""
     if wind.series is not None:
         return np.array([np.mean(wind.series.wind_x), np.mean(wind.series.wind_y)])
     steady = wind.speed * np.array([np.cos(wind.direction), np.sin(wind.direction)])
@@ -105,7 +105,7 @@ PARAMETERS = (
         name="direction",
         units=units.rad,
         value=_mean_direction,
-        doc="of the mission's mean relative wind, from x counter-clockwise",
+        doc="direction of the mission's mean relative wind, counter-clockwise from x",
     ),
 )
 

@@ -16,7 +16,7 @@ from pyomo_quad.model.wind import HARMONICS
 
 
 def _along(axes: str, **symbols: str) -> dict[str, str]:
-    """Return the symbols of vectors' components: name and symbol, each with the axis behind."""
+    """Return the symbols of the components of vectors: each name and symbol with its axis."""
     return {
         f"{name}_{axis}": f"{symbol}_{axis}" for name, symbol in symbols.items() for axis in axes
     }
@@ -163,6 +163,18 @@ _AIRSPACE = {
     "rounding": r"\varepsilon_r",
     "edge_width": "w",
 }
+_HOMING = {
+    **{f"home_{axis}": f"{axis}_{{home}}" for axis in "xyz"},
+    "way": "d",
+    "tail_wind": r"w_{\parallel}",
+    "ground_speed": "g",
+    "airspeed": "V",
+    "current": "i",
+    "margin": r"\mu",
+    "usable_charge": r"\kappa",
+    "charge_to": "q",
+    "charge_home": "q_{home}",
+}
 
 
 def _wind_axis(axis: str) -> dict[str, str]:
@@ -207,6 +219,7 @@ _BLOCKS = {
     "battery": _BATTERY,
     "limits": _LIMITS,
     "airspace": _AIRSPACE,
+    "homing": _HOMING,
 }
 
 # Full component name (with index where the symbol depends on it) to its symbol.
@@ -302,7 +315,7 @@ def _time_of(index: Hashable) -> Hashable:
 
 
 class _Writer:
-    """Writes Pyomo expressions as LaTeX; with a free index, the first rotor is called j."""
+    """Writes Pyomo expressions as LaTeX; with a free index, the first rotor is written as j."""
 
     def __init__(self, *, has_free_index: bool) -> None:
         self._has_free_index = has_free_index

@@ -67,19 +67,19 @@ _MEASURED = Parameter(
     name="measured_unit",
     units=_SPEED,
     value=lambda _s: 1.0,
-    doc="speed that a wind measured over time is counted in",
+    doc="unit of the speeds of a wind measured over time",
 )
 _LEAST_HEIGHT = Parameter(
     name="least_height",
     units=units.m,
     value=lambda s: _least_height(s.wind),
-    doc="h_0: height below which the wind changes no more",
+    doc="h_0: height below which the wind is constant",
 )
 _GREATEST_HEIGHT = Parameter(
     name="greatest_height",
     units=units.m,
     value=lambda s: _measured_heights(s.wind)[-1],
-    doc="h_1: height above which the wind changes no more",
+    doc="h_1: height above which the wind is constant",
 )
 _PROFILE = (
     *fields_of("wind.profile", "reference_height"),
@@ -104,7 +104,7 @@ def _least_height(wind: Wind) -> float:
 
 @parameters_in("wind")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters that the scenario's model declares in block `wind` itself."""
+    """Return the parameters that the scenario's model declares directly in block `wind`."""
     wind = scenario.wind
     return (
         *(() if wind.grid is None else (FIELD_UNIT,)),
@@ -134,7 +134,7 @@ def _angular_frequencies(scenario: Scenario, name: str) -> dict[int, float]:
 
 
 def _axis_parameters(name: str, scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the numbers of eq. (11)-(12) along one axis, none for a wind that is read."""
+    """Return the numbers of eq. (11)-(12) along one axis, none for a wind from a file."""
     of_axis = (
         Parameter(name="mean", units=_SPEED, value=lambda s: _mean(s, name), doc="v_0: mean value"),
         Parameter(

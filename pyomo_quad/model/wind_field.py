@@ -7,12 +7,12 @@ x, y, z, t | - | m, s | the vehicle's place, and the wind time
 Each component is the tensor product of cubic B-splines through its values on the grid, without
 knots beside the ends: twice differentiable, with exact derivatives, and its work does not grow
 with the grid (`collocation.Table`).  An axis of two or three points is the line or parabola
-through them.  Grid points without wind, as those inside a building, get that of the nearest that
-has some: a spline needs a value, and a flight that is there is refused (`unknown_wind`) unless
-the scenario holds winds.
+through them.  Grid points without wind, such as points inside a building, get the wind of the
+nearest point with wind, because a spline needs a value everywhere; a flight through them is
+refused (`unknown_wind`) unless `wind.beyond` is "hold".
 
-Where winds are held, the place is led back to the grid, smoothly: from a tenth of a step inside
-its border on it is the vehicle's own to 1e-10 of a step, and farther out the wind changes no more.
+With `wind.beyond` "hold", the place is clipped smoothly to the grid: farther than a tenth of a step
+inside the border it is the vehicle's own to 1e-10 of a step, and outside the wind is constant.
 """
 
 from collections.abc import Sequence
@@ -40,12 +40,12 @@ FIELD_UNIT = Parameter(
     doc="s: factor on the wind of the field, as a speed",
 )
 _SPLINE_POINTS = 4
-# Of the least step of an axis: over how much of it a place beyond the grid is led back.
+# Width over which a place beyond the grid is moved back to it, relative to the axis's least step.
 _PASSING_STEPS = 0.02
 
 
 def smooth_positive(number: Any, width: Any) -> Any:
-    """Return the larger of a number and nought, smoothly over a width."""
+    """Return a smooth max(number, 0), rounded over a width."""
     rounding = width**2 * exp(-((number / width) ** 2))
     return (number + sqrt(number**2 + rounding)) / 2
 
@@ -91,7 +91,7 @@ def _arguments(b: Block, grid: WindGrid, t: float) -> list[Any]:
 
 
 def _led_back(argument: Any, axis: FloatArray, unit: Any) -> Any:
-    """Return an argument, or beyond its axis the nearest end, smoothly."""
+    """Return an argument clipped smoothly to the range of its axis."""
     width = _PASSING_STEPS * float(np.diff(axis).min()) * unit
     first, last = float(axis[0]) * unit, float(axis[-1]) * unit
     above = first + smooth_positive(argument - first, width)
@@ -99,7 +99,7 @@ def _led_back(argument: Any, axis: FloatArray, unit: Any) -> Any:
 
 
 def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
-    """Return the axes and the components of a grid, both as a spline needs them."""
+    """Return the axes and the components of a grid without missing values, for a spline."""
     from scipy.interpolate import BarycentricInterpolator  # noqa: PLC0415  for fields alone
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  for fields alone
 
@@ -120,7 +120,7 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
 
 
 def mean_of_field(scenario: Scenario, grid: WindGrid) -> FloatArray:
-    """Return the mean wind of a field where it has some, along world x and y [m/s]."""
+    """Return the mean of a field over grid points with wind, along world x and y [m/s]."""
     told = grid.components[:2].reshape(2, -1)
     return np.asarray(scenario.wind.field_scale * np.nanmean(told, axis=1))
 

@@ -150,7 +150,7 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
 
 
 def critical_acceleration(samples: int = 151) -> tuple[float, float]:
-    """Return the bound on the rotor acceleration from which f_r passes zero.
+    """Return the least bound on the rotor acceleration at which f_r reaches zero.
 
     Parameters
     ----------

@@ -10,20 +10,7 @@ from typing import Any, NamedTuple
 
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import battery_shortfalls
-from pyomo_quad.paper.experiments import (
-    PAPER_CELL,
-    PHANTOM_PACK,
-    BaselineFlight,
-    Experiment,
-    PaperFlight,
-    baseline_cases,
-    battery_cases,
-    flight_cases,
-    fly_baseline_case,
-    fly_case,
-    paper_scenario,
-    wind_cases,
-)
+from pyomo_quad.paper import experiments
 from pyomo_quad.paper.readings import Reading, TrialOutcome, mesh_trials, run_trial
 from pyomo_quad.paper.rotor_map import (
     EfficiencyMap,
@@ -40,9 +27,9 @@ _DEEPEST_DISCHARGE = 0.99
 _SAMPLES = 400
 # The cell as printed, cells in series as in the library, and the vehicle's own pack.
 _PACKS: tuple[tuple[str, dict[str, int]], ...] = (
-    (PAPER_CELL, {"battery.cells_series": 1, "battery.cells_parallel": 1}),
-    (PAPER_CELL, {}),
-    (PHANTOM_PACK, {}),
+    (experiments.PAPER_CELL, {"battery.cells_series": 1, "battery.cells_parallel": 1}),
+    (experiments.PAPER_CELL, {}),
+    (experiments.PHANTOM_PACK, {}),
 )
 
 
@@ -77,7 +64,9 @@ def pack_facts() -> tuple[PackFacts, ...]:
 
 
 def _facts(planner: Planner, model: PowerModel, name: str, cells: dict[str, int]) -> PackFacts:
-    scenario = paper_scenario(Experiment.CALM, {"power.model": model, "battery.use": name} | cells)
+    scenario = experiments.paper_scenario(
+        experiments.Experiment.CALM, {"power.model": model, "battery.use": name} | cells
+    )
     steady = planner.steady_flight(scenario)
     return PackFacts(
         battery=name,
@@ -115,10 +104,10 @@ class PaperStudy:
         Name of each part -> wall time.
     """
 
-    flights: tuple[PaperFlight, ...]
-    wind_flights: tuple[PaperFlight, ...]
-    battery_flights: tuple[PaperFlight, ...]
-    baselines: tuple[BaselineFlight, ...]
+    flights: tuple[experiments.PaperFlight, ...]
+    wind_flights: tuple[experiments.PaperFlight, ...]
+    battery_flights: tuple[experiments.PaperFlight, ...]
+    baselines: tuple[experiments.BaselineFlight, ...]
     packs: tuple[PackFacts, ...]
     floors: dict[Reading, FloatArray]
     critical_acceleration: float
@@ -161,10 +150,10 @@ def run_paper_study(*, is_quick: bool = False, step: Step | None = None) -> Pape
 
 def _tasks(*, is_quick: bool) -> list[_Task]:
     families: tuple[tuple[str, Any, Callable[[Any], Any]], ...] = (
-        ("flights", flight_cases, fly_case),
-        ("wind_flights", wind_cases, fly_case),
-        ("battery_flights", battery_cases, fly_case),
-        ("baselines", baseline_cases, fly_baseline_case),
+        ("flights", experiments.flight_cases, experiments.fly_case),
+        ("wind_flights", experiments.wind_cases, experiments.fly_case),
+        ("battery_flights", experiments.battery_cases, experiments.fly_case),
+        ("baselines", experiments.baseline_cases, experiments.fly_baseline_case),
         ("trials", mesh_trials, run_trial),
     )
     return [

@@ -101,7 +101,7 @@ _LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-2
 
 
 def kilojoules(energy: float, digits: int = 3) -> str:
-    """Return an energy, given in J, in kJ with so many decimals."""
+    """Return an energy, given in J, in kJ with a number of decimals."""
     if energy == -float("inf"):
         return "no minimum"
     if not isfinite(energy):

@@ -38,8 +38,6 @@ _MORE_PAYLOAD = (0.0, 0.1, 0.2)
 # Wind speeds compared, m/s, besides the scenario's own.
 _WINDS_M_S = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0)
 _DIRECTIONS = 36  # every 10 degrees
-# Fraction of the charge that stays in the pack if the scenario sets no limit: usual practice.
-_LEAST_CHARGE = 0.2
 _SAMPLES = 60  # of the state of charge, in the integral of the endurance
 _SLOWEST_GROUND_SPEED = 0.05  # m/s; below this speed the wind stops the vehicle
 _NO_WIND = 1e-9  # m/s
@@ -189,7 +187,7 @@ def find_polar(scenario: Scenario) -> Polar:
         If the vehicle cannot hover.
     """
     planner = Planner()
-    depth = 1.0 - least_charge(scenario)
+    depth = 1.0 - scenario.limits.least_charge
     own = scenario.vehicle.payload
     curves = []
     for more in _MORE_PAYLOAD:
@@ -208,12 +206,6 @@ def find_polar(scenario: Scenario) -> Polar:
         wind_towards_rad=towards,
         depth=depth,
     )
-
-
-def least_charge(scenario: Scenario) -> float:
-    """Return the fraction of the charge that stays in the pack."""
-    least = scenario.limits.state_of_charge_min
-    return _LEAST_CHARGE if least is None else least / 100.0
 
 
 def mean_wind(scenario: Scenario) -> tuple[float, float]:

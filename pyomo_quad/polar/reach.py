@@ -1,9 +1,9 @@
-"""Farthest places that a vehicle reaches on one pack, one way or with the return, in a wind field.
+"""Boundary of the places that a vehicle reaches on one pack in a wind field, or out and back.
 
-The flight is straight, level at the height of the start, and at each place at the ground speed of
-least energy per metre in the wind there. A metre uses the share 1 / range of the pack, where range
-is the distance that the full pack lasts for in that wind; the boundary is where the shares along a
-course, there and, with a return, back, add up to the pack. Zones are not flown round.
+The flight is straight and level, at the height of the start and at the ground speed of least energy
+per metre in the local wind. A metre uses the share 1 / range of the pack, where range is the
+distance that a full pack lasts for in the local wind. On the boundary, the shares along a course,
+out and with a return also back, add up to the whole pack. Keep-out zones are ignored.
 """
 
 import json
@@ -23,7 +23,7 @@ from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import declared_start
 from pyomo_quad.flight.flight import POSITION_STATES
 from pyomo_quad.model.wind_field import is_wind_known
-from pyomo_quad.polar.polar import COURSE, REACH, SteadyCurve, least_charge, steady_curve
+from pyomo_quad.polar.polar import COURSE, REACH, SteadyCurve, steady_curve
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import Drawing, write_study
 from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, SERIES_STYLES
@@ -75,7 +75,7 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
         If the vehicle cannot hover.
     """
     planner = Planner()
-    depth = 1.0 - least_charge(scenario)
+    depth = 1.0 - scenario.limits.least_charge
     curve = steady_curve(scenario, planner.steady_flight(scenario), depth)
     courses = np.linspace(0.0, 2.0 * np.pi, _COURSES, endpoint=False)
     along = np.linspace(0.0, _farthest(curve), _STEPS)

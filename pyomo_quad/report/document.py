@@ -25,7 +25,7 @@ PAGE_NAME = "report.html"
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure that can be drawn, and how the report presents it.
+    """A figure, the function that draws it, and its presentation in a report.
 
     ``needs`` names the columns that the figure shows, ``formats`` the endings of its files.
     """

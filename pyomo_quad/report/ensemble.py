@@ -25,7 +25,7 @@ from pyomo_quad.study.ensemble import BAND, CONFIDENCE, Ensemble, Saving
 from pyomo_quad.version import __version__
 
 FLIGHTS_NAME, BANDS_NAME = "flights.csv", "bands.csv"
-#: Paths that the figure shows; with more of them none can be told from another.
+#: Number of paths in the figure; more paths could not be distinguished.
 SHOWN_PATHS = 50
 _BINS = 40
 
@@ -60,7 +60,7 @@ def write_ensemble(
 
 
 def ensemble_summary(flown: Ensemble, savings: Sequence[Saving] = ()) -> dict[str, Any]:
-    """Return what many flights say, as values for JSON."""
+    """Return the results of many flights as values for JSON."""
     worst = flown.worst
     return {
         **_facts(flown),
@@ -84,7 +84,7 @@ def ensemble_summary(flown: Ensemble, savings: Sequence[Saving] = ()) -> dict[st
 
 
 _QUANTILES = tuple(f"{round(100 * share)}_percent" for share in BAND)
-# Attributes of an ending whose distribution a summary gives.
+# Attributes of `Ending` whose distribution the summary gives.
 _QUANTITIES = (
     "energy_J",
     "charge_used_percent",

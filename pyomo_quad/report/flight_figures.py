@@ -164,7 +164,7 @@ COSTATES = (
 def draw_costates(costates: pd.DataFrame, duration: float) -> Figure:
     """Draw the costates in five groups, and the Hamiltonian, up to the end of the flight, s."""
     figure, panels = panel_grid(3, 2, panel_height=1.4, legend_entries=0)
-    time = TIME.of(costates)
+    time = costates.index.to_numpy()
     for axes, (states, title, unit, scale) in zip(panels.flat, _GROUPS, strict=False):
         for state, style in zip(states, ROTOR_STYLES, strict=False):
             price = costates[state.variable].to_numpy() * scale
@@ -232,7 +232,7 @@ def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
 def coinciding_flights(
     flights: Sequence[StyledFlight], hover_power_W: float
 ) -> tuple[StyledFlight, ...]:
-    """Return the flights whose energy above hovering lies on the first flight's to its end."""
+    """Return the flights whose curve of energy above hovering coincides with the first flight's."""
     first, *others = flights
     time = TIME.of(first.frame)
     curves = [

@@ -139,7 +139,6 @@ def comparison_drawings(
         beyond = "the energy above the hover floor"
     overview = (
         "Left: the paths, from start (dot) to goal (star), to one scale along all "
-        f"axes.{_zones(mission)} Right: {over_time}, and below the total energy, with what its "
         f"axes.{_zones(mission)} Right: {over_time}, and below the total energy, including the "
         "owed energy of the end state; the line in a bar is the energy of hovering for as long."
     )

@@ -1,4 +1,4 @@
-"""Conversion of a report's Markdown into one self-contained HTML file."""
+"""Conversion of a report's Markdown into a self-contained HTML file."""
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence

@@ -38,6 +38,7 @@ from pyomo_quad.report.tables import (
 )
 from pyomo_quad.scenario import PowerModel, Reference
 from pyomo_quad.scenario.tables import Replanning
+from pyomo_quad.study.autopilot import tuning_table
 from pyomo_quad.study.comparison import (
     FAIR_BASELINE,
     INSIDE_DISTANCE_M,
@@ -50,6 +51,7 @@ from pyomo_quad.study.comparison import (
     way_flown,
 )
 from pyomo_quad.study.front import FrontColumn
+from pyomo_quad.study.headline import cruise_words, headline_of, settled_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -65,6 +67,7 @@ COMPARISON_NAME = "comparison.csv"
 COMPARISON_REPORT_NAME = "comparison.md"
 _COMPARISON_TEMPLATE = "report/comparison.md.j2"
 REPLANNING_NAME = "replanning.csv"
+TUNING_NAME = "autopilot.csv"
 
 
 def write_solve_report(
@@ -103,6 +106,7 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
         COMPARISON_NAME: result.comparison,
         FRONT_NAME: result.front,
         REPLANNING_NAME: replanned,
+        TUNING_NAME: tuning_table(result.tuning),
     }
     tables = {name: table for name, table in optional.items() if not table.empty}
     drawn = write_study(
@@ -296,8 +300,6 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
     """Return the values of a run for its template, besides those of its plan."""
     comparison, certificate = result.comparison, result.certificate
     by_name = comparison.set_index(ComparisonColumn.FLIGHT, drop=False).to_dict("index")
-    names = comparison[ComparisonColumn.FLIGHT]
-    is_cruise = names.str.startswith(baseline_name(Reference.CRUISE)).astype(bool)
     followed, fair = by_name.get(baseline_name(Reference.PLAN)), by_name.get(FAIR_BASELINE)
     return {
         **_comparison_values(comparison),
@@ -308,13 +310,15 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
         "replanning": result.scenario.baseline.mpc,
         "replanning_column": ReplanningColumn,
         "REPLANNING_NAME": REPLANNING_NAME,
-        "rival": _rival(comparison[~is_cruise]),
-        "cruise": _rival(comparison[is_cruise]),
-        "autopilot_settings": result.scenario.baseline,
+        "headline": headline_of(result),
+        "settled_of": settled_of,
+        "cruise_words": cruise_words,
+        "tuning": result.tuning,
+        "TUNING_NAME": TUNING_NAME,
         "alone": by_name.get(OPEN_LOOP),
         "followed": followed,
         "fair": fair,
-        "saved_percent": 100.0 * (1.0 - _spent(followed) / _spent(fair))
+        "saved_percent": 100.0 * (1.0 - settled_of(followed) / settled_of(fair))
         if followed and fair
         else None,
         "front": result.front.to_dict("records"),
@@ -329,26 +333,6 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
 
 def _replanned(result: "RunResult") -> "pd.DataFrame":
     return replanning_table(result.flights, result.scenario.baseline.mpc or Replanning())
-
-
-def _rival(comparison: "pd.DataFrame") -> dict[Any, Any] | None:
-    """Return the baseline to compare with, among those that arrived.
-
-    That is the smooth baseline, or else the baseline of least energy.
-    """
-    has_saving = comparison[ComparisonColumn.SAVING].notna()
-    is_own = comparison[ComparisonColumn.FLIGHT] == OPEN_LOOP
-    rivals = comparison[comparison[ComparisonColumn.ARRIVED].astype(bool) & has_saving & ~is_own]
-    if rivals.empty:
-        return None
-    fair = rivals[rivals[ComparisonColumn.FLIGHT] == FAIR_BASELINE]
-    chosen = rivals.sort_values(ComparisonColumn.ENERGY) if fair.empty else fair
-    return chosen.iloc[0].to_dict()
-
-
-def _spent(row: dict[Any, Any]) -> float:
-    """Return the energy of a flight plus its owed energy, by which flights are compared [J]."""
-    return float(row[ComparisonColumn.HOVER_ENERGY] + row[ComparisonColumn.EXCESS_ENERGY])
 
 
 def _is_good(result: "RunResult") -> bool:

@@ -22,6 +22,7 @@ from pyomo_quad.flight.columns import Column
 from pyomo_quad.flight.replanning import replanned_name
 from pyomo_quad.report.signals import ENERGY, TIME
 from pyomo_quad.scenario.tables import MISSION_TIMED, Knowledge
+from pyomo_quad.study.autopilot import TUNED_CRUISE
 from pyomo_quad.study.certificate import SAME_TIME
 from pyomo_quad.study.comparison import FAIR_BASELINE, OPTIMAL, settled_energy
 
@@ -43,8 +44,9 @@ _BROWN, _PINK, _OLIVE, _TEAL = "#7a4b1e", "#f2a0c0", "#8a8a00", "#006d77"
 # Without a date, because a date would make two equal runs differ.
 _UNDATED = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}}
 
+#: Settings under which every figure is drawn and written.
 # matplotlib types the keys of its settings as literals, in some versions only.
-_RC: Any = {
+HOUSE_STYLE: Any = {
     "axes.axisbelow": True,
     "axes.edgecolor": MUTED,
     "axes.formatter.limits": (-4, 5),
@@ -123,6 +125,7 @@ SERIES_STYLES = (
 _FLIGHTS = (
     *(OPTIMAL, *(baseline_name(reference) for reference in MISSION_TIMED), OPEN_LOOP),
     *(replanned_name(knowledge) for knowledge in Knowledge),
+    TUNED_CRUISE,
 )
 # Every flight of the program has one style in every report; the other styles are for names that a
 # caller chooses.
@@ -155,7 +158,7 @@ def save_figure(
 
     ``draw`` is called under the house style; ``creator`` is written into the files' metadata.
     """
-    with mpl.rc_context(_RC):
+    with mpl.rc_context(HOUSE_STYLE):
         figure = _drawn(draw)
         for kind, path in files.items():
             if kind == "png":
@@ -306,7 +309,7 @@ _FAILED_PLAN = "best iterate"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StyledFlight:
-    """A flight with its style in all figures; the energy includes the owed energy."""
+    """A flight with its style in all figures; its energy includes the energy to complete it."""
 
     name: str
     frame: pd.DataFrame

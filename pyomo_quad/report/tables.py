@@ -17,9 +17,10 @@ from pyomo_quad.version import __version__
 if TYPE_CHECKING:
     import pandas as pd
 
+    from pyomo_quad.flight.failure import Failure
     from pyomo_quad.flight.flight import Flight
     from pyomo_quad.flight.orders import OrderSearch
-    from pyomo_quad.flight.plan import Failure, Plan
+    from pyomo_quad.flight.plan import Plan
     from pyomo_quad.scenario import Scenario
     from pyomo_quad.study.run import RunResult
 
@@ -82,7 +83,7 @@ def flight_summary(
     }
 
 
-#: The plan with all its numbers, from which `solve --continue` goes on.
+#: File of the plan with all its numbers, which `solve --continue` reads.
 PLAN_FILE_NAME = "plan.npz"
 PLAN_NAME = "plan.csv"
 
@@ -165,6 +166,8 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
 
     ``wall_s`` has the seconds of the phases that the result's own timings do not hold.
     """
+    from pyomo_quad.study.headline import headline_of  # noqa: PLC0415  a solve has none
+
     summary = plan_summary(result.plan, wall_s=wall_s, warnings=result.warnings)
     summary["wall_s"] |= {
         phase: _number(result.timings[phase]) for phase in ("fly", "certify", "front")
@@ -176,6 +179,9 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
         "gap_percent": _number(result.gap_percent),
         "reason": certificate.reason,
     }
+    headline = headline_of(result)
+    if headline is not None:
+        summary["headline"] = headline.summary
     summary["flights"] = [
         {
             "flight": flight.name,

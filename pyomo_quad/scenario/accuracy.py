@@ -1,4 +1,4 @@
-"""Accuracies that a mission may ask for: what a plan claims, and what its flight must confirm.
+"""Accuracy levels of a mission: the errors that a plan claims and its flight must confirm.
 
 A vehicle model is good to about 2 %: `quick` and `standard` suffice for missions that are flown,
 `proof` for studies that compare small differences.
@@ -11,21 +11,21 @@ from types import MappingProxyType
 
 
 class Accuracy(StrEnum):
-    """How accurate a plan is to be, the least accurate first."""
+    """Required accuracy of a plan, the least accurate first."""
 
     QUICK = "quick"
     STANDARD = "standard"
     PROOF = "proof"
 
     def meets(self, asked: "Accuracy") -> bool:
-        """Say whether a plan of this accuracy is as accurate as asked for, or more."""
+        """Return whether this accuracy is at least a required one."""
         order = list(Accuracy)
         return order.index(self) >= order.index(asked)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Figures:
-    """Largest errors of a plan of an accuracy.
+    """Largest errors of a plan at an accuracy level.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Figures:
         Relative and absolute tolerance of the flight.  Errors of a flight without feedback grow
         about a millionfold in half a minute.
     spacing : float
-        Distance [m] between the samples at which the flight is held against zones.
+        Distance [m] between the samples at which the flight is compared with zones.
     """
 
     energy: float
@@ -54,9 +54,9 @@ class Figures:
     spacing: float
 
 
-#: What each accuracy means.  Between samples 5 mm apart a straight flight cuts into a ball of half
-#: a metre by less than 1e-5 m and into the edge of a zone by less than 4e-4 m; both grow no faster
-#: than the square, and the first power, of the spacing.
+#: Errors allowed at each accuracy.  Between samples 5 mm apart, a straight flight cuts into a ball
+#: of half a metre by less than 1e-5 m and into the edge of a zone by less than 4e-4 m; the former
+#: grows at most with the square of the spacing, the latter in proportion to it.
 FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
     {
         Accuracy.QUICK: Figures(
@@ -85,5 +85,5 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
         ),
     }
 )
-#: Of a usable plan, which may end half a metre off: feedback in flight corrects that.
+#: Errors of a usable plan. It may end half a metre off, which feedback in flight corrects.
 USABLE = replace(FIGURES[Accuracy.QUICK], miss=0.5)

@@ -46,7 +46,7 @@ class Ball(NamedTuple):
     normal: tuple[float, float] | None = None
 
     def coordinates(self, places: "ArrayLike") -> "FloatArray":
-        """Return what the centre is compared with, shape (..., n), of places (..., 3) [m]."""
+        """Return the coordinates of places (..., 3) on the ball's axes, shape (..., n) [m]."""
         import numpy as np  # noqa: PLC0415  reading a scenario does without it
 
         held = np.asarray(places, dtype=float)
@@ -67,12 +67,12 @@ Corner = tuple[Number, Number]
 _FEWEST_CORNERS, MOST_CORNERS = 3, 32
 #: Height that no flight goes above, nor below its negative: the ends of a zone without any [m].
 ENDLESS_M = 1e5
-# Of a polygon's extent: what two edges may turn inwards by rounding alone.
+# Largest inward turn of two edges that counts as rounding, relative to the polygon's extent.
 _STRAIGHT = 1e-9
 
 
 def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
-    """Return twice the area of the triangle at each corner, above nought for a turn to the left."""
+    """Return twice the signed area of the triangle at each corner, positive for a left turn."""
     count = len(corners)
     found = []
     for k in range(count):
@@ -82,7 +82,7 @@ def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
 
 
 def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
-    """Refuse corners that are not those of a convex polygon, one after the other."""
+    """Refuse corners that do not form a convex polygon in the given order."""
     extent = max(max(along) - min(along) for along in zip(*corners, strict=True))
     turns = turns_of(corners)
     slack = _STRAIGHT * extent**2
@@ -97,7 +97,7 @@ def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
 
 
 def _goes_round_once(corners: Sequence[tuple[float, float]]) -> bool:
-    """Say whether a way that turns to one side alone goes round once, and not twice as a star."""
+    """Return whether a closed path that turns to one side only goes round once, unlike a star."""
     total = 0.0
     edges = [(x1 - x0, y1 - y0) for (x0, y0), (x1, y1) in pairwise((*corners, corners[0]))]
     for (a, b), (c, d) in pairwise((*edges, edges[0])):
@@ -108,7 +108,7 @@ def _goes_round_once(corners: Sequence[tuple[float, float]]) -> bool:
 def _edges_of(
     corners: Sequence[tuple[float, float]],
 ) -> Iterator[tuple[tuple[float, float], float, float]]:
-    """Yield a normal of each edge, of length one, and between which ends the polygon lies."""
+    """Yield the unit normal of each edge, and the extent of the polygon along it (least, most)."""
     for (x0, y0), (x1, y1) in pairwise((*corners, corners[0])):
         length = hypot(x1 - x0, y1 - y0)
         if length > 0.0:
@@ -118,9 +118,9 @@ def _edges_of(
 
 
 def _across_edges(corners: Sequence[tuple[float, float]]) -> Iterator[Ball]:
-    """Yield the interval across each edge of a convex polygon, from it to the corner beyond.
+    """Yield the interval across each edge of a convex polygon, from the edge to the far corner.
 
-    Of two parallel edges, which bound one interval, the first yields it.
+    Two parallel edges bound the same interval, which is yielded for the first edge only.
     """
     seen: list[tuple[float, float]] = []
     for normal, low, high in _edges_of(corners):
@@ -166,7 +166,7 @@ class KeepOut(Part):
     high: Triple | None = quantity("m", "box: corner of largest x, y and z", None, sound=_FAR)
     corners: tuple[Corner, ...] | None = late_quantity(
         "m",
-        "polygon: x, y of its corners, in order; one that is not convex becomes several zones",
+        "polygon: x, y of its corners in order; a concave polygon is divided into several zones",
         None,
         min_length=_FEWEST_CORNERS,
         max_length=MOST_CORNERS,
@@ -218,7 +218,7 @@ class KeepOut(Part):
         turns = turns_of(corners)
         edges = KeepIn(corners=corners).edges
         extent = max(map(abs, turns), default=0.0)
-        # Where an edge goes straight on in the next, there is no corner.
+        # Corners between collinear edges are left out.
         kept = [k for k, turn in enumerate(turns) if abs(turn) > _STRAIGHT * extent]
         moved = []
         for k in kept:
@@ -228,9 +228,9 @@ class KeepOut(Part):
         return np.array(moved)
 
     def depth(self, places: "ArrayLike") -> "FloatArray":
-        """Return the distance of places, shape (..., 3), to the nearest face, from inside [m].
+        """Return the depth of places, shape (..., 3), below the nearest face of the zone [m].
 
-        Negative outside: minus the distance beyond the face that the place is farthest beyond.
+        Negative outside: minus the largest distance of the place beyond a face.
         """
         import numpy as np  # noqa: PLC0415  see `Ball.depth`
 
@@ -242,9 +242,9 @@ def _interval(axis: int, low: float, high: float) -> Ball:
 
 
 class KeepIn(Part):
-    """A fence on the ground that the flight stays inside of, at any height.
+    """Fence on the ground that encloses the flight at every height.
 
-    It is convex; of one that is not, what its edges cut off inwards are keep-outs.
+    The fence is convex; a concave fence is replaced by its hull, with keep-outs inside the hull.
     """
 
     corners: tuple[Corner, ...] = quantity(
@@ -262,8 +262,8 @@ class KeepIn(Part):
 
     @property
     def edges(self) -> tuple[tuple[tuple[float, float], float], ...]:
-        """The outward normal of each edge, of length one, and how far out the edge lies [m]."""
-        # Of corners in a turn to the left, the outward side of an edge is where normals point.
+        """Outward unit normal of each edge, and the distance of the edge along it [m]."""
+        # For corners in counter-clockwise order, the normals point outwards.
         is_left = sum(turns_of(self.corners)) > 0.0
         return tuple(
             (normal, high) if is_left else ((-normal[0], -normal[1]), -low)
@@ -271,7 +271,7 @@ class KeepIn(Part):
         )
 
     def room(self, places: "ArrayLike") -> "FloatArray":
-        """Return how far places of shape (..., 3) are from the nearest edge, negative outside."""
+        """Return the distance of places (..., 3) to the nearest edge, negative outside [m]."""
         import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
 
         normals, ends = (np.array(part) for part in zip(*self.edges, strict=True))

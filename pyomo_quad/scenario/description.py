@@ -56,6 +56,12 @@ def describe_fields(scenario: Scenario) -> tuple[FieldDescription, ...]:
     -------
     tuple of FieldDescription
         One for each field that is not a table.
+
+    Examples
+    --------
+    >>> fields = {field.path: field for field in describe_fields(scenario)}
+    >>> fields["mission.duration"].value, fields["mission.duration"].unit
+    (4.0, 's')
     """
     provenance = scenario.provenance
     return tuple(
@@ -82,6 +88,11 @@ def field_unit(path: str) -> str:
     -------
     str
         SI unit, empty where there is none.
+
+    Examples
+    --------
+    >>> field_unit("vehicle.mass")
+    'kg'
     """
     steps = parse_path(path) or ()
     _, unit = declared_place(Scenario, steps)
@@ -174,7 +185,7 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
 
 
 def _otherwise(name: str, field: dict[str, Any]) -> dict[str, Any]:
-    """Return the other ways to write a field (`spellings`), with what editors say of them."""
+    """Return the alternative notations of a field (see `spellings`) for the schema of editors."""
     found: dict[str, Any] = {}
     if field.get("unit") == "rad" and name == "direction":
         says = "where the wind comes from, clockwise from north [deg]"
@@ -283,7 +294,7 @@ def shipped_scenarios() -> Mapping[str, Path]:
 
 
 def is_name(text: str) -> bool:
-    """Return whether a text can name a scenario or a vehicle, and the files of it."""
+    """Return whether a text is a valid name of a scenario or vehicle, and of its files."""
     return re.fullmatch(NAME_PATTERN, text) is not None
 
 

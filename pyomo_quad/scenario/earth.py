@@ -1,9 +1,9 @@
 """A place on earth: the origin of a mission, and places given by latitude and longitude.
 
 The frame of a mission is east-north-up ("enu"): x is east, y north and z up from the origin, in
-metres, and z = 0 is the plane that touches the earth there.  The earth falls away from it: 8 cm at
-1 km, 8 m at 10 km.  Latitude and longitude are those of WGS 84; altitudes are counted from one
-level, the sea's as a rule.  PROJ (`topocentric`) converts, there and back to a hundredth of a
+metres, and z = 0 is the plane tangent to the earth there.  The earth's surface lies below it: by
+8 cm at 1 km, by 8 m at 10 km.  Latitude and longitude refer to WGS 84; altitudes have a common
+reference level, usually the sea.  PROJ (`topocentric`) converts, there and back to a hundredth of a
 millimetre.
 """
 
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
-from pyomo_quad.scenario.fields import Number, Part, quantity
+from pyomo_quad.scenario.fields import Number, Part, is_number, quantity
 from pyomo_quad.scenario.messages import ScenarioError, shown
 
 if TYPE_CHECKING:
@@ -92,20 +92,20 @@ class GeodeticOrigin(Part):
 def local_place(
     written: Mapping[str, Any], where: str, origin: GeodeticOrigin | None, count: int
 ) -> list[float]:
-    """Return x, y and, of three coordinates, z of a place written by latitude and longitude.
+    """Convert a place by latitude and longitude to x, y and, for three coordinates, z.
 
     Parameters
     ----------
     written : mapping
-        `latitude`, `longitude` and, of three coordinates, `altitude` above the sea or `height`
-        above the origin's.
+        `latitude`, `longitude` and, for three coordinates, `altitude` above the sea or `height`
+        above the origin.
     where : str
-        What messages start with: the source and the field.
+        Start of messages: the source and the field.
 
     Raises
     ------
     ScenarioError
-        If it is no place on the globe, or the mission has no origin; one line.
+        If the place is not valid, or the mission has no origin; one line.
     """
     keys = (_LATITUDE, _LONGITUDE, *((_ALTITUDE, _HEIGHT) if count == 3 else ()))
     strange = next((key for key in written if key not in keys), None)
@@ -123,8 +123,7 @@ def local_place(
         )
     for key, number in written.items():
         low, high, unit = GLOBE.get(key, (-1e5, 1e5, "m"))
-        is_number = isinstance(number, int | float) and not isinstance(number, bool)
-        if not is_number or not low <= number <= high:
+        if not is_number(number) or not low <= number <= high:
             raise ScenarioError(
                 f"{where}.{key} = {shown(number)}; must be a number from {low:g} to {high:g} "
                 f"{unit}."

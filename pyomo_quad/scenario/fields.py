@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping
 from functools import cache, partial
 from math import pi
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeGuard
 
 from pydantic import (
     AfterValidator,
@@ -279,6 +279,24 @@ def leaves(tree: Mapping[str, Any], prefix: FieldPath = ()) -> Iterator[tuple[Fi
             yield from leaves(value, (*prefix, key))
         else:
             yield (*prefix, key), value
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Return whether a value is a number; true and false are none, although Python counts them."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def value_at(tree: Any, *place: str) -> Any:  # noqa: ANN401  before validation
+    """Return the value at a place of nested tables, None where there is none."""
+    for step in place:
+        tree = tree.get(step) if isinstance(tree, Mapping) else None
+    return tree
+
+
+def table_at(tree: Any, *place: str) -> Mapping[str, Any]:  # noqa: ANN401  before validation
+    """Return the table at a place of nested tables, empty where there is none."""
+    found = value_at(tree, *place)
+    return found if isinstance(found, Mapping) else {}
 
 
 def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:

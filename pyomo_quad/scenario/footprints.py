@@ -1,8 +1,9 @@
 """Polygons on the ground: divided into convex parts, and read from GeoJSON with their heights.
 
-A zone is convex, as its limit is the largest of the distances from its faces.  A polygon that is
-not becomes several zones, NAME-1, NAME-2 and so on, which share edges and leave no gap; of a fence,
-what its edges cut off inwards becomes zones, fence-1 and so on.
+Zones are convex, because a zone's limit is the largest distance from its faces.  A concave polygon
+is divided into convex zones NAME-1, NAME-2 and so on, which share edges without gaps.  A concave
+fence becomes its convex hull, and the parts of the hull outside of the fence become zones fence-1,
+fence-2 and so on.
 """
 
 import json
@@ -12,11 +13,12 @@ from typing import Any, NoReturn
 
 from pyomo_quad.scenario.airspace import ENDLESS_M, Shape
 from pyomo_quad.scenario.earth import GeodeticOrigin
+from pyomo_quad.scenario.fields import is_number
 from pyomo_quad.scenario.messages import ScenarioError, shown
 
 _LARGEST_BYTES = 20_000_000
 _MOST_FEATURES = 1000
-# Of a polygon's extent: nearer to a straight line than this, a corner counts as on the line.
+# Distance from a straight line, relative to the extent, below which a corner is on the line.
 _STRAIGHT = 1e-9
 _FENCE = "fence"
 _POLYGON, _MULTIPOLYGON = "Polygon", "MultiPolygon"
@@ -24,9 +26,9 @@ _Ring = list[tuple[float, float]]
 
 
 def in_convex_parts(airspace: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the table `airspace` with convex polygons alone.
+    """Return the table `airspace` with concave polygons divided into convex ones.
 
-    Polygons that are none are left as they are, for the schema to refuse.
+    Invalid polygons are kept, so that validation refuses them.
     """
     divided = dict(airspace)
     zones: list[Any] = []
@@ -60,16 +62,14 @@ def _parts_of_zone(zone: Mapping[str, Any]) -> list[Any]:
 
 
 def _ring_of(written: Any) -> _Ring | None:  # noqa: ANN401  before validation
-    """Return corners as numbers; None unless they enclose an area without crossing themselves."""
+    """Return corners as numbers; None if they cross themselves or enclose no area."""
     from shapely import Polygon  # noqa: PLC0415  for polygons alone
 
     if not isinstance(written, list | tuple) or len(written) < 3:
         return None
     for corner in written:
         is_pair = isinstance(corner, list | tuple) and len(corner) == 2
-        if not is_pair or not all(
-            isinstance(n, int | float) and not isinstance(n, bool) and abs(n) < 1e9 for n in corner
-        ):
+        if not is_pair or not all(is_number(n) and abs(n) < 1e9 for n in corner):
             return None
     ring = [(float(x), float(y)) for x, y in written]
     polygon = Polygon(ring)
@@ -84,9 +84,9 @@ def _is_convex(corners: _Ring) -> bool:
 
 
 def convex_parts(corners: _Ring, holes: Sequence[_Ring] = ()) -> list[_Ring]:
-    """Divide a polygon into convex ones: triangles, put together while they stay convex.
+    """Divide a polygon into convex parts: triangulate, then merge neighbours while convex.
 
-    It is the method of Hertel and Mehlhorn (1983): at most four times as many parts as needed.
+    Method of Hertel and Mehlhorn (1983): at most four times the least number of parts.
     """
     from shapely import Polygon, constrained_delaunay_triangles  # noqa: PLC0415  see `_ring_of`
 
@@ -112,7 +112,7 @@ def convex_parts(corners: _Ring, holes: Sequence[_Ring] = ()) -> list[_Ring]:
 
 
 def _plain(polygon: Any) -> _Ring:  # noqa: ANN401  shapely has no types that mypy reads here
-    """Return the corners of a polygon, without those on a straight line between others."""
+    """Return the corners of a polygon, except corners on a line between their neighbours."""
     ring = [(float(x), float(y)) for x, y in polygon.exterior.coords[:-1]]
     extent = polygon.area
     kept = []
@@ -136,7 +136,7 @@ def _cut_off(corners: _Ring) -> tuple[_Ring, list[_Ring]]:
 
 
 def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> list[dict[str, Any]]:
-    """Read zones to keep out of from GeoJSON (RFC 7946): longitudes and latitudes on WGS 84.
+    """Read keep-out zones from GeoJSON (RFC 7946), with longitudes and latitudes on WGS 84.
 
     Parameters
     ----------
@@ -144,9 +144,9 @@ def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> li
         A FeatureCollection of polygons; each has `top` (or `height`), perhaps `bottom` (or
         `min_height`), in m above the origin, and perhaps a `name`.
     place : str
-        What messages start with: the field that names the file.
+        Start of messages: the field that names the file.
     origin : GeodeticOrigin or None
-        Where x = y = z = 0 lies.
+        Position of x = y = z = 0.
 
     Returns
     -------
@@ -191,7 +191,7 @@ def _refuse(place: str, reason: str) -> NoReturn:
 
 
 def _as_name(text: str) -> str:
-    """Return a text as the name of a zone: letters, digits and signs that names may have."""
+    """Return a text with characters that names of zones may not have replaced by underscores."""
     kept = "".join(c if c.isascii() and (c.isalnum() or c in "_.-") else "_" for c in text)
     return kept[:40] if kept[0].isalnum() else f"zone{kept[:36]}"
 
@@ -219,15 +219,14 @@ def _height(
     told: Mapping[str, Any], names: tuple[str, str], otherwise: float | None, where: str
 ) -> float:
     value = next((told[name] for name in names if told.get(name) is not None), otherwise)
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not abs(value) <= ENDLESS_M:  # type: ignore[arg-type]
+    if not is_number(value) or not abs(value) <= ENDLESS_M:
         said = f"{names[0]} = {shown(value)}" if value is not None else f"no {names[0]}"
         _refuse(where, f"has {said}; give {names[0]} or {names[1]} in m above the origin")
-    return float(value)  # type: ignore[arg-type]
+    return float(value)
 
 
-def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401  of a stranger
-    """Yield the rings of each polygon of a feature, outside first."""
+def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401  untrusted
+    """Yield the rings of each polygon of a feature, the outer ring first."""
     geometry = feature.get("geometry") if isinstance(feature, Mapping) else None
     told = geometry if isinstance(geometry, Mapping) else {}
     kind, held = told.get("type"), told.get("coordinates")

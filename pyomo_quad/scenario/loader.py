@@ -9,7 +9,7 @@ from pyomo_quad.scenario.fields import FieldPath, depth, leaves, parse_path, spe
 from pyomo_quad.scenario.messages import ScenarioError, listed, printable, shown
 from pyomo_quad.scenario.resolution import (
     DEEPEST_NESTING,
-    Origin,
+    ScenarioSource,
     parse_toml,
     read_toml,
     refuse_deep,
@@ -18,7 +18,7 @@ from pyomo_quad.scenario.schema import Scenario
 
 # Name in messages of a scenario that was not read from a file.
 _MAPPING = "scenario"
-# What is read from a file of the wind, and where that file is named.
+# Parts of the wind that are read from a file -> the field that names the file.
 _READ_FROM = {
     "series": "a CSV file in wind.file",
     "grid": "a NetCDF, CSV or Parquet file in wind.field",
@@ -51,6 +51,14 @@ def load_scenario(
         If the file or fields are not allowed; one line for each, naming the field.
     FeasibilityError
         If the rotors cannot carry the vehicle.
+
+    Examples
+    --------
+    >>> scenario = load_scenario("scenarios/paper_wind.toml", {"mission.duration": 8.0})
+    >>> scenario.mission.duration
+    8.0
+    >>> scenario.provenance["vehicle.mass"]
+    'library dji_phantom_2'
     """
     is_mapping = isinstance(overrides, Mapping)
     written = _mapped(overrides) if isinstance(overrides, Mapping) else _parsed(overrides)
@@ -62,7 +70,9 @@ def load_scenario(
         file = FilePath(path)
         source, folder, document = printable(str(file)), file.parent, read_toml(file)
     return _from_written(
-        Origin(source=source, folder=folder, document=document, assignments=written, label=label)
+        ScenarioSource(
+            source=source, folder=folder, document=document, assignments=written, label=label
+        )
     )
 
 
@@ -91,9 +101,18 @@ def scenario_from_mapping(
         If a field is not allowed.
     FeasibilityError
         If the rotors cannot carry the vehicle.
+
+    Examples
+    --------
+    >>> mission = {"goal": {"position": [1.0, 0.0, 0.5]}, "duration": 4.0}
+    >>> hop = scenario_from_mapping({"name": "hop", "mission": mission})
+    >>> hop.mission.goal.position
+    (1.0, 0.0, 0.5)
     """
     refuse_deep(tables, source)
-    return _from_written(Origin(source=source, folder=folder or FilePath(), document=tables))
+    return _from_written(
+        ScenarioSource(source=source, folder=folder or FilePath(), document=tables)
+    )
 
 
 def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
@@ -108,7 +127,7 @@ def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     return scenario.with_values({spell(p): v for p, v in parsed.items()}) if parsed else scenario
 
 
-def _from_written(origin: Origin) -> Scenario:
+def _from_written(origin: ScenarioSource) -> Scenario:
     written = (*(path for path, _ in leaves(origin.document)), *origin.assignments)
     for path in written:
         derived = next((name for name in _READ_FROM if name in path), None)
@@ -122,7 +141,7 @@ def _from_written(origin: Origin) -> Scenario:
 
 
 def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
-    """Return the fields and values of texts as ``solver.accuracy=proof``.
+    """Parse overrides such as ``solver.accuracy=proof``: field -> value.
 
     Raises
     ------

@@ -12,6 +12,7 @@ from pyomo_quad.scenario.fields import (
     FieldPath,
     allowed_text,
     example_of,
+    is_number,
     other_names_of,
     spell,
     unit_keys_of,
@@ -190,13 +191,16 @@ def _line(details: ErrorDetails, model: type[BaseModel], path: FieldPath) -> str
     if details["type"] == "value_error":
         return f"{where}: {details['ctx']['error']}."
     found = shown(details["input"])
-    is_number = isinstance(details["input"], int | float) and not isinstance(details["input"], bool)
     suffix = f" {unit}" if unit not in {"", "1"} else ""
     allowed = _allowed(details, allowed_text(table, str(path[-1])))
-    if not is_number and details["type"] in {"float_type", "float_parsing"} and suffix:
+    if (
+        not is_number(details["input"])
+        and details["type"] in {"float_type", "float_parsing"}
+        and suffix
+    ):
         allowed += f" in{suffix}"
         allowed += "".join(f' or "{word}"' for word in words_of(table, str(path[-1])))
-    return f"{where} = {found}{suffix if is_number else ''}; {allowed}."
+    return f"{where} = {found}{suffix if is_number(details['input']) else ''}; {allowed}."
 
 
 def _allowed(details: ErrorDetails, in_words: str) -> str:

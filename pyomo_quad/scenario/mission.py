@@ -57,28 +57,64 @@ class Waypoint(Part):
         "m", "position x, y, z to pass, in world axes", example="[3.0, 0.0, 2.0]", sound=_FAR
     )
     radius: Number = quantity(
-        "m", "passing within this distance is enough", 0.0, ge=0, sound=Sound(0, 1e4, _NEAR)
+        "m",
+        "largest distance at which the waypoint counts as passed",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e4, _NEAR),
     )
     hold: Number = quantity(
-        "s", "time to hover there", 0.0, ge=0, sound=Sound(0, _ALOFT.high, _ALOFT.because)
+        "s",
+        "time of hovering at the waypoint",
+        0.0,
+        ge=0,
+        sound=Sound(0, _ALOFT.high, _ALOFT.because),
     )
-    yaw: Number | None = quantity("rad", "heading there, any when absent", None, sound=_TURNS)
+    yaw: Number | None = quantity(
+        "rad", "heading at the waypoint, free when absent", None, sound=_TURNS
+    )
     speed_max: Number | None = quantity(
         "m/s",
-        "largest speed there, any when absent",
+        "largest speed at the waypoint, no limit when absent",
         None,
         gt=0,
         sound=Sound(1e-3, 1e3, "rotorcraft fly below 340 m/s, the speed of sound"),
     )
     at: Number | None = quantity(
-        "s", "when it is passed, for the plan to choose when absent", None, gt=0, sound=_ALOFT
+        "s", "time of passing, chosen by the plan when absent", None, gt=0, sound=_ALOFT
     )
     release: Number = quantity(
         "kg",
-        "payload left there",
+        "payload released at the waypoint",
         0.0,
         ge=0,
         sound=Sound(0, 1e4, "payloads weigh at most 10 t"),
+    )
+
+
+class ReturnFlight(Part):
+    """The steady, level flight by which a vehicle returns, and the margin kept for it."""
+
+    margin: Number = quantity(
+        "1",
+        "charge kept beyond that of the return, as a share of it",
+        0.2,
+        ge=0,
+        sound=Sound(0, 10, "ten returns are enough"),
+    )
+    airspeed: Number | None = quantity(
+        "m/s",
+        "airspeed of the return, that of least charge against the wind when absent",
+        None,
+        gt=0,
+        sound=Sound(1e-3, 1e3, "rotorcraft fly below 340 m/s, the speed of sound"),
+    )
+    current: Number | None = quantity(
+        "A",
+        "current of the pack at that airspeed, found from steady flight when absent",
+        None,
+        gt=0,
+        sound=Sound(1e-3, 1e4, "packs give at most 10 kA"),
     )
 
 
@@ -157,27 +193,36 @@ class Mission(Part):
     )
     order: Order = late_quantity(
         "",
-        f"order of the waypoints: as given, or that of least energy (up to {MOST_ORDERED})",
+        f"order of the waypoints: as given, or of least energy (at most {MOST_ORDERED} waypoints)",
         Order.GIVEN,
     )
     yaw: Yaw | None = late_quantity(
         "",
-        "whether the heading may change on the way; when absent it is kept under power.model "
-        "momentum where start, waypoints and goal have the same",
+        "whether the heading may change in flight; when absent, it is kept under power.model "
+        "momentum if start, waypoints and goal have the same heading",
         None,
     )
 
     rally: tuple[Triple, ...] = late_quantity(
         "m",
-        "places to return to beside the start, x, y, z",
+        "alternative places to land, x, y, z, besides the start",
         (),
         max_length=16,
         sound=_FAR,
     )
+    return_reserve: bool = late_quantity(
+        "",
+        "whether the pack holds at every moment what a return to the start or the nearest of rally "
+        "takes in the wind",
+        False,
+    )
+    return_flight: ReturnFlight = late_quantity(
+        "", "the return that charge is kept for", ReturnFlight()
+    )
     risk: Number | None = late_quantity(
         "1",
-        "greatest probability that a flight of the plan under feedback breaks any limit; 1, as "
-        "when absent, asks for none",
+        "largest allowed probability that a flight of the plan under feedback breaks a limit; no "
+        "bound when 1 or absent",
         None,
         gt=0,
         le=1,

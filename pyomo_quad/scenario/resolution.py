@@ -21,10 +21,13 @@ from pyomo_quad.scenario.fields import (
     FieldPath,
     depth,
     initial_of,
+    is_number,
     leaves,
     merge,
     set_value,
     spell,
+    table_at,
+    value_at,
 )
 from pyomo_quad.scenario.footprints import in_convex_parts, read_footprints
 from pyomo_quad.scenario.messages import (
@@ -47,7 +50,6 @@ from pyomo_quad.scenario.tables import (
 from pyomo_quad.scenario.unit_keys import in_declared_units
 from pyomo_quad.scenario.vehicle import Vehicle
 from pyomo_quad.scenario.wind import Wind, in_the_air, with_coupling
-from pyomo_quad.scenario.wind_field import read_wind_field
 from pyomo_quad.scenario.wind_file import read_wind_file
 
 LARGEST_FILE_BYTES = 1_000_000
@@ -189,6 +191,11 @@ def library_names(kind: str) -> tuple[str, ...]:
     ------
     ScenarioError
         If there is no such kind.
+
+    Examples
+    --------
+    >>> "dji_phantom_2" in library_names("vehicles")
+    True
     """
     if kind not in LIBRARY_KINDS:
         raise ScenarioError(
@@ -224,6 +231,12 @@ def library_entry(kind: str, name: str) -> LibraryEntry:
     ------
     ScenarioError
         If there is no such kind or name.
+
+    Examples
+    --------
+    >>> entry = library_entry("vehicles", "dji_phantom_2")
+    >>> entry.values()["vehicle.mass"]
+    1.3
     """
     names = library_names(kind)
     if name not in names:
@@ -278,11 +291,11 @@ def _entry(
 
 
 def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
-    """Read a user's own set from a file with the structure of the library's files.
+    """Read a user's own library entry from a file.
 
-    It has the sections `fields` and, for a vehicle, `limits`, with each number bare or as a table
-    of `value` and `source`; `use` at its top names the set of the library that gives the rest, and
-    `battery` the pack that a vehicle flies with.
+    The file has the structure of the library's files: the sections `fields` and, for a vehicle,
+    `limits`, with each number bare or as a table of `value` and `source`. At its top, `use` names
+    the library entry that completes it, and `battery` the pack of a vehicle.
 
     Raises
     ------
@@ -298,7 +311,7 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
 
 
 def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what a file of a kind cannot have, whatever its numbers are."""
+    """Yield the sections and keys that a file of a library kind may not have."""
     sections = _SECTIONS.get(kind, (_FIELDS,))
     tops = ("use", _BATTERY) if kind == _VEHICLES else ("use",)
     for section, content in written.items():
@@ -343,7 +356,7 @@ def _listed(names: object) -> str:
 DEFAULT_LIBRARY: Mapping[str, str] = {"vehicle": "dji_phantom_2", "wind": "calm"}
 
 # Field with the greatest length of a free duration, and the shortest duration, in s.
-_LONGEST: FieldPath = ("mission", "duration_max")
+_LONGEST = ("mission", "duration_max")
 _SHORTEST_S = 1e-3
 
 # A forecast is a separate wind, but for the same vehicle: it inherits these fields.
@@ -356,8 +369,8 @@ _INHERITED_BY_FORECAST = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Origin:
-    """The sources of a scenario.
+class ScenarioSource:
+    """Source of a scenario: its own tables, and the overrides.
 
     Attributes
     ----------
@@ -395,7 +408,7 @@ class Resolution:
     unfilled: tuple[FieldPath, ...] = ()
 
 
-def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
+def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     """Complete the tables of a scenario from the library; the model declares the fields.
 
     Raises
@@ -410,7 +423,7 @@ def resolve(origin: Origin, model: type[BaseModel]) -> Resolution:
     filled = _Filled(origin=origin, own=own, provenance=provenance, tables=tables)
     for kind, table in LIBRARY_KINDS.items():
         filled.add_library((table,), kind)
-    if isinstance(own.get("wind"), Mapping) and isinstance(own["wind"].get("forecast"), Mapping):
+    if isinstance(value_at(own, "wind", "forecast"), Mapping):
         filled.add_library(("wind", "forecast"), "winds")
         filled.tables = _inherit_by_forecast(filled.tables, own)
     tables = _with_assignments(origin, merge(filled.tables, own), indexed=True)
@@ -443,7 +456,7 @@ def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
     return tables
 
 
-def whose(origin: Origin, provenance: Mapping[str, str], path: FieldPath) -> str:
+def whose(origin: ScenarioSource, provenance: Mapping[str, str], path: FieldPath) -> str:
     """Return the name of the source with which a message about a field starts."""
     for length in range(len(path), 0, -1):
         said = provenance.get(spell(path[:length]))
@@ -456,7 +469,7 @@ def whose(origin: Origin, provenance: Mapping[str, str], path: FieldPath) -> str
 
 
 def _with_assignments(
-    origin: Origin, tables: Mapping[str, Any], *, indexed: bool
+    origin: ScenarioSource, tables: Mapping[str, Any], *, indexed: bool
 ) -> dict[str, Any]:
     changed = dict(tables)
     for path, value in origin.assignments.items():
@@ -476,7 +489,7 @@ def _with_assignments(
 class _Filled:
     """Tables of a scenario while the library completes them, and the errors found on the way."""
 
-    origin: Origin
+    origin: ScenarioSource
     own: Mapping[str, Any]
     provenance: dict[str, str]
     tables: dict[str, Any]
@@ -490,16 +503,13 @@ class _Filled:
         self.complaints.append(line)
         self.unfilled.extend(places)
 
-    def add_library(self, place: FieldPath, kind: str) -> None:
+    def add_library(self, place: tuple[str, ...], kind: str) -> None:
         """Add a library entry below the scenario's own fields."""
-        written: Any = self.own
-        for step in place:
-            written = written.get(step, {}) if isinstance(written, Mapping) else {}
         use = (*place, "use")
         if self.origin.is_resolved and use not in self.origin.assignments:
             return
-        is_named = isinstance(written, Mapping) and "use" in written
-        name = written["use"] if is_named else self._default(kind, place)
+        written = table_at(self.own, *place)
+        name = written["use"] if "use" in written else self._default(kind, place)
         left_open = (place, *((("battery",), ("limits",)) if kind == _VEHICLES else ()))
         if not isinstance(name, str):
             self.unfilled.extend(left_open)
@@ -546,7 +556,7 @@ class _Filled:
 
 
 def _beside(file: str, pack: str) -> str:
-    """Return a pack that a vehicle's file names, with a path relative to the scenario's folder."""
+    """Return the path, relative to the scenario's folder, of a pack that a vehicle's file names."""
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 
 
@@ -558,7 +568,7 @@ def _inherit_by_forecast(tables: dict[str, Any], own: Mapping[str, Any]) -> dict
 
 
 def _add_footprints(
-    origin: Origin, tables: dict[str, Any], provenance: dict[str, str]
+    origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
     """Add the zones of a file, and divide polygons that are not convex."""
     airspace = tables.get("airspace")
@@ -576,20 +586,23 @@ def _add_footprints(
     return {**tables, "airspace": in_convex_parts(airspace)}
 
 
-def _winds(tables: Mapping[str, Any], named: str) -> Iterator[tuple[FieldPath, Mapping[str, Any]]]:
+def _winds(
+    tables: Mapping[str, Any], named: str
+) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
     """Yield the wind and its forecast where they name a file in a field."""
     for place in (("wind",), ("wind", "forecast")):
-        wind: Any = tables
-        for step in place:
-            wind = wind.get(step) if isinstance(wind, Mapping) else None
-        if isinstance(wind, Mapping) and isinstance(wind.get(named), str):
+        wind = table_at(tables, *place)
+        if isinstance(wind.get(named), str):
             yield place, wind
 
 
 def _add_wind_fields(
-    origin: Origin, tables: dict[str, Any], provenance: dict[str, str]
+    origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
     for place, wind in _winds(tables, "field"):
+        # Imports pandas, which scenarios without a field do without.
+        from pyomo_quad.scenario.wind_field import read_wind_field  # noqa: PLC0415
+
         path = (*place, "field")
         where = f"{whose(origin, provenance, path)}: {spell(path)} = {shown(wind['field'])}"
         on_earth = origin_of_mission(tables, origin.source)
@@ -601,7 +614,7 @@ def _add_wind_fields(
 
 
 def _add_wind_series(
-    origin: Origin, tables: dict[str, Any], provenance: dict[str, str]
+    origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
     field, longest = _longest(tables)
     known: list[tuple[float, str]] = []
@@ -623,39 +636,29 @@ def _add_wind_series(
     return tables
 
 
-def _longest(tables: Mapping[str, Any]) -> tuple[FieldPath, object]:
+def _longest(tables: Mapping[str, Any]) -> tuple[tuple[str, str], object]:
     """Return the field that limits the duration of a mission, and its value."""
-    mission = tables.get("mission")
-    told = mission if isinstance(mission, Mapping) else {}
-    field = _LONGEST if told.get("duration") == FREE else ("mission", "duration")
-    return field, told.get(field[-1])
+    is_free = value_at(tables, "mission", "duration") == FREE
+    field = _LONGEST if is_free else ("mission", "duration")
+    return field, value_at(tables, *field)
 
 
 def _with_motor_constants(tables: dict[str, Any], provenance: dict[str, str]) -> dict[str, Any]:
-    """Return the tables with the motor constant of two, inverse to each other, that is missing."""
-    vehicle = tables.get("vehicle")
+    """Complete the motor constant that is missing: torque and voltage constant are inverse."""
+    vehicle = table_at(tables, "vehicle")
     names = ("torque_constant", "voltage_constant")
-    if not isinstance(vehicle, Mapping):
-        return tables
     for missing, given in (names, names[::-1]):
-        number: Any = vehicle.get(given)
-        is_number = isinstance(number, int | float) and not isinstance(number, bool)
-        if vehicle.get(missing) is None and is_number and number > 0:
+        number = vehicle.get(given)
+        if vehicle.get(missing) is None and is_number(number) and number > 0:
             tables = set_value(tables, ("vehicle", missing), 1 / number)
             provenance[f"vehicle.{missing}"] = f"1 / {given}"
     return tables
 
 
 def _add_derived_limits(tables: dict[str, Any]) -> dict[str, Any]:
-    limits = tables.get("limits")
-    if not isinstance(limits, Mapping):
-        return tables
+    limits = table_at(tables, "limits")
     speed = limits.get("rotor_speed_max")
-    if (
-        not isinstance(speed, int | float)
-        or isinstance(speed, bool)
-        or not 0 < speed <= FASTEST_ROTOR
-    ):
+    if not is_number(speed) or not 0 < speed <= FASTEST_ROTOR:
         return tables
     try:
         vehicle = Vehicle.model_validate(tables.get("vehicle"))

@@ -38,11 +38,12 @@ from pyomo_quad.scenario.plausibility import (
     created_power,
     remarks,
 )
-from pyomo_quad.scenario.resolution import Origin, resolve, whose
+from pyomo_quad.scenario.resolution import ScenarioSource, resolve, whose
 from pyomo_quad.scenario.tables import (
     USED_BY,
     Baseline,
     Battery,
+    CruiseSettings,
     Limits,
     Power,
     PowerModel,
@@ -50,7 +51,7 @@ from pyomo_quad.scenario.tables import (
 )
 from pyomo_quad.scenario.unit_keys import Rewritten, in_declared_units, paths_in_declared_units
 from pyomo_quad.scenario.vehicle import Attitude, Vehicle
-from pyomo_quad.scenario.wind import Air, Wind
+from pyomo_quad.scenario.wind import Air, Wind, WindCoupling
 
 # Acceleration, as a fraction of gravity, assumed for a vehicle without spare thrust; and ratio of
 # the first guess at a free duration to the duration of the quickest flight.
@@ -100,16 +101,16 @@ class Scenario(Part):
     solver: Solver = quantity("", "solver settings", Solver())
     baseline: Baseline = quantity("", "the controller to compare with", Baseline())
 
-    _origin: Origin | None = PrivateAttr(None)
+    _origin: ScenarioSource | None = PrivateAttr(None)
     _provenance: Mapping[str, str] = PrivateAttr(default_factory=dict)
 
     @classmethod
-    def from_origin(cls, origin: Origin) -> Self:
+    def from_origin(cls, origin: ScenarioSource) -> Self:
         """Resolve, validate and check a scenario as written.
 
         Parameters
         ----------
-        origin : Origin
+        origin : ScenarioSource
             The scenario's own tables and overrides.
 
         Returns
@@ -181,7 +182,7 @@ class Scenario(Part):
         FeasibilityError
             If the rotors cannot carry the changed vehicle.
         """
-        origin = self._origin or Origin(
+        origin = self._origin or ScenarioSource(
             source=self.name,
             folder=self.folder,
             document=self.model_dump(mode="json"),
@@ -194,16 +195,39 @@ class Scenario(Part):
                 raise ScenarioError(f"{origin.source}: {text[:60]!r} is not the path of a field.")
             assignments.pop(path, None)
             assignments[path] = value
-        return self.from_origin(
-            Origin(
-                source=origin.source,
-                folder=origin.folder,
-                document=origin.document,
-                assignments=assignments,
-                label=origin.label,
-                is_resolved=origin.is_resolved,
-            )
-        )
+        return self.from_origin(replace(origin, assignments=assignments))
+
+    def replace(self, changes: Mapping[str, Any]) -> Self:
+        """Return a revalidated copy with some fields changed, and leave this one as it is.
+
+        Parameters
+        ----------
+        changes : mapping
+            Nested as in a scenario's file, or dotted field -> new value, or both mixed.  A table
+            keeps the fields that the changes do not name; a list is replaced as a whole.
+
+        Returns
+        -------
+        Scenario
+            The changed scenario.
+
+        Raises
+        ------
+        ScenarioError
+            If a field is unknown or a value is not allowed.
+        FeasibilityError
+            If the rotors cannot carry the changed vehicle.
+
+        Examples
+        --------
+        >>> from pyomo_quad import load_scenario
+        >>> scenario = load_scenario("scenarios/paper_wind.toml")
+        >>> slow = scenario.replace({"mission": {"duration": 12.0}, "vehicle.payload": 0.1})
+        >>> slow.mission.duration, slow.vehicle.payload, scenario.mission.duration
+        (12.0, 0.1, 10.0)
+        """
+        named = {".".join(map(str, steps)): value for steps, value in leaves(changes)}
+        return self.with_values(named)
 
     def lasting(self, duration: float, passing_times: Sequence[float] = ()) -> Self:
         """Return the scenario with a fixed duration and optional passing times of waypoints.
@@ -226,6 +250,15 @@ class Scenario(Part):
             pairs = zip(self.mission.waypoints, passing_times, strict=True)
             values["waypoints"] = tuple(w.model_copy(update={"at": at}) for w, at in pairs)
         return self.with_mission(**values)
+
+    def cruising(self, settings: CruiseSettings) -> Self:
+        """Return the scenario with one set of settings of reference cruise."""
+        values = {
+            "cruise_speeds": (settings.speed,),
+            "cruise_acceleration": settings.acceleration,
+            "cruise_jerk": settings.jerk,
+        }
+        return self.model_copy(update={"baseline": self.baseline.model_copy(update=values)})
 
     def with_mission(self, **values: Any) -> Self:  # noqa: ANN401
         """Return the scenario with some fields of its mission changed, without validation."""
@@ -268,7 +301,7 @@ class Scenario(Part):
 
     @property
     def keeps_yaw(self) -> bool:
-        """Whether the heading stays that of the start throughout.
+        """Whether the heading stays constant throughout the flight.
 
         If power depends on thrust and airspeed alone, a turn has nearly no cost and the best
         heading is not unique. Unless a heading is prescribed, such a flight keeps its heading, as
@@ -298,7 +331,7 @@ class Scenario(Part):
         return self.model_copy(update={"wind": self.wind.forecast})
 
     def as_it_blows(self) -> Self:
-        """Return the scenario in which the optimiser knows the true wind."""
+        """Return the scenario with the actual wind known to the optimiser."""
         return self.model_copy(update={"wind": self.wind.model_copy(update={"forecast": None})})
 
     @property
@@ -325,6 +358,7 @@ class Scenario(Part):
             *self._yaw_complaints(),
             *self._turbulence_complaints(),
             *self._validated_complaints(),
+            *self._return_complaints(),
         ]
         unable = list(self._hover_complaints())
         if lines or unable:
@@ -386,6 +420,14 @@ class Scenario(Part):
                 "one of them out."
             )
 
+    def _return_complaints(self) -> Iterator[str]:
+        if self.mission.return_reserve and self.wind.coupling is not WindCoupling.DRAG:
+            yield (
+                f'mission.return_reserve under wind.coupling = "{self.wind.coupling.value}"; must '
+                f'be "{WindCoupling.DRAG.value}", for the return flies in moving air: set it, or '
+                "leave return_reserve out."
+            )
+
     def _validated_complaints(self) -> Iterator[str]:
         if not self.limits.within_validated:
             return
@@ -429,7 +471,9 @@ def _meaning(name: str) -> str:
     return meaning.partition(",")[0]
 
 
-def _in_declared_units(origin: Origin, model: type[BaseModel]) -> tuple[Origin, Rewritten]:
+def _in_declared_units(
+    origin: ScenarioSource, model: type[BaseModel]
+) -> tuple[ScenarioSource, Rewritten]:
     """Return an origin with declared fields only, and the conversions made."""
     document = in_declared_units(origin.document, model)
     assignments, told = paths_in_declared_units(origin.assignments, model)

@@ -1,8 +1,8 @@
-"""Other ways to write a field of a scenario, turned into the field itself before validation.
+"""Conversion of alternative notations of scenario fields, before validation.
 
-written | becomes
-`wind.from = 270`, degrees, where the wind comes from, clockwise from north | `wind.direction`
-`{ latitude, longitude, altitude }` for a place, with `mission.origin` | `[x, y, z]`
+notation | field
+`wind.from = 270`: direction of origin of the wind, degrees clockwise from north | `wind.direction`
+`{ latitude, longitude, altitude }` of a place, with `mission.origin` | `[x, y, z]`
 
 A wind from the west, 270 degrees, blows toward +x, which is east.
 """
@@ -14,14 +14,14 @@ from typing import Any
 from pydantic import ValidationError
 
 from pyomo_quad.scenario.earth import GeodeticOrigin, local_place
-from pyomo_quad.scenario.fields import FieldPath, set_value, spell
+from pyomo_quad.scenario.fields import FieldPath, is_number, set_value, spell, value_at
 from pyomo_quad.scenario.messages import ScenarioError, complaints, shown
 
-#: The key of a wind that tells where it comes from.
+#: Key of a wind for the direction of its origin.
 FROM = "from"
 _DIRECTION = "direction"
 _ORIGIN = ("mission", "origin")
-#: Of a place, the field and how many coordinates it has; a cylinder's centre has two.
+#: Fields that hold places, and their number of coordinates; a cylinder's centre has two.
 PLACES = {"position": 3, "rally": 3, "centre": 3, "low": 3, "high": 3}
 _CORNERS = "corners"
 _LATITUDE = "latitude"
@@ -37,21 +37,21 @@ def in_plain_terms(
     provenance: dict[str, str],
     source: str,
 ) -> dict[str, Any]:
-    """Return a scenario's tables with places in metres and winds by where they blow to.
+    """Return a scenario's tables with places in metres and winds by the direction they blow to.
 
     Parameters
     ----------
     tables, own : mapping
-        The tables laid over each other, and those of the scenario and its overrides alone.
+        The merged tables, and the tables of the scenario and its overrides alone.
     provenance : dict
-        Where each field comes from; a field that was written otherwise is added.
+        Origin of each field; converted fields are added.
     source : str
-        What messages start with.
+        Start of messages.
 
     Raises
     ------
     ScenarioError
-        If a field is given twice, or an angle or a place is none; one line.
+        If a field is given twice, or an angle or a place is not valid; one line.
     """
     found = list(_written_otherwise(tables, ()))
     is_on_earth = any(isinstance(value, Mapping) for _, value in found)
@@ -73,7 +73,7 @@ def in_plain_terms(
 
 
 def _written_otherwise(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, Any]]:  # noqa: ANN401
-    """Yield the fields that are not written as the schema declares them, and their values."""
+    """Yield the path and the value of each field in an alternative notation."""
     items: Any = ()
     if isinstance(tree, Mapping):
         items = tree.items()
@@ -96,15 +96,14 @@ def _written_otherwise(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, 
 
 
 def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin | None:
-    """Return where x = y = z = 0 lies on earth, None where the mission does not say.
+    """Return the position of x = y = z = 0 on earth, None if the mission gives none.
 
     Raises
     ------
     ScenarioError
-        If it is no place on earth; one line.
+        If the position is not valid; one line.
     """
-    mission = tables.get(_ORIGIN[0])
-    written = mission.get(_ORIGIN[1]) if isinstance(mission, Mapping) else None
+    written = value_at(tables, *_ORIGIN)
     if written is None:
         return None
     try:
@@ -115,7 +114,7 @@ def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin 
 
 
 def _count(tables: Any, path: FieldPath) -> int:  # noqa: ANN401  tables of TOML
-    """Return how many coordinates the place at a path has."""
+    """Return the number of coordinates of the place at a path."""
     if _CORNERS in path:
         return 2
     table = tables
@@ -141,14 +140,13 @@ def _refuse_both(own: Any, path: FieldPath, target: FieldPath, source: str) -> N
 
 
 def _towards(value: object, where: str) -> float:
-    """Return the direction in rad that a wind blows to, of where it comes from in degrees."""
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not abs(value) <= _MOST_TURN:  # type: ignore[arg-type]
+    """Convert the direction of a wind's origin [deg] to the direction that it blows to [rad]."""
+    if not is_number(value) or not abs(value) <= _MOST_TURN:
         raise ScenarioError(
             f"{where} = {shown(value)}; must be a number from {-_MOST_TURN:g} to {_MOST_TURN:g} "
             "degrees."
         )
-    return remainder(radians(270.0 - float(value)), 2.0 * pi)  # type: ignore[arg-type]
+    return remainder(radians(270.0 - value), 2.0 * pi)
 
 
 def _without(tree: Any, path: FieldPath) -> Any:  # noqa: ANN401  tables of TOML

@@ -1,6 +1,7 @@
 """Tables of a scenario: baselines and their gains, battery, power, solver and limits."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import StrEnum
 from math import acos, cos, pi
 from typing import Annotated, Any, Self
@@ -59,7 +60,7 @@ class Gains(Part):
     )
     speed_max: Number = quantity(
         "m/s",
-        "speed at which a far goal is approached",
+        "largest speed of approach to a distant goal",
         3.0,
         gt=0,
         sound=_SPEED,
@@ -78,7 +79,7 @@ class Gains(Part):
     )
     thrust_share: Number = quantity(
         "1",
-        "share of the thrust beyond the weight left to the position loop",
+        "share of the thrust in excess of the weight that the position loop may use",
         0.7,
         gt=0,
         le=1,
@@ -89,7 +90,7 @@ class Gains(Part):
     )
     attitude: Number = quantity("1/s", "roll and pitch error to rate (k3)", 6.0, gt=0, sound=_RATE)
     attitude_rate: Number = quantity(
-        "1/s", "their rate error to acceleration (k4)", 15.0, gt=0, sound=_RATE
+        "1/s", "roll and pitch rate error to acceleration (k4)", 15.0, gt=0, sound=_RATE
     )
     yaw: Number = quantity("1/s", "yaw error to yaw rate (k3)", 1.0, gt=0, sound=_RATE)
     yaw_rate: Number = quantity(
@@ -108,14 +109,14 @@ class Gains(Part):
         "1/s^2", "adaptation to a force (gamma)", 100.0, ge=0, sound=_ADAPTATION
     )
     force_max: Number = quantity(
-        "m/s^2", "bound of that force over the mass", 4.0, gt=0, sound=_FORCE
+        "m/s^2", "bound of the adapted force over the mass", 4.0, gt=0, sound=_FORCE
     )
     moment_adaptation: Number = quantity(
         "1/s^2", "adaptation to a moment (gamma)", 25.0, ge=0, sound=_ADAPTATION
     )
     moment_max: Number = quantity(
         "rad/s^2",
-        "bound of that moment over the inertia",
+        "bound of the adapted moment over the inertia",
         1.0,
         gt=0,
         sound=Sound(1e-3, 1e8, "larger than any airframe reaches"),
@@ -130,7 +131,7 @@ class Knowledge(StrEnum):
     UNTOLD = "untold"
 
 
-class Clock(StrEnum):
+class SolveTiming(StrEnum):
     """Model of the solve time in the simulated flight."""
 
     STATED = "stated"
@@ -154,10 +155,10 @@ class Replanning(Part):
         ge=0,
         sound=Sound(0, 1e3, "plans that are older than 1000 s are useless"),
     )
-    clock: Clock = quantity(
+    clock: SolveTiming = quantity(
         "",
         "how long a solve takes in flight: solve_time, which repeats, or as measured",
-        Clock.STATED,
+        SolveTiming.STATED,
     )
     knowledge: tuple[Knowledge, ...] = quantity(
         "",
@@ -168,15 +169,27 @@ class Replanning(Part):
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class CruiseSettings:
+    """Settings of an autopilot's cruise: largest speed, acceleration and jerk, in SI units."""
+
+    speed: float
+    acceleration: float
+    jerk: float
+
+
 class Baseline(Part):
     """References to fly, and settings of the controller."""
 
     references: tuple[Reference, ...] = quantity(
-        "", "trajectories to follow", MISSION_TIMED, max_length=len(Reference)
+        "",
+        "trajectories to follow; cruise is an autopilot tuned for least energy",
+        tuple(Reference),
+        max_length=len(Reference),
     )
     cruise_speeds: tuple[Annotated[Number, Field(gt=0)], ...] | None = quantity(
         "m/s",
-        "speeds of reference cruise, one flight for each",
+        "speeds of reference cruise, one flight for each beside the tuned one",
         None,
         min_length=1,
         max_length=_MOST_SPEEDS,
@@ -186,7 +199,7 @@ class Baseline(Part):
     )
     cruise_acceleration: Number = quantity(
         "m/s^2",
-        "largest acceleration of reference cruise (MPC_ACC_HOR of PX4)",
+        "largest acceleration of reference cruise at cruise_speeds (MPC_ACC_HOR of PX4)",
         3.0,
         gt=0,
         sound=_FORCE,
@@ -194,7 +207,7 @@ class Baseline(Part):
     )
     cruise_jerk: Number = quantity(
         "m/s^3",
-        "largest jerk of reference cruise (MPC_JERK_AUTO of PX4)",
+        "largest jerk of reference cruise at cruise_speeds (MPC_JERK_AUTO of PX4)",
         4.0,
         gt=0,
         sound=Sound(1e-3, 1e6, _MILLISECONDS),
@@ -206,14 +219,15 @@ class Baseline(Part):
         "", "re-planning in flight, not flown when absent", None, is_late=True
     )
 
+    def cruise_settings(self, speed: float) -> CruiseSettings:
+        """Return the settings of the cruise at a speed [m/s]."""
+        return CruiseSettings(
+            speed=speed, acceleration=self.cruise_acceleration, jerk=self.cruise_jerk
+        )
+
     @model_validator(mode="after")
-    def _cruise_has_speeds(self) -> Self:
+    def _cruise_speeds_differ(self) -> Self:
         speeds = self.cruise_speeds or ()
-        if Reference.CRUISE in self.references and not speeds:
-            raise ValueError(
-                "cruise_speeds is missing; reference cruise needs at least one speed in m/s; give "
-                "cruise_speeds = [5.0] or leave cruise out"
-            )
         twice = next((speed for speed in speeds if speeds.count(speed) > 1), None)
         if twice is not None:
             raise ValueError(
@@ -336,15 +350,15 @@ class Power(Part):
         sound=Sound(1e-3, 100, "1.225 at sea level, 0.02 on Mars"),
     )
     regeneration: Flag = quantity(
-        "", "whether braking earns energy back, default by power model", False
+        "", "whether braking returns energy; the default depends on the power model", False
     )
     hover_power_deviation: Number = late_quantity(
         "W",
-        "standard deviation of the power of hover, where it is known roughly; that of all motion "
-        "errs by the same share",
+        "standard deviation of the hover power, if it is uncertain; all other powers err by the "
+        "same share",
         0.0,
         ge=0,
-        sound=Sound(0, 1e6, "what flies takes watts to megawatts"),
+        sound=Sound(0, 1e6, "flight powers range from watts to megawatts"),
     )
     smoothing: Number = quantity(
         "W",
@@ -373,7 +387,7 @@ class Solver(Part):
 
     accuracy: Accuracy = quantity(
         "",
-        "accuracy asked for: quick, energy within 1e-3 and arrival within 0.1 m in open loop; "
+        "required accuracy: quick, energy within 1e-3 and arrival within 0.1 m in open loop; "
         "standard, 1e-4 and 1 cm; proof, 1e-6 and 0.1 mm, for studies",
         Accuracy.PROOF,
         is_late=True,
@@ -381,8 +395,8 @@ class Solver(Part):
     )
     tolerance: Number = quantity(
         "1",
-        "relative error of the states to which meshes are refined; unless given 1e-3, 1e-4 or "
-        "1e-6, by the accuracy",
+        "relative error of the states to which meshes are refined; by default 1e-3, 1e-4 or 1e-6, "
+        "depending on the accuracy",
         FIGURES[Accuracy.PROOF].energy,
         gt=0,
         le=1e-1,
@@ -393,7 +407,7 @@ class Solver(Part):
     max_iterations: WholeNumber = quantity("1", "Ipopt iterations per mesh", 150, ge=1, le=100_000)
     time_limit: Number = quantity(
         "s",
-        "processor time after which a command ends its solves, its diagnosis and its flights",
+        "processor time after which a command stops its solves, diagnosis and flights",
         300.0,
         gt=0,
         le=1e6,
@@ -428,6 +442,10 @@ _ANGLE = Sound(1e-4, 2, "angles are in radians")
 _MOMENT = Sound(0, 1e8, "the weight of 10 t on an arm of 1 km is 1e8 N m")
 
 
+# Fraction of the charge that packs usually keep, and above which the battery's equations are exact.
+_LEAST_CHARGE = 0.2
+
+
 class Limits(Part):
     """Bounds in the optimisation, to which the controller is clipped too."""
 
@@ -455,19 +473,25 @@ class Limits(Part):
     )
     thrust_max: Number = quantity(
         "N",
-        "largest total thrust, default of all rotors",
+        "largest total thrust; by default all rotors at rotor_speed_max",
         gt=0,
         sound=Sound(0, 1e7, "multirotors weigh at most 10 t"),
     )
     roll_moment_max: Number = quantity(
-        "N*m", "largest roll moment, default of the rotors on one side", gt=0, sound=_MOMENT
+        "N*m",
+        "largest roll moment; by default the rotors on one side at rotor_speed_max",
+        gt=0,
+        sound=_MOMENT,
     )
     pitch_moment_max: Number = quantity(
-        "N*m", "largest pitch moment, default of the rotors ahead", gt=0, sound=_MOMENT
+        "N*m",
+        "largest pitch moment; by default the rotors ahead at rotor_speed_max",
+        gt=0,
+        sound=_MOMENT,
     )
     yaw_moment_max: Number = quantity(
         "N*m",
-        "largest yaw moment, default of half of the rotors",
+        "largest yaw moment; by default half of the rotors at rotor_speed_max",
         gt=0,
         sound=_MOMENT,
     )
@@ -504,16 +528,22 @@ class Limits(Part):
     )
     within_validated: Flag = late_quantity(
         "",
-        "whether plans keep to the range that measurements confirm, vehicle.validated",
+        "whether plans stay within the range confirmed by measurements, vehicle.validated",
         False,
     )
     battery_power_share_max: Number | None = late_quantity(
         "1",
-        "largest share of the power that the pack can give at most, no limit when absent",
+        "largest share of the pack's greatest power that a flight may draw, no limit when absent",
         None,
         gt=0,
         le=1,
     )
+
+    @property
+    def least_charge(self) -> float:
+        """Fraction of the charge that stays in the pack, a fifth where the scenario sets none."""
+        least = self.state_of_charge_min
+        return _LEAST_CHARGE if least is None else least / 100.0
 
     @property
     def largest_tilt(self) -> float:

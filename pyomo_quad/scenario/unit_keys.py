@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from pyomo_quad.scenario.fields import FieldPath, set_value, spell, unit_keys_of
+from pyomo_quad.scenario.fields import FieldPath, is_number, set_value, spell, unit_keys_of
 from pyomo_quad.scenario.messages import shown, table_of
 
 
@@ -105,7 +105,7 @@ def _rewrite(
 ) -> None:
     if place[-1] in table:
         into.complaints.append(f"{spell(written)} and {spell(place)} are the same field; give one.")
-    elif isinstance(value, bool) or not isinstance(value, int | float):
+    elif not is_number(value):
         into.complaints.append(f"{spell(written)} = {shown(value)}; must be a number.")
         into.unread.append(place)
     else:

@@ -64,23 +64,23 @@ class EfficiencyMap(Part):
     constant: Triple = quantity("", "row without tau", sound=_FITTED)
 
 
-_SLOW = Sound(1e-2, 1e3, "nothing with rotors flies at the speed of sound")
+_SLOW = Sound(1e-2, 1e3, "rotorcraft fly below 340 m/s, the speed of sound")
 
 
 class Validated(Part):
-    """Range in which measured flights confirm the vehicle's power and drag; absent is unknown."""
+    """Range in which measured flights confirm the vehicle's power and drag; None where unknown."""
 
     airspeed: Number | None = quantity(
         "m/s", "largest airspeed of the flights that confirm the vehicle", None, gt=0, sound=_SLOW
     )
     climb_speed: Number | None = quantity(
-        "m/s", "largest speed of their climbs, over ground", None, gt=0, sound=_SLOW
+        "m/s", "largest climb speed of those flights, over ground", None, gt=0, sound=_SLOW
     )
     descent_speed: Number | None = quantity(
-        "m/s", "largest speed of their descents, over ground", None, gt=0, sound=_SLOW
+        "m/s", "largest descent speed of those flights, over ground", None, gt=0, sound=_SLOW
     )
     payload: Number | None = quantity(
-        "kg", "largest mass that they carried", None, ge=0, sound=CARRIED
+        "kg", "largest payload of those flights", None, ge=0, sound=CARRIED
     )
 
 
@@ -126,7 +126,7 @@ class Vehicle(Part):
     )
     mass_deviation: Number = late_quantity(
         "kg",
-        "standard deviation of the mass in flight, where vehicle or payload are known roughly",
+        "standard deviation of the mass in flight, for an uncertain mass of vehicle or payload",
         0.0,
         ge=0,
         sound=CARRIED,
@@ -265,12 +265,12 @@ class Vehicle(Part):
     )
     rotor_positions: tuple[tuple[Number, Number], ...] | None = late_quantity(
         "m",
-        "place of each rotor along body x and y, a cross of four arms when absent",
+        "position of each rotor along body x and y; by default a cross of four arms",
         None,
     )
     rotor_spins: tuple[WholeNumber, ...] | None = late_quantity(
         "1",
-        "1 for a rotor clockwise from above, -1 for one the other way, alternating when absent",
+        "direction of each rotor from above: 1 clockwise, -1 the other way; by default alternating",
         None,
     )
     rotor_drag_plane: Number = late_quantity(
@@ -309,7 +309,7 @@ class Vehicle(Part):
     )
     attitude: Attitude = late_quantity(
         "",
-        "exact kinematics and the rotors' yaw reaction, or eq. (9) and (6) as printed",
+        "euler: exact kinematics and the rotors' yaw reaction; paper: eq. (9) and (6) as printed",
         Attitude.PAPER,
         initial=Attitude.EULER,
     )

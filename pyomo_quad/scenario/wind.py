@@ -21,9 +21,11 @@ from pyomo_quad.scenario.fields import (
     Text,
     Triple,
     WholeNumber,
+    is_number,
     quantity,
     set_value,
     spell,
+    table_at,
 )
 from pyomo_quad.scenario.messages import shown
 
@@ -90,7 +92,7 @@ class WindProfile(Part):
     )
     reference_height: Number = quantity(
         "m",
-        "height at which the wind is as given",
+        "height for which the wind is given",
         USUAL_HEIGHT,
         gt=0,
         sound=Sound(0.5, 1e3, "winds are measured at 0.5 m to 1000 m"),
@@ -134,12 +136,12 @@ class WindSeries(Part):
     wind_x: tuple[Number, ...] = quantity("m/s", "wind toward +x")
     wind_y: tuple[Number, ...] = quantity("m/s", "wind toward +y")
     heights: tuple[Number, ...] = quantity(
-        "m", "heights that the wind runs over at each time, or at all of them", (), is_late=True
+        "m", "heights of the wind values at each time, the same at all times", (), is_late=True
     )
 
 
 class Intensity(StrEnum):
-    """How strong turbulence is, MIL-F-8785C, section 3.7.3.4."""
+    """Intensity of turbulence, MIL-F-8785C, section 3.7.3.4."""
 
     LIGHT = "light"
     MODERATE = "moderate"
@@ -156,7 +158,7 @@ WIND_AT_6_M = {
 
 
 class Turbulence(Part):
-    """Turbulence of Dryden's form at low altitude, MIL-F-8785C; it acts on flights alone."""
+    """Turbulence of Dryden's form at low altitude, MIL-F-8785C; plans ignore it."""
 
     intensity: Intensity | None = quantity(
         "", "light, moderate or severe: a wind at 6 m of 7.7, 15.4 or 23.2 m/s", None
@@ -168,7 +170,7 @@ class Turbulence(Part):
         ge=0,
         sound=Sound(0, LARGEST_WIND, STRONGEST_GUST),
     )
-    seed: WholeNumber = quantity("1", "seed of the noise that drives it", 0, ge=0)
+    seed: WholeNumber = quantity("1", "seed of the turbulence's noise", 0, ge=0)
 
     @model_validator(mode="after")
     def _has_one_strength(self) -> Self:
@@ -187,7 +189,7 @@ class Turbulence(Part):
 
 
 class Beyond(StrEnum):
-    """What holds where a wind field says nothing: beyond its grid, or in a cell without wind."""
+    """Wind outside the grid of a wind field, and in cells without wind."""
 
     REFUSE = "refuse"
     HOLD = "hold"
@@ -198,8 +200,10 @@ class WindGrid(Part):
 
     x: tuple[Number, ...] = quantity("m", "places along world x, rising")
     y: tuple[Number, ...] = quantity("m", "places along world y, rising")
-    z: tuple[Number, ...] = quantity("m", "heights, rising; none where the field has one alone", ())
-    times: tuple[Number, ...] = quantity("s", "times, rising; none in a steady field", ())
+    z: tuple[Number, ...] = quantity(
+        "m", "heights, rising; empty for a field of a single height", ()
+    )
+    times: tuple[Number, ...] = quantity("s", "times, rising; empty for a steady field", ())
     speeds: Text = quantity(
         "",
         "wind toward +x, +y and, where it is known, +z at each place, not a number where there is "
@@ -209,12 +213,12 @@ class WindGrid(Part):
 
     @property
     def axes(self) -> tuple[tuple[float, ...], ...]:
-        """The points of each argument that the wind depends on: x, y, then height and time."""
+        """Grid points of each argument of the wind: x, y, then height and time if it has them."""
         return tuple(axis for axis in (self.x, self.y, self.z, self.times) if axis)
 
     @property
     def components(self) -> "FloatArray":
-        """The wind toward +x, +y and, where it is known, +z, with one axis for each argument."""
+        """Wind toward +x, +y and, if known, +z, with an array axis for each argument behind."""
         import numpy as np  # noqa: PLC0415  reading a scenario does without it
 
         held = np.frombuffer(decompress(b64decode(self.speeds)), dtype="<f8")
@@ -222,11 +226,11 @@ class WindGrid(Part):
 
     @staticmethod
     def packed(components: "FloatArray") -> str:
-        """Return components as the text of `speeds`."""
+        """Encode wind components as the text of `speeds`."""
         return b64encode(compress(components.astype("<f8").tobytes(), level=1)).decode("ascii")
 
     def is_known(self, places: "ArrayLike", times: "ArrayLike") -> "NDArray[bool_]":
-        """Say of places of shape (n, 3) at n wind times if the grid's nearest point has wind."""
+        """Return whether the grid point nearest to each of n places, at n wind times, has wind."""
         import numpy as np  # noqa: PLC0415  see `components`
 
         at, when = np.atleast_2d(places), np.broadcast_to(times, len(np.atleast_2d(places)))
@@ -241,7 +245,7 @@ class WindGrid(Part):
         return inside & has_wind[tuple(nearest)]
 
 
-# Of the extent of a grid: a place this little outside is on its border.
+# Distance outside a grid, relative to its extent, below which a place is on its border.
 _GRID_SLACK = 1e-6
 
 
@@ -254,12 +258,12 @@ class Wind(Part):
     )
     coupling: WindCoupling = quantity(
         "",
-        "drag on the airspeed, the default of a vehicle that has drag, or acceleration (eq. 9 as "
-        "printed), that of a vehicle that has none",
+        "drag: drag on the airspeed, the default for a vehicle with drag; acceleration: eq. (9) as "
+        "printed, the default for a vehicle without drag",
     )
     acceleration_coefficient: Number = quantity(
         "1/s",
-        "turns wind velocity into acceleration, eq. (9)",
+        "acceleration over wind velocity in eq. (9)",
         1.0,
         ge=0,
         sound=Sound(0, 1e3, "the wind takes longer than 1 ms to carry a vehicle along"),
@@ -300,13 +304,13 @@ class Wind(Part):
         "1",
         "factor on the wind of the field",
         1.0,
-        sound=Sound(-1e3, 1e3, "a field of a thousandth of its wind is calm air"),
+        sound=Sound(-1e3, 1e3, "a factor of 1000 turns a breath of 0.1 m/s into a hurricane"),
         is_late=True,
     )
     beyond: Beyond = quantity(
         "",
-        "where a flight leaves the field or enters a cell without wind: refuse the plan, or hold "
-        "the nearest wind",
+        "behaviour outside the field and in cells without wind: refuse the plan, or hold the "
+        "nearest wind",
         Beyond.REFUSE,
         is_late=True,
     )
@@ -318,13 +322,13 @@ class Wind(Part):
     )
     profile: WindProfile | None = quantity(
         "",
-        "how the horizontal wind grows with height, the same at all when absent",
+        "law of the horizontal wind over height, constant when absent",
         None,
         is_late=True,
     )
     speed_deviation: Number = quantity(
         "m/s",
-        "standard deviation of the error of its speed, of a wind that is forecast",
+        "standard deviation of the error of the forecast wind speed",
         0.0,
         ge=0,
         sound=Sound(0, LARGEST_WIND, STRONGEST_GUST),
@@ -332,17 +336,17 @@ class Wind(Part):
     )
     direction_deviation: Number = quantity(
         "rad",
-        "standard deviation of the error of its direction, of a wind that is forecast",
+        "standard deviation of the error of the forecast wind direction",
         0.0,
         ge=0,
-        sound=Sound(0, 1.6, "with more than a quarter turn nothing is known of the direction"),
+        sound=Sound(0, 1.6, "an error of more than a quarter turn leaves the direction unknown"),
         is_late=True,
     )
     turbulence: Turbulence | None = quantity(
-        "", "turbulence of the wind that flights meet, none when absent", None, is_late=True
+        "", "turbulence in flight, none when absent", None, is_late=True
     )
     forecast: Self | None = quantity(
-        "", "the wind that the optimiser is told, the true one when absent", None
+        "", "wind assumed by the optimiser, the actual wind when absent", None
     )
 
     @property
@@ -375,7 +379,7 @@ class Wind(Part):
         return self
 
     def complaints(self, place: tuple[float, float, float]) -> Iterator[str]:
-        """Yield why the wind at a place is not known at any time of its field."""
+        """Yield the reason why the wind field has no wind at a place at any time."""
         if self.grid is None or self.beyond is Beyond.HOLD:
             return
         times = self.grid.times or (0.0,)
@@ -462,8 +466,7 @@ def in_the_air(
     density, held_at = _density(tables), _density(before or {})
     if density == held_at:
         return tables
-    vehicle = tables.get("vehicle")
-    numbers = vehicle if isinstance(vehicle, Mapping) else {}
+    numbers = table_at(tables, "vehicle")
     for name in _OF_AIR:
         number = numbers.get(name)
         scaled = _scaled(number, density / held_at)
@@ -500,8 +503,7 @@ def with_coupling(
     if not isinstance(wind, Mapping):
         return tables
     if "coupling" not in wind:
-        vehicle = tables.get("vehicle")
-        numbers = vehicle if isinstance(vehicle, Mapping) else {}
+        numbers = table_at(tables, "vehicle")
         cause = next((name for name in _DRAG if _is_any(numbers.get(name))), None)
         coupling = WindCoupling.ACCELERATION if cause is None else WindCoupling.DRAG
         tables = set_value(tables, ("wind", "coupling"), coupling)
@@ -533,5 +535,4 @@ def _scaled(number: object, factor: float) -> Any:  # noqa: ANN401
     if isinstance(number, list | tuple):
         parts = [_scaled(part, factor) for part in number]
         return None if None in parts else parts
-    is_number = isinstance(number, int | float) and not isinstance(number, bool)
-    return number * factor if is_number else None  # type: ignore[operator]
+    return number * factor if is_number(number) else None

@@ -1,23 +1,21 @@
-"""Read a wind over places, and perhaps heights and times, from NetCDF, CSV or Parquet.
+"""Reading of wind fields from NetCDF, CSV or Parquet: wind over places, heights and times.
 
-The file may come from a stranger: it is data only, bounded in size, and checked whole before a
-number of it is used.
+The file may be untrusted: it is data only, bounded in size, and checked completely before use.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
 
 from pyomo_quad.scenario.earth import GeodeticOrigin
 from pyomo_quad.scenario.messages import ScenarioError, printable, shown
 from pyomo_quad.scenario.wind import LARGEST_WIND, LATEST_TIME, STRONGEST_GUST, WindGrid
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy import float64
-    from numpy.typing import NDArray
-
-    FloatArray = NDArray[float64]
+FloatArray = NDArray[np.float64]
 
 _LARGEST_BYTES = 200_000_000
 _MOST_VALUES = 5_000_000
@@ -63,32 +61,33 @@ _SPEEDS = {
 }
 
 
-# Of the least step of a grid by latitude and longitude, how far off its lines may be in metres.
+# Deviation in metres of a grid by latitude and longitude from straight lines, relative to its
+# least step.
 _SKEW = 0.1
 
 
 class _Field(NamedTuple):
-    """Points of each axis by name, and components with one axis for each of them.
+    """Points of each axis by name, and wind components with one array axis for each.
 
-    `on_earth` are those axes of x and y that are longitudes and latitudes.
+    `on_earth` names the axes, of x and y, that are longitudes and latitudes.
     """
 
-    axes: "dict[str, FloatArray]"
-    components: "FloatArray"
+    axes: dict[str, FloatArray]
+    components: FloatArray
     on_earth: tuple[str, ...] = ()
 
 
 def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None) -> dict[str, Any]:
-    """Read and check a wind over places.
+    """Read and check a wind field.
 
     Parameters
     ----------
     file : Path
         NetCDF with CF names and units, or a table with one row for each place and time.
     place : str
-        What messages start with: the field that names the file.
+        Start of messages: the field that names the file.
     origin : GeodeticOrigin, optional
-        Where x = y = 0 lies, for a grid by latitude and longitude.
+        Position of x = y = 0, for a grid by latitude and longitude.
 
     Returns
     -------
@@ -98,7 +97,7 @@ def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None
     Raises
     ------
     ScenarioError
-        If the file cannot be read, is no rectilinear grid, or holds no wind; one line.
+        If the file cannot be read, is not a rectilinear grid, or has no wind; one line.
     """
     suffix = file.suffix.lower()
     try:
@@ -120,12 +119,10 @@ def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None
 
 
 def _in_metres(field: _Field, origin: GeodeticOrigin | None, place: str) -> _Field:
-    """Return a field by longitude and latitude with the metres of its middle lines for both.
+    """Convert a field by longitude and latitude to metres along its middle lines.
 
-    Meridians meet at the poles: a region so large that this skews its grid is refused.
+    Meridians converge toward the poles; a region so large that its grid is skewed is refused.
     """
-    import numpy as np  # noqa: PLC0415  of the scenarios, few have a field
-
     if set(field.on_earth) != set(_AXES[:2]):
         _refuse(place, "has one coordinate in degrees and one in m; give both alike")
     if origin is None:
@@ -159,13 +156,12 @@ def _told(error: Exception) -> str:
 
 
 def _from_netcdf(file: Path, place: str) -> _Field:
-    import numpy as np  # noqa: PLC0415  of the scenarios, few have a field
     import xarray  # noqa: PLC0415  for NetCDF alone
 
     try:
         with xarray.open_dataset(file) as opened:
             data = opened.load()
-    except Exception as error:  # noqa: BLE001  whatever its readers raise at a stranger's bytes
+    except Exception as error:  # noqa: BLE001  readers raise many types for damaged files
         _refuse(place, f"is not NetCDF that can be read ({_told(error)}); save it anew")
     axes, on_earth = {}, []
     for axis, names in _AXIS_NAMES.items():
@@ -199,8 +195,8 @@ def _from_netcdf(file: Path, place: str) -> _Field:
     return _Field(points, np.array(read), tuple(on_earth))
 
 
-def _named(variables: "Mapping[Any, Any]", names: tuple[str, ...]) -> Any:  # noqa: ANN401
-    """Return the variable that has one of the names, by its standard name or its own."""
+def _named(variables: Mapping[Any, Any], names: tuple[str, ...]) -> Any:  # noqa: ANN401
+    """Return the variable with one of some names, by its standard name or its own name."""
     held = list(variables.values())
     for name in names:
         for variable in held:
@@ -209,22 +205,21 @@ def _named(variables: "Mapping[Any, Any]", names: tuple[str, ...]) -> Any:  # no
     return None
 
 
-def _points(variable: Any, axis: str, place: str) -> "FloatArray":  # noqa: ANN401
-    import numpy as np  # noqa: PLC0415  see `_from_netcdf`
+def _points(variable: Any, axis: str, place: str) -> FloatArray:  # noqa: ANN401
 
     if np.issubdtype(variable.dtype, np.datetime64):
-        return np.asarray((variable.values - variable.values[0]) / np.timedelta64(1, "s"))
+        return np.asarray((variable.to_numpy() - variable.to_numpy()[0]) / np.timedelta64(1, "s"))
     if np.issubdtype(variable.dtype, np.timedelta64):
-        return np.asarray(variable.values / np.timedelta64(1, "s"))
+        return np.asarray(variable.to_numpy() / np.timedelta64(1, "s"))
     if axis in _AXES[:2] and variable.attrs.get("units") in _ANGLES:
-        return np.asarray(variable.values, dtype=float)
+        return np.asarray(variable.to_numpy(), dtype=float)
     known, usual = (_TIMES, "s") if axis == "time" else (_LENGTHS, "m")
-    return _factor(variable, known, usual, place) * np.asarray(variable.values, dtype=float)
+    return _factor(variable, known, usual, place) * np.asarray(variable.to_numpy(), dtype=float)
 
 
 def _factor(
     variable: Any,  # noqa: ANN401
-    known: "Mapping[str, float]",
+    known: Mapping[str, float],
     usual: str,
     place: str,
 ) -> float:
@@ -239,8 +234,6 @@ def _factor(
 
 
 def _from_table(file: Path, place: str) -> _Field:
-    import numpy as np  # noqa: PLC0415  see `_from_netcdf`
-    import pandas as pd  # noqa: PLC0415  see `_from_netcdf`
 
     is_parquet = file.suffix.lower() in _PARQUET
     try:
@@ -288,9 +281,7 @@ def _from_table(file: Path, place: str) -> _Field:
 
 
 def _checked(field: _Field, place: str) -> dict[str, Any]:
-    """Return what a `WindGrid` holds, with rising axes and none of a single point but x and y."""
-    import numpy as np  # noqa: PLC0415  see `_from_netcdf`
-
+    """Return the fields of a `WindGrid`: axes rise, and only x and y may have a single point."""
     axes, components = dict(field.axes), field.components
     for lacking in (axis for axis in _AXES[:2] if axis not in axes):
         _refuse(place, f"has no coordinate {lacking}; give one in m by its standard_name and units")
@@ -319,8 +310,7 @@ def _checked(field: _Field, place: str) -> dict[str, Any]:
     return {**held, "speeds": WindGrid.packed(components)}
 
 
-def _check_axis(name: str, points: "FloatArray", place: str) -> None:
-    import numpy as np  # noqa: PLC0415  see `_from_netcdf`
+def _check_axis(name: str, points: FloatArray, place: str) -> None:
 
     most, unit = (LATEST_TIME, "s") if name == "time" else (_FARTHEST_M, "m")
     if not np.isfinite(points).all() or np.abs(points).max(initial=0.0) > most:

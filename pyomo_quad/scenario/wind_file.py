@@ -1,4 +1,4 @@
-"""A measured wind over time, over height, or over both, read from a CSV file and checked."""
+"""Reading of measured winds over time, over height, or over both, from CSV files."""
 
 import csv
 from collections.abc import Mapping
@@ -121,7 +121,7 @@ def _check_cover(
 
 
 def _read_rows(file: Path, place: str) -> tuple[tuple[str, ...], _Rows]:
-    """Return the key columns of the rows, and the rows."""
+    """Return the key columns (time, height or both), and the rows of numbers."""
     try:
         if file.stat().st_size > _LARGEST_FILE_BYTES:
             _refuse(place, f"larger than {_LARGEST_FILE_BYTES} bytes; thin the series out")

@@ -182,7 +182,7 @@ def arrivals(flights: pd.DataFrame, controller: str) -> Arrivals:
 
 
 class Flown(NamedTuple):
-    """A flight to fly: its plant, controller and reference."""
+    """A flight of the study: plant, controller, reference, and the function that flies it."""
 
     plant: Plant
     controller: str
@@ -322,7 +322,7 @@ def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
 
 
 def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
-    """Return a reference whose acceleration includes that against the air's force when level."""
+    """Return a reference with an additional acceleration against the force of the air."""
     dynamics, mass = plant.dynamics, plant.scenario.vehicle.total_mass
     moving = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     forces = tuple((name, None) for name in AIR_FORCE)
@@ -376,7 +376,7 @@ _FLIGHTS_OF = dict.fromkeys((LONGER, WINDIER), _flights_by_drag) | dict.fromkeys
 def _rows(
     case: str, flights: Iterator[Flown]
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
-    """Yield the row of each flight, compared with the declared vehicle's, which flies first."""
+    """Yield the table row of each flight, compared with the first, of the declared vehicle."""
     declared: dict[tuple[str, Reference], Flight] = {}
     for flown in flights:
         identity = case, flown.plant.value, str(flown.controller), flown.followed.value

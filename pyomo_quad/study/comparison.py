@@ -316,7 +316,7 @@ class ReplanningColumn(StrEnum):
 
 
 def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.DataFrame":
-    """Return the outcome of each re-planned flight, and the times of its solves on this machine.
+    """Return the outcome of each re-planned flight, and its solve times on this machine.
 
     A solve is late if it took longer on this machine than ``solve_time``, whatever delay the flight
     simulated; it may also have taken longer than the interval to the next solve.
@@ -353,13 +353,13 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
 
 
 def is_comparable(flight: Flight) -> bool:
-    """Return whether a flight arrived, kept all limits and has a price on its end state."""
+    """Return whether a flight arrived within all limits and its end state can be priced."""
     is_priced = isfinite(flight.owed_energy_J)
     return has_arrived(flight) and not flight.broken_limits and is_priced
 
 
 def settled_energy(flight: Flight) -> float:
-    """Return the energy of a flight plus the energy its end state owes, if it arrived [J]."""
+    """Return the energy of a flight, plus the energy to complete it if it arrived [J]."""
     is_priced = has_arrived(flight) and isfinite(flight.owed_energy_J)
     return flight.energy_J + (flight.owed_energy_J if is_priced else 0.0)
 

@@ -1,9 +1,9 @@
-"""How long a mission will take to plan, roughly, and which of its features cost most.
+"""Estimate of the processor time that planning a mission takes, and of its costly features.
 
-The time of a solve is that of Ipopt's iterations, each in proportion to the unknowns: variables
-per collocation point, points of the mesh, meshes, routes and orders that are tried.  The counts
-of a scenario are known before it is solved; the constants were measured by
-`python -m tests.benchmarks resolve missions`, whose tables show what became of the estimates.
+A solve takes the time of Ipopt's iterations, which is proportional to the number of unknowns:
+variables per collocation point, times points of the mesh, times the meshes, routes and orders that
+are tried.  These numbers are known before the solve.  The constants were measured by
+`python -m tests.benchmarks resolve missions`, whose tables compare estimates with measured times.
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ from pyomo_quad.scenario.mission import Order
 if TYPE_CHECKING:
     from pyomo_quad.scenario import Scenario
 
-#: Factor within which the estimate lies as a rule.
+#: Factor by which the estimate is usually off at most.
 ROUGHLY = 3.0
 # Seconds of a processor per unknown and iteration.
 _PER_UNKNOWN_S = 9e-6
 # Seconds to build, compile and fly the plan.
 _BESIDE_S = 0.3
-# Iterations of a mesh: of a plain flight; of one whose limits move as times or ways are chosen; and
-# more for each waypoint.
+# Iterations per mesh: of a plain flight; of a flight with free times, waypoints or routes; and in
+# addition for each waypoint.
 _PLAIN, _MOVING, _PER_WAYPOINT = 8, 40, 3
-# Points of a mesh in refinement, on average, over those of the first.
+# Average number of points of refined meshes, relative to the first mesh.
 _FINER = 2.5
-# Meshes: the first, and those of each decade of the tolerance.
+# Number of meshes: the first, and further meshes per decade of the tolerance.
 _FIRST_MESHES, _PER_DECADE = 1.0, 0.8
-# Elements where there are routes to compare, and routes that are refined at most.
+# Least number of elements to compare routes, and largest number of routes that are refined.
 _ROUTE_ELEMENTS, _MOST_REFINED = 20, 3
-# Points and iterations of a leg flown alone.
+# Points and iterations of the solve of a single leg.
 _LEG_POINTS, _LEG_ITERATIONS = 32, 20
-# Share by which a wind table adds to each iteration.
+# Relative increase of the time of an iteration by a wind table.
 _TABLE = 0.5
-# Tolerance of a quick look, beside which the accuracy asked for costs more.
+# Tolerance of a quick solve, with which the cost of the required accuracy is compared.
 _QUICK = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Counts:
-    """What the effort of a scenario depends on.
+    """Features of a scenario that determine its planning time.
 
-    `unknowns` are those of a collocation point; `routes` is nought without zones in the way;
-    `legs` are flown alone to find an order, nought where it is given.
+    `unknowns` is the number per collocation point; `routes` is 0 without zones in the way; `legs`
+    is the number of legs solved to find the order of the waypoints, 0 for a given order.
     """
 
     unknowns: int
@@ -62,7 +62,7 @@ class Counts:
 
     @property
     def seconds(self) -> float:
-        """Processor seconds to plan the mission, roughly."""
+        """Estimated processor time of planning, s."""
         is_moving = self.is_free or self.waypoints > 0 or self.routes > 0
         iterations = _MOVING + _PER_WAYPOINT * self.waypoints if is_moving else _PLAIN
         elements = max(self.elements, self.waypoints + 1, _ROUTE_ELEMENTS if self.routes > 0 else 0)
@@ -77,7 +77,7 @@ class Counts:
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """Seconds of a processor that planning takes, roughly, and what each feature adds to them.
+    """Estimated processor time of planning, and the share of each feature in it.
 
     `features` are named as a user knows them, the dearest first; seconds of several together are
     less than their sum or more, for they multiply.
@@ -88,7 +88,7 @@ class Effort:
 
     @property
     def line(self) -> str:
-        """The estimate in one line."""
+        """Estimate as a line of text."""
         said = (
             f"roughly {_rounded(self.seconds)} s of a processor, a guess from counts that may be "
             f"off by a factor of {ROUGHLY:g}"
@@ -104,7 +104,7 @@ def _rounded(seconds: float) -> str:
 
 
 def estimate_effort(scenario: Scenario, unknowns: int) -> Effort:
-    """Estimate what planning a scenario takes, and what each of its features adds.
+    """Estimate the processor time of planning a scenario, and the share of each feature.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def estimate_effort(scenario: Scenario, unknowns: int) -> Effort:
 
 
 def counts_of(scenario: Scenario, unknowns: int) -> Counts:
-    """Return the counts of a scenario on which its effort depends."""
+    """Count the features of a scenario that determine its planning time."""
     mission, solver = scenario.mission, scenario.solver
     try:
         journeys = find_journeys(scenario.airspace, mission.positions)

@@ -1,7 +1,7 @@
-"""Flights of one mission in many winds: the share that holds, and how energy and charge spread.
+"""Flights of a mission in many random winds: rate of success, and spread of energy and charge.
 
-The winds are drawn by a seed, so flights under another reference, as an autopilot's cruise, meet
-the same ones.
+A seed determines the winds, so that flights along another reference, such as an autopilot's cruise,
+meet the same winds.
 """
 
 from collections import Counter
@@ -31,22 +31,22 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-#: Of an interval in which the share of all flights that hold lies.
+#: Confidence level of the interval of a share.
 CONFIDENCE = 0.95
-#: Quantiles that tables and figures give of a quantity over flights.
+#: Quantiles of a quantity over flights, in tables and figures.
 BAND = (0.05, 0.5, 0.95)
-# Flights in one piece of work: enough for a map, and enough pieces for all cores.
+# Flights per task: enough for one vectorised map, few enough for a task on every core.
 _PIECE = 100
 
 
 @dataclass(frozen=True)
 class Share:
-    """A share of flights, and the interval in which that of all flights lies.
+    """Share of flights with a property, and its confidence interval.
 
     Attributes
     ----------
     count, of : int
-        Flights that have the property, and all that were flown.
+        Number of flights with the property, and number of all flights.
     """
 
     count: int
@@ -54,12 +54,12 @@ class Share:
 
     @property
     def value(self) -> float:
-        """The share that was seen."""
+        """Observed share."""
         return self.count / self.of
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The interval of Clopper and Pearson at `CONFIDENCE`: docs/theory/flights.md, eq. (2)."""
+        """Clopper-Pearson interval at level `CONFIDENCE`: docs/theory/flights.md, eq. (2)."""
         from scipy.special import betaincinv  # noqa: PLC0415  not for every run
 
         rest, k, n = 0.5 * (1.0 - CONFIDENCE), self.count, self.of
@@ -68,25 +68,25 @@ class Share:
         return low, high
 
     def __str__(self) -> str:
-        """Words: "98.7 % (97.8 to 99.3 %)"."""
+        """Return the share with its interval, as "98.7 % (97.8 to 99.3 %)"."""
         low, high = (100.0 * end for end in self.interval)
         return f"{100.0 * self.value:.1f} % ({low:.1f} to {high:.1f} %)"
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Ensemble(Summarised):
-    """Flights of a mission along one reference, each in its own wind.
+    """Flights of a mission along one reference, each in a wind of its own.
 
     Attributes
     ----------
     scenario : Scenario
         The mission with its times.
     name : str
-        Of the flights, as in a comparison: "adaptive/plan".
+        Name of the flights, as in a comparison: "adaptive/plan".
     seed : int
     flown : FlownOften
     planned : ndarray, shape (n_samples, 3)
-        Where the reference is at the same times [m].
+        Positions of the reference at the times of `flown` [m].
     wall_s : float
     """
 
@@ -99,7 +99,7 @@ class Ensemble(Summarised):
 
     @property
     def count(self) -> int:
-        """Flights."""
+        """Number of flights."""
         return len(self.flown.endings)
 
     @property
@@ -109,13 +109,13 @@ class Ensemble(Summarised):
 
     @property
     def broken(self) -> dict[str, Share]:
-        """Limit in words -> the flights that broke it, the most frequent first."""
+        """Limit in words -> share of flights that broke it, the largest first."""
         counts = Counter(name for ending in self.flown.endings for name in ending.broken)
         return {name: Share(count, self.count) for name, count in counts.most_common()}
 
     @property
     def worst(self) -> dict[str, float]:
-        """Limit in words -> its largest breach, relative to the larger of 1 and the limit."""
+        """Limit in words -> largest breach, relative to the larger of 1 and the limit."""
         return {
             name: max(ending.broken.get(name, 0.0) for ending in self.flown.endings)
             for name in self.broken
@@ -132,7 +132,7 @@ class Ensemble(Summarised):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Flights, share that held, energy, and the limit broken most."""
+        """Number of flights, share of successes, energy, and the limit broken most often."""
         low, middle, high = self.band("energy_J")
         most = next(iter(self.broken.items()), None)
         return {
@@ -239,16 +239,15 @@ def _flown(
 
 @dataclass(frozen=True, kw_only=True)
 class Saving:
-    """What the plan spares against another flight of the mission in the same winds.
+    """Saving of the plan compared with another flight of the mission in the same winds.
 
     Attributes
     ----------
     rival : Ensemble
     percent : (float, float, float)
-        `BAND` over the winds of the energy spared, in per cent of what the rival takes in the same
-        wind.
+        `BAND` over the winds of (rival - plan) / rival, of the energies in a wind, in per cent.
     both_held : int
-        Flights of which both arrived and kept every limit; the others count as well.
+        Number of winds in which both arrived and kept every limit; the percentages cover all winds.
     """
 
     rival: Ensemble

@@ -1,4 +1,4 @@
-"""Other processes of this machine: spawned workers, and copies of the process for one job."""
+"""Further processes on this machine: spawned workers, and copies of this process for a job."""
 
 import multiprocessing
 import os

@@ -3,20 +3,23 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from pyomo_quad.collocation import Dynamics, EngineError, Progress, Summarised
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name, fly_baseline, fly_open_loop
-from pyomo_quad.flight.columns import WIND
+from pyomo_quad.flight.columns import TIME, WIND, dataset_of
 from pyomo_quad.flight.deadline import Deadline
 from pyomo_quad.flight.replanning import fly_replanned, replanned_name
 from pyomo_quad.flight.risk import plan_at_risk
-from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at
 from pyomo_quad.flight.weather import vehicle_flown
+from pyomo_quad.presentation import presenter
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
+from pyomo_quad.study.autopilot import TUNED_CRUISE, Tuning, fly_cruise, tune_cruise
 from pyomo_quad.study.certificate import Certificate, certify
 from pyomo_quad.study.check import plan_cautions
 from pyomo_quad.study.comparison import (
@@ -24,10 +27,14 @@ from pyomo_quad.study.comparison import (
     adaptation_study,
     combine,
     compare_flights,
-    has_arrived,
 )
 from pyomo_quad.study.front import energy_time_front
 from pyomo_quad.study.processes import side_by_side
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from pyomo_quad.presentation import Picture
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -54,6 +61,9 @@ class RunResult(Summarised):
         beyond these.
     warnings : tuple of str
         Cautions about the results, one line each.
+    tuning : Tuning or None
+        The settings of the autopilot tuned for least energy, and what was tried; None without
+        reference cruise.
     """
 
     scenario: Scenario
@@ -65,6 +75,7 @@ class RunResult(Summarised):
     front: pd.DataFrame
     timings: Mapping[str, float]
     warnings: tuple[str, ...]
+    tuning: Tuning | None = None
 
     @property
     def summary(self) -> dict[str, str]:
@@ -87,6 +98,120 @@ class RunResult(Summarised):
             return None
         return self.certificate.gap_percent(self.plan.energy)
 
+    def to_frame(self) -> pd.DataFrame:
+        """Return the tables of all flights below each other, indexed by "flight" and "time_s".
+
+        Examples
+        --------
+        >>> frame = result.to_frame()
+        >>> frame.index.names
+        FrozenList(['flight', 'time_s'])
+        >>> bool(frame.loc["optimal", "energy_J"].is_monotonic_increasing)
+        True
+        """
+        tables = {flight.name: flight.frame.set_index(TIME) for flight in self.flights}
+        return pd.concat(tables, names=["flight", TIME]) if tables else pd.DataFrame()
+
+    def to_xarray(self) -> "xr.Dataset":
+        """Return all flights as a dataset over "flight" and "sample", each variable with its unit.
+
+        The flights differ in duration, so "time_s" is a variable over both dimensions; a flight
+        with fewer samples ends in NaN.  Energies, duration and miss of each flight are variables
+        over "flight"; scenario, status and lower bound are attributes.
+
+        Examples
+        --------
+        >>> data = result.to_xarray()
+        >>> float(data.total_energy_J.sel(flight="optimal")) == result.plan.energy
+        True
+        """
+        import xarray as xr  # noqa: PLC0415  a second that a run has no use for
+
+        names = pd.Index([flight.name for flight in self.flights], name="flight")
+        tables = [dataset_of(f.frame.rename_axis("sample")) for f in self.flights]
+        data = xr.concat(tables, names, join="outer") if tables else xr.Dataset()
+        for name, unit, values in (
+            ("total_energy_J", "J", [flight.energy_J for flight in self.flights]),
+            ("owed_energy_J", "J", [flight.owed_energy_J for flight in self.flights]),
+            ("duration_s", "s", [flight.duration_s for flight in self.flights]),
+            ("terminal_miss_m", "m", [flight.terminal_miss_m for flight in self.flights]),
+        ):
+            data[name] = ("flight", values, {"units": unit})
+        bound = self.certificate.lower_bound_J
+        return data.assign_attrs(
+            scenario=self.scenario.name,
+            scenario_resolved=self.scenario.model_dump_json(),
+            status=self.plan.status.value,
+            lower_bound_J=float("nan") if bound is None else bound,
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write the dataset of `to_xarray` to a NetCDF file, which `xarray.open_dataset` reads.
+
+        `Plan.save` writes the plan, from which another solve can start.
+
+        Examples
+        --------
+        >>> import xarray
+        >>> result.save("hop.nc")
+        >>> xarray.open_dataset("hop.nc").attrs["status"]
+        'verified'
+        """
+        self.to_xarray().to_netcdf(path, engine="h5netcdf")
+
+    def plot(self, what: str = "overview") -> "Picture":
+        """Draw a figure of the run, or a column of its plan's table over time.
+
+        Parameters
+        ----------
+        what : str, default "overview"
+            "overview", "energy_split", "path", "energy", "adaptation", "front", ..., or a column
+            of `Plan.to_frame`; an unknown name lists all of them.
+
+        Returns
+        -------
+        Picture
+            A notebook shows it; `Picture.save` writes it, `Picture.figure` is matplotlib's.
+
+        Raises
+        ------
+        ScenarioError
+            If this run has neither such a figure nor such a column.
+
+        Examples
+        --------
+        >>> result.plot("energy_split").name
+        'energy_split'
+        """
+        return presenter().picture_of_run(self, what)
+
+    def report(self, folder: str | Path, *, figures: str = "svg") -> Path:
+        """Write the report of the run into a folder, as `pyomo-quad run` does.
+
+        Parameters
+        ----------
+        folder : str or Path
+            A folder that is new, empty or an earlier report; it appears complete or not at all.
+        figures : {"svg", "png", "all", "none"}, optional
+            Formats of the figures.
+
+        Returns
+        -------
+        Path
+            The page, `report.html`.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written, or holds files that no report wrote.
+
+        Examples
+        --------
+        >>> print(result.report("reports/hop_run", figures="none"))
+        reports/hop_run/report.html
+        """
+        return presenter().report_run(self, folder, figures)
+
 
 def run_scenario(
     scenario: Scenario,
@@ -108,6 +233,14 @@ def run_scenario(
         `solver.time_limit`; flights that are missing by then become warnings.
     meanwhile : callable, optional
         Called once during the flights, for instance to import modules of the report.
+
+    Examples
+    --------
+    >>> result = run_scenario(scenario, baselines=[Reference.QUINTIC])
+    >>> [flight.name for flight in result.flights]
+    ['optimal', 'adaptive/quintic', 'open_loop/plan']
+    >>> result.gap_percent < 1.0
+    True
     """
     references = scenario.baseline.references if baselines is None else tuple(baselines)
     with Deadline(scenario):
@@ -142,6 +275,8 @@ def _run(
         helping = perf_counter()
         *flown, adaptation, cautions = finish()
     flown.reverse()
+    tuning = next((one for one in flown if isinstance(one, Tuning)), None)
+    flown = [one.flight if isinstance(one, Tuning) else one for one in flown]
     completed = tuple(flight for flight in flown if isinstance(flight, Flight))
     flights = () if optimum is None else (optimum, *completed)
     flights = _priced(flights, mission, planner, progress)
@@ -168,6 +303,7 @@ def _run(
             *(why for why in flown if isinstance(why, str)),
             *(f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt),
         ),
+        tuning=tuning,
     )
 
 
@@ -201,7 +337,7 @@ def _adaptation(
         return None
 
 
-def _flight_or_reason(name: str, fly: Callable[[], Flight]) -> Flight | str:
+def _flight_or_reason(name: str, fly: Callable[[], Flight | Tuning]) -> Flight | Tuning | str:
     try:
         return fly()
     except (EngineError, ScenarioError) as error:
@@ -210,13 +346,16 @@ def _flight_or_reason(name: str, fly: Callable[[], Flight]) -> Flight | str:
 
 def _baselines(
     scenario: Scenario, plan: Plan, planner: Planner, references: Sequence[Reference]
-) -> Iterator[tuple[str, Callable[[], Flight]]]:
-    dynamics = vehicle_flown(planner, scenario)
-    for speed in scenario.baseline.cruise_speeds or () if Reference.CRUISE in references else ():
-        yield (
-            baseline_name(Reference.CRUISE, speed),
-            partial(fly_cruise, scenario, speed, plan, planner),
-        )
+) -> Iterator[tuple[str, Callable[[], Flight | Tuning]]]:
+    dynamics, asked = vehicle_flown(planner, scenario), plan.scenario
+    if Reference.CRUISE in references and len(set(asked.mission.positions)) > 1:
+        yield TUNED_CRUISE, partial(tune_cruise, asked, plan, planner)
+        for speed in scenario.baseline.cruise_speeds or ():
+            settings = scenario.baseline.cruise_settings(speed)
+            yield (
+                baseline_name(Reference.CRUISE, speed),
+                partial(fly_cruise, asked, settings, plan, planner),
+            )
     for reference in references:
         if reference is Reference.CRUISE:
             continue
@@ -228,21 +367,3 @@ def _baselines(
         told = partial(fly_replanned, scenario, knowledge, dynamics=dynamics, planner=planner)
         yield replanned_name(knowledge), partial(told, plan=plan)
     yield OPEN_LOOP, partial(fly_open_loop, scenario, plan, dynamics)
-
-
-def fly_cruise(
-    scenario: Scenario, speed: float | None, plan: Plan | None, planner: Planner
-) -> Flight:
-    """Fly the mission as an autopilot does: at a cruise speed, in the time that it takes.
-
-    ``speed`` None is the cruise speed of the scenario.  The flight waits at the goal until it has
-    arrived, at most the last of `SETTLINGS_S`.
-    """
-    for settling_s in SETTLINGS_S:
-        told = cruise_at(scenario, speed, settling_s)
-        flight = fly_baseline(
-            told, Reference.CRUISE, dynamics=vehicle_flown(planner, told), plan=plan
-        )
-        if has_arrived(flight):
-            break
-    return flight

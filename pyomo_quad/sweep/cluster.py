@@ -28,6 +28,14 @@ def cluster_workers(address: str) -> Iterator[Workers]:
     ------
     ClusterError
         If it cannot be reached, or its workers cannot run this package.
+
+    Examples
+    --------
+    >>> from distributed import LocalCluster
+    >>> with LocalCluster(n_workers=1, dashboard_address=None) as cluster:
+    ...     with cluster_workers(cluster.scheduler_address) as workers:
+    ...         print(type(workers).__name__)
+    Workers
     """
     client = _connect(address)
     try:

@@ -94,7 +94,7 @@ class Axis(Part):
 
     path: Text = quantity("", "dotted path of a scenario field", min_length=1, max_length=200)
     group: Text | None = quantity("", "axes of one group advance together", None, max_length=60)
-    values: tuple[Any, ...] | None = quantity("", "the values themselves", None, min_length=1)
+    values: tuple[Any, ...] | None = quantity("", "list of values", None, min_length=1)
     linear: Spacing | None = quantity("", "equal steps", None)
     logarithmic: Spacing | None = quantity("", "equal ratios", None)
     uniform: UniformSpread | None = quantity("", "drawn from a uniform distribution", None)

@@ -7,18 +7,8 @@ from functools import partial
 import pandas as pd
 
 from pyomo_quad.report.document import Drawing
+from pyomo_quad.sweep import charts
 from pyomo_quad.sweep.case import DURATION_FIELD
-from pyomo_quad.sweep.charts import (
-    FRONT_ZOOM,
-    draw_curves,
-    draw_distributions,
-    draw_front,
-    draw_heat_map,
-    draw_scatter,
-    draw_tornado,
-    draw_wind_rose,
-    rose_range,
-)
 from pyomo_quad.sweep.design import Dimension
 from pyomo_quad.sweep.quantities import (
     Quantity,
@@ -69,15 +59,15 @@ class _Figures:
             title=f"{first.label} against duration",
             caption=f"{first.label} against the duration of the mission. On the Pareto front "
             "(thick) no other duration is both shorter and cheaper; it ends at the best duration "
-            f"(star). Right: durations up to {FRONT_ZOOM:g} times the best only.{hidden}",
-            draw=partial(draw_front, curves, first, along.values(DURATION_FIELD)),
+            f"(star). Right: durations up to {charts.FRONT_ZOOM:g} times the best only.{hidden}",
+            draw=partial(charts.draw_front, curves, first, along.values(DURATION_FIELD)),
         )
         if others:
             yield Drawing(
                 name="along_duration",
                 title="Against duration",
                 caption=f"Other quantities against the duration of the mission.{hidden}",
-                draw=partial(draw_curves, curves, DURATION_FIELD, others),
+                draw=partial(charts.draw_curves, curves, DURATION_FIELD, others),
             )
 
     def along_other_fields(self) -> Iterator[Drawing]:
@@ -89,7 +79,7 @@ class _Figures:
                 name=f"along_{''.join(c if c.isalnum() else '_' for c in field)}",
                 title=f"Against {name}",
                 caption=f"Each quantity against {name}.{hidden}",
-                draw=partial(draw_curves, curves, field, self.quantities),
+                draw=partial(charts.draw_curves, curves, field, self.quantities),
             )
 
     def roses(self) -> Iterator[Drawing]:
@@ -102,7 +92,7 @@ class _Figures:
                 title=f"Wind rose of {quantity.name}",
                 caption=f"{quantity.label} against the direction that the wind blows to."
                 f"{_worst_direction(curves, quantity)}{hidden}",
-                draw=partial(draw_wind_rose, curves, _DIRECTION_FIELD, quantity),
+                draw=partial(charts.draw_wind_rose, curves, _DIRECTION_FIELD, quantity),
             )
 
     def maps(self) -> Iterator[Drawing]:
@@ -119,7 +109,7 @@ class _Figures:
                     title=f"{quantity.label} over two fields",
                     caption=f"{quantity.label} over {field_quantity(across.paths[0]).name} and "
                     f"{field_quantity(up.paths[0]).name}{where}; a cross marks a case that failed.",
-                    draw=partial(draw_heat_map, plane, quantity),
+                    draw=partial(charts.draw_heat_map, plane, quantity),
                 )
 
     def spreads(self) -> Iterator[Drawing]:
@@ -131,13 +121,13 @@ class _Figures:
             title="Distribution",
             caption="Cases by value: median (solid) and the middle nine tenths (between the "
             f"dashes).{hidden}",
-            draw=partial(draw_distributions, rows, self.quantities),
+            draw=partial(charts.draw_distributions, rows, self.quantities),
         )
         yield Drawing(
             name="scatter",
             title="Against the random fields",
             caption=f"One dot per case.{hidden}",
-            draw=partial(draw_scatter, rows, fields, self.quantities),
+            draw=partial(charts.draw_scatter, rows, fields, self.quantities),
         )
 
     def tornadoes(self) -> Iterator[Drawing]:
@@ -153,7 +143,7 @@ class _Figures:
                 f"time from the base case, {case_name(self.results.central_case)}{spread.note}. "
                 "The numbers beside the bars say where their ends are reached; the axis need not "
                 f"begin at zero.{self._hidden()}",
-                draw=partial(draw_tornado, found, spread, quantity),
+                draw=partial(charts.draw_tornado, found, spread, quantity),
             )
 
     def _curves_along(self, field: str) -> tuple[list[Curve], str]:
@@ -183,7 +173,7 @@ class _Figures:
 
 def _worst_direction(curves: Sequence[Curve], quantity: Quantity) -> str:
     """Return sentences on the value at a rose's centre and on the worst direction."""
-    least, _ = rose_range(curves, quantity)
+    least, _ = charts.rose_range(curves, quantity)
     worst_rows = [quantity.worst_row(curve.rows) for curve in curves]
     worst = quantity.worst_row(pd.DataFrame(worst_rows).reset_index(drop=True))
     curve = curves[int(worst.name)]  # type: ignore[call-overload]

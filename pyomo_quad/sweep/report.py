@@ -38,6 +38,17 @@ def write_sweep_report(
     ----------
     folder : Path
         An empty folder.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from pyomo_quad.sweep import ResultStore, results_frame
+    >>> folder = Path("swept_report")
+    >>> folder.mkdir()
+    >>> with ResultStore.reading("swept") as store:
+    ...     write_sweep_report(folder, store.design, results_frame(store), Figures.NONE)
+    >>> (folder / "report.md").is_file()
+    True
     """
     results = SweepResults(design.in_cells(), frame)
     design, finished = results.design, results.finished

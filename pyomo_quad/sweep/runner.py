@@ -164,7 +164,7 @@ class Sweep:
                 ready += self._commit_all(outcomes)
 
     def _next_of(self, cases: list[Case]) -> list[Case]:
-        """Return each case or, where it has ended, its nearest descendants that have not."""
+        """Return the cases to solve next: each case, or its nearest unfinished descendants."""
         found, pending = [], list(reversed(cases))
         while pending:
             case = pending.pop()
@@ -282,7 +282,15 @@ class SweepEstimate:
 def estimate_sweep(
     design: SweepDesign, base: Scenario, folder: Path, solver: str = FLIGHT_SOLVER
 ) -> SweepEstimate:
-    """Estimate the cases and the time left of a sweep, without writing."""
+    """Estimate the cases and the time left of a sweep, without writing.
+
+    Examples
+    --------
+    >>> from pyomo_quad.sweep import design_sweep, load_study
+    >>> loaded = load_study("hop_study.toml")
+    >>> estimate_sweep(design_sweep(loaded), loaded.base, Path("hop_study")).total
+    2
+    """
     cases = expand(design)
     if (folder / STORE_NAME).is_file():
         with ResultStore.reading(folder) as store:

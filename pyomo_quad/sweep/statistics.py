@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pyomo_quad.scenario.fields import value_at
 from pyomo_quad.sweep.case import CaseStatus
 from pyomo_quad.sweep.design import Dimension, SweepDesign
 from pyomo_quad.sweep.store import CASE_COLUMN, STATUS_COLUMN
@@ -240,19 +241,12 @@ class SweepResults:
             )
 
     def _central(self, dimension: Dimension) -> Any:  # noqa: ANN401  a value of any field
-        base = tuple(_base_value(self.design.base, path) for path in dimension.paths)
+        base = tuple(value_at(self.design.base, *path.split(".")) for path in dimension.paths)
         if base in dimension.steps:
             return base[0]
         values = dimension.values(dimension.paths[0])
         ordered = sorted(values) if dimension.is_numeric else values
         return ordered[len(ordered) // 2]
-
-
-def _base_value(base: Mapping[str, Any], path: str) -> Any:  # noqa: ANN401  a value of any field
-    value: Any = base
-    for part in path.split("."):
-        value = value.get(part) if isinstance(value, Mapping) else None
-    return value
 
 
 def _matching(rows: pd.DataFrame, fixed: Mapping[str, Any]) -> pd.DataFrame:

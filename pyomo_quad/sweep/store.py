@@ -459,6 +459,13 @@ def results_frame(store: ResultStore) -> pd.DataFrame:
     """Return the rows of a store in the order of its design, the same for each run.
 
     Columns: case, the varying fields, status, reason, then the outputs that the study keeps.
+
+    Examples
+    --------
+    >>> with ResultStore.reading("swept") as store:
+    ...     frame = results_frame(store)
+    >>> frame[["mission.duration", "status"]].to_dict("list")
+    {'mission.duration': [4.0, 5.0], 'status': ['finished', 'finished']}
     """
     design, rows = store.design, store.rows()
     ended = [(case, rows[case.key]) for case in expand(design) if case.key in rows]
@@ -495,6 +502,14 @@ def adopt_design(store: ResultStore, design: SweepDesign) -> list[str]:
     ------
     StoreError
         If the rows do not fit; the message names the changes.
+
+    Examples
+    --------
+    >>> from pyomo_quad.sweep import design_sweep, load_study
+    >>> design = design_sweep(load_study("hop_study.toml"))
+    >>> with ResultStore.writing("adopted", design) as store:
+    ...     adopt_design(store, design)
+    []
     """
     stored = store.design
     changes = list(design.changes_since(stored))

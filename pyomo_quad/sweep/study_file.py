@@ -28,7 +28,7 @@ from pyomo_quad.scenario.messages import (
     listed,
     shown,
 )
-from pyomo_quad.scenario.resolution import Origin, read_toml
+from pyomo_quad.scenario.resolution import ScenarioSource, read_toml
 from pyomo_quad.scenario.schema import Scenario
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.sweep.case import StudyTask, output_columns, unknown_column
@@ -88,7 +88,7 @@ class Study(Part):
 
     name: Text = quantity("", "short name, also of the output folder", pattern=_NAME_PATTERN)
     title: Text = quantity("", "title of the report", "", max_length=200)
-    about: Text = quantity("", "what the report says first", "", max_length=1000)
+    about: Text = quantity("", "first paragraph of the report", "", max_length=1000)
     scenario: Text = quantity("", "scenario file of the base case, beside the study", min_length=1)
     task: StudyTask = quantity(
         "",
@@ -146,6 +146,12 @@ def load_study(path: str | FilePath) -> LoadedStudy:
         If a field of the study is not allowed.
     ScenarioError
         If a file cannot be read, or the base scenario is not allowed.
+
+    Examples
+    --------
+    >>> loaded = load_study("hop_study.toml")
+    >>> loaded.study.name, loaded.base.name
+    ('hop_study', 'hop')
     """
     source = str(path)
     document = read_toml(FilePath(path))
@@ -203,7 +209,7 @@ def _base_scenario(study: Study, file: FilePath) -> Scenario:
     scenario_file = file.parent / study.scenario
     source = str(file)
     return Scenario.from_origin(
-        Origin(
+        ScenarioSource(
             source=str(scenario_file),
             folder=scenario_file.parent,
             document=read_toml(scenario_file),
@@ -237,6 +243,12 @@ def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> Swee
         If axes contradict each other, or there are too many cases.
     ScenarioError
         If a path is unknown or a value is out of the field's range.
+
+    Examples
+    --------
+    >>> design = design_sweep(load_study("hop_study.toml"))
+    >>> design.paths
+    ('mission.duration',)
     """
     study, source = loaded.study, loaded.source
     _check_paths(study, source)

@@ -150,7 +150,18 @@ class Workers:
 
 @contextmanager
 def process_workers(count: int) -> Iterator[Workers]:
-    """Yield workers in processes of this machine, which end with the block."""
+    """Yield workers in processes of this machine, which end with the block.
+
+    Examples
+    --------
+    >>> from pyomo_quad.sweep import ResultStore, SilentListener, Sweep, design_sweep, load_study
+    >>> loaded = load_study("hop_study.toml")
+    >>> design = design_sweep(loaded)
+    >>> with process_workers(2) as workers, ResultStore.writing("solved", design) as store:
+    ...     summary = Sweep(design, loaded.base, store, SilentListener()).run(workers)
+    >>> summary.finished
+    2
+    """
     with environment_of_workers():
         workers = Workers(
             Crew(

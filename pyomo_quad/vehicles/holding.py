@@ -1,4 +1,4 @@
-"""Library vehicles held against measured powers, and data sheets against published hover powers."""
+"""Comparison of library vehicles with measured powers, and of data sheets with hover powers."""
 
 import tomllib
 from collections.abc import Mapping
@@ -32,13 +32,13 @@ SHEET, MEASURED, ESTIMATED, SHEET_ERROR = "vehicle", "measured_W", "estimated_W"
 _SECONDS_PER_MINUTE, _JOULES_PER_WATT_HOUR = 60.0, 3600.0
 _FOLDER = "measured"
 _SHEETS = "sheets.toml"
-# Share by which a data sheet's hover power may be off its published one.
+# Allowed error of a hover power estimated from a data sheet, per cent.
 ALLOWED_PERCENT = 15.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Held:
-    """A library vehicle beside what was measured of it.
+    """A library vehicle with measurements of its power.
 
     `points` has the columns of a table of steady points, and `computed` the power of each by the
     vehicle's own equations, W; `fitted` says whether the vehicle's numbers come from these points.
@@ -54,7 +54,7 @@ class Held:
 
     @property
     def errors(self) -> FloatArray:
-        """Computed over measured power less one, per cent."""
+        """Relative error of the computed powers, per cent."""
         return 100.0 * (self.computed / self.points[POWER].to_numpy() - 1.0)
 
     @property
@@ -64,7 +64,7 @@ class Held:
 
     @property
     def ranges(self) -> str:
-        """What the measurements span, in words."""
+        """Ranges of airspeed and payload of the measurements, in words."""
         spans = ((AIRSPEED, "airspeed", "m/s"), (PAYLOAD, "carried", "kg"))
         told = [
             f"{words} {self.points[name].min():.3g} to {self.points[name].max():.3g} {unit}"
@@ -76,13 +76,13 @@ class Held:
 
 
 def held_vehicles(planner: Planner | None = None) -> tuple[Held, ...]:
-    """Return every vehicle of the library beside its measurements."""
+    """Return every vehicle of the library with its measurements."""
     planner = planner or Planner()
     return tuple(held_against(name, planner) for name in library_names("vehicles"))
 
 
 def held_against(name: str, planner: Planner) -> Held:
-    """Return a library vehicle beside what was measured of it."""
+    """Return a library vehicle with its measurements and computed powers."""
     entry = library_entry("vehicles", name)
     is_momentum = "vehicle.rotor_radius" in entry.sources
     scenario = scenario_from_mapping(
@@ -137,7 +137,7 @@ def _folder() -> Any:  # noqa: ANN401  a Traversable, which has no stable home
 
 
 def data_sheets() -> pd.DataFrame:
-    """Return the hover powers of data sheets by the estimates alone beside the published ones."""
+    """Return estimated and published hover powers of the vehicles of data sheets."""
     told = tomllib.loads(_folder().joinpath(_SHEETS).read_text(encoding="utf-8"))
     rows = []
     for name, sheet in told.items():

@@ -92,6 +92,6 @@ def energy_under(model, plan):
     flown = plan.to_frame(200.0)
     shaft = [flown[f"motor_{j}_torque_N_m"] * flown[f"omega_{j}_rad_per_s"] for j in ROTORS]
     if model == "shaft":
-        return np.trapezoid(sum(shaft), flown["time_s"])
+        return np.trapezoid(sum(shaft), flown.index)
     floored = sum(power.clip(lower=0.0) for power in shaft)
-    return np.trapezoid(floored, flown["time_s"]) / 0.75
+    return np.trapezoid(floored, flown.index) / 0.75

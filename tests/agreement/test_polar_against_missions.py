@@ -63,7 +63,7 @@ def test_a_kilometre_is_verified_and_cruises_at_the_best_speed(wind, price):
     plan = Planner().solve(mission)
     assert plan.is_verified
     frame = plan.to_frame(rate_hz=10)
-    shares = frame["time_s"].to_numpy() / plan.duration_s
+    shares = frame.index.to_numpy() / plan.duration_s
     flown = float(frame["vx_m_per_s"].to_numpy()[np.abs(shares - 0.5) < 0.05].mean())
     best = find_polar(mission).own.best_over_ground(wind, np.pi, price)
     assert flown == pytest.approx(best.ground_speed, rel=0.01)

@@ -35,9 +35,7 @@ COARSE = {"solver": {"elements": 8, "max_refinements": 0}}
 def flown_in(plan, offset=0.0):
     """The largest miss of the wind along a plan from the spline through the file's rows [m/s]."""
     flight = plan.to_frame()
-    spline = {
-        name: CubicSpline(TIMES, row)(flight["time_s"] + offset) for name, row in SPEEDS.items()
-    }
+    spline = {name: CubicSpline(TIMES, row)(flight.index + offset) for name, row in SPEEDS.items()}
     return max(np.abs(flight[f"wind_{name}_m_per_s"] - spline[name]).max() for name in SPEEDS)
 
 

@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from tests.architecture import test_sizes
 
 FLOORS = {
+    "presentation": 0,
     "scenario": 0,
     "collocation": 0,
     "model": 1,

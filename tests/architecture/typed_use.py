@@ -52,3 +52,14 @@ def gap(scenario: Scenario) -> float | None:
     except ScenarioError:
         print(library_names("vehicles"))
         return None
+
+
+def shown(plan: pyomo_quad.Plan, result: pyomo_quad.RunResult, folder: Path) -> list[Path]:
+    picture: pyomo_quad.Picture = plan.plot("energy")
+    result.save(folder / "run.nc")
+    pages = [plan.report(folder / "plan", figures="png"), result.report(folder / "run")]
+    return [picture.save(folder / "energy.svg"), result.plot().save(folder / "run.png"), *pages]
+
+
+def slower(scenario: Scenario) -> Scenario:
+    return scenario.replace({"mission": {"duration": 12.0}, "vehicle.payload": 0.2})

@@ -1,4 +1,4 @@
-"""The benchmarks' report holds what was stored, and the README quotes it."""
+"""The benchmarks' report holds what was stored, and the book quotes it."""
 
 import csv
 import json
@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 from tests.benchmarks.report import FOLDER, NAMES, REPORT, Table, render, store
 
-README = " ".join(Path("README.md").read_text(encoding="utf-8").split())
+RESULTS = " ".join(Path("docs/evidence/results.md").read_text(encoding="utf-8").split())
 
 
 def stored(name):
@@ -38,28 +38,28 @@ def test_the_committed_report_is_what_the_stored_results_give():
     assert {file.stem for file in FOLDER.glob("*.json")} <= set(NAMES)
 
 
-def test_the_readme_quotes_the_gain_of_the_engine():
+def test_the_book_quotes_the_gain_of_the_engine():
     for name, said in (("stock", r"\*\*([\d.]+) to ([\d.]+) times\*\*"),
                        ("by hand", r"and ([\d.]+) to ([\d.]+) times")):  # fmt: skip
         gains = [float(row[f"{name}, times as long"]) for row in stored("engine_gain")]
-        least, greatest = re.search(said, README).groups()
+        least, greatest = re.search(said, RESULTS).groups()
         assert [float(least), float(greatest)] == [min(gains), max(gains)]
 
 
-def test_the_readme_quotes_the_gain_of_a_run():
+def test_the_book_quotes_the_gain_of_a_run():
     gains = {row["command"]: float(row["wall, times as fast"]) for row in stored("run_gain")}
     alike = [gains[f"`run {name}`"] for name in ("paper_wind.toml --set=baseline.mpc.knowledge=[]",
                                                  "paper_calm.toml")]  # fmt: skip
-    said = re.search(r"\*\*([\d.]+) and ([\d.]+) times\*\* as fast as\s+before", README).groups()
+    said = re.search(r"\*\*([\d.]+) and ([\d.]+) times\*\* as fast as\s+before", RESULTS).groups()
     assert [float(number) for number in said] == [round(gain, 1) for gain in alike]
 
 
-def test_the_readme_quotes_the_outcomes_of_random_missions():
+def test_the_book_quotes_the_outcomes_of_random_missions():
     rows = [row for row in stored("robustness") if row["seed"] == "all"] or stored("robustness")
     counts = {row["outcome"]: int(row["missions"]) for row in rows}
     verified, infeasible = counts["verified"], counts["infeasible, proven"]
     said = (
         f"Of {sum(counts.values())} random missions {verified} were verified, {infeasible} proven"
     )
-    assert said in README
-    assert ("**none lost**" in README) == (counts["lost"] == 0)
+    assert said in RESULTS
+    assert ("**none lost**" in RESULTS) == (counts["lost"] == 0)

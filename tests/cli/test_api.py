@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 
 import pyomo_quad
 import pyomo_quad.cli
@@ -36,11 +37,78 @@ def test_plan_answers(plan):
 def test_a_plan_gives_a_frame_at_several_times(plan):
     frame = plan.at([1, 2, 3])
     pd.testing.assert_frame_equal(frame, plan.at(np.array([1.0, 2.0, 3.0])))
-    assert frame["time_s"].tolist() == [1.0, 2.0, 3.0]
+    assert frame.index.name == "time_s"
+    assert frame.index.tolist() == [1.0, 2.0, 3.0]
     for k, time in enumerate((1, 2, 3)):
         pd.testing.assert_series_equal(frame.iloc[k], plan.at(time), check_names=False)
     with pytest.raises(pyomo_quad.scenario.ScenarioError, match=r"t = 5 s is outside the flight"):
         plan.at([1, 5])
+
+
+def test_frames_have_a_named_time_index(plan):
+    whole, costates = plan.to_frame(rate_hz=10.0), plan.costate_frame()
+    assert whole.index.name == costates.index.name == "time_s"
+    assert "time_s" not in whole
+    # The energy is the integral of the power over the index.
+    spent = np.trapezoid(plan.to_frame(1000.0)["power_W"], plan.to_frame(1000.0).index)
+    assert spent == pytest.approx(plan.energy, rel=1e-5)
+
+
+def test_a_plan_becomes_a_dataset_with_units(plan):
+    data = plan.to_xarray(rate_hz=10.0)
+    assert list(data.dims) == ["time_s"]
+    assert data.sel(time_s=1.0).x_m == pytest.approx(plan.at(1.0)["x_m"])
+    assert data.phi_rad.attrs["units"] == "rad"
+    assert data.motor_1_torque_N_m.attrs["units"] == "N m"
+    assert data.attrs["energy_J"] == plan.energy
+
+
+def test_a_plan_draws_and_writes_its_figures(plan, tmp_path):
+    picture = plan.plot()
+    assert picture.name == "path"
+    assert picture.save(tmp_path / "path.png").read_bytes().startswith(b"\x89PNG")
+    (line, *_), power = plan.plot("power_W").figure.axes[0].lines, plan.flight().frame["power_W"]
+    assert np.array_equal(line.get_ydata(), power)
+    with pytest.raises(pyomo_quad.scenario.ScenarioError, match=r'^what = "bar"; must be one of p'):
+        plan.plot("bar")
+    with pytest.raises(pyomo_quad.scenario.ScenarioError, match=r"path\.gif: must end in \.png, "):
+        picture.save(tmp_path / "path.gif")
+
+
+def test_a_plan_writes_the_report_of_the_command(plan, tmp_path):
+    page = plan.report(tmp_path / "hop", figures="none")
+    summary = json.loads((page.parent / "summary.json").read_text(encoding="utf-8"))
+    assert summary["energy_J"] == plan.energy
+    again = pyomo_quad.Plan.load(page.parent / "plan.npz")
+    assert again.energy == plan.energy
+    with pytest.raises(pyomo_quad.scenario.ScenarioError, match='figures = "gif"; must be one of '):
+        plan.report(tmp_path / "hop", figures="gif")
+
+
+def test_a_run_becomes_a_file_that_others_read(plan, tmp_path):
+    result = pyomo_quad.run_scenario(plan.scenario, baselines=[])
+    result.save(tmp_path / "hop.nc")
+    with xr.open_dataset(tmp_path / "hop.nc") as data:
+        names = data.flight.to_numpy().tolist()
+        assert names == [flight.name for flight in result.flights]
+        spent = data.energy_J.sel(flight="optimal").dropna("sample")[-1]
+        assert spent == pytest.approx(float(data.total_energy_J.sel(flight="optimal")))
+        assert data.attrs["lower_bound_J"] == result.certificate.lower_bound_J
+    frame = result.to_frame()
+    assert frame.index.names == ["flight", "time_s"]
+    assert frame.loc["optimal"]["energy_J"].iloc[-1] == pytest.approx(plan.energy, rel=1e-6)
+    assert result.report(tmp_path / "hop", figures="none").name == "report.html"
+    assert result.plot("energy").name == "energy"
+
+
+def test_a_scenario_is_changed_by_tables_and_by_paths(plan):
+    slower = plan.scenario.replace({"mission": {"duration": 6.0}, "vehicle.payload": 0.1})
+    assert (slower.mission.duration, slower.vehicle.payload) == (6.0, 0.1)
+    # Fields that no change names are kept.
+    assert slower.mission.goal == plan.scenario.mission.goal
+    assert plan.scenario.mission.duration == 4.0
+    with pytest.raises(pyomo_quad.scenario.ScenarioError, match=r"unknown key mission\.durations"):
+        plan.scenario.replace({"mission": {"durations": 6.0}})
 
 
 def test_plan_survives_its_file(plan, tmp_path):

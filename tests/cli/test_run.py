@@ -33,6 +33,7 @@ FIRST_COLUMNS = [
 ]
 FLIGHTS = [
     "optimal",
+    "adaptive/cruise tuned",
     "adaptive/step",
     "adaptive/quintic",
     "adaptive/minimum_snap",
@@ -65,12 +66,17 @@ def test_run_is_verified_and_compared(wind):
     settled = rows["energy_J"] + rows["owed_energy_J"]
     saved = 100 * (1 - settled["optimal"] / settled["adaptive/quintic"])
     assert rows.loc["adaptive/quintic", "saving_percent"] == pytest.approx(saved, rel=1e-6)
+    # The tuned autopilot has the same time, and is above the bound of all flights.
+    assert rows.loc["adaptive/cruise tuned", "duration_s"] == pytest.approx(10.0)
+    saving = rows.loc["adaptive/cruise tuned", "saving_percent"]
+    assert wind.summary["headline"]["against"]["saving_percent"] == pytest.approx(saving)
+    assert f"the plan saves {saving:.2f} %" in wind.out.splitlines()[0]
 
 
 def test_the_table_of_flights_fits_a_terminal(wind):
     table = [line.rstrip() for line in wind.out.splitlines() if line.startswith(" ")]
     assert max(map(len, table)) <= 80
-    assert [line.split()[0] for line in table if "e-" in line] == FLIGHTS
+    assert [line.split("  ")[0].strip() for line in table if "e-" in line] == FLIGHTS
     assert [line.split()[-1] for line in table if "e-" in line] == ["yes"] * len(FLIGHTS)
 
 

@@ -18,7 +18,6 @@ from pyomo_quad.exports.formats import (
 )
 from pyomo_quad.exports.ground_station import Legs, mission
 from pyomo_quad.flight import PlanStatus
-from pyomo_quad.flight.columns import TIME
 from pyomo_quad.report import Figures
 from pyomo_quad.report.report import write_solve_report
 from pyomo_quad.report.tables import plan_summary, write_summary
@@ -45,7 +44,7 @@ def truth():
 
 def at(times, columns):
     frame = truth()
-    return np.column_stack([np.interp(times, frame[TIME], frame[name]) for name in columns])
+    return np.column_stack([np.interp(times, frame.index, frame[name]) for name in columns])
 
 
 PLACE, SPEEDS = ("x_m", "y_m", "z_m"), ("vx_m_per_s", "vy_m_per_s", "vz_m_per_s")

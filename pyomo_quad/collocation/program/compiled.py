@@ -50,7 +50,7 @@ class MappedFunction:
             self._chunks.append((start, start + size, *made[size]))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Give a copy its own buffers, because those of CasADi cannot be copied."""
+        """Give a copy its own buffers, because CasADi's buffers cannot be copied."""
         return type(self), (self._function, self._n)
 
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:

@@ -59,7 +59,7 @@ class Bounds:
         unknowns: tuple[FloatArray, FloatArray] = (_NONE, _NONE),
         rows: tuple[FloatArray, FloatArray] = (_NONE, _NONE),
     ) -> Bounds:
-        """Return these bounds followed by those of more unknowns and more rows."""
+        """Return these bounds extended by the bounds of further unknowns and rows."""
         return Bounds(
             lower=np.append(self.lower, unknowns[0]),
             upper=np.append(self.upper, unknowns[1]),

@@ -89,7 +89,7 @@ def redundant_conditions(
     fixed: dict[tuple[str, float], float],
     z: FloatArray,
 ) -> tuple[Candidate, ...]:
-    """Return the conditions whose slopes at a point depend on those of the equations before them.
+    """Return the conditions whose slopes at a point are combinations of earlier equations' slopes.
 
     The equations over time come first, then the conditions one at a time.
     """

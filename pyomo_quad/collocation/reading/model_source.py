@@ -116,7 +116,7 @@ class LiveModel:
         return () if self._time is None else tuple(float(t) for t in sorted(self._time))
 
     def has(self, name: str) -> bool:
-        """Say whether the model has a component of this name."""
+        """Return whether the model has a component of this name."""
         return self.model.find_component(name) is not None
 
     def unit(self, name: str) -> str:
@@ -343,7 +343,7 @@ class ModelSnapshot:
         _refuse_without_model()
 
     def has(self, name: str) -> bool:
-        """Say whether the model had a component of this name."""
+        """Return whether the model had a component of this name."""
         return name in self.names or name.rpartition("[")[0] in self.names
 
     def unit(self, name: str) -> str:

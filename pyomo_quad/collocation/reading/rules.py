@@ -134,7 +134,7 @@ def _flat(index: Any) -> tuple[Any, ...]:
 
 
 class _Translator:
-    """Replaces a model's components by those of its clone inside functions."""
+    """Replaces a model's components inside functions by the components of its clone."""
 
     def __init__(self, model: Any, copy: Any) -> None:
         self._model = model

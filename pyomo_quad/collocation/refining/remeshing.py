@@ -126,7 +126,15 @@ class Marks:
 def mesh_for_states(
     solution: Solution, tolerance: float, options: RefinementOptions, *, least_degree: int
 ) -> tuple[Mesh, float]:
-    """Return the next mesh for a solution whose states alone count, and their largest error."""
+    """Return the next mesh for a solution whose states alone count, and their largest error.
+
+    Examples
+    --------
+    >>> from pyomo_quad.collocation import RefinementOptions
+    >>> mesh, error = mesh_for_states(solution, 1e-6, RefinementOptions(), least_degree=3)
+    >>> error < 1e-6, min(mesh.degrees) >= 3
+    (True, True)
+    """
     error = estimate_error(solution)
     states, none = error.states.max(axis=1, initial=0.0), np.zeros(solution.mesh.elements)
     uncounted = ("violation", "objective", "switches", "costs", "restraint", "integrals", "miss")

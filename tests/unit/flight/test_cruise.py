@@ -1,5 +1,7 @@
 """Cruise: are the limits kept, is the way done, and are the times those of the closed form?"""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,10 +9,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from pyomo_quad.flight.baselines import fly_baseline
-from pyomo_quad.flight.routes import SETTLINGS_S, cruise, cruise_at, speed_profile
+from pyomo_quad.flight.routes import cruise, cruise_at, reached, speed_profile
 from pyomo_quad.scenario import ScenarioError, scenario_from_mapping
-from pyomo_quad.scenario.tables import Reference
-from pyomo_quad.study import run
+from pyomo_quad.scenario.tables import CruiseSettings, Reference
+from pyomo_quad.study import autopilot, run
+from pyomo_quad.study.autopilot import TUNED_CRUISE, TriedCruise, fly_cruise, tune_cruise
 from pyomo_quad.study.comparison import ComparisonColumn as Column
 from pyomo_quad.study.comparison import has_arrived
 from pyomo_quad.sweep.study_file import Study
@@ -87,26 +90,30 @@ def test_a_cruise_stops_at_waypoints_holds_and_goes_round_a_zone():
 
 
 @pytest.mark.slow
-def test_each_speed_is_a_flight_with_its_own_time_that_arrives():
-    told = mission(baseline={"cruise_speeds": [1.5, 3.0]}, solver={"elements": 10})
+def test_each_speed_is_a_flight_that_ends_on_arrival_and_not_before_the_mission():
+    told = mission(baseline={"cruise_speeds": [0.8, 3.0]}, solver={"elements": 10})
     table = run.run_scenario(told).comparison.set_index(Column.FLIGHT)
-    optimum, planner = table.loc["optimal"], PLANNER
-    for speed in (1.5, 3.0):
+    optimum = table.loc["optimal"]
+    for speed in (0.8, 3.0):
         row = table.loc[f"adaptive/cruise {speed:g} m/s"]
         duration, moving = row[Column.DURATION], speed_profile(7.0, speed, 3.0, 4.0).times[-1]
         assert row[Column.ARRIVED]
         assert row[Column.VERIFIED]
-        waited = SETTLINGS_S.index(pytest.approx(duration - moving, abs=1e-9))
-        sooner = cruise_at(told, speed, SETTLINGS_S[waited - 1])
-        dynamics = planner.dynamics(sooner)
-        assert not has_arrived(fly_baseline(sooner, Reference.CRUISE, dynamics=dynamics, plan=None))
+        assert duration >= max(moving, 6.0)
+        if duration > 6.0:
+            sooner = cruise_at(told, speed, duration - moving - 0.1)
+            if duration - moving > 0.1:
+                flown = fly_baseline(sooner, Reference.CRUISE, dynamics=PLANNER.dynamics(sooner))
+                assert not has_arrived(flown)
         hover = optimum[Column.HOVER_ENERGY] * duration / 6.0
         assert row[Column.HOVER_ENERGY] == pytest.approx(hover, rel=1e-9)
         # The bound is one on flights of six seconds.
-        assert np.isnan(row[Column.LOWER_BOUND])
+        assert np.isnan(row[Column.LOWER_BOUND]) == (duration > 6.0)
         saved = 1 - optimum[Column.ENERGY] / (row[Column.HOVER_ENERGY] + row[Column.EXCESS_ENERGY])
         assert row[Column.SAVING] == pytest.approx(100 * saved, abs=1e-3)
-    assert optimum[Column.LOWER_BOUND] > 0
+    tuned = table.loc[TUNED_CRUISE]
+    assert tuned[Column.SAVING] <= table[table.index.str.contains("m/s")][Column.SAVING].min()
+    assert tuned[Column.LOWER_BOUND] <= tuned[Column.ENERGY]
 
 
 @pytest.mark.parametrize(
@@ -114,30 +121,26 @@ def test_each_speed_is_a_flight_with_its_own_time_that_arrives():
     [
         ({"cruise_speeds": [0.0]}, r"baseline.cruise_speeds\[0\] = 0 m/s; must be > 0"),
         ({"cruise_speeds": []}, "baseline.cruise_speeds"),
-        ({"cruise_speeds": None}, "reference cruise needs at least one speed in m/s"),
         ({"cruise_speeds": [5.0, 5.0]}, "cruise_speeds has 5 m/s twice"),
         ({"cruise_acceleration": 0.0}, "baseline.cruise_acceleration = 0 m/s\\^2; must be > 0"),
         ({"cruise_jerk": -1.0}, "baseline.cruise_jerk = -1 m/s\\^3; must be > 0"),
     ],
 )
 def test_bad_speeds_are_refused_in_one_line(baseline, message):
-    given_speeds = {key: value for key, value in baseline.items() if value is not None}
-    table = {"references": ["cruise"]} | (
-        {} if None in baseline.values() else {"cruise_speeds": [5]}
-    )
+    table = {"references": ["cruise"], "cruise_speeds": [5]}
     with pytest.raises(ScenarioError, match=message) as refused:
         scenario_from_mapping(
             {
                 "name": "hop",
                 "mission": {"goal": {"position": [1.0, 0.0, 0.0]}, "duration": 3.0},
-                "baseline": table | given_speeds,
+                "baseline": table | baseline,
             }
         )
     assert "\n" not in str(refused.value)
 
 
-def test_a_leg_to_nowhere_and_several_speeds_for_one_flight_are_refused():
-    with pytest.raises(ScenarioError, match="a leg of the mission ends where it starts"):
+def test_a_mission_to_nowhere_and_several_speeds_for_one_flight_are_refused():
+    with pytest.raises(ScenarioError, match=r"the mission stays at \(0.0, 0.0, 0.0\) m"):
         cruise_at(mission(mission={"goal": {"position": [0.0, 0.0, 0.0]}}), 5.0)
     with pytest.raises(ScenarioError, match="must be one speed for one flight"):
         cruise(mission(baseline={"cruise_speeds": [1.0, 2.0]}))
@@ -153,3 +156,67 @@ def test_a_study_refuses_flights_of_another_time():
             baselines=("cruise",),
             axis=({"path": "mission.duration", "values": [4.0, 5.0]},),
         )
+
+
+@pytest.fixture(scope="module")
+def tuned():
+    told = mission(mission={"duration": "free"})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(autopilot, "_FLIGHTS", 7)
+        return told, tune_cruise(told, None, PLANNER)
+
+
+def test_the_tuned_autopilot_spends_least_of_all_that_were_tried(tuned):
+    _, tuning = tuned
+    kept = [one for one in tuning.tried if one.arrived and not one.broken]
+    # The search flies to 1e-4; the flight itself is confirmed.
+    assert tuning.flight.energy_J == pytest.approx(min(o.energy_J for o in kept), rel=1e-3)
+    # The search moves away from where it starts, PX4's settings.
+    assert tuning.flight.energy_J < (1 - 1e-3) * tuning.tried[0].energy_J
+    assert tuning.flight.is_verified
+    assert has_arrived(tuning.flight)
+    assert tuning.flight.name == TUNED_CRUISE
+
+
+def test_the_settings_told_are_those_that_the_flight_uses(tuned):
+    told, tuning = tuned
+    again = fly_cruise(told, tuning.settings, None, PLANNER)
+    assert again.energy_J == pytest.approx(tuning.flight.energy_J, rel=1e-5)
+    assert reached(told.cruising(tuning.settings)).speed == pytest.approx(tuning.settings.speed)
+    assert tuning.settings.speed <= max(one.settings.speed for one in tuning.tried)
+
+
+def test_settings_that_break_a_limit_cost_more_than_their_energy():
+    """From a hold the autopilot of 12 m/s^2 overshoots, the one of 1 m/s^2 does not."""
+    hold = {"position": [3.0, 1.5, 1.0], "hold": 1.0}
+    told = mission(mission={"duration": "free", "waypoints": [hold]})
+    fast, slow = (
+        autopilot._tried(
+            told,
+            CruiseSettings(speed=6.0, acceleration=rate, jerk=3 * rate),
+            plan=None,
+            planner=PLANNER,
+        )
+        for rate in (12.0, 1.0)
+    )
+    assert any("hold place 1" in limit for limit in fast.broken)
+    assert fast.cost_J > 1.5 * fast.energy_J
+    assert slow.broken == ()
+    assert slow.cost_J == slow.energy_J
+
+
+def test_an_autopilot_without_any_flight_within_the_limits_says_so(monkeypatch):
+    settings = CruiseSettings(speed=6.0, acceleration=3.0, jerk=4.0)
+    lost = TriedCruise(
+        settings=settings,
+        duration_s=9.0,
+        energy_J=700.0,
+        arrived=True,
+        broken=("tilt",),
+        cost_J=1e4,
+    )
+    monkeypatch.setattr(autopilot, "_tried", lambda *_, **__: lost)
+    broken = SimpleNamespace(broken_limits=("tilt by 2 deg",))
+    monkeypatch.setattr(autopilot, "fly_cruise", lambda *_: broken)
+    with pytest.raises(ScenarioError, match="settings of the autopilot arrives within the limits"):
+        tune_cruise(mission(), None, PLANNER)

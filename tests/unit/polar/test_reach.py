@@ -11,7 +11,7 @@ from pyproj import Geod
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.flight import Planner
-from pyomo_quad.polar.polar import COURSE, REACH, least_charge, steady_curve
+from pyomo_quad.polar.polar import COURSE, REACH, steady_curve
 from pyomo_quad.polar.reach import EAST, IS_CUT, NORTH, boundary_geojson, find_reach
 from pyomo_quad.scenario import load_scenario
 from tests.command import SCENARIOS
@@ -22,7 +22,7 @@ HOME = {"latitude": 47.0, "longitude": 8.0, "altitude": 400.0}
 
 def curve_of(scenario):
     steady = Planner().steady_flight(scenario)
-    return steady_curve(scenario, steady, 1.0 - least_charge(scenario))
+    return steady_curve(scenario, steady, 1.0 - scenario.limits.least_charge)
 
 
 @cache

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -12,6 +13,7 @@ from pyomo_quad.flight.planning import solve_scenario
 from pyomo_quad.report import Figures
 from pyomo_quad.report.report import climb_of, write_run_report, write_solve_report
 from pyomo_quad.scenario import load_scenario
+from pyomo_quad.study.headline import headline_of
 from tests.declared_model import scenario
 from tests.synthetic_run import (
     LOWER_BOUND_J,
@@ -19,6 +21,7 @@ from tests.synthetic_run import (
     synthetic_flight,
     synthetic_plan,
     synthetic_run,
+    with_tuned_autopilot,
 )
 
 
@@ -173,40 +176,40 @@ def test_a_climb_that_is_paid_for_is_not_called_free(overrides, above_hover_J, t
     assert climb_said(tmp_path, run) is None
 
 
-def test_a_saving_over_the_autopilot_stands_beside_the_autopilots_settings(tmp_path):
-    run = synthetic_run(
-        "scenarios/paper_calm.toml",
-        ("baseline.cruise_acceleration=6.0", "baseline.cruise_jerk=8.0"),
-    )
-    cruise = run.comparison["flight"] == "adaptive/minimum_snap"
-    run.comparison.loc[cruise, "flight"] = "adaptive/cruise 2 m/s"
+def test_the_saving_is_over_the_tuned_autopilot_with_its_settings(tmp_path):
+    run = with_tuned_autopilot(synthetic_run("scenarios/paper_calm.toml"))
     write_run_report(tmp_path, run, Figures.NONE)
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
     headline = next(part for part in text.split("\n\n") if part.startswith("> "))
-    assert "than `adaptive/cruise 2 m/s` in its 10.00 s" in headline
-    assert "accelerates by up to 6 m/s², with a jerk of up to 8 m/s³" in headline
+    rival = run.tuning.flight.energy_J
+    saved = 100 * (1 - run.plan.energy / rival)
+    assert headline.endswith(
+        "An autopilot tuned for least energy, at 8.38 m/s, 4.7 m/s² and 32.1 m/s³, takes "
+        f"{rival:.2f} J and 10 s: the plan saves {saved:.2f} %. "
+        "No flights in turbulence were flown."
+    )
+    tried = pd.read_csv(tmp_path / "autopilot.csv")
+    assert tried.speed_m_per_s.tolist() == [6.0, 8.38]
+    assert tried.broken_limits.tolist() == ["tilt", "none"]
+    assert "| 6.00 | 3.00 | 4.00 | 10.00 |" in text
 
 
-README = " ".join(Path("README.md").read_text(encoding="utf-8").split())
+def test_the_share_of_flights_that_hold_stands_in_the_headline():
+    run = synthetic_run("scenarios/paper_calm.toml")
+    run.plan.risk = SimpleNamespace(failed=10, flown=400)
+    said = headline_of(run).words
+    assert said.endswith("Of 400 flights in turbulence 390 arrive and keep every limit (97.5 %).")
 
 
-def test_the_readme_says_that_climbing_is_free_where_the_energies_stand():
+RESULTS = " ".join(Path("docs/evidence/results.md").read_text(encoding="utf-8").split())
+
+
+def test_the_book_says_that_climbing_is_free_where_the_energies_stand():
     scenario = load_scenario("scenarios/paper_calm.toml")
     _, potential = climb_of(scenario)
     frame = pd.read_csv("reports/paper_calm/comparison.csv").set_index("flight")
     spent = frame.excess_energy_J["optimal"]
-    first_table = README.index("| optimum | adaptive, smooth reference")
-    said = README[first_table : README.index("Free to choose its time")]
+    first_table = RESULTS.index("| optimum | adaptive, smooth reference")
+    said = RESULTS[first_table : RESULTS.index("Free to choose its time")]
     assert f"8 m are {potential:.0f} J of potential energy" in said
     assert f"{spent:.2f} J more than hovering" in said
-
-
-def test_the_readme_says_on_which_settings_of_the_autopilot_its_savings_rest():
-    parcel = load_scenario("scenarios/parcel.toml")
-    frame = pd.read_csv("reports/parcel/comparison.csv")
-    cruise = frame[frame.flight.str.startswith("adaptive/cruise")]
-    cheapest = cruise.loc[cruise.energy_J.idxmin()]
-    limit = f"{parcel.baseline.cruise_acceleration:g} m/s²"
-    saved = f"`parcel` saves {cheapest.saving_percent:.1f} %"
-    assert f"{saved} where the autopilot accelerates by up to {limit}" in README
-    assert "run scenarios/parcel.toml --set baseline.cruise_acceleration=6" in README

@@ -1,0 +1,59 @@
+"""Diagnosis of a solve that failed, in words of the mission."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pyomo_quad.collocation import Diagnosis, Relaxation
+    from pyomo_quad.scenario.mission import NamedDuration
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failure:
+    """The diagnosis of a solve that failed.
+
+    Attributes
+    ----------
+    longest : NamedDuration
+        The mission's duration; the greatest duration if it is free.
+    shortest_duration_s : float or None
+        The least time in which the mission can be flown within its limits; None if none was found.
+    diagnosis : Diagnosis
+        The engine's: worst equations, active limits, and declarations that must be relaxed
+        together.
+    remedies : tuple of Relaxation
+        Single limits whose relaxation alone would make the mission possible.
+    """
+
+    longest: NamedDuration
+    shortest_duration_s: float | None
+    diagnosis: Diagnosis
+    remedies: tuple[Relaxation, ...]
+
+    @property
+    def is_too_short(self) -> bool:
+        """Whether a longer duration would suffice."""
+        return (
+            self.shortest_duration_s is not None and self.shortest_duration_s > self.longest.value
+        )
+
+    def causes(self) -> Iterator[str]:
+        """Yield one sentence per cause or remedy, the simplest first."""
+        if self.shortest_duration_s is not None and self.is_too_short:
+            missing = self.shortest_duration_s - self.longest.value
+            limits = ", ".join(str(limit.name) for limit in self.diagnosis.active) or "its limits"
+            yield (
+                f"{self.longest.field} = {self.longest.value:g} s is {missing:.3g} s too short: "
+                f"within {limits} the goal takes at least {self.shortest_duration_s:.4g} s."
+            )
+        for remedy in self.remedies:
+            yield (
+                f"{remedy.name} = {remedy.limit:.6g} {remedy.unit}: the mission would be "
+                f"possible if this limit alone were relaxed by {remedy.amount:.4g} {remedy.unit}."
+            )
+        for relaxation in self.diagnosis.relaxations:
+            yield f"least change that makes the mission possible: {relaxation}."

@@ -1,0 +1,86 @@
+"""The steady flight by which a vehicle returns: its airspeed and its current.
+
+The airspeed is that of least charge per metre over the ground against the wind at the start; the
+current is the pack's at that airspeed and at the charge in which the return may end, where it is
+greatest.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from pyomo_quad.collocation import SolveError
+from pyomo_quad.flight.steady import SteadyFlight
+from pyomo_quad.scenario import Scenario
+
+if TYPE_CHECKING:
+    from pyomo_quad.flight.problems import Problems
+
+# Airspeeds above the wind's between which the return's is searched [m/s].
+_SLOWEST_M_S, _FASTEST_M_S = 1.0, 25.0
+_TOLERANCE_M_S = 1e-3
+_SECONDS_PER_HOUR = 3600.0
+_WINDS = ("wind.velocity_x", "wind.velocity_y")
+
+
+def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
+    """Return the scenario with airspeed and current of its return, where they are not given.
+
+    Raises
+    ------
+    SolveError
+        If the vehicle cannot fly against its wind.
+    """
+    mission = scenario.mission
+    told = mission.return_flight
+    if not mission.return_reserve or None not in {told.airspeed, told.current}:
+        return scenario
+    plain = scenario.as_forecast().with_mission(return_reserve=False)
+    steady = problems.steady_flight(plain)
+    wind = _wind_at_start(problems, plain)
+    airspeed = told.airspeed or _cheapest(scenario, steady, wind)
+    current = told.current or _current(scenario, steady, airspeed)
+    held = told.model_copy(update={"airspeed": airspeed, "current": current})
+    return scenario.with_mission(return_flight=held)
+
+
+def _wind_at_start(problems: "Problems", scenario: Scenario) -> float:
+    """Return the speed of the wind at the start of the mission [m/s]."""
+    dynamics = problems.dynamics(scenario)
+    start = dynamics.initial_states()
+    states = np.array([[start.get(name, 0.0) for name in dynamics.state_names]])
+    controls = np.zeros((1, len(dynamics.control_names)))
+    keys = tuple((name, None) for name in _WINDS)
+    found = dynamics.table(keys, np.array([dynamics.start]), states, controls)
+    return float(np.hypot(*found[0]))
+
+
+def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
+    """Return the airspeed of least charge per metre against a wind [m/s]."""
+
+    def cost(airspeed: float) -> float:
+        try:
+            return _current(scenario, steady, airspeed) / (airspeed - wind)
+        except SolveError:
+            return np.inf
+
+    bounds = (wind + _SLOWEST_M_S, wind + _FASTEST_M_S)
+    found = minimize_scalar(
+        cost, bounds=bounds, method="bounded", options={"xatol": _TOLERANCE_M_S}
+    )
+    if not np.isfinite(found.fun):
+        raise SolveError(
+            f"mission.return_reserve: no steady flight goes against the wind of {wind:.3g} m/s; "
+            "fly in less wind, or give mission.return_flight.airspeed and current."
+        )
+    return float(found.x)
+
+
+def _current(scenario: Scenario, steady: SteadyFlight, airspeed: float) -> float:
+    """Return the pack's current in steady flight at the least charge of a return [A]."""
+    drawn = (1.0 - scenario.limits.least_charge) * steady.pack_capacity
+    rate, reserve = steady.charge_rates(steady.trim([airspeed, 0.0, 0.0]), np.array([drawn]))
+    if reserve[0] < 0.0:
+        raise SolveError(f"the pack cannot give the power of flight at {airspeed:g} m/s.")
+    return float(rate[0] * _SECONDS_PER_HOUR)

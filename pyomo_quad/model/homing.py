@@ -1,0 +1,133 @@
+"""The charge that brings a vehicle home from where it is, as a limit along the flight.
+
+symbol | name | unit | meaning
+d_k | way | m | straight way to home k: the start, or a rally point
+w_k | tail_wind | m/s | wind along that way, at the vehicle
+g_k | ground_speed | m/s | speed along it at the airspeed of the return, by the wind triangle
+q_k | charge_to | A h | charge of the return, with its margin
+q | charge_home | A h | charge of the return to the nearest home
+
+The return is steady and level at one airspeed V, which draws one current i: at a ground speed g =
+w + sqrt(V^2 - |wind|^2 + w^2) the way takes d / g, and the pack gives (1 + margin) i d / g. The
+wind is that at the vehicle, and height differences count as way; the margin covers the rest. See
+docs/theory/homing.md.
+"""
+
+from pyomo.core import Block, ConcreteModel, Set, exp, sqrt
+from pyomo.core.base.units_container import units
+from pyomo.core.expr import NumericExpression, RelationalExpression
+
+from pyomo_quad.model.battery import CHARGE
+from pyomo_quad.model.parameters import (
+    Parameter,
+    declare_parameters,
+    fields_of,
+    parameters_in,
+    saturated,
+)
+from pyomo_quad.scenario import Scenario
+
+# Lengthens the way home where it is short, so that it has a slope at home.
+_AT_HOME = 1.0 * units.m
+# Ground speeds and squares of speeds below which the wind stops the return; see `saturated`.
+_SLOWEST, _SPEED_WIDTH = 0.5 * units.m / units.s, 0.05 * units.m / units.s
+_STOPPED, _SQUARE_WIDTH = 0.25 * units.m**2 / units.s**2, 0.025 * units.m**2 / units.s**2
+# Share of the pack by which homes differ where the nearer one counts for nearly all.
+_SHARPNESS = 200.0
+
+
+def _places(axis: int, scenario: Scenario) -> dict[int, float]:
+    homes = (scenario.mission.start.position, *scenario.mission.rally)
+    return {k: place[axis] for k, place in enumerate(homes)}
+
+
+_HOMES = tuple(
+    Parameter(
+        name=f"home_{name}",
+        units=units.m,
+        value=lambda s, axis=axis: _places(axis, s),  # type: ignore[misc]
+        doc=f"{name} of the places to return to",
+    )
+    for axis, name in enumerate("xyz")
+)
+_USABLE_CHARGE = Parameter(
+    name="usable_charge",
+    units=units.dimensionless,
+    value=lambda s: 1.0 - s.limits.least_charge,
+    doc="share of the charge that is used when the return ends",
+)
+
+
+@parameters_in("homing")
+def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
+    """Return the numbers of the return, none where no charge is kept for it."""
+    if not scenario.mission.return_reserve:
+        return ()
+    of_flight = fields_of("mission.return_flight", "margin", "airspeed", "current")
+    return (*_HOMES, _USABLE_CHARGE, *of_flight)
+
+
+def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare the charge of the return and its limit in block `homing`, where it is asked for.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With `time`, `rigid_body`, `wind` and `battery`.
+    """
+    if not scenario.mission.return_reserve:
+        return
+    b = m.homing = Block(doc="return to the start or a rally point")
+    declare_parameters(b, scenario)
+    b.home = Set(initialize=list(_places(0, scenario)))
+    _declare_way(b, m)
+    _declare_charge(b, m)
+
+    @b.Constraint(m.time, doc="the pack holds what the return takes [A h]")
+    def return_limit(b: Block, t: float) -> RelationalExpression:
+        pack = b.parent_block().battery
+        usable = b.usable_charge * pack.pack_capacity
+        return pack.charge_drawn[t] + b.charge_home[t] <= usable
+
+
+def _declare_way(b: Block, m: ConcreteModel) -> None:
+    @b.Expression(b.home, m.time, doc="straight way home, eq. (1) [m]")
+    def way(b: Block, k: int, t: float) -> NumericExpression:
+        body = b.parent_block().rigid_body
+        squares = (b.home_x[k] - body.x[t]) ** 2 + (b.home_y[k] - body.y[t]) ** 2
+        return sqrt(squares + (b.home_z[k] - body.z[t]) ** 2 + _AT_HOME**2)
+
+    @b.Expression(b.home, m.time, doc="wind along the way home, eq. (2) [m/s]")
+    def tail_wind(b: Block, k: int, t: float) -> NumericExpression:
+        body, wind = b.parent_block().rigid_body, b.parent_block().wind
+        along_x = wind.velocity_x[t] * (b.home_x[k] - body.x[t])
+        along_y = wind.velocity_y[t] * (b.home_y[k] - body.y[t])
+        return (along_x + along_y) / b.way[k, t]
+
+    @b.Expression(b.home, m.time, doc="speed over ground on the way home, eq. (3) [m/s]")
+    def ground_speed(b: Block, k: int, t: float) -> NumericExpression:
+        wind = b.parent_block().wind
+        across = wind.velocity_x[t] ** 2 + wind.velocity_y[t] ** 2 - b.tail_wind[k, t] ** 2
+        through_air = saturated(b.airspeed**2 - across, _STOPPED, _SQUARE_WIDTH)
+        return saturated(b.tail_wind[k, t] + sqrt(through_air), _SLOWEST, _SPEED_WIDTH)
+
+
+def _declare_charge(b: Block, m: ConcreteModel) -> None:
+    @b.Expression(b.home, m.time, doc="charge of the return with its margin, eq. (4) [A h]")
+    def charge_to(b: Block, k: int, t: float) -> NumericExpression:
+        lasting = b.way[k, t] / b.ground_speed[k, t]
+        return units.convert((1 + b.margin) * b.current * lasting, to_units=CHARGE)
+
+    @b.Expression(m.time, doc="charge of the return to the nearest home, eq. (5) [A h]")
+    def charge_home(b: Block, t: float) -> NumericExpression:
+        homes = list(b.home)
+        if len(homes) == 1:
+            return b.charge_to[homes[0], t]
+        # A mean with weights that fall with the charge is never below the least, and smooth.
+        capacity = b.parent_block().battery.pack_capacity
+        weights = [
+            exp(-_SHARPNESS * (b.charge_to[k, t] - b.charge_to[homes[0], t]) / capacity)
+            for k in homes
+        ]
+        weighted = sum(w * b.charge_to[k, t] for w, k in zip(weights, homes, strict=True))
+        return weighted / sum(weights)

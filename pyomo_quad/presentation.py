@@ -1,0 +1,58 @@
+"""Figures and reports of plans and runs, for methods of classes that stand below the reports.
+
+The lower floors import nothing that draws. The package tells this module, when it is imported, how
+to find the functions that do; a plan or a run asks for them when it is drawn.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+
+class Picture(Protocol):
+    """A drawn figure, which a notebook shows."""
+
+    @property
+    def name(self) -> str:
+        """Name of the figure, or the column of the table that it shows."""
+
+    @property
+    def caption(self) -> str:
+        """Description of the figure, as a report prints it."""
+
+    @property
+    def figure(self) -> Any:  # noqa: ANN401  this floor does not import matplotlib
+        """The matplotlib figure, to change or to add to."""
+
+    def save(self, path: str | Path) -> Path:
+        """Write the figure to a file that ends in .png, .svg or .pdf, and return its path."""
+
+
+class Presenter(Protocol):
+    """Functions that draw and report plans and runs."""
+
+    def picture_of_plan(self, plan: Any, what: str) -> Picture:  # noqa: ANN401
+        """Draw a figure of a plan, or a column of its table."""
+
+    def picture_of_run(self, result: Any, what: str) -> Picture:  # noqa: ANN401
+        """Draw a figure of a run, or a column of its plan's table."""
+
+    def report_plan(self, plan: Any, folder: str | Path, figures: str) -> Path:  # noqa: ANN401
+        """Write the report of a plan into a folder and return its text file."""
+
+    def report_run(self, result: Any, folder: str | Path, figures: str) -> Path:  # noqa: ANN401
+        """Write the report of a run into a folder and return its page."""
+
+
+_supply: list[Callable[[], Presenter]] = []
+
+
+def register_presenter(supply: Callable[[], Presenter]) -> None:
+    """Register the function that imports and returns the presenter, once for the process."""
+    _supply[:] = [supply]
+
+
+def presenter() -> Presenter:
+    """Return the presenter; the first call imports matplotlib."""
+    (supply,) = _supply
+    return supply()
