@@ -280,6 +280,7 @@ def synthetic_run(path="scenarios/paper_wind.toml", overrides=(), flights=tuple(
         certificate=certificate,
         adaptation=None,
         front=pd.DataFrame(),
+        aims=pd.DataFrame(),
         timings={"solve": 1.0},
         warnings=(),
         tuning=None,

@@ -116,6 +116,10 @@ _OF_THE_WHOLE = (
     _battery(
         "state_of_charge_percent", "state_of_charge", "state of charge", r"\mathrm{SoC}", "%", 0.1
     ),
+    _battery("battery_relaxation_V", "relaxation_voltage", "slow voltage drop", "u_1", "V", 0.1),
+    _battery(
+        "battery_temperature_K", "temperature", "pack temperature", r"T_\mathrm{bat}", "K", 0.5
+    ),
 )
 # Each is a pattern for one column per rotor; the rotor's number replaces the braces.
 _SPEEDS = (

@@ -16,11 +16,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, least_squares
 
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight.baselines import declared_start
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
+from pyomo_quad.model.battery import CHARGE_STATE
+from pyomo_quad.model.battery_circuit import CIRCUIT_STATES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -32,7 +35,6 @@ FloatArray = NDArray[np.float64]
 
 ROLL, PITCH, _YAW = "rigid_body.phi", "rigid_body.theta", "rigid_body.psi"
 _ROTOR_SPEED = "rotors.omega["
-_CHARGE = "battery.charge_drawn"
 _CHARGE_RATE = "battery.dcharge_drawn_dt"
 _FIRST_ROTOR = 1
 _INDUCED = "power.induced_velocity"
@@ -183,7 +185,8 @@ class SteadyFlight:
         """
         states = np.tile(trim.states, (len(drawn), 1))
         controls = np.tile(trim.controls, (len(drawn), 1))
-        states[:, self._dynamics.state_names.index(_CHARGE)] = drawn
+        states[:, self._dynamics.state_names.index(CHARGE_STATE)] = drawn
+        self._load_circuit(states, trim, drawn)
         keys = ((_CHARGE_RATE, None), ("battery.power_reserve", None))
         rate, reserve = self._rows(keys, states, controls).T
         return rate, reserve
@@ -198,6 +201,28 @@ class SteadyFlight:
         if np.min(reserve) < 0.0:
             return 0.0
         return float(np.trapezoid(1.0 / rate, drawn)) if np.min(rate) > 0.0 else np.inf
+
+    def _load_circuit(self, states: FloatArray, trim: Trim, drawn: FloatArray) -> None:
+        """Set slow drop and temperature of the pack as a steady load leaves them, over the charge.
+
+        Rows stay at the start where the pack can no longer give the power.
+        """
+        names = self._dynamics.state_names
+        own = [k for k, name in enumerate(names) if name in CIRCUIT_STATES]
+        if not own:
+            return
+        charge = names.index(CHARGE_STATE)
+
+        def slope(drawn: float, circuit: FloatArray) -> FloatArray:
+            state = trim.states.copy()
+            state[charge], state[own] = drawn, circuit
+            rates = self._dynamics.rates(self._dynamics.start, state, trim.controls)
+            return np.asarray(rates[own] / rates[charge])
+
+        found = solve_ivp(
+            slope, drawn[[0, -1]], trim.states[own], t_eval=drawn, method="LSODA", rtol=1e-6
+        )
+        states[: found.y.shape[1], own] = found.y.T
 
     @cached_property
     def _hovering(self) -> Trim:
@@ -296,7 +321,7 @@ class SteadyFlight:
     def stored_energy(self, depth: float, samples: int) -> float:
         """Return the energy [J] of the full pack, without load, down to a depth of 0 to 1."""
         states = np.tile(self._start, (samples, 1))
-        column = self._dynamics.state_names.index(_CHARGE)
+        column = self._dynamics.state_names.index(CHARGE_STATE)
         drawn = states[:, column] = np.linspace(0.0, depth * self.pack_capacity, samples)
         voltage = self._rows((("battery.open_circuit_voltage", None),), states)[:, 0]
         hover = self.hover
@@ -307,7 +332,7 @@ class SteadyFlight:
     def pack_capacity(self) -> float:
         """Charge of the full pack, A h."""
         states = np.tile(self._start, (2, 1))
-        states[:, self._dynamics.state_names.index(_CHARGE)] = 0.0, 1.0
+        states[:, self._dynamics.state_names.index(CHARGE_STATE)] = 0.0, 1.0
         full, less = self._rows((("battery.state_of_charge", None),), states)[:, 0].tolist()
         return full / (full - less)
 
@@ -315,7 +340,7 @@ class SteadyFlight:
         rates = self._dynamics.rates(
             self._dynamics.start, states, np.zeros(len(self._dynamics.control_names))
         )
-        return float(rates[self._dynamics.state_names.index(_CHARGE)])
+        return float(rates[self._dynamics.state_names.index(CHARGE_STATE)])
 
     def _speed_where(self, reading: object, wanted: float) -> float:
         """Return the speed of all rotors at which a rising reading has a given value."""

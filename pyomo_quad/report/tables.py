@@ -285,6 +285,7 @@ def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "
 
 
 FRONT_NAME = "front.csv"
+AIMS_NAME = "energy_and_charge.csv"
 
 
 def read_front(folder: Path) -> "pd.DataFrame | None":

@@ -19,6 +19,7 @@ from pyomo_quad.flight.risk import plan_at_risk
 from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.presentation import presenter
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
+from pyomo_quad.study.aims import disagreement, energy_and_charge
 from pyomo_quad.study.autopilot import TUNED_CRUISE, Tuning, fly_cruise, tune_cruise
 from pyomo_quad.study.certificate import Certificate, certify
 from pyomo_quad.study.check import plan_cautions
@@ -56,6 +57,8 @@ class RunResult(Summarised):
         Effect of adaptation in that wind, see `comparison.adaptation_study`; None in calm air.
     front : DataFrame
         Energy against time, see `study.front`; empty if the mission fixes its duration.
+    aims : DataFrame
+        Least energy against least charge, see `study.aims`; empty under the paper's equations.
     timings : mapping
         Seconds of the plan's phases, of the certificate, of the front, and of flights and cautions
         beyond these.
@@ -73,6 +76,7 @@ class RunResult(Summarised):
     certificate: Certificate
     adaptation: pd.DataFrame | None
     front: pd.DataFrame
+    aims: pd.DataFrame
     timings: Mapping[str, float]
     warnings: tuple[str, ...]
     tuning: Tuning | None = None
@@ -270,6 +274,7 @@ def _run(
         certificate = certify(scenario, planner=planner)
         certified = perf_counter()
         front = energy_time_front(plan, planner=planner, progress=progress)
+        aims = energy_and_charge(plan, planner=planner, progress=progress)
         swept = perf_counter()
         meanwhile()
         helping = perf_counter()
@@ -292,6 +297,7 @@ def _run(
         certificate=certificate,
         adaptation=adaptation,
         front=front,
+        aims=aims,
         timings={
             **plan.timings,
             "fly": (ended - began) - (helping - here),
@@ -300,6 +306,7 @@ def _run(
         },
         warnings=(
             *cautions,
+            *disagreement(aims),
             *(why for why in flown if isinstance(why, str)),
             *(f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt),
         ),
