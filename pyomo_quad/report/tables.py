@@ -183,7 +183,7 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
     if headline is not None:
         summary["headline"] = headline.summary
     if result.often is not None:
-        from pyomo_quad.report.ensemble import ensemble_summary  # noqa: PLC0415  it draws
+        from pyomo_quad.study.ensemble import ensemble_summary  # noqa: PLC0415  a solve has none
 
         often = ensemble_summary(result.often.flown, result.often.savings)
         is_said = often.keys() & summary.keys() | {"wall_s"}
