@@ -52,10 +52,11 @@ suppress_warnings = ["myst.header", "misc.highlighting_failure"]
 
 nb_execution_mode = "force"
 nb_execution_in_temp = True
-nb_execution_timeout = 600
+nb_execution_timeout = 1800
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 nb_merge_streams = True
+nb_render_markdown_format = "myst"  # tables and formulas in outputs
 nb_mime_priority_overrides = [("html", "image/png", 0)]
 
 autodoc_typehints = "none"  # the numpydoc sections say the types

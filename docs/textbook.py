@@ -11,6 +11,7 @@ from IPython.display import Image, Markdown, display
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from pyomo_quad.collocation import compile as compiled_model
@@ -20,6 +21,7 @@ _TOLERANCE = 1e-6
 # Relative error of an optimum, beside its tolerance, of problems that end in a corner of it.
 _MARGIN = 10.0
 _MOST_CURVES = 8
+_SAMPLES = 401
 
 
 def solved(name):
@@ -62,7 +64,10 @@ def _told(case, solution):
 
 
 def _drawn(solution):
-    frame = solution.to_frame()
+    times = None  # of several horizons, the nodes
+    if solution.parts == (solution,):
+        times = np.linspace(solution.times[0], solution.times[-1], _SAMPLES)
+    frame = solution.to_frame(times) if times is not None else solution.to_frame()
     time, *names = frame.columns
     shown = [name for name in names if frame[name].dtype.kind == "f"][:_MOST_CURVES]
     figure = Figure(figsize=(7.2, 2.4), layout="constrained")
