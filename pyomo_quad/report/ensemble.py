@@ -22,8 +22,13 @@ from pyomo_quad.report.style import (
     legend_below,
     panel_grid,
 )
-from pyomo_quad.study.ensemble import BAND, CONFIDENCE, Ensemble, Saving
-from pyomo_quad.version import __version__
+from pyomo_quad.study.ensemble import (
+    BAND,
+    CONFIDENCE,
+    Ensemble,
+    Saving,
+    ensemble_summary,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -60,55 +65,6 @@ def write_ensemble(
         confidence=CONFIDENCE,
     )
     return summary
-
-
-def ensemble_summary(flown: Ensemble, savings: Sequence[Saving] = ()) -> dict[str, Any]:
-    """Return the results of many flights as values for JSON."""
-    worst = flown.worst
-    return {
-        **_facts(flown),
-        "broken_limits": [
-            {"limit": name, "share": share.value, "interval": share.interval, "worst": worst[name]}
-            for name, share in flown.broken.items()
-        ],
-        "savings": [
-            {
-                "flight": saving.rival.name,
-                **_facts(saving.rival),
-                "saving_percent": dict(zip(_QUANTILES, saving.percent, strict=True)),
-                "both_held": saving.both_held,
-            }
-            for saving in savings
-        ],
-        "wall_s": {"fly": flown.wall_s + sum(saving.rival.wall_s for saving in savings)},
-        "version": __version__,
-        "scenario_resolved": flown.scenario.model_dump(mode="json"),
-    }
-
-
-_QUANTILES = tuple(f"{round(100 * share)}_percent" for share in BAND)
-# Attributes of `Ending` whose distribution the summary gives.
-_QUANTITIES = (
-    "energy_J",
-    "charge_used_percent",
-    "miss_m",
-    "end_speed_m_per_s",
-    "largest_deviation_m",
-)
-
-
-def _facts(flown: Ensemble) -> dict[str, Any]:
-    return {
-        "scenario": flown.scenario.name,
-        "flight": flown.name,
-        "flights": flown.count,
-        "seed": flown.seed,
-        "duration_s": flown.scenario.mission.fixed_duration,
-        "held": flown.held.count,
-        "held_share": flown.held.value,
-        "held_interval": flown.held.interval,
-        **{name: dict(zip(_QUANTILES, flown.band(name), strict=True)) for name in _QUANTITIES},
-    }
 
 
 def ensemble_drawings(

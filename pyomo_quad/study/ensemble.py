@@ -5,10 +5,11 @@ meet the same winds.
 """
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from pyomo_quad.flight.weather import draw
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.study.processes import side_by_side
+from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -313,3 +315,52 @@ def fly_in_turbulence(plan: Plan, cruise: float | None, *, planner: Planner) -> 
         return InTurbulence(flown=flown, savings=())
     rival = fly_cruise_often(mission, cruise, planner=planner, flights=flights, seed=_SEED)
     return InTurbulence(flown=flown, savings=(Saving.of(flown, rival),))
+
+
+def ensemble_summary(flown: Ensemble, savings: Sequence[Saving] = ()) -> dict[str, Any]:
+    """Return the results of many flights as values for JSON."""
+    worst = flown.worst
+    return {
+        **_facts(flown),
+        "broken_limits": [
+            {"limit": name, "share": share.value, "interval": share.interval, "worst": worst[name]}
+            for name, share in flown.broken.items()
+        ],
+        "savings": [
+            {
+                "flight": saving.rival.name,
+                **_facts(saving.rival),
+                "saving_percent": dict(zip(_QUANTILES, saving.percent, strict=True)),
+                "both_held": saving.both_held,
+            }
+            for saving in savings
+        ],
+        "wall_s": {"fly": flown.wall_s + sum(saving.rival.wall_s for saving in savings)},
+        "version": __version__,
+        "scenario_resolved": flown.scenario.model_dump(mode="json"),
+    }
+
+
+_QUANTILES = tuple(f"{round(100 * share)}_percent" for share in BAND)
+# Attributes of `Ending` whose distribution the summary gives.
+_QUANTITIES = (
+    "energy_J",
+    "charge_used_percent",
+    "miss_m",
+    "end_speed_m_per_s",
+    "largest_deviation_m",
+)
+
+
+def _facts(flown: Ensemble) -> dict[str, Any]:
+    return {
+        "scenario": flown.scenario.name,
+        "flight": flown.name,
+        "flights": flown.count,
+        "seed": flown.seed,
+        "duration_s": flown.scenario.mission.fixed_duration,
+        "held": flown.held.count,
+        "held_share": flown.held.value,
+        "held_interval": flown.held.interval,
+        **{name: dict(zip(_QUANTILES, flown.band(name), strict=True)) for name in _QUANTITIES},
+    }

@@ -310,16 +310,16 @@ def _run(
             "certify": certified - here,
             "front": swept - certified,
         },
-        warnings=(
-            *cautions,
-            *disagreement(aims),
-            *(why for why in flown if isinstance(why, str)),
-            *(f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt),
-            *refused,
-        ),
+        warnings=(*cautions, *disagreement(aims), *_doubts(flown, flights), *refused),
         tuning=tuning,
         often=often,
     )
+
+
+def _doubts(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[str]:
+    """Yield why flights could not be flown, or are not confirmed."""
+    yield from (why for why in flown if isinstance(why, str))
+    yield from (f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt)
 
 
 def _often(
