@@ -22,7 +22,13 @@ from pyomo_quad.report.style import (
     legend_below,
     panel_grid,
 )
-from pyomo_quad.study.ensemble import BAND, CONFIDENCE, Ensemble, Saving, ensemble_summary
+from pyomo_quad.study.ensemble import (
+    BAND,
+    CONFIDENCE,
+    Ensemble,
+    Saving,
+    ensemble_summary,
+)
 
 FloatArray = NDArray[np.float64]
 
