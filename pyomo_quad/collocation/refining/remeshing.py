@@ -165,8 +165,7 @@ def refined_mesh(
         if jump is not None:
             pieces.extend(_isolated(mesh, e, jump, float(size)))
         elif e in marks.coarse:
-            is_junction = e in marks.kept
-            pieces.extend(_finer(solution, e, error, tolerance, options, is_junction=is_junction))
+            pieces.extend(_finer(solution, e, error, tolerance, options))
         elif e in marks.kept:
             piece = _Piece(mesh.breakpoints[e + 1], mesh.degrees[e], float(size), is_changed=True)
             pieces.append(piece)
@@ -222,17 +221,12 @@ def _finer(
     error: ErrorEstimate,
     tolerance: float,
     options: RefinementOptions,
-    *,
-    is_junction: bool,
 ) -> list[_Piece]:
     mesh = solution.mesh
     degree, size = mesh.degrees[e], float(error.per_element[e])
     if mesh.widths[e] < 2.0 * options.smallest_width:
         return [_Piece(mesh.breakpoints[e + 1], degree, size, is_changed=True)]
     is_corner = error.is_held[e] or size in (error.restraint[e], error.switches[e])
-    # A limit is exceeded where it becomes active, at a kink that no degree resolves either.
-    is_kink = is_junction and degree > 2 and error.violation[e] == size
-    is_corner = is_corner or (is_kink and not options.limits_move)
     if size <= tolerance or is_corner:
         is_chased = error.is_held[e] and len(solution.history) > _CHASING_MESHES
         parts = (_CONSTANT_PARTS, 1) if is_chased else (_CORNER_PARTS, min(degree, _CORNER_DEGREE))
