@@ -34,7 +34,10 @@ _TAG = re.compile(r"\\tag\{([^}]*)\}")
 
 
 def generate(docs):
-    """Copy the pages beside the book and write the generated ones into a folder of sources."""
+    """Copy the pages beside the book and write the generated ones into a folder of sources.
+
+    A page that is as it was keeps its time, so that Sphinx does not run it again.
+    """
     copies = docs / COPIES
     shutil.rmtree(copies, ignore_errors=True)
     for tree in _TREES:
@@ -44,17 +47,17 @@ def generate(docs):
     for page in _PAGES:
         _copy(ROOT / page, copies)
     pages = docs / GENERATED
-    shutil.rmtree(pages, ignore_errors=True)
     for name, text in generated_pages():
         file = pages / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text, encoding="utf-8")
+        if not file.is_file() or file.read_text(encoding="utf-8") != text:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text, encoding="utf-8")
 
 
 def _copy(file, copies):
     target = copies / file.relative_to(ROOT)
     target.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(file, target)
+    shutil.copy2(file, target)
 
 
 def adapt_source(app, docname, source):
@@ -104,7 +107,7 @@ def visit_math_block(translator, node):
     number = _TAG.search(latex)
     said = f'<span class="eqno">({number.group(1)})</span>' if number else ""
     shown = _mathml(_TAG.sub("", latex).strip(), "block")
-    translator.body.append(f'<div class="math">{said}{shown}</div>\n')
+    translator.body.append(f'<div class="math"><div>{shown}</div>{said}</div>\n')
     raise nodes.SkipNode
 
 

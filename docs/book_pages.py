@@ -117,7 +117,7 @@ def _scenario_lines(name, told):
     with (report / "comparison.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     copied = f"../repository/reports/{name}"
-    text = f"![{told.get('title', name)}]({copied}/figures/overview.svg)\n\n"
+    text = f"![{told.get('title', name)}]({copied}/figures/map.svg)\n\n"
     text += "| | energy (J) | duration (s) | saved by the plan (%) |\n|---|---:|---:|---:|\n"
     for row in rows[:4]:
         saved = row["saving_percent"] or "nan"

@@ -280,7 +280,9 @@ def synthetic_run(path="scenarios/paper_wind.toml", overrides=(), flights=tuple(
         certificate=certificate,
         adaptation=None,
         front=pd.DataFrame(),
+        aims=pd.DataFrame(),
         timings={"solve": 1.0},
         warnings=(),
         tuning=None,
+        often=None,
     )

@@ -12,7 +12,6 @@ from pyomo_quad.cli.terminal import FigureChoice, Quiet, ReportFolder, complain,
 from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import output_folder, refuse_output_folder
 from pyomo_quad.scenario import ScenarioError
-from pyomo_quad.scenario.messages import shown
 
 if TYPE_CHECKING:
     from pyomo_quad.vehicles.owner import EstimatedVehicle, Known
@@ -114,17 +113,13 @@ def _known(
     battery: str | None,
     rotors: int,
 ) -> "Known":
-    from pyomo_quad.scenario.description import is_name  # noqa: PLC0415
+    from pyomo_quad.scenario.description import refuse_no_name  # noqa: PLC0415
     from pyomo_quad.scenario.vehicle import RPM  # noqa: PLC0415
     from pyomo_quad.vehicles.owner import Known  # noqa: PLC0415
     from pyomo_quad.vehicles.pack import pack_of  # noqa: PLC0415
     from pyomo_quad.vehicles.propulsion import propeller_of  # noqa: PLC0415
 
-    if not is_name(name):
-        raise ScenarioError(
-            f"NAME = {shown(name)}; must be 1 to 64 letters, digits, '_', '-' or '.', starting "
-            "with a letter or digit."
-        )
+    refuse_no_name(name)
     if mass is None or propeller is None:
         raise ScenarioError(
             "vehicle: needs --mass in kg and --propeller in inches at least, such as --mass 1.5 "

@@ -271,14 +271,21 @@ def identify(
             raise ScenarioError(f"--fit {name[:60]}: must be one of {', '.join(FITTABLE)}.")
     if steady is not None:
         return _identify_steady(steady, base, folder, fit, figures, is_quiet=quiet)
+    from pyomo_quad.identification.pack import identify_pack  # noqa: PLC0415
     from pyomo_quad.identification.report import write_identification  # noqa: PLC0415
     from pyomo_quad.identification.validation import scores  # noqa: PLC0415
 
-    scenario, frame = _read(logs or [], base, flights)
+    scenario, frame, voltages = _read(logs or [], base, flights)
     with raise_on_interrupt(), _report_folder(folder, is_quiet=quiet) as (aside, lines):
         found = identify(scenario, frame, fit or FITTED)
-        write_identification(aside, found, base, figures)
+        pack = identify_pack(scenario, voltages)
+        write_identification(aside, found, base, figures, pack)
         lines.extend(_parameter_lines(found.parameters, found.together))
+        if pack is not None:
+            lines.append(
+                f"pack, cross-validated by flight: {pack.error_mV:.1f} mV per cell, "
+                f"{len(pack.flights)} flights"
+            )
         lines.append(f"cross-validated by flight: {_said(scores(frame, found.cross_validated))}")
         lines += [
             f"fitted on {t.fitted_on}, tried on {t.tried_on}: {_said(t.scores)}"
@@ -351,16 +358,22 @@ def predict(
     from pyomo_quad.identification.motion import LoggedMotion  # noqa: PLC0415  takes a second
     from pyomo_quad.identification.report import write_predictions  # noqa: PLC0415
 
-    scenario, frame = _read(logs, vehicle, None)
+    scenario, frame, _ = _read(logs, vehicle, None)
     with raise_on_interrupt(), _report_folder(folder, is_quiet=quiet) as (aside, lines):
         lines.append(_said(write_predictions(aside, frame, LoggedMotion(scenario, frame).power())))
     return ExitCode.VERIFIED
 
 
-def _read(logs: list[Path], vehicle: str, flights: Path | None) -> "tuple[Scenario, pd.DataFrame]":
+def _read(
+    logs: list[Path], vehicle: str, flights: Path | None
+) -> "tuple[Scenario, pd.DataFrame, pd.DataFrame]":
+    """Return the vehicle and the rows of its flights; their voltages, if all logs have them."""
+    import pandas as pd  # noqa: PLC0415
+
     from pyomo_quad.identification.logs import (  # noqa: PLC0415
         once_each,
         read_logs,
+        read_voltages,
         refuse_wrong_units,
         together,
     )
@@ -375,7 +388,11 @@ def _read(logs: list[Path], vehicle: str, flights: Path | None) -> "tuple[Scenar
         complain(printable(f"logs: flight {copy} duplicates flight {flight}; it counts once."))
     if flights is not None:
         frame = _chosen(frame, flights)
-    return scenario, frame
+    electric = [(file, read_voltages(file, flown)) for file, flown in read]
+    if any(one.empty for _, one in electric):
+        return scenario, frame, pd.DataFrame()
+    voltages = together(electric)
+    return scenario, frame, voltages[voltages["flight"].isin(frame["flight"])]
 
 
 def _chosen(frame: "pd.DataFrame", flights: Path) -> "pd.DataFrame":

@@ -341,7 +341,10 @@ class Dynamics:
     def states_used_up(self) -> tuple[str, ...]:
         """States fixed at the start of the horizon and free at its end, for example a charge."""
         declared = self._formulation.compiled.declared
-        given = {(p.slot, p.fraction) for p in declared.point_symbols} | set(declared.fixed)
+        # An objective that reads the end of a state leaves it free.
+        priced = symbol_names(declared.objective)
+        points = [p for p in declared.point_symbols if p.symbol.name() not in priced]
+        given = {(p.slot, p.fraction) for p in points} | set(declared.fixed)
         at_start = {name for name, fraction in given if fraction == 0.0}
         at_start |= {slot.name for slot in declared.outputs}
         return tuple(n for n in self.state_names if n in at_start and (n, 1.0) not in given)

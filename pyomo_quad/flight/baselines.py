@@ -42,6 +42,8 @@ from pyomo_quad.flight.verification import (
     shares_lacking,
     voltage_lacking,
 )
+from pyomo_quad.model.battery import CHARGE_STATE
+from pyomo_quad.model.battery_circuit import states_at_start
 from pyomo_quad.model.mission import HOVERING_M, HOVERING_M_PER_S
 from pyomo_quad.model.turbulence import FILTER_STATES
 from pyomo_quad.scenario import Scenario, ScenarioError
@@ -55,7 +57,6 @@ FloatArray = NDArray[np.float64]
 _RIGID_BODY = "rigid_body."
 _ROTOR_SPEED = "rotors.omega["
 _YAW = "rigid_body.psi"
-_CHARGE_DRAWN = "battery.charge_drawn"
 _STATE_OF_CHARGE = "battery.state_of_charge"
 
 
@@ -96,10 +97,11 @@ def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
 
 
 def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
-    """Return the states that the mission gives at the start: hover, and the pack's charge."""
+    """Return the states that the mission gives at the start: hover, and those of the pack."""
     known = _hovering(scenario, scenario.mission.start, dynamics)
-    if _CHARGE_DRAWN in dynamics.state_names and dynamics.has(_STATE_OF_CHARGE):
-        known[_CHARGE_DRAWN] = _charge_drawn(scenario, dynamics)
+    if CHARGE_STATE in dynamics.state_names and dynamics.has(_STATE_OF_CHARGE):
+        known[CHARGE_STATE] = _charge_drawn(scenario, dynamics)
+        known |= states_at_start(scenario)
     return known
 
 
@@ -122,7 +124,7 @@ def _hovering(
 def _charge_drawn(scenario: Scenario, dynamics: Dynamics) -> float:
     """Return the charge drawn at the initial state of charge, which is linear in it."""
     states = np.zeros((2, len(dynamics.state_names)))
-    states[1, dynamics.state_names.index(_CHARGE_DRAWN)] = 1.0
+    states[1, dynamics.state_names.index(CHARGE_STATE)] = 1.0
     controls = np.zeros((2, len(dynamics.control_names)))
     full, less = dynamics.evaluate(_STATE_OF_CHARGE, np.zeros(2), states, controls).tolist()
     return (scenario.battery.initial_state_of_charge - full) / (less - full)

@@ -16,11 +16,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, least_squares
 
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight.baselines import declared_start
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
+from pyomo_quad.model.battery import CHARGE_STATE
+from pyomo_quad.model.battery_circuit import CIRCUIT_STATES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -32,7 +35,6 @@ FloatArray = NDArray[np.float64]
 
 ROLL, PITCH, _YAW = "rigid_body.phi", "rigid_body.theta", "rigid_body.psi"
 _ROTOR_SPEED = "rotors.omega["
-_CHARGE = "battery.charge_drawn"
 _CHARGE_RATE = "battery.dcharge_drawn_dt"
 _FIRST_ROTOR = 1
 _INDUCED = "power.induced_velocity"
@@ -173,17 +175,23 @@ class SteadyFlight:
         """Return the speed of each rotor in a steady flight, rad/s."""
         return trim.states[self._rotors]
 
-    def charge_rates(self, trim: Trim, drawn: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def charge_rates(
+        self, trim: Trim, drawn: FloatArray, circuit: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Return charge per second [A h/s] and power left [W] in steady flight, at charges drawn.
 
         Parameters
         ----------
         drawn : ndarray, shape (n,)
             Charge drawn from the full pack [A h].
+        circuit : ndarray, shape (n, n_circuit), optional
+            Slow drop and temperature of the pack; those of the start without.
         """
         states = np.tile(trim.states, (len(drawn), 1))
         controls = np.tile(trim.controls, (len(drawn), 1))
-        states[:, self._dynamics.state_names.index(_CHARGE)] = drawn
+        states[:, self._dynamics.state_names.index(CHARGE_STATE)] = drawn
+        if circuit is not None:
+            states[:, self._circuit] = circuit
         keys = ((_CHARGE_RATE, None), ("battery.power_reserve", None))
         rate, reserve = self._rows(keys, states, controls).T
         return rate, reserve
@@ -194,10 +202,35 @@ class SteadyFlight:
         Infinite if it draws no power, and zero if the pack cannot give the power.
         """
         drawn = np.linspace(0.0, depth * self.pack_capacity, samples)
-        rate, reserve = self.charge_rates(trim, drawn)
+        rate, reserve = self.charge_rates(trim, drawn, self._circuit_under_load(trim, drawn))
         if np.min(reserve) < 0.0:
             return 0.0
         return float(np.trapezoid(1.0 / rate, drawn)) if np.min(rate) > 0.0 else np.inf
+
+    @property
+    def _circuit(self) -> list[int]:
+        """Places of slow drop and temperature among the states, where the pack has them."""
+        return [k for k, n in enumerate(self._dynamics.state_names) if n in CIRCUIT_STATES]
+
+    def _circuit_under_load(self, trim: Trim, drawn: FloatArray) -> FloatArray | None:
+        """Return slow drop and temperature as a steady load leaves them, over the charge drawn.
+
+        Rows are those of the last charge that the pack can give, beyond it. None without a circuit.
+        """
+        own, charge = self._circuit, self._dynamics.state_names.index(CHARGE_STATE)
+        if not own:
+            return None
+
+        def slope(drawn: float, circuit: FloatArray) -> FloatArray:
+            state = trim.states.copy()
+            state[charge], state[own] = drawn, circuit
+            rates = self._dynamics.rates(self._dynamics.start, state, trim.controls)
+            return np.asarray(rates[own] / rates[charge])
+
+        ends = float(drawn[0]), float(drawn[-1])
+        found = solve_ivp(slope, ends, trim.states[own], t_eval=drawn, method="LSODA", rtol=1e-6)
+        missing = len(drawn) - found.y.shape[1]
+        return np.asarray(np.pad(found.y.T, ((0, missing), (0, 0)), mode="edge"))
 
     @cached_property
     def _hovering(self) -> Trim:
@@ -296,7 +329,7 @@ class SteadyFlight:
     def stored_energy(self, depth: float, samples: int) -> float:
         """Return the energy [J] of the full pack, without load, down to a depth of 0 to 1."""
         states = np.tile(self._start, (samples, 1))
-        column = self._dynamics.state_names.index(_CHARGE)
+        column = self._dynamics.state_names.index(CHARGE_STATE)
         drawn = states[:, column] = np.linspace(0.0, depth * self.pack_capacity, samples)
         voltage = self._rows((("battery.open_circuit_voltage", None),), states)[:, 0]
         hover = self.hover
@@ -307,7 +340,7 @@ class SteadyFlight:
     def pack_capacity(self) -> float:
         """Charge of the full pack, A h."""
         states = np.tile(self._start, (2, 1))
-        states[:, self._dynamics.state_names.index(_CHARGE)] = 0.0, 1.0
+        states[:, self._dynamics.state_names.index(CHARGE_STATE)] = 0.0, 1.0
         full, less = self._rows((("battery.state_of_charge", None),), states)[:, 0].tolist()
         return full / (full - less)
 
@@ -315,7 +348,7 @@ class SteadyFlight:
         rates = self._dynamics.rates(
             self._dynamics.start, states, np.zeros(len(self._dynamics.control_names))
         )
-        return float(rates[self._dynamics.state_names.index(_CHARGE)])
+        return float(rates[self._dynamics.state_names.index(CHARGE_STATE)])
 
     def _speed_where(self, reading: object, wanted: float) -> float:
         """Return the speed of all rotors at which a rising reading has a given value."""

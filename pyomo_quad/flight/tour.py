@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from pyomo_quad.scenario import Scenario
 
     FloatArray = NDArray[np.float64]
-    LegSolver = Callable[[Scenario, Mesh, Route | None, Solution | None], Solution]
+    LegSolver = Callable[[Scenario, Mesh, Route | None], Solution]
     _Leg = tuple[int, int]
 
 #: Orders whose whole missions are solved, because leg energies ignore the saving of not stopping.
@@ -78,7 +78,7 @@ class LegTable:
     scenario : Scenario
     solve : callable
         Solve a scenario without waypoints on a mesh: (scenario, mesh, its shortest way round the
-        zones or None where that is straight, warm start) -> Solution.
+        zones or None where that is straight) -> Solution.
     """
 
     def __init__(self, scenario: Scenario, solve: LegSolver) -> None:
@@ -91,7 +91,6 @@ class LegTable:
         self._usual = cost_of(self.lengths, tuple(int(k) - 1 for k in usual))
         self._known: dict[_Leg, float] = {}
         self._failed: set[_Leg] = set()
-        self._last: Solution | None = None
 
     @property
     def legs(self) -> tuple[_Leg, ...]:
@@ -145,7 +144,7 @@ class LegTable:
         for leg in missing:
             found = self._flown(leg)
             if found.status.is_solved:
-                self._last, self._known[leg] = found, float(found.objective)
+                self._known[leg] = float(found.objective)
             else:
                 self._failed.add(leg)
         return bool(missing)
@@ -158,7 +157,7 @@ class LegTable:
         )
         if not mission.is_free:
             alone = alone.lasting(way.length / self._usual * mission.fixed_duration)
-        return self._solve(alone, _LEG_MESH, way if way.sides else None, self._last)
+        return self._solve(alone, _LEG_MESH, way if way.sides else None)
 
     def _features(self, leg: _Leg) -> list[float]:
         """Return the terms in which the energy of a leg is linear, eq. (1)."""
@@ -296,16 +295,15 @@ class BestOrder:
         plan = solve(ordered, start, self._search)
         return replace(plan, order_search=best if best.legs else None)
 
-    def _leg(
-        self, alone: Scenario, mesh: Mesh, way: Route | None, known: Solution | None
-    ) -> Solution:
-        """Solve a leg on one mesh, along its way round zones or from a similar leg."""
-        mission = MissionProblem(self._problems, alone, self._search)
+    def _leg(self, alone: Scenario, mesh: Mesh, way: Route | None) -> Solution:
+        """Solve a leg on one mesh, along its way round zones.
+
+        From the flight of another leg it takes as many iterations as from the model's own guess.
+        """
+        mission, guess = MissionProblem(self._problems, alone, self._search), None
         if way is not None:
             guess = guess_along((way,), alone.nominal_times, is_open=alone.mission.is_free)
-            return mission.solve(mesh=mesh, tolerance=None, guess=guess)
-        fits = known is not None and known.warm_start.fits(mission.problem.compiled)
-        return mission.solve(mesh=mesh, tolerance=None, warm_start=known if fits else None)
+        return mission.solve(mesh=mesh, tolerance=None, guess=guess)
 
     def _roughly(self, ordered: Scenario) -> Solution:
         """Solve the mission in an order on one mesh."""

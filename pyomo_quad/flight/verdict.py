@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from pyomo_quad.collocation import SolveError, Status
 from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
 from pyomo_quad.flight.verification import verify_controls, wind_lacking
+from pyomo_quad.scenario.mission import Aim
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation import Solution
@@ -56,8 +57,8 @@ def horizon_of(scenario: Scenario) -> tuple[float, float] | None:
 
 
 def energy_of(scenario: Scenario, solution: Solution) -> float:
-    """Return the energy of a solution, without the price of its time [J]."""
-    if not scenario.mission.is_free:
+    """Return the energy of a solution, without the price of its time or the pack's loss [J]."""
+    if not scenario.mission.is_free and scenario.mission.aim is Aim.ENERGY:
         return solution.objective
     return float(solution.running_objective[-1])
 

@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from pyomo_quad.flight import Planner
 from pyomo_quad.identification.columns import CRUISE, DENSITY, FLIGHT, PAYLOAD, PHASE, POWER, TIME
 from pyomo_quad.identification.fitting import Identification
+from pyomo_quad.identification.pack import PackIdentification
 from pyomo_quad.identification.steady import level_powers
 from pyomo_quad.identification.validation import (
     ERROR,
@@ -27,8 +28,25 @@ _FEWEST_ROWS = 20
 _IN_KILOJOULES = 1e-3
 
 
-def identification_drawings(found: Identification) -> tuple[Drawing, ...]:
+def identification_drawings(
+    found: Identification, pack: PackIdentification | None = None
+) -> tuple[Drawing, ...]:
     """List the figures of an identification."""
+    of_pack = (
+        ()
+        if pack is None
+        else (
+            Drawing(
+                name="voltages",
+                title="Voltage of the pack",
+                caption="Left: voltage of a cell in three flights, from just before the load: "
+                "measured, and computed by a fit without that flight; the resistance is read in "
+                "the rows before the dotted line. Right: error of each flight over the factor on "
+                "its pack's resistance, new and warm to old and cold.",
+                draw=lambda: draw_voltages(found, pack),
+            ),
+        )
+    )
     return (
         Drawing(
             name="energies",
@@ -52,6 +70,7 @@ def identification_drawings(found: Identification) -> tuple[Drawing, ...]:
             "airspeed, gusts and turns included; the bar spans half of them.",
             draw=lambda: draw_curve(found),
         ),
+        *of_pack,
     )
 
 
@@ -104,6 +123,36 @@ def draw_power(found: Identification) -> Figure:
         panel.set(ylabel="Power (W)", title=title)
     panels[-1].set_xlabel("Time (s)")
     panels[0].legend(frameon=False, ncols=2, loc="lower center")
+    return figure
+
+
+def draw_voltages(found: Identification, pack: PackIdentification) -> Figure:
+    """Draw measured and computed voltage of three flights, and the error of each flight."""
+    figure, (left, right) = full_width(3.4, (1, 2), top=0.92, bottom=0.15, wspace=0.28)
+    known = set(pack.flights[FLIGHT])
+    shown = [flight for flight in shown_flights(found.frame) if flight in known]
+    for flight, style in zip(shown, SERIES_STYLES, strict=False):
+        rows = pack.rows[pack.rows[FLIGHT] == flight]
+        left.plot(rows[TIME], rows["measured_V"], color=MUTED, linewidth=0.9)
+        left.plot(rows[TIME], rows["computed_V"], label=f"flight {flight}", **style.line)
+    left.axvline(pack.read_s, color=INK, linestyle=":", linewidth=0.8)
+    left.set(xlabel="Time (s)", ylabel="Voltage of a cell (V)", title="Measured (grey), computed")
+    left.legend(frameon=False)
+    right.plot(
+        pack.flights["resistance_factor"],
+        pack.flights["error_mV"],
+        linestyle="none",
+        marker="o",
+        markersize=3.5,
+        color=SERIES_STYLES[0].color,
+    )
+    right.axhline(pack.error_mV, color=MUTED, linewidth=0.8)
+    right.set(
+        xlabel="Resistance over that of a middling pack",
+        ylabel="Error (mV per cell)",
+        title="Unseen flights; line: all",
+        yscale="log",
+    )
     return figure
 
 

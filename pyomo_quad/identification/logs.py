@@ -104,6 +104,27 @@ def _read_rows(file: Path) -> pd.DataFrame:
     return frame.astype(dict.fromkeys(numbers, float))
 
 
+def read_voltages(file: Path, flown: pd.DataFrame) -> pd.DataFrame:
+    """Read voltage and current of a log's flights, on the ground too.
+
+    Parameters
+    ----------
+    flown : DataFrame
+        The frame of `read_logs`, which names the flights.
+
+    Returns
+    -------
+    DataFrame
+        Columns flight, time, voltage and current; empty if the log lacks one of them.
+    """
+    whole = _read(file, printable(str(file)))
+    wanted = [FLIGHT, TIME, *_ELECTRIC]
+    if not set(wanted) <= set(whole):
+        return pd.DataFrame(columns=wanted)
+    rows = whole.loc[whole[FLIGHT].isin(flown[FLIGHT]), wanted]
+    return rows.dropna().reset_index(drop=True)
+
+
 def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
     """Return the flights of several logs in one frame.
 

@@ -12,6 +12,7 @@ import pandas as pd
 from pyomo_quad.identification.columns import DENSITY, FLIGHT, PAYLOAD
 from pyomo_quad.identification.figures import identification_drawings
 from pyomo_quad.identification.fitting import Identification, changes
+from pyomo_quad.identification.pack import DEPENDENT, LEAST_CHARGE, PackIdentification
 from pyomo_quad.identification.rivals import measures, model_table
 from pyomo_quad.identification.validation import (
     ERROR,
@@ -25,12 +26,15 @@ from pyomo_quad.identification.validation import (
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import write_study
 from pyomo_quad.report.tables import write_summary, write_table
+from pyomo_quad.scenario.fields import leaves, spell
 from pyomo_quad.scenario.resolution import read_toml
 from pyomo_quad.version import __version__
 
 VEHICLE_NAME = "vehicle.toml"
+PACK_NAME = "pack.toml"
 PREDICTIONS_NAME = "predictions.csv"
 _PARAMETERS_NAME, _MODELS_NAME = "parameters.csv", "models.csv"
+_VOLTAGES_NAME = "voltages.csv"
 # Airspeeds, m/s, between hover and the speed at which the rotors leave their wake.
 _SLOW_M_S = (1.0, 4.0)
 # Number of flights listed with the largest errors.
@@ -38,10 +42,19 @@ _WORST = 5
 
 
 def write_identification(
-    folder: Path, found: Identification, base: str, figures: Figures = Figures.SVG
+    folder: Path,
+    found: Identification,
+    base: str,
+    figures: Figures = Figures.SVG,
+    pack: PackIdentification | None = None,
 ) -> None:
-    """Write the vehicle file, its report, tables and figures into an empty folder."""
-    (folder / VEHICLE_NAME).write_text(vehicle_file(changes(found), base), encoding="utf-8")
+    """Write vehicle and pack, their report, tables and figures into an empty folder."""
+    battery = ""
+    if pack is not None:
+        battery = PACK_NAME
+        (folder / PACK_NAME).write_text(pack_file(pack), encoding="utf-8")
+    vehicle = vehicle_file(changes(found), base, battery)
+    (folder / VEHICLE_NAME).write_text(vehicle, encoding="utf-8")
     frame, table = found.frame, energies(found.frame, found.cross_validated)
     models = model_table(found)
     by_error = table[ERROR].abs().sort_values(ascending=False).index
@@ -52,9 +65,10 @@ def write_identification(
             PREDICTIONS_NAME: table,
             _PARAMETERS_NAME: pd.DataFrame([asdict(one) for one in found.parameters]),
             _MODELS_NAME: models,
+            **({} if pack is None else {_VOLTAGES_NAME: pack.flights}),
         },
-        summary=identification_summary(found),
-        drawings=identification_drawings(found),
+        summary=identification_summary(found, pack),
+        drawings=identification_drawings(found, pack),
         figures=figures,
         found=found,
         base=base,
@@ -70,12 +84,19 @@ def write_identification(
         measures=measures(models, found.trials),
         worst=table.reindex(by_error).head(_WORST).to_dict("records"),
         VEHICLE_NAME=VEHICLE_NAME,
+        pack=pack,
+        least_charge_percent=0.0 if pack is None else pack.flights[LEAST_CHARGE].min(),
+        PACK_NAME=PACK_NAME,
+        VOLTAGES_NAME=_VOLTAGES_NAME,
         energy_columns=(FLIGHT, MEASURED_ENERGY, PREDICTED_ENERGY, ERROR),
     )
 
 
-def identification_summary(found: Identification) -> dict[str, object]:
+def identification_summary(
+    found: Identification, pack: PackIdentification | None = None
+) -> dict[str, object]:
     """Return the results of an identification as values for JSON."""
+    of_pack = {} if pack is None else {"pack": _pack_summary(pack)}
     return {
         "flights": int(found.frame[FLIGHT].nunique()),
         "parameters": {one.name: asdict(one) for one in found.parameters},
@@ -89,8 +110,39 @@ def identification_summary(found: Identification) -> dict[str, object]:
             }
             for trial in found.trials
         },
+        **of_pack,
         "version": __version__,
     }
+
+
+def _pack_summary(pack: PackIdentification) -> dict[str, object]:
+    return {
+        "parameters": {one.name: asdict(one) for one in pack.parameters},
+        "flights": len(pack.flights),
+        "cross_validated_mV_per_cell": pack.error_mV,
+        "cross_validated_with_a_middling_resistance_mV_per_cell": pack.error_unread_mV,
+        "base_mV_per_cell": pack.base_error_mV,
+    }
+
+
+def pack_file(pack: PackIdentification) -> str:
+    """Return a battery file: the pack as fitted, each number with its source."""
+    battery = pack.scenario.battery
+    deviations = {one.name: one.deviation for one in pack.parameters}
+    fields = {}
+    for path, value in leaves(battery.model_dump(exclude={"use", "health"}, exclude_none=True)):
+        name = spell(path)
+        source = f"as {battery.use}"
+        if name in deviations:
+            source = (
+                f"identified from the voltages of {len(pack.flights)} flights, plus or minus "
+                f"{deviations[name]:.2g}"
+            )
+        elif name == DEPENDENT:
+            source = f"with E0, so that the full cell keeps the voltage of {battery.use}"
+        number = float(f"{value:.6g}") if isinstance(value, float) else value
+        fields[name] = {"value": number, "source": source}
+    return "\n".join(_toml_lines({"fields": fields})) + "\n"
 
 
 def write_predictions(folder: Path, frame: pd.DataFrame, power: FloatArray) -> Scores:
@@ -101,13 +153,18 @@ def write_predictions(folder: Path, frame: pd.DataFrame, power: FloatArray) -> S
     return found
 
 
-def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str) -> str:
-    """Return a vehicle file: that of the base, with some fields changed, each with its source."""
+def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: str = "") -> str:
+    """Return a vehicle file: that of the base, with some fields changed, each with its source.
+
+    `battery` names a pack beside the file, in place of the base's.
+    """
     file = Path(base)
     held: dict[str, Any] = read_toml(file) if file.suffix == ".toml" else {"use": base}
     pack = held.get("battery", "")
     if pack.endswith(".toml"):  # a file beside the base's, which may lie elsewhere
         held["battery"] = (file.parent / pack).resolve().as_posix()
+    if battery:
+        held["battery"] = battery
     fields = dict(held.pop("fields", {}))
     fields |= {
         name: {"value": float(f"{value:.6g}"), "source": source}

@@ -1,4 +1,4 @@
-"""The battery pack, eq. (4)-(5): equal cells in series and parallel.
+"""The battery pack, eq. (4)-(5): equal cells in series and parallel, as an equivalent circuit.
 
 symbol | name | unit | meaning
 int i_bat | charge_drawn | A h | charge drawn from the full pack, a state
@@ -8,35 +8,55 @@ e_m | open_circuit_voltage | V | eq. (5), cells in series added
 SoC | state_of_charge | percent | eq. (4)
 e_0, k, c_1, c_2 | E0, K, A, B | V, V, V, 1/(A h) | constants of one cell
 Q_bat, R_bat | capacity, cell_resistance | A h, ohm | of one cell
+f_Q, f_R | capacity_factor, resistance_factor | - | state of health; only with battery.health
+
+`battery_circuit` adds a slow drop and a temperature where the scenario gives them. Derivation and
+sources: see docs/theory/battery.md, eqs. (1) to (6).
 
 The power P is that of the chosen power model, so the energy of the flight is the energy that leaves
 the pack. Declared units convert the ampere-seconds of eq. (4) to ampere-hours.
 
-Assumptions: no self-discharge, no temperature, no recovery. Two guards keep the equations finite
-where those of the paper are undefined: eq. (5) has a pole at an empty cell, and no current delivers
-more than the pack's greatest power, U^2/4R. Above a fifth of the charge and below nine tenths of
-that power, both guards are exact to rounding. A negative `power_reserve` or state of charge shows
-that the pack cannot fly the mission.
+Assumptions: no self-discharge, no entropic heat, an open-circuit voltage that does not depend on
+the temperature; without `battery.relaxation` and `battery.thermal` no recovery and no temperature
+either. Two guards keep the equations finite where those of the paper are undefined: eq. (5) has a
+pole at an empty cell, and no current delivers more than the pack's greatest power, U^2/4R. Above a
+fifth of the charge and below nine tenths of that power, both guards are exact to rounding. A
+negative `power_reserve` or state of charge shows that the pack cannot fly the mission.
 
 If the polarisation voltage k / SoC can exceed the other terms of e_m, the voltage vanishes before
 the pack is empty. The greatest power is then negative, and the flights are limited to e_m >= 0.
 """
 
-from pyomo.core import Block, ConcreteModel, Expression, Var, exp, sqrt
+from pyomo.core import (
+    Block,
+    ConcreteModel,
+    Expression,
+    Objective,
+    Param,
+    Suffix,
+    Var,
+    exp,
+    sqrt,
+    value,
+)
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
-from pyomo.dae import DerivativeVar
+from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 
+from pyomo_quad.model import battery_circuit as circuit
 from pyomo_quad.model.parameters import (
     DIP,
     Parameter,
     declare_parameters,
+    fields_of,
     parameters_in,
     saturated,
 )
 from pyomo_quad.scenario import Scenario
 
 CHARGE = units.A * units.hr
+#: Full name of the charge drawn, a state.
+CHARGE_STATE = "battery.charge_drawn"
 # Fractions of the charge and of the greatest power at which the guards act, and their widths.
 GUARD_FLOOR = 0.01
 GUARD_WIDTH = 0.005
@@ -45,50 +65,57 @@ GIVEN_SHARE = 1 - GUARD_FLOOR - 10 * GUARD_WIDTH
 # Fraction of the capacity that a flight of some seconds may draw, for scaling.
 _NOMINAL_SHARE = 0.01
 
-PARAMETERS = (
-    Parameter(
-        name="cells_series",
-        units=units.dimensionless,
-        value=lambda s: s.battery.cells_series,
-        doc="cells in series",
-    ),
-    Parameter(
-        name="cells_parallel",
-        units=units.dimensionless,
-        value=lambda s: s.battery.cells_parallel,
-        doc="cells in parallel",
-    ),
-    Parameter(name="E0", units=units.V, value=lambda s: s.battery.E0, doc="e_0 of one cell"),
-    Parameter(name="K", units=units.V, value=lambda s: s.battery.K, doc="k of one cell"),
-    Parameter(name="A", units=units.V, value=lambda s: s.battery.A, doc="c_1 of one cell"),
-    Parameter(name="B", units=1 / CHARGE, value=lambda s: s.battery.B, doc="c_2 of one cell"),
-    Parameter(
-        name="capacity",
-        units=CHARGE,
-        value=lambda s: s.battery.capacity,
-        doc="Q_bat of one cell",
-    ),
-    Parameter(
-        name="cell_resistance",
-        units=units.ohm,
-        value=lambda s: s.battery.cell_resistance,
-        doc="R_bat of one cell",
-    ),
-    Parameter(
-        name="initial_state_of_charge",
-        units=units.percent,
-        value=lambda s: s.battery.initial_state_of_charge,
-        doc="state of charge at the start",
-    ),
+#: Names of the conditions on the pack's states at the start, where they are declared.
+CONDITIONS_AT_START = (
+    *("initial_charge", "initial_relaxation", "initial_temperature"),
+    "initial_loss",
 )
 
-parameters_in("battery")(lambda _scenario: PARAMETERS)
+_CELL = (
+    *fields_of("battery", "cells_series", "cells_parallel", "E0", "K", "A", "B", "capacity"),
+    *fields_of("battery", "cell_resistance", "initial_state_of_charge"),
+)
+
+
+@parameters_in("battery")
+def _parameters(scenario: Scenario) -> tuple[Parameter, ...]:
+    """Return the numbers of a scenario's pack, as parameters of block `battery`."""
+    return _CELL + circuit.parameters_of(scenario)
 
 
 def may_lose_voltage(scenario: Scenario) -> bool:
     """Whether the pack's voltage, eq. (5), can vanish before the pack is empty."""
     least_share = GUARD_FLOOR - DIP * GUARD_WIDTH
     return scenario.battery.K / least_share >= scenario.battery.E0
+
+
+def build_pack(scenario: Scenario) -> ConcreteModel:
+    """Declare the pack alone under a load, the mutable parameter `power.load`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Only its battery is declared.
+
+    Returns
+    -------
+    ConcreteModel
+        With `time` (one hour, not discretised), `power.total` and `battery`.
+    """
+    m = ConcreteModel(name="pack")
+    m.time = ContinuousSet(initialize=(0.0, 1800.0, 3600.0), doc="time [s]")
+    m.scaling_factor = Suffix(direction=Suffix.EXPORT)
+    m.power = Block(doc="load of the pack")
+    m.power.load = Param(initialize=0.0, mutable=True, units=units.W, doc="P: power drawn")
+
+    @m.power.Expression(m.time, doc="power drawn from the pack [W]")
+    def total(b: Block, _t: float) -> NumericExpression:
+        return 1.0 * b.load
+
+    declare_battery(m, scenario)
+    m.energy = Integral(m.time, wrt=m.time, rule=lambda m, t: m.power.total[t], doc="energy [J]")
+    m.objective = Objective(expr=m.energy)
+    return m
 
 
 def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
@@ -100,22 +127,67 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
         With `time`, `power` and `scaling_factor`.
     """
     b = m.battery = Block(doc="battery pack, eq. (4)-(5)")
+    pack = scenario.battery
     declare_parameters(b, scenario)
-    b.pack_capacity = Expression(expr=b.capacity * b.cells_parallel)
-    b.pack_resistance = Expression(expr=b.cell_resistance * b.cells_series / b.cells_parallel)
+    _declare_sizes(b)
     b.charge_drawn = Var(m.time, units=CHARGE, initialize=0.0, doc="charge drawn from full")
     b.dcharge_drawn_dt = DerivativeVar(
         b.charge_drawn, wrt=m.time, units=CHARGE / units.s, initialize=0.0
     )
-    pack_capacity = scenario.battery.capacity * scenario.battery.cells_parallel
+    pack_capacity = pack.capacity * pack.cells_parallel
     m.scaling_factor[b.charge_drawn] = 1.0 / (_NOMINAL_SHARE * pack_capacity)
+    circuit.declare_states(b, m, scenario)
     _declare_voltage(b, m)
     _declare_charge(b, m)
+    circuit.declare_balances(b, m, scenario)
     if may_lose_voltage(scenario):
 
         @b.Constraint(m.time, doc="the pack has a voltage [V]")
         def pack_voltage_limit(b: Block, t: float) -> RelationalExpression:
             return b.open_circuit_voltage[t] >= 0 * units.V
+
+
+def declare_loss(m: ConcreteModel) -> None:
+    """Declare the energy that the pack loses, a state, so that a cost may count the charge drawn.
+
+    See docs/theory/battery.md, eqs. (11) to (12).
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With `battery`.
+    """
+    b, start = m.battery, m.time.first()
+    charge, missing = b.charge_drawn[start], 1 - b.initial_state_of_charge / (100 * units.percent)
+    charge.set_value(value(b.pack_capacity * missing))
+    b.reference_voltage = Param(
+        initialize=value(b.open_circuit_voltage[start]),
+        mutable=True,
+        units=units.V,
+        doc="open-circuit voltage at the start",
+    )
+    b.loss = Var(m.time, units=units.J, initialize=0.0, doc="E_l: energy that the pack lost")
+    b.dloss_dt = DerivativeVar(b.loss, wrt=m.time, units=units.W, initialize=0.0)
+
+    @b.Constraint(m.time, doc="charge at the voltage of the start is delivered or lost [W]")
+    def loss_balance(b: Block, t: float) -> RelationalExpression:
+        drawn = b.reference_voltage * b.current[t]
+        return b.dloss_dt[t] == drawn - b.parent_block().power.total[t]
+
+    @b.Constraint(doc="nothing is lost at the start [J]")
+    def initial_loss(b: Block) -> RelationalExpression:
+        return b.loss[start] == 0
+
+
+def _declare_sizes(b: Block) -> None:
+    """Declare capacity and resistance of the pack, in its state of health."""
+    capacity = b.capacity * b.cells_parallel
+    resistance = b.cell_resistance * b.cells_series / b.cells_parallel
+    if b.component("capacity_factor") is not None:
+        capacity *= b.capacity_factor
+        resistance *= b.resistance_factor
+    b.pack_capacity = Expression(expr=capacity)
+    b.pack_resistance = Expression(expr=resistance)
 
 
 def _declare_charge(b: Block, m: ConcreteModel) -> None:
@@ -143,15 +215,14 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
     @b.Expression(m.time, doc="eq. (5): open-circuit voltage of the pack [V]")
     def open_circuit_voltage(b: Block, t: float) -> NumericExpression:
         polarisation = b.K / b.remaining_share[t]
-        cell_charge = b.charge_drawn[t] / b.cells_parallel
-        exponential_zone = b.A * exp(-b.B * cell_charge)
+        exponential_zone = b.A * exp(-b.B * _charge_of_new_cell(b, t))
         return b.cells_series * (b.E0 - polarisation + exponential_zone)
 
     @b.Expression(m.time, doc="greatest power the pack can deliver, at half its voltage [W]")
     def greatest_power(b: Block, t: float) -> NumericExpression:
         # Negative, and therefore no usable power, where the open-circuit voltage is negative.
-        voltage_squared = b.open_circuit_voltage[t] * abs(b.open_circuit_voltage[t])
-        return voltage_squared / (4 * b.pack_resistance)
+        source = circuit.source_voltage(b, t)
+        return source * abs(source) / (4 * circuit.resistance_at(b, t))
 
     @b.Expression(m.time, doc="greatest power less the power drawn [W]")
     def power_reserve(b: Block, t: float) -> NumericExpression:
@@ -164,9 +235,15 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 
     @b.Expression(m.time, doc="eq. (4) row 2 with V i = P, solved for the pack current [A]")
     def current(b: Block, t: float) -> NumericExpression:
-        current_at_greatest_power = b.open_circuit_voltage[t] / (2 * b.pack_resistance)
+        current_at_greatest_power = circuit.source_voltage(b, t) / (2 * circuit.resistance_at(b, t))
         return current_at_greatest_power * (1 - sqrt(b.reserve_share[t]))
 
     @b.Expression(m.time, doc="eq. (4) row 2: terminal voltage of the pack [V]")
     def voltage(b: Block, t: float) -> NumericExpression:
-        return b.open_circuit_voltage[t] - b.pack_resistance * b.current[t]
+        return circuit.source_voltage(b, t) - circuit.resistance_at(b, t) * b.current[t]
+
+
+def _charge_of_new_cell(b: Block, t: float) -> NumericExpression:
+    """Return the charge that a new cell would have given at the same state of charge [A h]."""
+    charge = b.charge_drawn[t] / b.cells_parallel
+    return charge if b.component("capacity_factor") is None else charge / b.capacity_factor

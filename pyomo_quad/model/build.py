@@ -25,6 +25,7 @@ from pyomo_quad.model import (
 from pyomo_quad.model.parameters import parameter_items, parameter_tables
 from pyomo_quad.model.rigid_body import declare_balances, declare_motion
 from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.mission import Aim
 
 Builder = Callable[[Scenario], ConcreteModel]
 
@@ -154,7 +155,10 @@ def _declare_flight(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the battery, the limits, both ends of the flight and the objective."""
+    """Declare the battery, the limits, both ends of the flight and the objective.
+
+    The cost of the charge: see docs/theory/battery.md, eq. (12).
+    """
     battery.declare_battery(m, scenario)
     limits.declare_limits(m, scenario)
     airspace.declare_airspace(m, scenario)
@@ -162,13 +166,14 @@ def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
     mission.declare_mission(m, scenario)
     # A lambda, because Integral rewrites its rule's signature and cannot handle annotations.
     m.energy = Integral(m.time, wrt=m.time, rule=lambda m, t: m.power.total[t], doc="eq. (8) [J]")
-    doc = "eq. (8): energy of the flight [J]"
-    if not scenario.mission.is_free:
-        m.objective = Objective(expr=m.energy, sense=minimize, doc=doc)
-        return
-    mission.declare_duration(m, scenario)
-    cost = m.energy + m.mission.price_of_time * m.duration
-    m.objective = Objective(expr=cost, sense=minimize, doc=f"{doc}, and what its time costs [J]")
+    cost, doc = m.energy, "eq. (8): energy of the flight"
+    if scenario.mission.aim is Aim.CHARGE:
+        battery.declare_loss(m)
+        cost, doc = cost + m.battery.loss[m.time.last()], f"{doc}, what its pack loses"
+    if scenario.mission.is_free:
+        mission.declare_duration(m, scenario)
+        cost, doc = cost + m.mission.price_of_time * m.duration, f"{doc}, and what its time costs"
+    m.objective = Objective(expr=cost, sense=minimize, doc=f"{doc} [J]")
 
 
 def parameter_values(scenario: Scenario) -> dict[str, float]:
@@ -230,6 +235,7 @@ def structure_key(scenario: Scenario) -> Hashable:
         (scenario.wind.grid, scenario.wind.beyond),
         battery.may_lose_voltage(scenario),
         (scenario.mission, tuple(t / end for t in passages)) if passages else None,
+        scenario.mission.aim is Aim.CHARGE,
     )
 
 

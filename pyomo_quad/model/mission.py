@@ -14,6 +14,7 @@ from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
 
+from pyomo_quad.model.battery import CONDITIONS_AT_START
 from pyomo_quad.model.parameters import (
     Parameter,
     declare_parameters,
@@ -294,7 +295,9 @@ def start_where_measured(m: ConcreteModel) -> None:
     """
     for said in (m.mission.start_place, m.mission.start_rest, m.mission.start_rotor_speed):
         said.deactivate()
-    m.battery.initial_charge.deactivate()
+    for condition in CONDITIONS_AT_START:
+        if m.battery.component(condition) is not None:
+            m.battery.component(condition).deactivate()
     if m.mission.component("yaw_keeping") is not None:
         # A vehicle that a gust turned off its heading must be free to turn back.
         m.mission.yaw_keeping.deactivate()

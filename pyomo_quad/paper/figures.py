@@ -24,7 +24,7 @@ from pyomo_quad.report.gallery import left_out
 from pyomo_quad.report.paths import distinct_paths, draw_path
 from pyomo_quad.report.style import INK, MUTED, SERIES_STYLES, panel_grid, styled_flights
 from pyomo_quad.scenario import FrequencyUnit, PowerModel, WindCoupling
-from pyomo_quad.scenario.tables import Battery
+from pyomo_quad.scenario.battery import Battery
 
 _KILO = 1e3
 LOWEST_SHOWN = -2.0  # kJ: low enough to show that the literal curve falls without end

@@ -1,7 +1,6 @@
 """Energies of flights as bars: in total, above hovering, and by scenario."""
 
 from collections.abc import Sequence
-from itertools import zip_longest
 from typing import Any
 
 import pandas as pd
@@ -27,9 +26,7 @@ _TITLE = 0.35  # inches
 _NUMBER_ROOM = 1.28  # the axis is longer than the longest bar, to fit the numbers beside the bars
 
 
-def draw_energy_split(
-    flights: Sequence[StyledFlight], hover_energy_J: float, absent: frozenset[str]
-) -> Figure:
+def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
     """Draw bars of the total energy from zero, and bars of the differences between flights.
 
     The difference is the energy above the hover floor; if durations, and so hover floors, differ,
@@ -53,30 +50,14 @@ def draw_energy_split(
     least, title = hover_energy_J, "Above the hover floor only"
     if not take_one_time(flights):
         least, title = flights[0].energy_J, f"More than {flights[0].name}"
-    draw_bars(apart, flights, [flight.energy_J - least for flight in flights], absent)
-    apart.set(title=title, xlabel=f"Energy (J){absence_note(absent)}")
+    differences = [flight.energy_J - least for flight in flights]
+    for row, (flight, difference) in enumerate(zip(flights, differences, strict=True)):
+        apart.barh(row, difference, **bar_look(flight))
+    annotate_bars(apart, differences)
+    apart.set_yticks(range(len(flights)), [flight.name for flight in flights])
+    apart.invert_yaxis()
+    apart.set(title=title, xlabel="Energy (J)")
     return figure
-
-
-def draw_bars(
-    axes: Axes,
-    flights: Sequence[StyledFlight],
-    values: Sequence[float],
-    absent: frozenset[str],
-    marks: Sequence[float] = (),
-) -> None:
-    """Draw a bar for each flight, the first on top, with its value to the right of bar and mark."""
-    for row, (flight, value) in enumerate(zip(flights, values, strict=True)):
-        axes.barh(row, value, **bar_look(flight))
-    annotate_bars(axes, values, marks)
-    labels = [f"{f.name} *" if f.name in absent else f.name for f in flights]
-    axes.set_yticks(range(len(flights)), labels)
-    axes.invert_yaxis()
-
-
-def absence_note(absent: frozenset[str]) -> str:
-    """Return the explanation of the stars behind names, empty without any."""
-    return ", * did not arrive" if absent else ""
 
 
 def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
@@ -131,11 +112,10 @@ def bar_look(flight: StyledFlight) -> dict[str, Any]:
     }
 
 
-def annotate_bars(axes: Axes, values: Sequence[float], marks: Sequence[float] = ()) -> None:
-    """Write each value to the right of its bar, or of its mark if that lies further out."""
-    beside = [max(ends) for ends in zip_longest(values, marks, fillvalue=0.0)]
-    _write_values(axes, values, beside)
-    _make_room(axes, [*values, *marks])
+def annotate_bars(axes: Axes, values: Sequence[float]) -> None:
+    """Write each value to the right of its bar."""
+    _write_values(axes, values, [max(value, 0.0) for value in values])
+    _make_room(axes, values)
 
 
 def _write_values(axes: Axes, values: Sequence[float], beside: Sequence[float]) -> None:

@@ -13,17 +13,14 @@ from matplotlib.ticker import MaxNLocator
 
 from pyomo_quad.flight.columns import ROTORS
 from pyomo_quad.report.energy_bars import (
-    BAR_WIDTH,
-    absence_note,
     annotate_bars,
     bar_look,
-    draw_bars,
 )
-from pyomo_quad.report.paths import distinct_paths, draw_space
 from pyomo_quad.report.signals import (
     ATTITUDE,
     BATTERY,
     BODY_RATE,
+    CIRCUIT,
     ENERGY,
     MOTOR,
     POSITION,
@@ -42,7 +39,6 @@ from pyomo_quad.report.style import (
     MUTED,
     ROTOR_STYLES,
     SERIES_STYLES,
-    TICK_STEPS,
     LineStyle,
     StyledFlight,
     draw_over_time,
@@ -111,9 +107,19 @@ def _draw_disturbance(
 
 
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw voltage, current and state of charge of the battery."""
-    figure, panels = panel_grid(1, 3, panel_height=1.7, legend_entries=len(flights))
-    draw_panels(panels.flat, BATTERY, flights)
+    """Draw voltage, current and state of charge of the battery, slow drop and temperature."""
+    further = [own for own in CIRCUIT if all(own.name in one.frame for one in flights)]
+    figure, panels = panel_grid(
+        2 if further else 1,
+        3,
+        panel_height=1.7,
+        legend_entries=len(flights),
+        share_time=not further,
+    )
+    shown = (*BATTERY, *further)
+    for unused in panels.flat[len(shown) :]:
+        unused.set_visible(False)
+    draw_panels(panels.flat[: len(shown)], shown, flights)
     label_time(panels.flat, last_end(flights))
     legend_below(figure, panels[0, 0])
     return figure
@@ -326,40 +332,14 @@ def _draw_elements(axes: Axes, mesh: "Mesh", duration: float) -> None:
     )
 
 
-_HEIGHT = 4.2  # inches
-
-
-def draw_overview(
-    flights: Sequence[StyledFlight],
-    hover_energy_J: float,
-    absent: frozenset[str],
-    mission: "Scenario",
-) -> Figure:
-    """Draw the paths in space, the energy of each flight over time, and the total energies.
-
-    Over time the figure shows the energy above hovering, which separates the curves better, if all
-    durations are equal; otherwise the hover floors differ, and it shows the energy.
-    """
-    figure = Figure(figsize=(FULL_WIDTH, _HEIGHT))
-    space = figure.add_axes((0.0, 0.12, 0.46, 0.88), projection="3d")
-    draw_space(space, distinct_paths(flights), mission)
-    over_time = figure.add_axes((0.52, 0.69, 0.46, 0.25))
-    hover_power = hover_energy_J / flights[0].duration_s
-    if take_one_time(flights):
-        draw_above_hover(over_time, flights, hover_power)
-    else:
-        for flight in flights:
-            draw_over_time(over_time, flight.frame, ENERGY, flight.style, flight.name)
-        over_time.set_title(ENERGY.title)
-    label_time([over_time], last_end(flights))
-    in_total = figure.add_axes((0.66, 0.19, 0.32, 0.32))
-    floors = [hover_power * flight.duration_s for flight in flights]
-    draw_bars(in_total, flights, [flight.energy_J for flight in flights], absent, floors)
-    for row, floor in enumerate(floors):
-        in_total.vlines(floor, row - BAR_WIDTH / 2, row + BAR_WIDTH / 2, color=INK, linewidth=1.6)
-    in_total.xaxis.set_major_locator(MaxNLocator(nbins=5, steps=TICK_STEPS))
-    in_total.set_title(f"Total energy (J){absence_note(absent)}")
-    legend_below(figure, over_time)
+def draw_power(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
+    """Draw the power of flights over time, with that of hovering."""
+    figure, ((axes,),) = panel_grid(1, 1, panel_height=1.9, legend_entries=1 + len(flights))
+    axes.axhline(hover_energy_J / flights[0].duration_s, label="hovering", **_HOVER_LINE)
+    draw_panels((axes,), (POWER,), flights)
+    _cut_peaks(axes, flights)
+    label_time([axes], last_end(flights))
+    legend_below(figure, axes)
     return figure
 
 

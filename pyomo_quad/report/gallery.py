@@ -1,6 +1,7 @@
 """Lists of the figures of a report, in order, with their captions."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ from pyomo_quad.report.energy_bars import (
     draw_energy_split,
     takes_one_time_each,
 )
+from pyomo_quad.report.ensemble import ensemble_drawings
 from pyomo_quad.report.flight_figures import (
     COSTATES,
     coinciding_flights,
@@ -26,7 +28,7 @@ from pyomo_quad.report.flight_figures import (
     draw_energy,
     draw_front,
     draw_mesh,
-    draw_overview,
+    draw_power,
     draw_rotors,
     draw_states,
     draw_way,
@@ -36,6 +38,7 @@ from pyomo_quad.report.flight_figures import (
 from pyomo_quad.report.paths import (
     BEAT_COUNT,
     distinct_paths,
+    draw_map,
     draw_path,
     leaving_paths,
     script_json,
@@ -61,13 +64,18 @@ from pyomo_quad.report.style import (
     take_one_time,
 )
 from pyomo_quad.study.comparison import ComparisonColumn
+from pyomo_quad.study.headline import rival_of
 
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
     from pyomo_quad.scenario import Scenario
+    from pyomo_quad.study.ensemble import InTurbulence
     from pyomo_quad.study.run import RunResult
 
 PATH_NAME = "path"
+#: The page shows its player above the figure of the paths.
+PLAYER_TITLE = "Paths and player"
+MAP_NAME, POWER_NAME = "map", "power_over_time"
 FRONT_FIGURE = "front"
 
 
@@ -121,38 +129,53 @@ def column_drawing(flight: StyledFlight, column: str) -> Drawing:
 def comparison_drawings(
     flights: Sequence[StyledFlight],
     hover_energy_J: float,
-    absent: frozenset[str],
+    comparison: pd.DataFrame,
     mission: "Scenario",
 ) -> tuple[Drawing, ...]:
     """List the figures that compare flights, the optimum first.
 
-    ``absent`` names the flights that did not arrive; ``mission`` has the zones.  A user's model
-    without positions has no such figures.
+    The map and the power over time show the optimum and the flight that its saving is against; the
+    bars show the flights that arrived within the limits, for only their energies can be compared.
+    ``mission`` has the zones.  A user's model without positions has no such figures.
     """
     if not set(_columns(POSITION)) <= set(flights[0].frame):
         return ()
-    is_timed_alike = take_one_time(flights)
-    over_time = "the energy that each flight has spent"
+    rival = rival_of(comparison)
+    pair = [one for one in flights if rival and one.name == rival[ComparisonColumn.FLIGHT]]
+    pair.insert(0, flights[0])
+    good = comparison[ComparisonColumn.ARRIVED] & comparison[ComparisonColumn.LIMITS_KEPT]
+    names = set(comparison.loc[good.astype(bool), ComparisonColumn.FLIGHT]) | {flights[0].name}
+    compared = [flight for flight in flights if flight.name in names]
     beyond = f"how much more energy each takes than {flights[0].name}, whatever their times"
-    if is_timed_alike:
-        over_time += " more than hovering until then"
+    if take_one_time(compared):
         beyond = "the energy above the hover floor"
-    overview = (
-        "Left: the paths, from start (dot) to goal (star), to one scale along all "
-        f"axes.{_zones(mission)} Right: {over_time}, and below the total energy, including the "
-        "owed energy of the end state; the line in a bar is the energy of hovering for as long."
-    )
+    course = f"From above, to one scale, from start (dot) to goal (star).{_course(mission)}"
     split = (
         "Left: energy of each flight, including the owed energy of its end state, split at the "
-        f"energy of hovering for as long.{_undercut(flights, hover_energy_J)} Right: {beyond}."
+        f"energy of hovering for as long.{_undercut(compared, hover_energy_J)} Right: {beyond}."
+        f"{_not_comparable(flights, compared)}"
     )
-    given = flights, hover_energy_J, absent
-    draw_glance = partial(draw_overview, *given, mission)
-    draw_split = partial(draw_energy_split, *given)
+    power = f"Power over time; grey: hovering.{_cut(pair)}"
+    draw_split = partial(draw_energy_split, compared, hover_energy_J)
     return (
-        Drawing("overview", "The run at a glance", overview, draw_glance),
+        Drawing(MAP_NAME, "Map", course, partial(draw_map, pair, mission)),
+        Drawing(
+            POWER_NAME,
+            "Power over time",
+            power,
+            partial(draw_power, pair, hover_energy_J),
+            _columns((POWER,)),
+        ),
         Drawing("energy_split", "Energy of each flight", split, draw_split),
     )
+
+
+def _not_comparable(flights: Sequence[StyledFlight], compared: Sequence[StyledFlight]) -> str:
+    """Return the sentence that names the flights without a bar, empty if all have one."""
+    rest = [flight for flight in flights if flight not in compared]
+    if not rest:
+        return ""
+    return f" Not comparable, for they missed the goal or broke a limit: {_listed(rest)}."
 
 
 def adaptation_drawing(study: pd.DataFrame) -> Drawing:
@@ -190,8 +213,16 @@ def drawings_of_run(result: "RunResult") -> tuple[Drawing, ...]:
         *_comparison(result, flights),
         *(() if result.adaptation is None else (adaptation_drawing(result.adaptation),)),
         *((front_drawing(result.front),) if len(result.front) > 1 else ()),
+        *(() if result.often is None else _in_turbulence(result.often, result.plan)),
         *plan_drawings(result.plan, flights),
     )
+
+
+def _in_turbulence(often: "InTurbulence", plan: "Plan") -> Iterator[Drawing]:
+    """Yield the figures of many flights, named apart from those of the run's single flights."""
+    margin = 0.0 if plan.risk is None else plan.risk.margins.get("airspace.clearance", 0.0)
+    for drawing in ensemble_drawings(often.flown, often.savings, margin):
+        yield replace(drawing, name=f"turbulence_{drawing.name}")
 
 
 def drawings_of_comparison(comparison: pd.DataFrame) -> tuple[Drawing]:
@@ -214,7 +245,8 @@ def view_of_paths(result: "RunResult", drawn: Sequence[Drawing]) -> tuple[dict[s
     """
     if PATH_NAME not in [drawing.name for drawing in drawn]:
         return {}, ""
-    played = view_data(_styled(result), result.plan.scenario.airspace)
+    scenario = result.plan.scenario
+    played = view_data(_styled(result), scenario.airspace, scenario.vehicle.arm_length)
     markup = environment().get_template("report/view.html.j2").render()
     return {PATH_NAME: markup}, script_json(played)
 
@@ -227,10 +259,10 @@ def _comparison(result: "RunResult", flights: tuple[StyledFlight, ...]) -> tuple
     comparison = result.comparison
     if comparison.empty:
         return ()
-    arrived = comparison[ComparisonColumn.ARRIVED].astype(bool)
-    absent = frozenset(comparison.loc[~arrived, ComparisonColumn.FLIGHT])
-    mission = result.plan.mission_flown
-    return comparison_drawings(flights, result.plan.hover_energy_J, absent, mission)
+    drawn = comparison_drawings(
+        flights, result.plan.hover_energy_J, comparison, result.plan.mission_flown
+    )
+    return tuple(one for one in drawn if set(one.needs) <= set(flights[0].frame))
 
 
 def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> Drawing:
@@ -240,7 +272,7 @@ def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> Drawin
         f"every {beat:.3g} s.{'' if mission is None else _course(mission)}{left_out(flights)}"
     )
     draw = partial(draw_path, distinct, mission)
-    return Drawing(PATH_NAME, "Path", caption, draw, _columns(POSITION))
+    return Drawing(PATH_NAME, PLAYER_TITLE, caption, draw, _columns(POSITION))
 
 
 def _course(mission: "Scenario") -> str:

@@ -11,7 +11,8 @@
     for (const row of body.rows) {
       for (const cell of row.cells) cell.dataset.label = heads[cell.cellIndex] ?? "";
     }
-    table.classList.add("cards");
+    // The first table of the page has few columns and stays a table.
+    if (!table.closest(".top")) table.classList.add("cards");
     for (const head of table.tHead.querySelectorAll("th")) {
       const button = document.createElement("button");
       button.type = "button";
@@ -35,8 +36,44 @@
   }
 
   for (const image of document.querySelectorAll("figure img")) {
-    image.addEventListener("click", () => image.classList.toggle("large"));
+    const grow = () => image.classList.toggle("large");
+    image.tabIndex = 0;
+    image.setAttribute("role", "button");
+    image.addEventListener("click", grow);
+    image.addEventListener("keydown", (event) => {
+      if (event.key !== "Enter" && event.key !== " ") return;
+      event.preventDefault();
+      grow();
+    });
   }
+
+  // Sections are folded: a link opens its own, and paper has them all.
+  const sections = [...document.querySelectorAll("details.part")];
+  const unfold = () => {
+    const wanted = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    if (wanted?.matches("details")) {
+      wanted.open = true;
+      wanted.scrollIntoView();
+    }
+  };
+  addEventListener("hashchange", unfold);
+  for (const link of document.querySelectorAll("nav a")) link.addEventListener("click", () => setTimeout(unfold));
+  unfold();
+  let folded = [];
+  addEventListener("beforeprint", () => {
+    folded = sections.filter((section) => !section.open);
+    for (const section of folded) section.open = true;
+  });
+  addEventListener("afterprint", () => {
+    for (const section of folded) section.open = false;
+  });
+  // On a phone the contents would fill the first screen.
+  const phone = matchMedia("(max-width: 42rem)");
+  const fold = () => {
+    for (const contents of document.querySelectorAll("nav details")) contents.open = !phone.matches;
+  };
+  phone.addEventListener("change", fold);
+  fold();
 
   const source = document.getElementById("flight-data");
   const view = document.getElementById("flight-view");
@@ -205,6 +242,17 @@
       label(zone.name, [(a.x + b.x) / 2, (a.y + b.y) / 2, b.z], color, NAME);
     }
   };
+  // A vehicle that would be a dot is enlarged, and the page says by how much.
+  const LEAST_SHARE = 0.05;
+  let arm = scene.arm;
+  const scaled = () => {
+    arm = Math.max(scene.arm, LEAST_SHARE * size);
+    const times = arm / scene.arm;
+    document.getElementById("flight-scale").textContent = times > 1.01
+      ? `The vehicle is drawn ${times < 10 ? times.toFixed(1) : times.toFixed(0)} times its size.`
+      : "The vehicle is drawn to scale.";
+  };
+  scaled();
   const body = (flight, t) => {
     // Columns: the body's axes in the world, yaw, pitch and roll in that order.
     const [phi, theta, psi] = ["phi", "theta", "psi"].map((a) => at(flight, flight[a], t));
@@ -229,7 +277,7 @@
     pen.stroke();
   };
   const vehicle = (flight, t) => {
-    const centre = place(flight, t), arm = 0.05 * size;
+    const centre = place(flight, t);
     if (flight.phi) {
       const [ahead, left, up] = body(flight, t);
       for (const [axis, way] of [[ahead, 1], [left, 1], [ahead, -1], [left, -1]]) {
@@ -294,6 +342,25 @@
     if (event.pointerType !== "touch") camera.elevation += (event.clientY - held[1]) / 150;
     camera.elevation = Math.min(Math.max(camera.elevation, -0.2), 1.5);
     held = [event.clientX, event.clientY];
+    draw();
+  });
+  const KEYS = {
+    ArrowLeft: () => { camera.azimuth -= 0.1; },
+    ArrowRight: () => { camera.azimuth += 0.1; },
+    ArrowUp: () => { camera.elevation = Math.min(camera.elevation + 0.1, 1.5); },
+    ArrowDown: () => { camera.elevation = Math.max(camera.elevation - 0.1, -0.2); },
+    "+": () => { camera.zoom *= 1.25; },
+    "-": () => { camera.zoom *= 0.8; },
+    " ": () => (playing ? stop() : play()),
+  };
+  canvas.tabIndex = 0;
+  canvas.setAttribute("role", "img");
+  canvas.setAttribute("aria-label", "The flights in space: arrow keys turn, plus and minus zoom, space plays.");
+  canvas.addEventListener("keydown", (event) => {
+    const act = KEYS[event.key];
+    if (!act) return;
+    event.preventDefault();
+    act();
     draw();
   });
   for (const kind of ["pointerup", "pointercancel"]) {
@@ -425,5 +492,6 @@
   }
   const redraw = () => { charts.forEach(drawChart); show(now); };
   new ResizeObserver(redraw).observe(view);
+  document.getElementById("flight-series").addEventListener("toggle", redraw);
   redraw();
 })();

@@ -49,6 +49,7 @@ def render_html(
     tokens = parser.parse(markdown)
     settings = {"is_good": is_good, "pictures": pictures, "views": views}
     body = parser.renderer.render(tokens, parser.options, settings)
+    body += _end_of_section(tokens)
     return (
         environment()
         .get_template("report/page.html.j2")
@@ -83,8 +84,10 @@ def _scrolled(label: str) -> str:
     return f'<div class="scroll" tabindex="0" role="group" aria-label="{label}">'
 
 
-# Places where a long name may break in a narrow column: after dots, underscores and brackets.
+# Places where a long name may break in a narrow column: after dots, underscores and brackets, and
+# the name of a flight after its slash too.
 _JOINT = pattern(r"(?<=\w[._\]])(?=\w)(?<!\d.)")
+_JOINT_OF_CODE = pattern(r"(?<=\w[._/\]])(?=\w)(?<!\d.)")
 
 
 class _PageRenderer(RendererHTML):
@@ -115,15 +118,29 @@ class _PageRenderer(RendererHTML):
     def text(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
         return _JOINT.sub("<wbr>", escape(tokens[idx].content))
 
+    def code_inline(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
+        return f"<code>{_JOINT_OF_CODE.sub('<wbr>', escape(tokens[idx].content))}</code>"
+
     def image(self, tokens: Sequence[Token], idx: int, _: object, env: EnvType) -> str:
         picture = env["pictures"][_name(tokens[idx])]
         kind = "png" if picture.startswith(_PNG_START) else "svg+xml"
         data = b64encode(picture).decode("ascii")
         return f'<img alt="{_label(tokens[idx])}" src="data:image/{kind};base64,{data}">'
 
-    def heading_open(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
+    def heading_open(self, tokens: Sequence[Token], idx: int, _: object, env: EnvType) -> str:
+        if tokens[idx].tag != "h2":
+            return f"<{tokens[idx].tag}>"
+        title = tokens[idx + 1].content
+        closed = _end_of_section(tokens[:idx])
+        is_open = title in _UNFOLDED or _has_view(tokens, idx, env["views"])
+        # A page of a single section has nothing to fold.
+        is_open = is_open or sum(map(_is_h2, tokens)) == 1
+        shown = " open" if is_open else ""
+        return f'{closed}<details class="part" id="{_anchor(title)}"{shown}><summary><h2>'
+
+    def heading_close(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
         tag = tokens[idx].tag
-        return f'<{tag} id="{_anchor(tokens[idx + 1].content)}">' if tag == "h2" else f"<{tag}>"
+        return "</h2></summary>\n" if tag == "h2" else f"</{tag}>\n"
 
     def blockquote_open(self, _: Sequence[Token], __: int, ___: object, env: EnvType) -> str:
         return f'<div class="verdict{" good" if env["is_good"] else ""}">'
@@ -136,7 +153,10 @@ class _PageRenderer(RendererHTML):
             for heading, inline in pairwise(tokens)
             if heading.type == "heading_open" and heading.tag == "h2"
         )
-        return f'</div>\n<nav aria-label="Contents"><ul>{links}</ul></nav>\n'
+        return (
+            '</div>\n<nav aria-label="Contents"><details open><summary>Contents</summary>'
+            f'<ul>{links}</ul></details></nav>\n<div class="top">\n'
+        )
 
     def table_open(self, *_: object) -> str:
         return ""  # opened by its caption
@@ -155,6 +175,29 @@ class _PageRenderer(RendererHTML):
 
     def td_close(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
         return "</th>" if tokens[idx - 3].type == "tr_open" else "</td>"
+
+
+# Sections that a reader must not miss are not folded.
+_UNFOLDED = ("What went wrong", "Warnings")
+
+
+def _is_h2(token: Token) -> bool:
+    return token.type == "heading_open" and token.tag == "h2"
+
+
+def _end_of_section(before: Sequence[Token]) -> str:
+    """Return the end of the element that is open behind some tokens: a section, or the top."""
+    if any(map(_is_h2, before)):
+        return "</details>\n"
+    has_top = any(token.type == "blockquote_close" for token in before)
+    return "</div>\n" if has_top else ""
+
+
+def _has_view(tokens: Sequence[Token], at: int, views: Mapping[str, str]) -> bool:
+    """Return whether a section holds a picture with a view above it."""
+    end = next((k for k in range(at + 1, len(tokens)) if _is_h2(tokens[k])), len(tokens))
+    children = (child for token in tokens[at:end] for child in token.children or ())
+    return any(child.type == "image" and _name(child) in views for child in children)
 
 
 def _name(image: Token) -> str:

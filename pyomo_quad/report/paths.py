@@ -66,6 +66,9 @@ _BESIDE: dict[str, Any] = {
     "fontsize": 7,
     "zorder": 5,
 }
+# Inches: height of the map, and length of the arrow of its wind; m/s, the least wind that has one.
+_MAP_HEIGHT, _ARROW, _CALM = 3.1, 0.55, 0.05
+WIND_COLOR = "#3a6ea5"  # as in the page's view
 # Distance of start and goal, relative to the path length, below which they share a marker.
 _SAME_PLACE = 0.01
 
@@ -92,6 +95,62 @@ def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) 
         _draw_projection(axes, flights, limits, (across, up), title)
     legend_below(figure, space)
     return figure
+
+
+def draw_map(flights: Sequence[StyledFlight], mission: Scenario) -> Figure:
+    """Draw paths from above with zones, waypoints and the mean wind, to one scale."""
+    figure = Figure(figsize=(FULL_WIDTH, _MAP_HEIGHT))
+    left, below, wide, high = 0.075, 0.21, 0.915, 0.76
+    axes = figure.add_axes((left, below, wide, high))
+    limits = _limits(flights, mission)[:2]
+    room = np.array([wide * FULL_WIDTH, high * _MAP_HEIGHT])
+    half = (np.ptp(limits, axis=1) / room).max() * room / 2
+    (low_x, low_y), (high_x, high_y) = (limits.mean(axis=1) + way * half for way in (-1, 1))
+    axes.set(xlim=(low_x, high_x), ylim=(low_y, high_y))
+    draw_mission(axes, mission, (0, 1))
+    for flight in flights:
+        axes.plot(*_track(flight)[:, :2].T, label=flight.name, **flight.style.line)
+    for end, name, shape in _ends(flights[0]):
+        axes.plot(*end[:2, None], marker=shape, color=INK, markersize=7, linestyle="none")
+        axes.annotate(name, (end[0], end[1]), **_BESIDE)
+    _draw_mean_wind(axes, flights[0])
+    axes.set(xlabel=axis_label(POSITION[0]), ylabel=axis_label(POSITION[1]))
+    legend_below(figure, axes)
+    return figure
+
+
+def mean_wind_of(flight: StyledFlight) -> np.ndarray:
+    """Return the mean wind that a flight meets along x and y, m/s; zero if it has no columns."""
+    known = [signal for signal in WIND if signal.name in flight.frame]
+    if len(known) < len(WIND):
+        return np.zeros(len(WIND))
+    return np.array([float(signal.of(flight.frame).mean()) for signal in known])
+
+
+def _draw_mean_wind(axes: Axes, flight: StyledFlight) -> None:
+    """Draw the direction of the mean wind as an arrow in a corner, with its speed."""
+    wind = mean_wind_of(flight)
+    speed = float(np.linalg.norm(wind))
+    if speed < _CALM:
+        return
+    middle, (along, up) = np.array([0.93, 0.8]), _ARROW * wind / speed
+    half = np.array([along / FULL_WIDTH, up / _MAP_HEIGHT]) / 2
+    axes.annotate(
+        "",
+        xy=tuple(middle + half),
+        xytext=tuple(middle - half),
+        xycoords="axes fraction",
+        arrowprops={"arrowstyle": "-|>", "color": WIND_COLOR, "linewidth": 2.0},
+    )
+    axes.annotate(
+        f"wind {speed:.1f} m/s",
+        (middle[0], 0.97),
+        xycoords="axes fraction",
+        ha="center",
+        va="top",
+        color=WIND_COLOR,
+        fontsize=8,
+    )
 
 
 def draw_space(
@@ -307,8 +366,11 @@ _SERIES = (
 )
 
 
-def view_data(flights: Sequence[StyledFlight], airspace: Airspace) -> dict[str, Any]:
-    """Return the data of the page's interactive view: flights, their columns, zones and ends."""
+def view_data(flights: Sequence[StyledFlight], airspace: Airspace, arm_m: float) -> dict[str, Any]:
+    """Return the data of the page's interactive view: flights, their columns, zones and ends.
+
+    ``arm_m`` is the length of the vehicle's arm.
+    """
     framed = [flight for flight in flights if flight not in leaving_paths(flights)]
     shown = [flight for flight in distinct_paths(flights) if flight in framed]
     optimum = flights[0].frame
@@ -328,6 +390,7 @@ def view_data(flights: Sequence[StyledFlight], airspace: Airspace) -> dict[str, 
             for zone in airspace.keep_out
         ],
         "ends": [(name, _rounded(place)) for place, name, _ in _ends(flights[0])],
+        "arm": arm_m,
         "fastest_wind": max(float(np.abs(winds).max(initial=0.0)), 1.0),
     }
 

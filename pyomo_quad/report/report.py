@@ -27,6 +27,7 @@ from pyomo_quad.report.document import (
 )
 from pyomo_quad.report.render import STATUS_WORDS
 from pyomo_quad.report.tables import (
+    AIMS_NAME,
     FRONT_NAME,
     PLAN_FILE_NAME,
     PLAN_NAME,
@@ -38,6 +39,7 @@ from pyomo_quad.report.tables import (
 )
 from pyomo_quad.scenario import PowerModel, Reference
 from pyomo_quad.scenario.tables import Replanning
+from pyomo_quad.study.aims import AimColumn, charge_beyond_least
 from pyomo_quad.study.autopilot import tuning_table
 from pyomo_quad.study.comparison import (
     FAIR_BASELINE,
@@ -51,7 +53,7 @@ from pyomo_quad.study.comparison import (
     way_flown,
 )
 from pyomo_quad.study.front import FrontColumn
-from pyomo_quad.study.headline import cruise_words, headline_of, settled_of
+from pyomo_quad.study.headline import cruise_words, flight_words, headline_of, settled_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -105,6 +107,7 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
     optional = {
         COMPARISON_NAME: result.comparison,
         FRONT_NAME: result.front,
+        AIMS_NAME: result.aims,
         REPLANNING_NAME: replanned,
         TUNING_NAME: tuning_table(result.tuning),
     }
@@ -313,6 +316,7 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
         "headline": headline_of(result),
         "settled_of": settled_of,
         "cruise_words": cruise_words,
+        "flight_words": flight_words,
         "tuning": result.tuning,
         "TUNING_NAME": TUNING_NAME,
         "alone": by_name.get(OPEN_LOOP),
@@ -324,6 +328,12 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
         "front": result.front.to_dict("records"),
         "front_column": FrontColumn,
         "FRONT_NAME": FRONT_NAME,
+        "aims": result.aims.to_dict("records"),
+        "aim_column": AimColumn,
+        "beyond_least_percent": 0.0
+        if result.aims.empty
+        else 100.0 * charge_beyond_least(result.aims),
+        "AIMS_NAME": AIMS_NAME,
         "REPORT_NAME": REPORT_NAME,
         "PAGE_NAME": PAGE_NAME,
         "COMPARISON_NAME": COMPARISON_NAME,

@@ -39,4 +39,6 @@ MOTOR = (
 )
 
 BATTERY = _group("battery.voltage", "battery.current", "battery.state_of_charge")
+#: Columns of a pack that is declared as an equivalent circuit.
+CIRCUIT = _group("battery.relaxation_voltage", "battery.temperature")
 WIND = _group("wind.velocity_x", "wind.velocity_y")

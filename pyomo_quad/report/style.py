@@ -117,9 +117,9 @@ SERIES_STYLES = (
     LineStyle(color=_SKY, dashes=(2.2, 1.1), marker="X", hatch="--"),
     LineStyle(color=MUTED, dashes=(5, 1.2, 1, 1.2), marker="d", hatch="oo"),
     LineStyle(color=_BROWN, dashes=(3, 1, 1, 1), marker="<", hatch="||"),
-    LineStyle(color=_PINK, dashes=(10, 2, 2, 2), marker=">", hatch="**"),
-    LineStyle(color=_OLIVE, dashes=(1, 2), marker="p", hatch="//\\\\"),
     LineStyle(color=_TEAL, dashes=(6, 1, 1, 1, 1, 1), marker="h", hatch="-|"),
+    LineStyle(color=_OLIVE, dashes=(1, 2), marker="p", hatch="//\\\\"),
+    LineStyle(color=_PINK, dashes=(10, 2, 2, 2), marker=">", hatch="**"),
 )
 
 _FLIGHTS = (

@@ -182,6 +182,12 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
     headline = headline_of(result)
     if headline is not None:
         summary["headline"] = headline.summary
+    if result.often is not None:
+        from pyomo_quad.study.ensemble import ensemble_summary  # noqa: PLC0415  a solve has none
+
+        often = ensemble_summary(result.often.flown, result.often.savings)
+        is_said = often.keys() & summary.keys() | {"wall_s"}
+        summary["turbulence"] = {key: v for key, v in often.items() if key not in is_said}
     summary["flights"] = [
         {
             "flight": flight.name,
@@ -285,6 +291,7 @@ def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "
 
 
 FRONT_NAME = "front.csv"
+AIMS_NAME = "energy_and_charge.csv"
 
 
 def read_front(folder: Path) -> "pd.DataFrame | None":

@@ -293,9 +293,19 @@ def shipped_scenarios() -> Mapping[str, Path]:
     return {short: found[name] for short, name in _SHORT_NAMES.items() if name in found} | found
 
 
-def is_name(text: str) -> bool:
-    """Return whether a text is a valid name of a scenario or vehicle, and of its files."""
-    return re.fullmatch(NAME_PATTERN, text) is not None
+def refuse_no_name(text: str) -> None:
+    """Refuse a text that cannot name a scenario or vehicle, and its files.
+
+    Raises
+    ------
+    ScenarioError
+        If it is not a valid name.
+    """
+    if re.fullmatch(NAME_PATTERN, text) is None:
+        raise ScenarioError(
+            f"NAME = {shown(text)}; must be 1 to 64 letters, digits, '_', '-' or '.', starting "
+            "with a letter or digit."
+        )
 
 
 def started_scenario(template: str, name: str) -> str:
@@ -311,11 +321,7 @@ def started_scenario(template: str, name: str) -> str:
         raise ScenarioError(
             f"--from {shown(template)[1:-1]}: must be one of {', '.join(sorted(shipped))}."
         )
-    if not is_name(name):
-        raise ScenarioError(
-            f"NAME = {shown(name)}; must be 1 to 64 letters, digits, '_', '-' or '.', starting "
-            "with a letter or digit."
-        )
+    refuse_no_name(name)
     text = shipped[template].read_text(encoding="utf-8")
     hint = (
         f"# Begun from {template}. `pyomo-quad check {name}.toml` shows every field, "

@@ -30,9 +30,10 @@ class Hover(Part):
 
 
 class Aim(StrEnum):
-    """Objective for which a free duration is chosen."""
+    """Quantity of which a plan spends least."""
 
     ENERGY = "energy"
+    CHARGE = "charge"
     TIME = "time"
 
 
@@ -182,8 +183,8 @@ class Mission(Part):
     )
     aim: Aim = quantity(
         "",
-        "what a free duration is chosen for: least energy, or least time, of which the plan says "
-        "how close it came",
+        "what the plan spends least of: energy; charge drawn from the pack, its own loss "
+        "included; or, of a free duration, time, of which the plan says how close it came",
         Aim.ENERGY,
         is_late=True,
     )
@@ -319,12 +320,12 @@ class Mission(Part):
         field = "duration_max" if self.is_free else "duration"
         return NamedDuration(f"mission.{field}", self.duration_limits[1])
 
-    @staticmethod
-    def chosen(duration: float) -> dict[str, float | str | None]:
+    def chosen(self, duration: float) -> dict[str, float | str | None]:
         """Return the fields that fix a free duration."""
         free = Mission.model_fields
-        by = ("duration_min", "duration_max", "price_of_time", "aim")
-        return {"duration": duration} | {name: free[name].default for name in by}
+        by = ("duration_min", "duration_max", "price_of_time")
+        aim = Aim.ENERGY if self.aim is Aim.TIME else self.aim
+        return {"duration": duration, "aim": aim} | {name: free[name].default for name in by}
 
     @model_validator(mode="after")
     def _durations_agree(self) -> Self:

@@ -17,6 +17,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from pyomo_quad.scenario.battery import Battery
 from pyomo_quad.scenario.fields import (
     FieldPath,
     depth,
@@ -43,7 +44,6 @@ from pyomo_quad.scenario.spellings import in_plain_terms, origin_of_mission
 from pyomo_quad.scenario.tables import (
     DERIVED_LIMITS,
     FASTEST_ROTOR,
-    Battery,
     Limits,
     derived_limits,
 )

@@ -11,6 +11,7 @@ from typing import Any, Self
 from pydantic import BaseModel, PrivateAttr, ValidationError
 
 from pyomo_quad.scenario.airspace import Airspace
+from pyomo_quad.scenario.battery import Battery
 from pyomo_quad.scenario.fields import (
     ONE_LINE,
     Number,
@@ -42,7 +43,6 @@ from pyomo_quad.scenario.resolution import ScenarioSource, resolve, whose
 from pyomo_quad.scenario.tables import (
     USED_BY,
     Baseline,
-    Battery,
     CruiseSettings,
     Limits,
     Power,
@@ -245,7 +245,7 @@ class Scenario(Part):
         """
         if duration == self.mission.duration and not passing_times:
             return self
-        values: dict[str, Any] = Mission.chosen(float(duration))
+        values: dict[str, Any] = self.mission.chosen(float(duration))
         if passing_times:
             pairs = zip(self.mission.waypoints, passing_times, strict=True)
             values["waypoints"] = tuple(w.model_copy(update={"at": at}) for w, at in pairs)

@@ -10,12 +10,10 @@ from pydantic import Field, model_validator
 
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.fields import (
-    ONE_LINE,
     Flag,
     Number,
     Part,
     Sound,
-    Text,
     WholeNumber,
     late_quantity,
     quantity,
@@ -232,60 +230,6 @@ class Baseline(Part):
         if twice is not None:
             raise ValueError(
                 f"cruise_speeds has {twice:g} m/s twice; must be different speeds; leave one out"
-            )
-        return self
-
-
-_VOLTAGE = Sound(0, 100, "cells of all chemistries have 1 to 5 V")
-
-
-class Battery(Part):
-    """Cell constants of the Tremblay-Dessaint model and the number of cells."""
-
-    use: Text = quantity("", "name of the battery in the library, or a file of its own, NAME.toml")
-    title: Text = quantity(
-        "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
-    )
-    cells_series: WholeNumber = quantity("1", "cells in series", ge=1, le=1000)
-    cells_parallel: WholeNumber = quantity("1", "cells in parallel", ge=1, le=1000)
-    E0: Number = quantity(
-        "V",
-        "constant voltage of one cell (e0)",
-        gt=0,
-        sound=Sound(0.1, 100, "cells of all chemistries have 1 to 5 V"),
-    )
-    K: Number = quantity("V", "polarisation voltage of one cell (k)", ge=0, sound=_VOLTAGE)
-    A: Number = quantity("V", "exponential voltage of one cell (c1)", ge=0, sound=_VOLTAGE)
-    B: Number = quantity(
-        "1/A/hr",
-        "inverse exponential capacity of one cell (c2)",
-        ge=0,
-        sound=Sound(0, 1e4, "the exponential zone spans at least 0.1 mAh of charge"),
-    )
-    capacity: Number = quantity(
-        "A*hr",
-        "capacity of one cell (Qbat)",
-        gt=0,
-        sound=Sound(1e-4, 1e4, "cells hold from 1 mAh to 1000 Ah"),
-    )
-    cell_resistance: Number = quantity(
-        "ohm",
-        "resistance of one cell (Rbat)",
-        gt=0,
-        sound=Sound(1e-6, 100, "cells have from 0.1 mohm to some ohms"),
-    )
-    initial_state_of_charge: Number = quantity(
-        "percent", "state of charge at the start", 100.0, gt=0, le=100
-    )
-
-    @model_validator(mode="after")
-    def _has_a_voltage(self) -> Self:
-        # Eq. (5) of a full cell, the highest voltage of the cell.
-        highest = self.E0 + self.A
-        if highest <= self.K:
-            raise ValueError(
-                f"K = {self.K:g} V leaves a full cell {highest - self.K:.3g} V; must be below "
-                f"E0 + A = {highest:g} V; correct K, E0 or A"
             )
         return self
 

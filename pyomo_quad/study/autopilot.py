@@ -61,8 +61,8 @@ _COST_TOLERANCE = 2e-4
 _FAILED_J = 1e12
 # What a broken limit or a missed goal adds to the energy: a share of it, and that times the breach.
 _PENALTY, _PENALTY_OF_BREACH = 0.5, 10.0
-# Tolerance of the integrator in the search: energies to 1e-4, and a third of the work.
-_TOLERANCE = 1e-4
+# Tolerance of the integrator in the search: energies to 2e-4, and a third of the work.
+_TOLERANCE = 1e-3
 # Share of the distance and speed of arrival within which a flight ends, so that rounding cannot
 # undo its arrival.
 _WITHIN = 0.999

@@ -57,7 +57,9 @@ def energy_time_front(
     columns = [column.value for column in FrontColumn]
     if not plan.is_verified or not plan.scenario.mission.is_free:
         return pd.DataFrame(columns=columns)
-    own = plan.scenario.mission.price_of_time if plan.scenario.mission.aim is Aim.ENERGY else nan
+    mission = plan.scenario.mission
+    own = nan if mission.aim is Aim.TIME else mission.price_of_time
+    aim = Aim.ENERGY if mission.aim is Aim.TIME else mission.aim
     rows = [(own, plan.duration_s, plan.energy, True)]
     hover_power = plan.hover_energy_J / plan.duration_s
     prices = [share * hover_power for share in _PRICES] if isfinite(hover_power) else []
@@ -65,7 +67,7 @@ def energy_time_front(
         if isclose(price, own, rel_tol=0.1, abs_tol=0.1 * hover_power):
             continue
         once = {"solver": plan.scenario.solver.model_copy(update={"max_refinements": 0})}
-        dearer = plan.scenario.with_mission(price_of_time=price, aim=Aim.ENERGY)
+        dearer = plan.scenario.with_mission(price_of_time=price, aim=aim)
         found = planner.solve(dearer.model_copy(update=once), warm_start=plan, progress=progress)
         is_new = not any(isclose(found.duration_s, row[1], rel_tol=_SAME_TIME) for row in rows)
         if found.verification is not None and is_new:

@@ -10,7 +10,9 @@ from dataclasses import asdict, dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
-from pyomo_quad.flight.baselines import OPEN_LOOP
+from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
+from pyomo_quad.flight.replanning import replanned_name
+from pyomo_quad.scenario.tables import Knowledge, Reference
 from pyomo_quad.study.autopilot import TUNED_CRUISE
 from pyomo_quad.study.comparison import FAIR_BASELINE, OPTIMAL, ComparisonColumn
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
     from pyomo_quad.flight.margins import RiskTaken
     from pyomo_quad.scenario.tables import CruiseSettings
+    from pyomo_quad.study.ensemble import InTurbulence
     from pyomo_quad.study.run import RunResult
 
 Row = Mapping[Any, Any]
@@ -41,6 +44,8 @@ class Headline:
         Those of the tuned autopilot, if it is the rival.
     risk : RiskTaken or None
         The flights in turbulence that the plan was tried in.
+    often : InTurbulence or None
+        Many flights of the run in turbulence, which are named instead of those.
     """
 
     energy_J: float
@@ -49,6 +54,7 @@ class Headline:
     rival: Row | None
     settings: "CruiseSettings | None"
     risk: "RiskTaken | None"
+    often: "InTurbulence | None" = None
 
     @property
     def words(self) -> str:
@@ -92,6 +98,8 @@ class Headline:
 
     @property
     def _share(self) -> str:
+        if self.often is not None:
+            return self.often.words
         if self.risk is None:
             return "No flights in turbulence were flown."
         held = self.risk.flown - self.risk.failed
@@ -125,6 +133,7 @@ def headline_of(result: "RunResult") -> Headline | None:
         rival=rival,
         settings=None if tuning is None else tuning.settings,
         risk=result.plan.risk,
+        often=result.often,
     )
 
 
@@ -140,3 +149,25 @@ def rival_of(comparison: "pd.DataFrame") -> Row | None:
 def settled_of(row: Row) -> float:
     """Return the energy of a flight plus its owed energy, by which flights are compared [J]."""
     return float(row[ComparisonColumn.HOVER_ENERGY] + row[ComparisonColumn.EXCESS_ENERGY])
+
+
+_WORDS = {
+    OPTIMAL: "the plan",
+    OPEN_LOOP: "the plan's controls without feedback",
+    TUNED_CRUISE: "an autopilot at the settings of least energy",
+    baseline_name(Reference.PLAN): "the plan under feedback",
+    baseline_name(Reference.QUINTIC): "a smooth straight path in the mission's time",
+    baseline_name(Reference.MINIMUM_SNAP): "a smoother straight path in the mission's time",
+    baseline_name(Reference.STEP): "the goal given at once",
+    replanned_name(Knowledge.TOLD): "planned again in flight, told the wind",
+    replanned_name(Knowledge.ESTIMATED): "planned again in flight, estimating the wind",
+    replanned_name(Knowledge.UNTOLD): "planned again in flight, not told the wind",
+}
+
+
+def flight_words(name: str) -> str:
+    """Return what a flight is, for a reader who does not know its name."""
+    if name in _WORDS:
+        return _WORDS[name]
+    is_cruise = name.startswith(baseline_name(Reference.CRUISE))
+    return "an autopilot at this speed" if is_cruise else "another flight"

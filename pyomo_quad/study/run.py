@@ -19,6 +19,7 @@ from pyomo_quad.flight.risk import plan_at_risk
 from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.presentation import presenter
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
+from pyomo_quad.study.aims import disagreement, energy_and_charge
 from pyomo_quad.study.autopilot import TUNED_CRUISE, Tuning, fly_cruise, tune_cruise
 from pyomo_quad.study.certificate import Certificate, certify
 from pyomo_quad.study.check import plan_cautions
@@ -28,6 +29,7 @@ from pyomo_quad.study.comparison import (
     combine,
     compare_flights,
 )
+from pyomo_quad.study.ensemble import InTurbulence, fly_in_turbulence
 from pyomo_quad.study.front import energy_time_front
 from pyomo_quad.study.processes import side_by_side
 
@@ -56,6 +58,8 @@ class RunResult(Summarised):
         Effect of adaptation in that wind, see `comparison.adaptation_study`; None in calm air.
     front : DataFrame
         Energy against time, see `study.front`; empty if the mission fixes its duration.
+    aims : DataFrame
+        Least energy against least charge, see `study.aims`; empty under the paper's equations.
     timings : mapping
         Seconds of the plan's phases, of the certificate, of the front, and of flights and cautions
         beyond these.
@@ -64,6 +68,8 @@ class RunResult(Summarised):
     tuning : Tuning or None
         The settings of the autopilot tuned for least energy, and what was tried; None without
         reference cruise.
+    often : InTurbulence or None
+        Many flights of the plan, and of an autopilot, in winds with turbulence; None without it.
     """
 
     scenario: Scenario
@@ -73,9 +79,11 @@ class RunResult(Summarised):
     certificate: Certificate
     adaptation: pd.DataFrame | None
     front: pd.DataFrame
+    aims: pd.DataFrame
     timings: Mapping[str, float]
     warnings: tuple[str, ...]
     tuning: Tuning | None = None
+    often: InTurbulence | None = None
 
     @property
     def summary(self) -> dict[str, str]:
@@ -86,6 +94,7 @@ class RunResult(Summarised):
             "status": self.plan.status.value,
             **{flight.name: f"{flight.energy_J:.2f} J" for flight in self.flights},
             "no flight below": "unknown" if bound is None else f"{bound:.2f} J",
+            **({} if self.often is None else {"held": str(self.often.flown.held)}),
         }
 
     @property
@@ -159,14 +168,14 @@ class RunResult(Summarised):
         """
         self.to_xarray().to_netcdf(path, engine="h5netcdf")
 
-    def plot(self, what: str = "overview") -> "Picture":
+    def plot(self, what: str = "map") -> "Picture":
         """Draw a figure of the run, or a column of its plan's table over time.
 
         Parameters
         ----------
-        what : str, default "overview"
-            "overview", "energy_split", "path", "energy", "adaptation", "front", ..., or a column
-            of `Plan.to_frame`; an unknown name lists all of them.
+        what : str, default "map"
+            "map", "power_over_time", "energy_split", "path", "energy", "adaptation", "front", ...,
+            or a column of `Plan.to_frame`; an unknown name lists all of them.
 
         Returns
         -------
@@ -270,6 +279,7 @@ def _run(
         certificate = certify(scenario, planner=planner)
         certified = perf_counter()
         front = energy_time_front(plan, planner=planner, progress=progress)
+        aims = energy_and_charge(plan, planner=planner, progress=progress)
         swept = perf_counter()
         meanwhile()
         helping = perf_counter()
@@ -280,6 +290,7 @@ def _run(
     completed = tuple(flight for flight in flown if isinstance(flight, Flight))
     flights = () if optimum is None else (optimum, *completed)
     flights = _priced(flights, mission, planner, progress)
+    often, refused = _often(plan, planner, tuning, references)
     ended = perf_counter()
     comparison = combine([])
     if flights:
@@ -292,19 +303,37 @@ def _run(
         certificate=certificate,
         adaptation=adaptation,
         front=front,
+        aims=aims,
         timings={
             **plan.timings,
             "fly": (ended - began) - (helping - here),
             "certify": certified - here,
             "front": swept - certified,
         },
-        warnings=(
-            *cautions,
-            *(why for why in flown if isinstance(why, str)),
-            *(f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt),
-        ),
+        warnings=(*cautions, *disagreement(aims), *_failures(flown, flights), *refused),
         tuning=tuning,
+        often=often,
     )
+
+
+def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[str]:
+    """Yield a line for each flight that failed or that is not confirmed."""
+    yield from (why for why in flown if isinstance(why, str))
+    yield from (f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt)
+
+
+def _often(
+    plan: Plan, planner: Planner, tuning: Tuning | None, references: Sequence[Reference]
+) -> tuple[InTurbulence | None, tuple[str, ...]]:
+    """Return the flights in turbulence, or the reason why there are none."""
+    speeds = plan.scenario.baseline.cruise_speeds or ()
+    if tuning is not None:
+        speeds = (tuning.settings.speed,)
+    speed = speeds[0] if speeds and Reference.CRUISE in references else None
+    try:
+        return fly_in_turbulence(plan, speed, planner=planner), ()
+    except (EngineError, ScenarioError) as error:
+        return None, (f"no flights in turbulence: {error}",)
 
 
 def _priced(

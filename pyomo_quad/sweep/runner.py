@@ -17,7 +17,7 @@ FLIGHT_SOLVER = "pyomo_quad.sweep.case:solve_case"
 
 
 class SweepListener(Protocol):
-    """Receiver of the progress of a sweep."""
+    """Receiver of the progress of a sweep; without methods of its own it ignores the progress."""
 
     def start(self, total: int, already_ended: int) -> None:
         """Receive the number of cases, and of cases which ended in earlier runs."""
@@ -26,14 +26,8 @@ class SweepListener(Protocol):
         """Receive a case whose row has been committed, and the number of cases done."""
 
 
-class SilentListener:
+class SilentListener(SweepListener):
     """A listener that ignores the progress."""
-
-    def start(self, total: int, already_ended: int) -> None:
-        """Do nothing."""
-
-    def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
-        """Do nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)

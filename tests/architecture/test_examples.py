@@ -22,8 +22,9 @@ from tests.architecture.test_public_api import public_names
 from tests.sweep.sweeping import Here
 
 ROOT = Path(__file__).parents[2]
-# These start processes, or fly once more what `known` has flown.
+# These start processes, draw many figures, or fly once more what `known` has flown.
 SLOW = {
+    "pyomo_quad.RunResult",
     "pyomo_quad.run_scenario",
     "pyomo_quad.sweep.cluster_workers",
     "pyomo_quad.sweep.estimate_sweep",

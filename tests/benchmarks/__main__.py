@@ -23,6 +23,7 @@ MODULES = {
     "peers": "peer_table",
     "sweep": "sweep_speed",
     "mpc": "replanning",
+    "charge": "charge",
 }
 
 

@@ -40,7 +40,7 @@ def test_a_leg_round_a_mast_is_as_long_as_tangents_and_arc_and_gets_that_share_o
     )
     bent = []
 
-    def solve(leg, _mesh, way, _known):
+    def solve(leg, _mesh, way):
         ends = leg.mission.start.position, leg.mission.goal.position
         bent.extend([ends] * (way is not None))
         return SimpleNamespace(status=Status.CONVERGED, objective=leg.mission.fixed_duration)
@@ -70,7 +70,7 @@ class Legs:
         odd = self._wobble * np.sin(7.0 * here[0] + 11.0 * there[1])
         return 40.0 + 5.0 * length + 1.5 * step[0] + 3.0 * step[2] + odd * length
 
-    def __call__(self, leg, _mesh, _way, _known):
+    def __call__(self, leg, _mesh, _way):
         ends = leg.mission.start.position, leg.mission.goal.position
         self.asked.append(ends)
         return SimpleNamespace(status=Status.CONVERGED, objective=self.energy(*ends))

@@ -109,7 +109,7 @@ def test_page_may_not_load_anything():
 
 def test_view_holds_the_paths_and_no_end_of_script():
     run = synthetic_run(flights=("optimal", "adaptive/quintic"))
-    text = script_json(view_data(styled_flights(run.flights), run.scenario.airspace))
+    text = script_json(view_data(styled_flights(run.flights), run.scenario.airspace, 0.2))
     data = json.loads(text)
     optimum, other = data["flights"]
     assert [optimum["name"], other["name"]] == ["optimal", "adaptive/quintic"]
@@ -135,7 +135,7 @@ def test_a_flight_that_comes_home_has_its_ends_at_one_mark():
     back = there.frame.iloc[::-1].assign(time_s=there.frame["time_s"].to_numpy())
     later = back.assign(time_s=back["time_s"] + there.frame["time_s"].iloc[-1])
     home = replace(there, frame=pd.concat([there.frame, later]))
-    ends = [view_data((flight,), run.scenario.airspace)["ends"] for flight in (there, home)]
+    ends = [view_data((flight,), run.scenario.airspace, 0.2)["ends"] for flight in (there, home)]
     assert [[name for name, _ in named] for named in ends] == [
         ["start", "goal"],
         ["start and goal"],

@@ -15,11 +15,11 @@ from pyomo_quad.report.energy_bars import draw_energy_by_scenario, draw_energy_s
 from pyomo_quad.report.flight_figures import (
     draw_energy,
     draw_front,
-    draw_overview,
+    draw_power,
     draw_way,
 )
 from pyomo_quad.report.gallery import comparison_drawings
-from pyomo_quad.report.paths import draw_path
+from pyomo_quad.report.paths import draw_path, mean_wind_of
 from pyomo_quad.report.report import write_run_report
 from pyomo_quad.report.style import styled_flights
 from pyomo_quad.report.tables import write_table
@@ -27,7 +27,12 @@ from pyomo_quad.report.zones import faces
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.study.comparison import compare_flights, leg_table
 from pyomo_quad.study.front import energy_time_front
-from tests.synthetic_run import HOVER_ENERGY_J, synthetic_certificate, synthetic_run
+from tests.synthetic_run import (
+    HOVER_ENERGY_J,
+    synthetic_certificate,
+    synthetic_run,
+    with_tuned_autopilot,
+)
 
 ZONES = """[
     {name = "mast", shape = "cylinder", centre = [2.0, 5.0], radius = 1.0, bottom = 0.0, top = 6.0},
@@ -56,7 +61,7 @@ def test_energies_stand_beside_their_bars_and_not_on_them(run):
     """Below the hover floor the bar is that of hovering, of which the number lay on the end."""
     flights = styled_flights(run.flights)
     hover = 1.2 * flights[0].energy_J
-    whole = draw_energy_split(flights, hover, frozenset()).axes[0]
+    whole = draw_energy_split(flights, hover).axes[0]
     ends = [max(hover, flight.energy_J) for flight in flights]
     assert [number.xy[0] for number in whole.texts] == pytest.approx(ends)
     assert [float(number.get_text()) for number in whole.texts] == pytest.approx(
@@ -84,55 +89,65 @@ def late():
 
 def test_flights_of_other_durations_are_compared_by_their_total_energy(late):
     flights = styled_flights(late.flights)
-    drawn = comparison_drawings(flights, HOVER_ENERGY_J, frozenset(), late.scenario)
-    overview, split = (drawing.draw() for drawing in drawn)
-    _, over_time, in_total = overview.axes
+    drawn = comparison_drawings(flights, HOVER_ENERGY_J, late.comparison, late.scenario)
+    split = drawn[-1].draw()
     spent = [flight.energy_J for flight in late.flights]
-    assert [bar.get_width() for bar in in_total.patches] == pytest.approx(spent)
-    assert [line.get_ydata()[-1] for line in over_time.get_lines()] == pytest.approx(spent)
-    floors = [lines.get_segments()[0][0, 0] for lines in in_total.collections]
-    assert floors == pytest.approx(late.comparison["hover_energy_J"])
-    beside = [number.xy[0] for number in in_total.texts]
-    assert beside == pytest.approx(np.maximum(spent, floors))
     assert [bar.get_width() for bar in split.axes[1].patches] == pytest.approx(
         [0.0, spent[1] - spent[0]]
     )
-    assert "energy that each flight has spent, and" in drawn[0].caption
     bars = draw_energy_by_scenario(late.comparison).axes[0].patches
     assert [bar.get_width() for bar in bars] == pytest.approx(spent)
 
 
 def test_flights_of_one_duration_are_told_apart_above_hovering(run):
     flights = styled_flights(run.flights)
-    overview, split = (
-        draw(flights, HOVER_ENERGY_J, frozenset(), *mission)
-        for draw, mission in ((draw_overview, (run.scenario,)), (draw_energy_split, ()))
-    )
     above = [flight.energy_J - HOVER_ENERGY_J for flight in flights]
-    ends = {line.get_label(): line.get_ydata()[-1] for line in overview.axes[1].get_lines()}
-    assert [ends[flight.name] for flight in flights] == pytest.approx(above)
+    split = draw_energy_split(flights, HOVER_ENERGY_J)
     assert [bar.get_width() for bar in split.axes[1].patches] == pytest.approx(above)
-    floors = [lines.get_segments()[0][0, 0] for lines in overview.axes[2].collections]
-    assert floors == pytest.approx([HOVER_ENERGY_J] * 2)
+
+
+def test_a_flight_that_missed_the_goal_has_no_bar_and_the_caption_says_so(run):
+    """Its energy is not that of the mission: the step ends 0.21 m from the goal."""
+    flights = styled_flights(run.flights)
+    drawn = comparison_drawings(flights, HOVER_ENERGY_J, run.comparison, run.scenario)
+    split = drawn[-1]
+    assert [label.get_text() for label in split.draw().axes[0].get_yticklabels()] == ["optimal"]
+    assert split.caption.endswith("missed the goal or broke a limit: adaptive/step.")
+
+
+def test_the_map_shows_zones_wind_and_the_flight_that_the_saving_is_against():
+    run = with_tuned_autopilot(synthetic_run("scenarios/paper_wind.toml", OVERRIDES))
+    flights = styled_flights(run.flights)
+    drawn = comparison_drawings(flights, HOVER_ENERGY_J, run.comparison, run.scenario)
+    assert [one.name for one in drawn] == ["map", "power_over_time", "energy_split"]
+    axes = drawn[0].draw().axes[0]
+    named = [line.get_label() for line in axes.get_lines() if not line.get_label().startswith("_")]
+    assert named == ["optimal", "adaptive/cruise tuned"]
+    assert len(axes.patches) >= 2 * len(run.scenario.airspace.keep_out)
+    room = axes.get_position().size * axes.get_figure().get_size_inches()
+    per_inch = np.ptp([axes.get_xlim(), axes.get_ylim()], axis=1) / room
+    assert per_inch[0] == pytest.approx(per_inch[1])
+    wind = np.linalg.norm(mean_wind_of(flights[0]))
+    assert wind > 0.1
+    assert f"wind {wind:.1f} m/s" in [text.get_text() for text in axes.texts]
+    arrow = next(text for text in axes.texts if text.arrow_patch is not None)
+    tip = np.subtract(arrow.xy, arrow.get_position()) * axes.get_figure().get_size_inches()
+    assert tip / np.linalg.norm(tip) == pytest.approx(mean_wind_of(flights[0]) / wind)
 
 
 def test_time_axes_show_every_flight_to_its_end(late):
     flights = styled_flights(late.flights)
-    overview = draw_overview(flights, HOVER_ENERGY_J, frozenset(), late.scenario)
-    energy = draw_energy(flights, HOVER_ENERGY_J)
-    for axes in (overview.axes[1], energy.axes[-1]):
-        assert axes.get_xlim() == pytest.approx((0.0, late.flights[1].duration_s))
+    for figure in (draw_energy(flights, HOVER_ENERGY_J), draw_power(flights, HOVER_ENERGY_J)):
+        assert figure.axes[-1].get_xlim() == pytest.approx((0.0, late.flights[1].duration_s))
 
 
 def test_the_view_in_space_has_one_scale_and_shows_the_zones(run):
     flights, zones = styled_flights(run.flights), run.scenario.airspace.keep_out
-    overview = draw_overview(flights, HOVER_ENERGY_J, frozenset(), run.scenario)
-    for figure in (overview, draw_path(flights, run.scenario)):
-        space = figure.axes[0]
-        sides = np.ptp([space.get_xlim(), space.get_ylim(), space.get_zlim()], axis=1)
-        per_metre = space._box_aspect / sides
-        assert per_metre == pytest.approx(np.full(3, per_metre[0]))
-        assert len(space.collections) == len(zones)
+    space = draw_path(flights, run.scenario).axes[0]
+    sides = np.ptp([space.get_xlim(), space.get_ylim(), space.get_zlim()], axis=1)
+    per_metre = space._box_aspect / sides
+    assert per_metre == pytest.approx(np.full(3, per_metre[0]))
+    assert len(space.collections) == len(zones)
     limits = np.tile([-50.0, 50.0], (3, 1))
     surfaces = {zone.name: faces(zone, limits) for zone in zones}
     for zone in zones:

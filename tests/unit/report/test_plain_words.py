@@ -26,8 +26,9 @@ from tests.synthetic_run import (
 
 
 def opening(folder):
-    """The paragraph under the title and its verdict."""
-    return (folder / "report.md").read_text(encoding="utf-8").split("\n\n")[2]
+    """The paragraph on what was asked, found and meant."""
+    parts = (folder / "report.md").read_text(encoding="utf-8").split("\n\n")
+    return next(part for part in parts if part.startswith("**Asked:**"))
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +140,7 @@ def test_a_solve_whose_time_ran_out_says_what_happened_and_what_it_reached(tmp_p
 
 def test_a_wind_that_was_not_told_is_said_at_once(tmp_path):
     write_run_report(tmp_path, synthetic_run("scenarios/wind_untold.toml"), Figures.NONE)
-    assert "this holds in the forecast that the plan was made for; the table below" in (
+    assert "this holds in the forecast that the plan was made for; the tables show" in (
         opening(tmp_path)
     )
 
@@ -152,7 +153,7 @@ def climb_said(folder, run):
 
 def test_a_climb_that_the_power_model_gives_away_is_said_beside_the_numbers(run, report):
     text = (report / "report.md").read_text(encoding="utf-8")
-    said = text.split("\n\n")[3]
+    said = next(part for part in text.split("\n\n") if "Climbing is free" in part)
     vehicle, climb_m = run.scenario.vehicle, 8.0
     potential = vehicle.total_mass * run.scenario.gravity * climb_m
     assert said.startswith("**Climbing is free in this power model.** The mission climbs 8 m, ")

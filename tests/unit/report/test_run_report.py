@@ -33,7 +33,7 @@ from pyomo_quad.study.comparison import (
 from tests.synthetic_run import HOVER_ENERGY_J, synthetic_plan, synthetic_run
 
 FIGURES = {
-    "overview", "energy_split",
+    "map", "power_over_time", "energy_split",
     "path", "states", "controls", "energy", "motors", "battery", "wind", "costates", "mesh",
 }  # fmt: skip
 ANSWER = (

@@ -1,0 +1,425 @@
+"""The circuit of a pack from the voltages of flights, and its errors on flights it has not seen.
+
+Method: see docs/theory/identification.md, eqs. (7) to (9).
+
+This file has no formula of the pack. The declared equations fly the pack alone under the measured
+power of all flights at once. The charge at the start of a flight follows from the voltage before
+the load, the resistance of its pack, new or old, cold or warm, from the first seconds under load.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from pyomo_quad.collocation import SteppedLoops
+from pyomo_quad.collocation import compile as compile_model
+from pyomo_quad.flight.baselines import declared_start
+from pyomo_quad.identification.columns import CURRENT, FLIGHT, TIME, VOLTAGE
+from pyomo_quad.identification.validation import folds
+from pyomo_quad.model.battery import CHARGE_STATE, build_pack
+from pyomo_quad.scenario import Scenario
+
+FloatArray = NDArray[np.float64]
+
+#: Fields of the battery that are fitted, and the parameter of the model that each one is.
+FITTED = {
+    "E0": "battery.E0",
+    "B": "battery.B",
+    "cell_resistance": "battery.cell_resistance",
+    "relaxation.resistance": "battery.relaxation_resistance",
+    "relaxation.time_constant": "battery.relaxation_time_constant",
+    "thermal.activation_energy": "battery.activation_energy",
+}
+#: Follows from E0, because the voltage of the full cell is kept.
+DEPENDENT, _DEPENDENT_PARAMETER = "A", "battery.A"
+#: Column of `PackIdentification.flights`: what a flight leaves in its pack.
+LEAST_CHARGE = "end_charge_percent"
+_LOAD, _FACTOR = "power.load", "battery.resistance_factor"
+_KEYS = tuple((f"battery.{name}", None) for name in ("voltage", "open_circuit_voltage"))
+# Power over the greatest of the flight, above which the pack is under load.
+_LOADED = 0.25
+# Time under load from which the resistance of a flight's pack is read, and rows before that, s.
+_READ_S, _BEGIN_S = 10.0, 3.0
+# Residual, V per cell, above which a row counts linearly instead of quadratically.
+_LARGE_RESIDUAL_V = 0.05
+# Factors on the resistance that a flight's pack may have, and iterations that read it.
+_LEAST_FACTOR, _MOST_FACTOR, _READINGS = 0.2, 5.0, 4
+# Fewest flights, and fewest rows of a flight after its resistance is read.
+_FEWEST_FLIGHTS, _FEWEST_ROWS = 5, 20
+# Samples of the open-circuit voltage over the charge, from which a charge is read.
+_CURVE = 400
+# First guess of what a pack without a circuit lacks: share of its resistance that is slow, time
+# constant, s, and activation energy, J/mol.
+_SLOW_SHARE, _TIME_CONSTANT_S, _ACTIVATION = 0.4, 15.0, 2e4
+# Specific heat, J/kg/K, and energy, W h/kg, of lithium-polymer packs, for their heat capacity.
+_SPECIFIC_HEAT, _SPECIFIC_ENERGY, _NOMINAL_V = 1000.0, 190.0, 3.8
+_PER_CELL_MV = 1e3
+# Resistance, ohm, and activation energy, J/mol, that are as good as none: they enter by logarithms.
+_NEARLY_NONE = 1e-6
+# Relative change of the sum of squares, and of the fields, at which a fit ends.
+_FIT_TOLERANCE = 1e-3
+# Shortest and longest time constant, in steps of the log and in s.
+_FASTEST_STEPS, _SLOWEST_S = 1.0, 1000.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PackParameter:
+    """Fitted value of a battery's field; `deviation` is by the jackknife over the folds."""
+
+    name: str
+    value: float
+    deviation: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PackIdentification:
+    """A pack identified from flights, and the errors of its voltages.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        The base with the pack as fitted.
+    parameters : tuple of PackParameter
+    flights : DataFrame
+        One row for each flight: charge at the start, factor on the resistance, and errors, mV per
+        cell, by a fit without the flight, with the factor read and with that of a middling pack.
+    rows : DataFrame
+        Time, measured and computed voltage of a cell in each row, by fits without its flight.
+    read_s : float
+        Time in `rows` until which the resistance of a flight's pack is read.
+    error_mV, error_unread_mV, base_error_mV : float
+        Root mean square error in flight, per cell: of unseen flights with the resistance read
+        under the first load, of unseen flights with that of a middling pack, and of the base pack.
+    """
+
+    scenario: Scenario
+    parameters: tuple[PackParameter, ...]
+    flights: pd.DataFrame
+    rows: pd.DataFrame
+    read_s: float
+    error_mV: float
+    error_unread_mV: float
+    base_error_mV: float
+
+
+class _Flown(NamedTuple):
+    """Power and voltage of a cell of one flight, from just before its load.
+
+    `rest` has voltage and power before the load; the first `aloft` rows are in flight.
+    """
+
+    name: object
+    power: FloatArray
+    voltage: FloatArray
+    rest: tuple[float, float]
+    aloft: int
+
+
+class Record:
+    """Voltages and powers of flights on one grid of time, each from just before its load."""
+
+    def __init__(self, frame: pd.DataFrame, cells: int) -> None:
+        steps = frame.groupby(FLIGHT, sort=False)[TIME].diff()
+        self.step, self.cells = float(steps.median()), cells
+        self.reading = round((_BEGIN_S + _READ_S) / self.step)
+        read = (self._flight(one) for _, one in frame.groupby(FLIGHT, sort=False))
+        flown = [one for one in read if one is not None]
+        longest = max((len(one.power) for one in flown), default=0)
+        self.names = [one.name for one in flown]
+        self.power, self.voltage = np.zeros((2, longest, len(flown)))
+        self.is_logged, self.is_aloft = np.zeros((2, longest, len(flown)), dtype=bool)
+        self.rest = np.array([one.rest for one in flown])
+        for k, one in enumerate(flown):
+            rows = slice(0, len(one.power))
+            self.power[rows, k], self.voltage[rows, k] = one.power, one.voltage
+            self.is_logged[rows, k], self.is_aloft[: one.aloft, k] = True, True
+
+    def _flight(self, rows: pd.DataFrame) -> _Flown | None:
+        """Return a flight on the record's grid; None if it has no load or is too short."""
+        time = rows[TIME].to_numpy()
+        even = np.arange(time[0], time[-1] + 0.5 * self.step, self.step)
+        voltage = np.interp(even, time, rows[VOLTAGE].to_numpy()) / self.cells
+        power = self.cells * voltage * np.interp(even, time, rows[CURRENT].to_numpy())
+        loaded = np.flatnonzero(power > _LOADED * np.max(power, initial=0.0))
+        if not len(loaded):
+            return None
+        first, last = int(loaded[0]), int(loaded[-1]) + 1
+        begin = max(0, first - round(_BEGIN_S / self.step))
+        if last - begin < self.reading + _FEWEST_ROWS:
+            return None
+        resting = slice(0, first) if first else slice(0, 1)
+        return _Flown(
+            name=rows[FLIGHT].iloc[0],
+            power=power[begin:],
+            voltage=voltage[begin:],
+            rest=(float(voltage[resting].mean()), float(power[resting].mean())),
+            aloft=last - begin,
+        )
+
+    @property
+    def drawn(self) -> FloatArray:
+        """Charge drawn by each flight, A h."""
+        current = self.power / np.where(self.is_logged, self.cells * self.voltage, np.inf)
+        return np.asarray(current.sum(axis=0) * self.step / 3600.0)
+
+    def part(self, chosen: NDArray[np.int64]) -> "Record":
+        """Return the record of some flights."""
+        part = object.__new__(Record)
+        part.step, part.reading, part.cells = self.step, self.reading, self.cells
+        part.names = [self.names[k] for k in chosen]
+        part.power, part.voltage = self.power[:, chosen], self.voltage[:, chosen]
+        part.is_logged, part.is_aloft = self.is_logged[:, chosen], self.is_aloft[:, chosen]
+        part.rest = self.rest[chosen]
+        return part
+
+    def after_reading(self, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return those of some rows that follow the reading of a flight's resistance."""
+        return rows & (np.arange(len(self.power)) >= self.reading)[:, None]
+
+
+class Circuit:
+    """The declared pack under the loads of a record, with numbers of its own for each flight."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._dynamics = compile_model(build_pack(scenario)).dynamics()
+        self._names = self._dynamics.state_names
+        known = declared_start(scenario, self._dynamics)
+        self._begun = np.array([known[name] for name in self._names])
+        self._varied = (_LOAD, *FITTED.values(), _DEPENDENT_PARAMETER, _FACTOR)
+        self._loops = SteppedLoops(
+            self._dynamics, lambda *_: ((), ()), n_command=0, n_own=0, varied=self._varied
+        )
+        pack = scenario.battery
+        self._cells = pack.cells_series
+        self._full = pack.E0 + pack.A
+        self._charges = np.linspace(0.0, 0.95, _CURVE) * pack.capacity * pack.cells_parallel
+        self.start = np.log(_as_given(scenario))
+
+    def numbers(self, values: FloatArray, factor: FloatArray) -> dict[str, FloatArray]:
+        """Return the parameters of each flight."""
+        told = dict(zip(FITTED.values(), np.exp(values).tolist(), strict=True))
+        told[_DEPENDENT_PARAMETER] = self._full - told[FITTED["E0"]]
+        return {name: np.full(len(factor), number) for name, number in told.items()} | {
+            _FACTOR: factor
+        }
+
+    def voltages(
+        self, record: Record, values: FloatArray, factor: FloatArray, count: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return computed and open-circuit voltage of a cell, of the first `count` rows."""
+        told = self.numbers(values, factor)
+        start = np.tile(self._begun, (len(factor), 1))
+        start[:, self._names.index(CHARGE_STATE)] = self.charge(record, values, factor)
+        times = record.step * np.arange(count, dtype=float)
+        flown = self._loops.fly(
+            times,
+            np.hstack([start, np.zeros((len(factor), 1))]),
+            lambda _t: (),
+            [record.power[: count - 1], *(told[name] for name in self._varied[1:])],
+            sampled=np.ones(count, dtype=bool),
+        )
+        states = flown.joint[:, :, :-1].reshape(count * len(factor), -1)
+        every = {name: np.tile(number, count) for name, number in told.items()}
+        every[_LOAD] = record.power[:count].ravel()
+        controls = np.zeros((len(states), 0))
+        instants = self._dynamics.solved(np.repeat(times, len(factor)), states, controls, every)
+        found = instants.table(_KEYS) / self._cells
+        voltage, open_circuit = found.T.reshape(2, count, len(factor))
+        return voltage, open_circuit
+
+    def whole(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
+        """Return the computed voltage of a cell in every row."""
+        return self.voltages(record, values, factor, len(record.power))[0]
+
+    def charge(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
+        """Return the charge drawn from each pack before its flight, by its voltage."""
+        voltage, power = record.rest.T
+        told = {name: number[:1] for name, number in self.numbers(values, factor).items()}
+        states = np.tile(self._begun, (_CURVE, 1))
+        states[:, self._names.index(CHARGE_STATE)] = self._charges
+        every = {name: np.full(_CURVE, number[0]) for name, number in told.items()}
+        every[_LOAD] = np.zeros(_CURVE)
+        instants = self._dynamics.solved(np.zeros(_CURVE), states, np.zeros((_CURVE, 0)), every)
+        curve = instants.table(_KEYS[1:])[:, 0] / self._cells
+        slow, fast = (told[FITTED[n]] for n in ("relaxation.resistance", "cell_resistance"))
+        # A flight that begins under load has had it for long.
+        current = power / (self._cells * voltage)
+        at_rest = voltage + factor * (fast + slow) * current
+        return np.interp(-at_rest, -curve, self._charges)
+
+    def factors(self, record: Record, values: FloatArray) -> FloatArray:
+        """Return the factor on the resistance of each flight's pack, from its first load."""
+        factor = np.ones(len(record.names))
+        for _ in range(_READINGS):
+            computed, open_circuit = self.voltages(record, values, factor, record.reading)
+            measured = record.voltage[: record.reading]
+            late = slice(round(_BEGIN_S / record.step), None)
+            drop = (open_circuit - computed)[late].mean(axis=0)
+            lacking = (computed - measured)[late].mean(axis=0)
+            factor = np.clip(factor * (1.0 + lacking / drop), _LEAST_FACTOR, _MOST_FACTOR)
+        return factor
+
+    def residuals(self, record: Record, values: FloatArray) -> FloatArray:
+        """Return computed less measured voltage of a cell after the reading, at rest again too."""
+        factor = self.factors(record, values)
+        computed = self.whole(record, values, factor)
+        return (computed - record.voltage)[record.after_reading(record.is_logged)]
+
+    def fit(self, record: Record, start: FloatArray) -> FloatArray:
+        """Return the logarithms of the fitted fields, a middling pack having the factor 1."""
+        low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
+        place = list(FITTED).index("relaxation.time_constant")
+        low[place], high[place] = np.log([_FASTEST_STEPS * record.step, _SLOWEST_S])
+        found = least_squares(
+            lambda values: self.residuals(record, values),
+            start,
+            bounds=(low, high),
+            loss="soft_l1",
+            f_scale=_LARGE_RESIDUAL_V,
+            diff_step=1e-4,
+            xtol=_FIT_TOLERANCE,
+            ftol=_FIT_TOLERANCE,
+        )
+        values = np.array(found.x)
+        middling = float(np.log(np.median(self.factors(record, values))))
+        for name in ("cell_resistance", "relaxation.resistance"):
+            values[list(FITTED).index(name)] += middling
+        return values
+
+
+def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification | None:
+    """Fit the circuit of a vehicle's pack to the voltages of flights, and judge it.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        With the base pack; its full voltage, K and capacity are kept.
+    frame : DataFrame
+        All rows of the flights, on the ground too, as `read_voltages` reads them.
+
+    Returns
+    -------
+    PackIdentification or None
+        None if too few flights are long enough.
+    """
+    if frame.empty:
+        return None
+    told = with_circuit(scenario)
+    record = Record(frame, told.battery.cells_series)
+    count = len(record.names)
+    if count < _FEWEST_FLIGHTS:
+        return None
+    circuit = Circuit(told)
+    values = circuit.fit(record, circuit.start)
+    computed, unread = np.zeros((2, *record.power.shape))
+    factor, charge, middling = np.zeros((3, count))
+    left_out = []
+    for fold in folds(pd.DataFrame({FLIGHT: np.arange(count)})):
+        tried = np.sort(fold.astype(np.int64))
+        own = circuit.fit(record.part(np.setdiff1d(np.arange(count), tried)), values)
+        left_out.append(np.exp(own))
+        # Each fit has a middling pack of its own, to which its factors refer.
+        middling[tried] = _resistance(own) / _resistance(values)
+        unseen = record.part(tried)
+        factor[tried] = circuit.factors(unseen, own)
+        charge[tried] = circuit.charge(unseen, own, factor[tried])
+        computed[:, tried] = circuit.whole(unseen, own, factor[tried])
+        unread[:, tried] = circuit.whole(unseen, own, np.ones(len(tried)))
+    base = circuit.whole(record, np.log(_as_given(scenario)), np.ones(count))
+    spread = np.array(left_out)
+    deviations = np.sqrt((len(spread) - 1) * spread.var(axis=0))
+    size = told.battery.capacity * told.battery.cells_parallel
+    fitted = dict(zip(FITTED, np.exp(values).tolist(), strict=True))
+    return PackIdentification(
+        scenario=_with_fitted(told, fitted),
+        parameters=tuple(
+            PackParameter(name=name, value=value, deviation=float(deviation))
+            for (name, value), deviation in zip(fitted.items(), deviations, strict=True)
+        ),
+        flights=pd.DataFrame(
+            {
+                FLIGHT: record.names,
+                "start_charge_percent": 100.0 * (1.0 - charge / size),
+                LEAST_CHARGE: 100.0 * (1.0 - (charge + record.drawn) / size),
+                "resistance_factor": factor * middling,
+                "error_mV": _error_per_cell(record, computed, axis=0),
+                "unread_error_mV": _error_per_cell(record, unread, axis=0),
+            }
+        ),
+        rows=_rows(record, computed),
+        read_s=record.step * record.reading,
+        error_mV=float(_error_per_cell(record, computed)),
+        error_unread_mV=float(_error_per_cell(record, unread)),
+        base_error_mV=float(_error_per_cell(record, base)),
+    )
+
+
+def _resistance(values: FloatArray) -> float:
+    """Return the whole resistance of a cell, ohm, of the logarithms of the fitted fields."""
+    names = list(FITTED)
+    parts = ("cell_resistance", "relaxation.resistance")
+    return float(sum(np.exp(values[names.index(name)]) for name in parts))
+
+
+def with_circuit(scenario: Scenario) -> Scenario:
+    """Return a scenario whose pack has slow drop, temperature and health, at least as a guess."""
+    pack = scenario.battery
+    tables: dict[str, Any] = {}
+    if pack.relaxation is None:
+        tables["battery.relaxation"] = {
+            "resistance": _SLOW_SHARE * pack.cell_resistance,
+            "time_constant": _TIME_CONSTANT_S,
+        }
+        tables["battery.cell_resistance"] = (1.0 - _SLOW_SHARE) * pack.cell_resistance
+    thermal = {} if pack.thermal is None else pack.thermal.model_dump()
+    if not thermal:
+        mass = pack.capacity * _NOMINAL_V / _SPECIFIC_ENERGY
+        thermal["heat_capacity"] = _SPECIFIC_HEAT * mass
+    if not thermal.get("activation_energy"):
+        thermal["activation_energy"] = _ACTIVATION
+    tables["battery.thermal"] = {k: v for k, v in thermal.items() if v is not None}
+    tables["battery.health"] = {"resistance_factor": 1.0}
+    return scenario.with_values(tables)
+
+
+def _as_given(scenario: Scenario) -> list[float]:
+    """Return the fitted fields as the base has them, as good as nought where it lacks them."""
+    pack = scenario.battery
+    slow = (_NEARLY_NONE, 1.0)
+    if pack.relaxation is not None:
+        slow = (pack.relaxation.resistance, pack.relaxation.time_constant)
+    activation = 0.0 if pack.thermal is None else pack.thermal.activation_energy
+    return [pack.E0, pack.B, pack.cell_resistance, *slow, max(activation, _NEARLY_NONE)]
+
+
+def _with_fitted(scenario: Scenario, fitted: dict[str, float]) -> Scenario:
+    pack = scenario.battery
+    values = {f"battery.{name}": value for name, value in fitted.items()}
+    values[f"battery.{DEPENDENT}"] = pack.E0 + pack.A - fitted["E0"]
+    return scenario.with_values(values)
+
+
+def _error_per_cell(record: Record, computed: FloatArray, axis: int | None = None) -> Any:  # noqa: ANN401
+    """Return the root mean square error in flight after the reading, mV per cell."""
+    counted = record.after_reading(record.is_aloft)
+    squares = np.where(counted, (computed - record.voltage) ** 2, 0.0)
+    return _PER_CELL_MV * np.sqrt(squares.sum(axis) / counted.sum(axis))
+
+
+def _rows(record: Record, computed: FloatArray) -> pd.DataFrame:
+    """Return time, measured and computed voltage of a cell in each row of each flight."""
+    flights = np.broadcast_to(np.array(record.names, dtype=object), record.power.shape)
+    times = np.broadcast_to(record.step * np.arange(len(computed))[:, None], record.power.shape)
+    kept = record.is_logged.T
+    return pd.DataFrame(
+        {
+            FLIGHT: flights.T[kept],
+            TIME: times.T[kept],
+            "measured_V": record.voltage.T[kept],
+            "computed_V": computed.T[kept],
+        }
+    )

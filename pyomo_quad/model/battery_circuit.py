@@ -1,0 +1,271 @@
+"""What an equivalent circuit adds to the pack: a slow voltage drop, a temperature, their effects.
+
+symbol | name | unit | meaning
+u_1 | relaxation_voltage | V | slow part of the pack's voltage drop, a state
+R_1, tau_1 | relaxation_resistance, relaxation_time_constant | ohm, s | of one cell
+T | temperature | K | of the pack, a state
+C_T, h | heat_capacity, cooling | J/K, W/K | of one cell
+T_a, T_r | ambient_temperature, reference_temperature | K | of the air, of the resistances as given
+E_a | activation_energy | J/mol | of the resistances
+s_R | resistance_share | - | resistances at the temperature T over those at T_r
+
+Derivation and sources: see docs/theory/battery.md, eqs. (4) to (10). A scenario without
+`battery.relaxation` declares no slow drop, one without `battery.thermal` no temperature.
+
+Assumptions: all cells alike and at one temperature, no entropic heat, one time constant at all
+temperatures and states of charge.
+"""
+
+from collections.abc import Mapping
+from operator import attrgetter
+
+from pyomo.core import Block, ConcreteModel, Constraint, Expression, Var, exp
+from pyomo.core.base.units_container import units
+from pyomo.core.expr import NumericExpression, RelationalExpression
+from pyomo.dae import DerivativeVar
+
+from pyomo_quad.model.parameters import Parameter
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.mission import Aim
+
+GAS_CONSTANT = 8.314462618 * units.J / units.mol / units.K
+"""CODATA 2018, exact."""
+# Fraction of the cells' constant voltage that the slow drop may reach, for scaling.
+_NOMINAL_DROP = 0.03
+
+_RELAXATION = (
+    Parameter(
+        name="relaxation_resistance",
+        units=units.ohm,
+        value=attrgetter("battery.relaxation.resistance"),
+        doc="R_1: slow part of the resistance of one cell",
+    ),
+    Parameter(
+        name="relaxation_time_constant",
+        units=units.s,
+        value=attrgetter("battery.relaxation.time_constant"),
+        doc="tau_1: time constant of the slow drop",
+    ),
+    Parameter(
+        name="initial_relaxation_voltage",
+        units=units.V,
+        value=attrgetter("battery.relaxation.initial_voltage"),
+        doc="slow drop of one cell at the start",
+    ),
+)
+_THERMAL = (
+    Parameter(
+        name="heat_capacity",
+        units=units.J / units.K,
+        value=attrgetter("battery.thermal.heat_capacity"),
+        doc="C_T: heat capacity of one cell",
+    ),
+    Parameter(
+        name="cooling",
+        units=units.W / units.K,
+        value=attrgetter("battery.thermal.cooling"),
+        doc="h: heat lost by one cell per kelvin above the air",
+    ),
+    Parameter(
+        name="ambient_temperature",
+        units=units.K,
+        value=attrgetter("battery.thermal.ambient_temperature"),
+        doc="T_a: temperature of the air",
+    ),
+    Parameter(
+        name="initial_pack_temperature",
+        units=units.K,
+        value=attrgetter("battery.thermal.start"),
+        doc="temperature of the pack at the start",
+    ),
+    Parameter(
+        name="reference_temperature",
+        units=units.K,
+        value=attrgetter("battery.thermal.reference_temperature"),
+        doc="T_r: temperature at which the resistances are given",
+    ),
+    Parameter(
+        name="activation_energy",
+        units=units.J / units.mol,
+        value=attrgetter("battery.thermal.activation_energy"),
+        doc="E_a: activation energy of the resistances",
+    ),
+)
+_HEALTH = (
+    Parameter(
+        name="capacity_factor",
+        units=units.dimensionless,
+        value=attrgetter("battery.health.capacity_factor"),
+        doc="f_Q: capacity over that of the new pack",
+    ),
+    Parameter(
+        name="resistance_factor",
+        units=units.dimensionless,
+        value=attrgetter("battery.health.resistance_factor"),
+        doc="f_R: resistances over those of the new pack",
+    ),
+)
+CIRCUIT_STATES = _DROP, _TEMPERATURE = ("battery.relaxation_voltage", "battery.temperature")
+"""Full names of the states that an equivalent circuit adds to the charge."""
+#: Energy that the pack lost, a state under `mission.aim = "charge"`.
+LOSS = "battery.loss"
+
+
+def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
+    """Return the numbers of slow drop, temperature and health that a scenario gives."""
+    pack = scenario.battery
+    optional = ((pack.relaxation, _RELAXATION), (pack.thermal, _THERMAL), (pack.health, _HEALTH))
+    return tuple(row for given, table in optional if given is not None for row in table)
+
+
+def states_at_start(scenario: Scenario) -> dict[str, float]:
+    """Return the states of the pack other than its charge at the start, by full name."""
+    pack, states = scenario.battery, {}
+    if pack.relaxation is not None:
+        states[_DROP] = pack.cells_series * pack.relaxation.initial_voltage
+    if pack.thermal is not None:
+        states[_TEMPERATURE] = pack.thermal.start
+    if scenario.mission.aim is Aim.CHARGE:
+        states[LOSS] = 0.0
+    return states
+
+
+def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, float]:
+    """Return the fields that start the next flight with the circuit as the last one left it.
+
+    Parameters
+    ----------
+    ended : mapping
+        State at the end of the flight, by full name.
+
+    Returns
+    -------
+    dict
+        Dotted scenario field -> value; empty for a pack without a circuit.
+    """
+    fields = {}
+    if _DROP in ended:
+        drop = ended[_DROP] / scenario.battery.cells_series
+        fields["battery.relaxation.initial_voltage"] = drop
+    if _TEMPERATURE in ended:
+        fields["battery.thermal.initial_temperature"] = ended[_TEMPERATURE]
+    return fields
+
+
+def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare the slow drop and the temperature of a pack, where the scenario gives them."""
+    pack = scenario.battery
+    if pack.relaxation is not None:
+        b.relaxation_voltage = Var(
+            m.time, units=units.V, initialize=0.0, doc="u_1: slow part of the voltage drop"
+        )
+        b.drelaxation_voltage_dt = DerivativeVar(
+            b.relaxation_voltage, wrt=m.time, units=units.V / units.s, initialize=0.0
+        )
+        usual = _NOMINAL_DROP * pack.cells_series * pack.E0
+        m.scaling_factor[b.relaxation_voltage] = 1.0 / usual
+    if pack.thermal is not None:
+        start = pack.thermal.start
+        b.temperature = Var(m.time, units=units.K, initialize=start, doc="T: of the pack")
+        b.dtemperature_dt = DerivativeVar(
+            b.temperature, wrt=m.time, units=units.K / units.s, initialize=0.0
+        )
+        m.scaling_factor[b.temperature] = 1.0 / start
+        b.resistance_share = Expression(m.time, rule=resistance_share, doc=_line(resistance_share))
+
+
+def declare_balances(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare how slow drop and temperature change, and their values at the start."""
+    if scenario.battery.relaxation is not None:
+        b.relaxation_balance = Constraint(
+            m.time, rule=relaxation_balance, doc=_line(relaxation_balance)
+        )
+        b.initial_relaxation = Constraint(rule=initial_relaxation, doc=_line(initial_relaxation))
+    if scenario.battery.thermal is not None:
+        b.heat = Expression(m.time, rule=heat, doc=_line(heat))
+        b.heat_balance = Constraint(m.time, rule=heat_balance, doc=_line(heat_balance))
+        b.initial_temperature = Constraint(rule=initial_temperature, doc=_line(initial_temperature))
+
+
+def _line(equation: object) -> str:
+    """Return the first line of an equation's docstring, for the reports."""
+    return str(equation.__doc__).partition("\n")[0].rstrip(".")
+
+
+def resistance_share(b: Block, t: float) -> NumericExpression:
+    """Resistances over those at the reference temperature, by Arrhenius's law [-].
+
+    See docs/theory/battery.md, eq. (7).
+    """
+    inverse = 1 / b.temperature[t] - 1 / b.reference_temperature
+    return exp(b.activation_energy / GAS_CONSTANT * inverse)
+
+
+def resistance_at(b: Block, t: float) -> NumericExpression:
+    """Resistance of the pack that acts at once, at its temperature [ohm].
+
+    See docs/theory/battery.md, eq. (4).
+    """
+    if b.component("resistance_share") is None:
+        return b.pack_resistance
+    return b.pack_resistance * b.resistance_share[t]
+
+
+def source_voltage(b: Block, t: float) -> NumericExpression:
+    """Open-circuit voltage less the slow drop, behind the resistance that acts at once [V].
+
+    See docs/theory/battery.md, eq. (5).
+    """
+    if b.component("relaxation_voltage") is None:
+        return b.open_circuit_voltage[t]
+    return b.open_circuit_voltage[t] - b.relaxation_voltage[t]
+
+
+def slow_resistance(b: Block, t: float) -> NumericExpression:
+    """Slow part of the pack's resistance, in its health and at its temperature [ohm]."""
+    of_pack = b.relaxation_resistance * b.cells_series / b.cells_parallel
+    if b.component("resistance_factor") is not None:
+        of_pack *= b.resistance_factor
+    return of_pack if b.component("resistance_share") is None else of_pack * b.resistance_share[t]
+
+
+def relaxation_balance(b: Block, t: float) -> RelationalExpression:
+    """RC pair: the slow drop tends to its resistance times the current [V].
+
+    See docs/theory/battery.md, eq. (8).
+    """
+    settled = slow_resistance(b, t) * b.current[t]
+    return (
+        b.relaxation_time_constant * b.drelaxation_voltage_dt[t]
+        == settled - b.relaxation_voltage[t]
+    )
+
+
+def initial_relaxation(b: Block) -> RelationalExpression:
+    """Slow drop at the start, of all cells in series [V]."""
+    start = b.parent_block().time.first()
+    return b.relaxation_voltage[start] == b.cells_series * b.initial_relaxation_voltage
+
+
+def heat(b: Block, t: float) -> NumericExpression:
+    """Heat of the pack's losses, Bernardi's equation without entropy [W].
+
+    See docs/theory/battery.md, eq. (9).
+    """
+    return (b.open_circuit_voltage[t] - b.voltage[t]) * b.current[t]
+
+
+def heat_balance(b: Block, t: float) -> RelationalExpression:
+    """Lumped temperature: heat of the losses less the heat lost to the air [W].
+
+    See docs/theory/battery.md, eq. (10).
+    """
+    cells = b.cells_series * b.cells_parallel
+    warming = cells * b.heat_capacity * b.dtemperature_dt[t]
+    cooled = cells * b.cooling * (b.temperature[t] - b.ambient_temperature)
+    return warming == b.heat[t] - cooled
+
+
+def initial_temperature(b: Block) -> RelationalExpression:
+    """Temperature of the pack at the start [K]."""
+    return b.temperature[b.parent_block().time.first()] == b.initial_pack_temperature

@@ -1,0 +1,150 @@
+"""The battery's table of a scenario: cell, number of cells, and what an equivalent circuit adds."""
+
+from typing import Self
+
+from pydantic import model_validator
+
+from pyomo_quad.scenario.fields import (
+    ONE_LINE,
+    Number,
+    Part,
+    Sound,
+    Text,
+    WholeNumber,
+    quantity,
+)
+
+_VOLTAGE = Sound(0, 100, "cells of all chemistries have 1 to 5 V")
+_RESISTANCE = Sound(1e-6, 100, "cells have from 0.1 mohm to some ohms")
+_TEMPERATURE = Sound(150, 500, "temperatures are in kelvin, 20 degrees Celsius are 293.15 K")
+_FACTOR = Sound(0.05, 20, "a pack that lost nineteen twentieths of itself is scrap")
+
+
+class Relaxation(Part):
+    """The slow part of a cell's voltage drop: a resistance and a capacitance in parallel."""
+
+    resistance: Number = quantity(
+        "ohm", "slow part of the resistance of one cell", gt=0, sound=_RESISTANCE
+    )
+    time_constant: Number = quantity(
+        "s",
+        "time in which the slow drop covers 63 % of its way",
+        gt=0,
+        sound=Sound(1e-2, 1e5, "diffusion in a cell takes seconds to hours"),
+    )
+    initial_voltage: Number = quantity(
+        "V",
+        "slow drop of one cell at the start, 0 after a rest",
+        0.0,
+        sound=Sound(-5, 5, "cells have 1 to 5 V"),
+    )
+
+
+class Thermal(Part):
+    """A cell as one mass at one temperature, heated by its own losses."""
+
+    heat_capacity: Number = quantity(
+        "J/K",
+        "heat capacity of one cell",
+        gt=0,
+        sound=Sound(1e-2, 1e6, "cells weigh grams to kilograms and take about 1 J/g/K"),
+    )
+    cooling: Number = quantity(
+        "W/K", "heat lost to the air per kelvin above it, of one cell", 0.0, ge=0, le=1e4
+    )
+    ambient_temperature: Number = quantity(
+        "K", "temperature of the air round the pack", 298.15, sound=_TEMPERATURE
+    )
+    initial_temperature: Number | None = quantity(
+        "K", "temperature at the start, that of the air when absent", None, sound=_TEMPERATURE
+    )
+    reference_temperature: Number = quantity(
+        "K", "temperature at which the resistances are given", 298.15, sound=_TEMPERATURE
+    )
+    activation_energy: Number = quantity(
+        "J/mol",
+        "by which the resistances fall with the temperature (Arrhenius); 0 leaves them constant",
+        0.0,
+        ge=0,
+        sound=Sound(0, 1e6, "cells have 10 to 60 kJ/mol"),
+    )
+
+    @property
+    def start(self) -> float:
+        """Temperature at the start, K."""
+        return (
+            self.ambient_temperature
+            if self.initial_temperature is None
+            else self.initial_temperature
+        )
+
+
+class Health(Part):
+    """State of health: what is left of a new pack's capacity, and how its resistance grew."""
+
+    capacity_factor: Number = quantity(
+        "1", "capacity over that of the new pack", 1.0, gt=0, sound=_FACTOR
+    )
+    resistance_factor: Number = quantity(
+        "1", "resistances over those of the new pack", 1.0, gt=0, sound=_FACTOR
+    )
+
+
+class Battery(Part):
+    """Cell constants of the Tremblay-Dessaint model and the number of cells."""
+
+    use: Text = quantity("", "name of the battery in the library, or a file of its own, NAME.toml")
+    title: Text = quantity(
+        "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
+    )
+    cells_series: WholeNumber = quantity("1", "cells in series", ge=1, le=1000)
+    cells_parallel: WholeNumber = quantity("1", "cells in parallel", ge=1, le=1000)
+    E0: Number = quantity(
+        "V",
+        "constant voltage of one cell (e0)",
+        gt=0,
+        sound=Sound(0.1, 100, "cells of all chemistries have 1 to 5 V"),
+    )
+    K: Number = quantity("V", "polarisation voltage of one cell (k)", ge=0, sound=_VOLTAGE)
+    A: Number = quantity("V", "exponential voltage of one cell (c1)", ge=0, sound=_VOLTAGE)
+    B: Number = quantity(
+        "1/A/hr",
+        "inverse exponential capacity of one cell (c2)",
+        ge=0,
+        sound=Sound(0, 1e4, "the exponential zone spans at least 0.1 mAh of charge"),
+    )
+    capacity: Number = quantity(
+        "A*hr",
+        "capacity of one cell (Qbat)",
+        gt=0,
+        sound=Sound(1e-4, 1e4, "cells hold from 1 mAh to 1000 Ah"),
+    )
+    cell_resistance: Number = quantity(
+        "ohm",
+        "resistance of one cell (Rbat); where relaxation is given, the part that acts at once",
+        gt=0,
+        sound=_RESISTANCE,
+    )
+    initial_state_of_charge: Number = quantity(
+        "percent", "state of charge at the start", 100.0, gt=0, le=100
+    )
+    relaxation: Relaxation | None = quantity(
+        "", "slow part of the voltage drop, none when absent", None, is_late=True
+    )
+    thermal: Thermal | None = quantity(
+        "", "temperature of the pack, not counted when absent", None, is_late=True
+    )
+    health: Health | None = quantity(
+        "", "state of health, that of a new pack when absent", None, is_late=True
+    )
+
+    @model_validator(mode="after")
+    def _has_a_voltage(self) -> Self:
+        # Eq. (5) of a full cell, the highest voltage of the cell.
+        highest = self.E0 + self.A
+        if highest <= self.K:
+            raise ValueError(
+                f"K = {self.K:g} V leaves a full cell {highest - self.K:.3g} V; must be below "
+                f"E0 + A = {highest:g} V; correct K, E0 or A"
+            )
+        return self

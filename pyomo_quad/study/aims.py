@@ -1,0 +1,93 @@
+"""Least energy against least charge: the same mission planned for each, on the plan's own mesh."""
+
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from pyomo_quad.collocation import Progress
+from pyomo_quad.flight import Plan, Planner
+from pyomo_quad.model.battery import CHARGE_STATE
+from pyomo_quad.scenario import Attitude
+from pyomo_quad.scenario.mission import Aim
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_AIMS = (Aim.ENERGY, Aim.CHARGE)
+# Share of the charge by which the two optima may differ without a warning.
+DISAGREEMENT = 0.005
+
+
+class AimColumn(StrEnum):
+    """Columns of `energy_and_charge`, in order."""
+
+    AIM = "aim"
+    ENERGY = "energy_J"
+    CHARGE = "charge_Ah"
+    IS_PLAN = "is_plan"
+
+
+def charge_drawn(plan: Plan) -> float:
+    """Return the charge that a plan draws from its pack [A h].
+
+    Raises
+    ------
+    ValueError
+        If the plan's model has no pack.
+    """
+    held = plan.trajectories
+    charge = held.states[:, held.state_names.index(CHARGE_STATE)]
+    return float(charge[-1] - charge[0])
+
+
+def energy_and_charge(
+    plan: Plan, *, planner: Planner, progress: Progress | None = None
+) -> "pd.DataFrame":
+    """Return energy and charge of the plan, and of the plan for the other of the two aims.
+
+    The other is solved from the plan on its mesh, without refinement, and flown like it.
+
+    Returns
+    -------
+    DataFrame
+        Columns of `AimColumn`, least energy first; empty if the plan is not verified, for the least
+        time, of the paper's own equations or of a user's own model, and if the other fails.
+    """
+    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
+    columns = [column.value for column in AimColumn]
+    scenario = plan.scenario
+    is_of_paper = scenario.vehicle.attitude is Attitude.PAPER
+    if not plan.is_verified or scenario.model is not None or is_of_paper:
+        return pd.DataFrame(columns=columns)
+    if scenario.mission.aim not in _AIMS:
+        return pd.DataFrame(columns=columns)
+    other = next(aim for aim in _AIMS if aim is not scenario.mission.aim)
+    once = {"solver": scenario.solver.model_copy(update={"max_refinements": 0})}
+    told = scenario.with_mission(aim=other).model_copy(update=once)
+    found = planner.solve(told, warm_start=plan, progress=progress)
+    if found.verification is None:
+        return pd.DataFrame(columns=columns)
+    rows = [
+        (one.scenario.mission.aim.value, one.energy, charge_drawn(one), one is plan)
+        for one in sorted((plan, found), key=lambda one: _AIMS.index(one.scenario.mission.aim))
+    ]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def charge_beyond_least(aims: "pd.DataFrame") -> float:
+    """Return the share by which the plan of least energy draws more than the least charge."""
+    of_energy, of_charge = aims[AimColumn.CHARGE]
+    return float(of_energy / of_charge - 1.0)
+
+
+def disagreement(aims: "pd.DataFrame") -> tuple[str, ...]:
+    """Return one line if least energy and least charge are quite different flights, or nothing."""
+    if aims.empty or charge_beyond_least(aims) <= DISAGREEMENT:
+        return ()
+    energy, least = aims[AimColumn.ENERGY]
+    line = (
+        f"mission.aim: the flight of least energy draws {100.0 * charge_beyond_least(aims):.2g} % "
+        "more charge than need be, by swings of power that the pack pays for; "
+        f'mission.aim = "charge" draws the least, for {least - energy:.3g} J more energy.'
+    )
+    return (line,)
