@@ -144,7 +144,8 @@ def test_compare_makes_one_table(tmp_path, capsys):
     assert "(figures/energy_compared.png)" in (folder / "comparison.md").read_text()
     page = (folder / "report.html").read_text()
     assert page.count("<img") == 1
-    assert page.count("adaptive/quintic") >= 4
+    # Names may break at slashes.
+    assert page.replace("<wbr>", "").count("adaptive/quintic") >= 4
 
 
 def test_compare_takes_a_finished_run_that_matches_from_its_folder(

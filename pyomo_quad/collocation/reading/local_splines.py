@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 # Numbers in the largest table of coefficients of powers: CasADi writes it out with each function.
 _MOST_LOOKED_UP = 3_000_000
 # Of the least step of an axis: to what the place of a call is rounded.
-_ROUNDING = 2.0**-30
+_ROUNDING = 2.0**-38
 # Of a rounding, or of a step within the ends: CasADi's look-up fails at the end of a cell itself.
 _ASIDE = 0.3819660112501051
 _VALUE_SLOPE_BEND = 3
