@@ -163,13 +163,13 @@ class RunResult(Summarised):
         """
         self.to_xarray().to_netcdf(path, engine="h5netcdf")
 
-    def plot(self, what: str = "overview") -> "Picture":
+    def plot(self, what: str = "map") -> "Picture":
         """Draw a figure of the run, or a column of its plan's table over time.
 
         Parameters
         ----------
-        what : str, default "overview"
-            "overview", "energy_split", "path", "energy", "adaptation", "front", ..., or a column
+        what : str, default "map"
+            "map", "power_over_time", "energy_split", "path", "energy", "front", ..., or a column
             of `Plan.to_frame`; an unknown name lists all of them.
 
         Returns
