@@ -27,8 +27,6 @@ _PACKAGE_WORDS = {
     "pyomo_quad.scenario": "Scenarios: fields, units, library.",
     "pyomo_quad.sweep": "Studies over any fields.",
 }
-# The figure that shows a run at a glance; reports printed before 0.2.0 have the second.
-_GLANCES = ("map.svg", "overview.svg")
 # Problems that take a minute and more: the gallery tells how to solve them.
 _SLOW_PROBLEMS = ("kinetic_reactor", "oil_shale")
 
@@ -119,8 +117,7 @@ def _scenario_lines(name, told):
     with (report / "comparison.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     copied = f"../repository/reports/{name}"
-    drawn = [figure for figure in _GLANCES if (report / "figures" / figure).is_file()]
-    text = f"![{told.get('title', name)}]({copied}/figures/{drawn[0]})\n\n"
+    text = f"![{told.get('title', name)}]({copied}/figures/map.svg)\n\n"
     text += "| | energy (J) | duration (s) | saved by the plan (%) |\n|---|---:|---:|---:|\n"
     for row in rows[:4]:
         saved = row["saving_percent"] or "nan"

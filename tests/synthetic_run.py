@@ -284,4 +284,5 @@ def synthetic_run(path="scenarios/paper_wind.toml", overrides=(), flights=tuple(
         timings={"solve": 1.0},
         warnings=(),
         tuning=None,
+        often=None,
     )

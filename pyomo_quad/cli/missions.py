@@ -35,27 +35,24 @@ def export(
     ] = None,
     origin: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--origin",
-            metavar="LAT,LON,ALT",
-            help="Position of the plan's origin (degrees, metres above the sea); the mission's own "
+            "LAT,LON,ALT",
+            "Position of the plan's origin (degrees, metres above the sea); the mission's own "
             "by default.",
         ),
     ] = None,
     path_error: Annotated[
         float | None,
-        typer.Option(
+        option(
             "--path-error",
-            metavar="M",
-            parser=real_number,
-            help="Largest distance of waypoints or pieces from the plan at any time.",
+            "M",
+            "Largest distance of waypoints or pieces from the plan at any time.",
+            real_number,
         ),
     ] = None,
     rate: Annotated[
-        float | None,
-        typer.Option(
-            "--rate", metavar="HZ", parser=real_number, help="Of setpoints, 50 by default."
-        ),
+        float | None, option("--rate", "HZ", "Of setpoints, 50 by default.", real_number)
     ] = None,
     as_planned: Annotated[
         bool, typer.Option("--as-planned", help="Say nothing of a plan without a risk.")
@@ -102,19 +99,18 @@ def import_(
     ],
     *,
     name: Annotated[
-        str | None,
-        typer.Option("--name", metavar="NAME", help="Of the scenario and of its file."),
+        str | None, option("--name", "NAME", "Of the scenario and of its file.")
     ] = None,
     vehicle: Annotated[
-        str, typer.Option("--vehicle", metavar="NAME", help="Of the library, or its file.")
+        str, option("--vehicle", "NAME", "Of the library, or its file.")
     ] = "dji_matrice_100",
     payload: Annotated[
         float,
-        typer.Option(
+        option(
             "--payload",
-            metavar="KG",
-            parser=real_number,
-            help="Carried from the start, and left where the mission opens a gripper.",
+            "KG",
+            "Carried from the start, and left where the mission opens a gripper.",
+            real_number,
         ),
     ] = 0.0,
     quiet: Quiet = False,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -30,13 +30,8 @@ if TYPE_CHECKING:
 _PROXIMITY = 1e-6
 
 
-class _SoftRow(NamedTuple):
-    family: str
-    row: int
-    column: int
-    sign: float
-    limit: float
-    size: float
+# Family, row or -1, column or -1, sign, limit, and least size of a one-sided limit.
+_SoftRow = tuple[str, int, int, float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,21 +69,21 @@ class SoftRows:
         chosen = [
             entry
             for entry in entries
-            if np.isfinite(entry.limit) and (families is None or entry.family in families)
+            if np.isfinite(entry[4]) and (families is None or entry[0] in families)
         ]
         if not chosen:
             wanted = "the model" if families is None else ", ".join(sorted(families))
             raise TranscriptionError(f"{wanted}: has no limits that could be relaxed.")
-        names = sorted({entry.family for entry in chosen})
-        limit = np.array([entry.limit for entry in chosen])
+        family, row, column, sign, limit, size = map(np.array, zip(*chosen, strict=True))
+        names, position = np.unique(family, return_inverse=True)
         return cls(
-            family=np.array([names.index(entry.family) for entry in chosen]),
-            row=np.array([entry.row for entry in chosen]),
-            column=np.array([entry.column for entry in chosen]),
-            sign=np.array([entry.sign for entry in chosen]),
+            family=position,
+            row=row,
+            column=column,
+            sign=sign,
             limit=limit,
-            size=np.maximum(np.abs(limit), [entry.size for entry in chosen]),
-            names=tuple(names),
+            size=np.maximum(np.abs(limit), size),
+            names=tuple(names.tolist()),
         )
 
     def __len__(self) -> int:
@@ -101,7 +96,7 @@ def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
             size = 1.0 / float(scaling.unknowns[column])
             for sign, bound in ((1.0, limit.upper[k]), (-1.0, limit.lower[k])):
                 family = family_name(limit.name)
-                yield _SoftRow(family, -1, int(column), sign, float(bound), size)
+                yield family, -1, int(column), sign, float(bound), size
 
 
 def _soft_program_rows(
@@ -119,7 +114,7 @@ def _soft_program_rows(
     for row, name in rows:
         size = 1.0 / float(scaling.rows[row])
         for sign, bound in ((1.0, bounds.row_upper[row]), (-1.0, bounds.row_lower[row])):
-            yield _SoftRow(family_name(name), row, -1, sign, float(bound), size)
+            yield family_name(name), row, -1, sign, float(bound), size
 
 
 _MOST_RESIDUALS = 10

@@ -670,6 +670,33 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
     return casadi.Function("law", [joint, command], columns)
 
 
+def joint_sizes(dynamics: Dynamics, n_command: int, n_own: int) -> tuple[int, int, int]:
+    """Return the sizes of moment, joint state and command."""
+    moment = len(dynamics.moment(dynamics.start))
+    return moment, len(dynamics.state_names) + n_own + 1, n_command
+
+
+def closed(
+    dynamics: Dynamics, law: Law, sizes: tuple[int, int, int], numbers: Mapping[str, Any]
+) -> tuple[list[Any], Any, Any]:
+    """Return symbols of moment, joint state and command; rates of the joint state; controls.
+
+    `numbers` replaces parameters, by full name, by symbols.
+    """
+    written = written_law(dynamics, law, sizes)
+    names = ("moment", "joint", "command")
+    symbols = [dynamics.symbol(name, size) for name, size in zip(names, sizes, strict=True)]
+    moment, joint, command = symbols
+    controls, own_rates = written(joint, command)
+    if numbers:
+        moment = dynamics.moment_column(moment, numbers)
+    parameters = dynamics.parameter_column(numbers) if numbers else None
+    states = joint[: len(dynamics.state_names)]
+    rates, integrand = dynamics.written(moment, states, controls, parameters)
+    whole = casadi.densify(casadi.vertcat(rates, own_rates, integrand))
+    return symbols, whole, casadi.densify(controls)
+
+
 class ClosedLoop:
     """The right-hand side of a vehicle under a control law.
 
@@ -695,8 +722,7 @@ class ClosedLoop:
 
     def __init__(self, dynamics: Dynamics, law: Law, *, n_command: int, n_own: int) -> None:
         self._dynamics = dynamics
-        self._n_states = len(dynamics.state_names)
-        sizes = len(dynamics.moment(dynamics.start)), self._n_states + n_own + 1, n_command
+        sizes = joint_sizes(dynamics, n_command, n_own)
         self._function = self._compiled(law, sizes)
         self._moment, self._joint, self._command = (np.zeros(size) for size in sizes)
         self._rates = np.zeros(sizes[1])
@@ -712,21 +738,11 @@ class ClosedLoop:
 
     def _compiled(self, law: Law, sizes: tuple[int, int, int]) -> Any:
         """Return the function (moment, joint, command) -> rates of the joint state, controls."""
-        written = written_law(self._dynamics, law, sizes)
-        moment, joint, command = (
-            self._dynamics.symbol(name, size)
-            for name, size in zip(("moment", "joint", "command"), sizes, strict=True)
-        )
-        controls, own_rates = written(joint, command)
-        rates, integrand = self._dynamics.written(moment, joint[: self._n_states], controls)
+        symbols, rates, controls = closed(self._dynamics, law, sizes, {})
         # To tell whether two calls are the same, CasADi writes each table down in full.
         has_tables = bool(self._dynamics.tables_read)
-        return casadi.Function(
-            "closed_loop",
-            [moment, joint, command],
-            [casadi.densify(casadi.vertcat(rates, own_rates, integrand)), casadi.densify(controls)],
-            {"cse": not has_tables},
-        )
+        options = {"cse": not has_tables}
+        return casadi.Function("closed_loop", symbols, [rates, controls], options)
 
     def rates(
         self, t: float, joint: FloatArray, command: Sequence[float] | FloatArray

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -319,6 +320,7 @@ class JointProblem(Summarised):
         progress: Progress | None,
         is_scaled: bool = True,
         change: float | None = None,
+        most: float = inf,
     ) -> JointSolution:
         """Solve once, with one mesh per horizon; see `Problem.solve_on_mesh`."""
         parts = self._parts
@@ -343,13 +345,13 @@ class JointProblem(Summarised):
         )
         is_damped = any(d is not None and d.controls.size > 0 for d in dampings)
         if change is not None and multipliers is not None and not is_damped:
-            options = options.for_a_change(change * scaling.objective / max(bounds.sides, 1))
+            options = options.for_a_change(change * scaling.objective, bounds.sides)
         result = run(
             CoupledProgram(union, damped),
             bounds,
             scaling if is_scaled else scaling.none,
             z,
-            options=options.for_phases(),
+            options=options.at_most(most).for_phases(),
             multipliers=multipliers,
             progress=progress,
         )

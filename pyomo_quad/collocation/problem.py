@@ -288,6 +288,7 @@ class Problem(Summarised, Formulation):
         is_scaled: bool = True,
         to_the_gap: bool = False,
         change: float | None = None,
+        most: float = inf,
         breach: float = inf,
         progress: Progress | None = None,
     ) -> Solution:
@@ -295,7 +296,8 @@ class Problem(Summarised, Formulation):
 
         Without `is_scaled` Ipopt solves the program as declared. If `to_the_gap` is true, the solve
         continues until the complementarity gap is negligible relative to the objective. `change` is
-        the expected change of a warm start's objective, where known. A finite `breach` is the bound
+        the expected change of a warm start's objective, where known, and `most` a limit of
+        iterations. A finite `breach` is the bound
         violation between collocation points that a warm start may have.
         """
         if mesh is not None:
@@ -313,6 +315,7 @@ class Problem(Summarised, Formulation):
         bounds = without_settled_rows(program, bounds, z)
         refuse_unsolvable(program, bounds, z)
         scaling = scaling_of(program, bounds, z)
+        options = options.at_most(most)
         if self.compiled.declared.clock.phases:
             options = options.for_phases()
         if start.is_elastic:
@@ -327,7 +330,7 @@ class Problem(Summarised, Formulation):
         is_damped = damping is not None and damping.controls.size > 0
         if change is not None and multipliers is not None and not is_damped:
             # Controls that next to nothing holds are found again only from a larger barrier.
-            options = options.for_a_change(change * scaling.objective / max(kept.sides, 1))
+            options = options.for_a_change(change * scaling.objective, kept.sides)
         if damping is not None and damping.gap and start.warm is not None:
             parameter = damping.gap * scaling.objective / kept.sides
             options = options.on_the_path(parameter, is_near=damping.is_still)
@@ -410,8 +413,9 @@ def _refined(
         start: Start,
         dampings: tuple[Damping | None, ...],
         change: float | None = None,
+        most: float = inf,
     ) -> Solution:
-        return own(meshes[0], start, dampings[0], change=change)
+        return own(meshes[0], start, dampings[0], change=change, most=most)
 
     def sharpen(dampings: tuple[Damping | None, ...], found: Solution) -> Solution:
         change = 0.0 if dampings[0] and dampings[0].gap else None

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import casadi
 import numpy as np
 
-from pyomo_quad.collocation.dynamics import Dynamics, Law, written_law
+from pyomo_quad.collocation.dynamics import Dynamics, Law, closed, joint_sizes
 from pyomo_quad.collocation.errors import SolveError
 from pyomo_quad.collocation.program.compiled import MappedFunction
 
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from pyomo_quad.collocation.mesh import FloatArray
-
-# Vehicles in one call; a map over more takes more memory and saves no time.
-_AT_ONCE = 250
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,29 +57,12 @@ class SteppedLoops:
     ) -> None:
         self._dynamics = dynamics = dynamics.without_iterations()
         self._n_varied = len(varied)
-        n_states = len(dynamics.state_names)
-        sizes = len(dynamics.moment(dynamics.start)), n_states + n_own + 1, n_command
-        written = written_law(dynamics, law, sizes)
-        moment, joint, command = (
-            dynamics.symbol(name, size)
-            for name, size in zip(("moment", "joint", "command"), sizes, strict=True)
-        )
+        sizes = joint_sizes(dynamics, n_command, n_own)
         own = dynamics.symbol("own_numbers", self._n_varied)
-        controls, own_rates = written(joint, command)
-        told = dict(zip(varied, casadi.vertsplit(own), strict=True))
-        rates, integrand = dynamics.written(
-            dynamics.moment_column(moment, told),
-            joint[:n_states],
-            controls,
-            dynamics.parameter_column(told),
-        )
-        flow = casadi.Function(
-            "flow",
-            [moment, joint, command, own],
-            [casadi.densify(casadi.vertcat(rates, own_rates, integrand))],
-            {"cse": True},
-        )
-        self._controls = casadi.Function("applied", [joint, command], [casadi.densify(controls)])
+        numbers = dict(zip(varied, casadi.vertsplit(own), strict=True))
+        (moment, joint, command), rates, controls = closed(dynamics, law, sizes, numbers)
+        flow = casadi.Function("flow", [moment, joint, command, own], [rates], {"cse": True})
+        self._controls = casadi.Function("applied", [joint, command], [controls])
         self._step = _step(flow, dynamics, sizes, self._n_varied)
 
     def fly(
@@ -118,14 +98,14 @@ class SteppedLoops:
         flown = np.empty((int(sampled.sum()), *start.shape))
         followed = np.array([command(float(t)) for t in times[sampled]])
         held = np.zeros((count, self._n_varied))
-        mapped = _Blocks(self._step, count)
+        mapped = MappedFunction(self._step, count, n_shared=self._step.n_in() - 2)
         joint, kept = np.array(start, dtype=float), 0
         if sampled[0]:
             flown[0], kept = joint, 1
         for k in range(steps):
             for column, values in enumerate(numbers):
                 held[:, column] = values if values.ndim == 1 else values[k]
-            joint = mapped(*self._around(times[k], times[k + 1], command), joint, held)
+            (joint,) = mapped(*self._around(times[k], times[k + 1], command), joint, held)
             if sampled[k + 1]:
                 flown[kept] = joint
                 kept += 1
@@ -167,31 +147,3 @@ def _step(flow: Any, dynamics: Dynamics, sizes: tuple[int, int, int], n_varied: 
     fourth = flow(moments[2], joint + length * third, commands[2], own)
     end = joint + length / 6 * (first + 2 * second + 2 * third + fourth)
     return casadi.Function("step", [length, *moments, *commands, joint, own], [end], {"cse": True})
-
-
-class _Blocks:
-    """A step mapped over vehicles in blocks; shared inputs are not copied for each vehicle."""
-
-    def __init__(self, step: Any, count: int) -> None:
-        self._blocks = []
-        shared = list(range(step.n_in() - 2))
-        made: dict[int, Any] = {}
-        for begin in range(0, count, _AT_ONCE):
-            size = min(_AT_ONCE, count - begin)
-            if size not in made:
-                made[size] = step.map(f"steps{size}", "serial", size, shared, [])
-            self._blocks.append((slice(begin, begin + size), *made[size].buffer()))
-        self._places = len(shared)
-
-    def __call__(self, *inputs: FloatArray) -> FloatArray:
-        """Return the joint states after the step, shape (n, n_joint)."""
-        held = [np.ascontiguousarray(array, dtype=float) for array in inputs]
-        ended = np.empty_like(held[self._places])
-        for block, buffer, evaluate in self._blocks:
-            for k, array in enumerate(held):
-                part = array[block] if k >= self._places else array
-                if part.size:
-                    buffer.set_arg(k, part.data)
-            buffer.set_res(0, ended[block].data)
-            evaluate()
-        return ended

@@ -53,6 +53,8 @@ class Fact(Enum):
     BETTER_CONTROLS = auto()
     #: Controls are damped, or the barrier begins as small as the last objective's change.
     HELD = auto()
+    #: Neither is so.
+    FREE = auto()
 
 
 class First(Enum):
@@ -116,16 +118,16 @@ class Strategy:
         """Return the settings of Ipopt."""
         if self.barrier is None:
             return options
-        return replace(
-            options,
-            max_iterations=int(min(options.max_iterations, self.iterations or inf)),
-            extra=(*options.extra, ("mu_strategy", self.barrier)),
-        )
+        limited = options.at_most(self.iterations or inf)
+        return replace(limited, extra=(*options.extra, ("mu_strategy", self.barrier)))
 
 
 #: Iterations of a strategy with other settings of Ipopt on the mesh that failed; successful ones
 #: need fewer. A caller who allows fewer needs a quick answer, as in flight: nothing else is tried.
 PATIENCE = 200
+#: Iterations of a solve from the last mesh while its other settings are still to be tried: such
+#: solves take 5 to 50, and one that has not ended after these seldom ends at all.
+_HELD_PATIENCE = 150
 #: Number of restarts of a refinement from controls that minimise the Hamiltonian: each gains more
 #: than the tolerance, and hardly any problem has more than two.
 MOST_RESTARTS = 8
@@ -152,7 +154,8 @@ STRATEGIES = (
     Strategy(_F, "twice as fine", _FREE, finer=2),
     Strategy(_F, "from a coarse mesh", _FREE, First.COARSE),
     Strategy(_F, "from equations at a price", _FREE, First.PRICED),
-    Strategy(_M, "from the last mesh"),
+    Strategy(_M, "from the last mesh", {Fact.HELD}, iterations=_HELD_PATIENCE),
+    Strategy(_M, "from the last mesh", {Fact.FREE}),
     Strategy(_M, "larger barrier, stronger damping", {Fact.HELD}, is_firm=True),
     Strategy(_M, "from the guess", {Fact.WARM_START}, First.GUESS),
     Strategy(_R, RESTART, {Fact.BETTER_CONTROLS}, First.IMPROVED, times=MOST_RESTARTS),

@@ -116,6 +116,9 @@ _OF_THE_WHOLE = (
     _battery(
         "state_of_charge_percent", "state_of_charge", "state of charge", r"\mathrm{SoC}", "%", 0.1
     ),
+)
+# Only of packs with a circuit.
+_OF_THE_CIRCUIT = (
     _battery("battery_relaxation_V", "relaxation_voltage", "slow voltage drop", "u_1", "V", 0.1),
     _battery(
         "battery_temperature_K", "temperature", "pack temperature", r"T_\mathrm{bat}", "K", 0.5
@@ -148,12 +151,13 @@ def columns_of(rotors: Sequence[int]) -> tuple[Column, ...]:
         *_OF_THE_BODY,
         *_per_rotor(_SPEEDS, rotors),
         *_OF_THE_WHOLE,
+        *_OF_THE_CIRCUIT,
         *_per_rotor(_MOTORS, rotors),
     )
 
 
-#: Columns of a quadrotor; the energy is the integral of the flight's power.
-COLUMNS = columns_of(ROTORS)
+#: Columns of a quadrotor whose pack has no circuit; the energy is the integral of its power.
+COLUMNS = tuple(shown for shown in columns_of(ROTORS) if shown not in _OF_THE_CIRCUIT)
 #: Columns of every vehicle that can be declared.
 ALL_COLUMNS = columns_of(range(1, MOST_ROTORS + 1))
 _COLUMN_OF = {shown.variable or shown.name: shown for shown in ALL_COLUMNS}

@@ -35,6 +35,11 @@ _RAISED = {
 }
 #: s. By how much a plan is at a hold before it has to be, and hovers longer.
 HOLD = "mission.hold"
+#: m and m/s. By how much nearer, and slower, a plan passes every waypoint that has a radius, or a
+#: largest speed.
+RADIUS, SPEED = "mission.radius", "mission.speed_max"
+#: s. By how much longer a plan is at least, where it chooses its duration.
+DURATION = "mission.duration_min"
 #: Fields of what the rotors can give, which the controller needs to stay on the plan.
 AUTHORITY = ("limits.rotor_speed_max", "limits.thrust_max", "limits.roll_max", "limits.pitch_max")
 # Share of the way from hover to a limit that margins may take at most: with more, a plan could
@@ -42,6 +47,8 @@ AUTHORITY = ("limits.rotor_speed_max", "limits.thrust_max", "limits.roll_max", "
 _MOST_OF_AUTHORITY = 0.8
 # m, of the way between a place of the mission and a wall.
 _LEFT_OF_ROOM = 0.01
+# Share of the largest speed at a waypoint that a margin leaves.
+_LEFT_OF_SPEED = 0.1
 
 
 #: What is said of a plan without a risk.
@@ -96,21 +103,25 @@ class RiskTaken:
             return f"Risk at most {self.asked:g}: {seen}; {price}."
         most = f", most often {self.limiting[0]}" if self.limiting else ""
         return (
-            f"A risk of {self.asked:g} cannot be had: {seen}{most}; what would help: "
+            f"A risk of {self.asked:g} cannot be had: with the least found {seen}{most}; "
+            "what would help: "
             f"{self.advice}; {price}."
         )
 
 
 def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
     """Return the scenario that a plan with margins is made of."""
-    tables: dict[str, dict[str, Any]] = {}
-    if margins.get(HOLD):
-        waypoints = tuple(_held_longer(w, margins[HOLD]) for w in scenario.mission.waypoints)
-        tables["mission"] = {"waypoints": waypoints}
+    told = scenario.mission
+    mission: dict[str, Any] = {
+        "waypoints": tuple(_narrowed(waypoint, margins) for waypoint in told.waypoints)
+    }
+    if margins.get(DURATION):
+        mission["duration_min"] = told.duration_limits[0] + margins[DURATION]
+    tables = {"mission": mission}
     for name, margin in margins.items():
-        if name == HOLD:
-            continue
         table, _, key = name.partition(".")
+        if table == "mission":
+            continue
         number = getattr(getattr(scenario, table), key)
         if number is not None and margin:
             side = 1.0 if name in _RAISED else -1.0
@@ -119,15 +130,24 @@ def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
         table: getattr(scenario, table).model_copy(update=values)
         for table, values in tables.items()
     }
-    return scenario.model_copy(update=changed) if changed else scenario
+    return scenario.model_copy(update=changed)
 
 
-def _held_longer(waypoint: Waypoint, lead: float) -> Waypoint:
-    """Return a waypoint that is reached earlier and left at the same time, where it is held at."""
-    if not waypoint.hold:
-        return waypoint
-    earlier = {"at": waypoint.at - lead} if waypoint.at is not None else {}
-    return waypoint.model_copy(update={"hold": waypoint.hold + lead, **earlier})
+def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
+    """Return a waypoint that is passed nearer and slower, and held at from earlier on."""
+    changed: dict[str, float] = {}
+    if waypoint.radius:
+        least = min(waypoint.radius, _LEFT_OF_ROOM)
+        changed["radius"] = max(waypoint.radius - margins.get(RADIUS, 0.0), least)
+    if waypoint.speed_max is not None:
+        least = _LEFT_OF_SPEED * waypoint.speed_max
+        changed["speed_max"] = max(waypoint.speed_max - margins.get(SPEED, 0.0), least)
+    lead = margins.get(HOLD, 0.0)
+    if waypoint.hold and lead:
+        changed["hold"] = waypoint.hold + lead
+        if waypoint.at is not None:
+            changed["at"] = waypoint.at - lead
+    return waypoint.model_copy(update=changed)
 
 
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:

@@ -24,6 +24,7 @@ from pyomo_quad.flight.verification import (
     Passage,
     Verification,
     verify_controls,
+    wind_lacking,
 )
 from pyomo_quad.model import build_model, model_builder
 from pyomo_quad.scenario import Scenario, ScenarioError
@@ -109,6 +110,9 @@ def refuse_unproven(
     except SolveError as error:
         raise ScenarioError(f"{scenario.name}: {error}") from None
     _refuse_astray(scenario, held, dynamics, flown, allowed)
+    lost = wind_lacking(scenario, dynamics, flown)
+    if lost:
+        raise ScenarioError(f"{scenario.name}: flown again, {lost}")
     _refuse_failed(scenario, verification, energy, allowed)
 
 

@@ -1,8 +1,9 @@
 """Plans with a stated risk: margins for what turbulence and unknowns do, found by planning again.
 
 A plan is made with margins, the spread of flights along it gives the margins that the risk needs,
-and so on until they agree; then flights that meet turbulence judge it, and where they break a limit
-more often than they may, its margin grows.  See docs/theory/risk.md, eqs. (7) to (9).
+and so on until they agree.  These plans are re-solves of one compiled problem on one mesh.  Then
+flights that meet turbulence judge the plan, and where they break a limit more often than they may,
+its margin grows.  The last plan is refined and verified.  See docs/theory/risk.md, eqs. (7) to (9).
 """
 
 from collections import Counter
@@ -13,26 +14,39 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pyomo_quad.collocation import Progress
+from pyomo_quad.collocation import Progress, SolverOptions
 from pyomo_quad.flight.baselines import reference_path
-from pyomo_quad.flight.breaching import AT_HOLD, Approach, approaches, missing
+from pyomo_quad.flight.breaching import (
+    Approach,
+    Miss,
+    approaches,
+    missing,
+)
+from pyomo_quad.flight.candidate import Candidate
 from pyomo_quad.flight.covariance import Spread, spread_along
+from pyomo_quad.flight.deadline import Deadline
 from pyomo_quad.flight.ensemble import Squadron
 from pyomo_quad.flight.flight import HELD_BREACH, POSITION_STATES
 from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.margins import (
     AUTHORITY,
+    DURATION,
     HOLD,
     RiskTaken,
     greatest_margin,
     passing_times,
     tightened,
 )
+from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.plan import Plan
 from pyomo_quad.flight.planning import Planner
+from pyomo_quad.flight.search import Search
+from pyomo_quad.flight.strategies import FIRST, PROOF, carry_out
+from pyomo_quad.flight.verdict import plan_of
 from pyomo_quad.flight.weather import as_expected, draw
 from pyomo_quad.model import build_model
 from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.mission import Aim
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.scenario.wind import Intensity, Turbulence
 
@@ -40,17 +54,25 @@ FloatArray = NDArray[np.float64]
 
 # Meets a plan with a risk where the scenario states no turbulence.
 _USUAL_TURBULENCE = Turbulence(intensity=Intensity.LIGHT)
-# Flights that a calibration flies, and their seed; those that judge the plan have the next.
-_FLIGHTS, _SEED = 300, 20_260_515
+# Flights that judge a plan, and the seed of the first of them; each plan has winds of its own.
+_FLIGHTS, _SEED = 200, 20_260_515
 # Plans for margins of the covariance, and again for those that flights ask for.
-_PLANS, _CALIBRATIONS = 4, 3
+_PLANS, _CALIBRATIONS = 3, 2
 # Margins that agree with those asked for within this share, or within this share of the limit.
 _AGREED, _AGREED_OF_LIMIT = 0.1, 2e-3
 # A flight without gusts that ends farther off than this [m] had not the rotors to follow the plan.
 _ASTRAY_M = 0.1
-# Shares of the way from hover to a limit that such a plan leaves, one after the other.
-_RESERVES = (0.05, 0.1, 0.2, 0.35)
-_GROWTH = 1.5
+# Share of the risk that missing the goal may take before a plan gets a reserve.
+_SHARE_OF_GOAL = 0.3
+# Of a plan that is solved again: its warm start is near.
+_ROUGHLY = SolverOptions(tolerance=1e-6, extra=(("mu_init", 1e-4),))
+# Shares of the way from hover to the limits of rotors and tilt that a plan leaves as a reserve.
+_RESERVES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.58, 0.65, 0.72, 0.8)
+# With such a reserve a free duration is longer by this share of it: braking less is not enough
+# where the rotors give many times the weight.
+_LONGER = 0.75
+# By how much margins grow that flights ask for: those of a reserve little, since it costs much.
+_GROWTH, _GROWTH_OF_RESERVE = 1.5, 1.1
 # s, by how much earlier each plan is at a hold than the last one, and at most.
 _EARLIER_S, _EARLIEST_S = 0.3, 1.5
 
@@ -81,7 +103,31 @@ def plan_at_risk(
         is_own = planner.builder is not build_model
         if risk_asked(scenario) >= 1.0 or not paper.is_verified or is_own:
             return paper
-        return _Search(scenario, planner, paper, progress, is_stopped).best()
+        return _Search(paper, planner, progress, is_stopped).best()
+
+
+def _again(
+    planner: Planner, plan: Plan, held: Scenario, progress: Progress | None, *, is_rough: bool
+) -> Plan:
+    """Solve the problem of a plan with the limits of another scenario, begun from that plan.
+
+    A rough plan is on the mesh of the other, and no flight has verified it.
+    """
+    told, start = held.as_forecast(), plan.warm_start
+    with Deadline(told, progress) as deadline:
+        search = Search(deadline)
+        mission = MissionProblem(planner, plan.scenario.as_forecast(), search)
+        if start is None or not start.fits(mission.problem.compiled):
+            return planner.solve(held, progress=progress)
+        mission.told = told
+        if is_rough:
+            solution = mission.solve(
+                mesh=plan.mesh, tolerance=None, options=_ROUGHLY, warm_start=start
+            )
+            return plan_of(held, solution, {}, mission.hover_energy(solution))
+        candidate = Candidate(scenario=held, mission=mission, search=search, start=plan)
+        carry_out((*FIRST, *PROOF), candidate, search)
+        return replace(candidate.plan, routes=plan.routes, order_search=plan.order_search)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,14 +138,18 @@ class _Tried:
     margins: Mapping[str, float]
     spread: Spread
     near: tuple[Approach, ...]
-    missed: Mapping[str, float]
+    missed: tuple[Miss, ...]
 
     @property
     def predicted(self) -> float:
         """Probability that a flight breaks any limit, by Boole's inequality."""
-        held = [self.margins.get(approach.field, 0.0) for approach in self.near]
-        by_limits = sum(a.probability(m, m) for a, m in zip(self.near, held, strict=True))
-        return float(min(by_limits + sum(self.missed.values()), 1.0))
+        by_limits = sum(approach.present for approach in self.near)
+        return float(min(by_limits + sum(miss.probability for miss in self.missed), 1.0))
+
+    @property
+    def missing_places(self) -> float:
+        """Probability that a flight misses a place which only a reserve of the rotors helps to."""
+        return sum(miss.probability for miss in self.missed if not miss.field)
 
     @property
     def astray(self) -> float:
@@ -110,72 +160,133 @@ class _Tried:
 
 
 class _Search:
-    """The search for the margins of one scenario."""
+    """The search for the margins of one scenario, begun from its paper plan."""
 
     def __init__(
         self,
-        scenario: Scenario,
-        planner: Planner,
         paper: Plan,
-        progress: Progress | None,
-        is_stopped: Callable[[], bool],
+        planner: Planner,
+        progress: Progress | None = None,
+        is_stopped: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._scenario, self._planner, self._paper = scenario, planner, paper
+        # Its waypoints are in the order of the plan.
+        self._scenario, self._planner, self._paper = paper.scenario, planner, paper
         self._progress, self._is_stopped = progress, is_stopped
-        self._risk = risk_asked(scenario)
+        self._risk = risk_asked(paper.scenario)
         self._least: Mapping[str, float] = {}
-        self._told = scenario
-        if scenario.wind.turbulence is None:
-            wind = scenario.wind.model_copy(update={"turbulence": _USUAL_TURBULENCE})
-            self._told = scenario.model_copy(update={"wind": wind})
+        self._told = paper.scenario
+        if self._told.wind.turbulence is None:
+            wind = self._told.wind.model_copy(update={"turbulence": _USUAL_TURBULENCE})
+            self._told = self._told.model_copy(update={"wind": wind})
 
     def best(self) -> Plan:
         """Return the plan that keeps the risk, or that of the least risk found."""
-        tried = self._tried(self._paper, {})
-        tried = self._followed(tried)
-        for _ in range(_PLANS):
-            wanted = self._margins(tried)
-            if self._is_stopped() or self._agree(tried.margins, wanted):
+        tried = self._verified(self._settled(self._followed(self._tried(self._paper, {}))))
+        found: list[tuple[Counter[str], int, _Tried]] = []
+        # Where no reserve leads flights to the goal, no margin does.
+        for k in range(_CALIBRATIONS + 1 if self._is_followed(tried) else 1):
+            broken = self._flown(tried, _SEED + k)
+            counts = Counter(word for words in broken for word in words)
+            found.append((counts, sum(1 for words in broken if words), tried))
+            if found[-1][1] <= self._risk * _FLIGHTS or self._is_stopped():
                 break
-            other = self._planned(tried, wanted)
+            grown = self._grown(tried, counts)
+            other = None if grown == tried.margins else self._planned(tried, grown)
             if other is None:
                 break
-            tried = other
-        return self._calibrated(tried)
+            tried = self._verified(other)
+        counts, failed, tried = min(found, key=lambda one: (one[1], one[2].plan.energy))
+        return self._stated(tried, counts, failed)
+
+    def _stated(self, tried: _Tried, counts: Counter[str], failed: int) -> Plan:
+        """Return the plan with its risk stated."""
+        is_had = failed <= self._risk * _FLIGHTS
+        limiting = tuple(word for word, _ in counts.most_common(3))
+        taken = RiskTaken(
+            asked=self._risk,
+            predicted=tried.predicted,
+            failed=failed,
+            flown=_FLIGHTS,
+            is_had=is_had,
+            margins=dict(tried.margins),
+            paper_energy_J=self._paper.energy,
+            limiting=limiting,
+            advice="" if is_had else self._advice(limiting),
+        )
+        return replace(tried.plan, risk=taken)
+
+    def _verified(self, tried: _Tried) -> _Tried:
+        """Return a plan with margins refined, so that it keeps them between the points as well."""
+        if not tried.margins:
+            return tried
+        held = tightened(self._scenario, tried.margins)
+        plan = _again(self._planner, tried.plan, held, self._progress, is_rough=False)
+        if not plan.is_flyable:
+            plan = self._planner.solve(held, progress=self._progress)
+        return self._tried(self._owned(plan, tried.margins), tried.margins)
+
+    def _owned(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
+        """Return a plan with margins as a plan of the scenario as stated."""
+        times = passing_times(self._scenario, plan.passing_times_s, margins.get(HOLD, 0.0))
+        return replace(plan, scenario=self._scenario, passing_times_s=times)
 
     def _tried(self, plan: Plan, margins: Mapping[str, float]) -> _Tried:
         flown = replace(plan, scenario=self._told).mission_flown
         spread = spread_along(flown, plan, self._planner)
         near = tuple(approaches(spread, *_planned_at(plan, spread)))
-        missed = missing(flown, spread)
-        return _Tried(plan=plan, margins=margins, spread=spread, near=near, missed=missed)
+        return _Tried(
+            plan=plan, margins=margins, spread=spread, near=near, missed=missing(flown, spread)
+        )
 
     def _planned(self, last: _Tried, margins: Mapping[str, float]) -> _Tried | None:
         """Return a plan with margins, begun from another; None where there is none."""
         held = tightened(self._scenario, margins)
-        plan = self._planner.solve(held, warm_start=last.plan, progress=self._progress)
-        if not plan.is_flyable:
+        if self._scenario.mission.aim is Aim.TIME:
+            # Its problem has the least duration without margins.
             plan = self._planner.solve(held, progress=self._progress)
-        if not plan.is_flyable:
+        else:
+            plan = _again(self._planner, last.plan, held, self._progress, is_rough=True)
+        if plan.solution is None or not plan.solution.status.is_solved:
             return None
-        times = passing_times(self._scenario, plan.passing_times_s, margins.get(HOLD, 0.0))
-        own = replace(plan, scenario=self._scenario, passing_times_s=times)
-        return self._tried(own, margins)
+        return self._tried(self._owned(plan, margins), margins)
 
     def _followed(self, tried: _Tried) -> _Tried:
-        """Return a plan that the flight without gusts follows, where margins can make one."""
-        for share in _RESERVES:
-            if tried.astray <= _ASTRAY_M or self._is_stopped():
-                break
-            margins = {name: share * greatest_margin(self._scenario, name) for name in AUTHORITY}
-            for name, more in self._steeper_than_the_controller().items():
-                margins[name] = max(margins[name], more)
-            other = self._planned(tried, margins)
+        """Return a plan that flights follow to its goal, with the least reserve that does it.
+
+        Where no reserve does, that whose flights miss least.
+        """
+        if self._is_followed(tried):
+            return tried
+        found, low, high = [tried], 0, len(_RESERVES) - 1
+        while low <= high and not self._is_stopped():
+            middle = (low + high) // 2
+            other = self._planned(found[-1], self._reserve(_RESERVES[middle]))
             if other is None:
-                break
-            # What lets the vehicle follow its plan at all is not given back.
-            tried, self._least = other, margins
-        return tried
+                high = middle - 1
+                continue
+            found.append(other)
+            low, high = (low, middle - 1) if self._is_followed(other) else (middle + 1, high)
+        followed = [one for one in found if self._is_followed(one)]
+        # What lets the vehicle follow its plan at all is not given back.
+        best = min(followed or found, key=_cost if followed else _missed_least)
+        self._least = best.margins
+        return best
+
+    def _is_followed(self, tried: _Tried) -> bool:
+        is_there = tried.missing_places <= _SHARE_OF_GOAL * self._risk
+        return is_there and tried.astray <= _ASTRAY_M
+
+    def _reserve(self, share: float) -> dict[str, float]:
+        """Return the margins that leave a share of rotors and tilt, and of a free duration."""
+        margins = {name: share * greatest_margin(self._scenario, name) for name in AUTHORITY}
+        for name, more in self._steeper_than_the_controller().items():
+            margins[name] = max(margins[name], more)
+        mission = self._scenario.mission
+        if mission.is_free:
+            least, greatest = mission.duration_limits
+            longer = (1 + _LONGER * share) * self._paper.duration_s
+            margins[DURATION] = max(min(longer, greatest) - least, 0.0)
+        return margins
 
     def _steeper_than_the_controller(self) -> dict[str, float]:
         """Return how much more plans may tilt than a controller with a limit of its own."""
@@ -187,76 +298,59 @@ class _Search:
             "limits.pitch_max": limits.pitch_max - most,
         }
 
+    def _settled(self, tried: _Tried) -> _Tried:
+        """Return a plan with the margins that the covariance along it asks for."""
+        for _ in range(_PLANS):
+            wanted = self._margins(tried)
+            if self._is_stopped() or self._agree(tried.margins, wanted):
+                break
+            other = self._planned(tried, wanted)
+            if other is None:
+                break
+            tried = other
+        return tried
+
     def _margins(self, tried: _Tried) -> dict[str, float]:
         """Return the margins that the risk needs: equal shares for the limits that need any.
 
-        What limits far from the plan take of the risk, and misses, is left out of the shares.
+        What limits far from the plan take of the risk, and the goal, is left out of the shares.
         """
         held = tried.margins
-        taken = sum(p for words, p in tried.missed.items() if not words.startswith(AT_HOLD))
         alone = {a: a.probability(held.get(a.field, 0.0), 0.0) for a in tried.near}
         # A limit that takes a hundredth of the risk needs no margin.
-        pressed = [a for a, probability in alone.items() if probability > 0.01 * self._risk]
-        taken += sum(p for a, p in alone.items() if a not in pressed)
-        share = max(self._risk - taken, 0.1 * self._risk) / max(len(pressed), 1)
-        margins: dict[str, float] = {}
+        least = 0.01 * self._risk
+        pressed = [a for a, probability in alone.items() if probability > least]
+        # A reserve is enough for the limits that it is taken from: flights judge it.
+        pressed = [a for a in pressed if a.field not in self._least]
+        missed = [m for m in tried.missed if m.field and (m.field in held or m.probability > least)]
+        taken = tried.missing_places
+        taken += sum(p for a, p in alone.items() if p <= least)
+        share = max(self._risk - taken, 0.1 * self._risk) / max(len(pressed) + len(missed), 1)
+        margins = dict(self._least)
         for approach in pressed:
             most = greatest_margin(self._scenario, approach.field)
             needed = approach.margin_for(share, held.get(approach.field, 0.0), most)
             if needed > 0.0:
                 margins[approach.field] = max(margins.get(approach.field, 0.0), needed)
-        for name, least in self._least.items():
-            margins[name] = max(margins.get(name, 0.0), least)
-        at_holds = sum(p for words, p in tried.missed.items() if words.startswith(AT_HOLD))
-        if at_holds > share or held.get(HOLD):
-            earlier = _EARLIER_S if at_holds > share else 0.0
-            margins[HOLD] = min(held.get(HOLD, 0.0) + earlier, _EARLIEST_S)
+        for miss in missed:
+            more = miss.excess(share)
+            if miss.field == HOLD:
+                more = min(_EARLIER_S * (more > 0.0), _EARLIEST_S - held.get(HOLD, 0.0))
+            wanted = held.get(miss.field, 0.0) + more
+            margins[miss.field] = max(margins.get(miss.field, 0.0), wanted)
         return margins
 
     def _agree(self, held: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
         """Say whether the margins of a plan are those that its flights need."""
-        if held.get(HOLD) != wanted.get(HOLD):
-            return False
-        for name in {*held, *wanted} - {HOLD}:
+        for name in {*held, *wanted}:
             one, other = held.get(name, 0.0), wanted.get(name, 0.0)
             table, _, key = name.partition(".")
-            size = abs(float(getattr(getattr(self._scenario, table), key)))
+            size = 0.0
+            if table != "mission":
+                size = abs(float(getattr(getattr(self._scenario, table), key)))
             if abs(one - other) > max(_AGREED * other, _AGREED_OF_LIMIT * size):
                 return False
         return True
-
-    def _calibrated(self, tried: _Tried) -> Plan:
-        """Return the plan whose margins flights confirm, or that of the least risk found."""
-        found: list[tuple[int, _Tried, Counter[str]]] = []
-        for _ in range(_CALIBRATIONS + 1):
-            broken = self._flown(tried, _SEED)
-            failed = sum(1 for words in broken if words)
-            counts = Counter(word for words in broken for word in words)
-            found.append((failed, tried, counts))
-            if failed <= self._risk * _FLIGHTS or self._is_stopped():
-                break
-            grown = self._grown(tried, counts)
-            other = None if grown == tried.margins else self._planned(tried, grown)
-            if other is None:
-                break
-            tried = other
-        failed, tried, _ = min(found, key=lambda one: (one[0], one[1].plan.energy))
-        is_had = failed <= self._risk * _FLIGHTS
-        judged = self._flown(tried, _SEED + 1)
-        counts = Counter(word for words in judged for word in words)
-        limiting = tuple(word for word, _ in counts.most_common(3))
-        taken = RiskTaken(
-            asked=self._risk,
-            predicted=tried.predicted,
-            failed=sum(1 for words in judged if words),
-            flown=_FLIGHTS,
-            is_had=is_had,
-            margins=dict(tried.margins),
-            paper_energy_J=self._paper.energy,
-            limiting=limiting,
-            advice="" if is_had else self._advice(limiting),
-        )
-        return replace(tried.plan, risk=taken)
 
     def _flown(self, tried: _Tried, seed: int) -> list[tuple[str, ...]]:
         """Return the limits that each of many flights breaks, in words."""
@@ -276,7 +370,8 @@ class _Search:
         for word, count in counts.items():
             if count > allowed:
                 own = {a.field for a in tried.near if limit_words(a.name) == word}
-                fields |= own or ({HOLD} if word.startswith(AT_HOLD) else set(AUTHORITY))
+                own |= {miss.field for miss in tried.missed if miss.words == word and miss.field}
+                fields |= own or set(AUTHORITY)
         margins = dict(tried.margins)
         if HOLD in fields:
             margins[HOLD] = min(margins.get(HOLD, 0.0) + _EARLIER_S, _EARLIEST_S)
@@ -285,9 +380,13 @@ class _Search:
             deviation = max(
                 (float(a.deviation.max()) for a in tried.near if a.field == name), default=0.0
             )
-            most = greatest_margin(self._scenario, name)
             held = margins.get(name, 0.0)
-            margins[name] = min(max(_GROWTH * held, held + deviation / 2), most)
+            grown = max(_GROWTH * held, held + deviation / 2)
+            if name in self._least:
+                grown = _GROWTH_OF_RESERVE * held
+            is_at_places = name in {miss.field for miss in tried.missed}
+            most = grown if is_at_places else greatest_margin(self._scenario, name)
+            margins[name] = min(grown, most)
         return margins
 
     def _advice(self, limiting: tuple[str, ...]) -> str:
@@ -297,9 +396,19 @@ class _Search:
             return "start, waypoints and goal farther from it, or a lower limits.speed_max"
         if "waypoint" in first or "hold place" in first:
             return "a larger radius of the waypoint, or a later time to pass it"
-        if self._scenario.mission.is_free:
-            return "a longer mission.duration_min, or weaker turbulence"
+        if self._least:
+            return (
+                "weaker turbulence, or faster baseline.gains: no longer flight arrives more often"
+            )
         return "a longer mission.duration, or weaker turbulence"
+
+
+def _cost(tried: _Tried) -> float:
+    return tried.plan.cost
+
+
+def _missed_least(tried: _Tried) -> tuple[float, float]:
+    return tried.missing_places, tried.astray
 
 
 def _planned_at(plan: Plan, spread: Spread) -> tuple[FloatArray, FloatArray]:

@@ -105,7 +105,7 @@ class RouteFlights:
         )
 
     def _near(self, known: dict[int, Solution]) -> list[int]:
-        """Return the flights to refine, and put those of the next mesh in place of the first."""
+        """Return the flights to refine; flights on the next mesh replace the first ones."""
         near = _nearest(known, self._near_on_first, _MOST_ON_NEXT)
         if len(near) < 2:
             return near

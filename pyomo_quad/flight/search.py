@@ -31,7 +31,7 @@ _PROMISING = FIGURES[Accuracy.QUICK].breach
 _PATIENCE_S, _SHARE = 2.0, 0.2
 # What can be flown near a coarse mesh, which takes seconds to find, is found after so many times
 # as long, or after this share of the time limit.
-_LONG, _SHARE_OF_LIMIT = 4.0, 0.4
+_LONG, _SHARE_OF_LIMIT = 5.0, 0.3
 # Coarse meshes from which a usable plan is sought.
 _MOST_SEARCHES = 2
 

@@ -175,18 +175,23 @@ class SteadyFlight:
         """Return the speed of each rotor in a steady flight, rad/s."""
         return trim.states[self._rotors]
 
-    def charge_rates(self, trim: Trim, drawn: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def charge_rates(
+        self, trim: Trim, drawn: FloatArray, circuit: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Return charge per second [A h/s] and power left [W] in steady flight, at charges drawn.
 
         Parameters
         ----------
         drawn : ndarray, shape (n,)
             Charge drawn from the full pack [A h].
+        circuit : ndarray, shape (n, n_circuit), optional
+            Slow drop and temperature of the pack; those of the start without.
         """
         states = np.tile(trim.states, (len(drawn), 1))
         controls = np.tile(trim.controls, (len(drawn), 1))
         states[:, self._dynamics.state_names.index(CHARGE_STATE)] = drawn
-        self._load_circuit(states, trim, drawn)
+        if circuit is not None:
+            states[:, self._circuit] = circuit
         keys = ((_CHARGE_RATE, None), ("battery.power_reserve", None))
         rate, reserve = self._rows(keys, states, controls).T
         return rate, reserve
@@ -197,21 +202,24 @@ class SteadyFlight:
         Infinite if it draws no power, and zero if the pack cannot give the power.
         """
         drawn = np.linspace(0.0, depth * self.pack_capacity, samples)
-        rate, reserve = self.charge_rates(trim, drawn)
+        rate, reserve = self.charge_rates(trim, drawn, self._circuit_under_load(trim, drawn))
         if np.min(reserve) < 0.0:
             return 0.0
         return float(np.trapezoid(1.0 / rate, drawn)) if np.min(rate) > 0.0 else np.inf
 
-    def _load_circuit(self, states: FloatArray, trim: Trim, drawn: FloatArray) -> None:
-        """Set slow drop and temperature of the pack as a steady load leaves them, over the charge.
+    @property
+    def _circuit(self) -> list[int]:
+        """Places of slow drop and temperature among the states, where the pack has them."""
+        return [k for k, n in enumerate(self._dynamics.state_names) if n in CIRCUIT_STATES]
 
-        Rows stay at the start where the pack can no longer give the power.
+    def _circuit_under_load(self, trim: Trim, drawn: FloatArray) -> FloatArray | None:
+        """Return slow drop and temperature as a steady load leaves them, over the charge drawn.
+
+        Rows are those of the last charge that the pack can give, beyond it. None without a circuit.
         """
-        names = self._dynamics.state_names
-        own = [k for k, name in enumerate(names) if name in CIRCUIT_STATES]
+        own, charge = self._circuit, self._dynamics.state_names.index(CHARGE_STATE)
         if not own:
-            return
-        charge = names.index(CHARGE_STATE)
+            return None
 
         def slope(drawn: float, circuit: FloatArray) -> FloatArray:
             state = trim.states.copy()
@@ -219,10 +227,10 @@ class SteadyFlight:
             rates = self._dynamics.rates(self._dynamics.start, state, trim.controls)
             return np.asarray(rates[own] / rates[charge])
 
-        found = solve_ivp(
-            slope, drawn[[0, -1]], trim.states[own], t_eval=drawn, method="LSODA", rtol=1e-6
-        )
-        states[: found.y.shape[1], own] = found.y.T
+        ends = float(drawn[0]), float(drawn[-1])
+        found = solve_ivp(slope, ends, trim.states[own], t_eval=drawn, method="LSODA", rtol=1e-6)
+        missing = len(drawn) - found.y.shape[1]
+        return np.asarray(np.pad(found.y.T, ((0, missing), (0, 0)), mode="edge"))
 
     @cached_property
     def _hovering(self) -> Trim:

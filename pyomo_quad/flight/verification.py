@@ -293,7 +293,7 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
 def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
     """Return a message on the place where a flight leaves its plan's wind field, empty if none.
 
-    A flight of a model without places leaves nothing.
+    Always empty for a model without positions.
     """
     if not set(POSITION_STATES) <= set(dynamics.state_names):
         return ""

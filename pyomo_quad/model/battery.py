@@ -48,6 +48,7 @@ from pyomo_quad.model.parameters import (
     DIP,
     Parameter,
     declare_parameters,
+    fields_of,
     parameters_in,
     saturated,
 )
@@ -71,40 +72,8 @@ CONDITIONS_AT_START = (
 )
 
 _CELL = (
-    Parameter(
-        name="cells_series",
-        units=units.dimensionless,
-        value=lambda s: s.battery.cells_series,
-        doc="cells in series",
-    ),
-    Parameter(
-        name="cells_parallel",
-        units=units.dimensionless,
-        value=lambda s: s.battery.cells_parallel,
-        doc="cells in parallel",
-    ),
-    Parameter(name="E0", units=units.V, value=lambda s: s.battery.E0, doc="e_0 of one cell"),
-    Parameter(name="K", units=units.V, value=lambda s: s.battery.K, doc="k of one cell"),
-    Parameter(name="A", units=units.V, value=lambda s: s.battery.A, doc="c_1 of one cell"),
-    Parameter(name="B", units=1 / CHARGE, value=lambda s: s.battery.B, doc="c_2 of one cell"),
-    Parameter(
-        name="capacity",
-        units=CHARGE,
-        value=lambda s: s.battery.capacity,
-        doc="Q_bat of one cell",
-    ),
-    Parameter(
-        name="cell_resistance",
-        units=units.ohm,
-        value=lambda s: s.battery.cell_resistance,
-        doc="R_bat of one cell",
-    ),
-    Parameter(
-        name="initial_state_of_charge",
-        units=units.percent,
-        value=lambda s: s.battery.initial_state_of_charge,
-        doc="state of charge at the start",
-    ),
+    *fields_of("battery", "cells_series", "cells_parallel", "E0", "K", "A", "B", "capacity"),
+    *fields_of("battery", "cell_resistance", "initial_state_of_charge"),
 )
 
 

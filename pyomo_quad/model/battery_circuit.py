@@ -16,6 +16,7 @@ Assumptions: all cells alike and at one temperature, no entropic heat, one time 
 temperatures and states of charge.
 """
 
+from collections.abc import Mapping
 from operator import attrgetter
 
 from pyomo.core import Block, ConcreteModel, Constraint, Expression, Var, exp
@@ -127,6 +128,28 @@ def states_at_start(scenario: Scenario) -> dict[str, float]:
     if scenario.mission.aim is Aim.CHARGE:
         states[LOSS] = 0.0
     return states
+
+
+def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, float]:
+    """Return the fields that start the next flight with the circuit as the last one left it.
+
+    Parameters
+    ----------
+    ended : mapping
+        State at the end of the flight, by full name.
+
+    Returns
+    -------
+    dict
+        Dotted scenario field -> value; empty for a pack without a circuit.
+    """
+    fields = {}
+    if _DROP in ended:
+        drop = ended[_DROP] / scenario.battery.cells_series
+        fields["battery.relaxation.initial_voltage"] = drop
+    if _TEMPERATURE in ended:
+        fields["battery.thermal.initial_temperature"] = ended[_TEMPERATURE]
+    return fields
 
 
 def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:

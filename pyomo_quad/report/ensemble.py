@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from pyomo_quad.flight.columns import ENERGY as ENERGY_TRACK
 from pyomo_quad.flight.ensemble import OFF, SPEED, TILT
@@ -21,8 +22,15 @@ from pyomo_quad.report.style import (
     legend_below,
     panel_grid,
 )
-from pyomo_quad.study.ensemble import BAND, CONFIDENCE, Ensemble, Saving
-from pyomo_quad.version import __version__
+from pyomo_quad.study.ensemble import (
+    BAND,
+    CONFIDENCE,
+    Ensemble,
+    Saving,
+    ensemble_summary,
+)
+
+FloatArray = NDArray[np.float64]
 
 FLIGHTS_NAME, BANDS_NAME = "flights.csv", "bands.csv"
 #: Number of paths in the figure; more paths could not be distinguished.
@@ -59,57 +67,10 @@ def write_ensemble(
     return summary
 
 
-def ensemble_summary(flown: Ensemble, savings: Sequence[Saving] = ()) -> dict[str, Any]:
-    """Return the results of many flights as values for JSON."""
-    worst = flown.worst
-    return {
-        **_facts(flown),
-        "broken_limits": [
-            {"limit": name, "share": share.value, "interval": share.interval, "worst": worst[name]}
-            for name, share in flown.broken.items()
-        ],
-        "savings": [
-            {
-                "flight": saving.rival.name,
-                **_facts(saving.rival),
-                "saving_percent": dict(zip(_QUANTILES, saving.percent, strict=True)),
-                "both_held": saving.both_held,
-            }
-            for saving in savings
-        ],
-        "wall_s": {"fly": flown.wall_s + sum(saving.rival.wall_s for saving in savings)},
-        "version": __version__,
-        "scenario_resolved": flown.scenario.model_dump(mode="json"),
-    }
-
-
-_QUANTILES = tuple(f"{round(100 * share)}_percent" for share in BAND)
-# Attributes of `Ending` whose distribution the summary gives.
-_QUANTITIES = (
-    "energy_J",
-    "charge_used_percent",
-    "miss_m",
-    "end_speed_m_per_s",
-    "largest_deviation_m",
-)
-
-
-def _facts(flown: Ensemble) -> dict[str, Any]:
-    return {
-        "scenario": flown.scenario.name,
-        "flight": flown.name,
-        "flights": flown.count,
-        "seed": flown.seed,
-        "duration_s": flown.scenario.mission.fixed_duration,
-        "held": flown.held.count,
-        "held_share": flown.held.value,
-        "held_interval": flown.held.interval,
-        **{name: dict(zip(_QUANTILES, flown.band(name), strict=True)) for name in _QUANTITIES},
-    }
-
-
-def ensemble_drawings(flown: Ensemble, savings: Sequence[Saving]) -> tuple[Drawing, ...]:
-    """List the figures of many flights."""
+def ensemble_drawings(
+    flown: Ensemble, savings: Sequence[Saving], margin: float = 0.0
+) -> tuple[Drawing, ...]:
+    """List the figures of many flights; a margin [m] is drawn round the path that they follow."""
     shown = min(SHOWN_PATHS, flown.count)
     paths = f"The first {shown} flights, and the path that they follow."
     energy = "Energy of the flights (kJ), each in a wind of its own."
@@ -117,14 +78,17 @@ def ensemble_drawings(flown: Ensemble, savings: Sequence[Saving]) -> tuple[Drawi
         energy += " The winds are the same for all kinds of flights."
     bands = "Median over the flights, and the band in which 90 % of them are at each time."
     return (
-        Drawing("paths", "Paths", paths, partial(draw_many_paths, flown)),
+        Drawing("paths", "Paths", paths, partial(draw_many_paths, flown, margin)),
         Drawing("energy", "Energy", energy, partial(draw_energies, flown, savings)),
         Drawing("bands", "Over time", bands, partial(draw_bands, flown)),
     )
 
 
-def draw_many_paths(flown: Ensemble) -> Figure:
-    """Draw the paths of some flights and of their reference, from above and from the front."""
+def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
+    """Draw the paths of some flights and of their reference, from above and from the front.
+
+    With a margin [m] to zones, its width is drawn on both sides of the reference.
+    """
     figure, panels = panel_grid(2, 1, panel_height=2.5, legend_entries=2, share_time=False)
     tracks = [flown.flown.tracks[f"{axis}_m"][:, :SHOWN_PATHS] for axis in "xyz"]
     color = SERIES_STYLES[0].color
@@ -139,11 +103,21 @@ def draw_many_paths(flown: Ensemble) -> Figure:
             )
         planned = flown.planned
         axes.plot(planned[:, across], planned[:, up], color=INK, linewidth=0.8, label="followed")
+        for side, label in ((margin, "margin"), (-margin, None)) if margin else ():
+            beside = _beside(planned[:, [across, up]], side)
+            axes.plot(*beside.T, color=INK, linewidth=0.5, linestyle=":", label=label)
         axes.set_title(f"Seen {title}")
         axes.set(xlabel=axis_label(POSITION[across]), ylabel=axis_label(POSITION[up]))
         axes.set_aspect("equal", adjustable="datalim")
     legend_below(figure, panels[0, 0])
     return figure
+
+
+def _beside(path: FloatArray, off: float) -> FloatArray:
+    """Return a plane path moved to its left by a distance, where it moves at all."""
+    along = np.gradient(path, axis=0)
+    length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    return path + off * np.column_stack([-along[:, 1], along[:, 0]]) / length
 
 
 def draw_energies(flown: Ensemble, savings: Sequence[Saving]) -> Figure:

@@ -109,8 +109,13 @@ def _draw_disturbance(
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
     """Draw voltage, current and state of charge of the battery, slow drop and temperature."""
     further = [own for own in CIRCUIT if all(own.name in one.frame for one in flights)]
-    rows = 2 if further else 1
-    figure, panels = panel_grid(rows, 3, panel_height=1.7, legend_entries=len(flights))
+    figure, panels = panel_grid(
+        2 if further else 1,
+        3,
+        panel_height=1.7,
+        legend_entries=len(flights),
+        share_time=not further,
+    )
     shown = (*BATTERY, *further)
     for unused in panels.flat[len(shown) :]:
         unused.set_visible(False)

@@ -1,6 +1,7 @@
 """Lists of the figures of a report, in order, with their captions."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ from pyomo_quad.report.energy_bars import (
     draw_energy_split,
     takes_one_time_each,
 )
+from pyomo_quad.report.ensemble import ensemble_drawings
 from pyomo_quad.report.flight_figures import (
     COSTATES,
     coinciding_flights,
@@ -67,6 +69,7 @@ from pyomo_quad.study.headline import rival_of
 if TYPE_CHECKING:
     from pyomo_quad.flight import Plan
     from pyomo_quad.scenario import Scenario
+    from pyomo_quad.study.ensemble import InTurbulence
     from pyomo_quad.study.run import RunResult
 
 PATH_NAME = "path"
@@ -210,8 +213,16 @@ def drawings_of_run(result: "RunResult") -> tuple[Drawing, ...]:
         *_comparison(result, flights),
         *(() if result.adaptation is None else (adaptation_drawing(result.adaptation),)),
         *((front_drawing(result.front),) if len(result.front) > 1 else ()),
+        *(() if result.often is None else _in_turbulence(result.often, result.plan)),
         *plan_drawings(result.plan, flights),
     )
+
+
+def _in_turbulence(often: "InTurbulence", plan: "Plan") -> Iterator[Drawing]:
+    """Yield the figures of many flights, named apart from those of the run's single flights."""
+    margin = 0.0 if plan.risk is None else plan.risk.margins.get("airspace.clearance", 0.0)
+    for drawing in ensemble_drawings(often.flown, often.savings, margin):
+        yield replace(drawing, name=f"turbulence_{drawing.name}")
 
 
 def drawings_of_comparison(comparison: pd.DataFrame) -> tuple[Drawing]:

@@ -67,9 +67,13 @@
   addEventListener("afterprint", () => {
     for (const section of folded) section.open = false;
   });
-  if (matchMedia("(max-width: 42rem)").matches) {
-    for (const contents of document.querySelectorAll("nav details")) contents.open = false;
-  }
+  // On a phone the contents would fill the first screen.
+  const phone = matchMedia("(max-width: 42rem)");
+  const fold = () => {
+    for (const contents of document.querySelectorAll("nav details")) contents.open = !phone.matches;
+  };
+  phone.addEventListener("change", fold);
+  fold();
 
   const source = document.getElementById("flight-data");
   const view = document.getElementById("flight-view");

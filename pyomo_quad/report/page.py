@@ -84,8 +84,10 @@ def _scrolled(label: str) -> str:
     return f'<div class="scroll" tabindex="0" role="group" aria-label="{label}">'
 
 
-# Places where a long name may break in a narrow column: after dots, underscores, slashes, brackets.
-_JOINT = pattern(r"(?<=\w[._/\]])(?=\w)(?<!\d.)")
+# Places where a long name may break in a narrow column: after dots, underscores and brackets, and
+# the name of a flight after its slash too.
+_JOINT = pattern(r"(?<=\w[._\]])(?=\w)(?<!\d.)")
+_JOINT_OF_CODE = pattern(r"(?<=\w[._/\]])(?=\w)(?<!\d.)")
 
 
 class _PageRenderer(RendererHTML):
@@ -117,7 +119,7 @@ class _PageRenderer(RendererHTML):
         return _JOINT.sub("<wbr>", escape(tokens[idx].content))
 
     def code_inline(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
-        return f"<code>{_JOINT.sub('<wbr>', escape(tokens[idx].content))}</code>"
+        return f"<code>{_JOINT_OF_CODE.sub('<wbr>', escape(tokens[idx].content))}</code>"
 
     def image(self, tokens: Sequence[Token], idx: int, _: object, env: EnvType) -> str:
         picture = env["pictures"][_name(tokens[idx])]

@@ -166,6 +166,7 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
 
     ``wall_s`` has the seconds of the phases that the result's own timings do not hold.
     """
+    from pyomo_quad.study.ensemble import ensemble_summary  # noqa: PLC0415  as below
     from pyomo_quad.study.headline import headline_of  # noqa: PLC0415  a solve has none
 
     summary = plan_summary(result.plan, wall_s=wall_s, warnings=result.warnings)
@@ -182,6 +183,10 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
     headline = headline_of(result)
     if headline is not None:
         summary["headline"] = headline.summary
+    if result.often is not None:
+        often = ensemble_summary(result.often.flown, result.often.savings)
+        is_said = often.keys() & summary.keys() | {"wall_s"}
+        summary["turbulence"] = {key: v for key, v in often.items() if key not in is_said}
     summary["flights"] = [
         {
             "flight": flight.name,

@@ -1,9 +1,9 @@
 """Missions flown one after the other until the pack is at its limit: how often per charge.
 
-Each flight is planned with the state of charge at which the flight before it ended, from the plan
-that its mission had last.  A charge ends before the first flight that has no plan: it would leave
-less charge than the pack must keep, or the voltage would fall below its limit.  No pack recovers or
-ages.
+Each flight is planned with the state of charge, the slow voltage drop and the temperature at which
+the flight before it ended, from the plan that its mission had last.  A charge ends before the first
+flight that has no plan: it would leave less charge than the pack must keep, or the voltage would
+fall below its limit.  No pack rests between two flights, or ages.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -19,12 +19,13 @@ from pyomo_quad.flight import Plan, Planner
 from pyomo_quad.flight.baselines import broken_under_control, declared_start, start_state
 from pyomo_quad.flight.columns import column_of
 from pyomo_quad.flight.verification import BALANCE_TOLERANCE, fly_controls, shares_lacking
+from pyomo_quad.model.battery import CHARGE_STATE
+from pyomo_quad.model.battery_circuit import CIRCUIT_STATES, fields_after
 from pyomo_quad.scenario import Scenario, ScenarioError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_CHARGE_DRAWN = "battery.charge_drawn"
 _CHARGE, _VOLTAGE = (column_of(f"battery.{name}").name for name in ("state_of_charge", "voltage"))
 # Samples of a plan in which its lowest voltage is looked for.
 _SAMPLES = 400
@@ -153,16 +154,18 @@ def fly_campaign(
     flights: list[CampaignFlight] = []
     endings: list[str] = []
     for charge in range(1, charges + 1):
-        left = missions[0].battery.initial_state_of_charge
+        # A pack that was charged has rested: its circuit starts as the scenario says.
+        left = {"battery.initial_state_of_charge": missions[0].battery.initial_state_of_charge}
         for number in range(1, MOST_FLIGHTS + 1):
-            told = missions[turn].with_values({"battery.initial_state_of_charge": left})
+            told = missions[turn].with_values(left)
             plan = _planned(told, known.get(turn), planners[turn])
             if isinstance(plan, str):
                 endings.append(plan)
                 break
             known[turn], turn = plan, next(turns)
             flights.append(_flight(charge, number, plan))
-            left = flights[-1].charge_at_end
+            left = {"battery.initial_state_of_charge": flights[-1].charge_at_end}
+            left |= fields_after(told, _ended(plan))
             follow(flights[-1])
         else:
             endings.append(f"{MOST_FLIGHTS} flights, after which a campaign is not continued")
@@ -203,6 +206,12 @@ def _planned(told: Scenario, last: Plan | None, planner: Planner) -> Plan | str:
     return plan
 
 
+def _ended(plan: Plan) -> dict[str, float]:
+    """Return the state at the end of a plan, by full name."""
+    held = plan.trajectories
+    return dict(zip(held.state_names, held.states[-1].tolist(), strict=True))
+
+
 def _flight(charge: int, number: int, plan: Plan) -> CampaignFlight:
     columns = plan.columns(np.linspace(*plan.trajectories.horizon, _SAMPLES))
     return CampaignFlight(
@@ -224,9 +233,10 @@ def _broken(told: Scenario, last: Plan, planner: Planner) -> Iterator[str]:
     again = told.lasting(last.duration_s, last.passing_times_s)
     dynamics, held = planner.dynamics(again), last.trajectories
     start = start_state(again, dynamics, last)
-    start[dynamics.state_names.index(_CHARGE_DRAWN)] = declared_start(again, dynamics)[
-        _CHARGE_DRAWN
-    ]
+    begun = declared_start(again, dynamics)
+    for k, name in enumerate(dynamics.state_names):
+        if name in (CHARGE_STATE, *CIRCUIT_STATES):
+            start[k] = begun[name]
     try:
         flown = fly_controls(dynamics, held.mesh, held.controls, start, held.horizon)
     except EngineError:

@@ -5,10 +5,11 @@ meet the same winds.
 """
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from pyomo_quad.collocation import Summarised
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import baseline_name, path_of, reference_path
 from pyomo_quad.flight.ensemble import TRACKS, Ending, FlownOften, Squadron
-from pyomo_quad.flight.plan import Trajectories
+from pyomo_quad.flight.plan import Plan, Trajectories
 from pyomo_quad.flight.proof import in_order
 from pyomo_quad.flight.references import ReferencePath
 from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at
@@ -25,6 +26,7 @@ from pyomo_quad.flight.weather import draw
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.study.processes import side_by_side
+from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -262,3 +264,103 @@ class Saving:
         pairs = zip(planned.flown.endings, rival.flown.endings, strict=True)
         both = sum(one.has_held and two.has_held for one, two in pairs)
         return cls(rival=rival, percent=(low, middle, high), both_held=both)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InTurbulence:
+    """The flights of a run in turbulence: under its plan, and as an autopilot in the same winds."""
+
+    flown: Ensemble
+    savings: tuple[Saving, ...]
+
+    @property
+    def words(self) -> str:
+        """The share that held, and the saving, in one or two sentences."""
+        held, most = self.flown.held, next(iter(self.flown.broken.items()), None)
+        broken = "" if most is None else f", and {most[1].count} break the limit {most[0]}"
+        found = (
+            f"Of {held.of} flights in turbulence {held.count} arrive and keep every limit: "
+            f"{held}{broken}."
+        )
+        for saving in self.savings:
+            low, middle, high = saving.percent
+            found += (
+                f" Against {saving.rival.name} in the same winds the plan saves {middle:.1f} % in "
+                f"the median ({low:.1f} to {high:.1f} % in 90 % of them)."
+            )
+        return found
+
+
+# Seconds of flight in all that a run flies under its plan, in less than half a minute, and flights
+# at most.
+_FLOWN_S, _MOST_FLIGHTS = 10_000.0, 1000
+# Not that of the flights which found the plan's margins.
+_SEED = 1
+
+
+def fly_in_turbulence(plan: Plan, cruise: float | None, *, planner: Planner) -> InTurbulence | None:
+    """Fly a plan in many winds, and an autopilot's cruise in the same; None without turbulence.
+
+    Parameters
+    ----------
+    cruise : float or None
+        Speed of the autopilot [m/s]; None flies none.
+    """
+    mission = plan.mission_flown
+    if mission.wind.turbulence is None or not plan.is_flyable:
+        return None
+    flights = min(_MOST_FLIGHTS, round(_FLOWN_S / plan.duration_s) or 1)
+    flown = fly_plan_often(mission, plan.trajectories, planner=planner, flights=flights, seed=_SEED)
+    if cruise is None:
+        return InTurbulence(flown=flown, savings=())
+    rival = fly_cruise_often(mission, cruise, planner=planner, flights=flights, seed=_SEED)
+    return InTurbulence(flown=flown, savings=(Saving.of(flown, rival),))
+
+
+def ensemble_summary(flown: Ensemble, savings: Sequence[Saving] = ()) -> dict[str, Any]:
+    """Return the results of many flights as values for JSON."""
+    worst = flown.worst
+    return {
+        **_facts(flown),
+        "broken_limits": [
+            {"limit": name, "share": share.value, "interval": share.interval, "worst": worst[name]}
+            for name, share in flown.broken.items()
+        ],
+        "savings": [
+            {
+                "flight": saving.rival.name,
+                **_facts(saving.rival),
+                "saving_percent": dict(zip(_QUANTILES, saving.percent, strict=True)),
+                "both_held": saving.both_held,
+            }
+            for saving in savings
+        ],
+        "wall_s": {"fly": flown.wall_s + sum(saving.rival.wall_s for saving in savings)},
+        "version": __version__,
+        "scenario_resolved": flown.scenario.model_dump(mode="json"),
+    }
+
+
+_QUANTILES = tuple(f"{round(100 * share)}_percent" for share in BAND)
+# Attributes of `Ending` whose distribution the summary gives.
+_QUANTITIES = (
+    "energy_J",
+    "charge_used_percent",
+    "miss_m",
+    "end_speed_m_per_s",
+    "largest_deviation_m",
+)
+
+
+def _facts(flown: Ensemble) -> dict[str, Any]:
+    return {
+        "scenario": flown.scenario.name,
+        "flight": flown.name,
+        "flights": flown.count,
+        "seed": flown.seed,
+        "duration_s": flown.scenario.mission.fixed_duration,
+        "held": flown.held.count,
+        "held_share": flown.held.value,
+        "held_interval": flown.held.interval,
+        **{name: dict(zip(_QUANTILES, flown.band(name), strict=True)) for name in _QUANTITIES},
+    }

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from pyomo_quad.flight.margins import RiskTaken
     from pyomo_quad.scenario.tables import CruiseSettings
+    from pyomo_quad.study.ensemble import InTurbulence
     from pyomo_quad.study.run import RunResult
 
 Row = Mapping[Any, Any]
@@ -43,6 +44,8 @@ class Headline:
         Those of the tuned autopilot, if it is the rival.
     risk : RiskTaken or None
         The flights in turbulence that the plan was tried in.
+    often : InTurbulence or None
+        Many flights of the run in turbulence, which are named instead of those.
     """
 
     energy_J: float
@@ -51,6 +54,7 @@ class Headline:
     rival: Row | None
     settings: "CruiseSettings | None"
     risk: "RiskTaken | None"
+    often: "InTurbulence | None" = None
 
     @property
     def words(self) -> str:
@@ -94,6 +98,8 @@ class Headline:
 
     @property
     def _share(self) -> str:
+        if self.often is not None:
+            return self.often.words
         if self.risk is None:
             return "No flights in turbulence were flown."
         held = self.risk.flown - self.risk.failed
@@ -127,6 +133,7 @@ def headline_of(result: "RunResult") -> Headline | None:
         rival=rival,
         settings=None if tuning is None else tuning.settings,
         risk=result.plan.risk,
+        often=result.often,
     )
 
 

@@ -29,6 +29,7 @@ from pyomo_quad.study.comparison import (
     combine,
     compare_flights,
 )
+from pyomo_quad.study.ensemble import InTurbulence, fly_in_turbulence
 from pyomo_quad.study.front import energy_time_front
 from pyomo_quad.study.processes import side_by_side
 
@@ -67,6 +68,8 @@ class RunResult(Summarised):
     tuning : Tuning or None
         The settings of the autopilot tuned for least energy, and what was tried; None without
         reference cruise.
+    often : InTurbulence or None
+        Many flights of the plan, and of an autopilot, in winds with turbulence; None without it.
     """
 
     scenario: Scenario
@@ -80,6 +83,7 @@ class RunResult(Summarised):
     timings: Mapping[str, float]
     warnings: tuple[str, ...]
     tuning: Tuning | None = None
+    often: InTurbulence | None = None
 
     @property
     def summary(self) -> dict[str, str]:
@@ -90,6 +94,7 @@ class RunResult(Summarised):
             "status": self.plan.status.value,
             **{flight.name: f"{flight.energy_J:.2f} J" for flight in self.flights},
             "no flight below": "unknown" if bound is None else f"{bound:.2f} J",
+            **({} if self.often is None else {"held": str(self.often.flown.held)}),
         }
 
     @property
@@ -169,8 +174,8 @@ class RunResult(Summarised):
         Parameters
         ----------
         what : str, default "map"
-            "map", "power_over_time", "energy_split", "path", "energy", "front", ..., or a column
-            of `Plan.to_frame`; an unknown name lists all of them.
+            "map", "power_over_time", "energy_split", "path", "energy", "adaptation", "front", ...,
+            or a column of `Plan.to_frame`; an unknown name lists all of them.
 
         Returns
         -------
@@ -285,6 +290,7 @@ def _run(
     completed = tuple(flight for flight in flown if isinstance(flight, Flight))
     flights = () if optimum is None else (optimum, *completed)
     flights = _priced(flights, mission, planner, progress)
+    often, refused = _often(plan, planner, tuning, references)
     ended = perf_counter()
     comparison = combine([])
     if flights:
@@ -304,14 +310,30 @@ def _run(
             "certify": certified - here,
             "front": swept - certified,
         },
-        warnings=(
-            *cautions,
-            *disagreement(aims),
-            *(why for why in flown if isinstance(why, str)),
-            *(f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt),
-        ),
+        warnings=(*cautions, *disagreement(aims), *_failures(flown, flights), *refused),
         tuning=tuning,
+        often=often,
     )
+
+
+def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[str]:
+    """Yield a line for each flight that failed or that is not confirmed."""
+    yield from (why for why in flown if isinstance(why, str))
+    yield from (f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt)
+
+
+def _often(
+    plan: Plan, planner: Planner, tuning: Tuning | None, references: Sequence[Reference]
+) -> tuple[InTurbulence | None, tuple[str, ...]]:
+    """Return the flights in turbulence, or the reason why there are none."""
+    speeds = plan.scenario.baseline.cruise_speeds or ()
+    if tuning is not None:
+        speeds = (tuning.settings.speed,)
+    speed = speeds[0] if speeds and Reference.CRUISE in references else None
+    try:
+        return fly_in_turbulence(plan, speed, planner=planner), ()
+    except (EngineError, ScenarioError) as error:
+        return None, (f"no flights in turbulence: {error}",)
 
 
 def _priced(

@@ -1,5 +1,6 @@
 """report.html in a real browser: it draws, says what it should, and loads and runs nothing else."""
 
+import re
 import shutil
 from contextlib import contextmanager
 from itertools import combinations
@@ -8,7 +9,8 @@ import pytest
 
 from pyomo_quad.report import Figures
 from pyomo_quad.report.report import PAGE_NAME, write_run_report
-from tests.synthetic_run import FLIGHTS, synthetic_run
+from pyomo_quad.study.autopilot import TUNED_CRUISE
+from tests.synthetic_run import FLIGHTS, synthetic_run, with_tuned_autopilot
 
 pytestmark = pytest.mark.browser
 
@@ -27,6 +29,9 @@ TABLET = {"width": 820, "height": 1180, "deviceScaleFactor": 2, "mobile": True}
 TIMEOUT = 60  # s; drawing in software on a busy machine is slow
 
 VIEW_ELEMENT = "flight-view"
+FLOWN = [TUNED_CRUISE if name == "adaptive/minimum_snap" else name for name in FLIGHTS]
+WIDE = {"width": 1400, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+TALLEST = 6000  # px, with details folded
 
 
 def _executable(*names):
@@ -61,7 +66,7 @@ def page(tmp_path_factory):
 
     with _browser() as browser:
         folder = tmp_path_factory.mktemp("report")
-        result = synthetic_run(overrides=(f"title={TITLE!r}", ZONE))
+        result = with_tuned_autopilot(synthetic_run(overrides=(f"title={TITLE!r}", ZONE)))
         write_run_report(folder, result, Figures.PNG)
         browser.set_page_load_timeout(TIMEOUT)
         browser.get((folder / PAGE_NAME).as_uri())
@@ -80,7 +85,7 @@ def test_view_shows_every_flight(page):
     names = page.execute_script(
         f"return document.getElementById('{VIEW_ELEMENT}').data.map(trace => trace.name)"
     )
-    assert names[: len(FLIGHTS)] == list(FLIGHTS)
+    assert names[: len(FLIGHTS)] == FLOWN
     size = page.execute_script(
         f"const box = document.querySelector('#{VIEW_ELEMENT} canvas').getBoundingClientRect();"
         "return [box.width, box.height]"
@@ -93,7 +98,7 @@ def test_comparison_table_has_a_row_for_each_flight(page):
         "return [...document.querySelectorAll('table')[0].querySelectorAll('tbody th')]"
         ".map(cell => cell.textContent)"
     )
-    assert rows == list(FLIGHTS)
+    assert rows == FLOWN
 
 
 def test_every_figure_is_drawn(page):
@@ -154,8 +159,103 @@ def test_no_table_is_cut(page, screen):
 
 
 def test_a_phone_names_each_cell(page):
-    beside = "return getComputedStyle(document.querySelector('td'), '::before').content"
-    assert on_a_screen(page, PHONE, beside) == '"Duration (s)"'
+    beside = "return getComputedStyle(document.querySelector('.cards td'), '::before').content"
+    assert on_a_screen(page, PHONE, beside) == '"Energy (J)"'
+
+
+SCREENS = pytest.mark.parametrize("screen", [PHONE, WIDE], ids=["390 px", "1400 px"])
+
+
+@SCREENS
+def test_headline_map_and_total_energies_are_in_the_first_screen(page, screen):
+    ends = on_a_screen(
+        page,
+        screen,
+        "scrollTo(0, 0); return ['.verdict', '.top figure img', '.top tbody tr:nth-child(3)'].map("
+        "name => document.querySelector(name).getBoundingClientRect().bottom)",
+    )
+    assert max(ends) <= screen["height"]
+
+
+@SCREENS
+def test_the_page_is_short_with_its_details_folded(page, screen):
+    height = on_a_screen(page, screen, "return document.documentElement.scrollHeight")
+    assert height < TALLEST
+    shown = on_a_screen(page, screen, "return document.documentElement.scrollWidth")
+    assert shown <= screen["width"]
+
+
+CONTRAST = 4.5  # WCAG AA for text
+
+
+def luminance(color):
+    parts = [int(part) / 255 for part in re.findall(r"\d+", color)[:3]]
+    lines = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    return sum(share * c for share, c in zip((0.2126, 0.7152, 0.0722), lines, strict=True))
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_stands_out_in_light_and_dark(page, scheme):
+    told = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    page.execute_cdp_cmd("Emulation.setEmulatedMedia", told)
+    try:
+        background = page.execute_script("return getComputedStyle(document.body).backgroundColor")
+        colors = page.execute_script(
+            "return ['body', 'nav a', 'figcaption', '.top td'].map("
+            "name => getComputedStyle(document.querySelector(name)).color)"
+        )
+        boxes = page.execute_script(
+            "return ['.verdict', '.verdict strong'].map(name => ["
+            "getComputedStyle(document.querySelector('.verdict')).backgroundColor,"
+            "getComputedStyle(document.querySelector(name)).color])"
+        )
+    finally:
+        page.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    assert (luminance(background) < 0.2) == (scheme == "dark")
+    for under, color in [*((background, color) for color in colors), *boxes]:
+        low, high = sorted((luminance(under), luminance(color)))
+        assert (high + 0.05) / (low + 0.05) >= CONTRAST
+
+
+def test_the_contents_name_the_player_and_open_a_folded_section(page):
+    links = page.execute_script(
+        "return [...document.querySelectorAll('nav a')].map(a => a.textContent)"
+    )
+    assert "Paths and player" in links
+    is_open = "return document.getElementById('verification').open"
+    assert not page.execute_script(is_open)
+    page.execute_script("document.querySelector('nav a[href=\"#verification\"]').click()")
+    page.execute_async_script("setTimeout(arguments[0], 100)")
+    assert page.execute_script(is_open)
+    page.execute_script("document.getElementById('verification').open = false")
+
+
+def test_the_vehicle_is_marked_as_enlarged(page):
+    """The arm of the paper's vehicle is 0.175 m, drawn as a twentieth of the scene."""
+    said = page.execute_script("return document.getElementById('flight-scale').textContent")
+    times = float(re.fullmatch(r"The vehicle is drawn ([\d.]+) times its size.", said)[1])
+    assert times > 2.0
+
+
+def test_the_player_and_a_picture_work_from_the_keyboard(page):
+    from selenium.webdriver.common.keys import Keys
+
+    canvas = page.find_element("css selector", f"#{VIEW_ELEMENT} canvas")
+    turned = f"return document.getElementById('{VIEW_ELEMENT}').camera.azimuth"
+    before = page.execute_script(turned)
+    canvas.send_keys(Keys.ARROW_RIGHT)
+    assert page.execute_script(turned) > before
+    canvas.send_keys(Keys.ARROW_LEFT)
+    button = page.find_element("id", "flight-play")
+    canvas.send_keys(" ")
+    assert button.text == "Pause"
+    canvas.send_keys(" ")
+    assert button.text == "Play"
+    image = page.find_element("css selector", "figure img")
+    image.send_keys(Keys.ENTER)
+    assert "large" in image.get_attribute("class")
+    image.send_keys(Keys.ENTER)
+    assert "large" not in image.get_attribute("class")
 
 
 def test_the_contents_stand_once(page):
@@ -189,6 +289,15 @@ def test_play_moves_time_and_vehicle_until_pause(page):
     assert seconds(page) == paused
 
 
+@pytest.fixture
+def charts(page):
+    """Unfold the charts of all quantities."""
+    page.execute_script("document.getElementById('flight-series').open = true")
+    yield page.execute_async_script("setTimeout(arguments[0], 200)")
+    page.execute_script("document.getElementById('flight-series').open = false")
+
+
+@pytest.mark.usefixtures("charts")
 def test_slider_sets_the_time_of_every_chart(page):
     page.execute_script(
         "const slider = document.getElementById('flight-time'); slider.value = 5;"
@@ -204,6 +313,7 @@ def test_slider_sets_the_time_of_every_chart(page):
     assert read.startswith("3.00")
 
 
+@pytest.mark.usefixtures("charts")
 def test_pointing_at_a_chart_reads_that_time(page):
     from selenium.webdriver import ActionChains
 
@@ -252,9 +362,9 @@ def test_labels_in_the_view_do_not_meet_on_a_phone(page):
 def test_a_table_sorts_by_its_numbers_both_ways(page):
     column = (
         "return [...document.querySelectorAll('table')[0].tBodies[0].rows]"
-        ".map(row => row.cells[2].textContent)"
+        ".map(row => row.cells[1].textContent)"
     )
-    click = "document.querySelectorAll('table')[0].tHead.querySelectorAll('button')[2].click()"
+    click = "document.querySelectorAll('table')[0].tHead.querySelectorAll('button')[1].click()"
     page.execute_script(click)
     rising = [float(text) for text in page.execute_script(column)]
     assert rising == sorted(rising)

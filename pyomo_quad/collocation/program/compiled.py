@@ -36,34 +36,46 @@ class MappedFunction:
         Dense column inputs, dense column outputs.
     n : int
         Number of points.
+    n_shared : int, optional
+        Number of inputs, the first ones, that are the same at all points.
     """
 
-    def __init__(self, function: Any, n: int) -> None:
-        self._function, self._n = function, n
+    def __init__(self, function: Any, n: int, n_shared: int = 0) -> None:
+        self._arguments = function, n, n_shared
         self._shapes = [(n, function.numel_out(k)) for k in range(function.n_out())]
-        self._chunks: list[tuple[int, int, Any, Any]] = []
+        self._chunks: list[tuple[slice, Any, Any]] = []
         made: dict[int, Any] = {}
         for start in range(0, n, _CHUNK):
             size = min(_CHUNK, n - start)
             if size not in made:
-                made[size] = (function if size == 1 else function.map(size)).buffer()
-            self._chunks.append((start, start + size, *made[size]))
+                shared = list(range(n_shared))
+                mapped = (
+                    function.map("mapped", "serial", size, shared, [])
+                    if n_shared
+                    else function.map(size)
+                )
+                made[size] = (function if size == 1 else mapped).buffer()
+            self._chunks.append((slice(start, start + size), *made[size]))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Give a copy its own buffers, because CasADi's buffers cannot be copied."""
-        return type(self), (self._function, self._n)
+        return type(self), self._arguments
 
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
-        """Return each output as an array of shape (n, rows); inputs are (n, columns)."""
+        """Return each output as an array of shape (n, rows).
+
+        Inputs are (n, columns), shared ones (columns,).
+        """
         outputs = [np.zeros(shape) for shape in self._shapes]
         held = [np.ascontiguousarray(array, dtype=float) for array in inputs]
-        for start, end, buffer, trigger in self._chunks:
+        n_shared = self._arguments[2]
+        for chosen, buffer, trigger in self._chunks:
             for k, array in enumerate(held):
                 if array.size:
-                    buffer.set_arg(k, array[start:end].data)
+                    buffer.set_arg(k, (array if k < n_shared else array[chosen]).data)
             for k, array in enumerate(outputs):
                 if array.size:
-                    buffer.set_res(k, array[start:end].data)
+                    buffer.set_res(k, array[chosen].data)
             trigger()
         return outputs
 

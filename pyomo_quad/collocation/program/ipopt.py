@@ -56,6 +56,8 @@ _RELAXED = 1e-10
 _NEAR, _INSIDE, _WELL_INSIDE = 1e-9, 1e-6, 1e-4
 # Least initial barrier parameter, and least multipliers, of a warm start where limits move.
 _BEGUN = 1e-8
+# Change of the scaled objective above which a warm start begins well inside its bounds.
+_LARGE_CHANGE = 1e-6
 # Barrier parameter, in units of Ipopt's tolerance, above which no solve ends.
 _ABOVE = 10.0
 # Initial barrier parameter of a warm start that is expected to change little.
@@ -88,6 +90,10 @@ class SolverOptions:
             return self
         return replace(self, tolerance=float(np.clip(1e-3 * tolerance, 1e-11, _TOLERANCE)))
 
+    def at_most(self, iterations: float) -> SolverOptions:
+        """Return the settings with a limit of iterations, unless they have a lower one."""
+        return replace(self, max_iterations=int(min(self.max_iterations, iterations)))
+
     def for_phases(self) -> SolverOptions:
         """Return the settings for equations that keep variables on their bounds for a phase.
 
@@ -110,24 +116,31 @@ class SolverOptions:
         target = ("mu_target", parameter)
         return replace(self, extra=(target, *self.extra, ("mu_init", begun), *pushes))
 
-    def for_a_change(self, parameter: float) -> SolverOptions:
-        """Return the settings for a warm start whose objective is to change by little.
+    def for_a_change(self, change: float, sides: int) -> SolverOptions:
+        """Return the settings for a warm start whose objective is to change by a given amount.
 
         A barrier leaves a gap in the objective of its parameter times the number of bounds. A gap
         larger than the expected change would first lead away from the warm start, and then back.
         A parameter below Ipopt's own final one is replaced by the final one of the last solve:
         Ipopt never changes a parameter that low, and the gap would differ from mesh to mesh.
 
+        A change that is not small moves the times at which limits become active. A start on its
+        bounds then blocks many iterations, and a start well inside the bounds does not.
+
         Parameters
         ----------
-        parameter : float
-            Barrier parameter whose gap equals the expected change of the objective.
+        change : float
+            Expected change of the scaled objective.
+        sides : int
+            Number of inequality bounds.
         """
-        tolerance = self.tolerance or _TOLERANCE
+        tolerance, parameter = self.tolerance or _TOLERANCE, change / max(sides, 1)
         is_small = parameter < _ABOVE * tolerance
         last = tolerance / _WARM["barrier_tol_factor"]
         begun = last if is_small else min(parameter, _WARM["mu_init"])
-        return replace(self, extra=(("mu_init", begun), *self.extra))
+        pushes = _PUSHES if change > _LARGE_CHANGE else ()
+        inside = tuple((name, _WELL_INSIDE) for name in pushes)
+        return replace(self, extra=(("mu_init", begun), *inside, *self.extra))
 
     def for_moving_limits(self) -> SolverOptions:
         """Return the settings for warm starts whose limits start or cease to apply at other times.

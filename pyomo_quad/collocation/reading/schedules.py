@@ -60,7 +60,7 @@ class Statement:
 
     @property
     def is_silent(self) -> bool:
-        """Whether it is a constraint without any bound."""
+        """Whether the constraint has no bound."""
         if len(self.parts) == 1:
             return False
         lower, body, upper = self.parts

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import product
 from typing import TYPE_CHECKING, Any, Self
@@ -13,6 +13,7 @@ import numpy as np
 from pyomo.core.base.external import PythonCallbackFunction
 
 from pyomo_quad.collocation.errors import TranscriptionError, raised
+from pyomo_quad.collocation.reading.local_splines import LocalSpline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -61,18 +62,12 @@ class Spline:
         return self
 
     def written(self, arguments: Sequence[Any]) -> Any:
-        """Return the value at CasADi expressions.
+        """Return the value at CasADi expressions; its work does not grow with the table."""
+        return self._local.written([casadi.SX(argument) for argument in arguments])
 
-        It calls CasADi's own spline, whose work does not grow with the table: it reads the
-        coefficients around a place alone, and so do its derivatives, which are splines again.
-        """
-        place = casadi.MX.sym("place", len(self.knots))
-        coefficients = self.coefficients.ravel(order="F").tolist()
-        knots, degrees = [t.tolist() for t in self.knots], [self.degree] * len(self.knots)
-        value = casadi.bspline(place, casadi.DM(coefficients), knots, degrees, 1, {})
-        # Of a function that is inlined, an SX expression would need every coefficient.
-        local = casadi.Function("spline", [place], [value], {"never_inline": True})
-        return local(casadi.vertcat(*[casadi.SX(argument) for argument in arguments]))
+    @cached_property
+    def _local(self) -> LocalSpline:
+        return LocalSpline.of(self.knots, self.coefficients, self.degree)
 
     @cached_property
     def function(self) -> Any:
@@ -83,8 +78,8 @@ class Spline:
         return casadi.Function("spline", [arguments], [written, gradient, hessian])
 
     def __getstate__(self) -> dict[str, Any]:
-        """Drop the compiled function from the pickle."""
-        return {name: part for name, part in vars(self).items() if name != "function"}
+        """Drop compiled functions from the pickle."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 def _going_on(at: FloatArray, values: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:

@@ -246,7 +246,8 @@ class _MeshSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether a fact holds."""
         is_held = self.change is not None or _are_damped(self.dampings)
-        return self.start.warm is not None if fact is Fact.WARM_START else is_held
+        has_warm = self.start.warm is not None
+        return {Fact.WARM_START: has_warm, Fact.HELD: is_held, Fact.FREE: not is_held}[fact]
 
     def attempt(self, strategy: Strategy) -> S:
         """Solve by one strategy."""
@@ -255,7 +256,8 @@ class _MeshSolve(Search[S], Generic[S]):
             self.change = None
         start = self.start.cold if strategy.first is First.GUESS else self.start
         change = None if strategy.first is First.GUESS else self.change
-        return self.solve(self.meshes, start, self.dampings, change=change)
+        budget = {"most": strategy.iterations} if strategy.iterations != math.inf else {}
+        return self.solve(self.meshes, start, self.dampings, change=change, **budget)
 
 
 def _measured(

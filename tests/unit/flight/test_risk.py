@@ -7,8 +7,16 @@ import numpy as np
 import pytest
 
 from pyomo_quad.flight import Plan, risk
-from pyomo_quad.flight.breaching import Approach, _crossing
-from pyomo_quad.flight.margins import HOLD, greatest_margin, passing_times, tightened
+from pyomo_quad.flight.breaching import Approach, Miss, _crossing
+from pyomo_quad.flight.margins import (
+    DURATION,
+    HOLD,
+    RADIUS,
+    SPEED,
+    greatest_margin,
+    passing_times,
+    tightened,
+)
 from pyomo_quad.flight.risk import plan_at_risk, risk_asked
 from tests.declared_model import scenario
 from tests.flights import PLANNER
@@ -117,6 +125,41 @@ def test_margins_move_every_limit_inwards():
     assert greatest_margin(told, "airspace.ceiling") < 16.0
 
 
+def test_margins_narrow_waypoints_and_lengthen_a_free_duration():
+    near = {"position": [3.0, 4.0, 9.0], "radius": 0.5, "speed_max": 2.0}
+    told = mission.__wrapped__(duration="free", duration_min=4.0, waypoints=[near])
+    held = tightened(told, {RADIUS: 0.2, SPEED: 0.3, DURATION: 1.5})
+    (waypoint,) = held.mission.waypoints
+    assert (waypoint.radius, waypoint.speed_max) == pytest.approx((0.3, 1.7))
+    assert held.mission.duration_min == pytest.approx(5.5)
+    (waypoint,) = tightened(told, {RADIUS: 9.0, SPEED: 9.0}).mission.waypoints
+    assert 0.0 < waypoint.radius < 0.1
+    assert 0.0 < waypoint.speed_max < 1.0
+
+
+def test_the_excess_of_a_miss_is_what_must_be_nearer_for_its_probability():
+    off = np.abs(np.random.default_rng(3).standard_normal((2, 20_000)))
+    miss = Miss(words="distance from waypoint 1", field=RADIUS, off=off, within=1.0)
+    excess = miss.excess(0.02)
+    nearer = Miss(words=miss.words, field=RADIUS, off=off - excess, within=1.0)
+    assert miss.probability > 0.3
+    assert 0.018 < nearer.probability < 0.0201
+    assert Miss(words="", field="", off=off, within=9.0).excess(0.02) == 0.0
+
+
+@pytest.mark.slow
+def test_a_free_duration_takes_the_reserve_that_its_flights_need_to_arrive():
+    told = mission(duration="free", risk=0.05).with_values({"airspace.keep_out": ()})
+    paper = PLANNER.solve(told)
+    search = risk._Search(paper, PLANNER)
+    assert sum(1 for words in search._flown(search._tried(paper, {}), 7) if words) > 30
+    plan = plan_at_risk(told, PLANNER)
+    assert plan.is_verified
+    assert plan.risk.is_had
+    assert plan.duration_s > paper.duration_s
+    assert plan.risk.margins["limits.rotor_speed_max"] > 0.0
+
+
 @cache
 def plans():
     paper = plan_at_risk(mission(risk=1.0), PLANNER)
@@ -156,7 +199,7 @@ def test_a_plan_with_a_risk_leaves_the_margin_that_its_flights_need(tmp_path):
 @pytest.mark.slow
 def test_flights_of_the_paper_plan_break_the_limit_that_it_flies_at():
     paper, held = plans()
-    search = risk._Search(mission(risk=0.05), PLANNER, paper, None)
+    search = risk._Search(paper, PLANNER)
     broken = [search._flown(search._tried(plan, {}), 77) for plan in (paper, held)]
     shares = [sum(1 for words in flights if words) / 60 for flights in broken]
     assert shares[0] > 0.3

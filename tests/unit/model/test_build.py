@@ -170,7 +170,9 @@ def test_only_a_pack_that_can_lose_its_voltage_has_a_limit_on_it():
         pack = scenario(battery={"use": name})
         empty = Instant(build_model(pack)).set(charge=2.0 * pack.battery.capacity)
         assert empty.read("battery.open_circuit_voltage") > 0.0
-        assert structure_key(pack) == structure_key(usual)
+        assert build_model(pack).battery.component("pack_voltage_limit") is None
+        has_circuit = pack.battery.relaxation is not None
+        assert (structure_key(pack) == structure_key(usual)) is not has_circuit
 
 
 def test_only_structure_forces_a_rebuild():

@@ -9,11 +9,13 @@ from pyomo_quad.collocation import compile as compile_model
 from pyomo_quad.collocation.reading.tables import Spline
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.plan import PlanStatus
+from pyomo_quad.flight.proof import exactly, refuse_unproven
 from pyomo_quad.model import build_model
 from pyomo_quad.model.wind import still_air
 from pyomo_quad.model.wind_field import unknown_wind
 from pyomo_quad.polar.polar import mean_wind
-from pyomo_quad.scenario import load_scenario
+from pyomo_quad.scenario import ScenarioError, load_scenario
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 
 HEIGHTS = [0.0, 5.0, 10.0, 15.0, 20.0, 30.0]
 _VEHICLE = {"use": "dji_phantom_2", "drag_linear": 0.3}
@@ -147,6 +149,16 @@ def test_a_plan_through_a_cell_without_wind_is_refused_or_held(tmp_path):
     refused = Planner().solve(mission({"field": file}))
     assert refused.status is PlanStatus.SOLVED
     assert "has no wind: keep out of there, give more of the field, or set" in refused.message
+    # Nor is it believed when it is read from a file.
+    with pytest.raises(ScenarioError, match=r"flown again, at .* has no wind: keep out of there"):
+        refuse_unproven(
+            refused.scenario,
+            refused.trajectories,
+            refused.energy,
+            (),
+            exactly(FIGURES[Accuracy.PROOF]),
+            refused.dynamics,
+        )
     assert (
         unknown_wind(mission({"field": file, "beyond": "hold"}), np.zeros(1), [[30, 40, 5]]) == ""
     )

@@ -61,8 +61,17 @@ def test_a_wind_faster_than_the_vehicle_lets_it_go_nowhere_against(curve):
     assert stuck.energy_per_metre == np.inf
 
 
+CELL = {"E0": 3.3, "K": 0.0222, "A": 1.0466, "B": 0.1174, "capacity": 5.7}
+RESISTANCE = 0.0095
+
+
 @pytest.fixture(scope="module")
 def steady():
+    return flying()
+
+
+def flying(**pack):
+    """The vehicle of the plain writing in steady flight, on six of its cells."""
     craft = plain.M100
     told = scenario(
         vehicle={
@@ -75,7 +84,9 @@ def steady():
             "drag_linear": DRAG[0],
             "drag_quadratic": DRAG[1],
         },
-        battery={"use": "matrice_100_pack"},
+        battery={"use": "phantom_2_pack", "cells_series": 6, "cell_resistance": RESISTANCE}
+        | CELL
+        | pack,
         wind={"coupling": "drag"},
         power={"model": "momentum", "air_density": craft["density"]},
     )
@@ -100,11 +111,25 @@ def test_steady_power_is_that_of_the_plain_writing(steady, speed):
 def test_endurance_is_the_charge_over_the_current(steady):
     trim = steady.trim()
     (power,) = steady.reading(("power.total",), trim)
-    cell, depth = (3.3, 0.0222, 1.0466, 0.1174, 5.7, 0.0095), 0.7
+    cell, depth = (*CELL.values(), RESISTANCE), 0.7
     drawn = np.linspace(0.0, depth * cell[4], 400)
     current = [plain.battery(charge, power, cell, 6, 1)[3] for charge in drawn]
     expected = 3600.0 * np.trapezoid(1.0 / np.array(current), drawn)
     assert steady.endurance(trim, depth, 60) == pytest.approx(expected, rel=1e-4)
+
+
+def test_in_long_flight_the_slow_drop_is_a_resistance_and_a_warm_pack_lasts_longer(steady):
+    def endurance(**pack):
+        own = flying(**pack)
+        return own.endurance(own.trim(), 0.7, 60)
+
+    slow = {"relaxation": {"resistance": 0.004, "time_constant": 8.0}}
+    whole = endurance(cell_resistance=RESISTANCE + 0.004)
+    # But for the seconds in which the slow drop builds up.
+    assert endurance(**slow) == pytest.approx(whole, rel=1e-3)
+    warm = {"heat_capacity": 110.0, "activation_energy": 2e4}
+    plainly = steady.endurance(steady.trim(), 0.7, 60)
+    assert 1.001 * plainly < endurance(thermal=warm) < 1.05 * plainly
 
 
 MISSION = """

@@ -73,6 +73,21 @@ def test_each_flight_starts_where_the_last_one_ended(hover):
     assert (table.charge_at_end_percent >= 20.0).all()
 
 
+def test_slow_drop_and_temperature_go_on_with_the_pack():
+    mission = hovering(
+        "battery.initial_state_of_charge=82.0",
+        "battery.relaxation={resistance=0.01, time_constant=20.0}",
+        "battery.thermal={heat_capacity=20.0, activation_energy=2e4}",
+    )
+    first, second, *_ = fly_campaign([mission], [Planner()]).flights
+    held = [flight.plan.trajectories for flight in (first, second)]
+    for name in ("battery.charge_drawn", "battery.relaxation_voltage", "battery.temperature"):
+        column = held[0].state_names.index(name)
+        ended, begun = held[0].states[-1, column], held[1].states[0, column]
+        assert begun == pytest.approx(ended, rel=1e-9)
+        assert ended > held[0].states[0, column]
+
+
 @pytest.mark.slow
 def test_a_voltage_limit_ends_a_charge_before_its_reserve(hover):
     voltages = [flight.lowest_voltage_V for flight in hover[1].flights]

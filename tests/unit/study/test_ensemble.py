@@ -6,7 +6,21 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from pyomo_quad.study.ensemble import CONFIDENCE, Saving, Share, fly_cruise_often, fly_plan_often
+from pyomo_quad.report.ensemble import _beside
+from pyomo_quad.report.gallery import drawings_of_run
+from pyomo_quad.report.tables import run_summary
+from pyomo_quad.study import ensemble
+from pyomo_quad.study.ensemble import (
+    CONFIDENCE,
+    InTurbulence,
+    Saving,
+    Share,
+    fly_cruise_often,
+    fly_in_turbulence,
+    fly_plan_often,
+)
+from pyomo_quad.study.headline import headline_of
+from pyomo_quad.study.run import run_scenario
 from tests import flights
 from tests.command import QUICK
 
@@ -76,3 +90,40 @@ def test_an_autopilot_waits_until_it_has_arrived():
     cruise = fly_cruise_often(mission, 2.0, planner=flights.PLANNER, flights=4, seed=0)
     assert 2 * cruise.held.count >= 4
     assert cruise.name == "adaptive/cruise 2 m/s"
+
+
+def test_the_words_of_many_flights_give_share_interval_limit_and_saving():
+    flown = SimpleNamespace(held=Share(98, 100), broken={"floor": Share(2, 100)})
+    rival = SimpleNamespace(name="adaptive/cruise 6 m/s")
+    saving = SimpleNamespace(rival=rival, percent=(1.0, 4.5, 8.0))
+    words = InTurbulence(flown=flown, savings=(saving,)).words
+    assert "Of 100 flights in turbulence 98 arrive" in words
+    assert str(Share(98, 100)) in words
+    assert "2 break the limit floor" in words
+    assert "4.5 % in the median (1.0 to 8.0 %" in words
+
+
+def test_a_margin_is_drawn_at_its_distance_beside_the_path():
+    angle = np.linspace(0.0, np.pi, 200)
+    circle = 5.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    assert np.linalg.norm(_beside(circle, 0.5), axis=1) == pytest.approx(4.5, abs=1e-3)
+    assert np.linalg.norm(_beside(circle, -0.5), axis=1) == pytest.approx(5.5, abs=1e-3)
+
+
+def test_without_turbulence_a_plan_is_not_flown_often():
+    assert fly_in_turbulence(flights.plan("paper_calm", *HOP[:-1]), None, planner=None) is None
+
+
+@pytest.mark.slow
+def test_a_run_in_turbulence_tells_the_share_of_flights_that_held(monkeypatch):
+    monkeypatch.setattr(ensemble, "_MOST_FLIGHTS", 40)
+    told = flights.plan("paper_calm", *HOP).scenario
+    result = run_scenario(told, planner=flights.PLANNER, baselines=())
+    flown = result.often.flown
+    assert flown.count == 40
+    assert 0.9 < flown.held.value <= 1.0
+    assert result.summary["held"] == str(flown.held)
+    assert run_summary(result, wall_s={})["turbulence"]["held"] == flown.held.count
+    assert headline_of(result).words.endswith(result.often.words)
+    names = [drawing.name for drawing in drawings_of_run(result)]
+    assert {"turbulence_paths", "turbulence_energy", "turbulence_bands"} <= set(names)

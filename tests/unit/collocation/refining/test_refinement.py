@@ -134,7 +134,7 @@ def searched(solution, *, iterations, by):
 
 def refined_by(searches):
     return refine(
-        lambda *_, change=None: next(searches),
+        lambda *_, **_settings: next(searches),
         meshes=(MESH,),
         tolerance=1e-9,
         refinement=RefinementOptions(max_meshes=4),
