@@ -54,6 +54,7 @@ def interrupted(monkeypatch, is_time):
     monkeypatch.setattr(solving, "live_line", lambda **_: nullcontext(stop))
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_a_risk_is_searched_for_leaves_the_plan_found_so_far(tmp_path, monkeypatch):
     # In the second solve, for the first margins, the time begins anew.
     interrupted(

@@ -81,7 +81,10 @@ def base(folder, **more):
     """The made-up vehicle on a base pack whose curve ends where the planted one does."""
     rise = CELL["full"] + CELL["K"] - 3.3
     pack = {"E0": 3.3, "A": rise, "K": CELL["K"], "B": 0.2, "cell_resistance": 0.012}
-    pack |= {"relaxation": None, "thermal": {"heat_capacity": CIRCUIT["heat"], "cooling": 0.0}} | more
+    pack |= {
+        "relaxation": None,
+        "thermal": {"heat_capacity": CIRCUIT["heat"], "cooling": 0.0},
+    } | more
     craft = vehicle_scenario(str(folder / "craft.toml"))
     return craft.with_values({f"battery.{name}": value for name, value in pack.items()})
 

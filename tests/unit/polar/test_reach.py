@@ -30,7 +30,7 @@ def uniform(*, has_return):
     return find_reach(load_scenario(PARCEL, {"mission.origin": HOME}), has_return=has_return)
 
 
-@pytest.mark.parametrize("has_return", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.parametrize("has_return", [False, True])
 def test_in_a_uniform_wind_the_boundary_is_that_of_the_wind_triangle(has_return):
     reach = uniform(has_return=has_return)
     scenario, boundary = reach.scenario, reach.boundary

@@ -98,6 +98,7 @@ def test_a_voltage_limit_ends_a_charge_before_its_reserve(hover):
     assert campaign.endings == ("battery voltage",)
 
 
+@pytest.mark.slow
 def test_missions_take_turns_on_one_pack_and_go_on_with_the_next():
     short, long = hovering("mission.duration=50"), hovering("mission.duration=100")
     campaign = fly_campaign([short, long], [Planner(), Planner()], charges=2)
