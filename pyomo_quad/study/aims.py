@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 _AIMS = (Aim.ENERGY, Aim.CHARGE)
 # Share of the charge by which the two optima may differ without a warning.
 DISAGREEMENT = 0.005
+# Time for the other aim, at least [s].
+_LEAST_LIMIT_S = 5.0
 
 
 class AimColumn(StrEnum):
@@ -44,7 +46,8 @@ def energy_and_charge(
 ) -> "pd.DataFrame":
     """Return energy and charge of the plan, and of the plan for the other of the two aims.
 
-    The other is solved from the plan on its mesh, without refinement, and flown like it.
+    The other is solved from the plan on its mesh, without refinement, in the time that the plan
+    took, and flown like it.
 
     Returns
     -------
@@ -62,10 +65,14 @@ def energy_and_charge(
     if scenario.mission.aim not in _AIMS:
         return pd.DataFrame(columns=columns)
     other = next(aim for aim in _AIMS if aim is not scenario.mission.aim)
-    once = {"solver": scenario.solver.model_copy(update={"max_refinements": 0})}
+    # Not worth more than the plan itself.
+    seconds = max(_LEAST_LIMIT_S, plan.timings.get("solve", 0.0))
+    limit = min(seconds, scenario.solver.time_limit or seconds)
+    briefly = {"max_refinements": 0, "time_limit": limit}
+    once = {"solver": scenario.solver.model_copy(update=briefly)}
     told = scenario.with_mission(aim=other).model_copy(update=once)
     found = planner.solve(told, warm_start=plan, progress=progress)
-    if found.verification is None:
+    if not found.is_verified:
         return pd.DataFrame(columns=columns)
     rows = [
         (one.scenario.mission.aim.value, one.energy, charge_drawn(one), one is plan)
