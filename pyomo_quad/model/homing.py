@@ -13,7 +13,7 @@ wind is that at the vehicle, and height differences count as way; the margin cov
 docs/theory/homing.md.
 """
 
-from pyomo.core import Block, ConcreteModel, Set, exp, sqrt
+from pyomo.core import Block, ConcreteModel, Set, exp, sqrt, tanh
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 
@@ -108,8 +108,11 @@ def _declare_way(b: Block, m: ConcreteModel) -> None:
     def ground_speed(b: Block, k: int, t: float) -> NumericExpression:
         wind = b.parent_block().wind
         across = wind.velocity_x[t] ** 2 + wind.velocity_y[t] ** 2 - b.tail_wind[k, t] ** 2
-        through_air = saturated(b.airspeed**2 - across, _STOPPED, _SQUARE_WIDTH)
-        return saturated(b.tail_wind[k, t] + sqrt(through_air), _SLOWEST, _SPEED_WIDTH)
+        left = b.airspeed**2 - across
+        # In a wind across the way that is faster than the vehicle it keeps no course.
+        held = (1 + tanh(left / _SQUARE_WIDTH)) / 2
+        along = b.tail_wind[k, t] + sqrt(saturated(left, _STOPPED, _SQUARE_WIDTH))
+        return saturated(held * along, _SLOWEST, _SPEED_WIDTH)
 
 
 def _declare_charge(b: Block, m: ConcreteModel) -> None:

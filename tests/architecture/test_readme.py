@@ -33,15 +33,8 @@ def rows(name):
 
 def phrases():
     """Return what the README must say, from reports and package files."""
-    flights = {row["flight"]: row for row in rows("delivery/comparison.csv")}
-    plan = flights["optimal"]
-    cruises = [
-        row
-        for name, row in flights.items()
-        if name.startswith("adaptive/cruise") and row["arrived"] == row["limits_kept"] == "True"
-    ]
-    spent = {float(c["energy_J"]) + float(c["owed_energy_J"]): c for c in cruises}
-    least = min(spent)
+    told = json.loads((ROOT / "reports/delivery/summary.json").read_text(encoding="utf-8"))
+    rival, tuned = told["headline"]["against"], told["headline"]["autopilot"]
     (model,) = (row for row in rows("m100/models.csv") if row["model"].startswith("momentum"))
     calm = json.loads((ROOT / "reports/paper_calm/summary.json").read_text(encoding="utf-8"))
     counts = {
@@ -54,9 +47,10 @@ def phrases():
     version = __version__
     total = sum(counts.values())
     return [
-        f"**{float(plan['energy_J']):.0f} J in {float(plan['duration_s']):.1f} s**",
-        f"**{least:.0f} J in {float(spent[least]['duration_s']):.1f} s**",
-        f"over that autopilot | {float(spent[least]['saving_percent']):.1f} % |",
+        f"**{told['energy_J']:.0f} J in {told['duration_s']:.1f} s**",
+        f"({tuned['speed']:.1f} m/s, {tuned['acceleration']:.1f} m/s², {tuned['jerk']:.1f} m/s³)",
+        f"**{rival['energy_J']:.0f} J in {rival['duration_s']:.1f} s**",
+        f"over that autopilot | {rival['saving_percent']:.1f} % |",
         f"not fitted | {float(model['mean_absolute_error_percent']):.2f} % |",
         f"in the paper's first mission | {calm['certificate']['gap_percent']:.2f} % |",
         f"of {total} random missions: solved or proven impossible | {total - counts['lost']} |",

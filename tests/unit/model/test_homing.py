@@ -37,6 +37,18 @@ def test_the_charge_is_that_of_the_wind_triangle():
     assert value(ahead.homing.ground_speed[0, t]) == pytest.approx(6.0, rel=1e-4)
 
 
+def test_a_wind_across_faster_than_the_vehicle_stops_the_return():
+    # From east and behind, 13.4 m/s at 45 degrees to the way home, of 8 m/s through the air.
+    fields = {
+        "wind.speed": 9.0 * np.sqrt(2.0),
+        "wind.direction": 0.75 * np.pi,
+        "mission.return_flight.airspeed": 8.0,
+    }
+    model, t = homing_at((300.0, 0.0, 10.0), **fields)
+    assert value(model.homing.tail_wind[0, t]) == pytest.approx(9.0, rel=1e-3)
+    assert value(model.homing.ground_speed[0, t]) == pytest.approx(0.5, abs=0.02)
+
+
 def test_the_nearest_home_counts_and_never_less_than_it():
     homes = {"mission.rally": [[900.0, 0.0, 10.0]], "wind.speed": 0.0}
     for x in (0.0, 300.0, 440.0, 460.0, 600.0, 900.0):
